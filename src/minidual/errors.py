@@ -1,0 +1,85 @@
+"""The one family of errors that the command line turns into a message and an exit code.
+
+A message names the thing, the bound and what exists; `remedy` says what to type or do next.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from enum import IntEnum
+
+
+class ExitCode(IntEnum):
+    """Exit codes of every `minidual` command."""
+
+    PASS = 0
+    ACCEPTANCE_FAILED = 1
+    USAGE = 2
+    GATE_CLOSED = 3
+    ENVIRONMENT = 4
+    NOTHING_EVALUATED = 5
+    INTERNAL = 70
+    INTERRUPTED = 130
+
+
+class MinidualError(Exception):
+    """Base of all expected errors: shown without a traceback, with its remedy and its exit code."""
+
+    exit_code: ExitCode = ExitCode.USAGE
+
+    def __init__(self, message: str, *, remedy: str | None = None) -> None:
+        super().__init__(message)
+        self.message = message
+        self.remedy = remedy
+
+    def __str__(self) -> str:
+        return self.message if self.remedy is None else f"{self.message}\n  remedy: {self.remedy}"
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # Errors cross process boundaries (worker pools); keyword-only arguments need help there.
+        return (_rebuild, (type(self), self.message, self.remedy))
+
+
+def _rebuild(cls: type[MinidualError], message: str, remedy: str | None) -> MinidualError:
+    error = cls.__new__(cls)
+    MinidualError.__init__(error, message, remedy=remedy)
+    return error
+
+
+class UsageError(MinidualError):
+    """A name, value or file that the user gave is wrong."""
+
+
+class ConfigError(UsageError):
+    """The configuration does not hold; the message names file, line and dotted path."""
+
+
+class GateClosedError(MinidualError):
+    """A stage was asked for whose upstream verdict is not passing and fresh."""
+
+    exit_code = ExitCode.GATE_CLOSED
+
+
+class EnvironmentMissingError(MinidualError):
+    """A library, driver or device that the work needs is not there."""
+
+    exit_code = ExitCode.ENVIRONMENT
+
+
+class NothingEvaluatedError(MinidualError):
+    """A stage ended without a single check or trial."""
+
+    exit_code = ExitCode.NOTHING_EVALUATED
+
+
+class DataError(MinidualError):
+    """A file on disk is corrupt, truncated or of another schema."""
+
+
+def unknown_name(kind: str, name: str, known: Iterable[str]) -> UsageError:
+    """Return the error for an unknown name: what exists, and the closest one."""
+    names = sorted(known)
+    close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    remedy = f"did you mean '{close[0]}'?" if close else None
+    return UsageError(f"no {kind} '{name}'; there are {', '.join(names)}", remedy=remedy)
