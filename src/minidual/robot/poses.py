@@ -1,0 +1,70 @@
+"""Small helpers on poses: (4, 4) homogeneous matrices and (3, 3) rotations."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from minidual.robot.constants import Array
+
+
+def pose(rotation: Array, position: Array | tuple[float, float, float]) -> Array:
+    """Return the (4, 4) pose with the given (3, 3) rotation and (3,) position [m]."""
+    T = np.eye(4)
+    T[:3, :3] = rotation
+    T[:3, 3] = position
+    return T
+
+
+def inverse(T: Array) -> Array:
+    """Return the inverse of a (4, 4) pose."""
+    R = T[:3, :3]
+    return pose(R.T, -R.T @ T[:3, 3])
+
+
+def rot_x(angle_rad: float) -> Array:
+    """Return the (3, 3) rotation about x."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+
+
+def rot_z(angle_rad: float) -> Array:
+    """Return the (3, 3) rotation about z."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def rotation_log(R: Array) -> Array:
+    """Return the rotation vector (3,) [rad] of a (3, 3) rotation (Rodrigues).
+
+    Near pi the axis is read from the symmetric part, where the antisymmetric part loses its digits.
+    """
+    vee = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    cos_angle = min(1.0, max(-1.0, 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0)))
+    angle = float(np.arccos(cos_angle))
+    if angle < 1e-6:
+        return 0.5 * vee
+    if angle > np.pi - 1e-4:
+        symmetric = 0.5 * (R + np.eye(3))
+        column = int(np.argmax(np.diag(symmetric)))
+        axis = symmetric[:, column] / np.sqrt(symmetric[column, column])
+        axis /= np.linalg.norm(axis)
+        sign = 1.0 if float(vee @ axis) >= 0.0 else -1.0
+        return sign * angle * axis
+    return vee * (0.5 * angle / np.sin(angle))
+
+
+def quat_from_yaw(yaw_rad: float) -> Array:
+    """Return the quaternion wxyz (4,) of a rotation about z."""
+    return np.array([np.cos(yaw_rad / 2.0), 0.0, 0.0, np.sin(yaw_rad / 2.0)])
+
+
+def rotation_from_quat(quat_wxyz: Array) -> Array:
+    """Return the (3, 3) rotation of a unit quaternion wxyz (4,)."""
+    w, x, y, z = quat_wxyz
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
