@@ -1,0 +1,35 @@
+"""The root of the configuration: one section a concern, every value typed and bounded."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from minidual.config.base import StrictModel
+from minidual.config.control import CarryConfig, EnvCheckConfig
+from minidual.config.evaluation import BenchmarkConfig, ReportConfig
+from minidual.config.learning import DeployConfig, TrainConfig
+from minidual.config.planning import PlanConfig
+from minidual.config.scene import SceneConfig
+from minidual.config.teleop import TeleopConfig
+
+
+class Config(StrictModel):
+    """The resolved configuration of a run."""
+
+    acceptance: bool = True
+    """Whether verdicts of this profile count as acceptance. A profile that extends one with `false` cannot
+    switch it on again."""
+    seed: int = Field(20260, ge=0, lt=2**63)
+    """The one seed of the run; every random stream is derived from it by name."""
+    workers: int = Field(2, ge=1, le=512)
+    """Processes a stage may use. Results do not depend on it."""
+
+    env_check: EnvCheckConfig = EnvCheckConfig()
+    plan: PlanConfig = PlanConfig()
+    carry: CarryConfig = CarryConfig()
+    teleop: TeleopConfig = TeleopConfig()
+    train: TrainConfig = TrainConfig()
+    deploy: DeployConfig = DeployConfig()
+    benchmark: BenchmarkConfig = BenchmarkConfig()
+    report: ReportConfig = ReportConfig()
+    scene: SceneConfig = SceneConfig()
