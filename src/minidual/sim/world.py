@@ -1,0 +1,208 @@
+"""The simulated world: one step of physics, and what its sensors say."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from minidual.config.scene import SceneConfig
+from minidual.errors import MinidualError, UsageError
+from minidual.robot.constants import (
+    ARMS,
+    DOF,
+    FINGER_JOINT_NAMES,
+    FINGER_TRAVEL_M,
+    HOME,
+    JOINT_NAMES,
+    Q_LOWER,
+    Q_UPPER,
+    Array,
+)
+from minidual.robot.poses import pose, quat_from_yaw
+from minidual.sim.addresses import map_joints
+from minidual.sim.model import build_model
+
+
+class SimulationDivergedError(MinidualError):
+    """The state stopped being finite."""
+
+
+@dataclass(frozen=True)
+class ContactWrench:
+    """Net contact of the two fingers of one hand on the rod, world axes.
+
+    Attributes:
+        force: (3,) [N], of the hand on the rod.
+        torque: (3,) [Nm], about the rod's centre of mass.
+        pinch: Normal force of the weaker finger [N]; zero unless both touch.
+    """
+
+    force: Array
+    torque: Array
+    pinch: float
+
+
+class World:
+    """Two arms, two grippers, a rod and a table at 1 kHz.
+
+    Write torques and finger targets with `command`, then `step`. Readings are copies.
+
+    Args:
+        scene: Physics, rod and task.
+        visuals: Compile the visual meshes; needed only to render.
+        model: Reuse a compiled model (it must come from `build_model`).
+    """
+
+    def __init__(self, scene: SceneConfig, *, visuals: bool = False, model: mujoco.MjModel | None = None) -> None:
+        self.scene = scene
+        self.model = build_model(scene, visuals=visuals) if model is None else model
+        self.data = mujoco.MjData(self.model)
+        self.dt = float(self.model.opt.timestep)
+        self.joints = map_joints(self.model, JOINT_NAMES, torque=True)
+        self.fingers = map_joints(self.model, FINGER_JOINT_NAMES, torque=False)
+        self._rod_body = self.model.body("rod").id
+        free = self.model.joint("rod_free")
+        self._rod_qpos, self._rod_qvel = int(free.qposadr[0]), int(free.dofadr[0])
+        self._hand_bodies = [self.model.body(f"{arm}_panda_hand").id for arm in ARMS]
+        start = int(self.model.sensor("left_leftfinger_contact").adr[0])
+        self._contacts = self.data.sensordata[start : start + 36].reshape(2, 2, 9)  # a view: arm, finger, field
+        self.reset()
+
+    @property
+    def time(self) -> float:
+        """Simulated time [s]."""
+        return float(self.data.time)
+
+    @property
+    def q(self) -> Array:
+        """Joint positions (14,) [rad]."""
+        return self.data.qpos[self.joints.qpos]
+
+    @property
+    def v(self) -> Array:
+        """Joint velocities (14,) [rad/s]."""
+        return self.data.qvel[self.joints.qvel]
+
+    @property
+    def tau(self) -> Array:
+        """Torques (14,) [Nm] that the motors applied in the last step."""
+        return self.data.actuator_force[self.joints.ctrl]
+
+    @property
+    def gripper(self) -> Array:
+        """Opening of each hand (2,), 0 closed to 1 open."""
+        fingers = self.data.qpos[self.fingers.qpos]
+        return (fingers[0::2] + fingers[1::2]) / (2.0 * FINGER_TRAVEL_M)
+
+    @property
+    def T_world_rod(self) -> Array:
+        """Pose (4, 4) of the rod; its y axis is the long axis."""
+        return pose(self.data.xmat[self._rod_body].reshape(3, 3), self.data.xpos[self._rod_body])
+
+    @property
+    def rod_twist(self) -> Array:
+        """Twist (6,) of the rod at its centre of mass, world axes."""
+        v = self.data.qvel[self._rod_qvel : self._rod_qvel + 6]
+        R = self.data.xmat[self._rod_body].reshape(3, 3)
+        return np.concatenate([v[:3], R @ v[3:]])  # MuJoCo keeps a free joint's angular velocity in the body frame
+
+    @property
+    def contact_count(self) -> int:
+        """Number of contacts."""
+        return int(self.data.ncon)
+
+    def contact_pairs(self) -> list[tuple[str, str, float]]:
+        """Return (body, body, distance [m]) of every contact."""
+        body = self.model.geom_bodyid
+        return [
+            (self.model.body(int(body[c.geom1])).name, self.model.body(int(body[c.geom2])).name, float(c.dist))
+            for c in self.data.contact[: self.data.ncon]
+        ]
+
+    def pinch_forces(self) -> Array:
+        """Return the pinch force of each hand on the rod (2,) [N]: normal force of its weaker finger."""
+        forces = self._contacts[:, :, :3]
+        axes = self.data.xmat[self._hand_bodies].reshape(2, 3, 3)[:, :, 1]  # fingers move along the hand's y
+        along = np.einsum("afk,ak->af", forces, axes)
+        # The left finger (+y) pushes towards -y, the right one towards +y.
+        return np.maximum(0.0, np.minimum(-along[:, 0], along[:, 1]))
+
+    def contact_wrenches(self) -> tuple[ContactWrench, ContactWrench]:
+        """Return the net wrench of each hand on the rod."""
+        centre = self.data.xpos[self._rod_body]
+        pinch = self.pinch_forces()
+        result = []
+        for arm in range(2):
+            force = self._contacts[arm, :, :3].sum(axis=0)
+            torque = np.zeros(3)
+            for f in range(2):
+                reading = self._contacts[arm, f]
+                torque += reading[3:6] + np.cross(reading[6:9] - centre, reading[:3])
+            result.append(ContactWrench(force, torque, float(pinch[arm])))
+        return result[0], result[1]
+
+    def internal_force(self) -> float:
+        """Return the squeeze along the rod [N]: half the opposed part of the hands' measured axial forces.
+
+        Positive when the hands press towards each other. One hand alone gives zero: the internal force is what
+        both carry, min of the two opposed components.
+        """
+        axis = self.data.xmat[self._rod_body].reshape(3, 3)[:, 1]
+        left = float(-axis @ self._contacts[0, :, :3].sum(axis=0))  # the left hand holds the +y end
+        right = float(axis @ self._contacts[1, :, :3].sum(axis=0))
+        return min(left, right)
+
+    def rod_on_table(self) -> bool:
+        """Return whether the rod touches the table."""
+        body = self.model.geom_bodyid
+        table = self.model.body("table").id
+        contacts = self.data.contact[: self.data.ncon]
+        return any({int(body[c.geom1]), int(body[c.geom2])} == {table, self._rod_body} for c in contacts)
+
+    def reset(
+        self, q: Array | None = None, *, rod_xy_yaw: tuple[float, float, float] | None = None
+    ) -> None:
+        """Put the arms at q (14,) (home by default), hands open, the rod at (x, y, yaw) on the table.
+
+        Raises:
+            UsageError: q has another shape, is not finite or leaves the joint limits.
+        """
+        q = HOME if q is None else np.asarray(q, dtype=float)
+        if q.shape != (DOF,):
+            raise UsageError(f"q has shape {q.shape}; it must be ({DOF},)")
+        bad = ~((q >= Q_LOWER - 1e-9) & (q <= Q_UPPER + 1e-9))
+        if bad.any():
+            i = int(np.argmax(bad))
+            raise UsageError(f"{JOINT_NAMES[i]} = {q[i]:.4f} rad; {Q_LOWER[i]:.4f} <= value <= {Q_UPPER[i]:.4f}")
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[self.joints.qpos] = q
+        self.data.qpos[self.fingers.qpos] = FINGER_TRAVEL_M
+        self.data.ctrl[self.fingers.ctrl] = FINGER_TRAVEL_M
+        x, y, yaw = (*self.scene.task.start_xy_m, 0.0) if rod_xy_yaw is None else rod_xy_yaw
+        address = self._rod_qpos
+        self.data.qpos[address : address + 3] = (x, y, self.scene.rod.radius_m)
+        self.data.qpos[address + 3 : address + 7] = quat_from_yaw(yaw)
+        mujoco.mj_forward(self.model, self.data)
+
+    def command(self, tau: Array, finger_targets_m: Array) -> None:
+        """Set the motors' torques (14,) [Nm] and each hand's finger target (2,) [m] (same for both fingers).
+
+        Torques beyond the motors' limits are clipped by the actuators, as the real drives do.
+        """
+        self.data.ctrl[self.joints.ctrl] = tau
+        self.data.ctrl[self.fingers.ctrl] = np.repeat(finger_targets_m, 2)
+
+    def step(self) -> None:
+        """Advance by one time step.
+
+        Raises:
+            SimulationDivergedError: The state is not finite any more.
+        """
+        mujoco.mj_step(self.model, self.data)
+        if self.data.warning[int(mujoco.mjtWarning.mjWARN_BADQACC)].number > 0 or not np.isfinite(self.data.qacc[0]):
+            raise SimulationDivergedError(
+                f"the simulation diverged at t = {self.time:.3f} s (accelerations not finite)",
+                remedy="check the commanded torques, the inertias and the time step",
+            )
