@@ -1,0 +1,47 @@
+"""Close and open the hands without slamming: a target inside the object sets the pinch force."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from minidual.config.scene import SceneConfig
+from minidual.robot.constants import FINGER_TRAVEL_M, Array
+
+CLOSE_BELOW, OPEN_ABOVE = 0.4, 0.6
+"""Hysteresis on an opening command in 0..1, so that a wavering policy does not flutter."""
+
+
+class Grippers:
+    """Turns opening commands (0 closed, 1 open) into ramped finger targets [m].
+
+    A finger servo of stiffness kp whose target lies `F / kp` inside the object's surface presses with F.
+
+    Args:
+        scene: Holds the finger servo's stiffness and the rod's radius.
+        dt_s: Step of the control loop.
+        pinch_force_n: Force to close with.
+        speed_m_per_s: Slew rate of each finger.
+    """
+
+    def __init__(self, scene: SceneConfig, dt_s: float, *, pinch_force_n: float, speed_m_per_s: float = 0.08) -> None:
+        pinch_force_n = min(pinch_force_n, scene.physics.finger_force_max_n)
+        self._closed_m = scene.rod.radius_m - pinch_force_n / scene.physics.finger_kp_n_per_m
+        self._step_m = speed_m_per_s * dt_s
+        self.reset()
+
+    def reset(self) -> None:
+        """Open both hands at once."""
+        self._is_open = np.array([True, True])
+        self.targets_m = np.full(2, FINGER_TRAVEL_M)
+
+    @property
+    def is_open(self) -> Array:
+        """Commanded state of each hand (2,), 1 open or 0 closed."""
+        return self._is_open.astype(float)
+
+    def step(self, command: Array) -> Array:
+        """Advance one step towards command (2,) in 0..1; return the finger targets (2,) [m]."""
+        self._is_open = np.where(command > OPEN_ABOVE, True, np.where(command < CLOSE_BELOW, False, self._is_open))
+        goal = np.where(self._is_open, FINGER_TRAVEL_M, self._closed_m)
+        self.targets_m = self.targets_m + np.clip(goal - self.targets_m, -self._step_m, self._step_m)
+        return self.targets_m

@@ -1,0 +1,45 @@
+"""Computed-torque control of all 14 joints: gains follow from the inertia seen at each joint.
+
+    tau = M(q) [ a_ref + 2 zeta wn (v_ref - v) + wn^2 (q_ref - q) ] + h(q, v) + d v
+
+Multiplying by the joint-space inertia M gives every joint the same closed-loop natural frequency wn whatever
+inertia it carries; a shoulder sees more than ten times the inertia of a wrist, so one number for all would leave
+the shoulder slack and the wrist shaking. h holds Coriolis, centrifugal and gravity torques, d the viscous joint
+friction. Source: Siciliano et al., Robotics, ch. 8.5.2 (inverse dynamics control).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from minidual.robot.constants import DOF, JOINT_DAMPING, TAU_MAX, Array
+from minidual.robot.kinematics import Kinematics
+
+
+class ComputedTorque:
+    """Tracks joint references of both arms.
+
+    Args:
+        kinematics: Workspace for the dynamics.
+        natural_frequency_rad_s: wn, the same for all joints.
+        damping_ratio: zeta.
+    """
+
+    def __init__(self, kinematics: Kinematics, *, natural_frequency_rad_s: float = 20.0, damping_ratio: float = 1.0) -> None:
+        self._model, self._data = kinematics.model, kinematics.data
+        self._stiffness = natural_frequency_rad_s**2
+        self._damping = 2.0 * damping_ratio * natural_frequency_rad_s
+
+    def torque(self, q: Array, v: Array, q_ref: Array, v_ref: Array, a_ref: Array) -> Array:
+        """Return motor torques (14,) [Nm], clipped to the motors' limits."""
+        a = a_ref + self._damping * (v_ref - v) + self._stiffness * (q_ref - q)
+        # rnea(q, v, a) = M a + h in one O(n) pass; it knows rotor inertia through model.armature.
+        tau = pin.rnea(self._model, self._data, q, v, a) + JOINT_DAMPING * v
+        return np.clip(tau, -TAU_MAX, TAU_MAX)
+
+
+def hold(controller: ComputedTorque, q: Array, v: Array, q_hold: Array) -> Array:
+    """Return the torques that hold q_hold (14,) at zero velocity."""
+    zero = np.zeros(DOF)
+    return controller.torque(q, v, q_hold, zero, zero)
