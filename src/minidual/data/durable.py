@@ -43,6 +43,13 @@ def is_stale(path: Path) -> bool:
         return False
 
 
+def remove_stale(path: Path) -> None:
+    """Remove what killed writers of `path` left behind."""
+    for left in path.parent.glob(f".{path.name}.*.partial"):
+        if is_stale(left):
+            remove(left)
+
+
 def fsync_file(path: Path) -> None:
     """Bring a file's content to the disk."""
     descriptor = os.open(path, os.O_RDONLY)

@@ -1,0 +1,239 @@
+"""The LeRobot dataset holds what was recorded, is whole or absent, and says so when it is not."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import data_samples
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from minidual.data import lerobot_adapter as adapter
+from minidual.data.episode import read_episode
+from minidual.data.lerobot_reader import read_dataset_to_ram, read_info
+from minidual.errors import DataError, UsageError
+
+HIGH = "observation.images.cam_high"
+TICKS = (40, 33)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Path], adapter.DatasetSummary]:
+    folder = tmp_path_factory.mktemp("lerobot")
+    sources = [
+        data_samples.write(
+            folder / f"episode_{i:06d}.hdf5", data_samples.arrays(ticks, seed=i, size=(96, 128)), seed=100 + i
+        )
+        for i, ticks in enumerate(TICKS)
+    ]
+    seen: list[tuple[int, int]] = []
+    summary = adapter.convert(
+        sources, folder / "dataset", cameras=("high", "left"), progress=lambda done, n: seen.append((done, n))
+    )
+    assert seen == [(1, 2), (2, 2)]
+    return folder / "dataset", sources, summary
+
+
+@pytest.fixture
+def copy(made: tuple[Path, list[Path], adapter.DatasetSummary], tmp_path: Path) -> tuple[Path, list[Path]]:
+    shutil.copytree(made[0], tmp_path / "dataset")
+    return tmp_path / "dataset", made[1]
+
+
+def test_the_summary_counts_rows_and_names_what_is_inside(made: tuple) -> None:
+    root, _, summary = made
+    assert (summary.root, summary.episodes, summary.frames, summary.fps) == (root, 2, sum(TICKS), 50)
+    assert summary.cameras == (HIGH, "observation.images.cam_left")
+    assert summary.state_error_max == 0.0
+    assert 0.0 < summary.image_difference_mean < 3.0
+    assert sorted(path.name for path in root.iterdir()) == ["data", "meta", "videos"]
+    assert [path.name for path in root.parent.iterdir() if path.name.startswith(".")] == []
+
+
+def test_memory_holds_what_was_recorded(made: tuple) -> None:
+    root, sources, _ = made
+    data = read_dataset_to_ram(root)
+    assert data.state.dtype == data.action.dtype == np.float32
+    assert data.state_names == adapter.STATE_NAMES
+    assert data.state_names[:1] + data.state_names[7:8] + data.state_names[14:] == (
+        "left_panda_joint1", "right_panda_joint1", "left_gripper", "right_gripper",
+    )  # fmt: skip
+    assert data.images[HIGH].shape == (sum(TICKS), 96, 128, 3)
+    for index, path in enumerate(sources):
+        episode = read_episode(path)
+        rows = slice(data.episode_from[index], data.episode_to[index])
+        np.testing.assert_array_equal(data.state[rows, :14], episode.qpos.astype(np.float32))
+        np.testing.assert_array_equal(data.state[rows, 14:], episode.gripper.astype(np.float32))
+        np.testing.assert_array_equal(data.action[rows, :14], episode.action.astype(np.float32))
+        np.testing.assert_array_equal(data.action[rows, 14:], episode.action_gripper.astype(np.float32))
+        np.testing.assert_array_equal(data.frame_index[rows], np.arange(TICKS[index]))
+        assert set(data.episode_index[rows]) == {index}
+        # The right picture at the right tick: each frame is nearest to its own recording's frame.
+        shown = data.images[HIGH][rows].astype(float)
+        for k in (0, TICKS[index] // 2, TICKS[index] - 1):
+            distance = np.abs(shown[k] - episode.images["high"]).mean(axis=(1, 2, 3))
+            assert int(np.argmin(distance)) == k
+            assert distance[k] < 2.0
+
+
+def test_lerobot_itself_opens_it_and_agrees(made: tuple) -> None:
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    root, _, _ = made
+    dataset = LeRobotDataset("local/dataset", root=root, video_backend="pyav")
+    data = read_dataset_to_ram(root)
+    assert (len(dataset), dataset.meta.total_episodes, dataset.fps) == (sum(TICKS), 2, 50)
+    for row in (0, TICKS[0] - 1, TICKS[0], sum(TICKS) - 1):
+        item = dataset[row]
+        np.testing.assert_array_equal(item["observation.state"].numpy(), data.state[row])
+        np.testing.assert_array_equal(item["action"].numpy(), data.action[row])
+        assert float(item["timestamp"]) == pytest.approx(data.frame_index[row] / 50)
+        assert item["task"] == "carry the rod"
+        picture = item[HIGH].numpy().transpose(1, 2, 0) * 255
+        assert np.abs(picture - data.images[HIGH][row]).max() <= 1.0
+    stats = dataset.meta.stats["observation.state"]
+    np.testing.assert_allclose(stats["mean"], data.state.mean(axis=0), atol=1e-4)
+
+
+def test_pictures_can_be_scaled_and_chosen_while_decoding(made: tuple) -> None:
+    root, _, _ = made
+    small = read_dataset_to_ram(root, cameras=[HIGH], image_size=(48, 64)).images
+    assert list(small) == [HIGH]
+    assert small[HIGH].shape == (sum(TICKS), 48, 64, 3)
+    full = read_dataset_to_ram(root, cameras=[HIGH]).images[HIGH].astype(float)
+    halved = full.reshape(-1, 48, 2, 64, 2, 3).mean(axis=(2, 4))
+    assert np.abs(halved - small[HIGH]).mean() < 2.0
+    with pytest.raises(UsageError, match="no camera 'observation.images.cam_top'"):
+        read_dataset_to_ram(root, cameras=["observation.images.cam_top"])
+
+
+def test_the_sources_are_written_beside_the_data(made: tuple) -> None:
+    records = adapter.read_sources(made[0])
+    assert [record["seed"] for record in records] == [100, 101]
+    assert [record["ticks"] for record in records] == list(TICKS)
+
+
+def test_split_undoes_join() -> None:
+    qpos, gripper = np.arange(28.0).reshape(2, 14), np.array([[0.0, 1.0], [1.0, 0.0]])
+    joints, fingers = adapter.split_vector(adapter.state_vector(qpos, gripper))
+    np.testing.assert_array_equal(joints, qpos)
+    np.testing.assert_array_equal(fingers, gripper)
+    with pytest.raises(DataError, match="14 values; it must have 16"):
+        adapter.split_vector(qpos)
+
+
+def test_a_lost_video_frame_is_noticed(copy: tuple[Path, list[Path]]) -> None:
+    import av
+
+    root, sources = copy
+    video = next((root / "videos" / HIGH).rglob("*.mp4"))
+    with av.open(str(video)) as container:
+        frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+    with av.open(str(video), "w") as container:
+        stream = container.add_stream("h264", 50)
+        stream.height, stream.width = frames[0].shape[:2]
+        for frame in frames[:-1]:
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
+        container.mux(stream.encode())
+    with pytest.raises(DataError, match="holds 72 frames; the table has 73 rows"):
+        adapter.verify_dataset(root, sources)
+
+
+def test_a_changed_state_is_noticed(copy: tuple[Path, list[Path]]) -> None:
+    root, sources = copy
+    path = next((root / "data").rglob("*.parquet"))
+    table = pq.read_table(path)
+    states = table["observation.state"].to_pylist()
+    states[3][5] += 1e-4
+    column = table.schema.get_field_index("observation.state")
+    import pyarrow as pa
+
+    pq.write_table(
+        table.set_column(column, "observation.state", pa.array(states, type=table.schema.field(column).type)),
+        path,
+    )
+    with pytest.raises(DataError, match=r"episode 0 .*observation\.state differs"):
+        adapter.verify_dataset(root, sources)
+
+
+def test_swapped_cameras_and_other_recordings_are_noticed(copy: tuple[Path, list[Path]]) -> None:
+    root, sources = copy
+    with pytest.raises(DataError, match="episode 0"):
+        adapter.verify_dataset(root, sources[::-1])
+    with pytest.raises(DataError, match="2 episodes; 1 were recorded"):
+        adapter.verify_dataset(root, sources[:1])
+    high, left = (root / "videos" / key for key in (HIGH, "observation.images.cam_left"))
+    high.rename(root / "videos" / "aside")
+    left.rename(high)
+    (root / "videos" / "aside").rename(left)
+    with pytest.raises(DataError, match="camera 'high' differs"):
+        adapter.verify_dataset(root, sources)
+
+
+@pytest.mark.parametrize(
+    "victim", ["data/**/*.parquet", "meta/episodes/**/*.parquet", "videos/**/*.mp4", "meta/info.json"]
+)
+def test_a_truncated_dataset_file_is_named(copy: tuple[Path, list[Path]], victim: str) -> None:
+    root, _ = copy
+    path = next(root.glob(victim))
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.raises(DataError, match=path.name):
+        read_dataset_to_ram(root)
+
+
+def test_a_wrong_count_in_info_is_noticed(copy: tuple[Path, list[Path]]) -> None:
+    root, _ = copy
+    info = json.loads((root / "meta/info.json").read_text())
+    info["total_frames"] += 1
+    (root / "meta/info.json").write_text(json.dumps(info))
+    with pytest.raises(DataError, match="declares 74 frames"):
+        read_dataset_to_ram(root)
+    with pytest.raises(DataError, match="no LeRobot dataset"):
+        read_info(root / "nowhere")
+
+
+def test_what_cannot_be_converted_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
+    good = data_samples.write(tmp_path / "a.hdf5", data_samples.arrays(6))
+    slow = data_samples.write(tmp_path / "b.hdf5", data_samples.arrays(6, fps=25.0), fps=25.0)
+    odd = data_samples.write(tmp_path / "c.hdf5", data_samples.arrays(6, size=(32, 32)))
+    broken = tmp_path / "d.hdf5"
+    broken.write_bytes(good.read_bytes()[:3000])
+    out = tmp_path / "out"
+    for paths, options, kind, words in (
+        ([], {}, UsageError, "no episodes"),
+        ([good], {"crf": 99}, UsageError, "crf is 99"),
+        ([good, slow], {}, DataError, "25 Hz"),
+        ([good], {"fps": 30}, DataError, "asked for at 30 Hz"),
+        ([good, broken], {}, DataError, "d.hdf5"),
+        ([good], {"cameras": ["top"]}, DataError, "no camera top"),
+        ([good, odd], {}, DataError, "c.hdf5: camera 'high'"),
+    ):
+        with pytest.raises(kind, match=words):
+            adapter.convert(paths, out, **options)
+        assert sorted(path.name for path in tmp_path.iterdir()) == ["a.hdf5", "b.hdf5", "c.hdf5", "d.hdf5"]
+
+
+def test_an_existing_dataset_is_kept_unless_told(tmp_path: Path) -> None:
+    first = data_samples.write(tmp_path / "a.hdf5", data_samples.arrays(6, size=(32, 32)))
+    second = data_samples.write(tmp_path / "b.hdf5", data_samples.arrays(9, size=(32, 32)))
+    out = tmp_path / "sets" / "out"
+    adapter.convert([first], out, cameras=["high"])
+    with pytest.raises(UsageError, match="exists already"):
+        adapter.convert([second], out, cameras=["high"])
+    assert len(read_dataset_to_ram(out)) == 6
+    adapter.convert([second], out, cameras=["high"], overwrite=True, task="another")
+    assert len(read_dataset_to_ram(out)) == 9
+    assert [path.name for path in out.parent.iterdir()] == ["out"]
+
+
+def test_what_a_killed_conversion_left_is_cleared_and_anothers_work_is_not(tmp_path: Path) -> None:
+    own, other = tmp_path / ".out.999999999.partial", tmp_path / ".other.999999999.partial"
+    for folder in (own, other):
+        (folder / "data").mkdir(parents=True)
+    source = data_samples.write(tmp_path / "a.hdf5", data_samples.arrays(6, size=(32, 32)))
+    adapter.convert([source], tmp_path / "out", cameras=["high"])
+    assert not own.exists()
+    assert other.exists()
