@@ -12,6 +12,7 @@ from minidual.config.scene import SceneConfig
 from minidual.robot.constants import (
     ARMS,
     DOF_PER_ARM,
+    FINGER_ARMATURE_KG,
     FINGER_JOINT_NAMES,
     FINGER_TRAVEL_M,
     JOINT_ARMATURE,
@@ -95,6 +96,8 @@ def _dress_arms(spec: mujoco.MjSpec, scene: SceneConfig, *, visuals: bool) -> No
         joint.armature = JOINT_ARMATURE
         joint.damping = [JOINT_DAMPING, 0.0, 0.0]
         joint.frictionloss = JOINT_FRICTION
+    for name in FINGER_JOINT_NAMES:
+        spec.joint(name).armature = FINGER_ARMATURE_KG
     for arm in ARMS:
         for body in spec.bodies:
             if not body.name.startswith(f"{arm}_"):
