@@ -1,0 +1,212 @@
+"""From a profile and what was typed to a validated configuration, with messages that name file and line."""
+
+from __future__ import annotations
+
+import copy
+import difflib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, get_args
+
+import yaml
+from pydantic import BaseModel, ValidationError
+
+from minidual.config.document import Document, looks_numeric, parse_value, read_document
+from minidual.config.profiles import DEFAULT_PROFILE, find_profile
+from minidual.config.root import Config
+from minidual.errors import ConfigError, UsageError
+
+
+@dataclass(frozen=True)
+class Override:
+    """A value from the command line: dotted path, value, and the text that messages quote."""
+
+    path: str
+    value: Any
+    text: str
+
+
+def parse_override(text: str) -> Override:
+    """Parse "a.b=value" as given to --set; ConfigError if it has another form."""
+    path, equals, value = text.partition("=")
+    path = path.strip()
+    if not equals or not all(path.split(".")):
+        raise ConfigError(f"--set {text}: not of the form section.key=value", remedy="--set plan.queries_n=30")
+    source = f"--set {text}"
+    return Override(path, parse_value(value, source), source)
+
+
+@dataclass(frozen=True)
+class LoadedConfig:
+    """A validated configuration and where its values came from."""
+
+    config: Config
+    profile: str
+    sources: tuple[Path, ...]
+    overrides: tuple[Override, ...]
+    document: Document
+
+    def with_overrides(self, overrides: Sequence[Override]) -> LoadedConfig:
+        """Return this configuration with further values replaced, validated again."""
+        if not overrides:
+            return self
+        document = copy.deepcopy(self.document)
+        for override in overrides:
+            _apply(document, override)
+        return LoadedConfig(
+            _validate(document), self.profile, self.sources, (*self.overrides, *overrides), document
+        )
+
+    def to_yaml(self) -> str:
+        """Return the resolved configuration as YAML; it can be given to --profile again."""
+        head = f"# profile: {self.profile}\n" + "".join(f"# {item.text}\n" for item in self.overrides)
+        return head + yaml.safe_dump(self.config.model_dump(mode="json"), sort_keys=False, allow_unicode=True)
+
+
+def load_config(profile: str = DEFAULT_PROFILE, overrides: Sequence[Override | str] = ()) -> LoadedConfig:
+    """Load a profile (shipped name or .yaml file), apply overrides in order, and validate.
+
+    Raises:
+        ConfigError: what does not hold, with file, line and dotted path; all problems in one message.
+        UsageError: no such profile.
+    """
+    name, path = find_profile(profile)
+    document, sources = _read_chain(path, ())
+    document.source = path.name
+    loaded = LoadedConfig(_validate(document), name, sources, (), document)
+    return loaded.with_overrides(
+        [parse_override(item) if isinstance(item, str) else item for item in overrides]
+    )
+
+
+def _read_chain(path: Path, below: tuple[Path, ...]) -> tuple[Document, tuple[Path, ...]]:
+    if path.resolve() in below:
+        chain = " -> ".join(item.name for item in (*below, path))
+        raise ConfigError(f"{path.name}: profiles extend each other in a circle: {chain}")
+    document = read_document(path)
+    base_name = document.tree.pop("extends", None)
+    if base_name is None:
+        return document, (path,)
+    where = document.origins.pop("extends")
+    if not isinstance(base_name, str):
+        raise ConfigError(f"{where}: extends: must be one profile's name or file, is {base_name!r}")
+    try:
+        _, base_path = find_profile(base_name, path.parent)
+    except UsageError as error:
+        raise ConfigError(f"{where}: extends: {error.message}", remedy=error.remedy) from error
+    base, sources = _read_chain(base_path, (*below, path.resolve()))
+    _refuse_regained_acceptance(base.tree, document.tree, where)
+    _merge(base.tree, document.tree)
+    base.origins.update(document.origins)
+    return base, (*sources, path)
+
+
+def _merge(base: dict[str, Any], over: Mapping[str, Any]) -> None:
+    for key, value in over.items():
+        if isinstance(value, dict) and isinstance(base.get(key), dict):
+            _merge(base[key], value)
+        else:
+            base[key] = value
+
+
+def _refuse_regained_acceptance(base: Mapping[str, Any], over: Mapping[str, Any], where: str) -> None:
+    if base.get("acceptance") is False and over.get("acceptance", False) is not False:
+        raise ConfigError(
+            f"{where}: acceptance: a profile that does not count as acceptance cannot be made to",
+            remedy="extend 'standard' instead",
+        )
+
+
+def _apply(document: Document, override: Override) -> None:
+    if override.path == "acceptance":
+        _refuse_regained_acceptance(document.tree, {"acceptance": override.value}, override.text)
+    *sections, key = override.path.split(".")
+    place = document.tree
+    for depth, section in enumerate(sections):
+        inner = place.setdefault(section, {})
+        document.origins.setdefault(".".join(sections[: depth + 1]), override.text)
+        if not isinstance(inner, dict):
+            dotted = ".".join(sections[: depth + 1])
+            raise ConfigError(f"{override.text}: {dotted} is a single value and has no keys")
+        place = inner
+    place[key] = override.value
+    for known in [known for known in document.origins if known.startswith(f"{override.path}.")]:
+        del document.origins[known]
+    document.origins[override.path] = override.text
+
+
+def _validate(document: Document) -> Config:
+    try:
+        return Config.model_validate_json(json.dumps(document.tree, allow_nan=False), strict=True)
+    except ValidationError as error:
+        problems = [_sentence(problem, document) for problem in error.errors(include_url=False)]
+        raise ConfigError(
+            "\n".join(text for text, _ in problems), remedy=next((hint for _, hint in problems if hint), None)
+        ) from None
+
+
+def _sentence(problem: Any, document: Document) -> tuple[str, str | None]:
+    """Return ("smoke.yaml:7: plan.queries_n: ...", remedy or None) for one error of pydantic."""
+    location = [str(part) for part in problem["loc"]]
+    dotted = ".".join(location)
+    where = _origin(location, document)
+    value = problem.get("input")
+    if problem["type"] == "extra_forbidden":
+        parent = ".".join(location[:-1])
+        known = sorted(_keys_at(location[:-1]))
+        close = difflib.get_close_matches(location[-1], known, n=1, cutoff=0.5)
+        remedy = f"did you mean '{close[0]}'?" if close else None
+        return f"{where}: {dotted}: no such key; {parent or 'the root'} has {', '.join(known)}", remedy
+    if problem["type"] == "value_error":
+        return f"{where}: {dotted or 'configuration'}: {problem['ctx']['error']}", None
+    text = f"{where}: {dotted}: {problem['msg'][:1].lower()}{problem['msg'][1:]}"
+    text = text.replace("input should", "must").replace("a valid list", "a list").replace("an object", "a section")
+    if isinstance(value, str):
+        text += f", is the text '{value}'"
+        number = _as_yaml_number(value) if looks_numeric(value) else None
+        if problem["type"].startswith("float") and number or problem["type"].startswith("int") and _whole(number):
+            return text, f"write {number} without quotes: YAML reads '{value}' as text"
+        if problem["type"].startswith("bool"):
+            return text, "write true or false"
+    elif isinstance(value, bool | int | float) or value is None:
+        text += f", is {json.dumps(value)}"
+    return text, None
+
+
+def _as_yaml_number(text: str) -> str | None:
+    try:
+        number = float(text)
+    except ValueError:
+        return None
+    return repr(int(number)) if _whole(text) else yaml.safe_dump(number).split("\n")[0]
+
+
+def _whole(text: str | None) -> bool:
+    return text is not None and float(text).is_integer() and abs(float(text)) < 1e15
+
+
+def _origin(location: Sequence[str], document: Document) -> str:
+    for length in range(len(location), 0, -1):
+        found = document.origins.get(".".join(location[:length]))
+        if found is not None:
+            return found
+    return document.source
+
+
+def _keys_at(location: Sequence[str]) -> set[str]:
+    """Return the keys of the model that stands at `location` in the configuration (empty if none does)."""
+    models: list[type[BaseModel]] = [Config]
+    for part in location:
+        annotations = [model.model_fields[part].annotation for model in models if part in model.model_fields]
+        models = [found for annotation in annotations for found in _models_in(annotation)] or (
+            models if part.isdigit() else []
+        )
+    return {name for model in models for name in model.model_fields}
+
+
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for argument in get_args(annotation) for model in _models_in(argument)]

@@ -1,0 +1,47 @@
+"""Where profiles are: the shipped ones by name, a person's own by file."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from minidual.errors import ConfigError, unknown_name
+
+SHIPPED_FOLDER = Path(__file__).resolve().parent.parent / "configs"
+DEFAULT_PROFILE = "standard"
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
+
+
+def shipped_profiles() -> tuple[str, ...]:
+    """Return the names of the profiles that come with the package."""
+    return tuple(sorted(path.stem for path in SHIPPED_FOLDER.glob("*.yaml")))
+
+
+def find_profile(profile: str, relative_to: Path | None = None) -> tuple[str, Path]:
+    """Return (name, file) of a profile given as a shipped name or as a path that ends in .yaml.
+
+    `relative_to` is the folder that a relative path starts from (default: the working folder).
+    UsageError for an unknown name; ConfigError for a missing file, or one named like a shipped profile,
+    whose verdicts would pass for those of the shipped one.
+    """
+    if not profile.endswith((".yaml", ".yml")):
+        if profile not in shipped_profiles():
+            error = unknown_name("profile", profile, shipped_profiles())
+            error.remedy = error.remedy or "or give the path of a profile file that ends in .yaml"
+            raise error
+        return profile, SHIPPED_FOLDER / f"{profile}.yaml"
+    path = (relative_to or Path.cwd()) / Path(profile).expanduser()
+    if not path.is_file():
+        raise ConfigError(
+            f"no profile file {path}", remedy=f"shipped profiles are {', '.join(shipped_profiles())}"
+        )
+    if path.resolve().parent == SHIPPED_FOLDER:
+        return path.stem, path.resolve()
+    if path.stem in shipped_profiles():
+        raise ConfigError(
+            f"{path} bears the name of the shipped profile '{path.stem}', its verdicts could not be told apart",
+            remedy=f"rename it, and begin it with 'extends: {path.stem}'",
+        )
+    if not _NAME.fullmatch(path.stem):
+        raise ConfigError(f"'{path.stem}' cannot be a profile's name", remedy="use letters, digits, '-', '_'")
+    return path.stem, path

@@ -1,0 +1,116 @@
+"""Values as strict JSON: one text for equal values, no NaN literals, hashes of texts and files."""
+
+from __future__ import annotations
+
+import enum
+import hashlib
+import json
+import math
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from minidual.errors import DataError
+
+
+def canonical(value: Any, where: str = "value") -> Any:
+    """Return `value` as plain JSON types; non-finite floats become "nan", "inf" or "-inf".
+
+    Takes pydantic models, mappings with string keys, sequences, sets (sorted), paths, enums, numpy scalars
+    and arrays. TypeError names the dotted place of anything else.
+    """
+    if isinstance(value, enum.Enum):
+        value = value.value
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else str(value)
+    if isinstance(value, Path):
+        return value.as_posix()
+    if hasattr(value, "model_dump"):
+        return canonical(value.model_dump(mode="json"), where)
+    if isinstance(value, Mapping):
+        for key in value:
+            if not isinstance(key, str):
+                raise TypeError(f"{where}: key {key!r} is not a string")
+        return {key: canonical(item, f"{where}.{key}") for key, item in value.items()}
+    if isinstance(value, set | frozenset):
+        return sorted(canonical(item, where) for item in value)
+    if isinstance(value, list | tuple):
+        return [canonical(item, f"{where}[{i}]") for i, item in enumerate(value)]
+    if hasattr(value, "tolist"):  # numpy scalars and arrays
+        return canonical(value.tolist(), where)
+    raise TypeError(f"{where}: {type(value).__name__} cannot be written as JSON")
+
+
+def digest(value: Any) -> str:
+    """Return the sha256 of the canonical JSON text of `value` (keys sorted)."""
+    text = json.dumps(canonical(value), sort_keys=True, allow_nan=False, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def dumps(value: Any) -> str:
+    """Return `value` as indented strict JSON with a final newline."""
+    return json.dumps(canonical(value), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def parse_json(content: bytes, path: Path) -> Any:
+    """Parse strict JSON. DataError names the file for truncated text, NaN literals and duplicate keys."""
+    try:
+        return json.loads(
+            content.decode("utf-8"), parse_constant=_refuse_constant, object_pairs_hook=_unique
+        )
+    except (ValueError, RecursionError) as error:
+        raise DataError(f"{path} is corrupt: {error}") from error
+
+
+def _refuse_constant(text: str) -> Any:
+    raise ValueError(f"{text} is not JSON")
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    record = dict(pairs)
+    if len(record) != len(pairs):
+        keys = [key for key, _ in pairs]
+        raise ValueError(f"duplicate key '{next(key for key in keys if keys.count(key) > 1)}'")
+    return record
+
+
+_HASHES: dict[tuple[str, int, int, int, int], str] = {}
+
+
+def file_sha256(path: Path) -> str:
+    """Return the sha256 of a file.
+
+    Remembered within the process for as long as inode, size, mtime and ctime stay the same.
+    """
+    stat = path.stat()
+    key = (str(path), stat.st_ino, stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns)
+    if key not in _HASHES:
+        with path.open("rb") as stream:
+            _HASHES[key] = hashlib.file_digest(stream, "sha256").hexdigest()
+    return _HASHES[key]
+
+
+def write_durably(path: Path, text: str) -> None:
+    """Write `text` so that a reader, even after a power cut, sees the old file or the whole new one."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with temporary.open("w", encoding="utf-8") as stream:
+            stream.write(text)
+            stream.flush()
+            os.fsync(stream.fileno())
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+    sync_folder(path.parent)
+
+
+def sync_folder(folder: Path) -> None:
+    """Make renames inside `folder` durable."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
