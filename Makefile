@@ -1,0 +1,59 @@
+# minidual: `make all` runs the whole pipeline, `make test` the tests. Both set themselves up.
+
+SHELL := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+.DEFAULT_GOAL := help
+
+# What to run: smoke (minutes, wiring only), standard (acceptance) or gpu (full-size ACT on CUDA).
+PROFILE ?= standard
+# Name of the run's folder under runs/. Empty: the name that minidual gives it.
+RUN ?=
+# Further words for `minidual run`, for example ARGS="--set seed=7".
+ARGS ?=
+# Processes that run tests.
+TEST_WORKERS ?= 2
+
+BIN := .venv/bin
+READY := .venv/.ready
+
+.PHONY: help all test test-slow lint format typecheck wheel setup egl clean
+
+help: ## show this list
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 20
+
+all: $(READY) egl ## run every stage, PROFILE=standard by default, and say where the report is
+	@$(BIN)/minidual run --profile $(PROFILE) $(if $(RUN),--run $(RUN)) $(ARGS)
+
+test: $(READY) egl ## run the fast tests
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 HF_HUB_OFFLINE=1 \
+		$(BIN)/python -m pytest -n $(TEST_WORKERS) $(ARGS)
+
+test-slow: $(READY) egl ## run the tests marked slow
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 HF_HUB_OFFLINE=1 $(BIN)/python -m pytest -m slow $(ARGS)
+
+lint: $(READY) ## ruff, its formatter, and the direction of imports
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/lint-imports --no-cache
+
+format: $(READY) ## let ruff mend what it can
+	@$(BIN)/ruff check --fix .
+	@$(BIN)/ruff format .
+
+typecheck: $(READY) ## strict types on pipeline, config and cli
+	@$(BIN)/basedpyright
+
+wheel: $(READY) ## build dist/minidual-*.whl
+	@$(BIN)/python -m hatchling build -t wheel
+
+setup: $(READY) ## create .venv with the locked dependencies
+
+$(READY): requirements.lock pyproject.toml scripts/setup.sh
+	@scripts/setup.sh
+
+egl: $(READY)
+	@$(BIN)/python scripts/check_egl.py
+
+clean: ## remove the environment, caches and builds; data/ and runs/ stay
+	rm -rf .venv dist build .pytest_cache .ruff_cache .hypothesis .import_linter_cache
+	find src tests scripts -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,30 @@
+"""Say in one line whether pictures can be rendered here, before minutes of work end in a GL traceback."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+BACKEND = os.environ.setdefault("MUJOCO_GL", "egl")
+
+
+def main() -> int:
+    """Open and close an off-screen OpenGL context; return 4 (environment missing) if there is none."""
+    try:
+        import mujoco
+
+        context = mujoco.GLContext(64, 64)
+        context.make_current()
+        context.free()
+    except Exception as error:  # each GL backend raises errors of its own
+        print(
+            f"no off-screen OpenGL context (MUJOCO_GL={BACKEND}): {type(error).__name__}: {error}\n"
+            "  remedy: apt-get install -y libegl1 libgl1-mesa-dri   (Debian, Ubuntu; as root)",
+            file=sys.stderr,
+        )
+        return 4
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
