@@ -1,0 +1,219 @@
+"""The planner that other parts use: a goal in, a timed and proven trajectory out, or an error that says why not."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from minidual.config.planning import PlannerConfig
+from minidual.errors import UsageError
+from minidual.planning.blend import blended_path
+from minidual.planning.edges import EdgeChecker
+from minidual.planning.errors import NoPathInTimeError, PlanningError, TimingError
+from minidual.planning.goals import PoseGoals, check_joints, goal_joints, group_arms, require_free
+from minidual.planning.result import PhaseTimes, PlanResult
+from minidual.planning.scene import PlanningScene
+from minidual.planning.scene_engines import SceneEngines
+from minidual.planning.search import search
+from minidual.planning.shortcut import shortcut
+from minidual.planning.timing import DT_S, MotionLimits, time_path
+from minidual.planning.trajectory import Trajectory
+from minidual.robot.constants import GROUPS, Array
+from minidual.robot.kinematics import Kinematics
+
+_SCENES_KEPT = 8
+_PADDING_GROWTH = 1.5
+_STEP_SHRINK = 0.5
+_SAME_RAD = 1e-9
+
+
+class Planner:
+    """Plans for the groups left_arm, right_arm and both_arms. One instance a process: it holds workspaces.
+
+    Args:
+        scene: Scene of queries that name none of their own.
+        config: Parameters of search, timing and proof.
+
+    Example:
+        planner = Planner()
+        result = planner.plan_to_joints("left_arm", HOME, goal, seed=1)
+        q, v, a = result.trajectory.sample(0.5)
+    """
+
+    def __init__(self, scene: PlanningScene | None = None, config: PlannerConfig | None = None) -> None:
+        self.config = config or PlannerConfig()
+        self.scene = scene or PlanningScene()
+        self._kinematics = Kinematics()
+        self._goals = PoseGoals()
+        self._engines: OrderedDict[PlanningScene, SceneEngines] = OrderedDict()
+        config = self.config
+        self._limits = MotionLimits(config.velocity_scale, config.acceleration_scale, config.torque_scale)
+
+    def engines(self, scene: PlanningScene | None = None) -> SceneEngines:
+        """Return both engines and the verifier of a scene, from the last few scenes or newly built."""
+        scene = scene or self.scene
+        if scene not in self._engines:
+            self._engines[scene] = SceneEngines(scene, self._kinematics, self.config.verify_step_rad)
+            while len(self._engines) > _SCENES_KEPT:
+                self._engines.popitem(last=False)
+        self._engines.move_to_end(scene)
+        return self._engines[scene]
+
+    def plan_to_joints(
+        self,
+        group: str,
+        q_start: Array,
+        q_goal: Array,
+        *,
+        scene: PlanningScene | None = None,
+        seed: int = 0,
+        budget_s: float | None = None,
+    ) -> PlanResult:
+        """Plan to a joint configuration.
+
+        Args:
+            group: "left_arm", "right_arm" or "both_arms"; the other arm is held.
+            q_start: All 14 joints [rad].
+            q_goal: All 14 joints, or only the group's own.
+            scene: Scene of this query.
+            seed: The same query with the same seed gives the same trajectory.
+            budget_s: Wall time after which to give up; the configuration's by default.
+
+        Raises:
+            OutOfLimitsError, StartInCollisionError, GoalInCollisionError: The query itself is bad.
+            NoPathInTimeError: No path passed the proof within the budget.
+            UsageError: Unknown group, or a goal that moves the other arm.
+        """
+        times = PhaseTimes()
+        group_arms(group)
+        q_start = check_joints(q_start, "start")
+        goal = goal_joints(group, q_start, q_goal)
+        engines = self._ready(scene, times, q_start)
+        require_free(engines.mujoco, goal, "goal")
+        return self._plan(group, q_start, [goal], engines, seed, self._budget(budget_s), times)
+
+    def plan_to_poses(
+        self,
+        group: str,
+        q_start: Array,
+        targets: Mapping[str, Array],
+        *,
+        scene: PlanningScene | None = None,
+        seed: int = 0,
+        budget_s: float | None = None,
+    ) -> PlanResult:
+        """Plan to tcp poses: {"left": T_world_tcp, "right": T_world_tcp}, exactly the group's arms.
+
+        Raises:
+            IKUnreachableError: No joint configuration reaches a pose; the message names the residual.
+            And all that `plan_to_joints` raises.
+        """
+        times = PhaseTimes()
+        group_arms(group)
+        q_start = check_joints(q_start, "start")
+        engines = self._ready(scene, times, q_start)
+        with times.phase("ik"):
+            goals = self._goals.candidates(
+                group, q_start, targets, engines.mujoco, np.random.default_rng([seed, 1]),
+                restarts_n=self.config.ik_restarts_n, candidates_n=self.config.goal_candidates_n,
+            )  # fmt: skip
+        return self._plan(group, q_start, goals, engines, seed, self._budget(budget_s), times)
+
+    def _ready(self, scene: PlanningScene | None, times: PhaseTimes, q_start: Array) -> SceneEngines:
+        with times.phase("scene"):
+            engines = self.engines(scene)
+        require_free(engines.mujoco, q_start, "start")
+        return engines
+
+    def _budget(self, budget_s: float | None) -> float:
+        budget = self.config.budget_s if budget_s is None else budget_s
+        if not (np.isfinite(budget) and budget > 0.0):
+            raise UsageError(f"budget_s = {budget}; it must be a finite number > 0")
+        return budget
+
+    def _plan(
+        self,
+        group: str,
+        q_start: Array,
+        goals: Sequence[Array],
+        engines: SceneEngines,
+        seed: int,
+        budget_s: float,
+        times: PhaseTimes,
+    ) -> PlanResult:
+        rejections: list[str] = []
+        attempt = 0
+        while times.elapsed_s < budget_s:
+            goal = goals[attempt % len(goals)]
+            made = self._attempt(group, q_start, goal, engines, seed, attempt, times, times.started + budget_s)
+            attempt += 1
+            if isinstance(made, str):
+                rejections.append(made)
+                continue
+            trajectory, path = made
+            with times.phase("verify"):
+                verification = engines.verifier.verify(trajectory)
+            if verification.ok:
+                return PlanResult(
+                    trajectory, path, goal, verification, dict(times.seconds), times.elapsed_s, attempt,
+                    direct=len(path) == 2, rejections=tuple(rejections),
+                )  # fmt: skip
+            rejections.append(f"proof failed: {verification.reason}")
+        last = rejections[-1] if rejections else "the budget ended before the first attempt"
+        raise NoPathInTimeError(
+            f"no proven path for {group} in {budget_s:.2f} s: {attempt} attempts, the last one: {last}",
+            remedy="raise the budget, make room in the scene, or choose another goal",
+        )
+
+    def _attempt(
+        self,
+        group: str,
+        q_start: Array,
+        goal: Array,
+        engines: SceneEngines,
+        seed: int,
+        attempt: int,
+        times: PhaseTimes,
+        deadline: float,
+    ) -> tuple[Trajectory, Array] | str:
+        """Return (trajectory, polyline), or why there is none. Later attempts keep more distance and look closer."""
+        config = self.config
+        if np.abs(goal - q_start).max() < _SAME_RAD:
+            return _rest(q_start, group), np.array([q_start, goal])
+        retry = min(attempt, 3)
+        with times.phase("search"):
+            checker = EdgeChecker(
+                engines.mujoco, config.padding_m * _PADDING_GROWTH**retry, (q_start, goal),
+                config.edge_step_rad * _STEP_SHRINK**retry,
+            )  # fmt: skip
+            path: Array | None = np.array([q_start, goal])
+            if not checker.edge_free(q_start, goal):
+                path = search(
+                    checker, q_start, goal, GROUPS[group], planner=config.planner, range_rad=config.range_rad,
+                    seed=int(np.random.SeedSequence([seed, 2, attempt]).generate_state(1)[0]),
+                    checks_max=config.search_checks_n * 2 ** min(attempt, 16), deadline=deadline,
+                )  # fmt: skip
+        if path is None:
+            return f"{config.planner} found no path in {checker.checks_n} state checks"
+        with times.phase("shortcut"):
+            path = shortcut(path, checker, np.random.default_rng([seed, 3, attempt]), config.shortcut_rounds_n)
+        with times.phase("blend"):
+            curve = blended_path(path, checker, config.blend_radius_rad, config.edge_step_rad / 3.0)
+        if curve is None:
+            return "a corner of the path stays blocked however small it is rounded"
+        try:
+            with times.phase("timing"):
+                return time_path(curve, group, self._limits, self._kinematics), path
+        except TimingError as error:
+            return error.message
+
+
+def _rest(q: Array, group: str) -> Trajectory:
+    """Return the trajectory that stays at q (14,)."""
+    still = np.zeros((2, len(q)))
+    return Trajectory(np.array([0.0, DT_S]), np.array([q, q]), still, still.copy(), group)
+
+
+__all__ = ["PlanResult", "Planner", "PlanningError"]

@@ -1,0 +1,96 @@
+"""Round the corners of a polyline so that it can be driven without stopping.
+
+Along a straight piece the direction q'(s) is a unit vector u; in a corner of half length d it turns from u1 to u2
+as u1 + (u2 - u1) S(x), x = (s - s0) / 2d, S(x) = 3 x^2 - 2 x^3. Since S is symmetric about its middle the corner
+begins and ends exactly on the two straight pieces; q(s) is twice continuously differentiable and stays in the
+triangle that the corner cuts off.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import PPoly
+
+from minidual.planning.edges import EdgeChecker
+from minidual.robot.constants import Array
+
+_SHRINK = 0.5
+_D_MIN_RAD = 1e-3
+_OF_SEGMENT = 0.45
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothPath:
+    """A curve q(s), (14,) [rad], s in [0, length]; `knots` are where its polynomial pieces meet."""
+
+    curve: PPoly
+
+    @property
+    def length(self) -> float:
+        """Length of the parameter interval [rad]."""
+        return float(self.curve.x[-1])
+
+    @property
+    def knots(self) -> Array:
+        """Breakpoints (k,) of the pieces."""
+        return self.curve.x
+
+    def at(self, s: Array, order: int = 0) -> Array:
+        """Return q or a derivative by s at (n,) parameters, (n, 14)."""
+        return self.curve(s, order)
+
+
+def blended_path(path: Array, checker: EdgeChecker, radius_rad: float, step_rad: float) -> SmoothPath | None:
+    """Return the rounded polyline, its corners checked and shrunk where they touch; None if a corner stays blocked.
+
+    Args:
+        path: Polyline (n, 14), n >= 2, without repeated vertices.
+        checker: Collision checks.
+        radius_rad: Largest half length of a corner.
+        step_rad: Largest joint step between checks of a corner.
+    """
+    steps = np.diff(path, axis=0)
+    lengths = np.linalg.norm(steps, axis=1)
+    directions = steps / lengths[:, None]
+    halves = np.minimum(radius_rad, _OF_SEGMENT * np.minimum(lengths[:-1], lengths[1:]))
+    for i in range(len(halves)):
+        while not _corner_free(path[i + 1], directions[i], directions[i + 1], halves[i], checker, step_rad):
+            halves[i] *= _SHRINK
+            if halves[i] < _D_MIN_RAD:
+                return None
+    return SmoothPath(_assemble(path, lengths, directions, halves))
+
+
+def _corner_free(
+    vertex: Array, u1: Array, u2: Array, d: float, checker: EdgeChecker, step_rad: float
+) -> bool:
+    count = max(2, int(np.ceil(2.0 * d / step_rad)))
+    x = np.linspace(0.0, 1.0, count + 1)[1:-1, None]
+    Q = vertex - d * u1 + 2.0 * d * (u1 * x + (u2 - u1) * (x**3 - 0.5 * x**4))
+    return checker.all_free(Q)
+
+
+def _assemble(path: Array, lengths: Array, directions: Array, halves: Array) -> PPoly:
+    """Build the piecewise polynomial: straight, corner, straight, ..., straight."""
+    pieces: list[Array] = []
+    breaks = [0.0]
+
+    def add(length: float, coefficients: list[Array]) -> None:
+        rows = np.zeros((5, path.shape[1]))
+        for power, c in enumerate(coefficients):
+            rows[4 - power] = c
+        pieces.append(rows)
+        breaks.append(breaks[-1] + length)
+
+    cut_before = np.concatenate([[0.0], halves])
+    cut_after = np.concatenate([halves, [0.0]])
+    for i, (length, u) in enumerate(zip(lengths, directions, strict=True)):
+        add(length - cut_before[i] - cut_after[i], [path[i] + cut_before[i] * u, u])
+        if i < len(halves):
+            d, turn = halves[i], directions[i + 1] - u
+            # q' = u + turn (3 x^2 - 2 x^3), x = t / 2d, integrated over t
+            zero = np.zeros_like(u)
+            add(2.0 * d, [path[i + 1] - d * u, u, zero, turn / (4.0 * d**2), -turn / (16.0 * d**3)])
+    return PPoly(np.stack(pieces, axis=1), np.array(breaks))

@@ -1,0 +1,94 @@
+"""Is this configuration, is this straight edge free? The question the search asks ten thousand times.
+
+The search keeps `padding_m` away from everything, because a path that is free at its samples may touch between
+them. A start or goal that already lies nearer than that could then never be left, so the padding shrinks near
+the two endpoints: there it asks for 0.9 of the endpoint's own clearance, and grows back to the full padding
+within `RELAX_RAD` of joint motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+
+import numpy as np
+
+from minidual.planning.mujoco_engine import MujocoEngine
+from minidual.robot.constants import Array
+
+RELAX_RAD = 0.1
+_KEEP_FRACTION = 0.9
+
+
+@cache
+def bisection_order(count: int) -> Array:
+    """Return the fractions k/count, k = 1..count, far apart first: a blocked edge shows early.
+
+    The end comes first, then the middle, then the quarters.
+    """
+    order: list[int] = []
+    seen = {0}
+    step = count
+    while step >= 1 and len(order) < count:
+        for k in range(step, count + 1, step):
+            if k not in seen:
+                seen.add(k)
+                order.append(k)
+        step //= 2
+    fractions = np.array(order, dtype=float) / count
+    fractions.setflags(write=False)
+    return fractions
+
+
+class EdgeChecker:
+    """Collision checks with padding for one query.
+
+    Args:
+        engine: Engine of the scene.
+        padding_m: Distance to keep.
+        endpoints: Configurations (14,) near which the padding relaxes; they must be free themselves.
+        step_rad: Largest joint step between two checks of an edge.
+    """
+
+    def __init__(
+        self, engine: MujocoEngine, padding_m: float, endpoints: Sequence[Array], step_rad: float
+    ) -> None:
+        self._engine = engine
+        self.padding_m = padding_m
+        self.step_rad = step_rad
+        self.checks_n = 0
+        self._tight: list[tuple[Array, float]] = []
+        for q in endpoints:
+            near = engine.closest(q, padding_m)
+            if near:
+                self._tight.append((np.array(q), max(0.0, near[0].distance_m) * _KEEP_FRACTION))
+
+    def required_m(self, q: Array) -> float:
+        """Return the distance that must be kept at q (14,) [m]."""
+        needed = self.padding_m
+        for endpoint, clearance in self._tight:
+            away = float(np.max(np.abs(q - endpoint))) / RELAX_RAD
+            needed = min(needed, clearance + (self.padding_m - clearance) * min(1.0, away))
+        return needed
+
+    def free(self, q: Array) -> bool:
+        """Return whether q (14,) keeps its distance."""
+        engine = self._engine
+        engine.set_margin(self.padding_m)
+        self.checks_n += 1
+        if engine.contact_count(q) == 0:
+            return True
+        nearest = engine.nearest_m()
+        return nearest > 0.0 and bool(self._tight) and nearest >= self.required_m(q)
+
+    def all_free(self, Q: Array) -> bool:
+        """Return whether every row of Q (n, 14) keeps its distance; stops at the first that does not."""
+        return all(self.free(q) for q in Q)
+
+    def edge_free(self, a: Array, b: Array, step_rad: float | None = None) -> bool:
+        """Return whether the straight line from a to b (both (14,)) is free; a itself is taken as checked."""
+        delta = b - a
+        count = int(np.ceil(np.max(np.abs(delta)) / (step_rad or self.step_rad)))
+        if count == 0:
+            return True
+        return self.all_free(a + bisection_order(count)[:, None] * delta)

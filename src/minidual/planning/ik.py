@@ -1,0 +1,155 @@
+"""Inverse kinematics of one arm: Levenberg-Marquardt on SE(3) with active joint limits.
+
+The error is e = log6(T_tcp_target) in the tcp's own frame and its derivative -Jlog6(T_target_tcp) J (Sola,
+"A micro Lie theory", 2018; Pinocchio's inverse-kinematics example). A joint at its limit that the step would push
+further out is taken out of the step and the rest solved again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from minidual.errors import UsageError, unknown_name
+from minidual.planning.errors import IKUnreachableError
+from minidual.robot.constants import ARMS, DOF_PER_ARM, GROUPS, HOME, JOINT_NAMES, Q_LOWER, Q_UPPER, Array
+from minidual.robot.kinematics import Kinematics
+
+TOLERANCE = 1e-7
+"""Norm of the SE(3) error [m and rad together] at which the pose counts as reached."""
+_ITERATIONS = 80
+_DISTINCT_RAD = 0.1
+
+
+@dataclass(frozen=True)
+class IKSolution:
+    """Joints q (7,) of one arm and what is left of the error."""
+
+    q: Array
+    residual_m: float
+    residual_rad: float
+    reached: bool
+
+
+def check_pose(T: Array, what: str) -> Array:
+    """Return T as a (4, 4) array.
+
+    Raises:
+        UsageError: Wrong shape, a value that is not finite, or no rotation in it.
+    """
+    T = np.asarray(T, dtype=float)
+    if T.shape != (4, 4):
+        raise UsageError(f"{what} has shape {T.shape}; a pose is (4, 4)")
+    if not np.isfinite(T).all():
+        raise UsageError(f"{what} holds a value that is not finite: {T.ravel().tolist()}")
+    R = T[:3, :3]
+    off = float(np.abs(R @ R.T - np.eye(3)).max())
+    if off > 1e-6 or np.linalg.det(R) < 0.0 or np.abs(T[3] - [0, 0, 0, 1]).max() > 1e-9:
+        raise UsageError(f"{what} is no rigid pose: R R^T is {off:.2g} from the identity, det {np.linalg.det(R):.3f}")
+    return T
+
+
+class ArmIK:
+    """Inverse kinematics of one arm to its tcp, in the world frame."""
+
+    def __init__(self, arm: str) -> None:
+        if arm not in ARMS:
+            raise unknown_name("arm", arm, ARMS)
+        self.arm = arm
+        columns = GROUPS[f"{arm}_arm"]
+        full = Kinematics().model
+        others = [full.getJointId(n) for n in JOINT_NAMES if not n.startswith(f"{arm}_")]
+        self._model = pin.buildReducedModel(full, others, np.array(HOME))
+        self._data = self._model.createData()
+        self._tcp = self._model.getFrameId(f"{arm}_panda_hand_tcp")
+        self.lower, self.upper = Q_LOWER[columns].copy(), Q_UPPER[columns].copy()
+        self._home = HOME[columns].copy()
+
+    def tcp_pose(self, q: Array) -> Array:
+        """Return T_world_tcp (4, 4) at q (7,)."""
+        pin.forwardKinematics(self._model, self._data, q)
+        return pin.updateFramePlacement(self._model, self._data, self._tcp).homogeneous
+
+    def _error(self, q: Array, target: pin.SE3) -> tuple[Array, pin.SE3]:
+        pin.forwardKinematics(self._model, self._data, q)
+        here = pin.updateFramePlacement(self._model, self._data, self._tcp)
+        offset = here.actInv(target)
+        return pin.log6(offset).vector, offset
+
+    def error_and_jacobian(self, q: Array, T_world_tcp: Array) -> tuple[Array, Array]:
+        """Return the error (6,) and its derivative by q (6, 7); held to finite differences by the tests."""
+        error, offset = self._error(q, pin.SE3(T_world_tcp))
+        J = pin.computeFrameJacobian(self._model, self._data, q, self._tcp, pin.LOCAL)
+        return error, -pin.Jlog6(offset.inverse()) @ J
+
+    def solve(self, T_world_tcp: Array, q_start: Array, iterations: int = _ITERATIONS) -> IKSolution:
+        """Descend from q_start (7,) to the pose; `reached` tells whether the tolerance was met."""
+        target = pin.SE3(T_world_tcp)
+        q = np.clip(q_start, self.lower, self.upper)
+        error, offset = self._error(q, target)
+        cost = float(error @ error)
+        damping = 1e-3
+        for _ in range(iterations):
+            if cost < TOLERANCE**2:
+                break
+            J = -pin.Jlog6(offset.inverse()) @ pin.computeFrameJacobian(
+                self._model, self._data, q, self._tcp, pin.LOCAL
+            )
+            gradient = J.T @ error
+            blocked = ((q <= self.lower) & (gradient > 0.0)) | ((q >= self.upper) & (gradient < 0.0))
+            if blocked.all():
+                break
+            J = np.where(blocked, 0.0, J)
+            H = J.T @ J
+            H.flat[:: DOF_PER_ARM + 1] += damping + blocked
+            step = np.linalg.solve(H, -np.where(blocked, 0.0, gradient))
+            q_new = np.clip(q + step, self.lower, self.upper)
+            error_new, offset_new = self._error(q_new, target)
+            cost_new = float(error_new @ error_new)
+            if cost_new < cost:
+                q, error, offset, cost = q_new, error_new, offset_new, cost_new
+                damping = max(damping * 0.2, 1e-10)
+            else:
+                damping *= 5.0
+                if damping > 1e4:
+                    break
+        return IKSolution(q, *self._residual(offset, target), cost < TOLERANCE**2)
+
+    def _residual(self, offset: pin.SE3, target: pin.SE3) -> tuple[float, float]:
+        angle = float(np.linalg.norm(pin.log3(offset.rotation)))
+        return float(np.linalg.norm(offset.translation)), angle
+
+    def solutions(
+        self, T_world_tcp: Array, q_near: Array, rng: np.random.Generator, restarts_n: int
+    ) -> Iterator[Array]:
+        """Yield distinct solutions (7,): the descent from q_near first, then from home and from random starts.
+
+        Raises:
+            IKUnreachableError: None of `restarts_n` starts reached the pose; the message names the best residual.
+        """
+        found: list[Array] = []
+        best: IKSolution | None = None
+        for attempt in range(restarts_n):
+            if attempt == 0:
+                start = q_near
+            elif attempt == 1:
+                start = self._home
+            else:
+                start = rng.uniform(self.lower, self.upper)
+            solution = self.solve(T_world_tcp, start)
+            if solution.reached:
+                if all(np.max(np.abs(solution.q - q)) > _DISTINCT_RAD for q in found):
+                    found.append(solution.q)
+                    yield solution.q
+            elif best is None or solution.residual_m + solution.residual_rad < best.residual_m + best.residual_rad:
+                best = solution
+        if not found and best is not None:
+            x, y, z = T_world_tcp[:3, 3]
+            raise IKUnreachableError(
+                f"the {self.arm} hand cannot reach ({x:.3f}, {y:.3f}, {z:.3f}) m as asked: the best of {restarts_n} "
+                f"starts stays {best.residual_m * 1e3:.1f} mm and {best.residual_rad:.3f} rad away",
+                remedy="move the goal nearer to the base (reach 0.85 m) or change its orientation",
+            )

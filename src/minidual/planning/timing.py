@@ -1,0 +1,182 @@
+"""Give a path times: the fastest ones inside velocity, acceleration and torque limits (toppra), then 1 kHz samples.
+
+toppra keeps its limits at its grid points and may overshoot between them (1 to 4 % measured), so it is given
+limits with headroom, and the sampled result is measured on a finer grid; what still overshoots is slowed down as a
+whole, which can only lower velocities and accelerations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from minidual.planning.errors import TimingError
+from minidual.planning.trajectory import Trajectory
+from minidual.robot.constants import A_MAX, GROUPS, TAU_MAX, V_MAX, Array
+from minidual.robot.kinematics import Kinematics
+
+DT_S = 0.001
+_SLOWDOWNS_MAX = 12
+
+
+@dataclass(frozen=True)
+class MotionLimits:
+    """Limits that a plan must keep, as fractions of the robot's own."""
+
+    velocity_scale: float = 0.95
+    acceleration_scale: float = 0.9
+    torque_scale: float = 0.95
+
+
+class Curve(Protocol):
+    """A twice differentiable curve in joint space."""
+
+    @property
+    def length(self) -> float:
+        """End of the parameter interval, which begins at 0."""
+        ...
+
+    @property
+    def knots(self) -> Array:
+        """Parameters (k,), first 0 and last `length`, between which the curve is smooth."""
+        ...
+
+    def at(self, s: Array, order: int = 0) -> Array:
+        """Return the curve or a derivative at (n,) parameters, (n, d)."""
+        ...
+
+
+def time_path(path: Curve, group: str, limits: MotionLimits, kinematics: Kinematics) -> Trajectory:
+    """Return the trajectory of a 14-joint curve within the scaled limits.
+
+    Raises:
+        TimingError: No time law keeps the limits.
+    """
+    joints = GROUPS[group]
+    columns = np.arange(14)[joints]
+    v_max, a_max = limits.velocity_scale * V_MAX[columns], limits.acceleration_scale * A_MAX[columns]
+    s, sd = fastest_profile(path, columns, v_max, a_max)
+    trajectory = sample_profile(path, s, sd, group)
+    for _ in range(_SLOWDOWNS_MAX):
+        factor = _slowdown_needed(trajectory, limits, kinematics)
+        if factor <= 1.0:
+            return trajectory
+        sd = sd / (factor * 1.001)
+        trajectory = sample_profile(path, s, sd, group)
+    raise TimingError(f"the path still needs to be {factor:.3f} times slower after {_SLOWDOWNS_MAX} slow-downs")
+
+
+def _slowdown_needed(trajectory: Trajectory, limits: MotionLimits, kinematics: Kinematics) -> float:
+    velocity = float(np.max(np.abs(trajectory.v) / (limits.velocity_scale * V_MAX)))
+    acceleration = float(np.max(np.abs(trajectory.a) / (limits.acceleration_scale * A_MAX)))
+    factor = max(velocity, np.sqrt(acceleration))
+    if factor > 1.0 + 1e-9:
+        return factor
+    # Torque has a part that does not shrink with speed (gravity), so it is lowered step by step.
+    torque = torque_ratio(trajectory, kinematics, every=5) / limits.torque_scale
+    return 1.0 if torque <= 1.0 else 1.0 + 0.25 * min(1.0, torque - 1.0) + 0.02
+
+
+def torque_ratio(trajectory: Trajectory, kinematics: Kinematics, every: int = 1) -> float:
+    """Return the largest |torque| / limit along the trajectory, at one of `every` samples and the last one."""
+    worst = 0.0
+    rows = np.append(np.arange(0, len(trajectory.times), every), len(trajectory.times) - 1)
+    for k in rows:
+        tau = kinematics.rnea(trajectory.q[k], trajectory.v[k], trajectory.a[k])
+        worst = max(worst, float(np.max(np.abs(tau) / TAU_MAX)))
+    return worst
+
+
+def fastest_profile(path: Curve, columns: Array, v_max: Array, a_max: Array) -> tuple[Array, Array]:
+    """Return toppra's grid s (n,) and the path speed sd (n,) on it, at rest at both ends.
+
+    Args:
+        path: Curve of d columns.
+        columns: The columns that are limited.
+        v_max: Limit of each of them [unit/s].
+        a_max: Limit of each of them [unit/s^2].
+
+    Raises:
+        TimingError: toppra finds no profile.
+    """
+    import toppra
+    from toppra.algorithm import TOPPRA
+    from toppra.constraint import DiscretizationType, JointAccelerationConstraint, JointVelocityConstraint
+
+    velocity = JointVelocityConstraint(np.column_stack([-v_max, v_max]))
+    acceleration = JointAccelerationConstraint(
+        np.column_stack([-a_max, a_max]), discretization_scheme=DiscretizationType.Interpolation
+    )
+    grid = _grid(path)
+    toppra.setup_logging("ERROR")
+    solver = TOPPRA([velocity, acceleration], _adapter(path, columns), gridpoints=grid, solver_wrapper="seidel")
+    _, sd, _ = solver.compute_parameterization(0.0, 0.0)
+    if sd is None or not np.isfinite(sd).all() or (sd[1:-1] <= 0.0).any():
+        raise TimingError("toppra found no time law for the path; it may be degenerate")
+    return grid, sd
+
+
+def _grid(path: Curve) -> Array:
+    """Return grid points that hit every knot: at least 8 a piece, and no step longer than 1/100 of the path."""
+    longest = path.length / 100.0
+    parts = [
+        np.linspace(a, b, max(8, int(np.ceil((b - a) / longest))) + 1)[:-1]
+        for a, b in zip(path.knots[:-1], path.knots[1:], strict=True)
+    ]
+    return np.append(np.concatenate(parts), path.length)
+
+
+def _adapter(path: Curve, columns: Array) -> Any:
+    from toppra.interpolator import AbstractGeometricPath
+
+    class Adapter(AbstractGeometricPath):
+        def __call__(self, s: Any, order: int = 0) -> Array:
+            out = path.at(np.atleast_1d(s), order)[:, columns]
+            return out if np.ndim(s) else out[0]
+
+        @property
+        def dof(self) -> int:
+            return len(columns)
+
+        @property
+        def path_interval(self) -> Array:
+            return np.array([0.0, path.length])
+
+        @property
+        def waypoints(self) -> None:
+            return None
+
+    return Adapter()
+
+
+def profile_times(s: Array, sd: Array) -> Array:
+    """Return the time (n,) [s] at which each grid point is passed: the path acceleration is constant between."""
+    return np.concatenate([[0.0], np.cumsum(2.0 * np.diff(s) / (sd[1:] + sd[:-1]))])
+
+
+def sample_parameters(s: Array, sd: Array, dt_s: float = DT_S) -> tuple[Array, Array, Array, Array]:
+    """Return (times, s, ds/dt, d2s/dt2) on a regular grid of dt_s; the whole is stretched to end on it."""
+    at_grid = profile_times(s, sd)
+    n = max(1, int(np.ceil(at_grid[-1] / dt_s - 1e-9)))
+    stretch = n * dt_s / at_grid[-1]
+    times = np.arange(n + 1) * dt_s
+    t = times / stretch
+    i = np.clip(np.searchsorted(at_grid, t, side="right") - 1, 0, len(s) - 2)
+    u = (sd[i + 1] ** 2 - sd[i] ** 2) / (2.0 * (s[i + 1] - s[i]))
+    x = t - at_grid[i]
+    position = np.clip(s[i] + sd[i] * x + 0.5 * u * x**2, 0.0, s[-1])
+    speed = np.maximum(0.0, sd[i] + u * x)
+    position[-1], speed[-1] = s[-1], sd[-1]
+    return times, position, speed / stretch, u / stretch**2
+
+
+def sample_profile(path: Curve, s: Array, sd: Array, group: str) -> Trajectory:
+    """Return the 1 kHz samples of the first 14 columns of a curve driven with path speed sd (n,) at s (n,)."""
+    times, position, speed, acceleration = sample_parameters(s, sd)
+    first, second = path.at(position, 1)[:, :14], path.at(position, 2)[:, :14]
+    q = path.at(position)[:, :14]
+    v = first * speed[:, None]
+    a = second * speed[:, None] ** 2 + first * acceleration[:, None]
+    return Trajectory(times, q, v, a, group)
