@@ -23,6 +23,7 @@ help: ## show this list
 
 all: $(READY) egl ## run every stage, PROFILE=standard by default, and say where the report is
 	@$(BIN)/minidual run --profile $(PROFILE) $(if $(RUN),--run $(RUN)) $(ARGS)
+	@echo "report: $${MINIDUAL_RUNS:-runs}/$(or $(RUN),$(basename $(notdir $(PROFILE))))/report/report.html"
 
 test: $(READY) egl ## run the fast tests
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 HF_HUB_OFFLINE=1 \
