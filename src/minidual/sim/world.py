@@ -26,7 +26,16 @@ from minidual.sim.model import build_model
 
 
 class SimulationDivergedError(MinidualError):
-    """The state stopped being finite."""
+    """The state or a command stopped being finite."""
+
+
+_NOT_FINITE: tuple[tuple[mujoco.mjtWarning, str], ...] = (
+    (mujoco.mjtWarning.mjWARN_BADQPOS, "positions"),
+    (mujoco.mjtWarning.mjWARN_BADQVEL, "velocities"),
+    (mujoco.mjtWarning.mjWARN_BADQACC, "accelerations"),
+    (mujoco.mjtWarning.mjWARN_BADCTRL, "commands"),
+)
+"""MuJoCo only counts these: it resets the state, or sets bad commands to zero, and carries on."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +68,7 @@ class World:
         self.scene = scene
         self.model = build_model(scene, visuals=visuals) if model is None else model
         self.data = mujoco.MjData(self.model)
+        self._warnings = self.data.warning.number  # a view: counts by kind of warning
         self.dt = float(self.model.opt.timestep)
         self.joints = map_joints(self.model, JOINT_NAMES, torque=True)
         self.fingers = map_joints(self.model, FINGER_JOINT_NAMES, torque=False)
@@ -198,11 +208,14 @@ class World:
         """Advance by one time step.
 
         Raises:
-            SimulationDivergedError: The state is not finite any more.
+            SimulationDivergedError: The state or a command is not finite. MuJoCo has then reset the state.
         """
+        before = self.data.time
         mujoco.mj_step(self.model, self.data)
-        if self.data.warning[int(mujoco.mjtWarning.mjWARN_BADQACC)].number > 0 or not np.isfinite(self.data.qacc[0]):
-            raise SimulationDivergedError(
-                f"the simulation diverged at t = {self.time:.3f} s (accelerations not finite)",
-                remedy="check the commanded torques, the inertias and the time step",
-            )
+        if self._warnings.any():
+            bad = [what for kind, what in _NOT_FINITE if self._warnings[int(kind)]]
+            if bad:
+                raise SimulationDivergedError(
+                    f"the simulation diverged at t = {before:.3f} s ({', '.join(bad)} not finite)",
+                    remedy="check the commanded torques, the inertias and the time step",
+                )
