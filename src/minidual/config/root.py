@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
+from minidual.config.arbiter import ArbiterConfig
 from minidual.config.base import StrictModel
 from minidual.config.control import CarryConfig, EnvCheckConfig
 from minidual.config.evaluation import BenchmarkConfig, ReportConfig
@@ -33,3 +34,4 @@ class Config(StrictModel):
     benchmark: BenchmarkConfig = BenchmarkConfig()
     report: ReportConfig = ReportConfig()
     scene: SceneConfig = SceneConfig()
+    arbiter: ArbiterConfig = ArbiterConfig()

@@ -1,0 +1,236 @@
+"""The command arbiter: the only writer of joint commands.
+
+Sources (moveit, teleop, policy) propose; one at most drives. A switch holds the measured posture, flushes every
+mailbox, waits until the arms are still, and then lets exactly one source through, starting from the present
+posture. Every tick yields a target: where no source drives, a posture is held.
+
+                request            still                first command
+    holding ----------> settling ---------> waiting -----------------> active <---> aligning
+       ^                   | not still          \\                        | silent     (a step over the bound)
+       | request "hold"    v in time             \\ silent                v
+    any state           stopped <------------------------------------- stale
+
+Time is what `tick` is told; nothing here reads a clock, so a run under simulated time repeats exactly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from minidual.config.arbiter import ArbiterConfig
+from minidual.control.commands import HOLD, SOURCES, ArbiterOutput, ArbiterState, JointCommand, Refusal
+from minidual.control.mailbox import Mailbox
+from minidual.errors import UsageError, unknown_name
+from minidual.robot.constants import ARMS, DOF, DOF_PER_ARM, Q_LOWER, Q_UPPER, Array
+
+_DRIVING = (ArbiterState.WAITING, ArbiterState.ALIGNING, ArbiterState.ACTIVE, ArbiterState.STALE)
+
+
+@dataclass
+class _Switch:
+    """A switch under way: to which mode, and since when."""
+
+    mode: str
+    since_s: float
+
+
+class CommandArbiter:
+    """Decides at each tick which joint target reaches the controllers.
+
+    The output moves by at most `switch_step_max_rad` a tick and joint while a source drives. A hold that begins
+    takes the measured posture, wherever the last target was: that asks the arms for less, never for more.
+
+    Args:
+        config: Bounds and times.
+        gripper: Opening (2,) to hold until a source commands another.
+    """
+
+    def __init__(self, config: ArbiterConfig | None = None, *, gripper: Array | None = None) -> None:
+        self.config = ArbiterConfig() if config is None else config
+        self._mailboxes = {source: Mailbox(source) for source in SOURCES}
+        self._listeners: list[Callable[[str], None]] = []
+        self._requests: list[str] = []
+        self._refusals: list[Refusal] = []
+        self._state = ArbiterState.HOLDING
+        self._source: str | None = None
+        self._switch: _Switch | None = None
+        self._target: Array | None = None
+        self._gripper = np.ones(2) if gripper is None else np.array(gripper, dtype=float)
+        self._last_tick_s: float | None = None
+        self._heard_s = 0.0
+
+    @property
+    def state(self) -> ArbiterState:
+        """What the arbiter did in the last tick."""
+        return self._state
+
+    def on_flush(self, listener: Callable[[str], None]) -> None:
+        """Call `listener(mode)` whenever a switch to `mode` begins, so that sources drop queued chunks too."""
+        self._listeners.append(listener)
+
+    def propose(self, source: str, command: JointCommand) -> Refusal | None:
+        """Offer a command; return why it is refused, or None.
+
+        A source that does not drive may propose too: its commands are checked and kept, and forgotten at the
+        next switch.
+
+        Raises:
+            UsageError: There is no such source.
+        """
+        if source not in self._mailboxes:
+            raise unknown_name("command source", source, SOURCES)
+        refusal = self._mailboxes[source].put(command)
+        if refusal is not None:
+            self._refusals.append(refusal)
+        return refusal
+
+    def request(self, mode: str) -> None:
+        """Ask for a source to drive, or for "hold". It takes effect at the next tick; the last request counts.
+
+        Raises:
+            UsageError: There is no such mode.
+        """
+        if mode not in (*SOURCES, HOLD):
+            raise unknown_name("mode", mode, (*SOURCES, HOLD))
+        self._requests.append(mode)
+
+    def tick(self, now_s: float, q_measured: Array, v_measured: Array) -> ArbiterOutput:
+        """Return the target of this tick.
+
+        Args:
+            now_s: Time [s]; it must not run backwards.
+            q_measured: (14,) [rad].
+            v_measured: (14,) [rad/s].
+
+        Raises:
+            UsageError: Time runs backwards, or the first measurement is not a posture of 14 finite angles.
+        """
+        dt = self._elapsed(now_s)
+        posture = self._posture(q_measured)
+        speed = float(np.max(np.abs(v_measured)))  # NaN compares as not still
+        self._begin_requested(now_s, posture)
+        switched_to = None
+        if self._switch is not None and now_s > self._switch.since_s:
+            switched_to = self._settle(self._switch, now_s, speed, posture)
+        driven: dict[int, JointCommand] = {}
+        if self._source is not None:
+            driven = self._drive(self._source, now_s, dt)
+        refusals, self._refusals = tuple(self._refusals), []
+        return ArbiterOutput(
+            q_target=self._held().copy(),
+            gripper=self._gripper.copy(),
+            state=self._state,
+            active_source=self._source if driven else None,
+            held_arms=tuple(name for arm, name in enumerate(ARMS) if arm not in driven),
+            switched_to=switched_to,
+            refusals=refusals,
+        )
+
+    def _elapsed(self, now_s: float) -> float:
+        last = now_s if self._last_tick_s is None else self._last_tick_s
+        if not now_s >= last:
+            raise UsageError(f"the arbiter's time runs backwards: {now_s} s after {last} s")
+        self._last_tick_s = now_s
+        return now_s - last
+
+    def _posture(self, q_measured: Array) -> Array:
+        """Return the measured posture, or the present target where the measurement is unusable."""
+        usable = np.shape(q_measured) == (DOF,) and bool(np.isfinite(q_measured).all())
+        if usable:
+            posture = np.clip(q_measured, Q_LOWER, Q_UPPER)
+            if self._target is None:
+                self._target = posture
+            return posture
+        if self._target is None:
+            raise UsageError(f"the first measured posture is not {DOF} finite angles: {q_measured}")
+        self._refusals.append(Refusal("measurement", "not_finite", f"measured joints {q_measured}"))
+        return self._target
+
+    def _held(self) -> Array:
+        if self._target is None:
+            raise UsageError("the arbiter has not been told a posture yet", remedy="call tick first")
+        return self._target
+
+    def _begin_requested(self, now_s: float, posture: Array) -> None:
+        """Start the switch asked for last; a request for who drives already is confirmed by going on."""
+        requests, self._requests = self._requests, []
+        if not requests:
+            return
+        mode = requests[-1]
+        for old in requests[:-1]:
+            if old != mode:
+                self._refusals.append(Refusal(old, "superseded", f"'{mode}' was requested before the switch began"))
+        if self._switch is not None:
+            if mode == self._switch.mode:
+                return
+            self._refusals.append(Refusal(self._switch.mode, "superseded", f"'{mode}' was requested while settling"))
+        elif mode == self._source and self._state in _DRIVING:
+            return
+        self._source = None
+        self._target = posture
+        for mailbox in self._mailboxes.values():
+            mailbox.flush(now_s)
+        for listener in self._listeners:
+            listener(mode)
+        self._switch = _Switch(mode, now_s)
+        self._state = ArbiterState.SETTLING
+
+    def _settle(self, switch: _Switch, now_s: float, speed: float, posture: Array) -> str | None:
+        """Confirm the switch when the arms are still, give it up when they are not in time."""
+        mode, waited = switch.mode, now_s - switch.since_s
+        if speed < self.config.still_speed_rad_s:
+            self._switch = None
+            self._target = posture
+            self._source = None if mode == HOLD else mode
+            self._state = ArbiterState.HOLDING if mode == HOLD else ArbiterState.WAITING
+            self._heard_s = now_s
+            return mode
+        if waited >= self.config.settle_timeout_s:
+            self._switch = None
+            self._state = ArbiterState.STOPPED
+            detail = (
+                f"fastest joint {speed:.3f} rad/s after {waited:.3f} s; still means below "
+                f"{self.config.still_speed_rad_s} rad/s"
+            )
+            self._refusals.append(Refusal(mode, "not_still", detail))
+        return None
+
+    def _drive(self, source: str, now_s: float, dt: float) -> dict[int, JointCommand]:
+        """Move the target to what the source asks for; return the commands that went through, by arm."""
+        fresh, refused = self._mailboxes[source].fresh(now_s, self.config.stale_s)
+        self._refusals.extend(refused)
+        if not fresh:
+            self._go_quiet(now_s)
+            return {}
+        self._heard_s = max(self._heard_s, max(c.stamp_s for c in fresh.values()))
+        wanted = self._held().copy()
+        for arm, command in fresh.items():
+            joints = slice(arm * DOF_PER_ARM, (arm + 1) * DOF_PER_ARM)
+            wanted[joints] = np.clip(command.target_of(arm), Q_LOWER[joints], Q_UPPER[joints])
+        step = wanted - self._held()
+        largest = float(np.max(np.abs(step)))
+        # A step over the bound begins an alignment; it ends when one tick at its speed reaches the source.
+        aligning = largest > self.config.switch_step_max_rad or (
+            self._state == ArbiterState.ALIGNING and largest > self.config.align_speed_rad_s * dt
+        )
+        if aligning:
+            bound = min(self.config.align_speed_rad_s * dt, self.config.switch_step_max_rad)
+            wanted = self._held() + step * min(1.0, bound / largest)
+        else:
+            # While aligning the hands stay as they are: what they hold must not drop half way there.
+            for arm, command in fresh.items():
+                self._gripper[arm] = command.gripper[arm]
+        self._target = wanted
+        self._state = ArbiterState.ALIGNING if aligning else ArbiterState.ACTIVE
+        return fresh
+
+    def _go_quiet(self, now_s: float) -> None:
+        """Hold while the source is silent, and take its turn away when it stays so."""
+        if now_s - self._heard_s > self.config.stop_after_s:
+            self._state = ArbiterState.STOPPED
+            self._source = None
+        elif self._state != ArbiterState.WAITING:
+            self._state = ArbiterState.STALE

@@ -1,0 +1,64 @@
+"""The latest valid command of each source, arm by arm, and the refusal of everything else."""
+
+from __future__ import annotations
+
+from minidual.control.commands import JointCommand, Refusal, find_fault
+from minidual.robot.constants import ARMS
+
+
+class Mailbox:
+    """Keeps what one source proposed last for each arm.
+
+    There is no queue of old commands to run dry: a newer command replaces the older one, and `flush` forgets
+    all of them. What was stamped before the flush is refused afterwards, so an old action chunk that arrives
+    late never runs.
+
+    Args:
+        source: Name of the source, for refusals.
+    """
+
+    def __init__(self, source: str) -> None:
+        self.source = source
+        self._latest: dict[int, JointCommand] = {}
+        self._sequence: int | None = None
+        self._not_before_s = float("-inf")
+
+    def put(self, command: JointCommand) -> Refusal | None:
+        """Take a command, or return why it is refused."""
+        fault = find_fault(command)
+        if fault is None and command.stamp_s < self._not_before_s:
+            fault = (
+                "before_switch",
+                f"stamped {command.stamp_s:.4f} s, before the switch at {self._not_before_s:.4f} s",
+            )
+        if fault is None and self._sequence is not None and command.sequence <= self._sequence:
+            fault = ("out_of_order", f"sequence {command.sequence} after {self._sequence}")
+        if fault is not None:
+            return Refusal(self.source, *fault)
+        self._sequence = command.sequence
+        for arm in command.arms:
+            self._latest[arm] = command
+        return None
+
+    def flush(self, now_s: float) -> None:
+        """Forget every command; refuse those stamped before now."""
+        self._latest.clear()
+        self._sequence = None
+        self._not_before_s = now_s
+
+    def fresh(self, now_s: float, stale_s: float) -> tuple[dict[int, JointCommand], list[Refusal]]:
+        """Return the command of each arm that is at most `stale_s` old, and refusals of stamps from the future.
+
+        A stamp further ahead than `stale_s` would keep its command fresh for ever; it is dropped.
+        """
+        fresh: dict[int, JointCommand] = {}
+        refusals: list[Refusal] = []
+        for arm, command in sorted(self._latest.items()):
+            age = now_s - command.stamp_s
+            if age < -stale_s:
+                detail = f"{ARMS[arm]} arm: stamped {command.stamp_s:.4f} s, {-age:.4f} s ahead of the clock"
+                refusals.append(Refusal(self.source, "from_future", detail))
+                del self._latest[arm]
+            elif age <= stale_s + 1e-9:
+                fresh[arm] = command
+        return fresh, refusals
