@@ -133,7 +133,10 @@ class ObjectImpedance:
         frames = [data.oMf[tcp] for tcp in self._tcps]
         grasp = GraspMap(frames[0].translation - p, frames[1].translation - p)
         squeeze = self._squeeze(internal_force_n, measured_internal_force_n)
-        f = grasp.distribute(self._object_wrench(R, p, T_desired, measured, desired), squeeze_reference(R @ self.held.axis, squeeze))
+        f = grasp.distribute(
+            self._object_wrench(R, p, T_desired, measured, desired),
+            squeeze_reference(R @ self.held.axis, squeeze),
+        )
 
         qdd = np.zeros(DOF)
         external = np.zeros(DOF)
@@ -142,10 +145,13 @@ class ObjectImpedance:
             drift = pin.getFrameClassicalAcceleration(model, data, tcp, pin.LOCAL_WORLD_ALIGNED).vector
             r = frames[i].translation - p
             omega, alpha = desired.twist[3:], desired.acceleration[3:]
-            a_hand = np.concatenate([desired.acceleration[:3] + np.cross(alpha, r) + np.cross(omega, np.cross(omega, r)), alpha])
+            a_hand = np.concatenate(
+                [desired.acceleration[:3] + np.cross(alpha, r) + np.cross(omega, np.cross(omega, r)), alpha]
+            )
             gram = J @ J.T
             posture = (
-                gains.posture_stiffness_per_s2 * (self._posture[arm] - q[arm]) - gains.posture_damping_per_s * v[arm]
+                gains.posture_stiffness_per_s2 * (self._posture[arm] - q[arm])
+                - gains.posture_damping_per_s * v[arm]
             )
             # Least-squares joint acceleration of the hand plus posture motion in the Jacobian's null space.
             qdd[arm] = posture + J.T @ np.linalg.solve(gram, a_hand - drift - J @ posture)
@@ -153,7 +159,9 @@ class ObjectImpedance:
             R_grasp = T_desired[:3, :3] @ self.held.T_object_tcps[i][:3, :3]
             hand_error = rotation_log(R_grasp @ frames[i].rotation.T)
             hand_rate = omega - J[3:] @ v[arm]
-            wrench[3:] += gains.hand_stiffness_nm_per_rad * hand_error + gains.hand_damping_nms_per_rad * hand_rate
+            wrench[3:] += (
+                gains.hand_stiffness_nm_per_rad * hand_error + gains.hand_damping_nms_per_rad * hand_rate
+            )
             external[arm] = J.T @ wrench
         tau = pin.rnea(model, data, q, v, qdd) + external + JOINT_DAMPING * v
         return np.clip(tau, -TAU_MAX, TAU_MAX)

@@ -7,17 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from minidual.config.control import CarryConfig
-from minidual.config.scene import SceneConfig
-from minidual.control.object_impedance import HeldObject, ImpedanceGains, ObjectImpedance, ObjectState
-from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.control.gripper import Grippers
 from minidual.control.joint_control import ComputedTorque
+from minidual.control.object_impedance import HeldObject, ImpedanceGains, ObjectImpedance, ObjectState
+from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.robot.constants import Array
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse
 from minidual.sim.world import World
 from minidual.tasks.reach import Quintic, approach_postures, grasp_posture
-from minidual.tasks.rod_carry import RodTrial, level_part, level_pose, tilt_rad
+from minidual.tasks.rod_carry import RodTrial, level_part, tilt_rad
 
 _OPEN, _CLOSED = np.ones(2), np.zeros(2)
 _GRASP_TIMEOUT_S = 1.5
@@ -30,6 +29,19 @@ _ABORT_TILT_RAD = 0.35
 class _Phase:
     name: str
     began_s: float
+
+
+@dataclass(frozen=True)
+class _Hold:
+    """What is fixed when both hands have closed: the law, the object's path, and the roll it lay at."""
+
+    law: ObjectImpedance
+    path: ObjectPath
+    T_level_rod: Array
+
+    def desired(self, t_s: float) -> ObjectState:
+        state = self.path.at(t_s)
+        return ObjectState(state.T_world_object @ self.T_level_rod, state.twist, state.acceleration)
 
 
 class ImpedanceCarry:
@@ -55,8 +67,7 @@ class ImpedanceCarry:
         self._q_over, self._q_grasp = approach_postures(scene, level)
         self._motion = Quintic(world.q, self._q_over, 1.2)
         self._phase = _Phase("approach", world.time)
-        self._law: ObjectImpedance | None = None
-        self._path: ObjectPath | None = None
+        self._hold: _Hold | None = None
         self.aborted: str | None = None
 
     @property
@@ -76,7 +87,7 @@ class ImpedanceCarry:
         """Stop softly: hold the posture and open the hands; the rod is lost, the arms are not."""
         self.aborted = f"{reason} at {self.world.time:.2f} s"
         self._motion = Quintic(self.world.q, self.world.q, 1.0)
-        self._law = None
+        self._hold = None
         self._enter("aborted")
 
     def step(self) -> None:
@@ -109,11 +120,15 @@ class ImpedanceCarry:
         if float(self.world.pinch_forces().min()) > 0.9 * self._config.impedance.pinch_n:
             self._engage()
         elif t > _GRASP_TIMEOUT_S:
-            self._abort(f"missed grasp: pinch {self.world.pinch_forces().round(1).tolist()} N after {_GRASP_TIMEOUT_S} s")
+            self._abort(
+                f"missed grasp: pinch {self.world.pinch_forces().round(1).tolist()} N after {_GRASP_TIMEOUT_S} s"
+            )
 
     def _open(self, t: float) -> None:
         if self._joints(t, _OPEN):
-            q_away = grasp_posture(self._scene, level_part(self.world.T_world_rod), self.world.q, above_m=0.10)
+            q_away = grasp_posture(
+                self._scene, level_part(self.world.T_world_rod), self.world.q, above_m=0.10
+            )
             self._motion = Quintic(self.world.q, q_away, 0.8)
             self._enter("retreat")
 
@@ -145,16 +160,15 @@ class ImpedanceCarry:
             force_gain=impedance.force_gain,
             force_correction_max_n=impedance.force_correction_max_n,
         )
-        self._law = ObjectImpedance(self._kinematics, held, gains)
-        self._law.engage(world.q)
-        self._T_level_rod = inverse(level_part(T_world_rod)) @ T_world_rod  # a cylinder may have rolled
+        law = ObjectImpedance(self._kinematics, held, gains)
+        law.engage(world.q)
         x, y, z = T_world_rod[:3, 3]
         level = level_part(T_world_rod)
         yaw = float(np.arctan2(level[1, 0], level[0, 0]))
         gx, gy, gyaw = self._trial.goal
         high = z + self._scene.task.lift_height_m
         c = self._config
-        self._path = ObjectPath(
+        path = ObjectPath(
             Waypoint((x, y, z), yaw, 0.0),
             [
                 Waypoint((x, y, high), yaw, c.lift_s),
@@ -162,16 +176,20 @@ class ImpedanceCarry:
                 Waypoint((gx, gy, rod.radius_m), gyaw, c.lower_s),
             ],
         )
+        self._hold = _Hold(law, path, inverse(level) @ T_world_rod)  # a cylinder may have rolled
         self._enter("squeeze")
 
+    @property
+    def _held(self) -> _Hold:
+        if self._hold is None:
+            raise RuntimeError(f"phase '{self.phase}' needs the rod in both hands")
+        return self._hold
+
     def _impedance(self, t_path: float, squeeze_n: float) -> None:
-        assert self._law is not None and self._path is not None
-        world = self.world
-        desired = self._path.at(t_path)
-        desired = ObjectState(desired.T_world_object @ self._T_level_rod, desired.twist, desired.acceleration)
+        world, hold = self.world, self._held
         measured = ObjectState(world.T_world_rod, world.rod_twist)
-        tau = self._law.torque(
-            world.q, world.v, measured, desired,
+        tau = hold.law.torque(
+            world.q, world.v, measured, hold.desired(t_path),
             internal_force_n=squeeze_n, measured_internal_force_n=world.internal_force(),
         )  # fmt: skip
         world.command(tau, self._grippers.step(_CLOSED))
@@ -186,15 +204,14 @@ class ImpedanceCarry:
             self._enter("carry")
 
     def _carry(self, t: float) -> None:
-        assert self._path is not None
+        duration = self._held.path.duration_s
         self._impedance(t, self._config.impedance.internal_force_n)
-        if t > self._path.duration_s + 0.15 and not self.aborted:
+        if t > duration + 0.15 and not self.aborted:
             self._enter("unload")
 
     def _unload(self, t: float) -> None:
-        assert self._path is not None
         remaining = max(0.0, 1.0 - t / _RELEASE_RAMP_S)
-        self._impedance(self._path.duration_s, self._config.impedance.internal_force_n * remaining)
+        self._impedance(self._held.path.duration_s, self._config.impedance.internal_force_n * remaining)
         if t > _RELEASE_RAMP_S and not self.aborted:
             self._motion = Quintic(self.world.q, self.world.q, 0.45)
             self._enter("open")

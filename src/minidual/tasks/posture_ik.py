@@ -2,10 +2,10 @@
 
 Seven joints leave one degree of freedom a hand. It is spent on staying close to a reference posture:
 
-    min |q - q_posture|^2   subject to   T_world_tcp(q) = T_goal
+    min sum_i w_i (q_i - q_posture_i)^2   subject to   T_world_tcp(q) = T_goal
 
-solved by Gauss-Newton on the constraint and projected steps in its null space (Nakamura, Advanced Robotics,
-1991, ch. 4). Along a path each solution starts from the one before, so the branch never changes, and since the
+solved by Gauss-Newton on the constraint and steps projected, in the metric of w, into its null space (Nakamura,
+Advanced Robotics, 1991, ch. 4). Along a path each solution starts from the one before, so the branch never changes, and since the
 answer depends on the hand poses alone and not on the way there, a policy can learn it.
 """
 
@@ -25,6 +25,7 @@ class PostureIK:
     Args:
         kinematics: Workspace.
         posture: (14,) [rad] to stay close to.
+        weights: (7,) cost of moving each joint of an arm away from it; equal by default.
         tolerance: Largest pose error accepted, metres and radians alike.
         posture_tolerance_rad: Largest null-space step left at the end.
         iterations: Iterations allowed.
@@ -35,12 +36,14 @@ class PostureIK:
         kinematics: Kinematics,
         *,
         posture: Array,
+        weights: Array | None = None,
         tolerance: float = 1e-7,
         posture_tolerance_rad: float = 1e-5,
         iterations: int = 60,
     ) -> None:
         self._kinematics = kinematics
         self._posture = posture.reshape(2, DOF_PER_ARM)
+        self._mobility = np.ones(DOF_PER_ARM) if weights is None else 1.0 / np.asarray(weights, dtype=float)
         self._tolerance = tolerance
         self._posture_tolerance = posture_tolerance_rad
         self._iterations = iterations
@@ -59,8 +62,9 @@ class PostureIK:
         for _ in range(self._iterations):
             errors, J = self._linearise(q, goals)
             # Damped a little, so that a stretched arm slows down instead of lashing out.
-            gram = J @ J.transpose(0, 2, 1) + 1e-9 * np.eye(6)
-            pinv = np.linalg.solve(gram, J).transpose(0, 2, 1)
+            weighted = J * self._mobility
+            gram = weighted @ J.transpose(0, 2, 1) + 1e-9 * np.eye(6)
+            pinv = np.linalg.solve(gram, weighted).transpose(0, 2, 1)
             reach = (pinv @ errors[:, :, None])[:, :, 0]
             wish = self._posture - q.reshape(2, DOF_PER_ARM)
             stay = ((identity - pinv @ J) @ wish[:, :, None])[:, :, 0]

@@ -72,7 +72,9 @@ class Quintic:
         )
 
 
-def approach_postures(scene: SceneConfig, T_world_level: Array, *, above_m: float = 0.08) -> tuple[Array, Array]:
+def approach_postures(
+    scene: SceneConfig, T_world_level: Array, *, above_m: float = 0.08
+) -> tuple[Array, Array]:
     """Return (q over the rod, q at the grasp), each (14,), in the configuration of the home posture."""
     q_over = grasp_posture(scene, T_world_level, HOME, above_m=above_m)
     return q_over, grasp_posture(scene, T_world_level, q_over)

@@ -76,5 +76,3 @@ def grasp_offsets(scene: SceneConfig) -> tuple[Array, Array]:
 def tilt_rad(T_world_rod: Array) -> float:
     """Return the angle between the rod's axis and the horizontal [rad]."""
     return float(np.arcsin(min(1.0, abs(T_world_rod[2, 1]))))
-
-

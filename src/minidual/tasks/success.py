@@ -94,7 +94,11 @@ class RodCarryJudge:
         self._rise = max(self._rise, low_end)
         self._tilt = max(self._tilt, tilt)
         if tilt > task.tilt_max_rad:
-            self._fault("level", world.time, f"tilt {np.degrees(tilt):.1f} deg, limit {np.degrees(task.tilt_max_rad):.1f}")
+            self._fault(
+                "level",
+                world.time,
+                f"tilt {np.degrees(tilt):.1f} deg, limit {np.degrees(task.tilt_max_rad):.1f}",
+            )
         pinch = world.pinch_forces()
         if low_end > _AIRBORNE_M:
             self._was_airborne = True
@@ -103,11 +107,19 @@ class RodCarryJudge:
             self._pinch = min(self._pinch, float(pinch[weakest]))
             if pinch[weakest] <= task.pinch_min_n:
                 hand = ("left", "right")[weakest]
-                self._fault("held", world.time, f"{hand} hand pinches {pinch[weakest]:.1f} N, needs > {task.pinch_min_n:.0f}")
+                self._fault(
+                    "held",
+                    world.time,
+                    f"{hand} hand pinches {pinch[weakest]:.1f} N, needs > {task.pinch_min_n:.0f}",
+                )
             squeeze = world.internal_force()
             self._squeeze = min(self._squeeze, squeeze)
             if self.demand_internal_force and squeeze <= task.internal_force_min_n:
-                self._fault("squeezed", world.time, f"internal force {squeeze:.1f} N, needs > {task.internal_force_min_n:.0f}")
+                self._fault(
+                    "squeezed",
+                    world.time,
+                    f"internal force {squeeze:.1f} N, needs > {task.internal_force_min_n:.0f}",
+                )
         elif self._was_airborne and self._done_at is None and self._finished(world, pinch):
             self._done_at = world.time
 
@@ -154,11 +166,23 @@ class RodCarryJudge:
             if not holds:
                 faults.setdefault(name, Fault(name, now, detail))
 
-        demand("rose", self._rise > task.clear_height_m, f"rose {1e3 * max(self._rise, 0.0):.0f} mm, needs > {1e3 * task.clear_height_m:.0f}")
-        demand("arrived", position_error < task.goal_tolerance_m, f"{1e3 * position_error:.1f} mm from the goal, limit {1e3 * task.goal_tolerance_m:.0f}")
+        demand(
+            "rose",
+            self._rise > task.clear_height_m,
+            f"rose {1e3 * max(self._rise, 0.0):.0f} mm, needs > {1e3 * task.clear_height_m:.0f}",
+        )
+        demand(
+            "arrived",
+            position_error < task.goal_tolerance_m,
+            f"{1e3 * position_error:.1f} mm from the goal, limit {1e3 * task.goal_tolerance_m:.0f}",
+        )
         demand("released", not self._touched(world), "a hand still touches the rod")
         speed = float(np.linalg.norm(world.rod_twist[:3]))
-        demand("at_rest", speed < task.rest_speed_m_per_s and world.rod_on_table(), f"speed {speed:.3f} m/s, on the table: {world.rod_on_table()}")
+        demand(
+            "at_rest",
+            speed < task.rest_speed_m_per_s and world.rod_on_table(),
+            f"speed {speed:.3f} m/s, on the table: {world.rod_on_table()}",
+        )
         duration = now if self._done_at is None else self._done_at
         demand("on_time", duration <= task.time_limit_s, f"{duration:.1f} s, limit {task.time_limit_s:.0f}")
         lifted = self._was_airborne
@@ -169,7 +193,7 @@ class RodCarryJudge:
             goal_error_m=position_error,
             yaw_error_rad=yaw_error,
             tilt_max_rad=self._tilt,
-            rise_m=max(self._rise, 0.0),
+            rise_m=max(float(self._rise), 0.0),
             pinch_min_n=self._pinch if lifted else 0.0,
             internal_force_min_n=self._squeeze if lifted else 0.0,
         )

@@ -1,1 +1,1 @@
-
+"""Live views of a running world."""

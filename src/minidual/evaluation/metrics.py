@@ -1,0 +1,270 @@
+"""What one trial showed, and what the trials of one method say together.
+
+Values that do not exist stay NaN in memory, so that a check on them fails; in CSV and JSON they are words
+("no successful trial"), never an empty cell or a null.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minidual.data.quality import path_length_m
+from minidual.data.smoothness import min_duration_s, rms_jerk
+from minidual.errors import DataError, NothingEvaluatedError, UsageError
+from minidual.evaluation.statistics import bootstrap_median_interval, wilson_interval
+from minidual.robot.constants import TAU_MAX
+
+if TYPE_CHECKING:
+    from minidual.tasks.success import Outcome
+
+#: What stands in a table where a value does not exist.
+NO_SUCCESS = "no successful trial"
+NOT_MEASURED = "not measured"
+
+Cell = float | int | str | bool
+
+
+@dataclass(frozen=True)
+class TrialMetrics:
+    """One trial of one method.
+
+    Attributes:
+        method: Who drove the arms, e.g. ``moveit``, ``impedance``, ``act``.
+        seed: Seed of the trial's randomisation; methods share seeds.
+        condition: What the world did to it, e.g. ``clean``.
+        success: The task's one success test.
+        failure: Name of the first fault, empty on success.
+        failure_detail: The fault in words, with numbers, empty on success.
+        failed_at_s: When it failed; NaN on success.
+        duration_s: Start to released and at rest; NaN without success.
+        peak_torque_ratio: Largest |torque| / limit over joints and time.
+        rms_jerk_rad_s3: Low-passed RMS jerk; NaN if the trial ended before it could be measured.
+        tilt_max_rad: Largest tilt of the object.
+        path_length_m: Path of the two hands together.
+        internal_force_min_n: Least squeeze while the object is off the table; NaN where nobody measured it.
+        pinch_force_min_n: Least grip force while it is off the table.
+        goal_error_m: Distance of the object from its goal at the end.
+    """
+
+    method: str
+    seed: int
+    condition: str
+    success: bool
+    failure: str
+    failure_detail: str
+    failed_at_s: float
+    duration_s: float
+    peak_torque_ratio: float
+    rms_jerk_rad_s3: float
+    tilt_max_rad: float
+    path_length_m: float
+    internal_force_min_n: float
+    pinch_force_min_n: float
+    goal_error_m: float
+
+    def to_row(self) -> dict[str, Cell]:
+        """Return the trial for CSV or JSON, with words where a number does not exist."""
+        words = {"failed_at_s": "did not fail", "duration_s": "did not succeed"}
+        return {f.name: _said(getattr(self, f.name), words.get(f.name, NOT_MEASURED)) for f in fields(self)}
+
+
+@dataclass(frozen=True)
+class MethodSummary:
+    """All trials of one method under one condition.
+
+    Attributes:
+        method: As in the trials.
+        condition: As in the trials.
+        trials_n: Number of trials.
+        successes_n: Number of successes.
+        success_rate: Their ratio.
+        success_low: Lower end of its 95 % Wilson interval.
+        success_high: Upper end.
+        duration_median_s: Median over the successful trials; NaN without any.
+        duration_low_s: Lower end of its 95 % bootstrap interval.
+        duration_high_s: Upper end.
+        torque_ratio_max: Largest over all trials.
+        jerk_rms_median: Median over all trials long enough to measure, rad/s^3.
+        tilt_max_rad: Largest over all trials, failed ones included.
+        tilt_median_rad: Median over all trials of each trial's largest.
+        path_length_m: Median over the successful trials; NaN without any.
+        internal_force_min_n: Least over the successful trials.
+        pinch_force_min_n: Least over the successful trials.
+        goal_error_median_m: Median over all trials.
+        failures: Number of trials by name of their first fault.
+    """
+
+    method: str
+    condition: str
+    trials_n: int
+    successes_n: int
+    success_rate: float
+    success_low: float
+    success_high: float
+    duration_median_s: float
+    duration_low_s: float
+    duration_high_s: float
+    torque_ratio_max: float
+    jerk_rms_median: float
+    tilt_max_rad: float
+    tilt_median_rad: float
+    path_length_m: float
+    internal_force_min_n: float
+    pinch_force_min_n: float
+    goal_error_median_m: float
+    failures: tuple[tuple[str, int], ...]
+
+    def to_row(self) -> dict[str, Cell]:
+        """Return the summary for CSV or JSON, with words where a number does not exist."""
+        missing = NO_SUCCESS if self.successes_n == 0 else NOT_MEASURED
+        over_all = {
+            "torque_ratio_max",
+            "jerk_rms_median",
+            "tilt_max_rad",
+            "tilt_median_rad",
+            "goal_error_median_m",
+        }
+        row: dict[str, Cell] = {}
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if f.name == "failures":
+                row["failures"] = "; ".join(f"{name} {count}" for name, count in value) or "none"
+            else:
+                row[f.name] = _said(value, NOT_MEASURED if f.name in over_all else missing)
+        return row
+
+
+def peak_torque_ratio(tau: NDArray[np.floating], limit: NDArray[np.floating] = TAU_MAX) -> float:
+    """Return the largest |tau| / limit over joints and time, for tau (T, 14) and limit (14,), both Nm."""
+    tau = np.asarray(tau, dtype=float)
+    if tau.ndim != 2 or tau.shape[1:] != np.shape(limit) or not len(tau):
+        raise DataError(f"torques have shape {tau.shape}; they must be (T, {len(limit)}) with T at least 1")
+    return float(np.max(np.abs(tau) / limit))
+
+
+def jerk_or_nan(q: NDArray[np.floating], rate_hz: float) -> float:
+    """Return `rms_jerk`, or NaN for a trial that ended before it can be measured (half a second)."""
+    if (len(q) - 1) / rate_hz < min_duration_s():
+        return math.nan
+    return rms_jerk(q, rate_hz)
+
+
+def trial_metrics(
+    method: str,
+    seed: int,
+    outcome: Outcome,
+    *,
+    q: NDArray[np.floating],
+    tau: NDArray[np.floating],
+    tcp_positions: NDArray[np.floating],
+    rate_hz: float,
+    condition: str = "clean",
+) -> TrialMetrics:
+    """Return the metrics of one trial from its log and the task's verdict.
+
+    Args:
+        method: Who drove the arms.
+        seed: Seed of the trial.
+        outcome: The verdict of the task's success test.
+        q: (T, 14) measured joints, rad.
+        tau: (T, 14) torques, Nm.
+        tcp_positions: (T, 2, 3) measured tool centres, metres.
+        rate_hz: Rate of the logs, 1/s.
+        condition: What the world did to the trial.
+
+    Raises:
+        DataError: logs of wrong shape or with values that are not finite.
+    """
+    positions = np.asarray(tcp_positions, dtype=float)
+    if positions.ndim != 3 or positions.shape[1:] != (2, 3):
+        raise DataError(f"tool centres have shape {positions.shape}; they must be (T, 2, 3)")
+    for name, log in (("q", q), ("tau", tau), ("tcp_positions", positions)):
+        if not np.all(np.isfinite(log)):
+            raise DataError(f"the log of {name} of {method}, seed {seed}, holds NaN or infinity")
+    first = min(outcome.faults, key=lambda fault: fault.at_s) if outcome.faults else None
+    if outcome.success:
+        failure, detail, failed_at = "", "", math.nan
+    elif first is None:
+        failure, detail, failed_at = "unfinished", "the object was never released at rest", outcome.duration_s
+    else:
+        failure, detail, failed_at = first.name, first.detail, first.at_s
+    return TrialMetrics(
+        method=method,
+        seed=seed,
+        condition=condition,
+        success=outcome.success,
+        failure=failure,
+        failure_detail=detail,
+        failed_at_s=failed_at,
+        duration_s=outcome.duration_s if outcome.success else math.nan,
+        peak_torque_ratio=peak_torque_ratio(tau),
+        rms_jerk_rad_s3=jerk_or_nan(q, rate_hz),
+        tilt_max_rad=outcome.tilt_max_rad,
+        path_length_m=float(path_length_m(positions).sum()),
+        internal_force_min_n=outcome.internal_force_min_n,
+        pinch_force_min_n=outcome.pinch_min_n,
+        goal_error_m=outcome.goal_error_m,
+    )
+
+
+def summarise(trials: Sequence[TrialMetrics], rng: np.random.Generator) -> MethodSummary:
+    """Return what the trials of one method under one condition say together.
+
+    Args:
+        trials: At least one; all of one method and one condition, each seed once.
+        rng: Seeded generator of the bootstrap.
+
+    Raises:
+        NothingEvaluatedError: no trials.
+        UsageError: trials of several methods or conditions, or a seed twice.
+    """
+    if not trials:
+        raise NothingEvaluatedError("no trials to summarise")
+    labels = {(trial.method, trial.condition) for trial in trials}
+    if len(labels) > 1:
+        raise UsageError(f"trials of {len(labels)} methods or conditions in one summary: {sorted(labels)}")
+    if len({trial.seed for trial in trials}) != len(trials):
+        raise UsageError(f"method {trials[0].method} ran the same seed twice; a trial would count double")
+    won = [trial for trial in trials if trial.success]
+    low, high = wilson_interval(len(won), len(trials))
+    durations = [trial.duration_s for trial in won]
+    duration_low, duration_high = bootstrap_median_interval(durations, rng) if won else (math.nan, math.nan)
+    counts = Counter(trial.failure for trial in trials if not trial.success)
+    return MethodSummary(
+        method=trials[0].method,
+        condition=trials[0].condition,
+        trials_n=len(trials),
+        successes_n=len(won),
+        success_rate=len(won) / len(trials),
+        success_low=low,
+        success_high=high,
+        duration_median_s=_median(durations),
+        duration_low_s=duration_low,
+        duration_high_s=duration_high,
+        torque_ratio_max=max(trial.peak_torque_ratio for trial in trials),
+        jerk_rms_median=_median([t.rms_jerk_rad_s3 for t in trials if math.isfinite(t.rms_jerk_rad_s3)]),
+        tilt_max_rad=max(trial.tilt_max_rad for trial in trials),
+        tilt_median_rad=_median([trial.tilt_max_rad for trial in trials]),
+        path_length_m=_median([trial.path_length_m for trial in won]),
+        internal_force_min_n=min((trial.internal_force_min_n for trial in won), default=math.nan),
+        pinch_force_min_n=min((trial.pinch_force_min_n for trial in won), default=math.nan),
+        goal_error_median_m=_median([trial.goal_error_m for trial in trials]),
+        failures=tuple(sorted(counts.items(), key=lambda item: (-item[1], item[0]))),
+    )
+
+
+def _median(values: Sequence[float]) -> float:
+    """Return the median, or NaN of nothing."""
+    return float(np.median(values)) if len(values) else math.nan
+
+
+def _said(value: Cell, words: str) -> Cell:
+    """Return the value, or the words where it is a number that does not exist."""
+    return words if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,125 @@
+"""Trials and summaries as CSV and JSON files, each whole or absent, with the definitions beside the numbers."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from minidual.data import durable
+from minidual.data.smoothness import JERK_FILTER
+from minidual.errors import DataError, NothingEvaluatedError, UsageError
+from minidual.evaluation.metrics import Cell, MethodSummary, TrialMetrics
+from minidual.evaluation.statistics import CONFIDENCE, PairedComparison, compare_paired
+
+#: What every number in the tables means, where its name does not say it.
+DEFINITIONS: dict[str, str] = {
+    "jerk_filter": JERK_FILTER,
+    "success_interval": f"Wilson score, {CONFIDENCE:.0%}",
+    "duration_interval": f"percentile bootstrap of the median, {CONFIDENCE:.0%}",
+    "over_successful_trials": "duration, path length, least internal force, least pinch force",
+    "over_all_trials": "torque, jerk, tilt, goal error",
+    "paired_test": "McNemar, exact, two-sided, on shared seeds",
+}
+
+
+def write_csv(path: Path | str, rows: Sequence[TrialMetrics | MethodSummary]) -> Path:
+    """Write one row a trial or a method; raise NothingEvaluatedError for an empty table."""
+    if not rows:
+        raise NothingEvaluatedError(f"no rows for {path}: nothing was evaluated")
+    cells = [row.to_row() for row in rows]
+    text = io.StringIO()
+    writer = csv.DictWriter(text, fieldnames=list(cells[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(cells)
+    return _write(Path(path), text.getvalue())
+
+
+def write_json(
+    path: Path | str,
+    summaries: Sequence[MethodSummary],
+    trials: Sequence[TrialMetrics],
+    extra: Mapping[str, Any] | None = None,
+) -> Path:
+    """Write definitions, summaries, paired comparisons of all methods, and trials as one document.
+
+    Args:
+        path: File to write.
+        summaries: One a method and condition.
+        trials: All trials.
+        extra: Further entries at the top level; they may not replace one of these.
+
+    Raises:
+        NothingEvaluatedError: no trials.
+        UsageError: an entry of `extra` takes a name of the document.
+        DataError: the disk refuses, or `extra` holds NaN.
+    """
+    if not trials:
+        raise NothingEvaluatedError(f"no trials for {path}: nothing was evaluated")
+    document: dict[str, Any] = {
+        "definitions": DEFINITIONS,
+        "methods": [_with_failures(summary) for summary in summaries],
+        "comparisons": compare_all(trials),
+        "trials": [trial.to_row() for trial in trials],
+    }
+    clash = set(document) & set(extra or {})
+    if clash:
+        raise UsageError(f"the document already has an entry {', '.join(sorted(clash))}")
+    try:
+        text = json.dumps({**document, **(extra or {})}, indent=1, allow_nan=False)
+    except ValueError as error:
+        raise DataError(f"{path}: {error}") from error
+    return _write(Path(path), text + "\n")
+
+
+def compare_all(trials: Sequence[TrialMetrics]) -> list[dict[str, Cell]]:
+    """Return McNemar comparisons of each pair of methods on the seeds they share, condition by condition."""
+    results: dict[tuple[str, str], dict[int, bool]] = {}
+    for trial in trials:
+        results.setdefault((trial.condition, trial.method), {})[trial.seed] = trial.success
+    rows: list[dict[str, Cell]] = []
+    keys = list(results)
+    for i, (condition, first) in enumerate(keys):
+        for other, second in keys[i + 1 :]:
+            if other != condition:
+                continue
+            one, two = results[condition, first], results[other, second]
+            shared = sorted(one.keys() & two.keys())
+            if shared:
+                paired = compare_paired([one[seed] for seed in shared], [two[seed] for seed in shared])
+                rows.append({"condition": condition, "first": first, "second": second, **_paired_row(paired)})
+    return rows
+
+
+def _paired_row(paired: PairedComparison) -> dict[str, Cell]:
+    return {
+        "trials_n": paired.trials_n,
+        "both_n": paired.both_n,
+        "only_first_n": paired.only_first_n,
+        "only_second_n": paired.only_second_n,
+        "neither_n": paired.neither_n,
+        "rate_difference": paired.rate_difference,
+        "p_value": paired.p_value,
+    }
+
+
+def _with_failures(summary: MethodSummary) -> dict[str, Any]:
+    return {**summary.to_row(), "failures": dict(summary.failures)}
+
+
+def _write(path: Path, text: str) -> Path:
+    partial = durable.partial_path(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial.write_text(text, encoding="utf-8")
+        durable.publish(partial, path)
+    except OSError as error:
+        raise DataError(
+            f"{path} could not be written: {error}", remedy="free space on the disk or choose another folder"
+        ) from error
+    finally:
+        durable.remove(partial)
+    return path

@@ -1,0 +1,55 @@
+"""Figures of single trials: what the rod, the forces and the motors did over time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from minidual.config.scene import SceneConfig
+from minidual.evaluation.trials import TrialLog
+from minidual.robot.constants import TAU_MAX
+
+_INK, _LIMIT = "#1f3b57", "#c0392b"
+
+
+def draw_trial(log: TrialLog, scene: SceneConfig, path: Path, *, title: str) -> None:
+    """Write a four-panel figure of one trial: rod path, tilt, forces and torque ratios."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(2, 2, figsize=(11, 6.4), sharex=True, constrained_layout=True)
+    (motion, tilt), (force, torque) = axes
+    goal = np.array([*scene.task.goal_xy_m, scene.rod.radius_m])
+    for k, (name, colour) in enumerate((("x", "#2f6db5"), ("y", "#e07b27"), ("z", "#3a9a5b"))):
+        motion.plot(log.t, log.rod[:, k], color=colour, label=name)
+        motion.axhline(goal[k], color=colour, lw=0.8, ls=":")
+    motion.set(title="Rod position (dotted: goal)", ylabel="m")
+    motion.legend(ncols=3, frameon=False)
+
+    tilt.plot(log.t, np.degrees(log.tilt), color=_INK)
+    tilt.axhline(np.degrees(scene.task.tilt_max_rad), color=_LIMIT, lw=1, ls="--", label="limit")
+    tilt.set(title="Tilt of the rod", ylabel="deg", ylim=(0, None))
+    tilt.legend(frameon=False)
+
+    force.plot(log.t, log.pinch[:, 0], color="#2f6db5", label="pinch, left hand")
+    force.plot(log.t, log.pinch[:, 1], color="#e07b27", ls="--", label="pinch, right hand")
+    force.plot(log.t, log.internal_force, color=_INK, label="internal force")
+    force.axhline(scene.task.pinch_min_n, color=_LIMIT, lw=1, ls="--", label="least allowed in the air")
+    force.set(title="Forces on the rod", ylabel="N", xlabel="s")
+    force.legend(frameon=False, fontsize=8)
+
+    ratio = np.abs(log.tau) / TAU_MAX
+    for joint in range(7):
+        torque.plot(log.t, np.maximum(ratio[:, joint], ratio[:, joint + 7]), lw=1, label=f"joint {joint + 1}")
+    torque.axhline(1.0, color=_LIMIT, lw=1, ls="--")
+    torque.set(title="Motor torque / limit, larger of both arms", xlabel="s", ylim=(0, 1.08))
+    torque.legend(ncols=4, frameon=False, fontsize=8)
+    for axis in axes.flat:
+        axis.grid(alpha=0.25)
+        axis.spines[["top", "right"]].set_visible(False)
+    figure.suptitle(title, fontsize=12)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)

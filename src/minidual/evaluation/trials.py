@@ -1,0 +1,213 @@
+"""Run rod trials, one or many, on one core or all, and keep what is needed to judge and to plot them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from minidual.data.smoothness import rms_jerk
+from minidual.evaluation.methods import Factory, Method, MethodInputs, load_factory, method_spec
+from minidual.robot.constants import TAU_MAX, Array
+from minidual.robot.kinematics import Kinematics
+from minidual.sim.model import build_model
+from minidual.sim.world import World
+from minidual.tasks.rod_carry import RodTrial, tilt_rad
+from minidual.tasks.success import Outcome, RodCarryJudge
+
+LOG_RATE_HZ = 250
+
+
+@dataclass
+class TrialLog:
+    """Time series of one trial at 250 Hz.
+
+    Attributes:
+        t: (T,) [s].
+        q: (T, 14) measured joints [rad].
+        tau: (T, 14) motor torques [Nm].
+        tcp: (T, 2, 3) positions of the tool centre points [m].
+        rod: (T, 3) rod position [m].
+        tilt: (T,) [rad].
+        pinch: (T, 2) [N].
+        internal_force: (T,) [N].
+        phase: (T,) names.
+    """
+
+    t: Array
+    q: Array
+    tau: Array
+    tcp: Array
+    rod: Array
+    tilt: Array
+    pinch: Array
+    internal_force: Array
+    phase: list[str]
+
+
+@dataclass(frozen=True)
+class TrialResult:
+    """One trial, judged and measured; a row of the benchmark.
+
+    Attributes:
+        torque_ratio_max: Largest |tau| / limit over joints and time (1.0 is saturation).
+        jerk_rms: RMS jerk [rad/s^3] of the measured joints, see `data.smoothness`.
+        path_length_m: Mean over the two hands of the tool centre point's path.
+        faults: (name, time [s], detail) of everything that failed.
+    """
+
+    method: str
+    condition: str
+    index: int
+    success: bool
+    reason: str
+    faults: tuple[tuple[str, float, str], ...]
+    duration_s: float
+    torque_ratio_max: float
+    jerk_rms: float
+    tilt_max_rad: float
+    path_length_m: float
+    goal_error_m: float
+    pinch_min_n: float
+    internal_force_min_n: float
+    rise_m: float
+    wall_s: float = 0.0
+
+    def row(self) -> dict[str, Any]:
+        """Return the trial as one flat row for CSV."""
+        values = {k: v for k, v in self.__dict__.items() if k not in ("faults", "wall_s")}
+        return {k: round(v, 6) if isinstance(v, float) else v for k, v in values.items()}
+
+
+def run_trial(
+    method_name: str,
+    factory: Factory,
+    world: World,
+    kinematics: Kinematics,
+    trial: RodTrial,
+    *,
+    condition: str = "clean",
+    on_step: Callable[[World, Method], None] | None = None,
+) -> tuple[TrialResult, TrialLog]:
+    """Reset the world, run one trial to its end or its time limit, and judge it.
+
+    A method that ends early is given a short time to let things settle; nothing it does counts afterwards.
+    """
+    import time
+
+    scene = world.scene
+    began = time.perf_counter()
+    world.reset(rod_xy_yaw=trial.start)
+    judge = RodCarryJudge(scene, trial, demand_internal_force=method_spec(method_name).demands_internal_force)
+    method = factory(world, kinematics, trial)
+    every = round(1.0 / (LOG_RATE_HZ * world.dt))
+    columns: list[tuple[Any, ...]] = []
+    peak = np.zeros(len(TAU_MAX))
+    steps = round(scene.task.time_limit_s / world.dt)
+    for step in range(steps):
+        method.step()
+        judge.observe(world)
+        np.maximum(peak, np.abs(world.tau) / TAU_MAX, out=peak)
+        if step % every == 0:
+            columns.append(_sample(world, kinematics, method.phase))
+        if on_step is not None:
+            on_step(world, method)
+        if method.done:
+            break
+    log = _collect(columns)
+    outcome = judge.outcome(world)
+    result = _result(method_name, condition, trial.index, outcome, log, float(peak.max()))
+    if method.aborted and not result.success:
+        result = replace(result, reason=f"{result.reason} (stopped itself: {method.aborted})")
+    return replace(result, wall_s=time.perf_counter() - began), log
+
+
+def _sample(world: World, kinematics: Kinematics, phase: str) -> tuple[Any, ...]:
+    q = world.q
+    left, right = kinematics.tcp_poses(q)
+    T = world.T_world_rod
+    return (
+        world.time, q, world.tau, np.array([left[:3, 3], right[:3, 3]]), T[:3, 3], tilt_rad(T),
+        world.pinch_forces(), world.internal_force(), phase,
+    )  # fmt: skip
+
+
+def _collect(columns: list[tuple[Any, ...]]) -> TrialLog:
+    *numbers, phases = zip(*columns, strict=True)
+    return TrialLog(*(np.array(c) for c in numbers), list(phases))
+
+
+def _result(
+    method: str, condition: str, index: int, outcome: Outcome, log: TrialLog, peak: float
+) -> TrialResult:
+    steps = np.linalg.norm(np.diff(log.tcp, axis=0), axis=2).sum(axis=0)
+    return TrialResult(
+        method=method,
+        condition=condition,
+        index=index,
+        success=outcome.success,
+        reason=outcome.reason,
+        faults=tuple((f.name, f.at_s, f.detail) for f in outcome.faults),
+        duration_s=outcome.duration_s,
+        torque_ratio_max=peak,
+        jerk_rms=rms_jerk(log.q, LOG_RATE_HZ),
+        tilt_max_rad=outcome.tilt_max_rad,
+        path_length_m=float(steps.mean()),
+        goal_error_m=outcome.goal_error_m,
+        pinch_min_n=outcome.pinch_min_n,
+        internal_force_min_n=outcome.internal_force_min_n,
+        rise_m=float(outcome.rise_m),
+    )
+
+
+class Bench:
+    """A world and a method, built once in a process and used for many trials."""
+
+    def __init__(self, method: str, inputs: MethodInputs) -> None:
+        self.method = method
+        scene = inputs.config.scene
+        model = build_model(scene, visuals=method_spec(method).needs_images)
+        self.world = World(scene, model=model)
+        self.kinematics = Kinematics()
+        self.factory = load_factory(method, inputs)
+
+    def run(self, trial: RodTrial, *, condition: str = "clean") -> tuple[TrialResult, TrialLog]:
+        """Run one trial."""
+        return run_trial(self.method, self.factory, self.world, self.kinematics, trial, condition=condition)
+
+
+_BENCHES: dict[str, Bench] = {}
+
+
+def _run_in_worker(
+    method: str, inputs: MethodInputs, trial: RodTrial, condition: str, keep_log: bool
+) -> tuple[TrialResult, TrialLog | None]:
+    key = f"{method}/{inputs.checkpoint}/{inputs.seed}/{inputs.config.model_dump_json()}"
+    if key not in _BENCHES:
+        _BENCHES.clear()
+        _BENCHES[key] = Bench(method, inputs)
+    result, log = _BENCHES[key].run(trial, condition=condition)
+    return result, log if keep_log else None
+
+
+def run_trials(
+    method: str,
+    inputs: MethodInputs,
+    trials: Sequence[RodTrial],
+    *,
+    workers: int,
+    condition: str = "clean",
+    keep_logs: bool = False,
+) -> Iterator[tuple[TrialResult, TrialLog | None]]:
+    """Run trials over processes and yield their results in order; the results do not depend on `workers`."""
+    import joblib
+
+    # One numeric thread a process: on a busy machine more of them only wait for each other.
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = "1"
+    yield from joblib.Parallel(n_jobs=min(workers, max(1, len(trials))), return_as="generator", batch_size=1)(
+        joblib.delayed(_run_in_worker)(method, inputs, trial, condition, keep_logs) for trial in trials
+    )
