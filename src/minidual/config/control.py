@@ -8,9 +8,29 @@ from minidual.config.base import StrictModel
 
 
 class EnvCheckConfig(StrictModel):
-    """What is driven to see that the arms answer."""
+    """What is driven to see that the arms answer, and how well they must."""
 
-    step_rad: float = Field(0.3, gt=0.0, le=0.6)
+    step_rad: float = Field(0.3, gt=0.0, le=0.5)
+    """Step of joint 1 of each arm, outwards."""
+    step_duration_s: float = Field(2.0, ge=1.0, le=10.0)
+    step_error_max_rad: float = Field(0.005, gt=0.0, le=0.05)
+    """Limit on the 14-D error norm that is left after the step."""
+    single_step_rad: float = Field(0.1, gt=0.0, le=0.3)
+    """Step of one joint alone."""
+    single_duration_s: float = Field(0.6, ge=0.3, le=5.0)
+    sine_amplitude_rad: float = Field(0.3, gt=0.0, le=0.5)
+    sine_frequency_hz: float = Field(0.5, gt=0.0, le=1.0)
+    sine_duration_s: float = Field(10.0, ge=1.0, le=60.0)
+    sine_rms_max_rad: float = Field(0.02, gt=0.0, le=0.05)
+    """Limit on the RMS over time of the 14-D error norm while all joints swing at once."""
+    pulse_share: float = Field(0.1, gt=0.0, le=0.5)
+    """Torque pulse that tells which joint a motor moves, as a share of the motor's limit."""
+    agreement_states_n: int = Field(20, ge=1, le=1000)
+    agreement_max: float = Field(1e-10, gt=0.0, le=1e-6)
+    cost_steps_n: int = Field(2000, ge=100, le=100_000)
+    video_fps: int = Field(25, ge=10, le=60)
+    video_width_px: int = Field(640, ge=160, le=1920)
+    video_height_px: int = Field(480, ge=120, le=1080)
 
 
 class ImpedanceConfig(StrictModel):
