@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import yaml
 
@@ -28,13 +29,17 @@ class _Loader(yaml.SafeLoader):
     yaml_implicit_resolvers = {}  # noqa: RUF012 - PyYAML's own way to declare it
 
 
+# The type stubs of yaml.compose leave its result open.
+_compose = cast(Callable[..., yaml.Node | None], yaml.compose)  # pyright: ignore[reportUnknownMemberType]
+
+
 @dataclass
 class Document:
     """A tree of plain values and where each one stands: {dotted path: "file.yaml:12"}."""
 
     source: str
     tree: dict[str, Any]
-    origins: dict[str, str] = field(default_factory=dict)
+    origins: dict[str, str] = field(default_factory=dict[str, str])
 
 
 def read_document(path: Path) -> Document:
@@ -49,7 +54,7 @@ def read_document(path: Path) -> Document:
 def parse_document(text: str, source: str) -> Document:
     """Parse YAML text; `source` is the name that messages give it."""
     try:
-        node = yaml.compose(text, Loader=_Loader)
+        node = _compose(text, Loader=_Loader)
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
         raise ConfigError(f"{source}:{line}: not YAML: {error.problem or error.context}") from error

@@ -8,7 +8,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, cast, get_args
 
 import yaml
 from pydantic import BaseModel, ValidationError
@@ -33,7 +33,9 @@ def parse_override(text: str) -> Override:
     path, equals, value = text.partition("=")
     path = path.strip()
     if not equals or not all(path.split(".")):
-        raise ConfigError(f"--set {text}: not of the form section.key=value", remedy="--set plan.queries_n=30")
+        raise ConfigError(
+            f"--set {text}: not of the form section.key=value", remedy="--set plan.queries_n=30"
+        )
     source = f"--set {text}"
     return Override(path, parse_value(value, source), source)
 
@@ -106,7 +108,7 @@ def _read_chain(path: Path, below: tuple[Path, ...]) -> tuple[Document, tuple[Pa
 def _merge(base: dict[str, Any], over: Mapping[str, Any]) -> None:
     for key, value in over.items():
         if isinstance(value, dict) and isinstance(base.get(key), dict):
-            _merge(base[key], value)
+            _merge(base[key], cast(dict[str, Any], value))
         else:
             base[key] = value
 
@@ -123,14 +125,14 @@ def _apply(document: Document, override: Override) -> None:
     if override.path == "acceptance":
         _refuse_regained_acceptance(document.tree, {"acceptance": override.value}, override.text)
     *sections, key = override.path.split(".")
-    place = document.tree
+    place: dict[str, Any] = document.tree
     for depth, section in enumerate(sections):
-        inner = place.setdefault(section, {})
+        inner: Any = place.setdefault(section, {})
         document.origins.setdefault(".".join(sections[: depth + 1]), override.text)
         if not isinstance(inner, dict):
             dotted = ".".join(sections[: depth + 1])
             raise ConfigError(f"{override.text}: {dotted} is a single value and has no keys")
-        place = inner
+        place = cast(dict[str, Any], inner)
     place[key] = override.value
     for known in [known for known in document.origins if known.startswith(f"{override.path}.")]:
         del document.origins[known]
@@ -162,11 +164,16 @@ def _sentence(problem: Any, document: Document) -> tuple[str, str | None]:
     if problem["type"] == "value_error":
         return f"{where}: {dotted or 'configuration'}: {problem['ctx']['error']}", None
     text = f"{where}: {dotted}: {problem['msg'][:1].lower()}{problem['msg'][1:]}"
-    text = text.replace("input should", "must").replace("a valid list", "a list").replace("an object", "a section")
+    text = (
+        text.replace("input should", "must")
+        .replace("a valid list", "a list")
+        .replace("an object", "a section")
+    )
     if isinstance(value, str):
         text += f", is the text '{value}'"
         number = _as_yaml_number(value) if looks_numeric(value) else None
-        if problem["type"].startswith("float") and number or problem["type"].startswith("int") and _whole(number):
+        wants_int = problem["type"].startswith("int")
+        if number and (_whole(number) if wants_int else problem["type"].startswith("float")):
             return text, f"write {number} without quotes: YAML reads '{value}' as text"
         if problem["type"].startswith("bool"):
             return text, "write true or false"

@@ -20,9 +20,9 @@ class Config(StrictModel):
     acceptance: bool = True
     """Whether verdicts of this profile count as acceptance. A profile that extends one with `false` cannot
     switch it on again."""
-    seed: int = Field(20260, ge=0, lt=2**63)
+    seed: int = Field(default=20260, ge=0, lt=2**63)
     """The one seed of the run; every random stream is derived from it by name."""
-    workers: int = Field(2, ge=1, le=512)
+    workers: int = Field(default=2, ge=1, le=512)
     """Processes a stage may use. Results do not depend on it."""
 
     env_check: EnvCheckConfig = EnvCheckConfig()

@@ -7,9 +7,9 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from minidual.errors import DataError
 
@@ -31,14 +31,15 @@ def canonical(value: Any, where: str = "value") -> Any:
     if hasattr(value, "model_dump"):
         return canonical(value.model_dump(mode="json"), where)
     if isinstance(value, Mapping):
-        for key in value:
+        mapping = cast(Mapping[Any, Any], value)
+        for key in mapping:
             if not isinstance(key, str):
                 raise TypeError(f"{where}: key {key!r} is not a string")
-        return {key: canonical(item, f"{where}.{key}") for key, item in value.items()}
+        return {key: canonical(item, f"{where}.{key}") for key, item in mapping.items()}
     if isinstance(value, set | frozenset):
-        return sorted(canonical(item, where) for item in value)
+        return sorted(canonical(item, where) for item in cast(set[Any], value))
     if isinstance(value, list | tuple):
-        return [canonical(item, f"{where}[{i}]") for i, item in enumerate(value)]
+        return [canonical(item, f"{where}[{i}]") for i, item in enumerate(cast(Sequence[Any], value))]
     if hasattr(value, "tolist"):  # numpy scalars and arrays
         return canonical(value.tolist(), where)
     raise TypeError(f"{where}: {type(value).__name__} cannot be written as JSON")
@@ -58,9 +59,7 @@ def dumps(value: Any) -> str:
 def parse_json(content: bytes, path: Path) -> Any:
     """Parse strict JSON. DataError names the file for truncated text, NaN literals and duplicate keys."""
     try:
-        return json.loads(
-            content.decode("utf-8"), parse_constant=_refuse_constant, object_pairs_hook=_unique
-        )
+        return json.loads(content.decode("utf-8"), parse_constant=_refuse_constant, object_pairs_hook=_unique)
     except (ValueError, RecursionError) as error:
         raise DataError(f"{path} is corrupt: {error}") from error
 

@@ -25,7 +25,11 @@ _NON_FINITE = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 
 def plain_number(value: Any, what: str) -> Number:
     """Return `value` as a Python bool, int or float (numpy scalars are unpacked); TypeError otherwise."""
-    if not isinstance(value, bool | int | float) and hasattr(value, "item") and getattr(value, "ndim", 0) == 0:
+    if (
+        not isinstance(value, bool | int | float)
+        and hasattr(value, "item")
+        and getattr(value, "ndim", 0) == 0
+    ):
         value = value.item()
     if not isinstance(value, bool | int | float):
         raise TypeError(f"{what} must be a number or a bool, not {type(value).__name__} ({value!r})")
@@ -63,7 +67,9 @@ class Check:
                 raise ValueError(f"check {self.name}: limit {self.limit} without an operator")
             return
         if self.op not in _COMPARE:
-            raise ValueError(f"check {self.name}: no operator {self.op!r}; there are {', '.join(get_args(Op))}")
+            raise ValueError(
+                f"check {self.name}: no operator {self.op!r}; there are {', '.join(get_args(Op))}"
+            )
         limit = plain_number(self.limit, f"check {self.name}: limit")
         if not math.isfinite(limit):
             raise ValueError(f"check {self.name}: the limit must be finite, is {limit}")
@@ -131,7 +137,9 @@ class Check:
         except (KeyError, TypeError, ValueError) as error:
             raise DataError(f"malformed check: {error}") from error
         if record.get("passed") != check.passed:
-            raise DataError(f"check {check.name} is written as passed={record.get('passed')}, but {check.sentence()}")
+            raise DataError(
+                f"check {check.name} is written as passed={record.get('passed')}, but {check.sentence()}"
+            )
         return check
 
 

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import minidual
 from minidual.pipeline.canonical import canonical
@@ -74,7 +74,7 @@ class Fingerprint:
 
     def circumstances(self, now: Fingerprint) -> list[str]:
         """Return one warning for each circumstance that differs `now` without making the result stale."""
-        warnings = []
+        warnings: list[str] = []
         if self.version != now.version:
             warnings.append(f"made by minidual {self.version}, this is {now.version}")
         if self.commit != now.commit:
@@ -83,7 +83,9 @@ class Fingerprint:
             ("machine", self.machine, now.machine),
             ("library", self.libraries, now.libraries),
         ):
-            warnings += [f"{label} {n}: was {_short(a)}, is {_short(b)}" for n, a, b in changes(before, after)]
+            warnings += [
+                f"{label} {n}: was {_short(a)}, is {_short(b)}" for n, a, b in changes(before, after)
+            ]
         return warnings
 
 
@@ -93,9 +95,10 @@ def changes(
     """Yield (dotted name, before, after) for every leaf that differs; `flat` does not enter mappings."""
     for key in [*before, *(key for key in after if key not in before)]:
         then, current = before.get(key, UNSEEN), after.get(key, UNSEEN)
-        if not flat and isinstance(then, Mapping) and isinstance(current, Mapping):
-            yield from changes(then, current, prefix=f"{prefix}{key}.")
-        elif then != current or type(then) is not type(current) and bool in (type(then), type(current)):
+        if not flat and isinstance(then, dict) and isinstance(current, dict):
+            inner = cast(dict[str, Any], then), cast(dict[str, Any], current)
+            yield from changes(*inner, prefix=f"{prefix}{key}.")
+        elif then != current or isinstance(then, bool) is not isinstance(current, bool):
             yield f"{prefix}{key}", then, current
 
 

@@ -64,8 +64,8 @@ class Gate:
     table: StageTable
     store: RunStore
     loaded: LoadedConfig
-    options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    _known: dict[str, StageState] = field(default_factory=dict)
+    options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict[str, Mapping[str, Any]])
+    _known: dict[str, StageState] = field(default_factory=dict[str, StageState])
 
     def state(self, name: str) -> StageState:
         """Return the state of a stage (judged once, then remembered)."""
@@ -79,7 +79,9 @@ class Gate:
 
     def closed_by(self, name: str) -> list[StageState]:
         """Return the directly required stages that keep the gate of `name` closed; empty if it is open."""
-        return [state for required in self.table[name].requires if (state := self.state(required)).state != "pass"]
+        return [
+            state for required in self.table[name].requires if (state := self.state(required)).state != "pass"
+        ]
 
     def root_cause(self, name: str) -> StageState | None:
         """Return the first stage above `name` that does not pass although everything above it does."""
@@ -112,10 +114,7 @@ class Gate:
         entry = self.table[name]
         typed = self.options.get(name)
         options = dict(typed if typed is not None else verdict.options if verdict is not None else {})
-        overrides = [
-            Override(path, value, f"{name} option for {path}")
-            for path, value in entry.overrides(options).items()
-        ]
+        overrides = [Override(path, value, text) for path, value, text in entry.overrides(options)]
         return options, self.loaded.with_overrides(overrides)
 
     def fingerprint(self, name: str, verdict: Verdict | None = None) -> Fingerprint:
@@ -160,7 +159,9 @@ class Gate:
         reasons += verdict.fingerprint.differences(now)
         if verdict.acceptance_profile != self.loaded.config.acceptance:
             reasons.append(f"acceptance of the profile was {verdict.acceptance_profile}, is not now")
-        waived = {k: v for waiver in verdict.waivers if waiver.stage == name for k, v in waiver.blocking.items()}
+        waived = {
+            k: v for waiver in verdict.waivers if waiver.stage == name for k, v in waiver.blocking.items()
+        }
         for upstream in self.closed_by(name):
             if waived.get(upstream.name) != upstream.state:
                 reasons.append(f"upstream stage {upstream.name} is {upstream.state}")

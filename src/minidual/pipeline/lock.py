@@ -6,7 +6,7 @@ import fcntl
 import json
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -17,7 +17,7 @@ LOCK_FILE = ".lock"
 
 
 @contextmanager
-def run_lock(folder: Path, command: str) -> Iterator[None]:
+def run_lock(folder: Path, command: str) -> Generator[None]:
     """Hold the lock of a run folder; UsageError names the process that has it."""
     folder.mkdir(parents=True, exist_ok=True)
     descriptor = os.open(folder / LOCK_FILE, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import errno
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from minidual.errors import EnvironmentMissingError, ExitCode, MinidualError
+from minidual.errors import ExitCode, MinidualError
 from minidual.pipeline.canonical import canonical
 from minidual.pipeline.check import Check
 from minidual.pipeline.clock import now_text
+from minidual.pipeline.disk import disk_errors
 from minidual.pipeline.gate import Gate, StageState
 from minidual.pipeline.manifest import build_manifest
 from minidual.pipeline.progress import Progress, SilentProgress
-from minidual.pipeline.stage import StageContext, StageResult
+from minidual.pipeline.stage import StageContext
 from minidual.pipeline.store import RunStore
-from minidual.pipeline.table import StageTable
+from minidual.pipeline.table import StageEntry, StageTable
 from minidual.pipeline.verdict import Verdict, Waiver
 
 if TYPE_CHECKING:
@@ -81,6 +80,7 @@ class Runner:
         """Run one stage; a fresh passing one is returned as it is unless `force`.
 
         Args:
+            name: the stage.
             options: command-line options typed for this stage.
             force: run even if passing and fresh. Never opens a gate.
             waiver: reason that opens a closed gate; it is written into the verdict and all below it.
@@ -91,7 +91,7 @@ class Runner:
             UsageError: another process writes in this run.
             StageCrashedError: the stage raised an unforeseen exception.
         """
-        with self.store.writing(self.command(name)):
+        with disk_errors(self.store.folder), self.store.writing(self.command(name)):
             gate = Gate(self.table, self.store, self.loaded, {name: dict(options or {})})
             return self._run_locked(gate, name, force, waiver)
 
@@ -104,7 +104,8 @@ class Runner:
         from the first stage to the last.
         """
         names = self.table.names if last is None else (*self.table.upstream(last), last)
-        with self.store.writing(self.command("run" if last is None else f"run --until {last}")):
+        command = "run" if last is None else f"run --until {last}"
+        with disk_errors(self.store.folder), self.store.writing(self.command(command)):
             gate = Gate(self.table, self.store, self.loaded)
             for name in names:
                 # A finished stage that stands keeps the options it was typed with; one that must run again
@@ -148,8 +149,7 @@ class Runner:
         options, loaded = gate.effective(name, None)
         fingerprint = gate.fingerprint(name)
         upstream = {up: gate.state(up) for up in self.table.upstream(name)}
-        with self._disk_errors():
-            folder = self.store.begin(name, loaded.to_yaml())
+        folder = self.store.begin(name, loaded.to_yaml())
         context = StageContext(
             folder=folder,
             config=loaded.config,
@@ -164,13 +164,13 @@ class Runner:
         )
         started_at, started = now_text(), time.monotonic()
         try:
-            with self._disk_errors():
+            with disk_errors(self.store.folder):
                 result = stage.run(context)
                 verdict = Verdict(
                     stage=name,
                     run=self.store.run,
                     fingerprint=fingerprint,
-                    checks=(*result.checks, *_closing_checks(entry.closing, waivers)),
+                    checks=(*result.checks, *_closing_checks(entry, result.checks, waivers)),
                     artefacts=build_manifest(folder, result.artefacts),
                     acceptance_profile=loaded.config.acceptance,
                     started_at=started_at,
@@ -201,12 +201,10 @@ class Runner:
         self.store.abandon(name, "error", text)
         return StageCrashedError(text, remedy="this is a defect in minidual, please report it with that file")
 
-    def _disk_errors(self) -> _DiskErrors:
-        return _DiskErrors(self.store.folder)
 
-
-def _closing_checks(closing: bool, waivers: tuple[Waiver, ...]) -> list[Check]:
-    if not closing:
+def _closing_checks(entry: StageEntry, checks: Sequence[Check], waivers: tuple[Waiver, ...]) -> list[Check]:
+    """Return the check on waivers for a closing stage; it is no evidence of its own, so only beside others."""
+    if not entry.closing or not any(check.limited for check in checks):
         return []
     stages = ", ".join(waiver.stage for waiver in waivers)
     return [
@@ -219,28 +217,3 @@ def _closing_checks(closing: bool, waivers: tuple[Waiver, ...]) -> list[Check]:
             remedy=f"run {stages} without --waive-gate" if waivers else "",
         )
     ]
-
-
-@dataclass
-class _DiskErrors:
-    """Turns a full or read-only disk into a message; other errors pass."""
-
-    folder: Path
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
-        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
-            raise EnvironmentMissingError(
-                f"no space left on the disk of {self.folder} (writing {error.filename or 'an artefact'})",
-                remedy="free some space, or point --runs-dir or MINIDUAL_RUNS at another disk, and run again",
-            ) from error
-        if isinstance(error, OSError) and error.errno in (errno.EROFS, errno.EACCES, errno.EPERM):
-            raise EnvironmentMissingError(
-                f"cannot write {error.filename or self.folder}: {error.strerror}",
-                remedy="point --runs-dir or MINIDUAL_RUNS at a folder you may write",
-            ) from error
-
-
-__all__ = ["EXIT_OF_STATUS", "Outcome", "Runner", "StageCrashedError", "StageResult"]

@@ -64,11 +64,11 @@ class StageContext:
     config: Config
     seed: int
     profile: str
-    upstream: Mapping[str, Path] = field(default_factory=dict)
-    verdicts: Mapping[str, Verdict] = field(default_factory=dict)
+    upstream: Mapping[str, Path] = field(default_factory=dict[str, Path])
+    verdicts: Mapping[str, Verdict] = field(default_factory=lambda: dict[str, "Verdict"]())
     waivers: tuple[Waiver, ...] = ()
     progress: Progress = field(default_factory=SilentProgress)
-    options: Mapping[str, Any] = field(default_factory=dict)
+    options: Mapping[str, Any] = field(default_factory=dict[str, Any])
     workers: int = 1
 
 
@@ -85,7 +85,7 @@ class StageResult:
 
     checks: Sequence[Check]
     artefacts: Sequence[str] | None = None
-    data: Mapping[str, Any] = field(default_factory=dict)
+    data: Mapping[str, Any] = field(default_factory=dict[str, Any])
     notes: Sequence[str] = ()
 
 

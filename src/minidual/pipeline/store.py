@@ -1,10 +1,10 @@
 """Run folders on disk: finished stages, the one under way, and what a crash leaves behind.
 
-    runs/<run>/config.yaml           the configuration of the latest command
-    runs/<run>/<stage>/              a finished stage: artefacts, config.yaml and verdict.json
-    runs/<run>/.<stage>.tmp/         a stage under way, or what is left of one that did not finish
-    runs/<run>/.<stage>.old/         the previous result during the instant of its replacement
-    runs/<run>/crash-*.txt           tracebacks
+runs/<run>/config.yaml           the configuration of the latest command
+runs/<run>/<stage>/              a finished stage: artefacts, config.yaml and verdict.json
+runs/<run>/.<stage>.tmp/         a stage under way, or what is left of one that did not finish
+runs/<run>/.<stage>.old/         the previous result during the instant of its replacement
+runs/<run>/crash-*.txt           tracebacks
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import os
 import re
 import shutil
 import traceback
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -105,7 +105,7 @@ class RunStore:
         return lock_holder_text(self.folder) if lock_is_held(self.folder) else None
 
     @contextmanager
-    def writing(self, command: str) -> Iterator[None]:
+    def writing(self, command: str) -> Generator[None]:
         """Hold the run's lock; mends a replacement that was cut short."""
         with run_lock(self.folder, command):
             for old in self.folder.glob(".*.old"):

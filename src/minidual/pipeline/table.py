@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -68,12 +68,16 @@ class StageEntry:
             )
         return stage
 
-    def overrides(self, options: dict[str, Any]) -> dict[str, Any]:
-        """Return {dotted configuration path: value} for those `options` that stand for configuration."""
-        paths = {option.name: option.path for option in self.options}
-        return {path: value for name, value in options.items() if (path := paths.get(name)) is not None}
+    def overrides(self, options: Mapping[str, Any]) -> list[tuple[str, Any, str]]:
+        """Return (dotted path, value, text as typed) for those `options` that stand for configuration."""
+        known = {option.name: option for option in self.options}
+        return [
+            (path, known[name].value(value), f"--{name} {value}")
+            for name, value in options.items()
+            if name in known and (path := known[name].path) is not None
+        ]
 
-    def extras(self, options: dict[str, Any]) -> dict[str, Any]:
+    def extras(self, options: Mapping[str, Any]) -> dict[str, Any]:
         """Return those `options` that are no configuration."""
         paths = {option.name: option.path for option in self.options}
         return {name: value for name, value in options.items() if paths.get(name) is None}

@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 from minidual.errors import DataError
 from minidual.pipeline.canonical import canonical, digest, dumps, parse_json
@@ -148,7 +148,9 @@ class Verdict:
             raise DataError(f"malformed verdict ({type(error).__name__}: {error})") from error
         for key in ("status", "acceptance", "profile"):
             if record.get(key) != getattr(verdict, key):
-                raise DataError(f"it says {key} {record.get(key)!r}, its content says {getattr(verdict, key)!r}")
+                raise DataError(
+                    f"it says {key} {record.get(key)!r}, its content says {getattr(verdict, key)!r}"
+                )
         return verdict
 
 
@@ -159,6 +161,6 @@ def read_verdict(path: Path) -> tuple[Verdict, str]:
     if not isinstance(record, dict):
         raise DataError(f"{path} is corrupt: not a JSON object")
     try:
-        return Verdict.from_json(record), hashlib.sha256(content).hexdigest()
+        return Verdict.from_json(cast(dict[str, Any], record)), hashlib.sha256(content).hexdigest()
     except DataError as error:
         raise DataError(f"{path} is corrupt: {error.message}") from error

@@ -1,0 +1,164 @@
+"""The command line: parse, call one stage, print. No logic, and no heavy import before a command runs."""
+
+from __future__ import annotations
+
+import inspect
+import signal
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import FrameType
+from typing import Annotated, Any
+
+import typer
+
+import minidual
+from minidual.cli.commands import Body, config_body, explain_body, run_body, stage_body, status_body
+from minidual.cli.session import Session, Typed
+from minidual.errors import ExitCode, unknown_name
+from minidual.pipeline.table import StageOption, StageTable
+
+_COMMON: dict[str, tuple[Any, Any]] = {
+    "profile": (
+        Annotated[str, typer.Option(help="smoke, standard, gpu, or a profile file ending in .yaml.")],
+        "standard",
+    ),
+    "settings": (
+        Annotated[
+            list[str] | None,
+            typer.Option(
+                "--set", metavar="KEY=VALUE", help="Override a configuration value, e.g. plan.queries_n=30."
+            ),
+        ],
+        None,
+    ),
+    "run": (Annotated[str | None, typer.Option(help="Name of the run (default: the profile's name).")], None),
+    "runs_dir": (
+        Annotated[Path | None, typer.Option(help="Folder of all runs (default: $MINIDUAL_RUNS or ./runs).")],
+        None,
+    ),
+    "seed": (Annotated[int | None, typer.Option(help="The one seed of the run.")], None),
+    "workers": (
+        Annotated[int | None, typer.Option(help="Processes to use; results do not depend on it.")],
+        None,
+    ),
+    "json": (Annotated[bool, typer.Option("--json", help="Print one JSON document to stdout.")], False),
+    "debug": (Annotated[bool, typer.Option("--debug", help="Show tracebacks.")], False),
+}
+_FORCE = (Annotated[bool, typer.Option("--force", help="Run even if fresh. Never opens a gate.")], False)
+_WAIVE = (
+    Annotated[
+        str | None,
+        typer.Option(
+            metavar="REASON", help="Open a closed gate; written down, taints everything downstream."
+        ),
+    ],
+    None,
+)
+_RUNNING: dict[str, tuple[Any, Any]] = {"force": _FORCE, "waive_gate": _WAIVE}
+
+
+def _add(
+    app: typer.Typer,
+    table: StageTable,
+    name: str,
+    summary: str,
+    own: Mapping[str, tuple[Any, Any]],
+    body: Body,
+) -> None:
+    """Add a command whose options are `own` and the common ones ({name: (annotation, default)})."""
+    options = {**own, **_COMMON}
+
+    def command(**values: Any) -> None:
+        common = {key: values[key] for key in _COMMON}
+        common["settings"] = tuple(common["settings"] or ())
+        session = Session(Typed(**common), table)
+        raise typer.Exit(session.end(lambda s: body(s, {key: values[key] for key in own})))
+
+    command.__doc__ = summary
+    command.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+        [
+            inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+            for key, (annotation, default) in options.items()
+        ]
+    )
+    command.__annotations__ = {key: annotation for key, (annotation, _) in options.items()}
+    app.command(name, help=summary)(command)
+
+
+def _stage_option(option: StageOption) -> tuple[Any, Any]:
+    return Annotated[option.kind | None, typer.Option(f"--{option.name}", help=option.help)], None
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        print(f"minidual {minidual.__version__}")
+        raise typer.Exit
+
+
+def build_app(table: StageTable) -> typer.Typer:
+    """Return the command line for a table of stages."""
+    app = typer.Typer(
+        name="minidual",
+        help="From an empty folder to a measured dual-arm robot system. Each command is a stage behind a gate.",
+        no_args_is_help=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+    )
+
+    @app.callback()
+    def root(  # pyright: ignore[reportUnusedFunction] - registered by the decorator
+        version: Annotated[bool, typer.Option("--version", callback=_show_version, is_eager=True)] = False,
+    ) -> None:
+        del version
+
+    for entry in table:
+        own = {option.name: _stage_option(option) for option in entry.options}
+        _add(app, table, entry.name, f"{entry.summary}.", {**own, **_RUNNING}, stage_body(entry))
+    until = (Annotated[str | None, typer.Option(metavar="STAGE", help="Last stage to run.")], None)
+    _add(
+        app, table, "run", "Run every stage that is not passing and fresh, in order.",
+        {"until": until, **_RUNNING}, run_body,
+    )  # fmt: skip
+    _add(app, table, "status", "Show where every stage of the run stands.", {}, status_body)
+    stage = (Annotated[str, typer.Argument(help="Name of a stage.")], inspect.Parameter.empty)
+    _add(
+        app, table, "explain", "Explain one stage: checks, margins, remedies, staleness, requirements.",
+        {"stage": stage}, explain_body,
+    )  # fmt: skip
+    config = typer.Typer(help="The resolved configuration.", no_args_is_help=True, rich_markup_mode=None)
+    _add(config, table, "show", "Print the resolved configuration as YAML.", {}, config_body)
+    app.add_typer(config, name="config")
+    return app
+
+
+def run_command_line(arguments: Sequence[str], table: StageTable) -> int:
+    """Run one command and return its exit code (see minidual.errors.ExitCode)."""
+    app = build_app(table)
+    commands = {command.name or "" for command in app.registered_commands} | {"config"}
+    if arguments and not arguments[0].startswith("-") and arguments[0] not in commands:
+        error = unknown_name("command", arguments[0], commands)
+        print(f"minidual: {error}", file=sys.stderr)
+        return int(error.exit_code)
+    try:
+        app(list(arguments), prog_name="minidual")
+    except SystemExit as stop:
+        return stop.code if isinstance(stop.code, int) else int(ExitCode.PASS)
+    except KeyboardInterrupt:
+        print("minidual: interrupted", file=sys.stderr)
+        return int(ExitCode.INTERRUPTED)
+    return int(ExitCode.PASS)
+
+
+def _on_termination(number: int, frame: FrameType | None) -> None:
+    """A polite request to end (SIGTERM) is the same as Ctrl-C: mark, tidy, exit 130."""
+    raise KeyboardInterrupt
+
+
+def main() -> None:
+    """Entry point of the `minidual` command."""
+    from minidual.stages.registry import STAGES
+
+    signal.signal(signal.SIGTERM, _on_termination)
+    sys.exit(run_command_line(sys.argv[1:], STAGES))

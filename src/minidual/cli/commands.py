@@ -1,0 +1,165 @@
+"""What each command does, given what was typed: ask the pipeline, print the answer, return an exit code."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from minidual.cli.session import Session
+from minidual.errors import ExitCode
+
+if TYPE_CHECKING:
+    from minidual.pipeline.gate import StageState
+    from minidual.pipeline.runner import Outcome
+    from minidual.pipeline.table import StageEntry
+
+Body = Callable[[Session, Mapping[str, Any]], ExitCode]
+"""A command's work: the session and the values of its own options in, an exit code out."""
+
+
+def stage_body(entry: StageEntry) -> Body:
+    """Return the body of the command that runs `entry`."""
+
+    def body(session: Session, values: Mapping[str, Any]) -> ExitCode:
+        from minidual.cli.tables import print_outcome
+
+        options = {o.name: values[o.name] for o in entry.options if values[o.name] is not None}
+        outcome = session.runner().run(
+            entry.name, options, force=values["force"], waiver=values["waive_gate"]
+        )
+        following = session.following()
+        print_outcome(session.people, outcome, following)
+        if session.typed.json:
+            session.print_json({**_outcome_json(outcome), "next": following})
+        else:
+            print(session.store.verdict_path(entry.name))
+        return outcome.exit_code
+
+    return body
+
+
+def _outcome_json(outcome: Outcome) -> dict[str, Any]:
+    state = outcome.state
+    return {
+        "stage": state.name,
+        "state": state.state,
+        "ran": outcome.ran,
+        "folder": state.folder,
+        "warnings": state.warnings,
+        "verdict": outcome.verdict.to_json(),
+    }
+
+
+def run_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
+    """Run all stages that need it, up to the one named."""
+    from minidual.cli.tables import print_outcome, print_status
+
+    until = values["until"]
+    if until is not None:
+        session.table[until]  # an unknown stage is refused before anything runs
+    outcomes: list[Outcome] = []
+    for outcome in session.runner().run_until(until, force=values["force"], waiver=values["waive_gate"]):
+        outcomes.append(outcome)
+        if outcome.ran:
+            print_outcome(session.people, outcome, "")
+        else:
+            session.people.print(f"{outcome.state.name}: pass, fresh")
+    code = next((o.exit_code for o in outcomes if o.exit_code != ExitCode.PASS), ExitCode.PASS)
+    gate = session.gate()
+    states = [gate.state(name) for name in session.table.names]
+    print_status(session.people, states, f"run {session.store.run}", session.following(gate))
+    if session.typed.json:
+        session.print_json(
+            {"run": session.store.run, "exit_code": int(code), "stages": [_outcome_json(o) for o in outcomes]}
+        )
+    else:
+        for outcome in outcomes:
+            print(session.store.verdict_path(outcome.state.name))
+    return code
+
+
+def status_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
+    """Show the state of every stage."""
+    from minidual.cli.tables import print_status
+
+    gate = session.gate()
+    states = [gate.state(name) for name in session.table.names]
+    writer = session.store.writer()
+    if session.typed.json:
+        session.print_json(
+            {
+                "run": session.store.run,
+                "folder": session.store.folder,
+                "profile": session.loaded.profile,
+                "writer": writer,
+                "stages": [_state_json(state) for state in states],
+                "next": session.following(gate),
+            }
+        )
+    else:
+        title = f"run {session.store.run} (profile {session.loaded.profile}, {session.store.folder})"
+        print_status(session.data, states, title, session.following(gate))
+        if writer is not None:
+            session.people.print(f"being written by {writer}")
+    return ExitCode.PASS
+
+
+def _state_json(state: StageState) -> dict[str, Any]:
+    verdict = state.verdict
+    return {
+        "name": state.name,
+        "state": state.state,
+        "reasons": state.reasons,
+        "warnings": state.warnings,
+        "status": verdict.status if verdict else None,
+        "acceptance": verdict.acceptance if verdict else False,
+        "failed": [check.to_json() for check in verdict.failed_checks()] if verdict else [],
+        "waivers": [waiver.reason for waiver in verdict.waivers] if verdict else [],
+    }
+
+
+def explain_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
+    """Explain one stage."""
+    from minidual.cli.tables import print_explanation
+
+    entry = session.table[values["stage"]]
+    gate = session.gate()
+    state = gate.state(entry.name)
+    upstream = [gate.state(name) for name in entry.requires]
+    if session.typed.json:
+        session.print_json(
+            {
+                **_state_json(state),
+                "summary": entry.summary,
+                "requires": {item.name: item.state for item in upstream},
+                "folder": state.folder,
+                "verdict": state.verdict.to_json() if state.verdict else None,
+            }
+        )
+        return ExitCode.PASS
+    if gate.closed_by(entry.name):
+        error = gate.closed_error(entry.name, session.typed.command)
+        following = f"{error.message}\nnext: {error.remedy}"
+    elif state.state == "pass":
+        following = f"to run it again: {session.typed.command(f'{entry.name} --force')}"
+    else:
+        following = f"next: {session.typed.command(entry.name)}"
+    print_explanation(session.data, entry, state, upstream, following)
+    return ExitCode.PASS
+
+
+def config_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
+    """Print the resolved configuration."""
+    loaded = session.loaded
+    if session.typed.json:
+        session.print_json(
+            {
+                "profile": loaded.profile,
+                "sources": list(loaded.sources),
+                "overrides": [item.text for item in loaded.overrides],
+                "config": loaded.config,
+            }
+        )
+    else:
+        print(loaded.to_yaml(), end="")
+    return ExitCode.PASS
