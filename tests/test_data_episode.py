@@ -132,22 +132,25 @@ def test_an_action_that_is_the_measured_position_is_named_and_not_written(tmp_pa
 
 def test_an_exception_or_a_missing_commit_leaves_nothing(tmp_path: Path) -> None:
     data = data_samples.arrays(8)
-    with (
-        pytest.raises(KeyboardInterrupt),
-        EpisodeWriter(tmp_path / "e.hdf5", META, image_buffer_bytes=1) as writer,
-    ):
-        writer.append(**data_samples.tick(data, 0))
-        assert list(tmp_path.iterdir()) != []  # the spilled temporary file
-        raise KeyboardInterrupt
+    writer = EpisodeWriter(tmp_path / "e.hdf5", META, image_buffer_bytes=1)
+
+    def record() -> None:
+        with writer:
+            writer.append(**data_samples.tick(data, 0))
+            assert list(tmp_path.iterdir()) != []  # the spilled temporary file
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        record()
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(DataError, match="closed"):
         writer.append(**data_samples.tick(data, 1))
 
 
 def test_an_episode_of_one_tick_is_refused(tmp_path: Path) -> None:
+    data = data_samples.arrays(5)
+    data["timestamps"] = data["timestamps"][:1]
     with pytest.raises(DataError, match="too_short"):
-        data = data_samples.arrays(5)
-        data["timestamps"] = data["timestamps"][:1]
         data_samples.write(tmp_path / "e.hdf5", data)
     assert list(tmp_path.iterdir()) == []
 

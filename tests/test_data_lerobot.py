@@ -106,7 +106,7 @@ def test_pictures_can_be_scaled_and_chosen_while_decoding(made: tuple) -> None:
     full = read_dataset_to_ram(root, cameras=[HIGH]).images[HIGH].astype(float)
     halved = full.reshape(-1, 48, 2, 64, 2, 3).mean(axis=(2, 4))
     assert np.abs(halved - small[HIGH]).mean() < 2.0
-    with pytest.raises(UsageError, match="no camera 'observation.images.cam_top'"):
+    with pytest.raises(UsageError, match=r"no camera 'observation.images.cam_top'"):
         read_dataset_to_ram(root, cameras=["observation.images.cam_top"])
 
 

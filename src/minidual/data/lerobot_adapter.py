@@ -30,12 +30,13 @@ from minidual.data import durable, schema
 from minidual.data.episode import Episode, read_episode, read_meta
 from minidual.data.lerobot_reader import ACTION, IMAGE_PREFIX, STATE, RamDataset, read_dataset_to_ram
 from minidual.errors import DataError, UsageError
+from minidual.robot.constants import JOINT_NAMES
 
 STATE_N = schema.JOINTS_N + schema.GRIPPERS_N
 
 #: Names of the 16 values of state and action, in order.
 STATE_NAMES: tuple[str, ...] = (
-    *(f"{arm}_panda_joint{joint}" for arm in ("left", "right") for joint in range(1, 8)),
+    *JOINT_NAMES,
     "left_gripper",
     "right_gripper",
 )
@@ -135,7 +136,7 @@ def convert(
             f"{out_dir} exists already", remedy="remove it, choose another folder, or overwrite it"
         )
     layout = _common_layout(sources, cameras, fps)
-    out_dir.parent.mkdir(parents=True, exist_ok=True)
+    durable.make_folder(out_dir.parent)
     partial = durable.partial_path(out_dir)
     durable.remove(partial)
     durable.remove_stale(out_dir)

@@ -183,9 +183,11 @@ def trial_metrics(
         DataError: logs of wrong shape or with values that are not finite.
     """
     positions = np.asarray(tcp_positions, dtype=float)
-    if positions.ndim != 3 or positions.shape[1:] != (2, 3):
-        raise DataError(f"tool centres have shape {positions.shape}; they must be (T, 2, 3)")
-    for name, log in (("q", q), ("tau", tau), ("tcp_positions", positions)):
+    for name, log, row in (("q", q, (14,)), ("tau", tau, (14,)), ("tcp_positions", positions, (2, 3))):
+        if log.shape != (len(q), *row):
+            raise DataError(
+                f"the log of {name} of {method}, seed {seed}, has shape {log.shape}; it must be {(len(q), *row)}"
+            )
         if not np.all(np.isfinite(log)):
             raise DataError(f"the log of {name} of {method}, seed {seed}, holds NaN or infinity")
     first = min(outcome.faults, key=lambda fault: fault.at_s) if outcome.faults else None

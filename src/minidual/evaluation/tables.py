@@ -112,8 +112,8 @@ def _with_failures(summary: MethodSummary) -> dict[str, Any]:
 
 def _write(path: Path, text: str) -> Path:
     partial = durable.partial_path(path)
+    durable.make_folder(path.parent)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
         partial.write_text(text, encoding="utf-8")
         durable.publish(partial, path)
     except OSError as error:

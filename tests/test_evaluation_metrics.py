@@ -1,0 +1,212 @@
+"""From logs to metrics to tables; a value that does not exist is words in a file and NaN in memory."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from minidual.data.smoothness import JERK_FILTER
+from minidual.errors import DataError, NothingEvaluatedError, UsageError
+from minidual.evaluation import metrics, tables
+from minidual.evaluation.metrics import TrialMetrics, summarise, trial_metrics
+from minidual.robot.constants import TAU_MAX
+from minidual.tasks.success import Fault, Outcome
+
+
+def outcome(*faults: Fault, **changes: Any) -> Outcome:
+    values = {
+        "success": not faults, "faults": faults, "duration_s": 8.9, "goal_error_m": 0.003, "yaw_error_rad": 0.01,
+        "tilt_max_rad": 0.04, "rise_m": 0.2, "pinch_min_n": 45.0, "internal_force_min_n": 38.0,
+    }  # fmt: skip
+    return Outcome(**{**values, **changes})
+
+
+def logs(duration_s: float = 4.0, rate_hz: float = 1000.0) -> dict[str, Any]:
+    t = np.arange(0.0, duration_s + 1e-9, 1.0 / rate_hz)
+    tau = np.zeros((len(t), 14))
+    tau[len(t) // 2, 11] = -9.0
+    tau[len(t) // 3, 0] = 43.5
+    path = np.zeros((len(t), 2, 3))
+    path[:, 0, 1] = 0.5 * t / t[-1]
+    path[:, 1, 2] = 0.1 * t / t[-1]
+    return {
+        "q": 0.3 * np.sin(2 * np.pi * t[:, None] + np.arange(14)),
+        "tau": tau,
+        "tcp_positions": path,
+        "rate_hz": rate_hz,
+    }
+
+
+def trial(seed: int, *, success: bool = True, method: str = "act", **changes: Any) -> TrialMetrics:
+    base = TrialMetrics(
+        method=method, seed=seed, condition="clean", success=success, failure="" if success else "held",
+        failure_detail="" if success else "left hand pinches 3 N", failed_at_s=math.nan if success else 3.2,
+        duration_s=8.0 + seed if success else math.nan, peak_torque_ratio=0.5 + 0.01 * seed,
+        rms_jerk_rad_s3=20.0 + seed, tilt_max_rad=0.02 if success else 1.5, path_length_m=1.5,
+        internal_force_min_n=30.0, pinch_force_min_n=40.0, goal_error_m=0.004,
+    )  # fmt: skip
+    return replace(base, **changes)
+
+
+def test_a_trials_metrics_come_from_its_logs() -> None:
+    made = trial_metrics("impedance", 4, outcome(), **logs())
+    assert (made.method, made.seed, made.condition, made.success, made.failure) == (
+        "impedance", 4, "clean", True, "",
+    )  # fmt: skip
+    assert made.peak_torque_ratio == pytest.approx(9.0 / 12.0)  # not 43.5 / 87: the ratio counts, per joint
+    assert made.path_length_m == pytest.approx(0.6)
+    expected = np.sqrt(14) * 0.3 * (2 * np.pi) ** 3 / np.sqrt(2)
+    assert made.rms_jerk_rad_s3 == pytest.approx(expected, rel=0.03)
+    assert (made.duration_s, made.tilt_max_rad, made.goal_error_m) == (8.9, 0.04, 0.003)
+    assert math.isnan(made.failed_at_s)
+
+
+def test_the_first_fault_names_a_failure_and_when() -> None:
+    faults = (Fault("arrived", 15.0, "80 mm from the goal"), Fault("held", 4.25, "left hand pinches 3 N"))
+    made = trial_metrics("act", 1, outcome(*faults), **logs())
+    assert (made.success, made.failure, made.failed_at_s) == (False, "held", 4.25)
+    assert made.failure_detail == "left hand pinches 3 N"
+    assert math.isnan(made.duration_s)
+    row = made.to_row()
+    assert row["duration_s"] == "did not succeed"
+    assert trial_metrics("act", 1, outcome(), **logs()).to_row()["failed_at_s"] == "did not fail"
+    stuck = trial_metrics("act", 1, outcome(success=False), **logs())
+    assert (stuck.failure, stuck.failed_at_s) == ("unfinished", 8.9)
+
+
+def test_a_trial_too_short_for_a_jerk_says_so() -> None:
+    made = trial_metrics("act", 1, outcome(Fault("level", 0.2, "tilt")), **logs(0.3))
+    assert math.isnan(made.rms_jerk_rad_s3)
+    assert made.to_row()["rms_jerk_rad_s3"] == "not measured"
+
+
+@pytest.mark.parametrize("name", ["q", "tau", "tcp_positions"])
+def test_broken_logs_are_refused(name: str) -> None:
+    bad = logs()
+    bad[name] = bad[name].copy()
+    bad[name][3] = np.nan
+    with pytest.raises(DataError, match=f"log of {name} of act, seed 1"):
+        trial_metrics("act", 1, outcome(), **bad)
+    for shape in ((4001, 5), (17, *logs()[name].shape[1:])):
+        bad[name] = np.zeros(shape)
+        with pytest.raises(DataError, match="has shape"):
+            trial_metrics("act", 1, outcome(), **bad)
+
+
+def test_torque_ratio_uses_each_joints_own_limit() -> None:
+    tau = np.diag(0.8 * TAU_MAX)
+    tau[7, 7] = -TAU_MAX[7]
+    assert metrics.peak_torque_ratio(tau) == pytest.approx(1.0)
+    with pytest.raises(DataError, match=r"\(0, 14\)"):
+        metrics.peak_torque_ratio(np.zeros((0, 14)))
+
+
+def test_a_summary_says_over_which_trials_it_speaks() -> None:
+    trials = [
+        trial(0),
+        trial(1),
+        trial(2),
+        trial(3, success=False),
+        trial(4, success=False, failure="arrived"),
+    ]
+    row = summarise(trials, np.random.default_rng(0))
+    assert (row.trials_n, row.successes_n, row.success_rate) == (5, 3, 0.6)
+    assert (row.success_low, row.success_high) == pytest.approx((0.2307, 0.8824), abs=1e-4)
+    assert row.duration_median_s == 9.0
+    assert row.duration_low_s <= 9.0 <= row.duration_high_s
+    assert row.torque_ratio_max == pytest.approx(0.54)
+    assert row.jerk_rms_median == 22.0
+    assert row.tilt_max_rad == 1.5  # the dropped object counts
+    assert row.tilt_median_rad == 0.02
+    assert row.failures == (("arrived", 1), ("held", 1))
+    assert row.to_row()["failures"] == "arrived 1; held 1"
+
+
+def test_no_successful_trial_is_said_in_words_and_stays_nan_for_checks() -> None:
+    row = summarise([trial(s, success=False) for s in range(4)], np.random.default_rng(0))
+    assert (row.success_rate, row.success_low) == (0.0, 0.0)
+    assert math.isnan(row.duration_median_s)
+    cells = row.to_row()
+    for name in (
+        "duration_median_s",
+        "duration_low_s",
+        "duration_high_s",
+        "path_length_m",
+        "pinch_force_min_n",
+    ):
+        assert cells[name] == "no successful trial"
+    assert cells["tilt_max_rad"] == 1.5
+    unmeasured = summarise([trial(0, rms_jerk_rad_s3=math.nan)], np.random.default_rng(0))
+    assert math.isnan(unmeasured.jerk_rms_median)
+    assert unmeasured.to_row()["jerk_rms_median"] == "not measured"
+
+
+def test_summaries_refuse_mixtures_doubles_and_nothing() -> None:
+    rng = np.random.default_rng(0)
+    with pytest.raises(NothingEvaluatedError):
+        summarise([], rng)
+    with pytest.raises(UsageError, match="2 methods or conditions"):
+        summarise([trial(0), trial(1, method="moveit")], rng)
+    with pytest.raises(UsageError, match="2 methods or conditions"):
+        summarise([trial(0), trial(1, condition="pushed")], rng)
+    with pytest.raises(UsageError, match="same seed twice"):
+        summarise([trial(0), trial(0)], rng)
+
+
+def test_tables_hold_the_names_of_the_verdict_and_the_definitions(tmp_path: Path) -> None:
+    trials = [
+        trial(s, method=m, success=(s + k) % 3 > 0) for k, m in enumerate(("moveit", "act")) for s in range(6)
+    ]
+    rng = np.random.default_rng(0)
+    rows = [summarise([t for t in trials if t.method == m], rng) for m in ("moveit", "act")]
+    with tables.write_csv(tmp_path / "new" / "methods.csv", rows).open() as file:
+        read = list(csv.DictReader(file))
+    assert [line["method"] for line in read] == ["moveit", "act"]
+    for name in (
+        "success_rate", "success_low", "success_high", "duration_median_s", "torque_ratio_max",
+        "jerk_rms_median", "tilt_max_rad", "path_length_m",
+    ):  # fmt: skip
+        assert float(read[0][name]) == getattr(rows[0], name)
+    with tables.write_csv(tmp_path / "trials.csv", trials).open() as file:
+        assert len(list(csv.DictReader(file))) == 12
+    document = json.loads(tables.write_json(tmp_path / "b.json", rows, trials, {"seed": 3}).read_text())
+    assert document["definitions"]["jerk_filter"] == JERK_FILTER
+    assert document["seed"] == 3
+    assert document["methods"][1]["failures"] == {"held": 2}
+    (paired,) = document["comparisons"]
+    assert (paired["first"], paired["second"], paired["trials_n"]) == ("moveit", "act", 6)
+    assert (paired["only_first_n"], paired["only_second_n"]) == (2, 2)
+    assert len(document["trials"]) == 12
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["b.json", "new", "trials.csv"]
+
+
+def test_comparisons_pair_shared_seeds_of_one_condition_only() -> None:
+    trials = [
+        trial(0), trial(1), trial(2, condition="pushed"),
+        trial(1, method="moveit", success=False), trial(2, method="moveit"),
+    ]  # fmt: skip
+    (paired,) = tables.compare_all(trials)
+    assert (paired["trials_n"], paired["only_first_n"]) == (1, 1)
+
+
+def test_empty_tables_and_nan_extras_are_refused(tmp_path: Path) -> None:
+    rows = [summarise([trial(0)], np.random.default_rng(0))]
+    with pytest.raises(NothingEvaluatedError):
+        tables.write_csv(tmp_path / "a.csv", [])
+    with pytest.raises(NothingEvaluatedError):
+        tables.write_json(tmp_path / "a.json", rows, [])
+    with pytest.raises(DataError):
+        tables.write_json(tmp_path / "a.json", rows, [trial(0)], {"x": math.nan})
+    with pytest.raises(UsageError, match="trials"):
+        tables.write_json(tmp_path / "a.json", rows, [trial(0)], {"trials": 1})
+    (tmp_path / "file").touch()
+    with pytest.raises(UsageError, match="cannot make the folder"):
+        tables.write_csv(tmp_path / "file" / "a.csv", rows)
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]

@@ -1,0 +1,81 @@
+"""Intervals and tests against published values and simulation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from minidual.errors import NothingEvaluatedError, UsageError
+from minidual.evaluation.statistics import bootstrap_median_interval, compare_paired, wilson_interval
+
+
+@pytest.mark.parametrize(
+    ("successes", "n", "low", "high"),
+    [
+        (8, 10, 0.4902, 0.9433),
+        (16, 20, 0.5840, 0.9193),
+        (0, 20, 0.0, 0.1611),
+        (20, 20, 0.8389, 1.0),
+        (81, 263, 0.2553, 0.3662),  # Newcombe, Statistics in Medicine 17 (1998), table I
+        (15, 148, 0.0624, 0.1605),  # the same
+        (1, 29, 0.0061, 0.1718),  # the same
+    ],
+)
+def test_wilson_against_known_values(successes: int, n: int, low: float, high: float) -> None:
+    assert wilson_interval(successes, n) == pytest.approx((low, high), abs=5e-5)
+
+
+@pytest.mark.parametrize("confidence", [0.8, 0.95, 0.99])
+def test_wilson_against_scipy(confidence: float) -> None:
+    for successes, n in ((0, 1), (1, 1), (3, 7), (49, 50), (98, 100)):
+        expected = stats.binomtest(successes, n).proportion_ci(confidence, method="wilson")
+        assert wilson_interval(successes, n, confidence) == pytest.approx(
+            (expected.low, expected.high), abs=1e-9
+        )
+
+
+def test_wilson_refuses_what_has_no_interval() -> None:
+    with pytest.raises(NothingEvaluatedError):
+        wilson_interval(0, 0)
+    for successes, n, confidence in ((5, 4, 0.95), (-1, 4, 0.95), (1, 4, 1.0), (1, 4, float("nan"))):
+        with pytest.raises(UsageError):
+            wilson_interval(successes, n, confidence)
+
+
+def test_the_bootstrap_covers_the_median_as_often_as_it_says() -> None:
+    rng = np.random.default_rng(5)
+    hits = 0
+    for _ in range(200):
+        low, high = bootstrap_median_interval(rng.exponential(1.0, 41), rng, resamples_n=400)
+        hits += low <= np.log(2) <= high
+    assert 0.90 <= hits / 200 <= 0.99
+
+
+def test_the_bootstrap_repeats_with_its_seed_and_refuses_nonsense() -> None:
+    values = np.random.default_rng(0).normal(size=20)
+    first, second = (bootstrap_median_interval(values, np.random.default_rng(1)) for _ in range(2))
+    assert first == second
+    assert first[0] <= np.median(values) <= first[1]
+    assert bootstrap_median_interval([3.0], np.random.default_rng(0)) == (3.0, 3.0)
+    with pytest.raises(NothingEvaluatedError):
+        bootstrap_median_interval([], np.random.default_rng(0))
+    with pytest.raises(UsageError, match="finite"):
+        bootstrap_median_interval([1.0, np.nan], np.random.default_rng(0))
+
+
+def test_paired_comparison_is_mcnemars_exact_test() -> None:
+    first = [True] * 10 + [False] * 2 + [True] * 5 + [False] * 3
+    second = [False] * 10 + [True] * 2 + [True] * 5 + [False] * 3
+    paired = compare_paired(first, second)
+    assert (paired.only_first_n, paired.only_second_n, paired.both_n, paired.neither_n) == (10, 2, 5, 3)
+    assert paired.p_value == pytest.approx(stats.binomtest(10, 12, 0.5).pvalue)
+    assert paired.rate_difference == pytest.approx(8 / 20)
+    assert paired.trials_n == 20
+    assert compare_paired(second, first).p_value == paired.p_value
+    assert compare_paired(first, first).p_value == 1.0
+    assert compare_paired([True, False], [False, True]).p_value == 1.0
+    with pytest.raises(UsageError, match="2 against 1"):
+        compare_paired([True, False], [True])
+    with pytest.raises(NothingEvaluatedError):
+        compare_paired([], [])
