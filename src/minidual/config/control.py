@@ -29,8 +29,8 @@ class EnvCheckConfig(StrictModel):
     agreement_max: float = Field(1e-10, gt=0.0, le=1e-6)
     cost_steps_n: int = Field(2000, ge=100, le=100_000)
     video_fps: int = Field(25, ge=10, le=60)
-    video_width_px: int = Field(640, ge=160, le=1920)
-    video_height_px: int = Field(480, ge=120, le=1080)
+    video_width_px: int = Field(800, ge=160, le=1920)
+    video_height_px: int = Field(600, ge=120, le=1080)
 
 
 class ImpedanceConfig(StrictModel):

@@ -35,7 +35,13 @@ class Camera:
     """
 
     def __init__(
-        self, model: mujoco.MjModel, width_px: int, height_px: int, *, shadows: bool = False, supersample: int = 1
+        self,
+        model: mujoco.MjModel,
+        width_px: int,
+        height_px: int,
+        *,
+        shadows: bool = False,
+        supersample: int = 1,
     ) -> None:
         self._supersample = supersample
         try:
@@ -49,19 +55,39 @@ class Camera:
         self._option.geomgroup[GROUP_COLLISION] = 0
         for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
             self._renderer.scene.flags[flag] = int(shadows)
+        self._model = model
         self._names = [model.camera(i).name for i in range(model.ncam)]
 
     def picture(self, data: mujoco.MjData, camera: str) -> Image:
         """Return the (H, W, 3) uint8 image that `camera` sees."""
-        if camera not in self._names:
-            raise unknown_name("camera", camera, self._names)
-        self._renderer.update_scene(data, camera, scene_option=self._option)
+        self._update(data, camera)
         image = self._renderer.render()
         s = self._supersample
         if s > 1:
             height, width = image.shape[0] // s, image.shape[1] // s
             image = image.reshape(height, s, width, s, 3).mean(axis=(1, 3)).astype(np.uint8)
         return image
+
+    def bodies_seen(self, data: mujoco.MjData, camera: str) -> dict[str, float]:
+        """Return the share of `camera`'s picture (0..1) that each body in it fills."""
+        self._renderer.enable_segmentation_rendering()
+        try:
+            self._update(data, camera)
+            segments = self._renderer.render()
+        finally:
+            self._renderer.disable_segmentation_rendering()
+        geom = int(mujoco.mjtObj.mjOBJ_GEOM)
+        ids, counts = np.unique(segments[..., 0][segments[..., 1] == geom], return_counts=True)
+        seen: dict[str, float] = {}
+        for index, count in zip(ids, counts, strict=True):
+            body = self._model.body(int(self._model.geom_bodyid[index])).name
+            seen[body] = seen.get(body, 0.0) + int(count) / segments[..., 0].size
+        return seen
+
+    def _update(self, data: mujoco.MjData, camera: str) -> None:
+        if camera not in self._names:
+            raise unknown_name("camera", camera, self._names)
+        self._renderer.update_scene(data, camera, scene_option=self._option)
 
     def close(self) -> None:
         """Free the OpenGL context."""
@@ -70,7 +96,9 @@ class Camera:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None
+    ) -> None:
         self.close()
 
 
@@ -87,10 +115,14 @@ def write_video(path: Path, frames: Iterable[Image], *, fps: int) -> int:
         stream = None
         for frame in frames:
             if stream is None:
-                stream = container.add_stream("libx264", rate=Fraction(fps), options={"crf": "24", "preset": "veryfast"})
+                stream = container.add_stream(
+                    "libx264", rate=Fraction(fps), options={"crf": "24", "preset": "veryfast"}
+                )
                 stream.height, stream.width = frame.shape[:2]
                 stream.pix_fmt = "yuv420p"
-            for packet in stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="rgb24")):
+            for packet in stream.encode(
+                av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="rgb24")
+            ):
                 container.mux(packet)
             count += 1
         if stream is not None:
