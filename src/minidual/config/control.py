@@ -48,21 +48,6 @@ class ImpedanceConfig(StrictModel):
     """Finger force; the pads carry the squeeze by friction, so internal_force < 2 mu pinch."""
 
 
-class ImpedanceConfig(StrictModel):
-    """Gains of the object impedance; see docs/carry.md for the law."""
-
-    stiffness_n_per_m: float = Field(500.0, ge=50.0, le=3000.0)
-    stiffness_nm_per_rad: float = Field(20.0, ge=1.0, le=200.0)
-    damping_ratio: float = Field(1.0, ge=0.1, le=3.0)
-    internal_force_n: float = Field(40.0, ge=5.0, le=80.0)
-    """Squeeze along the object; 80 N is the ceiling."""
-    force_gain: float = Field(0.5, ge=0.0, lt=1.0)
-    """Proportional force feedback; at 1 and over the loop limit-cycles."""
-    force_correction_max_n: float = Field(15.0, ge=0.0, le=20.0)
-    pinch_n: float = Field(60.0, gt=20.0, le=70.0)
-    """Finger force; the pads carry the squeeze by friction, so internal_force < 2 mu pinch."""
-
-
 class CarryConfig(StrictModel):
     """How many carries are tried, how fast, and with which gains."""
 
