@@ -12,15 +12,15 @@ from minidual.config.base import StrictModel
 class OperatorConfig(StrictModel):
     """The scripted operator: how long each phase of the rod cycle takes, and how exactly it approaches."""
 
-    approach_s: float = Field(1.6, ge=0.5, le=20.0)
+    approach_s: float = Field(1.8, ge=0.5, le=20.0)
     correct_s: float = Field(0.6, ge=0.1, le=20.0)
     descend_s: float = Field(0.9, ge=0.2, le=20.0)
     close_s: float = Field(0.7, ge=0.4, le=20.0)
     lift_s: float = Field(0.8, ge=0.2, le=20.0)
     carry_s: float = Field(2.0, ge=0.5, le=20.0)
-    lower_s: float = Field(0.9, ge=0.2, le=20.0)
-    open_s: float = Field(0.6, ge=0.3, le=20.0)
-    retreat_s: float = Field(0.6, ge=0.2, le=20.0)
+    lower_s: float = Field(0.8, ge=0.2, le=20.0)
+    open_s: float = Field(0.5, ge=0.3, le=20.0)
+    retreat_s: float = Field(0.5, ge=0.2, le=20.0)
     rest_s: float = Field(0.1, ge=0.02, le=20.0)
     hover_m: float = Field(0.08, gt=0.02, le=0.3)
     """Height over the grasp from which the hands go straight down, and to which they retreat."""
@@ -34,6 +34,8 @@ class MirrorConfig(StrictModel):
 
     start_error_max_rad: float = Field(0.1, gt=0.0, le=0.6)
     """Largest difference of any joint between leader and follower at the start."""
+    calibration_max_rad: float = Field(0.5, gt=0.0, le=3.2)
+    """Largest offset that calibration accepts as a mounting error."""
     workspace_margin_rad: float = Field(0.0, ge=0.0, le=0.3)
     """How far the mirrored targets stay from the joint limits."""
 
@@ -56,6 +58,8 @@ class TeleopConfig(StrictModel):
     episodes_per_min: float = Field(3.0, ge=0.0)
     keep_rejected: bool = True
     """Keep the files of failed attempts under episodes/rejected, with the reason in each."""
+    person_time_limit_s: float = Field(120.0, ge=5.0, le=3600.0)
+    """An episode led by a person ends by then."""
     operator: OperatorConfig = OperatorConfig()
     mirror: MirrorConfig = MirrorConfig()
 

@@ -21,6 +21,11 @@ from minidual.tasks.posture_ik import PostureIK
 from minidual.tasks.rod_carry import RodTrial, grasp_offsets, level_pose
 
 
+_JOINT_COST = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.1])
+"""The last joint turns the hand and nothing else, so it may move freely. With equal costs the elbow would swing to
+spare it, and close to the table, where the forearm is nearly upright, joint 5 would swing three times as fast."""
+
+
 @dataclass(frozen=True)
 class Phase:
     """A stretch of the cycle.
@@ -84,7 +89,7 @@ class ScriptedOperator:
         self.scene = scene
         self.config = OperatorConfig() if config is None else config
         kinematics = Kinematics() if kinematics is None else kinematics
-        self._ik = PostureIK(kinematics, posture=HOME)
+        self._ik = PostureIK(kinematics, posture=HOME, weights=_JOINT_COST)
         self._home_poses = kinematics.tcp_poses(HOME)
         self._grasps = grasp_offsets(scene)
 

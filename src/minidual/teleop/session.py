@@ -1,0 +1,206 @@
+"""One episode of teleoperation: leader -> mirror -> arbiter -> joint control, and what was seen and commanded.
+
+The loop is driven by simulated time: a tick every 1 / rate seconds of the simulation, however fast the machine
+is, so nothing is lost under load and the same trial gives the same episode.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from minidual.config.arbiter import ArbiterConfig
+from minidual.config.teleop import TeleopConfig
+from minidual.control.arbiter import CommandArbiter
+from minidual.control.commands import ArbiterOutput, ArbiterState, JointCommand, Refusal
+from minidual.control.loop import JointLoop
+from minidual.errors import MinidualError, UsageError
+from minidual.robot.constants import Array
+from minidual.robot.kinematics import Kinematics
+from minidual.sim.world import World
+from minidual.tasks.rod_carry import RodTrial
+from minidual.tasks.success import Outcome, RodCarryJudge
+from minidual.teleop.leader import Leader
+from minidual.teleop.mirror import Mirror
+from minidual.teleop.observation import Observation, Observer
+
+SOURCE = "teleop"
+
+
+class HandoverError(MinidualError):
+    """The arbiter did not let the leader drive."""
+
+
+@dataclass(frozen=True)
+class Tick:
+    """What was seen at one tick, and the command that leads to the next.
+
+    Attributes:
+        observation: Joints, openings, pictures.
+        action: (14,) joint targets forwarded by the arbiter [rad].
+        action_gripper: (2,) opening commands forwarded by the arbiter.
+    """
+
+    observation: Observation
+    action: Array
+    action_gripper: Array
+
+
+@dataclass
+class SessionResult:
+    """One episode.
+
+    Attributes:
+        ticks: What was seen and commanded, in order.
+        outcome: What the judge says.
+        latencies_s: Wall-clock time of each tick from reading the leader to the first torque and its physics
+            step [s]; a property of the machine, never stored in an episode.
+        refusals: What the arbiter refused.
+        ended_by: `leader`, `time_limit` or `stopped` (the leader fell silent).
+    """
+
+    ticks: list[Tick]
+    outcome: Outcome
+    latencies_s: Array
+    refusals: list[Refusal] = field(default_factory=list)
+    ended_by: str = "leader"
+
+    @property
+    def reason(self) -> str:
+        """Why the episode is no demonstration, or an empty string."""
+        if self.ended_by == "stopped":
+            return "the leader fell silent"
+        if self.refusals:
+            first = self.refusals[0]
+            return f"the arbiter refused {first.name}: {first.detail}"
+        return self.outcome.reason
+
+
+class TeleopSession:
+    """Runs episodes in one world.
+
+    Args:
+        world: The plant.
+        kinematics: Dynamics for the controller.
+        observer: Reads the world, with or without cameras.
+        config: Rate and mirror.
+        arbiter: Bounds of the arbiter.
+        mirror: Offsets; none by default.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        kinematics: Kinematics,
+        observer: Observer,
+        config: TeleopConfig,
+        arbiter: ArbiterConfig,
+        *,
+        mirror: Mirror | None = None,
+    ) -> None:
+        self.world, self.observer, self.config = world, observer, config
+        self.mirror = Mirror(config.mirror) if mirror is None else mirror
+        self._arbiter_config = arbiter
+        self._loop = JointLoop(world, kinematics)
+        steps = 1.0 / (config.rate_hz * world.dt)
+        self._steps = round(steps)
+        if abs(steps - self._steps) > 1e-6:
+            raise UsageError(
+                f"teleop.rate_hz {config.rate_hz} does not divide the control rate of {1.0 / world.dt:g} Hz",
+                remedy="take a divisor of it, such as 50 or 100",
+            )
+
+    def run(
+        self, trial: RodTrial, leader: Leader, *, on_tick: Callable[[int, Tick], None] | None = None
+    ) -> SessionResult:
+        """Run one episode to its end.
+
+        Args:
+            trial: Where the rod starts and must end.
+            leader: Who leads.
+            on_tick: Called with each tick's number and content once its command has been given, e.g. to film.
+
+        Raises:
+            LeaderOffsetError: The leader does not stand where the follower does.
+            HandoverError: The arbiter would not give the leader its turn.
+        """
+        world = self.world
+        world.reset(rod_xy_yaw=trial.start)
+        self._loop.reset()
+        judge = RodCarryJudge(world.scene, trial)
+        arbiter = CommandArbiter(self._arbiter_config)
+        first = leader.read(0.0)
+        if first is not None:
+            self.mirror.check_start(first[0], world.q)
+        self._hand_over(arbiter, judge)
+        return self._follow(arbiter, judge, leader, on_tick)
+
+    def _hand_over(self, arbiter: CommandArbiter, judge: RodCarryJudge) -> None:
+        """Step the held arms until the arbiter confirms the leader."""
+        arbiter.request(SOURCE)
+        while True:
+            out = arbiter.tick(self.world.time, self.world.q, self.world.v)
+            if out.switched_to == SOURCE:
+                return
+            if out.state == ArbiterState.STOPPED:
+                raise HandoverError(f"the arbiter did not hand over: {out.refusals[-1].detail}")
+            self._move(out, judge)
+
+    def _follow(
+        self,
+        arbiter: CommandArbiter,
+        judge: RodCarryJudge,
+        leader: Leader,
+        on_tick: Callable[[int, Tick], None] | None,
+    ) -> SessionResult:
+        world, period = self.world, 1.0 / self.config.rate_hz
+        limit = round(self._time_limit_s(leader) * self.config.rate_hz)
+        ticks: list[Tick] = []
+        latencies: list[float] = []
+        refusals: list[Refusal] = []
+        ended_by, began = "time_limit", time.monotonic()
+        for k in range(limit):
+            elapsed = k * period
+            if leader.finished(elapsed):
+                ended_by = "leader"
+                break
+            if leader.realtime:
+                time.sleep(max(0.0, began + elapsed - time.monotonic()))
+            observation = self.observer.read()
+            before = time.perf_counter()
+            out = self._ask(arbiter, leader, k, elapsed, observation)
+            tick = Tick(observation, out.q_target, out.gripper)
+            self._loop.step(out.q_target, out.gripper)
+            latencies.append(time.perf_counter() - before)
+            judge.observe(world)
+            refusals.extend(out.refusals)
+            ticks.append(tick)
+            if on_tick is not None:
+                on_tick(k, tick)
+            if out.state == ArbiterState.STOPPED:
+                ended_by = "stopped"
+                break
+            self._move(out, judge, self._steps - 1)
+        return SessionResult(ticks, judge.outcome(world), np.array(latencies), refusals, ended_by)
+
+    def _ask(
+        self, arbiter: CommandArbiter, leader: Leader, k: int, elapsed_s: float, now: Observation
+    ) -> ArbiterOutput:
+        """Let the leader propose, and return what the arbiter forwards."""
+        reading = leader.read(elapsed_s)
+        if reading is not None:
+            command = JointCommand(self.mirror.target(reading[0]), reading[1], now.time_s, k)
+            arbiter.propose(SOURCE, command)
+        return arbiter.tick(now.time_s, now.q, now.v)
+
+    def _move(self, out: ArbiterOutput, judge: RodCarryJudge, steps: int | None = None) -> None:
+        for _ in range(self._steps if steps is None else steps):
+            self._loop.step(out.q_target, out.gripper)
+            judge.observe(self.world)
+
+    def _time_limit_s(self, leader: Leader) -> float:
+        """People need longer than the task's limit allows a method; the judge still says so."""
+        return self.config.person_time_limit_s if leader.realtime else self.world.scene.task.time_limit_s
