@@ -1,0 +1,110 @@
+"""Toy stages for the tests of the gate: fast, obedient, and told what to do from outside.
+
+Run as a program (`python pipeline_toys.py RUNS MARKER`) it runs a stage that says it is ready and then
+sleeps, so that tests can kill, interrupt or lock out a real process.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from minidual.config.loader import LoadedConfig, load_config
+from minidual.pipeline.check import Check
+from minidual.pipeline.gate import Gate
+from minidual.pipeline.runner import Runner
+from minidual.pipeline.stage import StageContext, StageResult
+from minidual.pipeline.store import RunStore
+from minidual.pipeline.table import StageEntry, StageOption, StageTable
+
+KNOB = "plan.queries_n"
+Behaviour = Callable[[StageContext], Sequence[Check] | None]
+
+
+class Toy:
+    """A stage whose observed value and behaviour a test sets between runs."""
+
+    def __init__(self, name: str, requires: tuple[str, ...] = ()) -> None:
+        self.name = name
+        self.requires = requires
+        self.summary = f"Toy stage {name}"
+        self.observed: float = 1.0
+        self.behaviour: Behaviour | None = None
+        self.external: list[Path] = []
+        self.contexts: list[StageContext] = []
+
+    def parameters(self, config: Any) -> dict[str, Any]:
+        return {"plan": {"queries_n": config.plan.queries_n}} if self.name == "first" else {}
+
+    def inputs(self, config: Any) -> list[Path]:
+        return self.external
+
+    def run(self, context: StageContext) -> StageResult:
+        self.contexts.append(context)
+        (context.folder / "out").mkdir()
+        (context.folder / "out" / "numbers.txt").write_text(f"{self.name} {self.observed}\n")
+        checks = self.behaviour(context) if self.behaviour else None
+        if checks is None:
+            checks = [
+                Check("quality", self.observed, ">=", 1.0, "n", why="toys must hold", remedy="hold harder"),
+                Check("size", 3.0, unit="m"),
+            ]
+        return StageResult(checks=checks, data={"observed": self.observed}, notes=["a toy ran"])
+
+
+class Bench:
+    """A run of three toys, first <- second <- third, the last one closing."""
+
+    def __init__(self, root: Path, profile: str = "standard", run: str = "toys") -> None:
+        self.root, self.profile, self.run_name = root, profile, run
+        self.first = Toy("first")
+        self.second = Toy("second", ("first",))
+        self.third = Toy("third", ("second",))
+        options = (
+            StageOption("queries", KNOB, "How many."),
+            StageOption("mood", None, "No configuration.", kind=str),
+        )
+        self.table = StageTable(
+            (
+                StageEntry("first", self.first, (), "Toy one", options),
+                StageEntry("second", self.second, ("first",), "Toy two"),
+                StageEntry("third", self.third, ("second",), "Toy three", closing=True),
+            ),
+            libraries=("numpy", "no-such-library"),
+        )
+        self.store = RunStore(root, run)
+
+    def loaded(self, *overrides: str) -> LoadedConfig:
+        return load_config(self.profile, overrides)
+
+    def runner(self, *overrides: str) -> Runner:
+        return Runner(self.table, self.store, self.loaded(*overrides))
+
+    def gate(self, *overrides: str) -> Gate:
+        return Gate(self.table, self.store, self.loaded(*overrides))
+
+    def states(self, *overrides: str) -> list[str]:
+        gate = self.gate(*overrides)
+        return [gate.state(name).state for name in self.table.names]
+
+    def run_all(self) -> None:
+        for _ in self.runner().run_until():
+            pass
+
+
+def _sleepy(context: StageContext) -> None:
+    Path(sys.argv[2]).write_text("ready")
+    time.sleep(60)
+
+
+if __name__ == "__main__":
+    from minidual.cli import run_command_line
+
+    bench = Bench(Path(sys.argv[1]))
+    bench.first.behaviour = _sleepy
+    sys.exit(
+        run_command_line(["first", "--run", "toys", "--runs-dir", sys.argv[1], *sys.argv[3:]], bench.table)
+    )

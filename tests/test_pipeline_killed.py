@@ -1,0 +1,103 @@
+"""A real process killed, interrupted or locked out in the middle of a stage."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from pipeline_toys import Bench
+
+from minidual.errors import ExitCode, UsageError
+
+TOYS = Path(__file__).with_name("pipeline_toys.py")
+
+
+@pytest.fixture
+def sleeper(tmp_path):
+    """A process in the middle of stage `first` of the run `toys`."""
+    marker = tmp_path / "marker"
+    process = subprocess.Popen(
+        [sys.executable, str(TOYS), str(tmp_path / "runs"), str(marker)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    deadline = time.monotonic() + 30
+    while not marker.exists() and process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert marker.exists(), process.communicate()
+    yield process
+    if process.poll() is None:
+        process.kill()
+    process.communicate()
+
+
+@pytest.fixture
+def bench(tmp_path):
+    return Bench(tmp_path / "runs")
+
+
+def test_running_stage_holds_the_lock_and_names_its_process(bench, sleeper):
+    assert bench.states() == ["incomplete", "blocked", "blocked"]
+    assert "still running" in bench.gate().state("first").why()
+    assert f"process {sleeper.pid}" in (bench.store.writer() or "")
+    with pytest.raises(UsageError, match=rf"being written by process {sleeper.pid} \(minidual first"):
+        bench.runner().run("first")
+
+
+def test_killed_stage_is_incomplete_and_the_rerun_mends_it(bench, sleeper):
+    os.kill(sleeper.pid, signal.SIGKILL)
+    sleeper.wait()
+    assert bench.states() == ["incomplete", "blocked", "blocked"]
+    assert "the process was killed" in bench.gate().state("first").why()
+    assert (bench.store.folder / ".first.tmp").is_dir()
+    assert bench.store.writer() is None, "the lock dies with its process"
+    assert bench.runner().run("first").exit_code == ExitCode.PASS
+    assert bench.states() == ["pass", "missing", "blocked"]
+    assert not (bench.store.folder / ".first.tmp").exists()
+
+
+def test_ctrl_c_exits_130_with_one_line(bench, sleeper):
+    sleeper.send_signal(signal.SIGINT)
+    stdout, stderr = sleeper.communicate(timeout=20)
+    assert sleeper.returncode == ExitCode.INTERRUPTED
+    assert stdout == ""
+    assert [line for line in stderr.splitlines() if line.startswith("minidual: interrupted")]
+    assert "Traceback" not in stderr
+    attempt = json.loads((bench.store.folder / ".first.tmp" / "attempt.json").read_text())
+    assert attempt["state"] == "interrupted"
+    assert bench.states()[0] == "incomplete"
+
+
+def test_lock_is_not_inherited_by_forked_children(bench, tmp_path):
+    """A worker that outlives its killed parent must not keep the run locked."""
+    script = (
+        "import os, sys, time\n"
+        "from pathlib import Path\n"
+        "from minidual.pipeline.lock import run_lock\n"
+        "with run_lock(Path(sys.argv[1]), 'parent'):\n"
+        "    child = os.fork()\n"
+        "    if child == 0:\n"
+        "        time.sleep(60)\n"
+        "    print(child, flush=True)\n"
+        "    time.sleep(60)\n"
+    )
+    parent = subprocess.Popen(
+        [sys.executable, "-c", script, str(bench.store.folder)], stdout=subprocess.PIPE, text=True
+    )
+    assert parent.stdout is not None
+    child = int(parent.stdout.readline())
+    try:
+        assert bench.store.writer() is not None
+        parent.kill()
+        parent.wait()
+        assert bench.store.writer() is None
+    finally:
+        os.kill(child, signal.SIGKILL)
+        parent.stdout.close()
