@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 import yaml
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from minidual.config.document import parse_document, parse_value
@@ -200,6 +200,7 @@ def test_values_typed_on_the_command_line(text, value):
     assert type(parse_value(text, "--set")) is type(value)
 
 
+@settings(deadline=None, max_examples=60)
 @given(st.floats(allow_nan=False, allow_infinity=False) | st.integers(-(10**12), 10**12))
 def test_numbers_survive_the_command_line(value):
     assert parse_override(f"a.b={value!r}").value == value
@@ -211,6 +212,7 @@ words = st.from_regex(r"[a-z][a-z_]{0,8}", fullmatch=True).filter(
 )
 
 
+@settings(deadline=None, max_examples=60)
 @given(st.dictionaries(words, scalars | words | st.lists(scalars, max_size=3), max_size=5))
 def test_what_yaml_dumps_is_read_back(tree):
     """Text such as "inf" is the exception: it is refused, since as a number it would be no number."""

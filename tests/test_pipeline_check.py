@@ -8,7 +8,7 @@ import operator
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from minidual.errors import DataError
@@ -18,6 +18,7 @@ OPERATORS = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operat
 finite = st.floats(allow_nan=False, allow_infinity=False, width=32)
 
 
+@settings(deadline=None, max_examples=60)
 @given(finite, st.sampled_from(sorted(OPERATORS)), finite)
 def test_result_is_the_comparison(observed, op, limit):
     assert Check("x", observed, op, limit).passed is OPERATORS[op](observed, limit)
@@ -58,6 +59,7 @@ def test_margin_is_positive_on_the_good_side(op, observed, margin):
     assert Check("x", observed, op, 1.0).margin == pytest.approx(margin)
 
 
+@settings(deadline=None, max_examples=60)
 @given(finite, st.sampled_from(["<", "<=", ">", ">="]), finite)
 def test_sign_of_the_margin_agrees_with_the_result(observed, op, limit):
     check = Check("x", observed, op, limit)
@@ -99,6 +101,7 @@ def test_limit_is_required_with_an_operator():
         Check("x", 1.0, "<")
 
 
+@settings(deadline=None, max_examples=60)
 @given(st.floats(width=32) | st.booleans() | st.integers(-9, 9), st.sampled_from(sorted(OPERATORS)), finite)
 def test_json_round_trip(observed, op, limit):
     check = Check("x", observed, op, limit, "m", "why", "remedy")
