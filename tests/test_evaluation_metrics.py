@@ -44,12 +44,12 @@ def logs(duration_s: float = 4.0, rate_hz: float = 1000.0) -> dict[str, Any]:
     }
 
 
-def trial(seed: int, *, success: bool = True, method: str = "act", **changes: Any) -> TrialMetrics:
+def trial(index: int, *, success: bool = True, method: str = "act", **changes: Any) -> TrialMetrics:
     base = TrialMetrics(
-        method=method, seed=seed, condition="clean", success=success, failure="" if success else "held",
-        failure_detail="" if success else "left hand pinches 3 N", failed_at_s=math.nan if success else 3.2,
-        duration_s=8.0 + seed if success else math.nan, peak_torque_ratio=0.5 + 0.01 * seed,
-        rms_jerk_rad_s3=20.0 + seed, tilt_max_rad=0.02 if success else 1.5, path_length_m=1.5,
+        method=method, index=index, condition="clean", success=success, failure="" if success else "held",
+        reason="" if success else "left hand pinches 3 N", failed_at_s=math.nan if success else 3.2,
+        duration_s=8.0 + index if success else math.nan, torque_ratio_max=0.5 + 0.01 * index,
+        jerk_rms=20.0 + index, tilt_max_rad=0.02 if success else 1.5, path_length_m=1.5,
         internal_force_min_n=30.0, pinch_force_min_n=40.0, goal_error_m=0.004,
     )  # fmt: skip
     return replace(base, **changes)
@@ -57,13 +57,13 @@ def trial(seed: int, *, success: bool = True, method: str = "act", **changes: An
 
 def test_a_trials_metrics_come_from_its_logs() -> None:
     made = trial_metrics("impedance", 4, outcome(), **logs())
-    assert (made.method, made.seed, made.condition, made.success, made.failure) == (
+    assert (made.method, made.index, made.condition, made.success, made.failure) == (
         "impedance", 4, "clean", True, "",
     )  # fmt: skip
-    assert made.peak_torque_ratio == pytest.approx(9.0 / 12.0)  # not 43.5 / 87: the ratio counts, per joint
-    assert made.path_length_m == pytest.approx(0.6)
+    assert made.torque_ratio_max == pytest.approx(9.0 / 12.0)  # not 43.5 / 87: the ratio counts, per joint
+    assert made.path_length_m == pytest.approx(0.3)
     expected = np.sqrt(14) * 0.3 * (2 * np.pi) ** 3 / np.sqrt(2)
-    assert made.rms_jerk_rad_s3 == pytest.approx(expected, rel=0.03)
+    assert made.jerk_rms == pytest.approx(expected, rel=0.03)
     assert (made.duration_s, made.tilt_max_rad, made.goal_error_m) == (8.9, 0.04, 0.003)
     assert math.isnan(made.failed_at_s)
 
@@ -72,7 +72,7 @@ def test_the_first_fault_names_a_failure_and_when() -> None:
     faults = (Fault("arrived", 15.0, "80 mm from the goal"), Fault("held", 4.25, "left hand pinches 3 N"))
     made = trial_metrics("act", 1, outcome(*faults), **logs())
     assert (made.success, made.failure, made.failed_at_s) == (False, "held", 4.25)
-    assert made.failure_detail == "left hand pinches 3 N"
+    assert made.reason == "left hand pinches 3 N"
     assert math.isnan(made.duration_s)
     row = made.to_row()
     assert row["duration_s"] == "did not succeed"
@@ -83,8 +83,8 @@ def test_the_first_fault_names_a_failure_and_when() -> None:
 
 def test_a_trial_too_short_for_a_jerk_says_so() -> None:
     made = trial_metrics("act", 1, outcome(Fault("level", 0.2, "tilt")), **logs(0.3))
-    assert math.isnan(made.rms_jerk_rad_s3)
-    assert made.to_row()["rms_jerk_rad_s3"] == "not measured"
+    assert math.isnan(made.jerk_rms)
+    assert made.to_row()["jerk_rms"] == "not measured"
 
 
 @pytest.mark.parametrize("name", ["q", "tau", "tcp_positions"])
@@ -92,7 +92,7 @@ def test_broken_logs_are_refused(name: str) -> None:
     bad = logs()
     bad[name] = bad[name].copy()
     bad[name][3] = np.nan
-    with pytest.raises(DataError, match=f"log of {name} of act, seed 1"):
+    with pytest.raises(DataError, match=f"log of {name} of act, trial 1"):
         trial_metrics("act", 1, outcome(), **bad)
     for shape in ((4001, 5), (17, *logs()[name].shape[1:])):
         bad[name] = np.zeros(shape)
@@ -143,7 +143,7 @@ def test_no_successful_trial_is_said_in_words_and_stays_nan_for_checks() -> None
     ):
         assert cells[name] == "no successful trial"
     assert cells["tilt_max_rad"] == 1.5
-    unmeasured = summarise([trial(0, rms_jerk_rad_s3=math.nan)], np.random.default_rng(0))
+    unmeasured = summarise([trial(0, jerk_rms=math.nan)], np.random.default_rng(0))
     assert math.isnan(unmeasured.jerk_rms_median)
     assert unmeasured.to_row()["jerk_rms_median"] == "not measured"
 
@@ -156,7 +156,7 @@ def test_summaries_refuse_mixtures_doubles_and_nothing() -> None:
         summarise([trial(0), trial(1, method="moveit")], rng)
     with pytest.raises(UsageError, match="2 methods or conditions"):
         summarise([trial(0), trial(1, condition="pushed")], rng)
-    with pytest.raises(UsageError, match="same seed twice"):
+    with pytest.raises(UsageError, match="same trial twice"):
         summarise([trial(0), trial(0)], rng)
 
 
@@ -187,7 +187,7 @@ def test_tables_hold_the_names_of_the_verdict_and_the_definitions(tmp_path: Path
     assert sorted(path.name for path in tmp_path.iterdir()) == ["b.json", "new", "trials.csv"]
 
 
-def test_comparisons_pair_shared_seeds_of_one_condition_only() -> None:
+def test_comparisons_pair_shared_trials_of_one_condition_only() -> None:
     trials = [
         trial(0), trial(1), trial(2, condition="pushed"),
         trial(1, method="moveit", success=False), trial(2, method="moveit"),

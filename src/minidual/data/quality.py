@@ -35,7 +35,7 @@ class EpisodeQuality:
         duration_s: First tick to last.
         ticks: Number of ticks.
         rms_jerk_rad_s3: `minidual.data.smoothness.rms_jerk` of the measured joints.
-        path_length_m: Path of the two hands together.
+        path_length_m: Path of a hand, mean of the two.
         path_efficiency: See `path_efficiency`; the mean of both hands.
         cells_n: Cubes of 5 cm that either hand visits.
     """
@@ -188,7 +188,7 @@ def episode_quality(episode: Episode, positions: NDArray[np.floating] | None = N
         duration_s=episode.duration_s,
         ticks=len(episode),
         rms_jerk_rad_s3=rms_jerk(episode.qpos, episode.meta.fps),
-        path_length_m=float(path_length_m(hands).sum()),
+        path_length_m=float(path_length_m(hands).mean()),
         path_efficiency=path_efficiency(hands, episode.action_gripper),
         cells_n=len(cells(hands)),
     )

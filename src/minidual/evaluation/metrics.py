@@ -37,32 +37,32 @@ class TrialMetrics:
 
     Attributes:
         method: Who drove the arms, e.g. ``moveit``, ``impedance``, ``act``.
-        seed: Seed of the trial's randomisation; methods share seeds.
+        index: Number of the trial in its stream; methods share trials.
         condition: What the world did to it, e.g. ``clean``.
         success: The task's one success test.
         failure: Name of the first fault, empty on success.
-        failure_detail: The fault in words, with numbers, empty on success.
+        reason: The fault in words, with numbers, empty on success.
         failed_at_s: When it failed; NaN on success.
         duration_s: Start to released and at rest; NaN without success.
-        peak_torque_ratio: Largest |torque| / limit over joints and time.
-        rms_jerk_rad_s3: Low-passed RMS jerk; NaN if the trial ended before it could be measured.
+        torque_ratio_max: Largest |torque| / limit over joints and time.
+        jerk_rms: Low-passed RMS jerk; NaN if the trial ended before it could be measured.
         tilt_max_rad: Largest tilt of the object.
-        path_length_m: Path of the two hands together.
+        path_length_m: Path of a hand, mean of the two.
         internal_force_min_n: Least squeeze while the object is off the table; NaN where nobody measured it.
         pinch_force_min_n: Least grip force while it is off the table.
         goal_error_m: Distance of the object from its goal at the end.
     """
 
     method: str
-    seed: int
+    index: int
     condition: str
     success: bool
     failure: str
-    failure_detail: str
+    reason: str
     failed_at_s: float
     duration_s: float
-    peak_torque_ratio: float
-    rms_jerk_rad_s3: float
+    torque_ratio_max: float
+    jerk_rms: float
     tilt_max_rad: float
     path_length_m: float
     internal_force_min_n: float
@@ -158,7 +158,7 @@ def jerk_or_nan(q: NDArray[np.floating], rate_hz: float) -> float:
 
 def trial_metrics(
     method: str,
-    seed: int,
+    index: int,
     outcome: Outcome,
     *,
     q: NDArray[np.floating],
@@ -171,7 +171,7 @@ def trial_metrics(
 
     Args:
         method: Who drove the arms.
-        seed: Seed of the trial.
+        index: Number of the trial.
         outcome: The verdict of the task's success test.
         q: (T, 14) measured joints, rad.
         tau: (T, 14) torques, Nm.
@@ -186,10 +186,10 @@ def trial_metrics(
     for name, log, row in (("q", q, (14,)), ("tau", tau, (14,)), ("tcp_positions", positions, (2, 3))):
         if log.shape != (len(q), *row):
             raise DataError(
-                f"the log of {name} of {method}, seed {seed}, has shape {log.shape}; it must be {(len(q), *row)}"
+                f"the log of {name} of {method}, trial {index}, has shape {log.shape}; it must be {(len(q), *row)}"
             )
         if not np.all(np.isfinite(log)):
-            raise DataError(f"the log of {name} of {method}, seed {seed}, holds NaN or infinity")
+            raise DataError(f"the log of {name} of {method}, trial {index}, holds NaN or infinity")
     first = min(outcome.faults, key=lambda fault: fault.at_s) if outcome.faults else None
     if outcome.success:
         failure, detail, failed_at = "", "", math.nan
@@ -199,17 +199,17 @@ def trial_metrics(
         failure, detail, failed_at = first.name, first.detail, first.at_s
     return TrialMetrics(
         method=method,
-        seed=seed,
+        index=index,
         condition=condition,
         success=outcome.success,
         failure=failure,
-        failure_detail=detail,
+        reason=detail,
         failed_at_s=failed_at,
         duration_s=outcome.duration_s if outcome.success else math.nan,
-        peak_torque_ratio=peak_torque_ratio(tau),
-        rms_jerk_rad_s3=jerk_or_nan(q, rate_hz),
+        torque_ratio_max=peak_torque_ratio(tau),
+        jerk_rms=jerk_or_nan(q, rate_hz),
         tilt_max_rad=outcome.tilt_max_rad,
-        path_length_m=float(path_length_m(positions).sum()),
+        path_length_m=float(path_length_m(positions).mean()),
         internal_force_min_n=outcome.internal_force_min_n,
         pinch_force_min_n=outcome.pinch_min_n,
         goal_error_m=outcome.goal_error_m,
@@ -220,20 +220,20 @@ def summarise(trials: Sequence[TrialMetrics], rng: np.random.Generator) -> Metho
     """Return what the trials of one method under one condition say together.
 
     Args:
-        trials: At least one; all of one method and one condition, each seed once.
+        trials: At least one; all of one method and one condition, each trial once.
         rng: Seeded generator of the bootstrap.
 
     Raises:
         NothingEvaluatedError: no trials.
-        UsageError: trials of several methods or conditions, or a seed twice.
+        UsageError: trials of several methods or conditions, or a trial twice.
     """
     if not trials:
         raise NothingEvaluatedError("no trials to summarise")
     labels = {(trial.method, trial.condition) for trial in trials}
     if len(labels) > 1:
         raise UsageError(f"trials of {len(labels)} methods or conditions in one summary: {sorted(labels)}")
-    if len({trial.seed for trial in trials}) != len(trials):
-        raise UsageError(f"method {trials[0].method} ran the same seed twice; a trial would count double")
+    if len({trial.index for trial in trials}) != len(trials):
+        raise UsageError(f"method {trials[0].method} ran the same trial twice; a trial would count double")
     won = [trial for trial in trials if trial.success]
     low, high = wilson_interval(len(won), len(trials))
     durations = [trial.duration_s for trial in won]
@@ -250,8 +250,8 @@ def summarise(trials: Sequence[TrialMetrics], rng: np.random.Generator) -> Metho
         duration_median_s=_median(durations),
         duration_low_s=duration_low,
         duration_high_s=duration_high,
-        torque_ratio_max=max(trial.peak_torque_ratio for trial in trials),
-        jerk_rms_median=_median([t.rms_jerk_rad_s3 for t in trials if math.isfinite(t.rms_jerk_rad_s3)]),
+        torque_ratio_max=max(trial.torque_ratio_max for trial in trials),
+        jerk_rms_median=_median([t.jerk_rms for t in trials if math.isfinite(t.jerk_rms)]),
         tilt_max_rad=max(trial.tilt_max_rad for trial in trials),
         tilt_median_rad=_median([trial.tilt_max_rad for trial in trials]),
         path_length_m=_median([trial.path_length_m for trial in won]),

@@ -1,4 +1,4 @@
-"""Trials and summaries as CSV and JSON files, each whole or absent, with the definitions beside the numbers."""
+"""Methods side by side: summaries, paired tests and trials as CSV and JSON, definitions beside the numbers."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ DEFINITIONS: dict[str, str] = {
     "duration_interval": f"percentile bootstrap of the median, {CONFIDENCE:.0%}",
     "over_successful_trials": "duration, path length, least internal force, least pinch force",
     "over_all_trials": "torque, jerk, tilt, goal error",
-    "paired_test": "McNemar, exact, two-sided, on shared seeds",
+    "paired_test": "McNemar, exact, two-sided, on shared trials",
 }
 
 
@@ -35,7 +35,7 @@ def write_csv(path: Path | str, rows: Sequence[TrialMetrics | MethodSummary]) ->
     writer = csv.DictWriter(text, fieldnames=list(cells[0]), lineterminator="\n")
     writer.writeheader()
     writer.writerows(cells)
-    return _write(Path(path), text.getvalue())
+    return write_text(Path(path), text.getvalue())
 
 
 def write_json(
@@ -72,14 +72,14 @@ def write_json(
         text = json.dumps({**document, **(extra or {})}, indent=1, allow_nan=False)
     except ValueError as error:
         raise DataError(f"{path}: {error}") from error
-    return _write(Path(path), text + "\n")
+    return write_text(Path(path), text + "\n")
 
 
 def compare_all(trials: Sequence[TrialMetrics]) -> list[dict[str, Cell]]:
-    """Return McNemar comparisons of each pair of methods on the seeds they share, condition by condition."""
+    """Return McNemar comparisons of each pair of methods on the trials they share, condition by condition."""
     results: dict[tuple[str, str], dict[int, bool]] = {}
     for trial in trials:
-        results.setdefault((trial.condition, trial.method), {})[trial.seed] = trial.success
+        results.setdefault((trial.condition, trial.method), {})[trial.index] = trial.success
     rows: list[dict[str, Cell]] = []
     keys = list(results)
     for i, (condition, first) in enumerate(keys):
@@ -89,7 +89,7 @@ def compare_all(trials: Sequence[TrialMetrics]) -> list[dict[str, Cell]]:
             one, two = results[condition, first], results[other, second]
             shared = sorted(one.keys() & two.keys())
             if shared:
-                paired = compare_paired([one[seed] for seed in shared], [two[seed] for seed in shared])
+                paired = compare_paired([one[index] for index in shared], [two[index] for index in shared])
                 rows.append({"condition": condition, "first": first, "second": second, **_paired_row(paired)})
     return rows
 
@@ -110,7 +110,8 @@ def _with_failures(summary: MethodSummary) -> dict[str, Any]:
     return {**summary.to_row(), "failures": dict(summary.failures)}
 
 
-def _write(path: Path, text: str) -> Path:
+def write_text(path: Path, text: str) -> Path:
+    """Write a file so that it is whole or absent; raise DataError where the disk refuses."""
     partial = durable.partial_path(path)
     durable.make_folder(path.parent)
     try:
