@@ -11,7 +11,9 @@ class BenchmarkConfig(StrictModel):
     """Which methods are compared, and how often."""
 
     methods: tuple[str, ...] = Field(("moveit", "impedance", "act"), min_length=1)
-    trials_n: int = Field(20, ge=1, le=10000)
+    trials_n: int = Field(30, ge=1, le=10000)
+    success_rate_min: dict[str, float] = {"moveit": 0.8, "impedance": 0.8, "act": 0.5}
+    """Least success rate of a method; a method without an entry is reported without a limit."""
 
 
 class ReportConfig(StrictModel):

@@ -46,6 +46,7 @@ class TrainConfig(StrictModel):
     threads: int = Field(2, ge=1, le=256, description="torch threads while training on the CPU")
 
     # Data
+    cameras: tuple[str, ...] = Field(("high",), description="cameras the policy looks through; empty means all")
     validation_fraction: float = Field(0.08, ge=0.0, le=0.5, description="share of the episodes held out")
     approach_weight: float = Field(3.0, gt=0.0, le=100.0, description="sampling weight of ticks before the grasp")
     state_noise_approach_rad: float = Field(0.06, ge=0.0, le=0.5)
@@ -82,6 +83,6 @@ class DeployConfig(StrictModel):
     device: Literal["cpu", "cuda"] = "cpu"
     trials: int = Field(50, ge=1, le=10_000, description="closed-loop trials on seeds held out from training")
     training_trials: int = Field(20, ge=0, le=10_000, description="trials on training seeds, reported beside them")
-    workers: int = Field(2, ge=1, le=64, description="processes that run trials")
     success_rate_min: float = Field(0.5, ge=0.0, le=1.0)
+    judge_success: bool = Field(True, description="whether the success rate has a limit; smoke only reports it")
     inference_hz_min: float = Field(30.0, gt=0.0)

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from minidual.evaluation.methods import Factory, MethodInputs
+from minidual.robot.kinematics import Kinematics
+from minidual.sim.world import World
+from minidual.tasks.rod_carry import RodTrial
 
 
 def impedance(inputs: MethodInputs) -> Factory:
@@ -25,8 +28,22 @@ def policy(inputs: MethodInputs) -> Factory:
     """Run a trained policy from camera and joints through the command arbiter."""
     from minidual.errors import UsageError
     from minidual.learning.pilot import PolicyPilot, load_runtime
+    from minidual.sim.render import Camera
 
     if inputs.checkpoint is None:
         raise UsageError("method 'act' needs a checkpoint", remedy="minidual train-act")
-    runtime = load_runtime(inputs.checkpoint)
-    return lambda world, kinematics, trial: PolicyPilot(world, kinematics, runtime)
+    config = inputs.config
+    runtime = load_runtime(inputs.checkpoint, config.deploy)
+    cameras: dict[int, Camera] = {}  # one a model, not one a trial: an OpenGL context is slow to make
+
+    def make(world: World, kinematics: Kinematics, trial: RodTrial) -> PolicyPilot:
+        camera = cameras.get(id(world.model))
+        if camera is None:
+            size = config.scene.camera
+            camera = cameras[id(world.model)] = Camera(world.model, size.width_px, size.height_px)
+        return PolicyPilot(
+            world, kinematics, runtime, lambda name: camera.picture(world.data, name),
+            config.arbiter, config.teleop.rate_hz,
+        )  # fmt: skip
+
+    return make

@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from minidual.data.smoothness import rms_jerk
 from minidual.evaluation.methods import Factory, Method, MethodInputs, load_factory, method_spec
+from minidual.evaluation.metrics import TrialMetrics, trial_metrics
 from minidual.robot.constants import TAU_MAX, Array
 from minidual.robot.kinematics import Kinematics
 from minidual.sim.model import build_model
 from minidual.sim.world import World
 from minidual.tasks.rod_carry import RodTrial, tilt_rad
-from minidual.tasks.success import Outcome, RodCarryJudge
+from minidual.tasks.success import RodCarryJudge
 
 LOG_RATE_HZ = 250
+SETTLED_S = 0.5
+"""A trial ends this long after its rod lies finished; methods without an end of their own would go on."""
 
 
 @dataclass
@@ -50,36 +53,35 @@ class TrialLog:
 
 @dataclass(frozen=True)
 class TrialResult:
-    """One trial, judged and measured; a row of the benchmark.
+    """One trial as run: its metrics, and all that failed, not only what failed first.
 
     Attributes:
-        torque_ratio_max: Largest |tau| / limit over joints and time (1.0 is saturation).
-        jerk_rms: RMS jerk [rad/s^3] of the measured joints, see `data.smoothness`.
-        path_length_m: Mean over the two hands of the tool centre point's path.
+        metrics: The row of the tables.
         faults: (name, time [s], detail) of everything that failed.
+        aborted: Why the method stopped itself, or an empty string.
+        lifted: Whether the rod rose clear of the table.
+        wall_s: Wall time of the trial; it differs from run to run and stays out of the tables.
     """
 
-    method: str
-    condition: str
-    index: int
-    success: bool
-    reason: str
+    metrics: TrialMetrics
     faults: tuple[tuple[str, float, str], ...]
-    duration_s: float
-    torque_ratio_max: float
-    jerk_rms: float
-    tilt_max_rad: float
-    path_length_m: float
-    goal_error_m: float
-    pinch_min_n: float
-    internal_force_min_n: float
-    rise_m: float
-    wall_s: float = 0.0
+    aborted: str
+    lifted: bool
+    wall_s: float
 
-    def row(self) -> dict[str, Any]:
-        """Return the trial as one flat row for CSV."""
-        values = {k: v for k, v in self.__dict__.items() if k not in ("faults", "wall_s")}
-        return {k: round(v, 6) if isinstance(v, float) else v for k, v in values.items()}
+    @property
+    def success(self) -> bool:
+        """Whether the task's success test passed."""
+        return self.metrics.success
+
+    @property
+    def text(self) -> str:
+        """Return the outcome as one line for people."""
+        if self.success:
+            return "success"
+        metrics = self.metrics
+        stop = f" (stopped itself: {self.aborted})" if self.aborted else ""
+        return f"{metrics.failure} at {metrics.failed_at_s:.2f} s: {metrics.reason}{stop}"
 
 
 def run_trial(
@@ -92,12 +94,7 @@ def run_trial(
     condition: str = "clean",
     on_step: Callable[[World, Method], None] | None = None,
 ) -> tuple[TrialResult, TrialLog]:
-    """Reset the world, run one trial to its end or its time limit, and judge it.
-
-    A method that ends early is given a short time to let things settle; nothing it does counts afterwards.
-    """
-    import time
-
+    """Reset the world, run one trial to its end or its time limit, and judge it."""
     scene = world.scene
     began = time.perf_counter()
     world.reset(rod_xy_yaw=trial.start)
@@ -107,6 +104,7 @@ def run_trial(
     columns: list[tuple[Any, ...]] = []
     peak = np.zeros(len(TAU_MAX))
     steps = round(scene.task.time_limit_s / world.dt)
+    finished_s = 0.0
     for step in range(steps):
         method.step()
         judge.observe(world)
@@ -115,14 +113,25 @@ def run_trial(
             columns.append(_sample(world, kinematics, method.phase))
         if on_step is not None:
             on_step(world, method)
-        if method.done:
+        finished_s = finished_s + world.dt if judge.finished else 0.0
+        if method.done or finished_s > SETTLED_S:
             break
     log = _collect(columns)
     outcome = judge.outcome(world)
-    result = _result(method_name, condition, trial.index, outcome, log, float(peak.max()))
-    if method.aborted and not result.success:
-        result = replace(result, reason=f"{result.reason} (stopped itself: {method.aborted})")
-    return replace(result, wall_s=time.perf_counter() - began), log
+    metrics = trial_metrics(
+        method_name, trial.index, outcome,
+        q=log.q, tau=log.tau, tcp_positions=log.tcp, rate_hz=LOG_RATE_HZ, condition=condition,
+    )  # fmt: skip
+    result = TrialResult(
+        metrics=replace(
+            metrics, torque_ratio_max=float(peak.max())
+        ),  # of every step, not of the log's 250 Hz
+        faults=tuple((f.name, f.at_s, f.detail) for f in outcome.faults),
+        aborted=method.aborted or "",
+        lifted=outcome.rise_m > scene.task.clear_height_m,
+        wall_s=time.perf_counter() - began,
+    )
+    return result, log
 
 
 def _sample(world: World, kinematics: Kinematics, phase: str) -> tuple[Any, ...]:
@@ -138,29 +147,6 @@ def _sample(world: World, kinematics: Kinematics, phase: str) -> tuple[Any, ...]
 def _collect(columns: list[tuple[Any, ...]]) -> TrialLog:
     *numbers, phases = zip(*columns, strict=True)
     return TrialLog(*(np.array(c) for c in numbers), list(phases))
-
-
-def _result(
-    method: str, condition: str, index: int, outcome: Outcome, log: TrialLog, peak: float
-) -> TrialResult:
-    steps = np.linalg.norm(np.diff(log.tcp, axis=0), axis=2).sum(axis=0)
-    return TrialResult(
-        method=method,
-        condition=condition,
-        index=index,
-        success=outcome.success,
-        reason=outcome.reason,
-        faults=tuple((f.name, f.at_s, f.detail) for f in outcome.faults),
-        duration_s=outcome.duration_s,
-        torque_ratio_max=peak,
-        jerk_rms=rms_jerk(log.q, LOG_RATE_HZ),
-        tilt_max_rad=outcome.tilt_max_rad,
-        path_length_m=float(steps.mean()),
-        goal_error_m=outcome.goal_error_m,
-        pinch_min_n=outcome.pinch_min_n,
-        internal_force_min_n=outcome.internal_force_min_n,
-        rise_m=float(outcome.rise_m),
-    )
 
 
 class Bench:

@@ -2,47 +2,47 @@
 
 from __future__ import annotations
 
-import statistics
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from minidual.data.smoothness import JERK_FILTER
 from minidual.pipeline.check import Check
 from minidual.pipeline.stage import StageContext, StageResult
 
 if TYPE_CHECKING:
     from minidual.config.root import Config
-    from minidual.evaluation.trials import TrialResult
+    from minidual.evaluation.metrics import TrialMetrics
 
 SUCCESS_RATE_MIN = 0.8
 DURATION_MAX_S = 10.0
 
 
 def carry_checks(
-    results: Sequence[TrialResult], *, tilt_limit_rad: float, force_limit_n: float
+    trials: Sequence[TrialMetrics], *, tilt_limit_rad: float, force_limit_n: float, time_limit_s: float
 ) -> list[Check]:
-    """Return the checks of the stage for a list of judged trials; extremes are over all trials, failed ones too."""
-    rate = sum(r.success for r in results) / len(results)
+    """Return the checks of the stage for judged trials; extremes are over all trials, failed ones too."""
     return [
         Check(
-            "success_rate", rate, ">", SUCCESS_RATE_MIN, "",
+            "success_rate", sum(t.success for t in trials) / len(trials), ">", SUCCESS_RATE_MIN, "",
             "share of trials in which both arms carried the rod to its goal and let go",
-            "read trials.csv: `reason` names what failed first; minidual carry --set carry.impedance....",
+            "trials.csv names what failed first; minidual carry --set carry.impedance.internal_force_n=...",
         ),
         Check(
-            "tilt_max_rad", max(r.tilt_max_rad for r in results), "<", tilt_limit_rad, "rad",
-            "a tilted rod slips or spills", "raise carry.impedance.stiffness_n_per_m or slow down transport_s",
+            "tilt_max_rad", max(t.tilt_max_rad for t in trials), "<", tilt_limit_rad, "rad",
+            "a tilted rod slips or spills", "raise carry.impedance.stiffness_n_per_m or lengthen carry.transport_s",
         ),
         Check(
-            "internal_force_min_n", min(r.internal_force_min_n for r in results), ">", force_limit_n, "N",
+            "internal_force_min_n", min(t.internal_force_min_n for t in trials), ">", force_limit_n, "N",
             "squeeze between the hands while the rod is off the table; below it the rod may slip",
             "raise carry.impedance.internal_force_n (at most 80)",
         ),
         Check(
-            "duration_max_s", max(r.duration_s for r in results), "<", DURATION_MAX_S, "s",
-            "from the start to the rod released at its goal", "shorten carry.transport_s",
+            "duration_max_s", max(t.duration_s if t.success else time_limit_s for t in trials), "<", DURATION_MAX_S,
+            "s", "from the start to the rod released at its goal; a failed trial counts as the time limit",
+            "shorten carry.transport_s",
         ),
         Check(
-            "torque_ratio_max", max(r.torque_ratio_max for r in results), "<", 1.0, "",
+            "torque_ratio_max", max(t.torque_ratio_max for t in trials), "<", 1.0, "",
             "largest motor torque over its limit; at 1 the drive saturates and control is lost",
             "lengthen carry.lift_s, transport_s and lower_s",
         ),
@@ -61,11 +61,14 @@ class CarryStage:
         return {"carry": config.carry, "scene": config.scene}
 
     def run(self, context: StageContext) -> StageResult:
-        """Run the trials, then film and plot the median one (and the worst, if it failed)."""
+        """Run the trials, plot the median and the worst, film the median one."""
+        import numpy as np
+
+        from minidual.config.seeds import stream
         from minidual.evaluation.film import film_trial
         from minidual.evaluation.methods import MethodInputs
-        from minidual.evaluation.statistics import wilson_interval
-        from minidual.evaluation.tables import count_faults, write_trials
+        from minidual.evaluation.metrics import summarise
+        from minidual.evaluation.tables import write_csv, write_json
         from minidual.evaluation.trial_figures import draw_trial
         from minidual.evaluation.trials import run_trials
         from minidual.tasks.rod_carry import sample_trial
@@ -80,53 +83,60 @@ class CarryStage:
             ):
                 results.append(result)
                 logs.append(log)
-                task.advance(note="" if result.success else f"trial {result.index}: {result.reason}")
-        write_trials(results, context.folder / "trials.csv", context.folder / "trials.json")
+                task.advance(note="" if result.success else f"trial {result.metrics.index}: {result.text}")
+        metrics = [r.metrics for r in results]
+        summary = summarise(metrics, stream(context.seed, "bootstrap/carry"))
+        write_csv(context.folder / "trials.csv", metrics)
+        write_json(context.folder / "trials.json", [summary], metrics)
 
-        order = sorted(range(len(results)), key=lambda i: (results[i].success, -results[i].tilt_max_rad))
-        shown = {"median": order[len(order) // 2], "worst": order[0]}
+        order = np.argsort([-m.tilt_max_rad if m.success else -np.inf for m in metrics], kind="stable")
+        shown = {"median": int(order[len(order) // 2]), "worst": int(order[0])}
         for label, i in shown.items():
-            state = "success" if results[i].success else results[i].reason
-            if logs[i] is not None:
-                draw_trial(
-                    logs[i],
-                    scene,
-                    context.folder / f"{label}.png",
-                    title=f"Carry, {label} trial {i}: {state}",
-                )
+            draw_trial(
+                logs[i],
+                scene,
+                context.folder / f"{label}.png",
+                title=f"{label} trial ({i}): {results[i].text}",
+            )
         film_trial("impedance", inputs, trials[shown["median"]], context.folder / "carry.mp4")
 
-        low, high = wilson_interval(sum(r.success for r in results), len(results))
-        task_limits = scene.task
+        limits = scene.task
         checks = carry_checks(
-            results, tilt_limit_rad=task_limits.tilt_max_rad, force_limit_n=task_limits.internal_force_min_n
+            metrics,
+            tilt_limit_rad=limits.tilt_max_rad,
+            force_limit_n=limits.internal_force_min_n,
+            time_limit_s=limits.time_limit_s,
         )
         checks += [
-            Check("success_low", low, unit="", why="lower end of the 95 % Wilson interval"),
+            Check("success_low", summary.success_low, unit="", why="lower end of the 95 % Wilson interval"),
             Check(
                 "goal_error_max_m",
-                max(r.goal_error_m for r in results),
+                max(m.goal_error_m for m in metrics),
                 unit="m",
                 why="largest distance from the goal",
             ),
             Check(
-                "duration_median_s",
-                statistics.median(r.duration_s for r in results),
-                unit="s",
-                why="median cycle",
+                "pinch_force_min_n",
+                min(m.pinch_force_min_n for m in metrics),
+                unit="N",
+                why="least grip in the air",
             ),
+            Check(
+                "duration_median_s",
+                summary.duration_median_s,
+                unit="s",
+                why="median of the successful trials",
+            ),
+            Check("jerk_rms_median", summary.jerk_rms_median, unit="rad/s^3", why=JERK_FILTER),
         ]
-        return StageResult(
-            checks=checks,
-            data={
-                "trials": len(results),
-                "success_low": low,
-                "success_high": high,
-                "failures": count_faults(results),
-                "median_trial": shown["median"],
-                "worst_trial": shown["worst"],
-            },
-        )
+        data = {
+            "trials": len(metrics),
+            "success_low": summary.success_low,
+            "success_high": summary.success_high,
+            "failures": dict(summary.failures),
+            "shown": shown,
+        }
+        return StageResult(checks=checks, data=data)
 
 
 STAGE = CarryStage()

@@ -1,0 +1,185 @@
+"""`minidual deploy`: the trained policy drives both arms on starts it has never seen."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from minidual.pipeline.check import Check
+from minidual.pipeline.stage import StageContext, StageResult
+
+if TYPE_CHECKING:
+    from minidual.config.root import Config
+    from minidual.evaluation.trials import TrialResult
+
+HELD_OUT, TRAINING = "deploy", "demonstrations"
+"""Random streams: trials held out from training, and the very starts that the demonstrations had."""
+
+
+def deploy_checks(
+    successes: int,
+    trials: int,
+    inference_hz: float,
+    *,
+    success_rate_min: float | None,
+    inference_hz_min: float,
+) -> list[Check]:
+    """Return the checks of the stage; without `success_rate_min` the rate is reported, not judged (smoke)."""
+    from minidual.evaluation.statistics import wilson_interval
+
+    low, high = wilson_interval(successes, trials)
+    op = None if success_rate_min is None else ">"
+    return [
+        Check(
+            "success_rate", successes / trials, op, success_rate_min, "",
+            f"closed-loop success on {trials} starts held out from training",
+            "record more demonstrations (teleop-record --episodes 200) or train longer (--set train.steps=...)",
+        ),
+        Check("success_low", low, unit="", why="lower end of its 95 % Wilson interval"),
+        Check("success_high", high, unit="", why="upper end of its 95 % Wilson interval"),
+        Check("trials", trials, ">=", 1, "", "a rate over no trials says nothing"),
+        Check(
+            "inference_hz", inference_hz, ">", inference_hz_min, "hz",
+            "whole inference with pre- and post-processing must keep up with the arms",
+            "use the spatial_softmax backbone, or a smaller image",
+        ),
+    ]  # fmt: skip
+
+
+class DeployStage:
+    """See the module."""
+
+    name = "deploy"
+    requires = ("train-act",)
+    summary = "Drive the arms with the trained policy on held-out starts"
+
+    def parameters(self, config: Config) -> dict[str, Any]:
+        """Return what the result depends on."""
+
+        return {
+            "deploy": config.deploy,
+            "scene": config.scene,
+            "arbiter": config.arbiter,
+            "rate_hz": config.teleop.rate_hz,
+        }
+
+    def run(self, context: StageContext) -> StageResult:
+        """Run held-out and training starts, then film a success and a failure."""
+        from minidual.config.seeds import stream
+        from minidual.evaluation.film import film_trial
+        from minidual.evaluation.methods import MethodInputs
+        from minidual.evaluation.metrics import summarise
+        from minidual.evaluation.tables import write_csv, write_json
+        from minidual.evaluation.trials import run_trials
+        from minidual.tasks.rod_carry import sample_trial
+
+        config = context.config
+        settings = config.deploy
+        checkpoint = context.upstream["train-act"] / "checkpoint"
+        inputs = MethodInputs(config, context.seed, checkpoint)
+        held_out = [sample_trial(config.scene, context.seed, HELD_OUT, i) for i in range(settings.trials)]
+        seen = [
+            sample_trial(config.scene, context.seed, TRAINING, i, widen=config.teleop.widen)
+            for i in _demonstrated(context.upstream["teleop-record"], settings.training_trials)
+        ]
+        results: dict[str, list[TrialResult]] = {"held_out": [], "training": []}
+        with context.progress.task("policy trials", len(held_out) + len(seen)) as task:
+            for condition, trials in (("held_out", held_out), ("training", seen)):
+                for result, _ in run_trials(
+                    "act", inputs, trials, workers=context.workers, condition=condition
+                ):
+                    results[condition].append(result)
+                    done = sum(r.success for r in results[condition])
+                    task.advance(note=f"{condition} {done}/{len(results[condition])}")
+        everything = results["held_out"] + results["training"]
+        metrics = [r.metrics for r in everything]
+        rng = stream(context.seed, "bootstrap/deploy")
+        summaries = {
+            name: summarise([r.metrics for r in rows], rng) for name, rows in results.items() if rows
+        }
+        write_csv(context.folder / "trials.csv", metrics)
+        write_json(context.folder / "trials.json", list(summaries.values()), metrics)
+        self._film(context, inputs, held_out, results["held_out"], film_trial)
+
+        successes = sum(r.success for r in results["held_out"])
+        inference_hz = measure_inference(checkpoint, context)
+        checks = deploy_checks(
+            successes,
+            len(held_out),
+            inference_hz,
+            success_rate_min=settings.success_rate_min if settings.judge_success else None,
+            inference_hz_min=settings.inference_hz_min,
+        )
+        summary = summaries["held_out"]
+        data: dict[str, Any] = {
+            "trials": summary.trials_n,
+            "success_low": summary.success_low,
+            "success_high": summary.success_high,
+            "failures": dict(summary.failures),
+        }
+        if "training" in summaries:
+            training = summaries["training"]
+            checks.append(
+                Check(
+                    "training_success_rate", training.success_rate, why="the same on starts it was trained on"
+                )
+            )
+            data["training"] = {
+                "trials": training.trials_n,
+                "success_rate": training.success_rate,
+                "success_low": training.success_low,
+                "success_high": training.success_high,
+            }
+        errors = [r.metrics.goal_error_m for r in everything if r.lifted]
+        if errors:
+            checks.append(
+                Check(
+                    "goal_error_median_m",
+                    statistics.median(errors),
+                    unit="m",
+                    why="of trials that lifted the rod",
+                )
+            )
+        return StageResult(checks=checks, data=data)
+
+    @staticmethod
+    def _film(
+        context: StageContext, inputs: Any, trials: Sequence[Any], results: Sequence[TrialResult], film: Any
+    ) -> None:
+        for label, wanted in (("success", True), ("failure", False)):
+            index = next((i for i, r in enumerate(results) if r.success is wanted), None)
+            if index is not None:
+                filmed = film("act", inputs, trials[index], context.folder / f"{label}.mp4")
+                context.progress.note(f"{label}.mp4 shows trial {index}: {filmed.text}")
+
+
+def _demonstrated(teleop_folder: Path, count: int) -> list[int]:
+    """Return the trial indices of the first demonstrations that were kept."""
+    from minidual.data.store import EpisodeStore
+
+    indices = [meta.trial for meta in EpisodeStore(teleop_folder / "episodes").metas()]
+    return indices[:count]
+
+
+def measure_inference(checkpoint: Path, context: StageContext, inferences: int = 60) -> float:
+    """Return whole inferences per second, alone on the machine, as the closed loop runs them."""
+    import numpy as np
+
+    from minidual.learning.pilot import load_runtime
+    from minidual.robot.constants import HOME
+
+    runtime = load_runtime(checkpoint, context.config.deploy)
+    rng = np.random.default_rng(0)
+    state = np.concatenate([HOME, np.ones(2)])
+    for _ in range(inferences):
+        runtime.reset()
+        runtime.act(
+            {c: rng.integers(0, 255, (*size, 3), dtype=np.uint8) for c, size in runtime.cameras.items()},
+            state,
+        )
+    return runtime.inference_hz
+
+
+STAGE = DeployStage()

@@ -1,0 +1,116 @@
+"""Negative controls: every check of carry, deploy and benchmark can say no, and says no for its own reason."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from minidual.config.evaluation import BenchmarkConfig
+from minidual.evaluation.metrics import TrialMetrics, summarise
+from minidual.pipeline.check import Check
+from minidual.stages.benchmark import benchmark_checks
+from minidual.stages.carry import carry_checks
+from minidual.stages.deploy import deploy_checks
+
+GOOD: dict[str, Any] = {
+    "method": "impedance", "index": 0, "condition": "clean", "success": True, "failure": "", "reason": "",
+    "failed_at_s": math.nan, "duration_s": 7.9, "torque_ratio_max": 0.8, "jerk_rms": 22.0, "tilt_max_rad": 0.01,
+    "path_length_m": 2.8, "internal_force_min_n": 39.0, "pinch_force_min_n": 60.0, "goal_error_m": 0.001,
+}  # fmt: skip
+BAD = {"success": False, "failure": "held", "reason": "dropped", "failed_at_s": 3.0, "duration_s": math.nan}
+
+
+def trials(n: int = 10, **last: Any) -> list[TrialMetrics]:
+    """Return n good trials, the last one changed."""
+    made = [TrialMetrics(**{**GOOD, "index": i}) for i in range(n)]
+    made[-1] = TrialMetrics(**{**GOOD, "index": n - 1, **last})
+    return made
+
+
+def failing(checks: list[Check]) -> set[str]:
+    return {check.name for check in checks if check.passed is False}
+
+
+def carry(rows: list[TrialMetrics]) -> list[Check]:
+    return carry_checks(rows, tilt_limit_rad=0.08727, force_limit_n=20.0, time_limit_s=15.0)
+
+
+def test_good_carries_pass_every_check() -> None:
+    checks = carry(trials())
+    assert failing(checks) == set()
+    assert all(check.limited for check in checks)
+
+
+@pytest.mark.parametrize(
+    ("change", "names"),
+    [
+        ({"tilt_max_rad": 0.09}, {"tilt_max_rad"}),
+        ({"tilt_max_rad": math.nan}, {"tilt_max_rad"}),
+        ({"internal_force_min_n": 19.0}, {"internal_force_min_n"}),
+        ({"duration_s": 10.5}, {"duration_max_s"}),
+        ({"torque_ratio_max": 1.0}, {"torque_ratio_max"}),
+        (BAD, {"duration_max_s"}),
+    ],
+)
+def test_one_bad_carry_fails_the_check_it_should(change: dict[str, Any], names: set[str]) -> None:
+    assert failing(carry(trials(**change))) == names
+
+
+def test_two_lost_rods_of_ten_fail_the_success_rate() -> None:
+    rows = trials(**BAD)
+    rows[0] = TrialMetrics(**{**GOOD, **BAD})
+    assert "success_rate" in failing(carry(rows))  # 0.8 is not over 0.8
+
+
+def test_deploy_fails_below_half_and_when_slow() -> None:
+    good = deploy_checks(30, 50, 200.0, success_rate_min=0.5, inference_hz_min=30.0)
+    assert failing(good) == set()
+    assert failing(deploy_checks(25, 50, 200.0, success_rate_min=0.5, inference_hz_min=30.0)) == {
+        "success_rate"
+    }
+    assert failing(deploy_checks(30, 50, 29.0, success_rate_min=0.5, inference_hz_min=30.0)) == {
+        "inference_hz"
+    }
+    assert failing(deploy_checks(30, 50, math.nan, success_rate_min=0.5, inference_hz_min=30.0)) == {
+        "inference_hz"
+    }
+
+
+def test_deploy_without_a_limit_reports_the_rate_and_does_not_pass_on_it() -> None:
+    (rate,) = [
+        c
+        for c in deploy_checks(0, 2, 90.0, success_rate_min=None, inference_hz_min=30.0)
+        if c.name == "success_rate"
+    ]
+    assert rate.passed is None
+    assert rate.observed == 0.0
+
+
+def summaries(rows: list[TrialMetrics]) -> list[Any]:
+    return [summarise(rows, np.random.default_rng(0))]
+
+
+def test_benchmark_fails_a_method_below_its_rate_and_a_method_that_ran_too_little() -> None:
+    config = BenchmarkConfig(trials_n=10)
+    assert failing(benchmark_checks(summaries(trials()), config)) == set()
+    rows = trials(**BAD)
+    rows[:2] = [TrialMetrics(**{**GOOD, **BAD, "index": i}) for i in range(2)]
+    assert failing(benchmark_checks(summaries(rows), config)) == {"impedance.success_rate"}
+    assert failing(benchmark_checks(summaries(trials(9)), config)) == {"trials_per_method"}
+    assert failing(benchmark_checks([], config)) == {"trials_per_method"}
+
+
+def test_benchmark_reports_every_indicator_of_every_method() -> None:
+    names = {check.name for check in benchmark_checks(summaries(trials()), BenchmarkConfig(trials_n=10))}
+    for indicator in (
+        "success_rate",
+        "duration_median_s",
+        "torque_ratio_max",
+        "jerk_rms_median",
+        "tilt_max_rad",
+        "path_length_m",
+    ):
+        assert f"impedance.{indicator}" in names
