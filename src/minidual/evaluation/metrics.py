@@ -250,9 +250,11 @@ def summarise(trials: Sequence[TrialMetrics], rng: np.random.Generator) -> Metho
         duration_median_s=_median(durations),
         duration_low_s=duration_low,
         duration_high_s=duration_high,
-        torque_ratio_max=max(trial.torque_ratio_max for trial in trials),
+        torque_ratio_max=float(
+            np.max([trial.torque_ratio_max for trial in trials])
+        ),  # np.max passes a NaN on
         jerk_rms_median=_median([t.jerk_rms for t in trials if math.isfinite(t.jerk_rms)]),
-        tilt_max_rad=max(trial.tilt_max_rad for trial in trials),
+        tilt_max_rad=float(np.max([trial.tilt_max_rad for trial in trials])),
         tilt_median_rad=_median([trial.tilt_max_rad for trial in trials]),
         path_length_m=_median([trial.path_length_m for trial in won]),
         internal_force_min_n=min((trial.internal_force_min_n for trial in won), default=math.nan),

@@ -21,6 +21,8 @@ def carry_checks(
     trials: Sequence[TrialMetrics], *, tilt_limit_rad: float, force_limit_n: float, time_limit_s: float
 ) -> list[Check]:
     """Return the checks of the stage for judged trials; extremes are over all trials, failed ones too."""
+    import numpy as np  # np.max and np.min pass a NaN on, so that its check fails; the built-ins may lose it
+
     return [
         Check(
             "success_rate", sum(t.success for t in trials) / len(trials), ">", SUCCESS_RATE_MIN, "",
@@ -28,21 +30,21 @@ def carry_checks(
             "trials.csv names what failed first; minidual carry --set carry.impedance.internal_force_n=...",
         ),
         Check(
-            "tilt_max_rad", max(t.tilt_max_rad for t in trials), "<", tilt_limit_rad, "rad",
+            "tilt_max_rad", float(np.max([t.tilt_max_rad for t in trials])), "<", tilt_limit_rad, "rad",
             "a tilted rod slips or spills", "raise carry.impedance.stiffness_n_per_m or lengthen carry.transport_s",
         ),
         Check(
-            "internal_force_min_n", min(t.internal_force_min_n for t in trials), ">", force_limit_n, "N",
+            "internal_force_min_n", float(np.min([t.internal_force_min_n for t in trials])), ">", force_limit_n, "N",
             "squeeze between the hands while the rod is off the table; below it the rod may slip",
             "raise carry.impedance.internal_force_n (at most 80)",
         ),
         Check(
-            "duration_max_s", max(t.duration_s if t.success else time_limit_s for t in trials), "<", DURATION_MAX_S,
+            "duration_max_s", float(np.max([t.duration_s if t.success else time_limit_s for t in trials])), "<", DURATION_MAX_S,
             "s", "from the start to the rod released at its goal; a failed trial counts as the time limit",
             "shorten carry.transport_s",
         ),
         Check(
-            "torque_ratio_max", max(t.torque_ratio_max for t in trials), "<", 1.0, "",
+            "torque_ratio_max", float(np.max([t.torque_ratio_max for t in trials])), "<", 1.0, "",
             "largest motor torque over its limit; at 1 the drive saturates and control is lost",
             "lengthen carry.lift_s, transport_s and lower_s",
         ),
