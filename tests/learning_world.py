@@ -8,6 +8,7 @@ error of the grasp is measured in closed loop, in millimetres.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,11 +63,15 @@ _BACKGROUND = (
 )
 
 
-def render(rod: NDArray[np.float64], hands: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.uint8]:
+def render(
+    rod: NDArray[np.float64], hands: NDArray[np.float64], rng: np.random.Generator
+) -> NDArray[np.uint8]:
     """Return a (96, 128, 3) image of the bar (x, y [m], yaw [rad]) and the two arms over it."""
     image = _BACKGROUND.copy()
     along = HALF_ROD_M * np.array([-np.sin(rod[2]), np.cos(rod[2])])
-    layers = [(_cover(_pixel(*(rod[:2] - along)), _pixel(*(rod[:2] + along)), RADIUS_M / M_PER_PX), (200.0, 40, 30))]
+    layers = [
+        (_cover(_pixel(*(rod[:2] - along)), _pixel(*(rod[:2] + along)), RADIUS_M / M_PER_PX), (200.0, 40, 30))
+    ]
     for hand, base in zip(hands, ((-0.5, 0.25), (-0.5, -0.25)), strict=True):
         x, y = hand[0] - 0.3 * hand[2], hand[1]  # a raised hand appears further up
         layers.append((_cover(_pixel(*base), _pixel(x - 0.06, y), 4.0), (235.0, 235, 230)))
@@ -152,7 +157,8 @@ def closed_loop(act, reset, episodes: int, seed: int) -> GraspErrors:  # type: i
         q, opening = joints(HOME), np.ones(2)
         for _tick in range(APPROACH + 60):
             hands = hands_of(q)
-            action = act({"high": lambda: render(rod, hands, rng)}, np.concatenate([q, opening]))
+            look = functools.partial(render, rod, hands, rng)
+            action = act({"high": look}, np.concatenate([q, opening]))
             if action[14:].min() < 0.4:
                 break
             q = q + 0.5 * (action[:14] - q)  # a servo that lags

@@ -33,7 +33,11 @@ class SpatialSoftmax(nn.Module):
         """Map (B, K, h, w) logits to (B, 3 K) coordinates and spreads, computed in float32."""
         batch, channels, height, width = logits.shape
         scaled = logits.float() * self.log_inverse_temperature.exp().view(1, -1, 1, 1)
-        weights = scaled.reshape(batch, channels, height * width).softmax(dim=-1).view(batch, channels, height, width)
+        weights = (
+            scaled.reshape(batch, channels, height * width)
+            .softmax(dim=-1)
+            .view(batch, channels, height, width)
+        )
         xs = _pixel_centres(width, logits.device)
         ys = _pixel_centres(height, logits.device)
         along_x = weights.sum(dim=2)
@@ -60,13 +64,13 @@ class KeypointEncoder(nn.Module):
         first, second, third = widths
         self.features = nn.Sequential(
             nn.Conv2d(3, first, 5, stride=2, padding=2),
-            nn.ReLU(),
+            nn.ReLU(inplace=True),
             nn.Conv2d(first, second, 3, padding=1),
-            nn.ReLU(),
+            nn.ReLU(inplace=True),
             nn.Conv2d(second, third, 3, stride=2, padding=1),
-            nn.ReLU(),
+            nn.ReLU(inplace=True),
             nn.Conv2d(third, third, 3, padding=1),
-            nn.ReLU(),
+            nn.ReLU(inplace=True),
             nn.Conv2d(third, keypoints, 1),
         )
         self.pool = SpatialSoftmax(keypoints)

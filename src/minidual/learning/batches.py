@@ -28,12 +28,19 @@ class BatchMaker:
         """Return a batch with noise and jitter drawn from `rng`."""
         config = self._config
         state = self._demos.state[rows].copy()
-        sigma = np.where(self._demos.phase[rows] == 0, config.state_noise_approach_rad, config.state_noise_rad)
-        state[:, :JOINTS_N] += (rng.standard_normal((len(rows), JOINTS_N)) * sigma[:, None]).astype(np.float32)
+        sigma = np.where(
+            self._demos.phase[rows] == 0, config.state_noise_approach_rad, config.state_noise_rad
+        )
+        state[:, :JOINTS_N] += (rng.standard_normal((len(rows), JOINTS_N)) * sigma[:, None]).astype(
+            np.float32
+        )
         contrast = 1.0 + rng.uniform(-1.0, 1.0, len(rows)) * config.contrast_jitter
         brightness = rng.uniform(-1.0, 1.0, len(rows)) * config.brightness_jitter
         return self._assemble(
-            rows, state, torch.from_numpy(contrast.astype(np.float32)), torch.from_numpy(brightness.astype(np.float32))
+            rows,
+            state,
+            torch.from_numpy(contrast.astype(np.float32)),
+            torch.from_numpy(brightness.astype(np.float32)),
         )
 
     def clean(self, rows: NDArray[np.int64]) -> dict[str, Tensor]:
@@ -41,7 +48,11 @@ class BatchMaker:
         return self._assemble(rows, self._demos.state[rows], None, None)
 
     def _assemble(
-        self, rows: NDArray[np.int64], state: NDArray[np.float32], contrast: Tensor | None, brightness: Tensor | None
+        self,
+        rows: NDArray[np.int64],
+        state: NDArray[np.float32],
+        contrast: Tensor | None,
+        brightness: Tensor | None,
     ) -> dict[str, Tensor]:
         demos, device = self._demos, self._config.device
         ahead = rows[:, None] + np.arange(self._config.chunk_size)
@@ -49,7 +60,9 @@ class BatchMaker:
         ticks = demos.keyframe_ticks[rows]
         is_next = (ticks >= 0) & (np.arange(demos.keyframes_n) == demos.phase[rows][:, None])
         batch: dict[str, Tensor] = {
-            "observation.state": normalise(torch.from_numpy(state).to(device), self._stats["observation.state"]),
+            "observation.state": normalise(
+                torch.from_numpy(state).to(device), self._stats["observation.state"]
+            ),
             "action": normalise(torch.from_numpy(chunk).to(device), self._stats["action"]),
             "action_is_pad": torch.zeros(chunk.shape[:2], dtype=torch.bool, device=device),
             "keyframe": normalise(torch.from_numpy(demos.action[ticks]).to(device), self._stats["action"]),

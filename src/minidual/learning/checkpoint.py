@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from draccus.utils import DecodingError, ParsingError
 from lerobot.configs import PreTrainedConfig
 from lerobot.policies.act.configuration_act import ACTConfig
 from lerobot.policies.act.modeling_act import ACTPolicy
@@ -72,7 +73,16 @@ def load_policy(folder: Path, device: str = "cpu") -> tuple[ACTPolicy, Any, Any]
         )
     except DataError:
         raise
-    except (OSError, ValueError, KeyError, TypeError, RuntimeError, SafetensorError) as error:
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+        RuntimeError,
+        SafetensorError,
+        DecodingError,
+        ParsingError,
+    ) as error:
         first = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise DataError(f"checkpoint {folder} cannot be read: {first}", remedy=f"{REMEDY} --force") from error
     policy.to(device)
@@ -85,15 +95,21 @@ def _load_config(folder: Path, device: str) -> ACTConfig:
         record = json.loads((folder / "config.json").read_text())
         kind = record["type"]
     except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError) as error:
-        raise DataError(f"{folder / 'config.json'} is no LeRobot policy configuration", remedy=REMEDY) from error
+        raise DataError(
+            f"{folder / 'config.json'} is no LeRobot policy configuration", remedy=REMEDY
+        ) from error
     if kind not in ("act", "spatial_act"):
-        raise DataError(f"checkpoint {folder} is of policy type '{kind}'; this runtime loads act, spatial_act")
+        raise DataError(
+            f"checkpoint {folder} is of policy type '{kind}'; this runtime loads act, spatial_act"
+        )
     # LeRobot parses with a command-line parser that reports a bad file on stderr and exits.
     with contextlib.redirect_stderr(io.StringIO()) as said:
         try:
             config = PreTrainedConfig.from_pretrained(folder, cli_overrides=[f"--device={device}"])
         except SystemExit as error:
-            raise DataError(f"{folder / 'config.json'} does not parse: {said.getvalue()[:200]}", remedy=REMEDY) from error
+            raise DataError(
+                f"{folder / 'config.json'} does not parse: {said.getvalue()[:200]}", remedy=REMEDY
+            ) from error
     if not isinstance(config, ACTConfig):
         raise DataError(f"checkpoint {folder} holds a {type(config).__name__}, not an ACT configuration")
     return config
@@ -125,7 +141,9 @@ def load_progress(folder: Path, device: str) -> dict[str, Any] | None:
 def training_fingerprint(demos: Demonstrations, config: TrainConfig, seed: int) -> str:
     """Return a hash of all that the weights depend on: seed, configuration, actions, states, sampled images."""
     digest = hashlib.sha256()
-    settings = config.model_dump(exclude={"time_limit_s", "loss_ratio_max", "actions_in_limits_min", "train_s_max"})
+    settings = config.model_dump(
+        exclude={"time_limit_s", "loss_ratio_max", "actions_in_limits_min", "train_s_max"}
+    )
     digest.update(json.dumps([seed, settings], sort_keys=True).encode())
     digest.update(demos.state.tobytes())
     digest.update(demos.action.tobytes())

@@ -105,7 +105,9 @@ def gripper_switches(gripper: NDArray[np.float32], span: NDArray[np.float32]) ->
     return events
 
 
-def split_episodes(episodes: list[int], fraction: float, rng: np.random.Generator) -> tuple[list[int], list[int]]:
+def split_episodes(
+    episodes: list[int], fraction: float, rng: np.random.Generator
+) -> tuple[list[int], list[int]]:
     """Split episode numbers into (training, validation); a single episode, or fraction 0, leaves none to validate."""
     count = min(round(fraction * len(episodes)), len(episodes) - 1)
     if fraction > 0 and len(episodes) > 1:
@@ -134,7 +136,9 @@ def _check(demos: Demonstrations) -> None:
         raise DataError("the dataset holds no ticks", remedy="minidual teleop-record")
     for name, array in (("state", demos.state), ("action", demos.action)):
         if array.shape != (count, STATE_DIM):
-            raise DataError(f"dataset column '{name}' has shape {array.shape}; expected ({count}, {STATE_DIM})")
+            raise DataError(
+                f"dataset column '{name}' has shape {array.shape}; expected ({count}, {STATE_DIM})"
+            )
         bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
         if bad.size:
             raise DataError(

@@ -63,7 +63,9 @@ class PolicyRuntime:
         self._policy, self._preprocessor, self._postprocessor = policy, preprocessor, postprocessor
         chunk = int(policy.config.chunk_size)
         if not 1 <= n_action_steps <= chunk:
-            raise UsageError(f"n_action_steps {n_action_steps} is outside 1..{chunk}, the chunk of this checkpoint")
+            raise UsageError(
+                f"n_action_steps {n_action_steps} is outside 1..{chunk}, the chunk of this checkpoint"
+            )
         if blend_ticks < 0:
             raise UsageError(f"blend_ticks {blend_ticks} is negative")
         self._steps, self._blend, self._threads = n_action_steps, blend_ticks, threads
@@ -167,22 +169,26 @@ class PolicyRuntime:
         self._cursor += 1
         return np.clip(action, self._lower, self._upper)
 
-    def predict_chunk(self, images: Mapping[str, Image], state: Floats) -> Floats:
+    def predict_chunk(self, images: Mapping[str, Any], state: Floats) -> Floats:
         """Return one whole chunk (chunk_size, 16) as the network gives it: not blended, not clamped, not queued."""
         observation: dict[str, Any] = {"observation.state": torch.from_numpy(self._checked_state(state))}
         for camera in self._sizes:
             pixels = self._checked_image(images, camera)
-            observation[CAMERA_PREFIX + camera] = torch.from_numpy(pixels).permute(2, 0, 1).float().div_(255.0)
+            observation[CAMERA_PREFIX + camera] = (
+                torch.from_numpy(pixels).permute(2, 0, 1).float().div_(255.0)
+            )
         with torch.inference_mode():
             batch = self._preprocessor(observation)
             chunk = self._postprocessor(self._policy.predict_action_chunk(batch))
         result = chunk[0].to(torch.float64).numpy()
         if not np.isfinite(result).all():
-            raise DataError("the policy emitted an action that is not finite", remedy="minidual train-act --force")
+            raise DataError(
+                "the policy emitted an action that is not finite", remedy="minidual train-act --force"
+            )
         return result
 
     def _infer(self, images: Mapping[str, Image | Callable[[], Image]], state: Floats) -> None:
-        seen = {c: i() if callable(i) else i for c, i in images.items() if c in self._sizes}
+        seen = {c: i() if callable(i) and c in self._sizes else i for c, i in images.items()}
         before = torch.get_num_threads()
         if self._threads is not None and before != self._threads:
             torch.set_num_threads(self._threads)
@@ -200,12 +206,14 @@ class PolicyRuntime:
     def _checked_state(self, state: Floats) -> NDArray[np.float32]:
         array = np.asarray(state, dtype=np.float32)
         if array.shape != (STATE_DIM,):
-            raise DataError(f"the state has shape {array.shape}; the policy reads ({STATE_DIM},): 14 joints, 2 grippers")
+            raise DataError(
+                f"the state has shape {array.shape}; the policy reads ({STATE_DIM},): 14 joints, 2 grippers"
+            )
         if not np.isfinite(array).all():
             raise DataError(f"the state is not finite at index {int(np.flatnonzero(~np.isfinite(array))[0])}")
         return array
 
-    def _checked_image(self, images: Mapping[str, Image], camera: str) -> Image:
+    def _checked_image(self, images: Mapping[str, Any], camera: str) -> Image:
         if camera not in images:
             raise DataError(
                 f"no image of camera '{camera}'; the policy looks through {', '.join(self._sizes)}, "
@@ -229,8 +237,15 @@ def _camera_sizes(config: Any) -> dict[str, tuple[int, int]]:
             raise DataError(f"the checkpoint reads '{key}'; cameras here are named {CAMERA_PREFIX}<name>")
         sizes[key.removeprefix(CAMERA_PREFIX)] = (int(feature.shape[1]), int(feature.shape[2]))
     state, action = config.robot_state_feature, config.action_feature
-    if state is None or action is None or tuple(state.shape) != (STATE_DIM,) or tuple(action.shape) != (STATE_DIM,):
-        raise DataError(f"the checkpoint does not map a state of {STATE_DIM} to actions of {STATE_DIM} numbers")
+    if (
+        state is None
+        or action is None
+        or tuple(state.shape) != (STATE_DIM,)
+        or tuple(action.shape) != (STATE_DIM,)
+    ):
+        raise DataError(
+            f"the checkpoint does not map a state of {STATE_DIM} to actions of {STATE_DIM} numbers"
+        )
     return sizes
 
 
@@ -239,6 +254,8 @@ def _limits(limits: tuple[Floats, Floats] | None) -> tuple[Floats, Floats]:
     if limits is not None:
         low, high = (np.asarray(bound, dtype=float) for bound in limits)
         if low.shape != high.shape or low.shape not in ((JOINTS_N,), (STATE_DIM,)) or np.any(low > high):
-            raise UsageError(f"limits must be two rising arrays of 14 or 16, not {low.shape} and {high.shape}")
+            raise UsageError(
+                f"limits must be two rising arrays of 14 or 16, not {low.shape} and {high.shape}"
+            )
         lower[: len(low)], upper[: len(high)] = low, high
     return lower, upper

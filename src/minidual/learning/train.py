@@ -111,7 +111,9 @@ def train(
     stats = dataset_statistics(demos, rows, config.std_floor)
     with _torch_settings(config, seed):
         policy, preprocessor, postprocessor = build_policy(config, sizes, stats)
-        loop = _Loop(demos, config, seed, policy, rows, demos.rows_of(validation) if validation else None, stats)
+        loop = _Loop(
+            demos, config, seed, policy, rows, demos.rows_of(validation) if validation else None, stats
+        )
         fingerprint = training_fingerprint(demos, config, seed)
         resumed = loop.resume(resume_dir, fingerprint)
         try:

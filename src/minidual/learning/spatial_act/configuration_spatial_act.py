@@ -33,12 +33,16 @@ class SpatialActConfig(ACTConfig):
         """
         PreTrainedConfig.__post_init__(self)
         if self.vision_backbone != SPATIAL_SOFTMAX:
-            raise ValueError(f"vision_backbone of spatial_act is '{SPATIAL_SOFTMAX}', not '{self.vision_backbone}'")
+            raise ValueError(
+                f"vision_backbone of spatial_act is '{SPATIAL_SOFTMAX}', not '{self.vision_backbone}'"
+            )
         if self.pretrained_backbone_weights is not None:
             raise ValueError("spatial_act has no pretrained backbone weights; they must be null")
         if self.temporal_ensemble_coeff is not None:
             raise ValueError("spatial_act runs chunks from a queue; temporal_ensemble_coeff must be null")
         if not 1 <= self.n_action_steps <= self.chunk_size:
-            raise ValueError(f"n_action_steps {self.n_action_steps} is outside 1..chunk_size {self.chunk_size}")
+            raise ValueError(
+                f"n_action_steps {self.n_action_steps} is outside 1..chunk_size {self.chunk_size}"
+            )
         if self.n_obs_steps != 1:
             raise ValueError(f"n_obs_steps is {self.n_obs_steps}; spatial_act reads one observation")

@@ -14,7 +14,7 @@ from __future__ import annotations
 from typing import Any
 
 import torch
-import torch.nn.functional as F  # noqa: N812
+import torch.nn.functional as F
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.policies.act.configuration_act import ACTConfig
 from lerobot.policies.act.modeling_act import ACT, ACTPolicy
@@ -55,7 +55,9 @@ class SpatialActModel(nn.Module):
         token_dim = keypoint_dim + keyframe_dim
         self.act = ACT(_transformer_config(config, token_dim))
 
-    def forward(self, batch: dict[str, Any]) -> tuple[Tensor, tuple[Tensor | None, Tensor | None], Tensor | None]:
+    def forward(
+        self, batch: dict[str, Any]
+    ) -> tuple[Tensor, tuple[Tensor | None, Tensor | None], Tensor | None]:
         """Return the action chunk (B, S, A), the latent parameters, and the keyframes (B, K, A) or None."""
         images: list[Tensor] = batch[OBS_IMAGES]
         keypoints = torch.cat(
@@ -75,7 +77,9 @@ class SpatialActModel(nn.Module):
 
 def _transformer_config(config: SpatialActConfig, token_dim: int) -> ACTConfig:
     """Return the stock configuration of the transformer: the images replaced by a vector of `token_dim`."""
-    inputs = {key: ft for key, ft in (config.input_features or {}).items() if ft.type is not FeatureType.VISUAL}
+    inputs = {
+        key: ft for key, ft in (config.input_features or {}).items() if ft.type is not FeatureType.VISUAL
+    }
     inputs[OBS_ENV_STATE] = PolicyFeature(type=FeatureType.ENV, shape=(token_dim,))
     return ACTConfig(
         n_obs_steps=config.n_obs_steps,

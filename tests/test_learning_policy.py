@@ -1,0 +1,254 @@
+"""The policy runtime: queue, blending, flush, clamps, and errors that name what is wrong."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from lerobot.configs import FeatureType, PolicyFeature
+from test_learning_demonstrations import tiny
+from test_learning_train import SMALL
+
+from minidual.config.learning import TrainConfig
+from minidual.errors import DataError, EnvironmentMissingError, UsageError
+from minidual.learning.policy import PolicyRuntime
+from minidual.learning.train import train
+
+IMAGE = {"high": np.zeros((12, 16, 3), np.uint8)}
+STATE = np.zeros(16)
+
+
+class CountingPolicy:
+    """Emits chunk number n as n + k / 1000 for tick k, so that every action tells where it comes from."""
+
+    def __init__(self, chunk: int, cameras: tuple[str, ...] = ("high",)) -> None:
+        self.calls = 0
+        visual = PolicyFeature(type=FeatureType.VISUAL, shape=(3, 12, 16))
+        vector = PolicyFeature(type=FeatureType.STATE, shape=(16,))
+        self.config = SimpleNamespace(
+            chunk_size=chunk,
+            image_features={f"observation.images.cam_{c}": visual for c in cameras},
+            robot_state_feature=vector,
+            action_feature=vector,
+        )
+
+    def predict_action_chunk(self, batch: dict[str, torch.Tensor]) -> torch.Tensor:
+        self.calls += 1
+        ticks = self.calls + torch.arange(self.config.chunk_size) / 1000
+        return ticks[None, :, None].expand(1, -1, 16)
+
+
+def counting(chunk: int = 10, **options: Any) -> tuple[PolicyRuntime, CountingPolicy]:
+    policy = CountingPolicy(chunk)
+    same = lambda x: x  # noqa: E731
+    return PolicyRuntime(policy, same, same, **{"n_action_steps": 5, "blend_ticks": 0, **options}), policy
+
+
+def first(runtime: PolicyRuntime, ticks: int) -> list[float]:
+    return [round(float(runtime.act(IMAGE, STATE)[0]), 6) for _ in range(ticks)]
+
+
+@pytest.fixture(scope="module")
+def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("policy") / "checkpoint"
+    train(tiny(), TrainConfig(**SMALL), 0, folder)
+    return folder
+
+
+def test_a_chunk_runs_for_its_steps_and_then_the_next_is_inferred() -> None:
+    runtime, policy = counting()
+    assert first(runtime, 7) == pytest.approx([1.0, 1.001, 1.002, 1.003, 1.004, 2.0, 2.001], abs=1e-6)
+    assert policy.calls == 2
+
+
+@pytest.mark.parametrize("forget", ["reset", "flush"])
+def test_after_a_flush_nothing_of_the_old_chunk_runs(forget: str) -> None:
+    runtime, _ = counting(blend_ticks=4)
+    first(runtime, 2)
+    getattr(runtime, forget)()
+    assert first(runtime, 5) == pytest.approx(
+        [2.0, 2.001, 2.002, 2.003, 2.004], abs=1e-6
+    )  # no blend with chunk 1
+
+
+def test_chunks_are_blended_with_what_was_left_of_the_old_one() -> None:
+    runtime, _ = counting(blend_ticks=3)
+    actions = first(runtime, 10)
+    old = [1.005, 1.006, 1.007]
+    expected = [
+        (1 - s) * o + s * (2 + k / 1000) for k, (o, s) in enumerate(zip(old, (0.25, 0.5, 0.75), strict=True))
+    ]
+    assert actions[5:8] == pytest.approx(expected, abs=1e-6)
+    assert actions[8:] == pytest.approx([2.003, 2.004], abs=1e-6)
+
+
+def test_blending_without_overlap_starts_from_the_last_action() -> None:
+    runtime, _ = counting(chunk=5, blend_ticks=2)
+    assert first(runtime, 7)[5] == pytest.approx((1.004 * 2 + 2.0) / 3, abs=1e-6)
+
+
+def test_blending_shrinks_the_jump_at_the_boundary() -> None:
+    jumps = []
+    for ticks in (0, 8):
+        runtime, _ = counting(chunk=50, n_action_steps=25, blend_ticks=ticks)
+        jumps.append(np.abs(np.diff(first(runtime, 60))).max())
+    assert jumps[1] < 0.2 * jumps[0]
+
+
+def test_actions_are_clamped_to_the_limits() -> None:
+    upper = np.full(14, 1.002)
+    runtime, _ = counting(limits=(np.full(14, -1.0), upper))
+    actions = np.array([runtime.act(IMAGE, STATE) for _ in range(5)])
+    assert actions[:, :14].max() == pytest.approx(1.002)
+    assert actions[:, 14:].max() == pytest.approx(1.004)  # no limits were given for the grippers
+
+
+def test_pictures_are_rendered_only_when_they_are_looked_at() -> None:
+    runtime, _ = counting()
+    rendered = 0
+
+    def camera() -> np.ndarray:
+        nonlocal rendered
+        rendered += 1
+        return IMAGE["high"]
+
+    for _ in range(12):
+        runtime.act({"high": camera}, STATE)
+    assert rendered == 3
+
+
+def test_timing_counts_inferences_only() -> None:
+    runtime, _ = counting()
+    first(runtime, 12)
+    assert runtime.timing.inferences == 3
+    assert runtime.inference_hz > 0
+    assert runtime.timing.mean_s <= runtime.timing.max_s
+
+
+def test_wrong_observations_are_refused() -> None:
+    runtime, _ = counting()
+    with pytest.raises(DataError, match=r"no image of camera 'high'.*given were left"):
+        runtime.act({"left": IMAGE["high"]}, STATE)
+    with pytest.raises(DataError, match=r"shape \(24, 32, 3\).*trained on uint8 \(12, 16, 3\)"):
+        runtime.act({"high": np.zeros((24, 32, 3), np.uint8)}, STATE)
+    with pytest.raises(DataError, match="float64 images"):
+        runtime.act({"high": np.zeros((12, 16, 3))}, STATE)
+    with pytest.raises(DataError, match=r"state has shape \(14,\)"):
+        runtime.act(IMAGE, np.zeros(14))
+    with pytest.raises(DataError, match="not finite at index 3"):
+        runtime.act(IMAGE, np.where(np.arange(16) == 3, np.nan, 0.0))
+
+
+def test_an_action_that_is_not_finite_never_leaves() -> None:
+    runtime, policy = counting()
+    policy.predict_action_chunk = lambda batch: torch.full((1, 10, 16), torch.nan)  # type: ignore[method-assign]
+    with pytest.raises(DataError, match="emitted an action that is not finite"):
+        runtime.act(IMAGE, STATE)
+
+
+def test_impossible_queues_and_limits_are_refused() -> None:
+    with pytest.raises(UsageError, match=r"n_action_steps 11 is outside 1\.\.10"):
+        counting(n_action_steps=11)
+    with pytest.raises(UsageError, match="blend_ticks -1"):
+        counting(blend_ticks=-1)
+    with pytest.raises(UsageError, match="limits must be two rising arrays"):
+        counting(limits=(np.ones(14), np.zeros(14)))
+
+
+def test_cameras_keep_the_order_of_training_whatever_the_order_given() -> None:
+    policy = CountingPolicy(10, cameras=("high", "left"))
+    seen: list[dict[str, torch.Tensor]] = []
+    runtime = PolicyRuntime(policy, lambda o: seen.append(o) or o, lambda a: a, n_action_steps=1)
+    bright = np.full((12, 16, 3), 255, np.uint8)
+    runtime.act({"left": bright, "right": bright, "high": IMAGE["high"]}, STATE)
+    assert seen[0]["observation.images.cam_left"].mean() == 1.0
+    assert seen[0]["observation.images.cam_high"].mean() == 0.0
+    assert "observation.images.cam_right" not in seen[0]
+
+
+def test_a_checkpoint_drives_and_repeats(checkpoint: Path) -> None:
+    demos = tiny()
+    runtime = PolicyRuntime.load(checkpoint, n_action_steps=5)
+    assert runtime.cameras == {"high": (12, 16)}
+    actions = []
+    for _ in range(2):
+        runtime.reset()
+        observed = zip(demos.images["high"][:8], demos.state[:8], strict=True)
+        actions.append(np.array([runtime.act({"high": i}, s) for i, s in observed]))
+    assert actions[0].shape == (8, 16)
+    assert np.array_equal(actions[0], actions[1])
+
+
+def test_the_image_and_the_state_both_matter(checkpoint: Path) -> None:
+    runtime = PolicyRuntime.load(checkpoint, n_action_steps=5)
+    dark = runtime.predict_chunk(IMAGE, STATE)
+    noise = {"high": np.random.default_rng(0).integers(0, 256, (12, 16, 3), dtype=np.uint8)}
+    assert np.abs(runtime.predict_chunk(noise, STATE) - dark).max() > 1e-6
+    assert np.abs(runtime.predict_chunk(IMAGE, STATE + 0.3) - dark).max() > 1e-6
+
+
+@pytest.mark.parametrize(
+    "name", ["config.json", "model.safetensors", "policy_preprocessor.json", "policy_postprocessor.json"]
+)
+def test_a_missing_file_is_named_with_the_command_that_makes_it(
+    checkpoint: Path, tmp_path: Path, name: str
+) -> None:
+    copy = shutil.copytree(checkpoint, tmp_path / "copy")
+    (copy / name).unlink()
+    with pytest.raises(DataError, match=f"lacks {name}") as caught:
+        PolicyRuntime.load(copy)
+    assert "minidual train-act" in str(caught.value.remedy)
+
+
+def test_a_missing_checkpoint_is_named(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"no checkpoint folder .*nowhere") as caught:
+        PolicyRuntime.load(tmp_path / "nowhere")
+    assert caught.value.remedy == "minidual train-act"
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        "truncated weights",
+        "text for weights",
+        "text for config",
+        "other type",
+        "unknown key",
+        "other shape",
+        "no stats",
+    ],
+)
+def test_a_corrupt_checkpoint_is_refused(checkpoint: Path, tmp_path: Path, damage: str) -> None:
+    copy = shutil.copytree(checkpoint, tmp_path / "copy")
+    weights, config = copy / "model.safetensors", copy / "config.json"
+    record = json.loads(config.read_text())
+    if damage == "truncated weights":
+        weights.write_bytes(weights.read_bytes()[:-500])
+    elif damage == "text for weights":
+        weights.write_text("not weights")
+    elif damage == "text for config":
+        config.write_text("{ not json")
+    elif damage == "other type":
+        config.write_text(json.dumps({**record, "type": "diffusion"}))
+    elif damage == "unknown key":
+        config.write_text(json.dumps({**record, "surprise": 1}))
+    elif damage == "other shape":
+        config.write_text(json.dumps({**record, "dim_model": 64}))
+    else:
+        for path in copy.glob("policy_preprocessor_*.safetensors"):
+            path.unlink()
+    with pytest.raises(DataError, match=r"checkpoint|config\.json"):
+        PolicyRuntime.load(copy)
+
+
+def test_cuda_without_a_device_is_an_environment_error(checkpoint: Path) -> None:
+    if torch.cuda.is_available():
+        pytest.skip("there is a CUDA device here")
+    with pytest.raises(EnvironmentMissingError, match="no CUDA device"):
+        PolicyRuntime.load(checkpoint, "cuda")

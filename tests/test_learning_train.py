@@ -1,0 +1,244 @@
+"""The training loop: same seed same weights, interrupted or not; clear errors; checkpoints that LeRobot reads."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from pydantic import ValidationError
+from safetensors.torch import load_file
+from test_learning_demonstrations import tiny
+
+from minidual.config.learning import TrainConfig
+from minidual.errors import DataError, EnvironmentMissingError, UsageError
+from minidual.learning.checkpoint import load_policy
+from minidual.learning.demonstrations import Demonstrations
+from minidual.learning.records import draw_loss, write_loss_csv
+from minidual.learning.train import TrainResult, train
+
+SMALL = {
+    "chunk_size": 10,
+    "dim_model": 32,
+    "dim_feedforward": 64,
+    "heads": 4,
+    "encoder_layers": 1,
+    "keypoints": 8,
+    "batch_size": 4,
+    "steps": 4,
+    "threads": 1,
+    "log_every_steps": 2,
+    "validate_every_steps": 2,
+}
+
+
+@pytest.fixture(scope="module")
+def demos() -> Demonstrations:
+    return tiny()
+
+
+def weights(checkpoint: Path) -> dict[str, torch.Tensor]:
+    return load_file(checkpoint / "model.safetensors")
+
+
+def same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> bool:
+    return a.keys() == b.keys() and all(torch.equal(a[key], b[key]) for key in a)
+
+
+def test_the_same_seed_gives_the_same_weights_and_another_seed_does_not(
+    demos: Demonstrations, tmp_path: Path
+) -> None:
+    config = TrainConfig(**SMALL, dropout=0.1)
+    for name, seed in (("a", 5), ("b", 5), ("c", 6)):
+        torch.manual_seed(hash(name) % 1000)  # the generator outside must not matter
+        train(demos, config, seed, tmp_path / name)
+    assert same(weights(tmp_path / "a"), weights(tmp_path / "b"))
+    assert not same(weights(tmp_path / "a"), weights(tmp_path / "c"))
+
+
+def test_training_leaves_the_torch_generator_and_threads_alone(demos: Demonstrations, tmp_path: Path) -> None:
+    torch.manual_seed(1)
+    expected = torch.rand(3)
+    torch.manual_seed(1)
+    threads = torch.get_num_threads()
+    train(demos, TrainConfig(**SMALL), 0, tmp_path / "a")
+    assert torch.equal(torch.rand(3), expected)
+    assert torch.get_num_threads() == threads
+
+
+@pytest.mark.parametrize("stop_at", [2, 3])
+def test_an_interrupted_training_goes_on_to_the_same_weights(
+    demos: Demonstrations, tmp_path: Path, stop_at: int
+) -> None:
+    config = TrainConfig(**SMALL, dropout=0.1)
+    whole = train(demos, config, 5, tmp_path / "whole")
+    done = 0
+
+    def interrupt(steps: int, _loss: float) -> None:
+        nonlocal done
+        done += steps
+        if done == stop_at:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(demos, config, 5, tmp_path / "cut", resume_dir=tmp_path / "progress", advance=interrupt)
+    assert not (tmp_path / "cut").exists()
+    resumed = train(demos, config, 5, tmp_path / "cut", resume_dir=tmp_path / "progress")
+    assert resumed.resumed_from_step == stop_at
+    assert same(weights(tmp_path / "whole"), weights(tmp_path / "cut"))
+    assert resumed.curve == whole.curve
+
+
+@pytest.mark.parametrize("change", ["seed", "config", "data", "damage"])
+def test_progress_of_another_training_is_not_used(demos: Demonstrations, tmp_path: Path, change: str) -> None:
+    config, seed = TrainConfig(**SMALL), 5
+
+    def interrupt(_steps: int, _loss: float) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(demos, config, seed, tmp_path / "cut", resume_dir=tmp_path / "progress", advance=interrupt)
+    if change == "seed":
+        seed = 6
+    elif change == "config":
+        config = TrainConfig(**{**SMALL, "approach_weight": 1.0})
+    elif change == "data":
+        demos = tiny(seed=1)
+    else:
+        (tmp_path / "progress" / "progress.pt").write_bytes(b"not a progress file")
+    assert (
+        train(demos, config, seed, tmp_path / "cut", resume_dir=tmp_path / "progress").resumed_from_step == 0
+    )
+
+
+def test_a_loss_that_is_not_finite_stops_with_the_step_and_the_learning_rate(
+    demos: Demonstrations, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from minidual.learning.spatial_act.modeling_spatial_act import SpatialActPolicy
+
+    forward, calls = SpatialActPolicy.forward, 0
+
+    def diverge(
+        self: SpatialActPolicy, batch: dict[str, torch.Tensor]
+    ) -> tuple[torch.Tensor, dict[str, float]]:
+        nonlocal calls
+        calls += 1
+        loss, parts = forward(self, batch)
+        return (loss * torch.inf if calls == 3 else loss), parts
+
+    monkeypatch.setattr(SpatialActPolicy, "forward", diverge)
+    with pytest.raises(UsageError, match="loss became inf at step 2") as caught:
+        train(demos, TrainConfig(**SMALL), 0, tmp_path / "a")
+    assert "train.learning_rate=" in str(caught.value.remedy)
+    assert not (tmp_path / "a").exists()
+
+
+def test_the_time_limit_cuts_training_and_says_so(demos: Demonstrations, tmp_path: Path) -> None:
+    result = train(demos, TrainConfig(**{**SMALL, "steps": 400, "time_limit_s": 0.05}), 0, tmp_path / "a")
+    assert result.stopped_by == "time limit"
+    assert 0 < result.steps < 400 == result.steps_asked
+
+
+def test_the_configured_learning_rate_is_what_the_curve_shows(demos: Demonstrations, tmp_path: Path) -> None:
+    config = TrainConfig(**{**SMALL, "steps": 40, "warmup_fraction": 0.1})
+    rates = [row.learning_rate for row in train(demos, config, 0, tmp_path / "a").curve]
+    assert max(rates) == pytest.approx(config.learning_rate, rel=0.01)
+    assert rates[-1] < 0.02 * config.learning_rate
+    assert rates.index(max(rates)) <= 2
+
+
+def test_stock_resnet_act_loads_with_plain_lerobot(demos: Demonstrations, tmp_path: Path) -> None:
+    from lerobot.policies.act.modeling_act import ACTPolicy
+
+    config = TrainConfig(**{**SMALL, "backbone": "resnet18", "steps": 2, "use_vae": True})
+    result = train(demos, config, 0, tmp_path / "a")
+    assert result.parameters > 11e6
+    assert json.loads((tmp_path / "a" / "config.json").read_text())["type"] == "act"
+    theirs = ACTPolicy.from_pretrained(tmp_path / "a")
+    ours, _, _ = load_policy(tmp_path / "a")
+    batch = {
+        "observation.state": torch.zeros(1, 16),
+        "observation.images.cam_high": torch.zeros(1, 3, 12, 16),
+    }
+    assert torch.equal(theirs.predict_action_chunk(dict(batch)), ours.predict_action_chunk(dict(batch)))
+
+
+def test_spatial_checkpoint_is_labelled_and_lerobot_reads_it(demos: Demonstrations, tmp_path: Path) -> None:
+    from lerobot.configs import PreTrainedConfig
+    from lerobot.policies.factory import get_policy_class, make_pre_post_processors
+
+    train(demos, TrainConfig(**SMALL), 0, tmp_path / "a")
+    record = json.loads((tmp_path / "a" / "config.json").read_text())
+    assert (record["type"], record["vision_backbone"]) == ("spatial_act", "spatial_softmax")
+    assert record["pretrained_backbone_weights"] is None
+    config = PreTrainedConfig.from_pretrained(tmp_path / "a")
+    policy = get_policy_class(config.type).from_pretrained(tmp_path / "a", config=config, strict=True)
+    pre, post = make_pre_post_processors(config, pretrained_path=str(tmp_path / "a"))
+    image = torch.from_numpy(demos.images["high"][7]).permute(2, 0, 1) / 255.0
+    batch = pre({"observation.state": torch.from_numpy(demos.state[7]), "observation.images.cam_high": image})
+    assert post(policy.select_action(batch)).shape == (1, 16)
+
+
+def test_processors_of_the_checkpoint_normalise_as_training_does(
+    demos: Demonstrations, tmp_path: Path
+) -> None:
+    from minidual.config.seeds import stream
+    from minidual.learning.batches import BatchMaker
+    from minidual.learning.demonstrations import split_episodes
+    from minidual.learning.normalisation import dataset_statistics
+
+    config = TrainConfig(**SMALL)
+    train(demos, config, 0, tmp_path / "a")
+    _, pre, post = load_policy(tmp_path / "a")
+    episodes, _ = split_episodes([0, 1, 2], config.validation_fraction, stream(0, "train.split"))
+    stats = dataset_statistics(demos, demos.rows_of(episodes), config.std_floor)
+    trained_on = BatchMaker(demos, config, stats).clean(np.array([33]))
+    image = torch.from_numpy(demos.images["high"][33]).permute(2, 0, 1) / 255.0
+    seen = pre({"observation.state": torch.from_numpy(demos.state[33]), "observation.images.cam_high": image})
+    for key in ("observation.state", "observation.images.cam_high"):
+        assert torch.allclose(seen[key], trained_on[key], atol=1e-5)
+    assert torch.allclose(post(trained_on["action"])[0], torch.from_numpy(demos.action[33:43]), atol=1e-5)
+
+
+def test_cuda_without_a_device_is_an_environment_error(demos: Demonstrations, tmp_path: Path) -> None:
+    if torch.cuda.is_available():
+        pytest.skip("there is a CUDA device here")
+    with pytest.raises(EnvironmentMissingError, match="finds no CUDA device"):
+        train(demos, TrainConfig(**{**SMALL, "device": "cuda"}), 0, tmp_path / "a")
+
+
+def test_an_existing_checkpoint_is_not_overwritten(demos: Demonstrations, tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    with pytest.raises(DataError, match="exists already"):
+        train(demos, TrainConfig(**SMALL), 0, tmp_path / "a")
+
+
+def test_records_hold_the_curve(demos: Demonstrations, tmp_path: Path) -> None:
+    result: TrainResult = train(demos, TrainConfig(**SMALL), 0, tmp_path / "a")
+    write_loss_csv(result.curve, tmp_path / "loss.csv")
+    lines = (tmp_path / "loss.csv").read_text().splitlines()
+    assert lines[0].startswith("step,loss,l1,keyframe")
+    assert [line.split(",")[0] for line in lines[1:]] == ["2", "4"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        draw_loss(result, tmp_path / "loss.png")
+    assert (tmp_path / "loss.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"dim_model": 64, "heads": 7},
+        {"learning_rate": 0.0},
+        {"learning_rate": float("nan")},
+        {"backbone": "resnet50"},
+        {"steps": 0},
+        {"unknown": 1},
+    ],
+)
+def test_impossible_settings_are_refused(bad: dict[str, object]) -> None:
+    with pytest.raises(ValidationError):
+        TrainConfig(**bad)  # type: ignore[arg-type]
