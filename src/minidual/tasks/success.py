@@ -28,6 +28,9 @@ from minidual.tasks.rod_carry import RodTrial, tilt_rad
 
 _AIRBORNE_M = 0.003
 """The rod counts as lifted when its lower end is this far above its resting height."""
+_REST_S = 0.1
+"""The rod counts as put down when it has lain released and at rest for this long: for an instant, a rod let go a
+millimetre above the table is at rest too."""
 
 
 @dataclass(frozen=True)
@@ -81,8 +84,8 @@ class RodCarryJudge:
     _tilt: float = 0.0
     _pinch: float = np.inf
     _squeeze: float = np.inf
+    _quiet_since: float | None = None
     _done_at: float | None = None
-    _last: tuple[float, float] = (np.nan, np.nan)
 
     def observe(self, world: World) -> None:
         """Take one instant into account."""
@@ -102,7 +105,7 @@ class RodCarryJudge:
         pinch = world.pinch_forces()
         if low_end > _AIRBORNE_M:
             self._was_airborne = True
-            self._done_at = None
+            self._quiet_since = self._done_at = None
             weakest = int(np.argmin(pinch))
             self._pinch = min(self._pinch, float(pinch[weakest]))
             if pinch[weakest] <= task.pinch_min_n:
@@ -120,16 +123,22 @@ class RodCarryJudge:
                     world.time,
                     f"internal force {squeeze:.1f} N, needs > {task.internal_force_min_n:.0f}",
                 )
-        elif self._was_airborne and self._done_at is None and self._finished(world, pinch):
-            self._done_at = world.time
+        elif self._was_airborne:
+            if not self._finished(world, pinch):
+                self._quiet_since = self._done_at = None
+            elif self._quiet_since is None:
+                self._quiet_since = world.time
+            elif self._done_at is None and world.time - self._quiet_since >= _REST_S:
+                self._done_at = world.time
 
     def _finished(self, world: World, pinch: Array) -> bool:
         position_error, _ = self.goal_errors(world)
         return (
-            float(pinch.max()) < 0.1
-            and not self._touched(world)
-            and position_error < self.scene.task.goal_tolerance_m
+            position_error < self.scene.task.goal_tolerance_m
+            and float(pinch.max()) < 0.1
             and float(np.linalg.norm(world.rod_twist[:3])) < self.scene.task.rest_speed_m_per_s
+            and not self._touched(world)
+            and world.rod_on_table()
         )
 
     @staticmethod
