@@ -1,0 +1,81 @@
+"""What all tests share. The environment is set here, before any library reads it."""
+
+from __future__ import annotations
+
+import os
+
+os.environ["HF_HUB_OFFLINE"] = "1"  # a test that reaches for the network fails at once
+os.environ.setdefault("MUJOCO_GL", "egl")
+for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_threads, "1")
+
+from collections.abc import Iterator  # noqa: E402
+from typing import TYPE_CHECKING  # noqa: E402
+
+import pytest  # noqa: E402
+
+if TYPE_CHECKING:
+    import mujoco
+
+    from minidual.config.scene import SceneConfig
+    from minidual.robot.kinematics import Kinematics
+    from minidual.sim.world import World
+
+
+@pytest.fixture(scope="session")
+def scene() -> SceneConfig:
+    """The default scene."""
+    from minidual.config.scene import SceneConfig
+
+    return SceneConfig()
+
+
+@pytest.fixture(scope="session")
+def compiled_model(scene: SceneConfig) -> mujoco.MjModel:
+    """The compiled model without visual meshes, shared: tests must not write to it."""
+    from minidual.sim.model import build_model
+
+    return build_model(scene, visuals=False)
+
+
+@pytest.fixture(scope="session")
+def visual_model(scene: SceneConfig) -> mujoco.MjModel:
+    """The compiled model with visual meshes, shared: tests must not write to it."""
+    from minidual.sim.model import build_model
+
+    return build_model(scene, visuals=True)
+
+
+@pytest.fixture
+def world(scene: SceneConfig, compiled_model: mujoco.MjModel) -> World:
+    """A fresh world on the shared model, arms at home."""
+    from minidual.sim.world import World
+
+    return World(scene, model=compiled_model)
+
+
+@pytest.fixture
+def visual_world(scene: SceneConfig, visual_model: mujoco.MjModel) -> World:
+    """A fresh world that can be rendered, arms at home."""
+    from minidual.sim.world import World
+
+    return World(scene, model=visual_model)
+
+
+@pytest.fixture
+def kinematics() -> Kinematics:
+    """A Pinocchio workspace of its own."""
+    from minidual.robot.kinematics import Kinematics
+
+    return Kinematics()
+
+
+@pytest.fixture
+def quiet_mujoco() -> Iterator[None]:
+    """For tests that provoke MuJoCo's warnings: it prints them and keeps a log in the working folder."""
+    import mujoco
+
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda _message: None)
+    yield
+    mujoco.set_mju_user_warning(before)
