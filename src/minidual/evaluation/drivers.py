@@ -18,10 +18,14 @@ def impedance(inputs: MethodInputs) -> Factory:
 
 def planned(inputs: MethodInputs) -> Factory:
     """Plan with OMPL and toppra, execute with joint trajectory control."""
-    from minidual.tasks.planned_carry import PlannedCarry
+    from minidual.tasks.planned_carry import PlannedCarry, make_planners
 
-    config, seed = inputs.config.plan, inputs.seed
-    return lambda world, kinematics, trial: PlannedCarry(world, kinematics, config, trial, seed)
+    planner, carrier = make_planners(inputs.config.plan.planner)
+
+    def make(world: World, kinematics: Kinematics, trial: RodTrial) -> PlannedCarry:
+        return PlannedCarry(world, kinematics, planner, carrier, trial, inputs.seed + trial.index)
+
+    return make
 
 
 def policy(inputs: MethodInputs) -> Factory:

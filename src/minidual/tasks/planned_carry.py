@@ -1,0 +1,132 @@
+"""Carry the rod by planning alone: OMPL to the rod, a closed-chain plan with it, joint trajectory control throughout.
+
+The whole cycle is planned before the arms move, from the rod's pose: approach (OMPL, proven free), straight
+descent, the carry on which both hands keep their grasps, straight retreat. Nothing is fed back but joint
+positions; the squeeze is whatever the stiff joints happen to give.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from minidual.config.planning import PlannerConfig
+from minidual.control.loop import JointLoop
+from minidual.planning.api import Planner
+from minidual.planning.closed_chain import CarriedPlanner, ObjectLimits
+from minidual.planning.errors import PlanningError
+from minidual.planning.trajectory import Trajectory
+from minidual.robot.constants import ARMS, DOF, Array
+from minidual.robot.kinematics import Kinematics
+from minidual.sim.world import World
+from minidual.tasks.rod_carry import RodTrial, grasp_offsets, level_part, level_pose
+
+_HOVER_M = 0.08
+_RETREAT_M = 0.10
+_CLOSE_S, _OPEN_S, _SETTLE_S = 0.75, 0.55, 0.2
+_CARRY_LIMITS = ObjectLimits(speed_m_per_s=0.35, acceleration_m_per_s2=1.0)
+_STRAIGHT_LIMITS = ObjectLimits(speed_m_per_s=0.15, acceleration_m_per_s2=0.6)
+
+
+class PlannedCarry:
+    """One planned trial; call `step` until `done`.
+
+    Args:
+        world: The plant, already reset.
+        kinematics: Dynamics for the joint controller.
+        planner: Plans to the rod; shared by trials.
+        carrier: Plans with the rod in both hands; shared by trials.
+        trial: Goal.
+        seed: Of the planner.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        kinematics: Kinematics,
+        planner: Planner,
+        carrier: CarriedPlanner,
+        trial: RodTrial,
+        seed: int,
+    ) -> None:
+        self.world = world
+        self.aborted: str | None = None
+        self._loop = JointLoop(world, kinematics)
+        self._segments: list[tuple[str, Trajectory | float, float]] = []
+        self._began_s = world.time
+        self._q_end: Array = world.q
+        try:
+            self._segments = self._plan(planner, carrier, trial, seed)
+        except PlanningError as error:
+            self.aborted = error.message
+
+    def _plan(
+        self, planner: Planner, carrier: CarriedPlanner, trial: RodTrial, seed: int
+    ) -> list[tuple[str, Trajectory | float, float]]:
+        """Return (phase, trajectory or waiting time, gripper opening) of the whole cycle."""
+        scene = self.world.scene
+        grasps = grasp_offsets(scene)
+        start = level_part(self.world.T_world_rod)
+        goal = level_pose(trial.goal[0], trial.goal[1], scene.rod.radius_m, trial.goal[2])
+        lift = scene.task.lift_height_m
+        targets = {arm: _raised(start, _HOVER_M) @ grasp for arm, grasp in zip(ARMS, grasps, strict=True)}
+        approach = planner.plan_to_poses("both_arms", self.world.q, targets, seed=seed).trajectory
+
+        def straight(after: Trajectory, poses: Sequence[Array], limits: ObjectLimits) -> Trajectory:
+            return carrier.plan(after.q[-1], poses, *grasps, object_limits=limits)
+
+        descent = straight(approach, [_raised(start, _HOVER_M), start], _STRAIGHT_LIMITS)
+        carry = straight(descent, [start, _raised(start, lift), _raised(goal, lift), goal], _CARRY_LIMITS)
+        retreat = straight(carry, [goal, _raised(goal, _RETREAT_M)], _STRAIGHT_LIMITS)
+        return [
+            ("approach", approach, 1.0),
+            ("descend", descent, 1.0),
+            ("close", _CLOSE_S, 0.0),
+            ("carry", carry, 0.0),
+            ("settle", _SETTLE_S, 0.0),
+            ("open", _OPEN_S, 1.0),
+            ("retreat", retreat, 1.0),
+        ]
+
+    @property
+    def phase(self) -> str:
+        """Name of the phase the trial is in."""
+        return self._segments[0][0] if self._segments else "done"
+
+    @property
+    def done(self) -> bool:
+        """Return whether the cycle is over, or was never planned."""
+        return not self._segments
+
+    def step(self) -> None:
+        """Run one control and physics step."""
+        still = np.zeros(DOF)
+        if not self._segments:
+            self._loop.follow(self._q_end, still, still, np.ones(2))
+            return
+        _, motion, opening = self._segments[0]
+        t = self.world.time - self._began_s
+        if isinstance(motion, Trajectory):
+            q, v, a = motion.sample(t)
+            length = motion.duration_s
+        else:
+            q, v, a = self._q_end, still, still
+            length = motion
+        self._q_end = q
+        self._loop.follow(q, v, a, np.full(2, opening))
+        if t >= length:
+            self._segments.pop(0)
+            self._began_s = self.world.time
+
+
+def _raised(T: Array, height_m: float) -> Array:
+    """Return the pose moved up by a height [m]."""
+    T = T.copy()
+    T[2, 3] += height_m
+    return T
+
+
+def make_planners(config: PlannerConfig) -> tuple[Planner, CarriedPlanner]:
+    """Return the planners that trials of one process share."""
+    return Planner(config=config), CarriedPlanner()
