@@ -89,6 +89,17 @@ def test_usage_errors_exit_2(cli, capsys):
     assert not cli.bench.store.folder.exists()
 
 
+def test_option_before_the_command_is_told_its_place(capsys):
+    assert run_command_line(["--profile=smoke", "carry"], STAGES) == 2
+    assert "--profile stands after the command: minidual COMMAND --profile" in capsys.readouterr().err
+
+
+def test_file_in_place_of_the_runs_folder_exits_2(tmp_path, capsys):
+    (tmp_path / "runs").write_text("")
+    assert run_command_line(["first", "--runs-dir", str(tmp_path / "runs")], Bench(tmp_path).table) == 2
+    assert f"{tmp_path / 'runs'} is a file" in capsys.readouterr().err
+
+
 def test_closed_gate_exits_3_with_the_command_in_full(cli):
     code, out, err = cli("second", "--profile", "smoke", "--set", "seed=4")
     assert (code, out) == (3, "")

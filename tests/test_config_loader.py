@@ -61,6 +61,19 @@ def test_extends_merges_deeply_and_keeps_the_rest(profile):
     assert base
 
 
+def test_mapping_that_is_one_value_is_replaced_by_a_profile_and_edited_by_set(profile):
+    default = Config().benchmark.success_rate_min
+    assert len(default) > 1
+    over = load_config(profile("benchmark:\n  success_rate_min: {act: 0.4}\n"))
+    assert over.config.benchmark.success_rate_min == {"act": 0.4}
+    top = load_config(
+        profile("extends: mine.yaml\nbenchmark:\n  success_rate_min: {moveit: 0.3}\n", "top.yaml")
+    )
+    assert top.config.benchmark.success_rate_min == {"moveit": 0.3}
+    edited = load_config("standard", ["benchmark.success_rate_min.act=0.25"])
+    assert edited.config.benchmark.success_rate_min == {**default, "act": 0.25}
+
+
 def test_circle_of_profiles_is_refused(profile):
     profile("extends: b.yaml\n", "a.yaml")
     assert "circle: a.yaml -> b.yaml -> a.yaml" in refusal(

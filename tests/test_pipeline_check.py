@@ -59,6 +59,11 @@ def test_margin_is_positive_on_the_good_side(op, observed, margin):
     assert Check("x", observed, op, 1.0).margin == pytest.approx(margin)
 
 
+def test_no_margin_is_minus_zero():
+    margins = [Check("x", 1, op, 1).margin for op in sorted(OPERATORS)]
+    assert [str(margin) for margin in margins] == ["0.0"] * 5
+
+
 @settings(deadline=None, max_examples=60)
 @given(finite, st.sampled_from(["<", "<=", ">", ">="]), finite)
 def test_sign_of_the_margin_agrees_with_the_result(observed, op, limit):

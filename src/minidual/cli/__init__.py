@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import signal
 import sys
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import FrameType
@@ -96,6 +97,10 @@ def _show_version(wanted: bool) -> None:
         raise typer.Exit
 
 
+def _flag(name: str) -> str:
+    return "--set" if name == "settings" else f"--{name.replace('_', '-')}"
+
+
 def build_app(table: StageTable) -> typer.Typer:
     """Return the command line for a table of stages."""
     app = typer.Typer(
@@ -137,6 +142,10 @@ def run_command_line(arguments: Sequence[str], table: StageTable) -> int:
     """Run one command and return its exit code (see minidual.errors.ExitCode)."""
     app = build_app(table)
     commands = {command.name or "" for command in app.registered_commands} | {"config"}
+    if arguments and arguments[0].split("=")[0] in {_flag(name) for name in _COMMON}:
+        flag = arguments[0].split("=")[0]
+        print(f"minidual: {flag} stands after the command: minidual COMMAND {flag} ...", file=sys.stderr)
+        return int(ExitCode.USAGE)
     if arguments and not arguments[0].startswith("-") and arguments[0] not in commands:
         error = unknown_name("command", arguments[0], commands)
         print(f"minidual: {error}", file=sys.stderr)
@@ -161,4 +170,6 @@ def main() -> None:
     from minidual.stages.registry import STAGES
 
     signal.signal(signal.SIGTERM, _on_termination)
+    # Some libraries' docstrings hold invalid escapes, and Python says so whenever it compiles them.
+    warnings.simplefilter("ignore", SyntaxWarning)
     sys.exit(run_command_line(sys.argv[1:], STAGES))

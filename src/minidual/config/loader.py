@@ -55,8 +55,9 @@ class LoadedConfig:
         if not overrides:
             return self
         document = copy.deepcopy(self.document)
+        resolved = self.config.model_dump(mode="json")
         for override in overrides:
-            _apply(document, override)
+            _apply(document, override, resolved)
         return LoadedConfig(
             _validate(document), self.profile, self.sources, (*self.overrides, *overrides), document
         )
@@ -100,15 +101,17 @@ def _read_chain(path: Path, below: tuple[Path, ...]) -> tuple[Document, tuple[Pa
         raise ConfigError(f"{where}: extends: {error.message}", remedy=error.remedy) from error
     base, sources = _read_chain(base_path, (*below, path.resolve()))
     _refuse_regained_acceptance(base.tree, document.tree, where)
-    _merge(base.tree, document.tree)
+    _merge(base.tree, document.tree, ())
     base.origins.update(document.origins)
     return base, (*sources, path)
 
 
-def _merge(base: dict[str, Any], over: Mapping[str, Any]) -> None:
+def _merge(base: dict[str, Any], over: Mapping[str, Any], location: tuple[str, ...]) -> None:
+    """Lay `over` on `base`. Sections merge key by key; a mapping that is one value is replaced whole."""
     for key, value in over.items():
-        if isinstance(value, dict) and isinstance(base.get(key), dict):
-            _merge(base[key], cast(dict[str, Any], value))
+        inner = (*location, key)
+        if isinstance(value, dict) and isinstance(base.get(key), dict) and _keys_at(inner):
+            _merge(base[key], cast(dict[str, Any], value), inner)
         else:
             base[key] = value
 
@@ -121,21 +124,25 @@ def _refuse_regained_acceptance(base: Mapping[str, Any], over: Mapping[str, Any]
         )
 
 
-def _apply(document: Document, override: Override) -> None:
+def _apply(document: Document, override: Override, resolved: dict[str, Any]) -> None:
+    """Set one value. A mapping that is one value keeps its other keys, defaults included (`resolved`)."""
     if override.path == "acceptance":
         _refuse_regained_acceptance(document.tree, {"acceptance": override.value}, override.text)
     *sections, key = override.path.split(".")
     place: dict[str, Any] = document.tree
     for depth, section in enumerate(sections):
-        inner: Any = place.setdefault(section, {})
+        known: Any = resolved.get(section)
+        resolved = cast(dict[str, Any], known) if isinstance(known, dict) else {}
+        is_section = bool(_keys_at(sections[: depth + 1]))
+        inner: Any = place.setdefault(section, {} if is_section else copy.deepcopy(resolved))
         document.origins.setdefault(".".join(sections[: depth + 1]), override.text)
         if not isinstance(inner, dict):
             dotted = ".".join(sections[: depth + 1])
             raise ConfigError(f"{override.text}: {dotted} is a single value and has no keys")
         place = cast(dict[str, Any], inner)
     place[key] = override.value
-    for known in [known for known in document.origins if known.startswith(f"{override.path}.")]:
-        del document.origins[known]
+    for below in [path for path in document.origins if path.startswith(f"{override.path}.")]:
+        del document.origins[below]
     document.origins[override.path] = override.text
 
 

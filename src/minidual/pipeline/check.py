@@ -98,7 +98,7 @@ class Check:
         gap = float(self.observed) - float(self.limit)
         if self.op in (">", ">="):
             return gap
-        return -gap if self.op in ("<", "<=") else -abs(gap)
+        return 0.0 - gap if self.op in ("<", "<=") else 0.0 - abs(gap)  # from 0.0, so that none is -0.0
 
     def sentence(self) -> str:
         """Return "tilt_max_rad is 0.12 rad, limit <= 0.0873 rad" for messages."""

@@ -106,7 +106,16 @@ class RunStore:
 
     @contextmanager
     def writing(self, command: str) -> Generator[None]:
-        """Hold the run's lock; mends a replacement that was cut short."""
+        """Hold the run's lock; mends a replacement that was cut short.
+
+        UsageError if another process holds it, or if a file stands where the folder should be.
+        """
+        for place in (self.folder, *self.folder.parents):
+            if place.exists() and not place.is_dir():
+                raise UsageError(
+                    f"runs cannot be kept in {self.folder}: {place} is a file",
+                    remedy="give another --runs-dir",
+                )
         with run_lock(self.folder, command):
             for old in self.folder.glob(".*.old"):
                 self._mend(old.name[1 : -len(".old")])
