@@ -30,6 +30,8 @@ class PlannerConfig(StrictModel):
     """Fraction of the robot's velocity limits that a plan uses; the rest is headroom."""
     acceleration_scale: float = Field(0.9, gt=0.0, le=1.0)
     torque_scale: float = Field(0.95, gt=0.0, le=1.0)
+    smoothing_s: float = Field(0.04, ge=0.0, le=1.0)
+    """Window over which the path position is averaged, so that the acceleration does not jump."""
     ik_restarts_n: int = Field(30, ge=1, le=10_000)
     goal_candidates_n: int = Field(4, ge=1, le=100)
     """Joint solutions of a pose goal that are tried in turn, the nearest first."""

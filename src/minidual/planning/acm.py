@@ -210,6 +210,6 @@ def _write(path: Path, acm: AllowedCollisions) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".tmp", delete=False, encoding="utf-8") as file:
             json.dump([list(row) for row in acm.table()], file, indent=0)
-        os.replace(file.name, path)
+        Path(file.name).replace(path)
     except OSError:
         return

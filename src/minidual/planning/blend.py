@@ -63,6 +63,14 @@ def blended_path(path: Array, checker: EdgeChecker, radius_rad: float, step_rad:
     return SmoothPath(_assemble(path, lengths, directions, halves))
 
 
+def rounded(path: Array, radius: float) -> SmoothPath:
+    """Return the polyline (n, d) with every corner rounded, whatever stands there; for paths of objects."""
+    steps = np.diff(path, axis=0)
+    lengths = np.linalg.norm(steps, axis=1)
+    halves = np.minimum(radius, _OF_SEGMENT * np.minimum(lengths[:-1], lengths[1:]))
+    return SmoothPath(_assemble(path, lengths, steps / lengths[:, None], halves))
+
+
 def _corner_free(
     vertex: Array, u1: Array, u2: Array, d: float, checker: EdgeChecker, step_rad: float
 ) -> bool:

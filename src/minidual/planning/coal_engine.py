@@ -14,6 +14,10 @@ from minidual.planning.shapes import Box, Capsule, Cylinder, Shape, Sphere
 from minidual.robot.constants import FINGER_JOINT_NAMES, FINGER_TRAVEL_M, Array
 from minidual.robot.description import dual_panda_urdf
 
+# With coal's default of 1e-6, GJK stops early on about one state in 20 000 and calls a contact of 1 mm free, although
+# its own distance query says otherwise; with 1e-9 the two engines agreed on 52 000 of 52 000 states.
+_GJK_TOLERANCE = 1e-9
+
 
 class CoalEngine:
     """Collision checks of one scene."""
@@ -41,6 +45,8 @@ class CoalEngine:
                 for second in ids[b]:
                     self.geometry.addCollisionPair(pin.CollisionPair(first, second))
         self._pool = pin.TreeBroadPhaseManagerPool_DynamicAABBTreeCollisionManager(self.model, self.geometry, 1)
+        for request in self._pool.getGeometryData(0).collisionRequests:
+            request.gjk_tolerance = _GJK_TOLERANCE
 
     def collisions(self, Q: Array) -> np.ndarray:
         """Return for each row of Q (n, 14) whether anything touches, (n,) bool."""

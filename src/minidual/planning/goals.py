@@ -118,25 +118,31 @@ class PoseGoals:
             raise UsageError(
                 f"the targets name {', '.join(sorted(targets)) or 'no arm'}; {group} needs {', '.join(arms)}"
             )
-        per_arm: list[list[Array]] = []
-        for arm in arms:
-            T = check_pose(targets[arm], f"the target of the {arm} hand")
-            near = q_start[GROUPS[f"{arm}_arm"]]
-            found = list(self._solvers[arm].solutions(T, near, rng, restarts_n))
-            per_arm.append(sorted(found, key=lambda q, near=near: float(np.abs(q - near).max()))[: 2 * candidates_n])
-        combined = []
-        for parts in itertools.product(*per_arm):
-            q = np.array(q_start)
-            for arm, part in zip(arms, parts, strict=True):
-                q[GROUPS[f"{arm}_arm"]] = part
-            combined.append(q)
-        combined.sort(key=lambda q: float(np.linalg.norm(q - q_start)))
-        free: list[Array] = []
-        for q in combined:
-            if not engine.in_collision(q):
-                free.append(q)
-                if len(free) == candidates_n:
-                    break
-        if not free:
-            require_free(engine, combined[0], "goal")
-        return free
+        solvers = {
+            arm: self._solvers[arm].solutions(
+                check_pose(targets[arm], f"the target of the {arm} hand"), q_start[GROUPS[f"{arm}_arm"]], rng, restarts_n
+            )
+            for arm in arms
+        }
+        found: dict[str, list[Array]] = {arm: [] for arm in arms}
+        while True:
+            new = {arm: list(itertools.islice(solvers[arm], candidates_n)) for arm in arms}
+            for arm in arms:
+                found[arm] += new[arm]
+            combined = _combinations(q_start, found)
+            free = list(itertools.islice((q for q in combined if not engine.in_collision(q)), candidates_n))
+            if free:
+                return free
+            if not any(new.values()):
+                require_free(engine, combined[0], "goal")
+
+
+def _combinations(q_start: Array, found: Mapping[str, list[Array]]) -> list[Array]:
+    """Return every combination of the arms' solutions as (14,), the nearest to the start first."""
+    combined = []
+    for parts in itertools.product(*found.values()):
+        q = np.array(q_start)
+        for arm, part in zip(found, parts, strict=True):
+            q[GROUPS[f"{arm}_arm"]] = part
+        combined.append(q)
+    return sorted(combined, key=lambda q: float(np.linalg.norm(q - q_start)))

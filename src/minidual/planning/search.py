@@ -61,7 +61,7 @@ class _Validity(ob.StateValidityChecker):
         super().__init__(si)
         self._free = free
 
-    def isValid(self, state: Any) -> bool:  # noqa: N802  (OMPL's name)
+    def isValid(self, state: Any) -> bool:
         return self._free(state)
 
 
@@ -70,7 +70,7 @@ class _Motion(ob.MotionValidator):
         super().__init__(si)
         self._edge_free = edge_free
 
-    def checkMotion(self, s1: Any, s2: Any) -> bool:  # noqa: N802  (OMPL's name)
+    def checkMotion(self, s1: Any, s2: Any) -> bool:
         return self._edge_free(s1, s2)
 
 

@@ -3,6 +3,10 @@
 toppra keeps its limits at its grid points and may overshoot between them (1 to 4 % measured), so it is given
 limits with headroom, and the sampled result is measured on a finer grid; what still overshoots is slowed down as a
 whole, which can only lower velocities and accelerations.
+
+toppra knows no jerk limit: its path acceleration jumps. So the path position s(t) is averaged over a short window
+(a box filter). That leaves the path as it is, ends at rest at the same place, and makes the path acceleration
+continuous: its rate is at most its largest jump divided by the window.
 """
 
 from __future__ import annotations
@@ -28,6 +32,8 @@ class MotionLimits:
     velocity_scale: float = 0.95
     acceleration_scale: float = 0.9
     torque_scale: float = 0.95
+    smoothing_s: float = 0.04
+    """Window of the average over s(t); every trajectory gets that much longer."""
 
 
 class Curve(Protocol):
@@ -58,13 +64,25 @@ def time_path(path: Curve, group: str, limits: MotionLimits, kinematics: Kinemat
     columns = np.arange(14)[joints]
     v_max, a_max = limits.velocity_scale * V_MAX[columns], limits.acceleration_scale * A_MAX[columns]
     s, sd = fastest_profile(path, columns, v_max, a_max)
-    trajectory = sample_profile(path, s, sd, group)
+    return drive(path, s, sd, group, limits, kinematics)[0]
+
+
+def drive(
+    path: Curve, s: Array, sd: Array, group: str, limits: MotionLimits, kinematics: Kinematics
+) -> tuple[Trajectory, Array]:
+    """Return the 1 kHz trajectory of a speed profile, slowed until it keeps the limits, and s (m,) at its samples.
+
+    Raises:
+        TimingError: It keeps them at no reasonable speed.
+    """
+    factor = 1.0
     for _ in range(_SLOWDOWNS_MAX):
+        times, position, speed, acceleration = sample_parameters(s, sd, limits.smoothing_s)
+        trajectory = _along(path, times, position, speed, acceleration, group)
         factor = _slowdown_needed(trajectory, limits, kinematics)
         if factor <= 1.0:
-            return trajectory
+            return trajectory, position
         sd = sd / (factor * 1.001)
-        trajectory = sample_profile(path, s, sd, group)
     raise TimingError(f"the path still needs to be {factor:.3f} times slower after {_SLOWDOWNS_MAX} slow-downs")
 
 
@@ -73,7 +91,7 @@ def _slowdown_needed(trajectory: Trajectory, limits: MotionLimits, kinematics: K
     acceleration = float(np.max(np.abs(trajectory.a) / (limits.acceleration_scale * A_MAX)))
     factor = max(velocity, np.sqrt(acceleration))
     if factor > 1.0 + 1e-9:
-        return factor
+        return float(factor)
     # Torque has a part that does not shrink with speed (gravity), so it is lowered step by step.
     torque = torque_ratio(trajectory, kinematics, every=5) / limits.torque_scale
     return 1.0 if torque <= 1.0 else 1.0 + 0.25 * min(1.0, torque - 1.0) + 0.02
@@ -156,25 +174,47 @@ def profile_times(s: Array, sd: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(2.0 * np.diff(s) / (sd[1:] + sd[:-1]))])
 
 
-def sample_parameters(s: Array, sd: Array, dt_s: float = DT_S) -> tuple[Array, Array, Array, Array]:
-    """Return (times, s, ds/dt, d2s/dt2) on a regular grid of dt_s; the whole is stretched to end on it."""
+def sample_parameters(
+    s: Array, sd: Array, smoothing_s: float = 0.0, dt_s: float = DT_S
+) -> tuple[Array, Array, Array, Array]:
+    """Return (times, s, ds/dt, d2s/dt2) on a regular grid of dt_s; the whole is stretched to end on it.
+
+    The average over `smoothing_s` is a mean of shifted copies of s(t), so its derivatives are the same means of the
+    shifted derivatives, exactly.
+    """
     at_grid = profile_times(s, sd)
     n = max(1, int(np.ceil(at_grid[-1] / dt_s - 1e-9)))
     stretch = n * dt_s / at_grid[-1]
-    times = np.arange(n + 1) * dt_s
-    t = times / stretch
+    t = np.arange(n + 1) * dt_s / stretch
     i = np.clip(np.searchsorted(at_grid, t, side="right") - 1, 0, len(s) - 2)
     u = (sd[i + 1] ** 2 - sd[i] ** 2) / (2.0 * (s[i + 1] - s[i]))
     x = t - at_grid[i]
     position = np.clip(s[i] + sd[i] * x + 0.5 * u * x**2, 0.0, s[-1])
-    speed = np.maximum(0.0, sd[i] + u * x)
-    position[-1], speed[-1] = s[-1], sd[-1]
-    return times, position, speed / stretch, u / stretch**2
+    speed = np.maximum(0.0, sd[i] + u * x) / stretch
+    acceleration = u / stretch**2
+    position[-1], speed[-1] = s[-1], 0.0
+    copies = max(1, round(smoothing_s / dt_s))
+    if copies > 1:
+        acceleration[-1] = 0.0  # at rest from here on
+        position = _mean_of_copies(position, copies, s[-1])
+        speed = _mean_of_copies(speed, copies, 0.0)
+        acceleration = _mean_of_copies(acceleration, copies, 0.0)
+    return np.arange(len(position)) * dt_s, position, speed, acceleration
 
 
-def sample_profile(path: Curve, s: Array, sd: Array, group: str) -> Trajectory:
-    """Return the 1 kHz samples of the first 14 columns of a curve driven with path speed sd (n,) at s (n,)."""
-    times, position, speed, acceleration = sample_parameters(s, sd)
+def _mean_of_copies(values: Array, copies: int, at_end: float) -> Array:
+    """Return the mean of the signal and its copies delayed by 1, 2, ... samples; before the start it is 0."""
+    padded = np.concatenate([np.zeros(copies), values, np.full(copies - 1, at_end)])
+    total = np.concatenate([[0.0], np.cumsum(padded)])
+    means = (total[copies + 1 :] - total[1:-copies]) / copies
+    means[-1] = at_end
+    return means
+
+
+def _along(
+    path: Curve, times: Array, position: Array, speed: Array, acceleration: Array, group: str
+) -> Trajectory:
+    """Return the trajectory of the first 14 columns of a curve, passed at the given parameters (m,)."""
     first, second = path.at(position, 1)[:, :14], path.at(position, 2)[:, :14]
     q = path.at(position)[:, :14]
     v = first * speed[:, None]

@@ -1,0 +1,208 @@
+"""Plan a set of queries and write down what happened to each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from time import perf_counter
+
+import numpy as np
+
+from minidual.config.planning import PlanConfig
+from minidual.config.scene import SceneConfig
+from minidual.planning.api import Planner
+from minidual.planning.closed_chain import CarriedPlanner, scene_holding
+from minidual.planning.errors import PlanningError
+from minidual.planning.queries import Query, QueryGenerator
+from minidual.planning.result import PHASES, PlanResult
+from minidual.planning.scene import PlanningScene
+from minidual.planning.shapes import Capsule
+from minidual.planning.shortcut import path_length
+from minidual.robot.constants import GROUPS, HOME, Q_LOWER, Q_UPPER
+from minidual.robot.poses import pose, rot_x, rot_z
+
+_ROOT_HALF = float(np.sqrt(0.5))
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """One query and what became of it; `result` is None if it failed, and then `reason` and `message` say why."""
+
+    query: Query
+    result: PlanResult | None
+    reason: str
+    message: str
+    total_s: float
+    scene_s: float
+
+    @property
+    def ok(self) -> bool:
+        """Whether a proven trajectory was found."""
+        return self.result is not None
+
+    def row(self) -> dict[str, object]:
+        """Return the line of queries.csv."""
+        query, result = self.query, self.result
+        row: dict[str, object] = {
+            "group": query.group,
+            "index": query.index,
+            "seed": query.seed,
+            "ok": self.ok,
+            "reason": self.reason,
+            "goal": "poses" if query.as_poses else "joints",
+            "line_blocked": query.blocked,
+            "total_s": round(self.total_s, 6),
+            "scene_setup_s": round(self.scene_s, 6),
+        }
+        row |= {
+            f"{phase}_s": "" if result is None else round(result.times_s[phase], 6)
+            for phase in PHASES
+            if phase != "scene"
+        }
+        if result is None:
+            empty = ("direct", "attempts_n", "path_length_rad", "duration_s", "samples_n", "clearance_m")
+            row |= dict.fromkeys((*empty, "velocity_ratio", "acceleration_ratio", "torque_ratio"), "")
+        else:
+            proof = result.verification
+            row |= {
+                "direct": result.direct,
+                "attempts_n": result.attempts_n,
+                "path_length_rad": round(path_length(result.path), 6),
+                "duration_s": round(result.trajectory.duration_s, 6),
+                "samples_n": proof.samples_n,
+                "clearance_m": round(proof.clearance_m, 6),
+                "velocity_ratio": round(proof.velocity_ratio, 6),
+                "acceleration_ratio": round(proof.acceleration_ratio, 6),
+                "torque_ratio": round(proof.torque_ratio, 6),
+            }
+        row["message"] = self.message
+        return row
+
+
+def plan_query(planner: Planner, query: Query) -> Outcome:
+    """Plan one query; the clock runs from the goal going in to the proven trajectory coming out.
+
+    The engines of the scene are built before (a scene is known before its goals); that time stands beside.
+    """
+    begin = perf_counter()
+    planner.engines(query.scene)
+    scene_s = perf_counter() - begin
+    begin = perf_counter()
+    try:
+        if query.as_poses:
+            result = planner.plan_to_poses(
+                query.group, query.q_start, query.targets, scene=query.scene, seed=query.seed
+            )
+        else:
+            result = planner.plan_to_joints(
+                query.group, query.q_start, query.q_goal, scene=query.scene, seed=query.seed
+            )
+    except PlanningError as error:
+        return Outcome(query, None, error.reason, error.message, perf_counter() - begin, scene_s)
+    return Outcome(query, result, "", "", perf_counter() - begin, scene_s)
+
+
+def run_queries(
+    config: PlanConfig, seed: int, on_query: Callable[[Outcome], None] | None = None
+) -> dict[str, list[Outcome]]:
+    """Plan `config.queries_n` queries of every group, in one process so that the times mean something.
+
+    Args:
+        config: Query set and planner.
+        seed: Seed of the query set.
+        on_query: Called after each.
+    """
+    planner = Planner(config=config.planner)
+    # Import and compile what the first query would otherwise pay for.
+    planner.plan_to_joints("both_arms", HOME, HOME + 0.05)
+    generator = QueryGenerator(seed, config.obstacles_n, config.blocked_fraction)
+    outcomes: dict[str, list[Outcome]] = {group: [] for group in GROUPS}
+    for group, done in outcomes.items():
+        for index in range(config.queries_n):
+            done.append(plan_query(planner, generator.query(group, index)))
+            if on_query is not None:
+                on_query(done[-1])
+    return outcomes
+
+
+def repeats(config: PlanConfig, outcome: Outcome) -> bool:
+    """Return whether a fresh planner gives the same trajectory, bit for bit, for a query that was solved."""
+    if outcome.result is None:
+        return False
+    again = plan_query(Planner(config=config.planner), outcome.query).result
+    return again is not None and again.trajectory.digest() == outcome.result.trajectory.digest()
+
+
+def engine_agreement(scene: PlanningScene, states_n: int, seed: int) -> float:
+    """Return the fraction of random states on which both engines say the same.
+
+    Half of the states are uniform within the limits (most collide), half lie round home (most are free).
+    """
+    engines = Planner(scene).engines()
+    rng = np.random.default_rng([seed, 11])
+    half = states_n // 2
+    Q = np.vstack([
+        rng.uniform(Q_LOWER, Q_UPPER, (half, 14)),
+        np.clip(HOME + rng.uniform(-0.8, 0.8, (states_n - half, 14)), Q_LOWER, Q_UPPER),
+    ])  # fmt: skip
+    return float(np.mean(engines.mujoco.collisions(Q) == engines.coal.collisions(Q)))
+
+
+@dataclass(frozen=True)
+class CarryPlans:
+    """Carries of the rod by both hands, planned as a closed chain."""
+
+    planned_n: int
+    solved_n: int
+    residual_max_m: float
+    residual_max_rad: float
+    time_median_s: float | None
+    failures: tuple[str, ...]
+
+
+def plan_carries(config: PlanConfig, scene: SceneConfig, count: int, seed: int) -> CarryPlans:
+    """Plan the rod's carry from `count` random starts to the goal, with the rod in the collision scene.
+
+    Args:
+        config: Planner of the approach.
+        scene: Rod and task.
+        count: Number of carries.
+        seed: Seed of the starts.
+    """
+    rod, task = scene.rod, scene.task
+    hand_down = rot_z(np.pi / 2) @ rot_x(np.pi)
+    grasps = tuple(
+        pose(hand_down, (0.0, side * rod.grasp_offset_m, rod.grasp_height_m)) for side in (1.0, -1.0)
+    )
+    # Shorter by the ends' half spheres, so that capsule and rod are equally long.
+    shape = Capsule(
+        "rod", (0.0, 0.0, 0.0), (_ROOT_HALF, -_ROOT_HALF, 0.0, 0.0),
+        radius_m=rod.radius_m, length_m=rod.length_m - 2.0 * rod.radius_m,
+    )  # fmt: skip
+    holding = scene_holding(PlanningScene(), shape, grasps[0])
+    approach, carried = Planner(config=config.planner), CarriedPlanner()
+    rng = np.random.default_rng([seed, 13])
+    times, failures = [], []
+    worst_m = worst_rad = 0.0
+    for k in range(count):
+        dx, dy = rng.uniform(-task.start_range_m, task.start_range_m, 2)
+        yaw = rng.uniform(-task.start_range_rad, task.start_range_rad)
+        start = pose(rot_z(yaw), (task.start_xy_m[0] + dx, task.start_xy_m[1] + dy, rod.radius_m))
+        goal = pose(np.eye(3), (*task.goal_xy_m, rod.radius_m))
+        lift = np.array([0.0, 0.0, task.lift_height_m])
+        lifted, above = start.copy(), goal.copy()
+        lifted[:3, 3] += lift
+        above[:3, 3] += lift
+        try:
+            reached = approach.plan_to_poses(
+                "both_arms", HOME, {"left": start @ grasps[0], "right": start @ grasps[1]}, seed=k
+            )
+            begin = perf_counter()
+            plan = carried.plan(reached.q_goal, [start, lifted, above, goal], *grasps, scene=holding)
+        except PlanningError as error:
+            failures.append(f"carry {k}: {error.message}")
+            continue
+        times.append(perf_counter() - begin)
+        worst_m, worst_rad = max(worst_m, plan.residual_m), max(worst_rad, plan.residual_rad)
+    median_s = float(np.median(times)) if times else None
+    return CarryPlans(count, len(times), worst_m, worst_rad, median_s, tuple(failures))

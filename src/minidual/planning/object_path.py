@@ -1,0 +1,80 @@
+"""The path of a carried object: poses in between, corners rounded."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+
+from minidual.errors import UsageError
+from minidual.planning.blend import rounded
+from minidual.planning.ik import check_pose
+from minidual.robot.constants import Array
+from minidual.robot.poses import pose
+
+ROTATION_WEIGHT_M = 0.2
+"""How much of path length one radian of rotation counts for [m/rad]."""
+_SAME = 1e-6
+_ANGLE_MAX_RAD = 3.0
+
+
+class ObjectPath:
+    """A smooth curve T_world_object(s), s in [0, length] [m].
+
+    Positions run along straight lines and orientations along straight lines of the rotation vector from the first
+    pose (a constant turn about one axis if only the last pose differs); corners are rounded within `corner_m`.
+
+    Args:
+        Ts_world_object: Two or more poses (4, 4); neighbours that are equal count once.
+        corner_m: Largest half length of a rounded corner.
+
+    Raises:
+        UsageError: Fewer than two different poses, a value that is none, or a turn of more than 3 rad.
+    """
+
+    def __init__(self, Ts_world_object: Sequence[Array], corner_m: float = 0.04) -> None:
+        poses = [check_pose(T, f"waypoint {i} of the object") for i, T in enumerate(Ts_world_object)]
+        if len(poses) < 2:
+            raise UsageError(f"an object path needs two or more waypoints; there are {len(poses)}")
+        self._R0 = poses[0][:3, :3]
+        points = [self._coordinates(T) for T in poses]
+        kept = [points[0]]
+        for point in points[1:]:
+            if np.abs(point - kept[-1]).max() > _SAME:
+                kept.append(point)
+        if len(kept) < 2:
+            raise UsageError("all waypoints of the object are the same pose; there is nothing to carry")
+        self._curve = rounded(np.array(kept), corner_m)
+
+    def _coordinates(self, T: Array) -> Array:
+        turn = pin.log3(self._R0.T @ T[:3, :3])
+        if np.linalg.norm(turn) > _ANGLE_MAX_RAD:
+            raise UsageError(
+                f"a waypoint turns the object by {np.linalg.norm(turn):.2f} rad from the first; "
+                f"at most {_ANGLE_MAX_RAD} rad are supported"
+            )
+        return np.concatenate([T[:3, 3], ROTATION_WEIGHT_M * turn])
+
+    @property
+    def length(self) -> float:
+        """Length of the path, rotation counted by its weight [m]."""
+        return self._curve.length
+
+    @property
+    def knots(self) -> Array:
+        """Parameters where straight pieces and corners meet."""
+        return self._curve.knots
+
+    def coordinates(self, s: Array, order: int = 0) -> Array:
+        """Return position and weighted rotation vector, or a derivative by s, at (n,) parameters: (n, 6) [m]."""
+        return self._curve.at(s, order)
+
+    def pose(self, s: float) -> Array:
+        """Return T_world_object (4, 4) at s."""
+        return self.poses(np.array([s]))[0]
+
+    def poses(self, s: Array) -> Array:
+        """Return Ts_world_object (n, 4, 4) at (n,) parameters."""
+        X = self.coordinates(s)
+        return np.array([pose(self._R0 @ pin.exp3(x[3:] / ROTATION_WEIGHT_M), x[:3]) for x in X])

@@ -1,0 +1,181 @@
+"""`minidual plan`: seeded queries for three groups, planned, timed and proven."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from minidual.pipeline.check import Check
+from minidual.pipeline.stage import StageContext, StageResult
+
+if TYPE_CHECKING:
+    from minidual.config.planning import PlanConfig
+    from minidual.config.root import Config
+    from minidual.planning.evaluate import CarryPlans, Outcome
+
+_EXCELLENT_S = {"left_arm": 0.2, "right_arm": 0.2, "both_arms": 2.0}
+_GOAL_S = {"left_arm": 0.01, "right_arm": 0.01, "both_arms": 0.05}
+_CARRIES_N = 5
+_CSV_ROWS_STEP = 10
+
+
+class PlanStage:
+    """Plans every query of the set and gates on proven trajectories, never on the planner's own word."""
+
+    name = "plan"
+    requires = ("env-check",)
+    summary = "Plan collision-free motions for left_arm, right_arm and both_arms"
+
+    def parameters(self, config: Config) -> dict[str, Any]:
+        """Return what the result depends on: query set, planner, rod and task."""
+        return {"plan": config.plan, "rod": config.scene.rod, "task": config.scene.task}
+
+    def run(self, context: StageContext) -> StageResult:
+        """Plan the queries, compare the engines, plan a few carries, draw the figures."""
+        from minidual.planning.evaluate import engine_agreement, plan_carries, repeats, run_queries
+        from minidual.planning.figures import write_paths, write_times
+
+        config = context.config.plan
+        with context.progress.task("queries", 3 * config.queries_n) as task:
+            outcomes = run_queries(config, context.seed, on_query=lambda o: task.advance(note=o.query.group))
+        scene = outcomes["both_arms"][0].query.scene
+        agreement = engine_agreement(scene, config.agreement_states_n, context.seed)
+        repeatable = all(repeats(config, done[0]) for done in outcomes.values())
+        carries = plan_carries(config, context.config.scene, _CARRIES_N, context.seed)
+        _write_csv(outcomes, context.folder / "queries.csv")
+        _write_acm(context.folder / "allowed_collisions.csv")
+        _write_examples(outcomes, context.folder)
+        write_paths(outcomes, context.folder / "paths.png")
+        write_times(outcomes, context.folder / "times.png", config.time_max_s)
+        checks = [check for group, done in outcomes.items() for check in group_checks(group, done, config)]
+        checks += common_checks(agreement, repeatable, carries, config)
+        return StageResult(checks=checks, data=_summary(outcomes, carries), notes=_notes(outcomes, carries))
+
+
+def group_checks(group: str, outcomes: Sequence[Outcome], config: PlanConfig) -> list[Check]:
+    """Return the checks of one planning group."""
+    import numpy as np
+
+    times = np.array([o.total_s for o in outcomes])
+    return [
+        Check(
+            f"{group}.success_rate", float(np.mean([o.ok for o in outcomes])), ">=", config.success_rate_min,
+            why="a query counts only if the timed trajectory is proven free and inside every limit",
+            remedy="see the reasons in queries.csv",
+        ),
+        Check(
+            f"{group}.time_median_s", float(np.median(times)), unit="s",
+            why=f"excellent < {_EXCELLENT_S[group]} s, goal < {_GOAL_S[group]} s",
+        ),
+        Check(
+            f"{group}.time_max_s", float(times.max()), "<", config.time_max_s, unit="s",
+            why="wall time from the goal going in to the proven trajectory coming out",
+            remedy="the machine may be busy; see the phases in queries.csv",
+        ),
+        Check(
+            f"{group}.line_blocked_rate", float(np.mean([o.query.blocked for o in outcomes])),
+            why="share of the queries that a straight line in joint space cannot solve",
+        ),
+    ]  # fmt: skip
+
+
+def common_checks(agreement: float, repeatable: bool, carries: CarryPlans, config: PlanConfig) -> list[Check]:
+    """Return the checks that belong to no single group."""
+    from minidual.planning.closed_chain import RESIDUAL_MAX_M, RESIDUAL_MAX_RAD
+
+    return [
+        Check(
+            "engines.agreement", agreement, ">=", config.agreement_min,
+            why="two independent collision engines must see the same world",
+            remedy="the geometry or the pairs of one engine differ; run the engine tests",
+        ),
+        Check(
+            "repeatable", repeatable, "==", True,
+            why="the same query and seed must give the same trajectory, bit for bit",
+        ),
+        Check(
+            "closed_chain.success_rate", carries.solved_n / carries.planned_n, ">=", config.success_rate_min,
+            why="carries of the rod on which both hands keep their grasps, proven free",
+            remedy="see the notes of this stage",
+        ),
+        Check(
+            "closed_chain.residual_max_m", carries.residual_max_m, "<", RESIDUAL_MAX_M, unit="m",
+            why="how far a hand strays from its grasp along the timed path",
+        ),
+        Check(
+            "closed_chain.residual_max_rad", carries.residual_max_rad, "<", RESIDUAL_MAX_RAD, unit="rad",
+            why="how far a hand turns away from its grasp along the timed path",
+        ),
+    ]  # fmt: skip
+
+
+def _write_csv(outcomes: Mapping[str, Sequence[Outcome]], path: Path) -> None:
+    import csv
+
+    rows = [outcome.row() for done in outcomes.values() for outcome in done]
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, fieldnames=list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def _write_acm(path: Path) -> None:
+    import csv
+
+    from minidual.planning.acm import default_acm
+
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["first", "second", "reason"])
+        writer.writerows(default_acm().table())
+
+
+def _write_examples(outcomes: Mapping[str, Sequence[Outcome]], folder: Path) -> None:
+    """Write the first solved trajectory of every group: all samples as CSV, every tenth as JSON."""
+    for group, done in outcomes.items():
+        result = next((o.result for o in done if o.result is not None), None)
+        if result is not None:
+            result.trajectory.write_csv(folder / f"trajectory_{group}.csv")
+            result.trajectory.write_json(folder / f"trajectory_{group}.json", every=_CSV_ROWS_STEP)
+
+
+def _summary(outcomes: Mapping[str, Sequence[Outcome]], carries: CarryPlans) -> dict[str, Any]:
+    import dataclasses
+
+    import numpy as np
+
+    groups = {}
+    for group, done in outcomes.items():
+        times = np.array([o.total_s for o in done])
+        solved = [o.result for o in done if o.result is not None]
+        groups[group] = {
+            "queries_n": len(done),
+            "solved_n": len(solved),
+            "time_median_s": float(np.median(times)),
+            "time_p95_s": float(np.percentile(times, 95)),
+            "time_max_s": float(times.max()),
+            "direct_n": sum(r.direct for r in solved),
+            "retried_n": sum(r.attempts_n > 1 for r in solved),
+            "excellent": bool(np.median(times) < _EXCELLENT_S[group]),
+            "goal": bool(np.median(times) < _GOAL_S[group]),
+            "phases_mean_s": {
+                phase: float(np.mean([r.times_s[phase] for r in solved])) for phase in solved[0].times_s
+            }
+            if solved
+            else {},
+        }
+    return {"groups": groups, "closed_chain": dataclasses.asdict(carries)}
+
+
+def _notes(outcomes: Mapping[str, Sequence[Outcome]], carries: CarryPlans) -> list[str]:
+    failed = [
+        f"{o.query.group} query {o.query.index} failed: {o.message}"
+        for done in outcomes.values()
+        for o in done
+        if not o.ok
+    ]
+    return [*failed, *carries.failures]
+
+
+STAGE = PlanStage()
