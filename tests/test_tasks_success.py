@@ -1,0 +1,212 @@
+"""The judge says yes to a clean cycle and no, with the right reason, to each way of missing it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from minidual.robot.poses import pose, rot_x, rot_z
+from minidual.sim.world import ContactWrench
+from minidual.tasks.rod_carry import RodTrial
+from minidual.tasks.success import RodCarryJudge
+
+RADIUS = 0.00887
+START, GOAL = (0.5, 0.25), (0.5, -0.25)
+TRIAL = RodTrial("test", 0, (*START, 0.0), (*GOAL, 0.0))
+DT = 0.01
+
+
+@dataclass
+class Instant:
+    """What the judge may ask of a world, at one instant."""
+
+    time: float = 0.0
+    xy: tuple[float, float] = START
+    height: float = 0.0
+    tilt: float = 0.0
+    yaw: float = 0.0
+    pinch: tuple[float, float] = (0.0, 0.0)
+    squeeze: float = 0.0
+    speed: float = 0.0
+    on_table: bool | None = None
+    touch: tuple[float, float] | None = None
+
+    @property
+    def T_world_rod(self):
+        return pose(rot_z(self.yaw) @ rot_x(self.tilt), (*self.xy, RADIUS + self.height))
+
+    @property
+    def rod_twist(self):
+        return np.array([self.speed, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+    def pinch_forces(self):
+        return np.array(self.pinch)
+
+    def internal_force(self):
+        return self.squeeze
+
+    def contact_wrenches(self):
+        touch = self.pinch if self.touch is None else self.touch
+        return tuple(ContactWrench(np.array([0.0, 0.0, f]), np.zeros(3), f) for f in touch)
+
+    def rod_on_table(self):
+        return self.height < 1e-3 if self.on_table is None else self.on_table
+
+
+def cycle(**held: object) -> list[Instant]:
+    """A clean cycle: grasp 1 s, lift to 10 cm, carry 50 cm, lower, release, rest. `held` overrides it in the air."""
+    grip = {"pinch": (60.0, 60.0), "squeeze": 40.0}
+    instants = [Instant() for _ in range(50)]
+    instants += [Instant(**grip) for _ in range(50)]
+    instants += [Instant(height=0.1 * k / 100, speed=0.1, **grip) for k in range(1, 101)]
+    y = np.linspace(START[1], GOAL[1], 200)
+    instants += [Instant(xy=(0.5, float(v)), height=0.1, speed=0.25, **grip) for v in y]
+    instants += [Instant(xy=GOAL, height=0.1 * (1 - k / 100), speed=0.1, **grip) for k in range(1, 101)]
+    instants += [Instant(xy=GOAL, **grip) for _ in range(20)]
+    instants += [Instant(xy=GOAL) for _ in range(30)]
+    for k, instant in enumerate(instants):
+        instant.time = k * DT
+        if instant.height > 0.003:
+            instants[k] = replace(instant, **held)
+    return instants
+
+
+def judge(instants: list[Instant], scene, **options: object):
+    referee = RodCarryJudge(scene, TRIAL, **options)
+    for instant in instants:
+        referee.observe(instant)
+    return referee, referee.outcome(instants[-1])
+
+
+def faults(outcome) -> set[str]:
+    return {fault.name for fault in outcome.faults}
+
+
+def test_a_clean_cycle_succeeds(scene):
+    referee, outcome = judge(cycle(), scene, demand_internal_force=True)
+    assert outcome.success
+    assert referee.finished
+    assert outcome.faults == ()
+    assert outcome.reason == ""
+    assert outcome.goal_error_m == pytest.approx(0.0, abs=1e-12)
+    assert outcome.rise_m == pytest.approx(0.1)
+    assert (outcome.pinch_min_n, outcome.internal_force_min_n) == (60.0, 40.0)
+    assert outcome.duration_s < cycle()[-1].time
+
+
+def test_a_rod_pushed_along_the_table_did_not_rise(scene):
+    pushed = [replace(i, height=0.0) for i in cycle()]
+    referee, outcome = judge(pushed, scene)
+    assert not outcome.success
+    assert not referee.finished
+    assert faults(outcome) == {"rose"}
+
+
+def test_one_that_rises_too_little_did_not_rise(scene):
+    low = [replace(i, height=0.3 * i.height) for i in cycle()]
+    _, outcome = judge(low, scene)
+    assert faults(outcome) == {"rose"}
+    assert outcome.rise_m == pytest.approx(0.03)
+
+
+@pytest.mark.parametrize(
+    ("pinch", "hand"), [((60.0, 0.0), "right"), ((0.0, 60.0), "left"), ((20.0, 60.0), "left")]
+)
+def test_one_hand_alone_does_not_hold(scene, pinch, hand):
+    _, outcome = judge(cycle(pinch=pinch), scene)
+    assert faults(outcome) == {"held"}
+    assert hand in outcome.reason
+
+
+def test_a_grip_lost_for_an_instant_in_the_air_counts(scene):
+    instants = cycle()
+    instants[300] = replace(instants[300], pinch=(60.0, 3.0))
+    _, outcome = judge(instants, scene)
+    assert faults(outcome) == {"held"}
+    assert outcome.faults[0].at_s == pytest.approx(3.0)
+
+
+def test_tilt_over_five_degrees_is_refused_and_just_under_is_not(scene):
+    limit = scene.task.tilt_max_rad
+    assert judge(cycle(tilt=0.98 * limit), scene)[1].success
+    _, outcome = judge(cycle(tilt=1.02 * limit), scene)
+    assert faults(outcome) == {"level"}
+    assert outcome.tilt_max_rad == pytest.approx(1.02 * limit)
+
+
+def test_one_end_lifted_with_the_other_on_the_table_does_not_count_as_lifted(scene):
+    levered = [replace(i, height=0.15 * np.sin(0.3), tilt=0.3) if i.height > 0.05 else i for i in cycle()]
+    levered = [i if i.tilt else replace(i, height=0.0) for i in levered]
+    _, outcome = judge(levered, scene)
+    assert {"level", "rose"} <= faults(outcome)
+
+
+def test_three_centimetres_beside_the_goal_is_not_there(scene):
+    away = [replace(i, xy=(i.xy[0] + 0.03, i.xy[1])) for i in cycle()]
+    _, outcome = judge(away, scene)
+    assert faults(outcome) == {"arrived"}
+    assert outcome.goal_error_m == pytest.approx(0.03)
+
+
+def test_a_rod_still_held_is_not_released(scene):
+    held = [replace(i, pinch=(60.0, 60.0)) if k > 500 else i for k, i in enumerate(cycle())]
+    referee, outcome = judge(held, scene)
+    assert faults(outcome) == {"released"}
+    assert not referee.finished
+
+
+def test_a_finger_leaning_on_the_rod_is_not_released(scene):
+    leaning = [replace(i, touch=(0.5, 0.0)) if i.pinch == (0.0, 0.0) else i for i in cycle()]
+    assert faults(judge(leaning, scene)[1]) == {"released"}
+
+
+def test_a_rolling_rod_is_not_at_rest(scene):
+    rolling = [replace(i, speed=0.05) if k > 500 else i for k, i in enumerate(cycle())]
+    referee, outcome = judge(rolling, scene)
+    assert faults(outcome) == {"at_rest"}
+    assert not referee.finished
+
+
+def test_a_rod_let_go_in_the_air_is_not_put_down_for_the_instant_it_hangs(scene):
+    instants = cycle()
+    hanging = Instant(time=instants[-1].time + DT, xy=GOAL, height=0.002, on_table=False)
+    released = [i for i in instants if i.time < 5.2 - 1e-9] + [replace(hanging, time=5.2)]
+    referee, outcome = judge(released, scene)
+    assert not referee.finished
+    assert "at_rest" in faults(outcome)
+
+
+def test_touching_the_rod_again_takes_the_finish_back(scene):
+    instants = cycle()
+    touched = replace(instants[-1], time=instants[-1].time + DT, pinch=(30.0, 0.0))
+    referee, outcome = judge([*instants, touched], scene)
+    assert not referee.finished
+    assert faults(outcome) == {"released"}
+
+
+def test_late_is_late(scene):
+    slow = [replace(i, time=3.0 * i.time) for i in cycle()]
+    _, outcome = judge(slow, scene)
+    assert faults(outcome) == {"on_time"}
+
+
+def test_the_squeeze_is_judged_where_it_is_demanded_and_only_there(scene):
+    weak = cycle(squeeze=15.0)
+    assert judge(weak, scene)[1].success
+    _, outcome = judge(weak, scene, demand_internal_force=True)
+    assert faults(outcome) == {"squeezed"}
+    assert outcome.internal_force_min_n == 15.0
+
+
+def test_a_dropped_rod_is_named_by_the_hold_first(scene):
+    dropped = cycle()[:350]
+    t = dropped[-1].time
+    dropped += [
+        Instant(time=t + k * DT, xy=dropped[-1].xy, height=max(0.0, 0.1 - 4.9 * (k * DT) ** 2), speed=1.0)
+        for k in range(1, 30)
+    ]
+    _, outcome = judge(dropped, scene)
+    assert outcome.reason.startswith("held")
+    assert {"held", "arrived", "at_rest"} <= faults(outcome)
