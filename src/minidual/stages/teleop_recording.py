@@ -190,6 +190,7 @@ def record_attempts(job: Job, indices: Sequence[int], *, workers: int) -> Iterat
     # One numeric thread a process: on a busy machine more of them only wait for each other.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"
+    os.environ.setdefault("LP_NUM_THREADS", "0")  # the software renderer draws in the calling thread
     processes = 1 if job.teleop.leader in IN_PROCESS else min(workers, max(1, len(indices)))
     yield from joblib.Parallel(n_jobs=processes, return_as="generator", batch_size=1, pre_dispatch="2*n_jobs")(
         joblib.delayed(_record_in_worker)(job, index) for index in indices
