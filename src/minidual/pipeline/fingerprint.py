@@ -78,7 +78,9 @@ class Fingerprint:
         if self.version != now.version:
             warnings.append(f"made by minidual {self.version}, this is {now.version}")
         if self.commit != now.commit:
-            warnings.append(f"made at commit {_short(self.commit)}, this is {_short(now.commit)}")
+            warnings.append(
+                f"made at commit {_short_commit(self.commit)}, this is {_short_commit(now.commit)}"
+            )
         for label, before, after in (
             ("machine", self.machine, now.machine),
             ("library", self.libraries, now.libraries),
@@ -100,6 +102,13 @@ def changes(
             yield from changes(*inner, prefix=f"{prefix}{key}.")
         elif then != current or isinstance(then, bool) is not isinstance(current, bool):
             yield f"{prefix}{key}", then, current
+
+
+def _short_commit(commit: str | None) -> str:
+    if commit is None:
+        return "none"
+    identifier, plus, changes_word = commit.partition("+")
+    return identifier[:10] + plus + changes_word
 
 
 def _short(value: Any) -> str:
