@@ -275,4 +275,10 @@ def test_episode_facts_that_could_not_be_stored_are_refused() -> None:
     for bad in ({"fps": 0.0}, {"fps": float("nan")}, {"cameras": ("a", "a")}, {"cameras": ("a/b",)}):
         with pytest.raises(DataError):
             EpisodeMeta(**{"fps": 50.0, "task": "t", "seed": 0, "cameras": ("high",), **bad})
+    for extra in ({"x": float("nan")}, {"x": np.float32(1)}, {"x": Path()}):
+        with pytest.raises(DataError, match="plain JSON"):
+            EpisodeMeta(fps=50.0, task="t", seed=0, cameras=("high",), extra=extra)
+    assert EpisodeMeta(fps=50.0, task="t", seed=0, cameras=(), extra={"trial": 7}).trial == 7
+    with pytest.raises(DataError, match="names no trial"):
+        _ = META.trial
     assert schema.MAX_SYNC_S == 0.02

@@ -33,6 +33,7 @@ def test_it_counts_what_is_on_the_disk(store: EpisodeStore) -> None:
     assert [path.name for path in store.paths()] == [f"episode_{i:06d}.hdf5" for i in (0, 1, 3)]
     assert store.paths(success=True) == [store.path(0), store.path(3)]
     assert store.paths(success=False) == [store.path(1)]
+    assert [meta.success for meta in store.metas()] == [True, False, True]
     assert EpisodeStore(store.folder / "new").next_index() == 0
 
 

@@ -1,13 +1,7 @@
-"""From recorded HDF5 episodes to a LeRobot v3 dataset. No other code knows both schemas.
+"""From recorded HDF5 episodes to a LeRobot v3 dataset.
 
-=============================  ==========================================================================
-LeRobot key                    from
-=============================  ==========================================================================
-``observation.state``          (16,) float32: ``observations/qpos`` (14), then ``observations/gripper`` (2)
-``action``                     (16,) float32: ``action`` (14), then ``action_gripper`` (2)
-``observation.images.cam_*``   ``observations/images/*`` as h264 video
-``timestamp``                  LeRobot's own: tick / fps
-=============================  ==========================================================================
+This adapter (with `lerobot_mapping`, the table of names, and `lerobot_verify`, the check of its result) is the
+only code that knows both schemas.
 
 Videos keep full colour resolution (4:4:4) at crf 12: with the usual 4:2:0 at crf 30 a rod two pixels wide
 loses its colour, and the policy would train on other pictures than it meets (measured on rendered 96x128
@@ -19,27 +13,27 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from minidual.data import durable, schema
+from minidual.data import durable
 from minidual.data.episode import Episode, read_episode, read_meta
-from minidual.data.lerobot_reader import ACTION, IMAGE_PREFIX, STATE, RamDataset, read_dataset_to_ram
+from minidual.data.lerobot_mapping import STATE_N, STATE_NAMES, camera_key, split_vector, state_vector
+from minidual.data.lerobot_reader import ACTION, STATE
+from minidual.data.lerobot_verify import DatasetSummary, verify_dataset
 from minidual.errors import DataError, UsageError
-from minidual.robot.constants import JOINT_NAMES
 
-STATE_N = schema.JOINTS_N + schema.GRIPPERS_N
-
-#: Names of the 16 values of state and action, in order.
-STATE_NAMES: tuple[str, ...] = (
-    *JOINT_NAMES,
-    "left_gripper",
-    "right_gripper",
-)
+__all__ = [
+    "STATE_NAMES",
+    "DatasetSummary",
+    "camera_key",
+    "convert",
+    "read_sources",
+    "split_vector",
+    "state_vector",
+    "verify_dataset",
+]
 
 #: Where a dataset says which recordings it was made of.
 SOURCES_FILE = "meta/minidual_sources.json"
@@ -49,50 +43,7 @@ VIDEO_PRESET = "veryfast"
 VIDEO_PIXELS = "yuv444p"
 VIDEO_CRF = 12
 
-#: Largest mean difference per channel (of 255) that encoding may bring to an episode's pictures.
-IMAGE_DIFFERENCE_MAX = 6.0
-
 Progress = Callable[[int, int], None]
-
-
-@dataclass(frozen=True)
-class DatasetSummary:
-    """What a conversion or a verification found.
-
-    Attributes:
-        root: Folder of the dataset.
-        episodes: Number of episodes.
-        frames: Rows, which equal the frames of each video.
-        cameras: LeRobot image keys.
-        fps: Rate, 1/s.
-        state_error_max: Largest |difference| of state and action from the recordings after float32.
-        image_difference_mean: Worst episode's and camera's mean |difference| per channel, of 255.
-    """
-
-    root: Path
-    episodes: int
-    frames: int
-    cameras: tuple[str, ...]
-    fps: int
-    state_error_max: float
-    image_difference_mean: float
-
-
-def camera_key(camera: str) -> str:
-    """Return the LeRobot key of a camera: ``high`` gives ``observation.images.cam_high``."""
-    return f"{IMAGE_PREFIX}cam_{camera}"
-
-
-def state_vector(qpos: NDArray[np.floating], gripper: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Join joints (..., 14) and grippers (..., 2) into LeRobot's state or action (..., 16) float32."""
-    return np.concatenate([qpos, gripper], axis=-1).astype(np.float32)
-
-
-def split_vector(vector: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """Part LeRobot's state or action (..., 16) into joints (..., 14) and grippers (..., 2)."""
-    if vector.shape[-1] != STATE_N:
-        raise DataError(f"state or action has {vector.shape[-1]} values; it must have {STATE_N}")
-    return vector[..., : schema.JOINTS_N], vector[..., schema.JOINTS_N :]
 
 
 def convert(
@@ -155,39 +106,7 @@ def convert(
         ) from error
     finally:
         durable.remove(partial)
-    return DatasetSummary(**{**summary.__dict__, "root": out_dir})
-
-
-def verify_dataset(root: Path | str, paths: Sequence[Path | str]) -> DatasetSummary:
-    """Re-open a dataset without LeRobot and hold it against its recordings.
-
-    Every episode must have as many rows and as many frames in each video as its recording has ticks, the
-    same state and action after float32, and pictures that differ by encoding alone.
-
-    Raises:
-        DataError: naming the episode and what differs.
-    """
-    root = Path(root)
-    data = read_dataset_to_ram(root)
-    if len(data.episode_from) != len(paths):
-        raise DataError(f"{root} holds {len(data.episode_from)} episodes; {len(paths)} were recorded")
-    if data.state_names != STATE_NAMES or data.action_names != STATE_NAMES:
-        raise DataError(f"{root} names its state {data.state_names}; it must be {STATE_NAMES}")
-    state_error, image_difference = 0.0, 0.0
-    for index, path in enumerate(paths):
-        names = [key.removeprefix(camera_key("")) for key in data.images]
-        episode = read_episode(path, cameras=names)
-        errors = _compare(data, index, episode)
-        state_error, image_difference = max(state_error, errors[0]), max(image_difference, errors[1])
-    return DatasetSummary(
-        root=root,
-        episodes=len(paths),
-        frames=len(data),
-        cameras=tuple(data.images),
-        fps=int(data.fps),
-        state_error_max=state_error,
-        image_difference_mean=image_difference,
-    )
+    return replace(summary, root=out_dir)
 
 
 def read_sources(root: Path | str) -> list[dict[str, Any]]:
@@ -197,39 +116,6 @@ def read_sources(root: Path | str) -> list[dict[str, Any]]:
         return list(json.loads(path.read_text(encoding="utf-8"))["episodes"])
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise DataError(f"{path} is missing or corrupt: {error!r}") from error
-
-
-def _compare(data: RamDataset, index: int, episode: Episode) -> tuple[float, float]:
-    """Return (largest state error, largest mean picture difference) of one episode, or raise DataError."""
-    start, stop = int(data.episode_from[index]), int(data.episode_to[index])
-    label = f"episode {index} ({episode.path.name if episode.path else 'in memory'})"
-    if stop - start != len(episode):
-        raise DataError(f"{label} has {stop - start} rows; {len(episode)} ticks were recorded")
-    state_error = 0.0
-    for name, stored, recorded in (
-        (STATE, data.state, state_vector(episode.qpos, episode.gripper)),
-        (ACTION, data.action, state_vector(episode.action, episode.action_gripper)),
-    ):
-        error = float(np.max(np.abs(stored[start:stop] - recorded)))
-        if not error == 0.0:
-            raise DataError(f"{label}: {name} differs from the recording by {error:.3g}")
-        state_error = max(state_error, error)
-    worst = 0.0
-    for camera, frames in episode.images.items():
-        stored = data.images[camera_key(camera)][start:stop]
-        # Ticks in small blocks: int16 copies of a whole episode would need four times its memory.
-        blocks = [
-            float(np.mean(np.abs(stored[k : k + 32].astype(np.int16) - frames[k : k + 32])))
-            for k in range(0, len(frames), 32)
-        ]
-        difference = max(blocks)
-        if not difference <= IMAGE_DIFFERENCE_MAX:
-            raise DataError(
-                f"{label}: camera '{camera}' differs from the recording by {difference:.1f} of 255 on average; "
-                f"the limit is {IMAGE_DIFFERENCE_MAX:g}"
-            )
-        worst = max(worst, difference)
-    return state_error, worst
 
 
 @dataclass(frozen=True)

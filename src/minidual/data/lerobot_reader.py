@@ -7,7 +7,7 @@ random access into the videos), and verification opens what LeRobot wrote by a p
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -99,46 +99,82 @@ def read_dataset_to_ram(
         UsageError: an unknown camera key.
     """
     root = Path(root)
-    info = read_info(root)
-    known = camera_keys(info)
-    wanted = known if cameras is None else tuple(cameras)
-    for key in wanted:
-        if key not in known:
-            raise unknown_name("camera", key, known)
-    table = _read_tables(sorted((root / "data").glob("chunk-*/file-*.parquet")), root)
-    episodes = _read_tables(sorted((root / "meta" / "episodes").glob("chunk-*/file-*.parquet")), root)
-    try:
-        rows = _rows(table)
-        starts = np.asarray(episodes["dataset_from_index"].to_numpy(), dtype=np.int64)
-        stops = np.asarray(episodes["dataset_to_index"].to_numpy(), dtype=np.int64)
-    except (KeyError, ValueError) as error:
-        raise DataError(f"{root}: a table lacks a column: {error}") from error
-    n = len(rows["index"])
-    _check_tables(root, info, rows, starts, stops)
+    tables = _Tables.read(root)
+    info, n = tables.info, len(tables.rows["index"])
+    wanted = camera_keys(info) if cameras is None else tuple(cameras)
     images: dict[str, NDArray[np.uint8]] = {}
     for position, key in enumerate(wanted):
-        height, width = image_size or tuple(info["features"][key]["shape"][:2])
-        frames = np.empty((n, height, width, 3), dtype=np.uint8)
-        for name, slots in _frame_slots(info, episodes, key, starts, stops).items():
-            _decode(root / name, slots, frames)
-            if progress is not None:
-                progress(position * n + int(slots[-1]) + 1, len(wanted) * n)
-        images[key] = frames
+        height, width = _size(info, key, image_size)
+        images[key] = np.empty((n, height, width, 3), dtype=np.uint8)
+        for count, (row, frame) in enumerate(_frames(root, tables, key, (height, width)), start=1):
+            images[key][row] = frame
+            if progress is not None and (count % 1000 == 0 or count == n):
+                progress(position * n + count, len(wanted) * n)
     return RamDataset(
         fps=float(info["fps"]),
-        state=rows[STATE],
-        action=rows[ACTION],
+        state=tables.rows[STATE],
+        action=tables.rows[ACTION],
         images=images,
-        episode_index=rows["episode_index"],
-        frame_index=rows["frame_index"],
-        episode_from=starts,
-        episode_to=stops,
+        episode_index=tables.rows["episode_index"],
+        frame_index=tables.rows["frame_index"],
+        episode_from=tables.starts,
+        episode_to=tables.stops,
         state_names=tuple(info["features"][STATE]["names"]),
         action_names=tuple(info["features"][ACTION]["names"]),
     )
 
 
-def _read_tables(paths: Sequence[Path], root: Path) -> Any:
+def iterate_frames(root: Path | str, camera: str) -> Iterator[tuple[int, NDArray[np.uint8]]]:
+    """Yield (row, (H, W, 3) uint8 picture) of one camera, in the order of the rows, one in memory at a time.
+
+    Raises as `read_dataset_to_ram`; a wrong number of frames shows at the end of a video.
+    """
+    root = Path(root)
+    tables = _Tables.read(root)
+    yield from _frames(root, tables, camera, _size(tables.info, camera, None))
+
+
+@dataclass(frozen=True)
+class _Tables:
+    """The tables of a dataset, checked: info, numeric columns, episode table, first row and one past the last."""
+
+    info: dict[str, Any]
+    rows: dict[str, NDArray[Any]]
+    episodes: Any
+    starts: NDArray[np.int64]
+    stops: NDArray[np.int64]
+
+    @staticmethod
+    def read(root: Path) -> _Tables:
+        info = read_info(root)
+        table = _read_parquet(sorted((root / "data").glob("chunk-*/file-*.parquet")), root)
+        episodes = _read_parquet(sorted((root / "meta" / "episodes").glob("chunk-*/file-*.parquet")), root)
+        try:
+            rows = _rows(table)
+            starts = np.asarray(episodes["dataset_from_index"].to_numpy(), dtype=np.int64)
+            stops = np.asarray(episodes["dataset_to_index"].to_numpy(), dtype=np.int64)
+        except (KeyError, ValueError) as error:
+            raise DataError(f"{root}: a table lacks a column: {error}") from error
+        _check_tables(root, info, rows, starts, stops)
+        return _Tables(info, rows, episodes, starts, stops)
+
+
+def _size(info: dict[str, Any], key: str, image_size: tuple[int, int] | None) -> tuple[int, int]:
+    """Return (H, W) of a camera's pictures, or the size asked for."""
+    if key not in camera_keys(info):
+        raise unknown_name("camera", key, camera_keys(info))
+    height, width = image_size or info["features"][key]["shape"][:2]
+    return int(height), int(width)
+
+
+def _frames(
+    root: Path, tables: _Tables, key: str, size: tuple[int, int]
+) -> Iterator[tuple[int, NDArray[np.uint8]]]:
+    for name, slots in _frame_slots(tables, key).items():
+        yield from zip(slots.tolist(), _decode(root / name, len(slots), size), strict=True)
+
+
+def _read_parquet(paths: Sequence[Path], root: Path) -> Any:
     """Return the rows of parquet files as one arrow table."""
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -189,10 +225,9 @@ def _check_tables(
         )
 
 
-def _frame_slots(
-    info: dict[str, Any], episodes: Any, key: str, starts: NDArray[np.int64], stops: NDArray[np.int64]
-) -> dict[str, NDArray[np.int64]]:
+def _frame_slots(tables: _Tables, key: str) -> dict[str, NDArray[np.int64]]:
     """Map each video file of a camera to the rows that its frames belong to, in the order of the frames."""
+    info, episodes = tables.info, tables.episodes
     chunk, file, begin = (
         episodes[f"videos/{key}/{name}"].to_numpy()
         for name in ("chunk_index", "file_index", "from_timestamp")
@@ -205,30 +240,29 @@ def _frame_slots(
         expected = sum(len(part) for part in parts)
         if round(float(begin[e]) * float(info["fps"])) != expected:
             raise DataError(f"{name}: episode {int(e)} does not begin at frame {expected} as the tables say")
-        parts.append(np.arange(starts[e], stops[e]))
+        parts.append(np.arange(tables.starts[e], tables.stops[e]))
     return {name: np.concatenate(parts) for name, parts in slots.items()}
 
 
-def _decode(path: Path, slots: NDArray[np.int64], out: NDArray[np.uint8]) -> None:
-    """Decode a whole video into the rows `slots` of `out`, and refuse any other number of frames."""
+def _decode(path: Path, expected: int, size: tuple[int, int]) -> Iterator[NDArray[np.uint8]]:
+    """Yield the `expected` pictures of a video as (H, W, 3) RGB, and refuse any other number of them."""
     import av
 
     count = 0
-    height, width = out.shape[1:3]
     try:
         with av.open(str(path)) as container:
             for frame in container.decode(video=0):
-                if count < len(slots):
-                    out[slots[count]] = frame.to_ndarray(
-                        format="rgb24", width=width, height=height, interpolation="AREA"
-                    )
                 count += 1
+                if count <= expected:
+                    yield frame.to_ndarray(
+                        format="rgb24", width=size[1], height=size[0], interpolation="AREA"
+                    )
     except (av.FFmpegError, OSError) as error:
         raise DataError(
             f"{path} is missing or corrupt: {error}", remedy="convert the episodes again"
         ) from error
-    if count != len(slots):
+    if count != expected:
         raise DataError(
-            f"{path} holds {count} frames; the table has {len(slots)} rows for it",
+            f"{path} holds {count} frames; the table has {expected} rows for it",
             remedy="convert the episodes again",
         )

@@ -129,6 +129,18 @@ class EpisodeMeta:
         for camera in self.cameras:
             if not camera or "/" in camera or "." in camera:
                 raise DataError(f"camera name '{camera}' is empty or holds '/' or '.'")
+        try:
+            json.dumps(dict(self.extra), allow_nan=False)
+        except (TypeError, ValueError) as error:
+            raise DataError(f"extra facts of an episode must be plain JSON without NaN: {error}") from error
+
+    @property
+    def trial(self) -> int:
+        """Number of the trial that the episode shows (`extra["trial"]`); DataError if it was not recorded."""
+        number = self.extra.get("trial")
+        if not isinstance(number, int):
+            raise DataError(f"the episode names no trial (extra facts: {', '.join(self.extra) or 'none'})")
+        return number
 
     def to_attrs(self, num_timesteps: int) -> dict[str, Any]:
         """Return the file attributes for an episode of `num_timesteps` ticks."""

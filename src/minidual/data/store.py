@@ -65,6 +65,10 @@ class EpisodeStore:
         paths = [self.path(index) for index in self.indices()]
         return paths if success is None else [path for path in paths if read_meta(path)[0].success is success]
 
+    def metas(self) -> list[EpisodeMeta]:
+        """Return what each episode is, in order; raises DataError as `paths`."""
+        return [read_meta(path)[0] for path in self.paths()]
+
     def next_index(self) -> int:
         """Return one past the highest index on the disk, those set aside included."""
         return max([*self.indices(), *self._quarantined_indices()], default=-1) + 1
