@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from minidual.robot.constants import Array
@@ -39,18 +41,18 @@ def rotation_log(R: Array) -> Array:
     Near pi the axis is read from the symmetric part, where the antisymmetric part loses its digits.
     """
     vee = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    cos_angle = min(1.0, max(-1.0, 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0)))
-    angle = float(np.arccos(cos_angle))
+    cosine = 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0)
+    sine = 0.5 * math.sqrt(vee @ vee)
+    angle = math.atan2(sine, cosine)
     if angle < 1e-6:
         return 0.5 * vee
-    if angle > np.pi - 1e-4:
-        symmetric = 0.5 * (R + np.eye(3))
-        column = int(np.argmax(np.diag(symmetric)))
-        axis = symmetric[:, column] / np.sqrt(symmetric[column, column])
-        axis /= np.linalg.norm(axis)
+    if angle > math.pi - 1e-4:
+        outer = (0.5 * (R + R.T) - cosine * np.eye(3)) / (1.0 - cosine)  # axis axis^T
+        column = int(np.argmax(np.diag(outer)))
+        axis = outer[:, column] / np.linalg.norm(outer[:, column])
         sign = 1.0 if float(vee @ axis) >= 0.0 else -1.0
         return sign * angle * axis
-    return vee * (0.5 * angle / np.sin(angle))
+    return vee * (0.5 * angle / sine)
 
 
 def quat_from_yaw(yaw_rad: float) -> Array:

@@ -1,0 +1,148 @@
+"""Kinematics and dynamics against MuJoCo, finite differences and each other."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from minidual.robot import poses
+from minidual.robot.constants import ARMS, DOF, Q_LOWER, Q_UPPER, V_MAX
+
+RNG_SEED = 11
+
+
+def random_states(n):
+    rng = np.random.default_rng(RNG_SEED)
+    return [(rng.uniform(Q_LOWER, Q_UPPER), rng.uniform(-V_MAX, V_MAX)) for _ in range(n)]
+
+
+@pytest.mark.parametrize("state", random_states(5))
+def test_mujoco_and_pinocchio_agree_to_rounding(world, kinematics, state):
+    q, v = state
+    world.reset(q)
+    world.data.qvel[world.joints.qvel] = v
+    mujoco.mj_forward(world.model, world.data)
+    for arm, T in zip(ARMS, kinematics.tcp_poses(q), strict=True):
+        body = world.data.body(f"{arm}_panda_hand_tcp")
+        assert np.abs(T[:3, 3] - body.xpos).max() < 1e-12
+        assert np.abs(T[:3, :3] - body.xmat.reshape(3, 3)).max() < 1e-12
+    M = np.zeros((world.model.nv, world.model.nv))
+    mujoco.mj_fullM(world.model, world.data, M)
+    assert np.abs(M[np.ix_(world.joints.qvel, world.joints.qvel)] - kinematics.mass_matrix(q)).max() < 1e-12
+    assert np.abs(world.data.qfrc_bias[world.joints.qvel] - kinematics.bias(q, v)).max() < 1e-10
+
+
+@pytest.mark.parametrize("state", random_states(3))
+def test_jacobians_are_the_derivative_of_the_poses(kinematics, state):
+    q, _ = state
+    analytic = [J.copy() for J in kinematics.tcp_jacobians(q)]
+    h = 1e-6
+    for arm in range(2):
+        numeric = np.empty((6, DOF))
+        for j in range(DOF):
+            plus = kinematics.tcp_poses(q + h * np.eye(DOF)[j])[arm].copy()
+            minus = kinematics.tcp_poses(q - h * np.eye(DOF)[j])[arm].copy()
+            numeric[:3, j] = (plus[:3, 3] - minus[:3, 3]) / (2 * h)
+            turn = plus[:3, :3] @ minus[:3, :3].T  # a rotation in world axes
+            numeric[3:, j] = poses.rotation_log(turn) / (2 * h)
+        assert np.abs(numeric - analytic[arm]).max() < 1e-7
+
+
+def test_jacobians_match_mujocos(world, kinematics):
+    q, _ = random_states(1)[0]
+    world.reset(q)
+    for arm, J in zip(ARMS, kinematics.tcp_jacobians(q), strict=True):
+        linear, angular = np.zeros((3, world.model.nv)), np.zeros((3, world.model.nv))
+        body = world.model.body(f"{arm}_panda_hand_tcp").id
+        mujoco.mj_jacBody(world.model, world.data, linear, angular, body)
+        assert np.abs(np.vstack([linear, angular])[:, world.joints.qvel] - J).max() < 1e-12
+
+
+def test_an_arm_moves_its_own_hand_only(kinematics):
+    left, right = kinematics.tcp_jacobians(random_states(1)[0][0])
+    assert not left[:, 7:].any()
+    assert not right[:, :7].any()
+
+
+def test_inverse_dynamics_is_mass_times_acceleration_plus_bias(kinematics):
+    q, v = random_states(1)[0]
+    a = np.linspace(-3.0, 3.0, DOF)
+    tau = kinematics.rnea(q, v, a)
+    assert np.abs(tau - (kinematics.mass_matrix(q) @ a + kinematics.bias(q, v))).max() < 1e-10
+    assert np.abs(kinematics.gravity(q) - kinematics.bias(q, np.zeros(DOF))).max() < 1e-10
+
+
+def test_gravity_is_the_gradient_of_the_potential_energy(kinematics):
+    import pinocchio as pin
+
+    q, _ = random_states(1)[0]
+    h = 1e-6
+    gradient = [
+        (
+            pin.computePotentialEnergy(kinematics.model, kinematics.data, q + h * e)
+            - pin.computePotentialEnergy(kinematics.model, kinematics.data, q - h * e)
+        ) / (2 * h)
+        for e in np.eye(DOF)
+    ]  # fmt: skip
+    assert np.abs(kinematics.gravity(q) - gradient).max() < 1e-6
+
+
+def test_the_mass_matrix_is_symmetric_and_positive(kinematics):
+    for q, _ in random_states(5):
+        M = kinematics.mass_matrix(q)
+        assert np.array_equal(M, M.T)
+        assert np.linalg.eigvalsh(M).min() > 0.1  # at least the rotors
+
+
+def test_at_home_both_hands_point_down_in_front_of_their_bases(kinematics):
+    from minidual.robot.constants import BASE_POSITIONS_M, HOME
+
+    for arm, T in zip(ARMS, kinematics.tcp_poses(HOME), strict=True):
+        assert T[:3, 2] == pytest.approx([0.0, 0.0, -1.0], abs=2e-3)
+        assert T[1, 3] == pytest.approx(BASE_POSITIONS_M[arm][1], abs=1e-3)
+        assert 0.25 < T[0, 3] < 0.4
+        assert T[2, 3] > 0.3
+
+
+class TestPoses:
+    rotations = Rotation.random(20, random_state=3)
+
+    def test_inverse(self):
+        for R in self.rotations:
+            T = poses.pose(R.as_matrix(), (0.3, -0.2, 0.9))
+            assert np.abs(poses.inverse(T) @ T - np.eye(4)).max() < 1e-14
+
+    @pytest.mark.parametrize("angle", [-3.0, -0.4, 0.0, 1e-9, 2.0, np.pi])
+    def test_elementary_rotations(self, angle):
+        assert poses.rot_x(angle) == pytest.approx(Rotation.from_euler("x", angle).as_matrix(), abs=1e-15)
+        assert poses.rot_z(angle) == pytest.approx(Rotation.from_euler("z", angle).as_matrix(), abs=1e-15)
+        w, x, y, z = poses.quat_from_yaw(angle)
+        assert Rotation.from_quat([x, y, z, w]).as_matrix() == pytest.approx(poses.rot_z(angle), abs=1e-15)
+
+    def test_log_matches_scipy(self):
+        for R in self.rotations:
+            assert poses.rotation_log(R.as_matrix()) == pytest.approx(R.as_rotvec(), abs=1e-9)
+
+    @pytest.mark.parametrize(
+        "angle",
+        [0.0, 1e-12, 1e-9, 1e-7, 1e-6, 1e-5, 1e-3, np.pi - 1e-3, np.pi - 1e-4, np.pi - 1e-5, np.pi - 1e-8],
+    )
+    def test_log_at_the_hard_angles(self, angle):
+        for axis in ([1.0, 0, 0], [0, 0, -1.0], [0.6, -0.8, 0], [-0.48, 0.6, 0.64]):
+            vector = angle * np.array(axis)
+            R = Rotation.from_rotvec(vector).as_matrix()
+            assert poses.rotation_log(R) == pytest.approx(vector, abs=2e-8)
+
+    def test_log_of_half_a_turn_is_half_a_turn_about_either_way(self):
+        for axis in ([1.0, 0, 0], [0.6, -0.8, 0], [-0.48, 0.6, 0.64]):
+            R = Rotation.from_rotvec(np.pi * np.array(axis)).as_matrix()
+            found = poses.rotation_log(R)
+            assert np.linalg.norm(found) == pytest.approx(np.pi, abs=1e-7)
+            assert Rotation.from_rotvec(found).as_matrix() == pytest.approx(R, abs=1e-7)
+
+    def test_rotation_from_quaternion(self):
+        for R in self.rotations:
+            x, y, z, w = R.as_quat()
+            assert poses.rotation_from_quat(np.array([w, x, y, z])) == pytest.approx(R.as_matrix(), abs=1e-14)
