@@ -282,3 +282,10 @@ def test_episode_facts_that_could_not_be_stored_are_refused() -> None:
     with pytest.raises(DataError, match="names no trial"):
         _ = META.trial
     assert schema.MAX_SYNC_S == 0.02
+
+
+def test_the_same_episode_gives_the_same_bytes(tmp_path: Path) -> None:
+    first, second = (
+        data_samples.write(tmp_path / name, data_samples.arrays()) for name in ("a.hdf5", "b.hdf5")
+    )
+    assert first.read_bytes() == second.read_bytes()

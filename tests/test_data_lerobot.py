@@ -236,3 +236,12 @@ def test_what_a_killed_conversion_left_is_cleared_and_anothers_work_is_not(tmp_p
     adapter.convert([source], tmp_path / "out", cameras=["high"])
     assert not own.exists()
     assert other.exists()
+
+
+def test_the_same_recordings_give_the_same_bytes(made: tuple, tmp_path: Path) -> None:
+    root, sources, _ = made
+    again = tmp_path / "dataset"
+    adapter.convert(sources, again, cameras=("high", "left"))
+    names = sorted(path.relative_to(root) for path in root.rglob("*") if path.is_file())
+    assert names == sorted(path.relative_to(again) for path in again.rglob("*") if path.is_file())
+    assert [name for name in names if (root / name).read_bytes() != (again / name).read_bytes()] == []

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from minidual.data.cameras import camera_references, check_swapped
+from minidual.data.episode import read_episode
 from minidual.data.validate import check_structure, validate_episode
 from minidual.errors import DataError
 from minidual.robot.constants import Q_LOWER, Q_UPPER
@@ -92,6 +93,12 @@ def test_a_flipped_bit_is_noticed(tmp_path: Path, key: str) -> None:
         (replaced("observations/images/left", np.zeros((40, 8, 8), np.uint8)), ["field_wrong"]),
         (replaced("observations/images/left", np.zeros((40, 8, 8, 3), np.float32)), ["field_wrong"]),
         (lambda f: f.__delitem__("observations/images/left"), ["cameras_wrong"]),
+        (lambda f: f.attrs.__setitem__("num_timesteps", "many"), ["file_corrupt"]),
+        (lambda f: (f.__delitem__("action"), f.create_group("action")), ["field_wrong"]),
+        (
+            lambda f: (f.__delitem__("observations/images/left"), f.create_group("observations/images/left")),
+            ["file_corrupt"],
+        ),
         (lambda f: f.move("observations/images/left", "observations/images/top"), ["cameras_wrong"]),
         (lambda f: f.attrs.__setitem__("num_timesteps", 39), ["field_wrong"] * 9),
         (lambda f: f["observations/qvel"].__setitem__((7, 3), np.nan), ["not_finite"]),
@@ -103,6 +110,9 @@ def test_structural_faults(tmp_path: Path, change: Spoil, expected: list[str]) -
     path = spoiled(tmp_path, change)
     assert names(path) == expected
     assert [problem.name for problem in check_structure(path)] == expected
+    if expected[0] not in ("not_finite", "timestamps_not_monotonic", "action_equals_qpos", "cameras_wrong"):
+        with pytest.raises(DataError, match=r"e\.hdf5"):
+            read_episode(path)
 
 
 def test_an_action_that_equals_the_reading_now_and_then_is_sound(tmp_path: Path) -> None:

@@ -75,7 +75,7 @@ def read_episode(path: Path | str, *, cameras: Sequence[str] | None = None) -> E
             images = {camera: _read_images(file, camera, n) for camera in wanted}
     except DataError as error:
         raise DataError(f"{path}: {error.message}", remedy=error.remedy) from error
-    except (OSError, KeyError, RuntimeError, ValueError) as error:
+    except (OSError, KeyError, RuntimeError, ValueError, TypeError, AttributeError) as error:
         raise DataError(
             f"{path} is truncated or corrupt: {error}",
             remedy="record this episode again; EpisodeStore.repair sets the broken file aside",
@@ -102,7 +102,7 @@ def read_meta(path: Path | str) -> tuple[EpisodeMeta, int]:
             return EpisodeMeta.from_attrs(file.attrs), int(file.attrs[schema.ATTR_NUM_TIMESTEPS])
     except DataError as error:
         raise DataError(f"{path}: {error.message}", remedy=error.remedy) from error
-    except (OSError, KeyError, RuntimeError) as error:
+    except (OSError, KeyError, RuntimeError, ValueError, TypeError) as error:
         raise DataError(
             f"{path} is missing, truncated or corrupt: {error}",
             remedy="record this episode again; EpisodeStore.repair sets the broken file aside",

@@ -98,7 +98,7 @@ def check_structure(path: Path | str, *, cameras: Sequence[str] | None = None) -
                 return [Problem("attributes_wrong", f"{path.name}: {error.message}", _AGAIN)]
             arrays, problems = _numeric_fields(file, ticks)
             problems += _camera_faults(file, meta, ticks, cameras)
-    except (OSError, RuntimeError, KeyError, ValueError) as error:
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError) as error:
         return [Problem("file_corrupt", f"{path.name} is truncated or corrupt: {error}", _AGAIN)]
     if ticks < 2:
         problems.append(Problem("too_short", f"{ticks} ticks; an episode has at least 2", _AGAIN))
