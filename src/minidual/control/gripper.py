@@ -23,7 +23,9 @@ class Grippers:
         speed_m_per_s: Slew rate of each finger.
     """
 
-    def __init__(self, scene: SceneConfig, dt_s: float, *, pinch_force_n: float, speed_m_per_s: float = 0.08) -> None:
+    def __init__(
+        self, scene: SceneConfig, dt_s: float, *, pinch_force_n: float, speed_m_per_s: float = 0.08
+    ) -> None:
         pinch_force_n = min(pinch_force_n, scene.physics.finger_force_max_n)
         self._closed_m = scene.rod.radius_m - pinch_force_n / scene.physics.finger_kp_n_per_m
         self._step_m = speed_m_per_s * dt_s
@@ -41,7 +43,9 @@ class Grippers:
 
     def step(self, command: Array) -> Array:
         """Advance one step towards command (2,) in 0..1; return the finger targets (2,) [m]."""
-        self._is_open = np.where(command > OPEN_ABOVE, True, np.where(command < CLOSE_BELOW, False, self._is_open))
+        self._is_open = np.where(
+            command > OPEN_ABOVE, True, np.where(command < CLOSE_BELOW, False, self._is_open)
+        )
         goal = np.where(self._is_open, FINGER_TRAVEL_M, self._closed_m)
         self.targets_m = self.targets_m + np.clip(goal - self.targets_m, -self._step_m, self._step_m)
         return self.targets_m

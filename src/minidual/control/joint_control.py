@@ -26,7 +26,9 @@ class ComputedTorque:
         damping_ratio: zeta.
     """
 
-    def __init__(self, kinematics: Kinematics, *, natural_frequency_rad_s: float = 20.0, damping_ratio: float = 1.0) -> None:
+    def __init__(
+        self, kinematics: Kinematics, *, natural_frequency_rad_s: float = 20.0, damping_ratio: float = 1.0
+    ) -> None:
         self._model, self._data = kinematics.model, kinematics.data
         self._stiffness = natural_frequency_rad_s**2
         self._damping = 2.0 * damping_ratio * natural_frequency_rad_s

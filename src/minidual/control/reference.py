@@ -32,7 +32,9 @@ class ReferenceFilter:
         acceleration_scale: Fraction of the joints' acceleration limits that may be asked for.
     """
 
-    def __init__(self, dt_s: float, *, bandwidth_rad_s: float = 30.0, acceleration_scale: float = 0.8) -> None:
+    def __init__(
+        self, dt_s: float, *, bandwidth_rad_s: float = 30.0, acceleration_scale: float = 0.8
+    ) -> None:
         self._dt = dt_s
         self._w = bandwidth_rad_s
         self._a_max = acceleration_scale * A_MAX
