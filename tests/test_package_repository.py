@@ -61,7 +61,9 @@ def test_every_locked_distribution_has_hashes_and_none_an_address() -> None:
 def test_every_direct_dependency_is_locked_and_has_its_reason(name: str) -> None:
     assert re.search(rf"^{re.escape(name)}(\[[a-z,]+\])?==", LOCK, re.MULTILINE), f"{name} is not locked"
     page = (ROOT / "docs" / "dependencies.md").read_text(encoding="utf-8")
-    assert re.search(rf"^\| `{re.escape(name)}[`\[]", page, re.MULTILINE), f"docs/dependencies.md lacks {name}"
+    assert re.search(rf"^\| `{re.escape(name)}[`\[]", page, re.MULTILINE), (
+        f"docs/dependencies.md lacks {name}"
+    )
 
 
 def test_the_page_of_dependencies_names_no_others() -> None:

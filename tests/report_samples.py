@@ -1,0 +1,159 @@
+"""A made-up run for the report's tests: verdicts and artefacts of every stage, on disk as a run leaves them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from minidual.evaluation.metrics import TrialMetrics, summarise
+from minidual.evaluation.tables import write_csv
+from minidual.pipeline.check import Check
+from minidual.pipeline.fingerprint import Fingerprint
+from minidual.pipeline.manifest import build_manifest
+from minidual.pipeline.verdict import Verdict, Waiver
+from minidual.report.model import ReportInput
+
+METHODS = ("moveit", "impedance", "act")
+STAGES = (
+    (
+        "env-check",
+        "Simulation and joints: every joint read, mapped and driven, tracking, contacts, libraries",
+    ),
+    ("plan", "Plan collision-free motions for left_arm, right_arm and both_arms"),
+    ("carry", "Carry the rod with both arms under object impedance control"),
+    ("teleop-record", "Teleoperate, record demonstrations, convert and grade the dataset"),
+    ("train-act", "Train the ACT policy on the recorded dataset"),
+    ("deploy", "Let the policy drive the arms on seeds it never saw"),
+    ("benchmark", "Compare the methods on the same task, seeds and success test"),
+)
+WAIVER = Waiver("carry", "the gripper is being repaired", {"plan": "fail"}, "2026-01-31T12:00:00Z")
+
+_CHECKS: dict[str, list[Check]] = {
+    "env-check": [
+        Check("joints.count", 14, "==", 14, why="both arms have seven joints"),
+        Check("tracking.step_error_rad", 0.0021, "<", 0.05, "rad", "the controller reaches where it is sent"),
+        Check("control.step_median_us", 171.0, "<", 1000.0, "us", "1 kHz leaves 1000 us a step"),
+    ],
+    "plan": [
+        Check("both_arms.success_rate", 1.0, ">=", 1.0, why="every query is solved"),
+        Check("both_arms.time_max_s", 0.41, "<", 10.0, "s", "a person waits no longer"),
+    ],
+    "carry": [
+        Check("success_rate", 1.0, ">", 0.8, why="share of trials that carried the rod to its goal"),
+        Check("tilt_max_rad", 0.0436, "<", 0.08727, "rad", "a tilted rod slips or spills"),
+        Check("internal_force_min_n", 36.2, ">", 20.0, "N", "below it the rod may slip"),
+        Check("torque_ratio_max", 0.79, "<", 1.0, why="at 1 the drive saturates"),
+    ],
+    "teleop-record": [Check("jerk_rms_max", 14.1, "<", 200.0, "rad/s^3", "smooth demonstrations")],
+    "train-act": [
+        Check("loss_ratio", 0.11, "<", 0.5, why="it must have learned something"),
+        Check("samples_per_s", 402.0, unit="1/s", why="training rate"),
+    ],
+    "deploy": [
+        Check("success_rate", 0.78, ">", 0.5, why="closed-loop success on starts held out from training"),
+        Check("success_low", 0.65, why="lower end of its 95 % Wilson interval"),
+        Check("success_high", 0.87, why="upper end of its 95 % Wilson interval"),
+        Check("training_success_rate", 0.95, why="the same on starts it was trained on"),
+    ],
+}
+
+
+def make_trials(n: int = 20) -> list[TrialMetrics]:
+    """Return `n` trials a method: impedance always succeeds, moveit fails once, act every fourth time."""
+    rng = np.random.default_rng(3)
+    spread = {
+        "moveit": (10.2, 0.71, 55.0, 0.021),
+        "impedance": (8.9, 0.76, 38.0, 0.035),
+        "act": (9.6, 0.88, 120.0, 0.03),
+    }
+    rows = []
+    for method, (time_s, torque, jerk, tilt) in spread.items():
+        for index in range(n):
+            failed = (method == "act" and index % 4 == 1) or (method == "moveit" and index == 7)
+            slack = rng.normal(size=5)
+            rows.append(
+                TrialMetrics(
+                    method=method, index=index, condition="clean", success=not failed,
+                    failure=("goal_error" if index % 8 == 1 else "pinch_lost") if failed else "",
+                    reason="it missed" if failed else "",
+                    failed_at_s=6.0 + slack[0] if failed else float("nan"),
+                    duration_s=float("nan") if failed else time_s + 0.3 * slack[1],
+                    torque_ratio_max=torque + 0.02 * slack[2], jerk_rms=jerk * (1 + 0.08 * slack[3]),
+                    tilt_max_rad=tilt * (1 + 0.2 * abs(slack[4])), path_length_m=1.62 + 0.05 * slack[0],
+                    internal_force_min_n=36.0, pinch_force_min_n=41.0, goal_error_m=0.004,
+                )
+            )  # fmt: skip
+    return rows
+
+
+def methods_data(trials: Sequence[TrialMetrics]) -> dict[str, dict[str, Any]]:
+    """Return data["methods"] of the benchmark's verdict for `trials`."""
+    table = {}
+    for method in METHODS:
+        summary = summarise([trial for trial in trials if trial.method == method], np.random.default_rng(0))
+        table[method] = {
+            "trials": summary.trials_n,
+            **{
+                name: getattr(summary, name)
+                for name in (
+                    "success_rate", "success_low", "success_high", "duration_median_s", "torque_ratio_max",
+                    "jerk_rms_median", "tilt_max_rad", "path_length_m",
+                )
+            },
+            "failures": dict(summary.failures),
+        }  # fmt: skip
+    return table
+
+
+def make_verdict(
+    stage: str, folder: Path, checks: Sequence[Check], data: Mapping[str, Any], **other: Any
+) -> Verdict:
+    """Return a verdict over the files in `folder`."""
+    number = [name for name, _ in STAGES].index(stage)
+    fingerprint = Fingerprint(
+        parameters={}, options={}, inputs={}, upstream={}, seed=20260, profile="standard", version="0.1.0",
+        commit="0123456789abcdef0123456789abcdef01234567",
+        machine={"system": "Linux", "architecture": "x86_64", "processor": "Some CPU", "cores": 2, "python": "3.12.1"},
+        libraries={"numpy": "2.2.6", "mujoco": "4.0.0", "torch": "2.11.0"},
+    )  # fmt: skip
+    return replace(
+        Verdict(
+            stage=stage, run="standard", fingerprint=fingerprint, checks=tuple(checks),
+            artefacts=build_manifest(folder, None), acceptance_profile=True,
+            started_at=f"2026-01-31T12:{number:02d}:00Z", finished_at=f"2026-01-31T12:{number:02d}:50Z",
+            duration_s=31.0 * (number + 1) ** 1.6, data=dict(data),
+        ),
+        **other,
+    )  # fmt: skip
+
+
+def make_run(root: Path, trials: Sequence[TrialMetrics] | None = None) -> ReportInput:
+    """Write a run under `root` and return what the report is built from."""
+    trials = make_trials() if trials is None else trials
+    verdicts, folders = {}, {}
+    for stage, _summary in STAGES:
+        folder = root / stage
+        folder.mkdir(parents=True)
+        checks, data = _CHECKS.get(stage, []), {}
+        if stage == "benchmark":
+            write_csv(folder / "benchmark.csv", trials)
+            data = {"methods": methods_data(trials)}
+            checks = [
+                Check(f"{method}.success_rate", row["success_rate"], ">", 0.5, why="it works")
+                for method, row in data["methods"].items()
+            ]
+        verdicts[stage], folders[stage] = make_verdict(stage, folder, checks, data), folder
+    return ReportInput(
+        title="A made-up run", stages=STAGES, verdicts=verdicts, folders=folders, waivers=(), methods=METHODS,
+        acceptance=True, profile="standard", seed=20260,
+    )  # fmt: skip
+
+
+def with_methods(given: ReportInput, table: Mapping[str, Any]) -> ReportInput:
+    """Return the run with another table of methods in the benchmark's verdict."""
+    benchmark = replace(given.verdicts["benchmark"], data={"methods": dict(table)})
+    return replace(given, verdicts={**given.verdicts, "benchmark": benchmark})
