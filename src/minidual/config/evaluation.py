@@ -10,8 +10,8 @@ from minidual.config.base import StrictModel
 class BenchmarkConfig(StrictModel):
     """Which methods are compared, and how often."""
 
-    methods: tuple[str, ...] = Field(("moveit", "impedance", "act"), min_length=1)
-    trials_n: int = Field(30, ge=1, le=10000)
+    methods: tuple[str, ...] = Field(default=("moveit", "impedance", "act"), min_length=1)
+    trials_n: int = Field(default=30, ge=1, le=10000)
     success_rate_min: dict[str, float] = {"moveit": 0.8, "impedance": 0.8, "act": 0.5}
     """Least success rate of a method; a method without an entry is reported without a limit."""
 
@@ -19,4 +19,4 @@ class BenchmarkConfig(StrictModel):
 class ReportConfig(StrictModel):
     """What the report is called."""
 
-    title: str = Field("minidual: a measured dual-arm system", min_length=1)
+    title: str = Field(default="minidual: a measured dual-arm system", min_length=1)

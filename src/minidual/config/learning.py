@@ -16,67 +16,78 @@ class TrainConfig(StrictModel):
 
     # Architecture
     backbone: Backbone = Field(
-        "spatial_softmax", description="image encoder: own keypoints, or LeRobot's resnet18"
+        default="spatial_softmax", description="image encoder: own keypoints, or LeRobot's resnet18"
     )
-    chunk_size: int = Field(50, ge=1, le=500, description="actions predicted per inference, in ticks")
-    dim_model: int = Field(128, ge=16, le=1024, multiple_of=16, description="transformer width")
-    dim_feedforward: int = Field(512, ge=16, le=8192)
-    encoder_layers: int = Field(2, ge=1, le=12)
-    decoder_layers: int = Field(1, ge=1, le=12)
-    heads: int = Field(8, ge=1, le=16)
-    dropout: float = Field(0.0, ge=0.0, lt=1.0)
-    use_vae: bool = Field(False, description="variational objective of the original ACT")
-    kl_weight: float = Field(10.0, ge=0.0)
-    keypoints: int = Field(32, ge=4, le=256, description="spatial-softmax keypoints per camera")
+    chunk_size: int = Field(default=50, ge=1, le=500, description="actions predicted per inference, in ticks")
+    dim_model: int = Field(default=128, ge=16, le=1024, multiple_of=16, description="transformer width")
+    dim_feedforward: int = Field(default=512, ge=16, le=8192)
+    encoder_layers: int = Field(default=2, ge=1, le=12)
+    decoder_layers: int = Field(default=1, ge=1, le=12)
+    heads: int = Field(default=8, ge=1, le=16)
+    dropout: float = Field(default=0.0, ge=0.0, lt=1.0)
+    use_vae: bool = Field(default=False, description="variational objective of the original ACT")
+    kl_weight: float = Field(default=10.0, ge=0.0)
+    keypoints: int = Field(default=32, ge=4, le=256, description="spatial-softmax keypoints per camera")
     keyframe_weight: float = Field(
-        1.0,
+        default=1.0,
         ge=0.0,
         le=100.0,
         description="weight of the grasp-posture loss (spatial_softmax only); 0 leaves it out",
     )
 
     # Optimisation
-    steps: int = Field(12000, ge=1, le=10_000_000, description="optimiser steps; training stops by steps")
-    time_limit_s: float = Field(
-        1800.0, gt=0.0, description="training beyond this is cut short and fails its check"
+    steps: int = Field(
+        default=12000, ge=1, le=10_000_000, description="optimiser steps; training stops by steps"
     )
-    batch_size: int = Field(32, ge=1, le=4096)
-    learning_rate: float = Field(1e-3, gt=0.0, le=1.0)
-    weight_decay: float = Field(1e-4, ge=0.0, le=1.0)
-    warmup_fraction: float = Field(0.03, ge=0.0, le=0.5)
-    gradient_clip: float = Field(1.0, gt=0.0)
+    time_limit_s: float = Field(
+        default=1800.0, gt=0.0, description="training beyond this is cut short and fails its check"
+    )
+    batch_size: int = Field(default=32, ge=1, le=4096)
+    learning_rate: float = Field(default=1e-3, gt=0.0, le=1.0)
+    weight_decay: float = Field(default=1e-4, ge=0.0, le=1.0)
+    warmup_fraction: float = Field(default=0.03, ge=0.0, le=0.5)
+    gradient_clip: float = Field(default=1.0, gt=0.0)
     ema_decay: float = Field(
-        0.999, ge=0.0, lt=1.0, description="moving average of the weights; 0 switches it off"
+        default=0.999, ge=0.0, lt=1.0, description="moving average of the weights; 0 switches it off"
     )
     precision: Literal["auto", "fp32", "bf16"] = Field(
-        "auto", description="of the convolutions; auto is bf16 where the processor computes it natively"
+        default="auto",
+        description="of the convolutions; auto is bf16 where the processor computes it natively",
     )
     device: Literal["cpu", "cuda"] = "cpu"
-    threads: int = Field(2, ge=1, le=256, description="torch threads while training on the CPU")
+    threads: int = Field(default=2, ge=1, le=256, description="torch threads while training on the CPU")
 
     # Data
     cameras: tuple[str, ...] = Field(
-        ("high",), description="cameras the policy looks through; empty means all"
+        default=("high",), description="cameras the policy looks through; empty means all"
     )
-    validation_fraction: float = Field(0.08, ge=0.0, le=0.5, description="share of the episodes held out")
+    validation_fraction: float = Field(
+        default=0.08, ge=0.0, le=0.5, description="share of the episodes held out"
+    )
     approach_weight: float = Field(
-        3.0, gt=0.0, le=100.0, description="sampling weight of ticks before the grasp"
+        default=3.0, gt=0.0, le=100.0, description="sampling weight of ticks before the grasp"
     )
-    state_noise_approach_rad: float = Field(0.06, ge=0.0, le=0.5)
-    state_noise_rad: float = Field(0.01, ge=0.0, le=0.5, description="state noise after the grasp")
-    brightness_jitter: float = Field(0.08, ge=0.0, le=1.0, description="additive, in units of full scale")
-    contrast_jitter: float = Field(0.15, ge=0.0, lt=1.0, description="multiplicative, 0.15 is 0.85 to 1.15")
-    std_floor: float = Field(1e-2, gt=0.0, description="smallest normalisation std: some joints hardly move")
+    state_noise_approach_rad: float = Field(default=0.06, ge=0.0, le=0.5)
+    state_noise_rad: float = Field(default=0.01, ge=0.0, le=0.5, description="state noise after the grasp")
+    brightness_jitter: float = Field(
+        default=0.08, ge=0.0, le=1.0, description="additive, in units of full scale"
+    )
+    contrast_jitter: float = Field(
+        default=0.15, ge=0.0, lt=1.0, description="multiplicative, 0.15 is 0.85 to 1.15"
+    )
+    std_floor: float = Field(
+        default=1e-2, gt=0.0, description="smallest normalisation std: some joints hardly move"
+    )
 
     # Bookkeeping
-    log_every_steps: int = Field(20, ge=1)
-    validate_every_steps: int = Field(500, ge=1)
-    checkpoint_every_steps: int = Field(1000, ge=1, description="how much an interruption can cost")
+    log_every_steps: int = Field(default=20, ge=1)
+    validate_every_steps: int = Field(default=500, ge=1)
+    checkpoint_every_steps: int = Field(default=1000, ge=1, description="how much an interruption can cost")
 
     # Acceptance
-    loss_ratio_max: float = Field(0.5, gt=0.0, le=1.0)
-    actions_in_limits_min: float = Field(0.999, gt=0.0, le=1.0)
-    train_s_max: float = Field(1800.0, gt=0.0)
+    loss_ratio_max: float = Field(default=0.5, gt=0.0, le=1.0)
+    actions_in_limits_min: float = Field(default=0.999, gt=0.0, le=1.0)
+    train_s_max: float = Field(default=1800.0, gt=0.0)
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -91,19 +102,21 @@ class DeployConfig(StrictModel):
     """How a trained policy drives the arms, and what the closed-loop trials must reach."""
 
     n_action_steps: int = Field(
-        25, ge=1, le=500, description="ticks of a chunk that run before the next inference"
+        default=25, ge=1, le=500, description="ticks of a chunk that run before the next inference"
     )
     blend_ticks: int = Field(
-        8, ge=0, le=50, description="ticks over which a new chunk takes over from the old one"
+        default=8, ge=0, le=50, description="ticks over which a new chunk takes over from the old one"
     )
-    threads: int = Field(1, ge=1, le=64, description="torch threads: more only costs on busy cores")
+    threads: int = Field(default=1, ge=1, le=64, description="torch threads: more only costs on busy cores")
     device: Literal["cpu", "cuda"] = "cpu"
-    trials: int = Field(50, ge=1, le=10_000, description="closed-loop trials on seeds held out from training")
+    trials: int = Field(
+        default=50, ge=1, le=10_000, description="closed-loop trials on seeds held out from training"
+    )
     training_trials: int = Field(
-        20, ge=0, le=10_000, description="trials on training seeds, reported beside them"
+        default=20, ge=0, le=10_000, description="trials on training seeds, reported beside them"
     )
-    success_rate_min: float = Field(0.5, ge=0.0, le=1.0)
+    success_rate_min: float = Field(default=0.5, ge=0.0, le=1.0)
     judge_success: bool = Field(
-        True, description="whether the success rate has a limit; smoke only reports it"
+        default=True, description="whether the success rate has a limit; smoke only reports it"
     )
-    inference_hz_min: float = Field(30.0, gt=0.0)
+    inference_hz_min: float = Field(default=30.0, gt=0.0)

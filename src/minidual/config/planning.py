@@ -15,44 +15,44 @@ class PlannerConfig(StrictModel):
     """How one plan is made. The defaults solve the standard queries; none of them weakens the final proof."""
 
     planner: PlannerName = "rrtconnect"
-    range_rad: float = Field(1.0, gt=0.0, le=10.0)
+    range_rad: float = Field(default=1.0, gt=0.0, le=10.0)
     """Longest edge of a search tree, Euclidean in joint space."""
-    edge_step_rad: float = Field(0.03, gt=0.0, le=0.2)
+    edge_step_rad: float = Field(default=0.03, gt=0.0, le=0.2)
     """Largest joint step between two collision checks during the search."""
-    padding_m: float = Field(0.005, ge=0.0, le=0.1)
+    padding_m: float = Field(default=0.005, ge=0.0, le=0.1)
     """Distance that the search keeps; it relaxes near a start or goal that is nearer than that."""
-    search_checks_n: int = Field(40_000, ge=100, le=100_000_000)
+    search_checks_n: int = Field(default=40_000, ge=100, le=100_000_000)
     """State checks after which one search gives up; every further attempt has twice as many."""
-    shortcut_rounds_n: int = Field(40, ge=0, le=10_000)
-    blend_radius_rad: float = Field(0.3, gt=0.001, le=2.0)
+    shortcut_rounds_n: int = Field(default=40, ge=0, le=10_000)
+    blend_radius_rad: float = Field(default=0.3, gt=0.001, le=2.0)
     """Largest half length of a rounded corner."""
-    velocity_scale: float = Field(0.95, gt=0.0, le=1.0)
+    velocity_scale: float = Field(default=0.95, gt=0.0, le=1.0)
     """Fraction of the robot's velocity limits that a plan uses; the rest is headroom."""
-    acceleration_scale: float = Field(0.9, gt=0.0, le=1.0)
-    torque_scale: float = Field(0.95, gt=0.0, le=1.0)
-    smoothing_s: float = Field(0.04, ge=0.0, le=1.0)
+    acceleration_scale: float = Field(default=0.9, gt=0.0, le=1.0)
+    torque_scale: float = Field(default=0.95, gt=0.0, le=1.0)
+    smoothing_s: float = Field(default=0.04, ge=0.0, le=1.0)
     """Window over which the path position is averaged, so that the acceleration does not jump."""
-    ik_restarts_n: int = Field(30, ge=1, le=10_000)
-    goal_candidates_n: int = Field(4, ge=1, le=100)
+    ik_restarts_n: int = Field(default=30, ge=1, le=10_000)
+    goal_candidates_n: int = Field(default=4, ge=1, le=100)
     """Joint solutions of a pose goal that are tried in turn, the nearest first."""
-    verify_step_rad: float = Field(0.002, gt=0.0, le=0.002)
+    verify_step_rad: float = Field(default=0.002, gt=0.0, le=0.002)
     """Largest joint step between the samples of the final proof."""
-    budget_s: float = Field(10.0, gt=0.0, le=3600.0)
+    budget_s: float = Field(default=10.0, gt=0.0, le=3600.0)
     """Wall time after which a query is given up."""
 
 
 class PlanConfig(StrictModel):
     """How many queries are planned, and how fast it must go."""
 
-    queries_n: int = Field(20, ge=1, le=10000)
+    queries_n: int = Field(default=20, ge=1, le=10000)
     """Queries per planning group."""
-    obstacles_n: int = Field(5, ge=0, le=50)
+    obstacles_n: int = Field(default=5, ge=0, le=50)
     """Boxes and cylinders on the table of each query."""
-    blocked_fraction: float = Field(0.75, ge=0.0, le=1.0)
+    blocked_fraction: float = Field(default=0.75, ge=0.0, le=1.0)
     """Share of the queries that are chosen so that the straight line in joint space is blocked."""
-    agreement_states_n: int = Field(2000, ge=100, le=1_000_000)
+    agreement_states_n: int = Field(default=2000, ge=100, le=1_000_000)
     """Random states on which the two collision engines are compared."""
-    success_rate_min: float = Field(1.0, ge=0.0, le=1.0)
-    time_max_s: float = Field(10.0, gt=0.0, le=3600.0)
-    agreement_min: float = Field(0.999, ge=0.0, le=1.0)
+    success_rate_min: float = Field(default=1.0, ge=0.0, le=1.0)
+    time_max_s: float = Field(default=10.0, gt=0.0, le=3600.0)
+    agreement_min: float = Field(default=0.999, ge=0.0, le=1.0)
     planner: PlannerConfig = PlannerConfig()

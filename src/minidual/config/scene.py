@@ -14,24 +14,24 @@ PositiveFloat = Annotated[float, Field(gt=0.0)]
 class PhysicsConfig(StrictModel):
     """Solver settings; the values are those under which a pinched rod does not creep."""
 
-    timestep_s: float = Field(0.001, gt=0.0, le=0.002)
-    impratio: float = Field(100.0, ge=1.0, le=1000.0)
-    finger_kp_n_per_m: float = Field(5000.0, gt=0.0, le=50000.0)
-    finger_kv_ns_per_m: float = Field(100.0, ge=0.0, le=5000.0)
-    finger_force_max_n: float = Field(70.0, gt=0.0, le=140.0)
+    timestep_s: float = Field(default=0.001, gt=0.0, le=0.002)
+    impratio: float = Field(default=100.0, ge=1.0, le=1000.0)
+    finger_kp_n_per_m: float = Field(default=5000.0, gt=0.0, le=50000.0)
+    finger_kv_ns_per_m: float = Field(default=100.0, ge=0.0, le=5000.0)
+    finger_force_max_n: float = Field(default=70.0, gt=0.0, le=140.0)
 
 
 class RodConfig(StrictModel):
     """The carried object: an aluminium rod."""
 
-    length_m: float = Field(0.30, gt=0.1, le=0.6)
-    radius_m: float = Field(0.00887, gt=0.003, le=0.03)
-    mass_kg: float = Field(0.2, gt=0.01, le=3.0)
-    friction: float = Field(0.5, gt=0.05, le=2.0)
-    rolling_friction: float = Field(0.002, ge=0.0, le=0.1)
-    grasp_offset_m: float = Field(0.12, gt=0.03, le=0.25)
+    length_m: float = Field(default=0.30, gt=0.1, le=0.6)
+    radius_m: float = Field(default=0.00887, gt=0.003, le=0.03)
+    mass_kg: float = Field(default=0.2, gt=0.01, le=3.0)
+    friction: float = Field(default=0.5, gt=0.05, le=2.0)
+    rolling_friction: float = Field(default=0.002, ge=0.0, le=0.1)
+    grasp_offset_m: float = Field(default=0.12, gt=0.03, le=0.25)
     """Distance of each hand from the rod's centre."""
-    grasp_height_m: float = Field(0.003, ge=-0.01, le=0.02)
+    grasp_height_m: float = Field(default=0.003, ge=-0.01, le=0.02)
     """Height of the tool centre point over the rod's axis."""
 
     @model_validator(mode="after")
@@ -48,27 +48,27 @@ class TaskConfig(StrictModel):
 
     start_xy_m: tuple[float, float] = (0.5, 0.25)
     goal_xy_m: tuple[float, float] = (0.5, -0.25)
-    lift_height_m: float = Field(0.12, gt=0.03, le=0.4)
+    lift_height_m: float = Field(default=0.12, gt=0.03, le=0.4)
     """Height to which a method lifts the rod's axis above its resting height."""
-    start_range_m: float = Field(0.05, ge=0.0, le=0.1)
-    start_range_rad: float = Field(0.2618, ge=0.0, le=0.6)
+    start_range_m: float = Field(default=0.05, ge=0.0, le=0.1)
+    start_range_rad: float = Field(default=0.2618, ge=0.0, le=0.6)
     """Start pose is uniform within +-range about the nominal one (15 degrees)."""
-    clear_height_m: float = Field(0.04, gt=0.0, le=0.3)
+    clear_height_m: float = Field(default=0.04, gt=0.0, le=0.3)
     """The rod must rise at least this far."""
-    tilt_max_rad: float = Field(0.08727, gt=0.0, le=0.3)
+    tilt_max_rad: float = Field(default=0.08727, gt=0.0, le=0.3)
     """Five degrees between the rod's axis and the horizontal."""
-    goal_tolerance_m: float = Field(0.02, gt=0.0, le=0.1)
-    pinch_min_n: float = Field(20.0, gt=0.0)
-    internal_force_min_n: float = Field(20.0, gt=0.0)
-    rest_speed_m_per_s: float = Field(0.02, gt=0.0)
-    time_limit_s: float = Field(15.0, gt=1.0, le=60.0)
+    goal_tolerance_m: float = Field(default=0.02, gt=0.0, le=0.1)
+    pinch_min_n: float = Field(default=20.0, gt=0.0)
+    internal_force_min_n: float = Field(default=20.0, gt=0.0)
+    rest_speed_m_per_s: float = Field(default=0.02, gt=0.0)
+    time_limit_s: float = Field(default=15.0, gt=1.0, le=60.0)
 
 
 class CameraConfig(StrictModel):
     """Size of the recorded images."""
 
-    width_px: int = Field(128, ge=32, le=1920)
-    height_px: int = Field(96, ge=24, le=1080)
+    width_px: int = Field(default=128, ge=32, le=1920)
+    height_px: int = Field(default=96, ge=24, le=1080)
 
 
 class SceneConfig(StrictModel):

@@ -12,53 +12,53 @@ from minidual.config.base import StrictModel
 class OperatorConfig(StrictModel):
     """The scripted operator: how long each phase of the rod cycle takes, and how exactly it approaches."""
 
-    approach_s: float = Field(1.8, ge=0.5, le=20.0)
-    correct_s: float = Field(0.6, ge=0.1, le=20.0)
-    descend_s: float = Field(0.9, ge=0.2, le=20.0)
-    close_s: float = Field(0.7, ge=0.4, le=20.0)
-    lift_s: float = Field(0.8, ge=0.2, le=20.0)
-    carry_s: float = Field(2.0, ge=0.5, le=20.0)
-    lower_s: float = Field(0.8, ge=0.2, le=20.0)
-    open_s: float = Field(0.5, ge=0.3, le=20.0)
-    retreat_s: float = Field(0.5, ge=0.2, le=20.0)
-    rest_s: float = Field(0.1, ge=0.02, le=20.0)
-    hover_m: float = Field(0.08, gt=0.02, le=0.3)
+    approach_s: float = Field(default=1.8, ge=0.5, le=20.0)
+    correct_s: float = Field(default=0.6, ge=0.1, le=20.0)
+    descend_s: float = Field(default=0.9, ge=0.2, le=20.0)
+    close_s: float = Field(default=0.7, ge=0.4, le=20.0)
+    lift_s: float = Field(default=0.8, ge=0.2, le=20.0)
+    carry_s: float = Field(default=2.0, ge=0.5, le=20.0)
+    lower_s: float = Field(default=0.8, ge=0.2, le=20.0)
+    open_s: float = Field(default=0.5, ge=0.3, le=20.0)
+    retreat_s: float = Field(default=0.5, ge=0.2, le=20.0)
+    rest_s: float = Field(default=0.1, ge=0.02, le=20.0)
+    hover_m: float = Field(default=0.08, gt=0.02, le=0.3)
     """Height over the grasp from which the hands go straight down, and to which they retreat."""
-    approach_noise_m: float = Field(0.010, ge=0.0, le=0.05)
+    approach_noise_m: float = Field(default=0.010, ge=0.0, le=0.05)
     """Standard deviation of the error with which the hands arrive over the rod; corrected before they go down."""
-    approach_noise_rad: float = Field(0.04, ge=0.0, le=0.2)
+    approach_noise_rad: float = Field(default=0.04, ge=0.0, le=0.2)
 
 
 class MirrorConfig(StrictModel):
     """When a leader may drive the follower."""
 
-    start_error_max_rad: float = Field(0.1, gt=0.0, le=0.6)
+    start_error_max_rad: float = Field(default=0.1, gt=0.0, le=0.6)
     """Largest difference of any joint between leader and follower at the start."""
-    calibration_max_rad: float = Field(0.5, gt=0.0, le=3.2)
+    calibration_max_rad: float = Field(default=0.5, gt=0.0, le=3.2)
     """Largest offset that calibration accepts as a mounting error."""
-    workspace_margin_rad: float = Field(0.0, ge=0.0, le=0.3)
+    workspace_margin_rad: float = Field(default=0.0, ge=0.0, le=0.3)
     """How far the mirrored targets stay from the joint limits."""
 
 
 class TeleopConfig(StrictModel):
     """What is demonstrated, by whom, and how it is recorded."""
 
-    episodes_n: int = Field(120, ge=1, le=10000)
+    episodes_n: int = Field(default=120, ge=1, le=10000)
     """Demonstrations to keep; the command line calls this --episodes."""
-    leader: str = Field("scripted", min_length=1)
-    rate_hz: float = Field(50.0, ge=10.0, le=100.0)
+    leader: str = Field(default="scripted", min_length=1)
+    rate_hz: float = Field(default=50.0, ge=10.0, le=100.0)
     cameras: tuple[Literal["high", "left", "right"], ...] = ("high",)
-    widen: float = Field(1.3, ge=1.0, le=2.0)
+    widen: float = Field(default=1.3, ge=1.0, le=2.0)
     """Demonstrations start from a range this much wider than the tests'."""
-    attempts_max_ratio: float = Field(1.5, ge=1.0, le=10.0)
+    attempts_max_ratio: float = Field(default=1.5, ge=1.0, le=10.0)
     """Give up after this many attempts for each demonstration asked for."""
-    jerk_max_rad_s3: float = Field(200.0, gt=0.0)
+    jerk_max_rad_s3: float = Field(default=200.0, gt=0.0)
     """Episodes above this RMS jerk are filtered out."""
-    latency_max_s: float = Field(0.1, gt=0.0)
-    episodes_per_min: float = Field(3.0, ge=0.0)
+    latency_max_s: float = Field(default=0.1, gt=0.0)
+    episodes_per_min: float = Field(default=3.0, ge=0.0)
     keep_rejected: bool = True
     """Keep the files of failed attempts under episodes/rejected, with the reason in each."""
-    person_time_limit_s: float = Field(120.0, ge=5.0, le=3600.0)
+    person_time_limit_s: float = Field(default=120.0, ge=5.0, le=3600.0)
     """An episode led by a person ends by then."""
     operator: OperatorConfig = OperatorConfig()
     mirror: MirrorConfig = MirrorConfig()
