@@ -154,10 +154,10 @@ class World:
         return result[0], result[1]
 
     def internal_force(self) -> float:
-        """Return the squeeze along the rod [N]: half the opposed part of the hands' measured axial forces.
+        """Return the squeeze along the rod [N]: the smaller of the two hands' axial forces towards each other.
 
-        Positive when the hands press towards each other. One hand alone gives zero: the internal force is what
-        both carry, min of the two opposed components.
+        Positive when the hands press towards each other, negative when they pull. One hand alone gives at most
+        zero: the internal force is what both carry.
         """
         axis = self.data.xmat[self._rod_body].reshape(3, 3)[:, 1]
         left = float(-axis @ self._contacts[0, :, :3].sum(axis=0))  # the left hand holds the +y end
