@@ -16,7 +16,9 @@ from minidual.control.loop import JointLoop
 from minidual.errors import EnvironmentMissingError
 from minidual.evaluation import environment as measure
 from minidual.evaluation import installation
+from minidual.evaluation import joint_tracking as motion
 from minidual.evaluation.installation import Library, required_libraries
+from minidual.evaluation.step_cost import control_step_cost
 from minidual.pipeline.stage import StageContext
 from minidual.robot.constants import DOF, HOME
 from minidual.robot.kinematics import Kinematics
@@ -161,7 +163,7 @@ class TestMapping:
 
 class TestTracking:
     def test_the_step_is_reached_to_rounding(self, loop):
-        step = measure.step_response(loop, measure.outward_step(0.3), 2.0)
+        step = motion.step_response(loop, motion.outward_step(0.3), 2.0)
         assert step.settled < 1e-6
         assert step.overshoot < 1e-4
         assert step.error_norm[0] == pytest.approx(0.3 * np.sqrt(2), rel=1e-3)
@@ -169,29 +171,29 @@ class TestTracking:
 
     def test_with_the_motors_off_it_is_not(self, loop, monkeypatch):
         monkeypatch.setattr(loop.controller, "torque", lambda *_: np.zeros(DOF))
-        assert measure.step_response(loop, measure.outward_step(0.3), 1.0).settled > 0.3
+        assert motion.step_response(loop, motion.outward_step(0.3), 1.0).settled > 0.3
 
     def test_an_error_that_crosses_zero_is_still_an_error(self):
         t = np.arange(1000) * 1e-3
         swinging = np.zeros((1000, DOF))
         swinging[:, 0] = 0.1 * np.sin(2 * np.pi * 5.0 * (t - t[-1]))  # zero at the last instant
-        found = measure.Tracking(t, np.zeros((1000, DOF)), swinging, np.zeros((1000, 1)))
+        found = motion.Tracking(t, np.zeros((1000, DOF)), swinging, np.zeros((1000, 1)))
         assert found.error_norm[-1] < 1e-9
         assert found.settled == pytest.approx(0.1, rel=0.01)
 
     def test_each_joint_alone_arrives(self, loop):
-        assert measure.single_joint_errors(loop, 0.1, 0.6).max() < 0.001
+        assert motion.single_joint_errors(loop, 0.1, 0.6).max() < 0.001
 
     def test_a_blocked_joint_does_not_and_its_neighbours_do(self, scene, kinematics):
         spec = build_spec(scene, visuals=False)
         spec.joint("left_panda_joint5").frictionloss = 50.0  # more than its motor can
         blocked = JointLoop(World(scene, model=spec.compile()), kinematics)
-        errors = measure.single_joint_errors(blocked, 0.1, 0.6)
+        errors = motion.single_joint_errors(blocked, 0.1, 0.6)
         assert errors[4] > 0.05
         assert np.delete(errors, 4).max() < 0.005
 
     def test_the_swing_is_followed(self, loop):
-        sine = measure.sine_response(loop, 0.3, 0.5, 2.0)
+        sine = motion.sine_response(loop, 0.3, 0.5, 2.0)
         assert sine.rms < 0.002
         assert sine.contacts == 0
         assert np.ptp(sine.measured, axis=0) == pytest.approx(np.full(DOF, 0.6), abs=0.01)
@@ -200,20 +202,20 @@ class TestTracking:
         slack = JointLoop(world, kinematics, natural_frequency_rad_s=1.0)
         slack.controller._model = kinematics.model.copy()
         slack.controller._model.gravity.linear = np.array([0.0, 0.0, -9.0])
-        assert measure.sine_response(slack, 0.3, 0.5, 2.0).rms > 0.02
+        assert motion.sine_response(slack, 0.3, 0.5, 2.0).rms > 0.02
 
     def test_the_swings_reference_is_consistent_and_starts_at_rest(self):
         h = 1e-6
         for t in (0.0, 0.3, 1.7):
-            _, v, a = measure.sine_reference(0.3, 0.5, t)
-            after, before = measure.sine_reference(0.3, 0.5, t + h), measure.sine_reference(0.3, 0.5, t - h)
+            _, v, a = motion.sine_reference(0.3, 0.5, t)
+            after, before = motion.sine_reference(0.3, 0.5, t + h), motion.sine_reference(0.3, 0.5, t - h)
             assert (after[0] - before[0]) / (2 * h) == pytest.approx(v, abs=1e-8)
             assert (after[1] - before[1]) / (2 * h) == pytest.approx(a, abs=1e-8)
-        assert not measure.sine_reference(0.3, 0.5, 0.0)[1].any()
+        assert not motion.sine_reference(0.3, 0.5, 0.0)[1].any()
         with pytest.raises(ValueError, match="velocity limits"):
-            measure.sine_reference(0.5, 1.0, 0.0)
+            motion.sine_reference(0.5, 1.0, 0.0)
         with pytest.raises(ValueError, match="joint limits"):
-            measure.sine_reference(2.0, 0.1, 0.0)
+            motion.sine_reference(2.0, 0.1, 0.0)
 
 
 class TestContacts:
@@ -271,7 +273,7 @@ class TestAgreement:
 
 class TestCost:
     def test_a_step_fits_into_a_millisecond_and_costs_more_than_physics(self, loop):
-        cost = measure.control_step_cost(loop, 300)
+        cost = control_step_cost(loop, 300)
         assert 0.0 < cost.bare_median_us < cost.median_us < 1000.0
         assert cost.ratio == pytest.approx(cost.median_us / cost.bare_median_us)
 
@@ -285,7 +287,7 @@ class TestCost:
             return torque(*state)
 
         monkeypatch.setattr(loop.controller, "torque", slow)
-        assert measure.control_step_cost(loop, 100).median_us > 1000.0
+        assert control_step_cost(loop, 100).median_us > 1000.0
 
 
 class TestLibraries:

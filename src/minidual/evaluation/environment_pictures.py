@@ -10,7 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from minidual.evaluation.environment import Tracking
+from minidual.evaluation.joint_tracking import Tracking
 from minidual.robot.constants import ARMS, DOF_PER_ARM, Array
 from minidual.sim.model import CAMERAS
 from minidual.sim.render import Camera, Image, write_video

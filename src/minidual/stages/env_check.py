@@ -11,9 +11,11 @@ from minidual.pipeline.stage import StageContext, StageResult
 
 if TYPE_CHECKING:
     from minidual.config.root import Config
-    from minidual.evaluation.environment import Mapping, StepCost, Tracking
+    from minidual.evaluation.environment import Mapping
     from minidual.evaluation.environment_pictures import CameraCheck
     from minidual.evaluation.installation import Library
+    from minidual.evaluation.joint_tracking import Tracking
+    from minidual.evaluation.step_cost import StepCost
 
 _JOINTS = 14
 _REACHED_RAD = 0.005
@@ -39,7 +41,9 @@ class EnvCheckStage:
         from minidual.control.loop import JointLoop
         from minidual.evaluation import environment as measure
         from minidual.evaluation import environment_pictures as pictures
+        from minidual.evaluation import joint_tracking as motion
         from minidual.evaluation.installation import machine, required_libraries
+        from minidual.evaluation.step_cost import control_step_cost
         from minidual.robot.kinematics import Kinematics
         from minidual.sim.model import build_model
         from minidual.sim.world import World
@@ -59,11 +63,11 @@ class EnvCheckStage:
             task.advance(note="cameras")
             mapping = measure.torque_pulse_mapping(world, kinematics, pulse_share=config.pulse_share)
             task.advance(note="mapping")
-            alone = measure.single_joint_errors(loop, config.single_step_rad, config.single_duration_s)
+            alone = motion.single_joint_errors(loop, config.single_step_rad, config.single_duration_s)
             task.advance(note="each joint alone")
-            step = measure.step_response(loop, measure.outward_step(config.step_rad), config.step_duration_s)
+            step = motion.step_response(loop, motion.outward_step(config.step_rad), config.step_duration_s)
             task.advance(note="step")
-            sine = measure.sine_response(
+            sine = motion.sine_response(
                 loop, config.sine_amplitude_rad, config.sine_frequency_hz, config.sine_duration_s
             )
             task.advance(note="swing")
@@ -71,7 +75,7 @@ class EnvCheckStage:
                 world, kinematics, stream(context.seed, "env-check/states"), config.agreement_states_n
             )
             task.advance(note="two engines")
-            cost = measure.control_step_cost(loop, config.cost_steps_n)
+            cost = control_step_cost(loop, config.cost_steps_n)
             task.advance(note="step cost")
             frames = pictures.film(
                 world, sine, context.folder / "sine.mp4", fps=config.video_fps,
