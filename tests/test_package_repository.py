@@ -104,3 +104,30 @@ def test_a_missing_gl_library_is_named_with_its_packages() -> None:
     )  # fmt: skip
     assert done.returncode == 4
     assert "libegl1 libgl1-mesa-dri" in done.stderr
+
+
+PAGES = sorted({ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("*/README.md")})
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_every_link_of_the_documents_leads_somewhere(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    targets = [target.split("#")[0] for target in re.findall(r"\]\(([^)\s]+)\)", text) if "://" not in target]
+    broken = [target for target in targets if target and not (page.parent / target).exists()]
+    assert broken == []
+
+
+def test_the_readme_opens_with_a_picture_and_the_two_commands() -> None:
+    head = (ROOT / "README.md").read_text(encoding="utf-8").split("\n## ")[0]
+    assert "docs/scene.jpg" in head
+    assert re.findall(r"^make (\w+)", head, re.MULTILINE) == ["all", "test"]
+    assert (ROOT / "docs" / "scene.jpg").stat().st_size < 150_000
+
+
+def test_the_documents_name_every_stage_and_exit_code() -> None:
+    from minidual.errors import ExitCode
+    from minidual.stages.registry import STAGES
+
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert [name for name in STAGES.names if f"| `{name}` |" not in readme] == []
+    assert [int(code) for code in ExitCode if f"| {int(code)} |" not in readme] == []

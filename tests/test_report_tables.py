@@ -184,6 +184,12 @@ def test_a_failed_check_has_the_thinnest_margin(tmp_path: Path) -> None:
     )
 
 
+def test_a_share_at_100_percent_has_no_margin_to_be_thin(words: dict[str, str]) -> None:
+    text = words["Where the margins are thinnest"]
+    assert "success_rate is 1," not in text
+    assert "Three checks stood at the best value there is" in text  # plan, carry, and impedance's
+
+
 def test_without_numbers_there_are_no_words() -> None:
     assert analyse({}, compare(samples.METHODS, {}), []) == ()
 

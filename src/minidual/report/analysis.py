@@ -214,6 +214,14 @@ def relative_margin(check: Check) -> float | None:
     return finite(check.margin / abs(check.limit))
 
 
+def _at_its_best(check: Check) -> bool:
+    """Return whether a passed check has no room: exactly at its limit, or a share at 100 %."""
+    if check.margin == 0.0:
+        return True
+    share = not check.unit and check.limit is not None and 0.0 < check.limit <= 1.0
+    return share and check.op in (">", ">=") and check.observed == 1.0
+
+
 def _margins(verdicts: Mapping[str, Verdict]) -> Iterator[str]:
     found: list[tuple[float, str, Check]] = []
     exact = 0
@@ -222,8 +230,8 @@ def _margins(verdicts: Mapping[str, Verdict]) -> Iterator[str]:
             margin = relative_margin(check)
             if margin is None:
                 continue
-            if margin == 0.0 and check.op in ("<=", ">="):
-                exact += 1  # a limit of perfection, met: no margin is possible
+            if margin >= 0.0 and _at_its_best(check):
+                exact += 1
             else:
                 found.append((margin, stage, check))
     found.sort(key=lambda item: item[0])
@@ -234,5 +242,6 @@ def _margins(verdicts: Mapping[str, Verdict]) -> Iterator[str]:
         yield stated(f"{stage}: {check.sentence()}: {side}")
     if exact:
         yield sentence(
-            f"{count(exact, 'check')} stood exactly at a limit that includes it, such as 100 % of the queries"
+            f"{count(exact, 'check')} stood at the best value there is or exactly at the limit, such as 100 % of "
+            "the queries, where a margin says nothing"
         )

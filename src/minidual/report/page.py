@@ -141,6 +141,11 @@ def _quantity(value: float | int | bool | None, unit: str) -> str:
     if not unit:
         return text
     text = f"{text} {unit}"
-    if unit == "rad" and isinstance(value, float) and math.isfinite(value):
+    if (
+        unit == "rad"
+        and isinstance(value, float)
+        and math.isfinite(value)
+        and abs(math.degrees(value)) >= 0.01
+    ):
         text += f" ({math.degrees(value):.3g}°)"
     return text
