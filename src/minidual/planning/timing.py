@@ -11,6 +11,7 @@ continuous: its rate is at most its largest jump divided by the window.
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -119,9 +120,11 @@ def fastest_profile(path: Curve, columns: Array, v_max: Array, a_max: Array) -> 
     Raises:
         TimingError: toppra finds no profile.
     """
-    import toppra
-    from toppra.algorithm import TOPPRA
-    from toppra.constraint import DiscretizationType, JointAccelerationConstraint, JointVelocityConstraint
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SyntaxWarning)  # its docstrings hold unescaped backslashes
+        import toppra
+        from toppra.algorithm import TOPPRA
+        from toppra.constraint import DiscretizationType, JointAccelerationConstraint, JointVelocityConstraint
 
     velocity = JointVelocityConstraint(np.column_stack([-v_max, v_max]))
     acceleration = JointAccelerationConstraint(
