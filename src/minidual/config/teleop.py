@@ -57,7 +57,7 @@ class TeleopConfig(StrictModel):
     latency_max_s: float = Field(default=0.1, gt=0.0)
     episodes_per_min: float = Field(default=3.0, ge=0.0)
     keep_rejected: bool = True
-    """Keep the files of failed attempts under episodes/rejected, with the reason in each."""
+    """Keep the files of failed attempts in the folder `rejected`, with the reason in each."""
     person_time_limit_s: float = Field(default=120.0, ge=5.0, le=3600.0)
     """An episode led by a person ends by then."""
     operator: OperatorConfig = OperatorConfig()

@@ -4,11 +4,13 @@ Sources (moveit, teleop, policy) propose; one at most drives. A switch holds the
 mailbox, waits until the arms are still, and then lets exactly one source through, starting from the present
 posture. Every tick yields a target: where no source drives, a posture is held.
 
-                request            still                first command
-    holding ----------> settling ---------> waiting -----------------> active <---> aligning
-       ^                   | not still          \\                        | silent     (a step over the bound)
-       | request "hold"    v in time             \\ silent                v
-    any state           stopped <------------------------------------- stale
+                 request           still            first command
+    holding -----------> settling ------> waiting ----------------> active <----> aligning
+       ^                    |                |                         |     a step over the bound
+       | request "hold"     | not still      | never heard             | silent for stale_s
+    any state               v                v                         v
+                         stopped <-------------------------------- stale --> active when heard again
+                                        silent for stop_after_s
 
 Time is what `tick` is told; nothing here reads a clock, so a run under simulated time repeats exactly.
 """
@@ -162,11 +164,15 @@ class CommandArbiter:
         mode = requests[-1]
         for old in requests[:-1]:
             if old != mode:
-                self._refusals.append(Refusal(old, "superseded", f"'{mode}' was requested before the switch began"))
+                self._refusals.append(
+                    Refusal(old, "superseded", f"'{mode}' was requested before the switch began")
+                )
         if self._switch is not None:
             if mode == self._switch.mode:
                 return
-            self._refusals.append(Refusal(self._switch.mode, "superseded", f"'{mode}' was requested while settling"))
+            self._refusals.append(
+                Refusal(self._switch.mode, "superseded", f"'{mode}' was requested while settling")
+            )
         elif mode == self._source and self._state in _DRIVING:
             return
         self._source = None

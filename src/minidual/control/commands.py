@@ -114,11 +114,8 @@ def find_fault(command: JointCommand) -> tuple[str, str] | None:
     joints = GROUPS[command.group]
     names = JOINT_NAMES[joints]
     if np.shape(command.q) != (len(names),) or np.shape(command.gripper) != (2,):
-        return (
-            "wrong_shape",
-            f"q {np.shape(command.q)} and gripper {np.shape(command.gripper)}; "
-            f"group {command.group} needs ({len(names)},) and (2,)",
-        )
+        given = f"q {np.shape(command.q)} and gripper {np.shape(command.gripper)}"
+        return "wrong_shape", f"{given}; group {command.group} needs ({len(names)},) and (2,)"
     finite = np.isfinite(command.q)
     if not finite.all():
         index = int(np.argmin(finite))

@@ -32,10 +32,17 @@ def draw_quality(attempts: Sequence[Attempt], task: TaskConfig, jerk_limit_rad_s
     r = task.start_range_m
     (cx, cy) = task.start_xy_m
     starts.plot(
-        cy + r * np.array([-1, 1, 1, -1, -1]), cx + r * np.array([-1, -1, 1, 1, -1]), "k--", lw=0.8, label="tested range"
+        cy + r * np.array([-1, 1, 1, -1, -1]),
+        cx + r * np.array([-1, -1, 1, 1, -1]),
+        "k--",
+        lw=0.8,
+        label="tested range",
     )
-    starts.invert_xaxis()
-    starts.set(title="Rod at the start", xlabel="y [m]", ylabel="x [m]", aspect="equal")
+    reach = 1.6 * max(r, 0.02)
+    starts.set(
+        title="Rod at the start", xlabel="y [m]", ylabel="x [m]", aspect="equal",
+        xlim=(cy + reach, cy - reach), ylim=(cx - reach, cx + reach),
+    )  # fmt: skip
     starts.legend(fontsize=7, loc="upper right")
 
     values = [a.quality.rms_jerk_rad_s3 for a in attempts if a.quality is not None]
@@ -49,6 +56,10 @@ def draw_quality(attempts: Sequence[Attempt], task: TaskConfig, jerk_limit_rad_s
         for joint, colour in ((0, "C0"), (1, "C1"), (3, "C2"), (6, "C3")):
             motion.plot(t, episode.action[:, joint], color=colour, lw=0.9, ls="--")
             motion.plot(t, episode.qpos[:, joint], color=colour, lw=1.2, label=f"left joint {joint + 1}")
-        motion.set(title=f"Trial {shown.trial.index}: measured (full), commanded (dashed)", xlabel="t [s]", ylabel="rad")
+        motion.set(
+            title=f"Trial {shown.trial.index}: measured (full), commanded (dashed)",
+            xlabel="t [s]",
+            ylabel="rad",
+        )
         motion.legend(fontsize=7)
     figure.savefig(path, dpi=110)

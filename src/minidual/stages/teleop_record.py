@@ -111,7 +111,8 @@ class TeleopRecordStage:
 
             def tell(attempt: Attempt) -> None:
                 task.advance(
-                    int(attempt.kept), "" if attempt.kept else f"trial {attempt.trial.index}: {attempt.reason}"
+                    int(attempt.kept),
+                    "" if attempt.kept else f"trial {attempt.trial.index}: {attempt.reason}",
                 )
 
             recording = record(job, workers=context.workers, on_attempt=tell)
@@ -131,10 +132,15 @@ class TeleopRecordStage:
                 film(job, recording.kept[0].trial.index, context.folder / "demonstration.mp4")
                 task.advance()
         draw_quality(
-            recording.attempts, config.scene.task, config.teleop.jerk_max_rad_s3, context.folder / "quality.png"
+            recording.attempts,
+            config.scene.task,
+            config.teleop.jerk_max_rad_s3,
+            context.folder / "quality.png",
         )
         numbers = count_recording(recording, dataset.frames, dataset.episodes)
-        return StageResult(checks=record_checks(numbers, config.teleop), data=_data(recording), notes=_notes(recording))
+        return StageResult(
+            checks=record_checks(numbers, config.teleop), data=_data(recording), notes=_notes(recording)
+        )
 
 
 def count_recording(recording: Recording, dataset_rows: int, dataset_episodes: int) -> RecordingNumbers:

@@ -18,6 +18,7 @@ import numpy as np
 from minidual.config.arbiter import ArbiterConfig
 from minidual.config.scene import SceneConfig
 from minidual.config.teleop import TeleopConfig
+from minidual.data import durable
 from minidual.data.episode import EpisodeWriter, read_episode
 from minidual.data.quality import EpisodeQuality, episode_quality
 from minidual.data.schema import EpisodeMeta
@@ -109,46 +110,51 @@ class Rig:
             leader.close()
 
     def record(self, index: int) -> Attempt:
-        """Run trial `index`, write it to its file and look at what was written."""
-        trial = self.job.trial(index)
-        try:
-            result = self.lead(trial)
-        except SimulationDivergedError as error:
-            return Attempt(trial, False, False, error.message)
-        jerk_limit = self.job.teleop.jerk_max_rad_s3
-        success = result.outcome.success and result.ended_by == "leader"
-        reason = "" if success and not result.refusals else result.reason or "the leader did not end the episode"
-        if not reason:
-            jerk = rms_jerk(np.array([t.observation.q for t in result.ticks]), self.job.teleop.rate_hz)
-            reason = "" if jerk <= jerk_limit else f"RMS jerk {jerk:.0f} rad/s^3, limit {jerk_limit:.0f}"
-        kept = not reason
-        if not kept and not self.job.teleop.keep_rejected:
-            return Attempt(trial, success, False, reason, latencies_s=result.latencies_s)
-        path = self._write(trial, result, success=success, kept=kept, reason=reason)
-        return self._examined(trial, result, path, success=success, kept=kept, reason=reason)
+        """Run trial `index`, write it to its file and look at what was written.
 
-    def _write(self, trial: RodTrial, result: SessionResult, *, success: bool, kept: bool, reason: str) -> Path:
-        """Write the episode; a file under its name is whole."""
-        outcome, teleop = result.outcome, self.job.teleop
-        meta = EpisodeMeta(
+        The file is written among the rejected ones and moves to the demonstrations when it is whole and good,
+        so at no instant does an unfinished or failed attempt stand among those.
+        """
+        trial = self.job.trial(index)
+        name = f"episode_{trial.index:06d}.hdf5"
+        with EpisodeWriter(self.job.folder / REJECTED / name, self._meta(trial)) as writer:
+            try:
+                result = self.lead(trial, on_tick=lambda k, tick: _append(writer, tick))
+            except SimulationDivergedError as error:
+                return Attempt(trial, False, False, error.message)
+            success = result.outcome.success and result.ended_by == "leader"
+            reason = self._reason(result, success=success)
+            if reason and (not self.job.teleop.keep_rejected or _is_empty(result, self.job.teleop.rate_hz)):
+                return Attempt(trial, success, False, reason, latencies_s=result.latencies_s)
+            outcome = result.outcome
+            facts = {
+                "reason": reason, "goal_error_m": outcome.goal_error_m, "tilt_max_rad": outcome.tilt_max_rad,
+                "completion_s": outcome.duration_s,
+            }  # fmt: skip
+            path = writer.commit(success=success, extra=facts)
+        if not reason:
+            target = self.job.folder / KEPT / name
+            target.parent.mkdir(exist_ok=True)
+            path = path.rename(target)
+            durable.fsync_dir(target.parent)
+        return self._examined(trial, result, path, success=success, kept=not reason, reason=reason)
+
+    def _meta(self, trial: RodTrial) -> EpisodeMeta:
+        teleop = self.job.teleop
+        return EpisodeMeta(
             fps=teleop.rate_hz, task=TASK, seed=self.job.seed, cameras=teleop.cameras,
             extra={
                 "trial": trial.index, "purpose": trial.purpose, "leader": teleop.leader,
-                "start_x_y_yaw": list(trial.start), "goal_x_y_yaw": list(trial.goal), "reason": reason,
-                "goal_error_m": outcome.goal_error_m, "tilt_max_rad": outcome.tilt_max_rad,
-                "completion_s": outcome.duration_s,
+                "start_x_y_yaw": list(trial.start), "goal_x_y_yaw": list(trial.goal),
             },
         )  # fmt: skip
-        path = self.job.folder / (KEPT if kept else REJECTED) / f"episode_{trial.index:06d}.hdf5"
-        with EpisodeWriter(path, meta) as writer:
-            for tick in result.ticks:
-                seen = tick.observation
-                writer.append(
-                    qpos=seen.q, qvel=seen.v, gripper=seen.gripper, action=tick.action,
-                    action_gripper=tick.action_gripper, timestamp=seen.time_s, images=seen.images,
-                    image_timestamp=seen.time_s,
-                )  # fmt: skip
-            return writer.commit(success=success)
+
+    def _reason(self, result: SessionResult, *, success: bool) -> str:
+        """Return why an episode is no demonstration, or an empty string."""
+        if not success or result.refusals:
+            return result.reason or "the leader did not end the episode in time"
+        jerk, limit = rms_jerk(result.q, self.job.teleop.rate_hz), self.job.teleop.jerk_max_rad_s3
+        return "" if jerk <= limit else f"RMS jerk {jerk:.0f} rad/s^3, limit {limit:.0f}"
 
     def _examined(
         self, trial: RodTrial, result: SessionResult, path: Path, *, success: bool, kept: bool, reason: str
@@ -168,6 +174,19 @@ class Rig:
     def close(self) -> None:
         """Free the rendering context."""
         self.observer.close()
+
+
+def _is_empty(result: SessionResult, rate_hz: float) -> bool:
+    """Return whether an episode shows nothing to keep or to measure: ended at once, or nobody moved."""
+    return len(result.q) / rate_hz < 1.0 or float(np.ptp(result.q, axis=0).max()) < 1e-3
+
+
+def _append(writer: EpisodeWriter, tick: Tick) -> None:
+    seen = tick.observation
+    writer.append(
+        qpos=seen.q, qvel=seen.v, gripper=seen.gripper, action=tick.action, action_gripper=tick.action_gripper,
+        timestamp=seen.time_s, images=seen.images, image_timestamp=seen.time_s,
+    )  # fmt: skip
 
 
 _rigs: dict[str, Rig] = {}
@@ -192,9 +211,9 @@ def record_attempts(job: Job, indices: Sequence[int], *, workers: int) -> Iterat
         os.environ[name] = "1"
     os.environ.setdefault("LP_NUM_THREADS", "0")  # the software renderer draws in the calling thread
     processes = 1 if job.teleop.leader in IN_PROCESS else min(workers, max(1, len(indices)))
-    yield from joblib.Parallel(n_jobs=processes, return_as="generator", batch_size=1, pre_dispatch="2*n_jobs")(
-        joblib.delayed(_record_in_worker)(job, index) for index in indices
-    )
+    yield from joblib.Parallel(
+        n_jobs=processes, return_as="generator", batch_size=1, pre_dispatch="2*n_jobs"
+    )(joblib.delayed(_record_in_worker)(job, index) for index in indices)
 
 
 @dataclass(frozen=True)
@@ -242,6 +261,8 @@ def record(job: Job, *, workers: int, on_attempt: Callable[[Attempt], None] | No
             attempts.append(attempt)
             if on_attempt is not None:
                 on_attempt(attempt)
+    if all(a.path is None or a.kept for a in attempts):
+        durable.remove(job.folder / REJECTED)
     return Recording(tuple(attempts), time.perf_counter() - began)
 
 

@@ -20,7 +20,6 @@ from minidual.robot.poses import pose, rot_x, rot_z
 from minidual.tasks.posture_ik import PostureIK
 from minidual.tasks.rod_carry import RodTrial, grasp_offsets, level_pose
 
-
 _JOINT_COST = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.1])
 """The last joint turns the hand and nothing else, so it may move freely. With equal costs the elbow would swing to
 spare it, and close to the table, where the forearm is nearly upright, joint 5 would swing three times as fast."""
@@ -84,7 +83,11 @@ class ScriptedOperator:
     """
 
     def __init__(
-        self, scene: SceneConfig, config: OperatorConfig | None = None, *, kinematics: Kinematics | None = None
+        self,
+        scene: SceneConfig,
+        config: OperatorConfig | None = None,
+        *,
+        kinematics: Kinematics | None = None,
     ) -> None:
         self.scene = scene
         self.config = OperatorConfig() if config is None else config
@@ -109,7 +112,9 @@ class ScriptedOperator:
 
     def approach_error(self, seed: int, trial: RodTrial) -> Array:
         """Return the error (x [m], y [m], yaw [rad]) with which the hands arrive over the rod, drawn per trial."""
-        scale = np.array([self.config.approach_noise_m, self.config.approach_noise_m, self.config.approach_noise_rad])
+        scale = np.array(
+            [self.config.approach_noise_m, self.config.approach_noise_m, self.config.approach_noise_rad]
+        )
         rng = stream(seed, f"operator/{trial.purpose}", trial.index)
         return scale * np.clip(rng.standard_normal(3), -2.0, 2.0)
 

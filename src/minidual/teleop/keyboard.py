@@ -50,7 +50,9 @@ class KeyboardLeader:
 
     realtime = True
 
-    def __init__(self, kinematics: Kinematics, *, descriptor: int | None = None, q_start: Array = HOME) -> None:
+    def __init__(
+        self, kinematics: Kinematics, *, descriptor: int | None = None, q_start: Array = HOME
+    ) -> None:
         self._fd = _terminal(descriptor)
         self._saved = termios.tcgetattr(self._fd)
         tty.setcbreak(self._fd)

@@ -54,7 +54,8 @@ class SessionResult:
     """One episode.
 
     Attributes:
-        ticks: What was seen and commanded, in order.
+        q: (T, 14) measured joints [rad], one row a tick; what else was seen went to `on_tick`, since the
+            pictures of a long episode may not fit into memory.
         outcome: What the judge says.
         latencies_s: Wall-clock time of each tick from reading the leader to the first torque and its physics
             step [s]; a property of the machine, never stored in an episode.
@@ -62,7 +63,7 @@ class SessionResult:
         ended_by: `leader`, `time_limit` or `stopped` (the leader fell silent).
     """
 
-    ticks: list[Tick]
+    q: Array
     outcome: Outcome
     latencies_s: Array
     refusals: list[Refusal] = field(default_factory=list)
@@ -121,7 +122,7 @@ class TeleopSession:
         Args:
             trial: Where the rod starts and must end.
             leader: Who leads.
-            on_tick: Called with each tick's number and content once its command has been given, e.g. to film.
+            on_tick: Called with each tick's number and content once its command has been given: to record, to film.
 
         Raises:
             LeaderOffsetError: The leader does not stand where the follower does.
@@ -158,7 +159,7 @@ class TeleopSession:
     ) -> SessionResult:
         world, period = self.world, 1.0 / self.config.rate_hz
         limit = round(self._time_limit_s(leader) * self.config.rate_hz)
-        ticks: list[Tick] = []
+        measured: list[Array] = []
         latencies: list[float] = []
         refusals: list[Refusal] = []
         ended_by, began = "time_limit", time.monotonic()
@@ -177,14 +178,16 @@ class TeleopSession:
             latencies.append(time.perf_counter() - before)
             judge.observe(world)
             refusals.extend(out.refusals)
-            ticks.append(tick)
+            measured.append(observation.q)
             if on_tick is not None:
                 on_tick(k, tick)
             if out.state == ArbiterState.STOPPED:
                 ended_by = "stopped"
                 break
             self._move(out, judge, self._steps - 1)
-        return SessionResult(ticks, judge.outcome(world), np.array(latencies), refusals, ended_by)
+        return SessionResult(
+            np.array(measured), judge.outcome(world), np.array(latencies), refusals, ended_by
+        )
 
     def _ask(
         self, arbiter: CommandArbiter, leader: Leader, k: int, elapsed_s: float, now: Observation
