@@ -8,7 +8,7 @@ from pydantic import Field
 
 from minidual.config.base import StrictModel
 
-PlannerName = Literal["rrtconnect", "rrt", "rrtstar", "bitstar", "prm", "kpiece"]
+PlannerName = Literal["rrtconnect", "rrt", "rrtstar", "bitstar", "kpiece"]
 
 
 class PlannerConfig(StrictModel):

@@ -150,12 +150,12 @@ def engine_agreement(scene: PlanningScene, states_n: int, seed: int) -> float:
 
 @dataclass(frozen=True)
 class CarryPlans:
-    """Carries of the rod by both hands, planned as a closed chain."""
+    """Carries of the rod by both hands, planned as a closed chain; None where none was solved."""
 
     planned_n: int
     solved_n: int
-    residual_max_m: float
-    residual_max_rad: float
+    residual_max_m: float | None
+    residual_max_rad: float | None
     time_median_s: float | None
     failures: tuple[str, ...]
 
@@ -183,7 +183,7 @@ def plan_carries(config: PlanConfig, scene: SceneConfig, count: int, seed: int) 
     approach, carried = Planner(config=config.planner), CarriedPlanner()
     rng = np.random.default_rng([seed, 13])
     times, failures = [], []
-    worst_m = worst_rad = 0.0
+    residuals: list[tuple[float, float]] = []
     for k in range(count):
         dx, dy = rng.uniform(-task.start_range_m, task.start_range_m, 2)
         yaw = rng.uniform(-task.start_range_rad, task.start_range_rad)
@@ -203,6 +203,10 @@ def plan_carries(config: PlanConfig, scene: SceneConfig, count: int, seed: int) 
             failures.append(f"carry {k}: {error.message}")
             continue
         times.append(perf_counter() - begin)
-        worst_m, worst_rad = max(worst_m, plan.residual_m), max(worst_rad, plan.residual_rad)
-    median_s = float(np.median(times)) if times else None
-    return CarryPlans(count, len(times), worst_m, worst_rad, median_s, tuple(failures))
+        residuals.append((plan.residual_m, plan.residual_rad))
+    if not residuals:
+        return CarryPlans(count, 0, None, None, None, tuple(failures))
+    worst_m, worst_rad = np.max(residuals, axis=0)
+    return CarryPlans(
+        count, len(times), float(worst_m), float(worst_rad), float(np.median(times)), tuple(failures)
+    )

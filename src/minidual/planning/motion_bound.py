@@ -76,7 +76,7 @@ def _radius(item: pin.GeometryObject) -> float:
     """Return the largest distance [m] of a point of the geometry from the joint that carries it."""
     shape = item.geometry
     if hasattr(shape, "points"):
-        points = np.array([shape.points(i) for i in range(shape.num_points)])
+        points = np.array(shape.points())
     else:
         shape.computeLocalAABB()
         low, high = np.array(shape.aabb_local.min_), np.array(shape.aabb_local.max_)

@@ -39,10 +39,10 @@ PLANNERS: dict[str, Callable[[Any, float], Any]] = {
     "rrt": _tree("RRT"),
     "rrtstar": _tree("RRTstar"),
     "bitstar": _informed("BITstar"),
-    "prm": _informed("PRM"),
     "kpiece": _tree("KPIECE1"),
 }
-"""OMPL's planners by the name that configuration uses."""
+"""OMPL's planners by the name that configuration uses. PRM is not among them: it asks from threads of its own whether
+to stop, and waits for ever on a condition written in Python."""
 
 
 def require_planner(name: str) -> str:
@@ -133,6 +133,9 @@ def search(
             state[i] = float(value)
         ends.append(state)
     problem.setStartAndGoalStates(ends[0], ends[1])
+    objective = ob.PathLengthOptimizationObjective(si)
+    objective.setCostThreshold(ob.Cost(float("inf")))  # the optimising planners stop at their first solution
+    problem.setOptimizationObjective(objective)
     worker = PLANNERS[require_planner(planner)](si, range_rad)
     worker.setProblemDefinition(problem)
     worker.setup()

@@ -100,14 +100,19 @@ def common_checks(agreement: float, repeatable: bool, carries: CarryPlans, confi
             remedy="see the notes of this stage",
         ),
         Check(
-            "closed_chain.residual_max_m", carries.residual_max_m, "<", RESIDUAL_MAX_M, unit="m",
+            "closed_chain.residual_max_m", _or_nan(carries.residual_max_m), "<", RESIDUAL_MAX_M, unit="m",
             why="how far a hand strays from its grasp along the timed path",
         ),
         Check(
-            "closed_chain.residual_max_rad", carries.residual_max_rad, "<", RESIDUAL_MAX_RAD, unit="rad",
+            "closed_chain.residual_max_rad", _or_nan(carries.residual_max_rad), "<", RESIDUAL_MAX_RAD, unit="rad",
             why="how far a hand turns away from its grasp along the timed path",
         ),
     ]  # fmt: skip
+
+
+def _or_nan(value: float | None) -> float:
+    """Return the value, or NaN where nothing was measured: NaN fails every limit."""
+    return float("nan") if value is None else value
 
 
 def _write_csv(outcomes: Mapping[str, Sequence[Outcome]], path: Path) -> None:

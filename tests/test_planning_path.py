@@ -1,0 +1,236 @@
+"""Shortcuts, rounded corners, timing and the trajectory itself."""
+
+import json
+import time
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from minidual.errors import DataError, UsageError
+from minidual.planning.blend import blended_path, rounded
+from minidual.planning.edges import EdgeChecker
+from minidual.planning.errors import TimingError
+from minidual.planning.mujoco_engine import MujocoEngine
+from minidual.planning.scene import PlanningScene
+from minidual.planning.search import search
+from minidual.planning.shapes import Box
+from minidual.planning.shortcut import path_length, shortcut
+from minidual.planning.timing import MotionLimits, sample_parameters, time_path, torque_ratio
+from minidual.planning.trajectory import Trajectory
+from minidual.robot.constants import A_MAX, HOME, JERK_MAX, TAU_MAX, V_MAX
+from minidual.robot.kinematics import Kinematics
+
+
+@pytest.fixture(scope="module")
+def engine():
+    return MujocoEngine(PlanningScene())
+
+
+@pytest.fixture(scope="module")
+def kinematics():
+    return Kinematics()
+
+
+def zigzag(rng, count=5, size=0.35):
+    """A polyline round home, near enough to it to be free."""
+    return np.vstack([HOME, HOME + rng.uniform(-size, size, (count - 1, 14)) * 0.5])
+
+
+def free_checker(engine):
+    return EdgeChecker(engine, 0.0, (), 0.03)
+
+
+def test_shortcut_keeps_ends_and_is_never_longer(engine):
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        path = zigzag(rng)
+        checker = free_checker(engine)
+        assert all(checker.edge_free(a, b) for a, b in pairwise(path))
+        short = shortcut(path, checker, np.random.default_rng(1), 30)
+        assert np.array_equal(short[[0, -1]], path[[0, -1]])
+        assert path_length(short) <= path_length(path) + 1e-12
+        assert len(short) == 2  # nothing stands between
+
+
+def test_shortcut_goes_round_what_stands_between():
+    """A post between two hand positions: the straight line is blocked, the shortened path is not."""
+    scene = PlanningScene().with_obstacles(Box("post", (0.36, 0.25, 0.4), size_m=(0.06, 0.06, 0.8)))
+    engine = MujocoEngine(scene)
+    left, right = HOME.copy(), HOME.copy()
+    left[0], right[0] = 0.8, -0.8
+    checker = EdgeChecker(engine, 0.01, (), 0.02)
+    assert not checker.edge_free(left, right)
+    path = search(
+        checker, left, right, slice(0, 7), seed=1, checks_max=100_000, deadline=time.perf_counter() + 60.0
+    )
+    short = shortcut(path, checker, np.random.default_rng(0), 60)
+    assert path_length(short) < path_length(path)
+    assert np.array_equal(short[[0, -1]], np.array([left, right]))
+    exact = EdgeChecker(engine, 0.0, (), 0.002)
+    assert all(exact.edge_free(a, b) for a, b in pairwise(short))
+
+
+def test_rounded_corners_are_smooth_and_cut_inside():
+    path = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [2.0, 1.5]])
+    curve = rounded(path, 0.3)
+    assert np.abs(curve.at(np.array([0.0, curve.length])) - path[[0, -1]]).max() < 1e-12
+    for knot in curve.knots[1:-1]:
+        for order in range(3):  # position, direction and curvature are continuous
+            below, above = curve.at(np.array([knot - 1e-9, knot + 1e-9]), order)
+            assert np.abs(below - above).max() < 1e-6
+    s = np.linspace(0.0, curve.length, 2000)
+    numeric = np.gradient(curve.at(s), s, axis=0)
+    assert np.abs(numeric - curve.at(s, 1))[1:-1].max() < 1e-4
+    corner = curve.at(np.linspace(curve.knots[1], curve.knots[2], 50))
+    assert (corner[:, 0] <= 1.0 + 1e-12).all()
+    assert (corner[:, 1] >= -1e-12).all()
+    assert (corner[:, 0] - corner[:, 1] >= 0.7 - 1e-12).all()  # within the triangle that the corner cuts off
+    assert np.linalg.norm(curve.at(s, 1), axis=1).max() <= 1.0 + 1e-12
+
+
+def test_a_blocked_corner_is_rounded_less():
+    class OnlyNear:
+        """Allows points nearer than 0.02 to the vertex or to one of the straight pieces."""
+
+        def all_free(self, Q):
+            return all(min(q[0] - 0.0, 1.0 - q[1]) < 2.0 and (q[0] > 0.98 or q[1] < 0.02) for q in Q)
+
+    path = np.zeros((3, 14))
+    path[1, 0] = path[2, 0] = path[2, 1] = 1.0
+    curve = blended_path(path, OnlyNear(), 0.3, 0.01)
+    widths = np.diff(curve.knots)
+    assert 0.001 < widths[1] < 0.3
+
+    class Never:
+        def all_free(self, Q):
+            return False
+
+    assert blended_path(path, Never(), 0.3, 0.01) is None
+
+
+@pytest.fixture(scope="module")
+def timed(engine, kinematics):
+    path = zigzag(np.random.default_rng(5))
+    curve = blended_path(path, free_checker(engine), 0.3, 0.01)
+    return path, time_path(curve, "both_arms", MotionLimits(), kinematics)
+
+
+def test_timing_keeps_limits_on_a_finer_grid_than_it_solved(timed, kinematics):
+    _, trajectory = timed
+    times = np.arange(0.0, trajectory.duration_s, 0.0001)  # ten times finer than its samples
+    q, v, a = trajectory.sample_many(times)
+    assert (np.abs(v) <= 0.95 * V_MAX * (1 + 1e-6)).all()
+    assert (np.abs(a) <= 0.9 * A_MAX * (1 + 1e-6)).all()
+    assert np.max(np.abs(v) / V_MAX) > 0.3 or np.max(np.abs(a) / A_MAX) > 0.8  # it is fast, too
+    for k in range(0, len(times), 37):
+        assert (np.abs(kinematics.rnea(q[k], v[k], a[k])) <= TAU_MAX).all()
+
+
+def test_derivatives_are_those_of_the_positions(timed):
+    _, t = timed
+    assert np.abs(np.gradient(t.q, t.dt_s, axis=0) - t.v)[1:-1].max() < 1e-3
+    assert np.abs(np.gradient(t.v, t.dt_s, axis=0) - t.a)[1:-1].max() < 0.5
+    assert np.abs(t.v[[0, -1]]).max() == 0.0
+
+
+def test_acceleration_does_not_jump(timed):
+    _, t = timed
+    jerk = np.abs(np.diff(t.a, axis=0)) / t.dt_s
+    assert (jerk.max(axis=0) < JERK_MAX).all()
+
+
+def test_timing_starts_and_ends_where_the_path_does(timed):
+    path, t = timed
+    assert np.abs(t.q[[0, -1]] - path[[0, -1]]).max() < 1e-12
+
+
+def test_smoothing_keeps_the_path_and_adds_its_window(engine, kinematics):
+    curve = blended_path(zigzag(np.random.default_rng(6)), free_checker(engine), 0.3, 0.01)
+    plain = time_path(curve, "both_arms", MotionLimits(smoothing_s=0.0), kinematics)
+    smooth = time_path(curve, "both_arms", MotionLimits(smoothing_s=0.1), kinematics)
+    assert 0.05 < smooth.duration_s - plain.duration_s < 0.4
+    s = np.linspace(0.0, curve.length, 4000)
+    on_path = curve.at(s)
+    for q in smooth.q[:: len(smooth.q) // 20]:
+        assert np.abs(on_path - q).max(axis=1).min() < 2e-3
+    assert np.abs(np.diff(plain.a, axis=0)).max() > 5 * np.abs(np.diff(smooth.a, axis=0)).max()
+
+
+def test_torque_limit_slows_a_path_down(engine, kinematics):
+    curve = blended_path(zigzag(np.random.default_rng(7)), free_checker(engine), 0.3, 0.01)
+    fast = time_path(curve, "both_arms", MotionLimits(), kinematics)
+    used = torque_ratio(fast, kinematics)
+    held = max(
+        float(np.max(np.abs(kinematics.gravity(q)) / TAU_MAX)) for q in fast.q[::50]
+    )  # what gravity alone needs
+    limit = 0.5 * (used + held)
+    slow = time_path(curve, "both_arms", MotionLimits(torque_scale=limit), kinematics)
+    assert torque_ratio(slow, kinematics) <= limit * 1.01
+    assert slow.duration_s > fast.duration_s
+    with pytest.raises(TimingError, match="slower"):
+        time_path(curve, "both_arms", MotionLimits(torque_scale=0.5 * held), kinematics)
+
+
+def test_sample_parameters_end_on_the_grid_at_rest():
+    s = np.linspace(0.0, 1.0, 50)
+    sd = np.sqrt(np.minimum(2.0 * s, 2.0 * (1.0 - s)))
+    times, position, speed, _ = sample_parameters(s, sd, smoothing_s=0.05)
+    assert position[0] == 0.0
+    assert position[-1] == pytest.approx(1.0, abs=1e-12)
+    assert speed[-1] == 0.0
+    assert (np.diff(position) >= -1e-12).all()
+    assert np.abs(np.gradient(position, times) - speed)[1:-1].max() < 1e-3
+
+
+def make(n=11, **change):
+    times = np.arange(n) * 0.001
+    values = {"times": times, "q": np.zeros((n, 14)), "v": np.zeros((n, 14)), "a": np.zeros((n, 14))}
+    return Trajectory(**{**values, **change}, group="both_arms")
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "says"),
+    [
+        ({"q": np.zeros((11, 7))}, UsageError, "shape"),
+        ({"v": np.full((11, 14), np.nan)}, DataError, "not finite"),
+        ({"times": np.arange(11) * 0.001 + 0.1}, UsageError, "start at 0"),
+        ({"times": np.arange(11)[::-1] * 0.001}, UsageError, "start at 0"),
+        ({"times": (np.arange(11) * 0.03) ** 2}, UsageError, "equal steps"),
+    ],
+)
+def test_bad_trajectories_are_refused(change, error, says):
+    with pytest.raises(error, match=says):
+        make(**change)
+
+
+def test_sampling_outside_holds_the_ends(timed):
+    _, t = timed
+    for when, row in ((-1.0, 0), (t.duration_s + 5.0, -1)):
+        q, v, _ = t.sample(when)
+        assert np.array_equal(q, t.q[row])
+        assert np.abs(v).max() < 1e-12
+    k = len(t.times) // 2
+    assert np.abs(t.sample(float(t.times[k]))[0] - t.q[k]).max() < 1e-12
+
+
+def test_slowed_keeps_the_path(timed):
+    _, t = timed
+    slow = t.slowed(2.5)
+    assert slow.duration_s == pytest.approx(2.5 * t.duration_s, rel=0.01)
+    assert np.abs(slow.q[[0, -1]] - t.q[[0, -1]]).max() < 1e-12
+    assert np.abs(slow.v).max() == pytest.approx(np.abs(t.v).max() / 2.5, rel=0.01)
+    with pytest.raises(UsageError, match="factor"):
+        t.slowed(0.5)
+
+
+def test_files_hold_the_trajectory(timed, tmp_path):
+    _, t = timed
+    t.write_csv(tmp_path / "t.csv")
+    table = np.loadtxt(tmp_path / "t.csv", delimiter=",", skiprows=1)
+    assert table.shape == (len(t.times), 43)
+    assert np.abs(table[:, 1:15] - t.q).max() < 1e-8
+    t.write_json(tmp_path / "t.json", every=10)
+    data = json.loads((tmp_path / "t.json").read_text())
+    assert data["joint_names"][0] == "left_panda_joint1"
+    assert np.abs(np.array(data["q_rad"])[-1] - t.q[-1]).max() < 1e-8

@@ -1,0 +1,170 @@
+"""Shapes, scenes and the allowed-collision matrix."""
+
+import itertools
+import json
+
+import numpy as np
+import pytest
+
+from minidual.errors import UsageError
+from minidual.planning import acm as acm_module
+from minidual.planning.acm import AllowedCollisions, build_acm, default_acm
+from minidual.planning.links import LINKS, arm_of, joints_before
+from minidual.planning.mujoco_engine import MujocoEngine
+from minidual.planning.scene import TABLE, Attached, PlanningScene
+from minidual.planning.shapes import Box, Capsule, Cylinder, Sphere, bounding_radius
+from minidual.robot.constants import HOME, Q_LOWER, Q_UPPER
+from minidual.sim.model import self_collision_exclusions
+
+
+def test_links_are_those_of_the_model():
+    engine = MujocoEngine(PlanningScene(obstacles=()))
+    model = engine.model
+    with_geometry = {model.body(int(b)).name for b in model.geom_bodyid}
+    assert with_geometry == set(LINKS)
+
+
+def test_joints_before_counts_the_joints_that_move_a_link():
+    assert joints_before("left_panda_link0") == 0
+    assert joints_before("right_panda_link5") == 5
+    assert joints_before("right_panda_hand") == joints_before("left_panda_leftfinger") == 7
+    assert arm_of("left_panda_hand_tcp") == "left"
+    assert arm_of("left_table") is None
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: Box("b", (0, 0, 0), size_m=(0.1, -0.1, 0.1)), "length -0.1"),
+        (lambda: Sphere("s", (0, float("nan"), 0), radius_m=0.1), "not finite"),
+        (lambda: Cylinder("c", (0, 0, 0), (1.0, 0.5, 0.0, 0.0)), "not of length 1"),
+        (lambda: Capsule("", (0, 0, 0)), "needs a name"),
+    ],
+)
+def test_bad_shapes_are_refused(make, says):
+    with pytest.raises(UsageError, match=says):
+        make()
+
+
+def test_bounding_radius():
+    assert bounding_radius(Box("b", (0, 0, 0), size_m=(2.0, 2.0, 1.0))) == pytest.approx(1.5)
+    assert bounding_radius(Capsule("c", (0, 0, 0), radius_m=0.1, length_m=0.4)) == pytest.approx(0.3)
+
+
+def test_two_things_of_one_name_are_refused():
+    with pytest.raises(UsageError, match="'table' twice"):
+        PlanningScene().with_obstacles(Sphere("table", (1, 0, 0)))
+    with pytest.raises(UsageError, match="'left_panda_hand' twice"):
+        PlanningScene().with_obstacles(Sphere("left_panda_hand", (1, 0, 0)))
+
+
+def test_unknown_names_are_told_with_what_exists():
+    with pytest.raises(UsageError, match="no obstacle 'tabel'; there are table"):
+        PlanningScene().without_obstacle("tabel")
+    with pytest.raises(UsageError, match="no link or obstacle 'box'"):
+        PlanningScene().allowing("box", "table")
+    with pytest.raises(UsageError, match="no link 'left_hand'"):
+        PlanningScene().with_attached(Attached(Sphere("ball", (0, 0, 0)), "left_hand"))
+
+
+def test_cross_arm_pairs_are_always_checked():
+    scene = PlanningScene()
+    crossing = [p for p in itertools.combinations(LINKS, 2) if arm_of(p[0]) != arm_of(p[1])]
+    unchecked = {p for p in crossing if scene.why_unchecked(*p) is not None}
+    assert unchecked == {("left_panda_link0", "right_panda_link0")}  # neither base moves
+    assert len(crossing) == 121
+
+
+def test_every_allowed_pair_has_a_reason_and_stays_within_one_arm():
+    for first, second, reason in default_acm().table():
+        assert arm_of(first) == arm_of(second)
+        assert reason.split(" ")[0] in ("rigid", "adjacent", "always", "never")
+
+
+def test_both_arms_have_the_same_matrix():
+    table = default_acm().table()
+    left = {(a[5:], b[5:], r) for a, b, r in table if a.startswith("left_")}
+    right = {(a[6:], b[6:], r) for a, b, r in table if a.startswith("right_")}
+    assert left == right
+
+
+def test_the_pairs_of_the_published_srdf_that_may_touch_cover_ours_that_always_do():
+    """Oracle: what we call adjacent or rigid must be disabled in the Panda's own SRDF too."""
+    published = {frozenset(p) for p in self_collision_exclusions()}
+    ours = {
+        frozenset((a[5:], b[5:]))
+        for a, b, r in default_acm().table()
+        if a.startswith("left_") and r in ("adjacent", "rigid")
+    }
+    fingers = frozenset(("panda_leftfinger", "panda_rightfinger"))
+    link7 = {frozenset(("panda_link7", f)) for f in fingers}
+    assert ours - {fingers} - link7 <= published
+
+
+def test_few_samples_would_drop_pairs_that_collide():
+    """Why the default takes tens of thousands: a thousand samples call pairs `never` that do touch."""
+    few = build_acm(samples_min=500, samples_max=1000)
+    never_few = {(a, b) for a, b, r in few.table() if r.startswith("never")}
+    never = {(a, b) for a, b, r in default_acm().table() if r.startswith("never")}
+    assert never <= never_few
+    assert len(never_few) > len(never)
+
+
+def test_what_is_called_never_does_not_touch_in_fresh_samples():
+    matrix = default_acm()
+    never = [(a, b) for a, b, r in matrix.table() if r.startswith("never") and a.startswith("left_")]
+    engine = MujocoEngine.from_pairs(never, (), ())
+    rng = np.random.default_rng(99)
+    Q = np.tile(HOME, (20_000, 1))
+    Q[:, :7] = rng.uniform(Q_LOWER[:7], Q_UPPER[:7], (len(Q), 7))
+    assert not engine.collisions(Q).any()
+
+
+def test_cache_is_used_refreshed_and_never_needed(tmp_path, monkeypatch):
+    monkeypatch.setenv("MINIDUAL_CACHE", str(tmp_path))
+    built = []
+    matrix = default_acm()
+    monkeypatch.setattr(acm_module, "build_acm", lambda: built.append(1) or matrix)
+    fresh = default_acm.__wrapped__
+    assert fresh() == matrix
+    (file,) = tmp_path.glob("acm-*.json")
+    assert fresh() == matrix
+    assert len(built) == 1  # the second call read the file
+    for bad in ("{", "[]", '[["left_panda_hand", "right_panda_hand", "never"]]', "[[1]]"):
+        file.write_text(bad)
+        assert fresh() == matrix  # a damaged cache is built anew, a cross-arm entry is not believed
+    assert len(built) == 5
+    assert json.loads(file.read_text())
+    monkeypatch.setenv("MINIDUAL_CACHE", "/proc/nowhere")
+    assert fresh() == matrix
+
+
+def test_adding_and_removing_a_pair():
+    matrix = AllowedCollisions()
+    more = matrix.with_pair("b", "a", "because")
+    assert more.reason("a", "b") == more.reason("b", "a") == "because"
+    assert more.with_pair("a", "b", "again").table() == [("a", "b", "again")]
+    assert more.without_pair("b", "a") == matrix
+    with pytest.raises(UsageError, match="checked already"):
+        matrix.without_pair("a", "b")
+    with pytest.raises(UsageError, match="itself"):
+        matrix.with_pair("a", "a")
+
+
+def test_attached_object_moves_with_its_hand_and_may_touch_its_fingers():
+    fingers = ("left_panda_leftfinger", "left_panda_rightfinger")
+    scene = PlanningScene().with_attached(Attached(Sphere("ball", (0, 0, 0.1), radius_m=0.03), "left_panda_hand", fingers))
+    assert scene.why_unchecked("ball", "left_panda_hand") == "rigid"
+    assert scene.why_unchecked("ball", "left_panda_leftfinger") == "rigid"
+    assert scene.why_unchecked("ball", "right_panda_hand") is None
+    assert scene.why_unchecked("ball", "table") is None
+    assert scene.moving_joints("ball") == slice(0, 7)
+    assert MujocoEngine(scene).touching_pairs(HOME) == set()
+
+
+def test_scene_is_a_key():
+    a = PlanningScene().with_obstacles(Sphere("s", (1.0, 0.0, 0.5)))
+    b = PlanningScene(obstacles=(TABLE, Sphere("s", (1.0, 0.0, 0.5))))
+    assert a == b
+    assert hash(a) == hash(b)
+    assert a != a.without_obstacle("s")

@@ -1,0 +1,155 @@
+"""The query set and the plan stage: every check can say no."""
+
+import csv
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from minidual.config.planning import PlanConfig, PlannerConfig
+from minidual.config.root import Config
+from minidual.pipeline.stage import StageContext
+from minidual.planning import queries
+from minidual.planning.api import Planner
+from minidual.planning.errors import PlanningError
+from minidual.planning.evaluate import CarryPlans, engine_agreement, plan_query, repeats
+from minidual.planning.queries import QueryGenerator
+from minidual.planning.scene import PlanningScene
+from minidual.robot.constants import GROUPS
+from minidual.robot.kinematics import Kinematics
+from minidual.robot.poses import pose
+from minidual.stages.plan import STAGE, common_checks, group_checks
+
+CONFIG = Config(plan=PlanConfig(queries_n=2, agreement_states_n=200))
+
+
+@pytest.fixture(scope="module")
+def stage_run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("plan")
+    return folder, STAGE.run(StageContext(folder=folder, config=CONFIG, seed=3, profile="smoke"))
+
+
+def failing(checks):
+    return {c.name for c in checks if c.passed is False}
+
+
+def test_stage_passes_and_writes_what_it_says(stage_run):
+    folder, result = stage_run
+    assert failing(result.checks) == set()
+    names = {c.name for c in result.checks}
+    for group in GROUPS:
+        assert {f"{group}.success_rate", f"{group}.time_median_s", f"{group}.time_max_s"} <= names
+    with (folder / "queries.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 6
+    assert {row["group"] for row in rows} == set(GROUPS)
+    for row in rows:
+        phases = sum(float(row[f"{p}_s"]) for p in ("ik", "search", "shortcut", "blend", "timing", "verify"))
+        assert phases <= float(row["total_s"]) + 1e-5
+        assert float(row["velocity_ratio"]) <= 0.951
+    for name in ("paths.png", "times.png"):
+        assert (folder / name).stat().st_size > 20_000
+    trajectory = json.loads((folder / "trajectory_both_arms.json").read_text())
+    assert len(trajectory["q_rad"][0]) == 14
+    json.dumps(result.data, allow_nan=False)
+    assert str(folder) not in (folder / "queries.csv").read_text()
+
+
+def test_parameters_hold_the_planner_but_not_the_workers():
+    a, b = (STAGE.parameters(Config(plan=PlanConfig(planner=PlannerConfig(padding_m=p)))) for p in (0.005, 0.01))
+    assert a != b
+    assert STAGE.parameters(Config(workers=1)) == STAGE.parameters(Config(workers=2))
+
+
+@pytest.fixture(scope="module")
+def outcomes():
+    planner, generator = Planner(), QueryGenerator(3)
+    return [plan_query(planner, generator.query("left_arm", i)) for i in range(2)]
+
+
+def test_group_checks_can_fail(outcomes):
+    config = PlanConfig()
+    assert failing(group_checks("left_arm", outcomes, config)) == set()
+    failed = dataclasses.replace(outcomes[0], result=None, reason="no_path_in_time", message="none")
+    assert failing(group_checks("left_arm", [failed, outcomes[1]], config)) == {"left_arm.success_rate"}
+    slow = dataclasses.replace(outcomes[0], total_s=10.5)
+    assert failing(group_checks("left_arm", [slow, outcomes[1]], config)) == {"left_arm.time_max_s"}
+    assert failed.row()["reason"] == "no_path_in_time"
+    assert failed.row().keys() == outcomes[0].row().keys()
+
+
+def test_common_checks_can_fail():
+    good = CarryPlans(5, 5, 1e-5, 1e-5, 0.1, ())
+
+    def names(agreement=1.0, repeatable=True, **change):
+        return failing(common_checks(agreement, repeatable, dataclasses.replace(good, **change), PlanConfig()))
+
+    assert names() == set()
+    assert names(agreement=0.99) == {"engines.agreement"}
+    assert names(agreement=float("nan")) == {"engines.agreement"}
+    assert names(repeatable=False) == {"repeatable"}
+    assert names(solved_n=4) == {"closed_chain.success_rate"}
+    assert names(residual_max_m=2e-4) == {"closed_chain.residual_max_m"}
+    assert names(residual_max_rad=2e-3) == {"closed_chain.residual_max_rad"}
+    assert names(solved_n=0, residual_max_m=None, residual_max_rad=None) == {
+        "closed_chain.success_rate", "closed_chain.residual_max_m", "closed_chain.residual_max_rad",
+    }  # fmt: skip
+
+
+def test_failed_query_keeps_its_reason(outcomes):
+    planner = Planner(config=PlannerConfig(budget_s=1e-4))
+    failed = plan_query(planner, outcomes[0].query)
+    assert not failed.ok
+    assert failed.reason == "no_path_in_time"
+    assert "0.00 s" in failed.message
+
+
+def test_repeats_tells_the_difference(outcomes):
+    assert repeats(PlanConfig(), outcomes[0])
+    other = dataclasses.replace(outcomes[0], query=dataclasses.replace(outcomes[0].query, seed=1))
+    moved = dataclasses.replace(other, query=outcomes[1].query)
+    assert not repeats(PlanConfig(), moved)
+    assert not repeats(PlanConfig(), dataclasses.replace(outcomes[0], result=None))
+
+
+def test_queries_repeat_and_differ():
+    first, again = (QueryGenerator(8).query("both_arms", 3) for _ in range(2))
+    assert first.scene == again.scene
+    assert np.array_equal(first.q_goal, again.q_goal)
+    assert first.seed == again.seed
+    assert not np.array_equal(first.q_goal, QueryGenerator(9).query("both_arms", 3).q_goal)
+    assert first.as_poses
+    assert not QueryGenerator(8).query("both_arms", 2).as_poses
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_queries_are_what_they_say(group):
+    generator = QueryGenerator(11, obstacles_n=4, blocked_fraction=1.0)
+    for index in range(3):
+        query = generator.query(group, index)
+        engines = Planner(query.scene).engines()
+        assert not engines.mujoco.closest(query.q_start, 0.0099)
+        assert not engines.mujoco.closest(query.q_goal, 0.0099)
+        line = query.q_start + np.linspace(0, 1, 200)[:, None] * (query.q_goal - query.q_start)
+        assert query.blocked
+        assert engines.coal.collisions(line).any()  # the second engine sees the block, too
+        assert len(query.scene.obstacles) == 5
+        hands = dict(zip(("left", "right"), Kinematics().tcp_poses(query.q_goal), strict=True))
+        for arm, T in query.targets.items():
+            assert np.abs(hands[arm] - T).max() < 1e-9
+        held = np.ones(14, dtype=bool)
+        held[GROUPS[group]] = False
+        assert np.array_equal(query.q_goal[held], query.q_start[held])
+
+
+def test_a_query_that_cannot_be_made_is_an_error(monkeypatch):
+    monkeypatch.setattr(queries, "_SCENE_TRIES_N", 1)
+    monkeypatch.setattr(queries, "_POSE_TRIES_N", 1)
+    monkeypatch.setattr(queries, "random_pose", lambda _rng, _arm: pose(np.eye(3), (3.0, 0.0, 0.0)))
+    with pytest.raises(PlanningError, match="no query 0 for both_arms with 5 obstacles after 1 scenes"):
+        QueryGenerator(1).query("both_arms", 0)
+
+
+def test_agreement_of_the_engines():
+    assert engine_agreement(PlanningScene(), 400, 1) >= 0.995
