@@ -78,7 +78,7 @@ def make_trials(n: int = 20) -> list[TrialMetrics]:
             rows.append(
                 TrialMetrics(
                     method=method, index=index, condition="clean", success=not failed,
-                    failure=("goal_error" if index % 8 == 1 else "pinch_lost") if failed else "",
+                    failure=("arrived" if index % 8 == 1 else "held") if failed else "",
                     reason="it missed" if failed else "",
                     failed_at_s=6.0 + slack[0] if failed else float("nan"),
                     duration_s=float("nan") if failed else time_s + 0.3 * slack[1],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from minidual.evaluation.tables import write_csv
 from minidual.pipeline.check import Check
 from minidual.report import model
 from minidual.report.analysis import analyse, relative_margin
+from minidual.report.captions import FAULTS
 from minidual.report.comparison import compare
 from minidual.report.indicators import INDICATORS, three_digits
 from minidual.report.trials import read_trials
@@ -95,6 +97,26 @@ def test_excellent_and_best_follow_the_numbers(table: dict) -> None:
         assert best[key] == choose(samples.METHODS, key=lambda method: table[method][key])
 
 
+def test_a_method_that_never_succeeds_is_best_and_excellent_in_nothing(table: dict) -> None:
+    table["act"].update(success_rate=0.0, success_low=0.0, success_high=0.16, tilt_max_rad=0.0)
+    rows = compare(samples.METHODS, {"methods": table}).rows
+    tilt = {row.method: row.cell("tilt_max_rad") for row in rows}
+    assert (tilt["act"].value, tilt["act"].best, tilt["act"].excellent) == (0.0, False, None)
+    assert tilt["moveit"].best
+    assert [cell.excellent for cell in rows[2].cells if cell.excellent is not None] == [
+        False
+    ]  # success itself
+    text = "\n".join(analyse({}, compare(samples.METHODS, {"methods": table}), [])[0].sentences)
+    assert "Largest tilt: lowest with moveit" in text
+    assert "act did not complete a trial" in text
+
+
+def test_every_condition_of_the_success_test_has_words() -> None:
+    from minidual.tasks import success
+
+    assert set(re.findall(r"^\* (\w+)", success.__doc__ or "", re.MULTILINE)) == set(FAULTS)
+
+
 def test_a_value_on_the_excellent_limit_is_not_excellent() -> None:
     torque = next(indicator for indicator in INDICATORS if indicator.key == "torque_ratio_max")
     assert torque.is_excellent(0.8) is False
@@ -160,8 +182,8 @@ def test_the_words_do_claim_what_many_trials_show(tmp_path: Path) -> None:
 
 def test_the_words_name_failures_and_when(words: dict[str, str]) -> None:
     text = words["What failed, and when"]
-    assert "act failed 5 of 20: goal_error three times, at " in text
-    assert "moveit failed 1 of 20: pinch_lost one time, at " in text
+    assert "act failed 5 of 20: missed the goal three times, at " in text
+    assert "moveit failed 1 of 20: grip lost one time, at " in text
     assert "impedance did not fail in a single trial" in text
 
 

@@ -10,6 +10,7 @@ from itertools import combinations, pairwise
 
 from minidual.pipeline.check import Check
 from minidual.pipeline.verdict import Verdict
+from minidual.report.captions import fault
 from minidual.report.comparison import Comparison, MethodRow, finite
 from minidual.report.indicators import INDICATORS, Indicator
 from minidual.report.trials import Trial, of_method
@@ -53,6 +54,12 @@ def _methods(comparison: Comparison, trials: Sequence[Trial]) -> Iterator[str]:
         yield from _ranking(indicator, comparison)
     yield from _faster_in_pairs(comparison, trials)
     yield from _excellence(comparison)
+    idle = [row.method for row in ranked if not row.competes]
+    if idle:
+        yield stated(
+            f"{joined(idle)} did not complete a trial, so the other indicators of "
+            f"{'it are' if len(idle) == 1 else 'them are'} shown but not ranked"
+        )
 
 
 def _success_text(row: MethodRow) -> str:
@@ -97,7 +104,7 @@ def _by_start(trials: Sequence[Trial]) -> dict[tuple[str, int], Trial]:
 
 
 def _ranking(indicator: Indicator, comparison: Comparison) -> Iterator[str]:
-    measured = [row for row in comparison.rows if row.cell(indicator.key).value is not None]
+    measured = [row for row in comparison.rows if row.competes and row.cell(indicator.key).value is not None]
     if len(measured) < 2:
         return
     sign = 1.0 if indicator.better == "less" else -1.0
@@ -130,6 +137,8 @@ def _faster_in_pairs(comparison: Comparison, trials: Sequence[Trial]) -> Iterato
 
 def _excellence(comparison: Comparison) -> Iterator[str]:
     for row in comparison.rows:
+        if not row.competes:
+            continue
         judged = [cell for cell in row.cells if cell.excellent is not None]
         short = [cell.indicator for cell in judged if not cell.excellent]
         if not judged:
@@ -167,7 +176,7 @@ def _failures(comparison: Comparison, trials: Sequence[Trial]) -> Iterator[str]:
                 if ended
                 else ""
             )
-            parts.append(f"{reason} {count(times, 'time')}{when}")
+            parts.append(f"{fault(reason)} {count(times, 'time')}{when}")
         others = total - sum(times for _reason, times in reasons.most_common(3))
         rest = f"; {others} for other reasons" if others else ""
         yield stated(f"{row.method} failed {total} of {row.trials}: {'; '.join(parts)}{rest}")
@@ -195,7 +204,7 @@ def _gap(deploy: Verdict | None) -> Iterator[str]:
     gap = training - held_out
     text = f"on starts it was trained on, in {percent(training)}"
     if abs(gap) < 0.005:
-        yield sentence(f"{text}: no gap, so what limits it is not memory of the starts")
+        yield sentence(f"{text}: no gap")
     elif low is not None and high is not None and low <= training <= high:
         yield sentence(
             f"{text}: {abs(gap) * 100:.0f} points {'more' if gap > 0 else 'fewer'}, within the interval"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from minidual.errors import DataError
@@ -23,7 +23,7 @@ class Cell:
         state: "undefined" is an honest blank (no trial completed, so there is no completion time), "missing"
             is a hole.
         excellent: On the good side of the excellent limit; None where that has no meaning.
-        best: No other method has a better value.
+        best: No other method that succeeded at all has a better value.
     """
 
     indicator: Indicator
@@ -54,6 +54,11 @@ class MethodRow:
     def cell(self, key: str) -> Cell:
         """Return the cell of the indicator `key`."""
         return next(cell for cell in self.cells if cell.indicator.key == key)
+
+    @property
+    def competes(self) -> bool:
+        """Whether its other indicators mean anything: who never lifts the rod never tilts it."""
+        return (self.cell("success_rate").value or 0.0) > 0.0
 
     @property
     def successes(self) -> int | None:
@@ -111,7 +116,7 @@ def compare(methods: Sequence[str], data: Mapping[str, Any]) -> Comparison:
         raise DataError("the benchmark's data has no table 'methods': a mapping of methods to their numbers")
     rows = [_row(method, table.get(method, {})) for method in methods]
     best = {
-        indicator.key: _best(indicator, [row.cell(indicator.key).value for row in rows])
+        indicator.key: _best(indicator, [row.cell(indicator.key).value for row in rows if row.competes])
         for indicator in INDICATORS
     }
     return Comparison(tuple(_mark(row, best) for row in rows))
@@ -123,7 +128,10 @@ def _row(method: str, record: Mapping[str, Any]) -> MethodRow:
     for indicator in INDICATORS:
         value = finite(record.get(indicator.key))
         if value is not None:
-            cells.append(Cell(indicator, value, "measured", indicator.is_excellent(value)))
+            judged = rate != 0.0 or indicator.key == "success_rate"
+            cells.append(
+                Cell(indicator, value, "measured", indicator.is_excellent(value) if judged else None)
+            )
         else:
             undefined = indicator.needs_success and rate == 0.0
             cells.append(Cell(indicator, None, "undefined" if undefined else "missing"))
@@ -151,13 +159,7 @@ def _best(indicator: Indicator, values: Sequence[float | None]) -> float | None:
 
 def _mark(row: MethodRow, best: Mapping[str, float | None]) -> MethodRow:
     cells = tuple(
-        Cell(
-            c.indicator,
-            c.value,
-            c.state,
-            c.excellent,
-            c.value is not None and c.value == best[c.indicator.key],
-        )
-        for c in row.cells
+        replace(cell, best=row.competes and cell.value is not None and cell.value == best[cell.indicator.key])
+        for cell in row.cells
     )
-    return MethodRow(row.method, cells, row.low, row.high, row.trials, row.failures)
+    return replace(row, cells=cells)

@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
+from minidual.report.captions import fault
 from minidual.report.comparison import Comparison
 from minidual.report.indicators import INDICATORS, Indicator
 from minidual.report.trials import Trial, of_method, values
@@ -140,6 +141,7 @@ def strip_figure(indicator: Indicator, comparison: Comparison, trials: Sequence[
                 _limit_line(axes, at, f"excellent {indicator.excellent_text()}")
                 largest = max(largest, at)
         axes.set_xlim(0, largest * 1.08 or 1.0)
+        axes.locator_params(axis="x", nbins=6)
         axes.set_xlabel(f"{indicator.noun}, {indicator.unit}")
         caption = "Dots: successful trials. Crosses: failed ones. Bar: median of the successful ones."
         return Figure(indicator.key, indicator.title, caption, svg())
@@ -164,14 +166,14 @@ def failures_figure(comparison: Comparison, trials: Sequence[Trial]) -> Figure |
         for k, reason in enumerate(reasons):
             widths = [counts[method][reason] for method in counts]
             axes.barh(range(len(counts)), widths, left=[start[m] for m in counts], height=0.5,
-                      color=COLOURS[k % len(COLOURS)], label=reason)  # fmt: skip
+                      color=COLOURS[k % len(COLOURS)], label=fault(reason))  # fmt: skip
             for method, width in zip(counts, widths, strict=True):
                 start[method] += width
         _label_rows(axes, list(counts))
         axes.xaxis.get_major_locator().set_params(integer=True)
         axes.set_xlabel("failed trials")
         figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize=9)
-        return Figure("failures", "Reasons of failure", "The first fault of each failed trial.", svg())
+        return Figure("failures", "Reasons of failure", "What failed first in each failed trial.", svg())
 
 
 def benchmark_figures(comparison: Comparison, trials: Sequence[Trial]) -> list[Figure]:

@@ -12,6 +12,7 @@ from itertools import islice
 from pathlib import Path, PurePosixPath
 
 from minidual.errors import DataError
+from minidual.report.captions import caption
 
 _PICTURES = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg"}
 _FILM = ".mp4"
@@ -61,7 +62,7 @@ def collect_media(
         stage: Name of the stage.
         folder: Its finished folder.
         names: Its artefacts, relative to `folder`.
-        captions: Captions by artefact that the stage gave; others are made from the file's name.
+        captions: Captions by artefact that the stage itself gave, if any.
         page_folder: Folder of the page.
 
     Raises:
@@ -84,15 +85,15 @@ def collect_media(
             source = target.relative_to(page_folder).as_posix()
         media.append(
             Medium(
-                stage, name, captions.get(name) or _caption(name), source, _poster(path) if film else "", film
+                stage,
+                name,
+                captions.get(name) or caption(stage, name),
+                source,
+                _poster(path) if film else "",
+                film,
             )
         )
     return media
-
-
-def _caption(name: str) -> str:
-    words = PurePosixPath(name).stem.replace("_", " ").replace("-", " ").strip()
-    return words[:1].upper() + words[1:]
 
 
 def _data_uri(kind: str, content: bytes) -> str:

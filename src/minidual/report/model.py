@@ -131,12 +131,17 @@ def banners(given: ReportInput, checks: Sequence[Check]) -> tuple[Banner, ...]:
     if overrides:
         found.append(Banner("note", f"Not the {given.profile} profile as shipped: values were overridden",
                             tuple(overrides)))  # fmt: skip
-    commits = sorted({v.fingerprint.commit or "unknown" for v in given.verdicts.values()})
+    commits = sorted({_short_commit(v.fingerprint.commit) for v in given.verdicts.values()})
     if len(commits) > 1:
         found.append(
             Banner("note", f"The stages were made at {count(len(commits), 'commit')}", tuple(commits))
         )
     return tuple(found)
+
+
+def _short_commit(commit: str | None) -> str:
+    name, plus, changes = (commit or "unknown").partition("+")
+    return name[:10] + plus + changes
 
 
 def newest(given: ReportInput) -> Verdict | None:
