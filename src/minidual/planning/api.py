@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,9 +25,24 @@ from minidual.robot.constants import GROUPS, Array
 from minidual.robot.kinematics import Kinematics
 
 _SCENES_KEPT = 8
-_PADDING_GROWTH = 1.5
-_STEP_SHRINK = 0.5
 _SAME_RAD = 1e-9
+
+
+@dataclass(frozen=True)
+class _Effort:
+    """How one attempt searches, and how the next one should after a failure."""
+
+    padding_m: float
+    step_rad: float
+    checks_n: int
+
+    def after_no_path(self) -> _Effort:
+        """Return more patience and less padding: the way may be narrow."""
+        return _Effort(0.5 * self.padding_m, self.step_rad, 2 * self.checks_n)
+
+    def after_refusal(self) -> _Effort:
+        """Return more padding and a closer look: the path was blocked where the search did not see it."""
+        return _Effort(min(1.5 * self.padding_m, 0.02), max(0.5 * self.step_rad, 0.004), self.checks_n)
 
 
 class Planner:
@@ -145,16 +161,25 @@ class Planner:
         budget_s: float,
         times: PhaseTimes,
     ) -> PlanResult:
+        config = self.config
+        effort = _Effort(config.padding_m, config.edge_step_rad, config.search_checks_n)
         rejections: list[str] = []
         attempt = 0
         while times.elapsed_s < budget_s:
             goal = goals[attempt % len(goals)]
-            made = self._attempt(group, q_start, goal, engines, seed, attempt, times, times.started + budget_s)
+            key = np.random.SeedSequence([seed, 2, attempt])
             attempt += 1
-            if isinstance(made, str):
-                rejections.append(made)
+            try:
+                path, checker = self._search(group, q_start, goal, engines, effort, key, times, budget_s)
+                if path is None:
+                    rejections.append(f"{config.planner} found no path in {checker.checks_n} state checks")
+                    effort = effort.after_no_path()
+                    continue
+                trajectory, path = self._finish(group, path, checker, key, times)
+            except TimingError as error:
+                rejections.append(error.message)
+                effort = effort.after_refusal()
                 continue
-            trajectory, path = made
             with times.phase("verify"):
                 verification = engines.verifier.verify(trajectory)
             if verification.ok:
@@ -163,53 +188,53 @@ class Planner:
                     direct=len(path) == 2, rejections=tuple(rejections),
                 )  # fmt: skip
             rejections.append(f"proof failed: {verification.reason}")
+            effort = effort.after_refusal()
         last = rejections[-1] if rejections else "the budget ended before the first attempt"
         raise NoPathInTimeError(
             f"no proven path for {group} in {budget_s:.2f} s: {attempt} attempts, the last one: {last}",
             remedy="raise the budget, make room in the scene, or choose another goal",
         )
 
-    def _attempt(
+    def _search(
         self,
         group: str,
         q_start: Array,
         goal: Array,
         engines: SceneEngines,
-        seed: int,
-        attempt: int,
+        effort: _Effort,
+        key: np.random.SeedSequence,
         times: PhaseTimes,
-        deadline: float,
-    ) -> tuple[Trajectory, Array] | str:
-        """Return (trajectory, polyline), or why there is none. Later attempts keep more distance and look closer."""
-        config = self.config
-        if np.abs(goal - q_start).max() < _SAME_RAD:
-            return _rest(q_start, group), np.array([q_start, goal])
-        retry = min(attempt, 3)
+        budget_s: float,
+    ) -> tuple[Array | None, EdgeChecker]:
+        """Return a free polyline (n, 14), or None, and the checker that it was made with."""
         with times.phase("search"):
-            checker = EdgeChecker(
-                engines.mujoco, config.padding_m * _PADDING_GROWTH**retry, (q_start, goal),
-                config.edge_step_rad * _STEP_SHRINK**retry,
+            checker = EdgeChecker(engines.mujoco, effort.padding_m, (q_start, goal), effort.step_rad)
+            if checker.edge_free(q_start, goal):
+                return np.array([q_start, goal]), checker
+            path = search(
+                checker, q_start, goal, GROUPS[group], planner=self.config.planner, range_rad=self.config.range_rad,
+                seed=int(key.generate_state(1)[0]), checks_max=effort.checks_n, deadline=times.started + budget_s,
             )  # fmt: skip
-            path: Array | None = np.array([q_start, goal])
-            if not checker.edge_free(q_start, goal):
-                path = search(
-                    checker, q_start, goal, GROUPS[group], planner=config.planner, range_rad=config.range_rad,
-                    seed=int(np.random.SeedSequence([seed, 2, attempt]).generate_state(1)[0]),
-                    checks_max=config.search_checks_n * 2 ** min(attempt, 16), deadline=deadline,
-                )  # fmt: skip
-        if path is None:
-            return f"{config.planner} found no path in {checker.checks_n} state checks"
+        return path, checker
+
+    def _finish(
+        self, group: str, path: Array, checker: EdgeChecker, key: np.random.SeedSequence, times: PhaseTimes
+    ) -> tuple[Trajectory, Array]:
+        """Return the timed trajectory of a free polyline and the shortened polyline.
+
+        Raises:
+            TimingError: A corner stays blocked, or no time law keeps the limits.
+        """
+        if np.abs(path[-1] - path[0]).max() < _SAME_RAD and len(path) == 2:
+            return _rest(path[0], group), path
         with times.phase("shortcut"):
-            path = shortcut(path, checker, np.random.default_rng([seed, 3, attempt]), config.shortcut_rounds_n)
+            path = shortcut(path, checker, np.random.default_rng(key), self.config.shortcut_rounds_n)
         with times.phase("blend"):
-            curve = blended_path(path, checker, config.blend_radius_rad, config.edge_step_rad / 3.0)
+            curve = blended_path(path, checker, self.config.blend_radius_rad, checker.step_rad / 3.0)
         if curve is None:
-            return "a corner of the path stays blocked however small it is rounded"
-        try:
-            with times.phase("timing"):
-                return time_path(curve, group, self._limits, self._kinematics), path
-        except TimingError as error:
-            return error.message
+            raise TimingError("a corner of the path stays blocked however small it is rounded")
+        with times.phase("timing"):
+            return time_path(curve, group, self._limits, self._kinematics), path
 
 
 def _rest(q: Array, group: str) -> Trajectory:
