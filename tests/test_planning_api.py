@@ -1,6 +1,8 @@
 """Queries in, proven trajectories or named errors out."""
 
+import re
 import typing
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -231,3 +233,12 @@ def test_slower_limits_are_kept(planner):
     report = slow.plan_to_joints("both_arms", HOME, HOME + 0.4).verification
     assert report.velocity_ratio <= 0.2 * 1.0001
     assert report.acceleration_ratio <= 0.1 * 1.0001
+
+
+def test_the_example_of_the_documentation_runs():
+    text = (Path(__file__).parents[1] / "docs" / "plan.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    names: dict[str, typing.Any] = {}
+    exec(block, names)
+    assert names["result"].verification.ok
+    assert names["q"].shape == (14,)
