@@ -6,6 +6,7 @@ arbiters that were broken on purpose, to show that they can say no.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
@@ -23,6 +24,7 @@ from minidual.robot.constants import GROUPS, HOME, Q_LOWER, Q_UPPER
 CONFIG = ArbiterConfig()
 DRIVEN = (ArbiterState.ALIGNING, ArbiterState.ACTIVE)
 Event = tuple[Any, ...]
+TICK: Event = ("tick", 0.02, 0.0)
 
 
 class Witness:
@@ -72,6 +74,19 @@ class Witness:
             assert command.stamp_s >= self.flushed_at, "a command from before the switch was taken"
             self.offered[source].append(command)
 
+    def burst(self, source: str, group: str, offset: float, times: int, follow: float) -> None:
+        """A source at work: a command and a tick, again and again."""
+        for _ in range(times):
+            self.propose(source, group, offset, 0.0, "")
+            self.tick(0.02, follow)
+
+    def switch(self, source: str, offset: float) -> None:
+        """A switch that the arms, at rest, let happen, and the source's first commands."""
+        self.request(source)
+        for _ in range(3):
+            self.tick(0.02, 0.0)
+        self.burst(source, "both_arms", offset, 2, 0.5)
+
     def tick(self, dt: float, follow: float) -> None:
         self.now += dt
         if self.last is not None:
@@ -112,7 +127,9 @@ class Witness:
             newest = next((c for c in reversed(self.offered[out.active_source]) if arm in c.arms), None)
             from_source = newest is not None and np.array_equal(out.q_target[part], newest.target_of(arm))
             fresh = newest is not None and self.now - newest.stamp_s <= CONFIG.stale_s + 1e-9
-            assert (from_source and fresh) or np.array_equal(out.q_target[part], last[part]), "another source leaked in"
+            assert (from_source and fresh) or np.array_equal(out.q_target[part], last[part]), (
+                "another source leaked in"
+            )
 
 
 proposals = st.tuples(
@@ -125,15 +142,36 @@ proposals = st.tuples(
 )
 requests = st.tuples(st.just("request"), st.sampled_from((*SOURCES, HOLD)))
 ticks = st.tuples(
-    st.just("tick"), st.sampled_from([0.001, 0.01, 0.02, 0.02, 0.15]), st.sampled_from([0.0, 0.02, 1.0])
+    st.just("tick"), st.sampled_from([0.001, 0.02, 0.02, 0.15, 1.2]), st.sampled_from([0.0, 0.02, 1.0])
 )
-histories = st.lists(st.one_of(proposals, proposals, ticks, ticks, requests), max_size=60)
+offsets = st.sampled_from([0.0, 0.05, -0.09, 0.3])
+bursts = st.tuples(
+    st.just("burst"), st.sampled_from(SOURCES), st.sampled_from(sorted(GROUPS)), offsets, st.integers(1, 30),
+    st.sampled_from([0.0, 0.3, 1.0]),
+)  # fmt: skip
+switches = st.tuples(st.just("switch"), st.sampled_from(SOURCES), offsets)
+histories = st.lists(st.one_of(proposals, ticks, requests, bursts, switches), max_size=40)
 
 
 @settings(max_examples=250, deadline=None)
 @given(histories)
 def test_one_source_bounded_steps_and_never_silence(events: list[Event]) -> None:
-    Witness(CommandArbiter(CONFIG)).play([("tick", 0.02, 0.0), *events])
+    Witness(CommandArbiter(CONFIG)).play([TICK, *events])
+
+
+def test_random_histories_reach_every_state() -> None:
+    seen: Counter[ArbiterState] = Counter()
+
+    @settings(max_examples=150, deadline=None, derandomize=True, database=None)
+    @given(histories)
+    def collect(events: list[Event]) -> None:
+        witness = Witness(CommandArbiter(CONFIG))
+        witness.play([TICK, *events])
+        seen.update({out.state for out in witness.outputs})
+
+    collect()
+    assert set(seen) == set(ArbiterState)
+    assert seen[ArbiterState.ACTIVE] > 40
 
 
 @settings(max_examples=50, deadline=None)
@@ -141,13 +179,10 @@ def test_one_source_bounded_steps_and_never_silence(events: list[Event]) -> None
 def test_the_same_history_gives_the_same_output(events: list[Event]) -> None:
     first, second = Witness(CommandArbiter(CONFIG)), Witness(CommandArbiter(CONFIG))
     for witness in (first, second):
-        witness.play([("tick", 0.02, 0.0), *events])
+        witness.play([TICK, *events])
     for a, b in zip(first.outputs, second.outputs, strict=True):
         np.testing.assert_array_equal(a.q_target, b.q_target)
         assert (a.state, a.active_source, a.refusals) == (b.state, b.active_source, b.refusals)
-
-
-TICK: Event = ("tick", 0.02, 0.0)
 
 
 def _say(source: str, offset: float = 0.0) -> Event:

@@ -64,10 +64,14 @@ class Mirror:
     def target(self, q_leader: Array) -> Array:
         """Return the follower's target (14,) [rad], kept inside its limits.
 
+        A reading that is no posture (NaN, or zero on every joint, as a device gives that has lost its values)
+        passes on as it is, for the arbiter to refuse: shifted and clipped it would look like one.
+
         Raises:
-            UsageError: The leader's reading is not 14 angles. NaN passes on, for the arbiter to refuse.
+            UsageError: The leader's reading is not 14 angles.
         """
-        return np.clip(_joints(q_leader, "leader") + self.offset_rad, self._lower, self._upper)
+        q = _joints(q_leader, "leader")
+        return np.clip(q + self.offset_rad, self._lower, self._upper) if q.any() else q
 
 
 def _joints(q: Array, who: str) -> Array:

@@ -1,0 +1,138 @@
+"""The scripted operator: smooth, inside the limits, the same shape in every trial, hands where they belong."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from minidual.config.scene import SceneConfig
+from minidual.config.teleop import OperatorConfig
+from minidual.errors import UsageError
+from minidual.robot.constants import A_MAX, HOME, Q_LOWER, Q_UPPER, V_MAX
+from minidual.robot.kinematics import Kinematics
+from minidual.tasks.operator import ScriptedOperator, minimum_jerk
+from minidual.tasks.posture_ik import PostureIK
+from minidual.tasks.rod_carry import RodTrial, grasp_offsets, level_pose, sample_trial
+
+SEED = 5
+
+
+@pytest.fixture(scope="module")
+def operator() -> ScriptedOperator:
+    return ScriptedOperator(SceneConfig())
+
+
+def _tick(operator: ScriptedOperator, phase: str, rate_hz: float = 50.0) -> int:
+    return round(next(p.end_s for p in operator.phases() if p.name == phase) * rate_hz)
+
+
+def test_the_minimum_jerk_profile_starts_and_ends_at_rest() -> None:
+    s = np.linspace(0.0, 1.0, 2001)
+    x = minimum_jerk(s)
+    velocity = np.gradient(x, s)
+    assert (x[0], x[-1]) == (0.0, 1.0)
+    assert np.abs(velocity[[0, -1]]).max() < 1e-5
+    assert np.all(np.diff(x) >= 0.0)
+    assert velocity.max() == pytest.approx(1.875, abs=1e-3)  # 30/16, Flash and Hogan
+
+
+@pytest.mark.parametrize("index", range(4))
+def test_targets_start_at_home_and_respect_the_joints(operator: ScriptedOperator, index: int) -> None:
+    trial = sample_trial(operator.scene, SEED, "demonstrations", index, widen=1.3)
+    demo = operator.plan(trial, seed=SEED)
+    np.testing.assert_allclose(demo.q[0], HOME, atol=1e-6)
+    assert 7.0 <= demo.duration_s <= 9.0
+    assert np.all((demo.q > Q_LOWER + 0.1) & (demo.q < Q_UPPER - 0.1))
+    velocity = np.diff(demo.q, axis=0) * demo.rate_hz
+    assert np.all(np.abs(velocity) < 0.95 * V_MAX)
+    acceleration = np.diff(velocity, axis=0) * demo.rate_hz
+    assert np.all(np.abs(acceleration) < A_MAX)
+
+
+def test_the_hands_hold_the_rod_from_grasp_to_release(operator: ScriptedOperator) -> None:
+    scene, kinematics = operator.scene, Kinematics()
+    trial = RodTrial("t", 0, (0.52, 0.23, 0.2), (0.5, -0.25, 0.0))
+    demo = operator.plan(trial, seed=SEED)
+    left_grasp, right_grasp = grasp_offsets(scene)
+    for tick, (x, y, yaw) in (
+        (_tick(operator, "descend"), trial.start),
+        (_tick(operator, "open") - 1, trial.goal),
+    ):
+        T_world_rod = level_pose(x, y, scene.rod.radius_m, yaw)
+        left, right = kinematics.tcp_poses(demo.q[tick])
+        np.testing.assert_allclose(left, T_world_rod @ left_grasp, atol=1e-5)
+        np.testing.assert_allclose(right, T_world_rod @ right_grasp, atol=1e-5)
+    # Between the two the hands must not pull at the rod: their distance is the rod's all the way.
+    for tick in range(_tick(operator, "descend"), _tick(operator, "open"), 10):
+        left, right = kinematics.tcp_poses(demo.q[tick])
+        assert np.linalg.norm(left[:3, 3] - right[:3, 3]) == pytest.approx(
+            2 * scene.rod.grasp_offset_m, abs=1e-6
+        )
+
+
+def test_grippers_close_once_and_open_once(operator: ScriptedOperator) -> None:
+    demo = operator.plan(sample_trial(operator.scene, SEED, "demonstrations", 0), seed=SEED)
+    closed = np.flatnonzero(demo.gripper[:, 0] == 0.0)
+    np.testing.assert_array_equal(demo.gripper[:, 0], demo.gripper[:, 1])
+    assert closed[0] == _tick(operator, "descend")
+    assert closed[-1] + 1 == _tick(operator, "lower")
+    assert len(closed) == closed[-1] - closed[0] + 1
+
+
+def test_the_approach_errs_and_is_corrected_before_the_hands_go_down(operator: ScriptedOperator) -> None:
+    exact = ScriptedOperator(operator.scene, OperatorConfig(approach_noise_m=0.0, approach_noise_rad=0.0))
+    trial = sample_trial(operator.scene, SEED, "demonstrations", 3)
+    erring, clean = operator.plan(trial, seed=SEED), exact.plan(trial, seed=SEED)
+    arrived, corrected = _tick(operator, "approach"), _tick(operator, "correct")
+    error = operator.approach_error(SEED, trial)
+    assert np.abs(error[:2]).max() > 1e-3
+    kinematics = Kinematics()
+    midpoints = [sum(T[:3, 3] for T in kinematics.tcp_poses(d.q[arrived])) / 2 for d in (erring, clean)]
+    np.testing.assert_allclose((midpoints[0] - midpoints[1])[:2], error[:2], atol=1e-5)
+    np.testing.assert_allclose(erring.q[corrected:], clean.q[corrected:], atol=1e-4)
+
+
+def test_a_trial_is_demonstrated_alike_whatever_came_before(operator: ScriptedOperator) -> None:
+    trials = [sample_trial(operator.scene, SEED, "demonstrations", i) for i in range(2)]
+    first = operator.plan(trials[1], seed=SEED)
+    operator.plan(trials[0], seed=SEED)
+    np.testing.assert_array_equal(operator.plan(trials[1], seed=SEED).q, first.q)
+    other_seed = operator.plan(trials[1], seed=SEED + 1)
+    assert np.abs(other_seed.q - first.q).max() > 1e-4, "the error of the approach belongs to the seed"
+
+
+def test_the_posture_depends_on_the_hands_alone() -> None:
+    kinematics = Kinematics()
+    ik = PostureIK(kinematics, posture=HOME)
+    left, right = (T.copy() for T in kinematics.tcp_poses(HOME))
+    for T in (left, right):
+        T[:3, 3] += (0.12, 0.05, -0.25)
+    rng = np.random.default_rng(1)
+    reference = ik.solve(left, right, HOME)
+    for _ in range(5):
+        start = HOME + rng.uniform(-0.3, 0.3, 14)
+        np.testing.assert_allclose(ik.solve(left, right, start), reference, atol=1e-4)
+    reached = kinematics.tcp_poses(reference)
+    np.testing.assert_allclose(reached[0], left, atol=1e-6)
+    np.testing.assert_allclose(reached[1], right, atol=1e-6)
+
+
+def test_no_posture_that_reaches_the_hands_is_closer_to_the_reference() -> None:
+    """Optimality: along the null space of each arm, the distance to the posture is stationary."""
+    kinematics = Kinematics()
+    left, right = (T.copy() for T in kinematics.tcp_poses(HOME))
+    left[:3, 3] += (0.15, 0.1, -0.3)
+    weights = np.array([1.0, 2.0, 1.0, 1.0, 3.0, 1.0, 0.5])
+    q = PostureIK(kinematics, posture=HOME, weights=weights).solve(left, right, HOME)
+    for arm, J in enumerate(kinematics.tcp_jacobians(q)):
+        part = slice(7 * arm, 7 * arm + 7)
+        null = np.linalg.svd(J[:, part])[2][-1]
+        assert abs(null @ (weights * (HOME - q)[part])) < 1e-4
+
+
+def test_a_pose_out_of_reach_is_refused_with_the_hand_and_the_place() -> None:
+    kinematics = Kinematics()
+    left, right = (T.copy() for T in kinematics.tcp_poses(HOME))
+    right[0, 3] += 1.0
+    with pytest.raises(UsageError, match=r"the right hand cannot reach position \[1\.3"):
+        PostureIK(kinematics, posture=HOME).solve(left, right, HOME)
