@@ -49,7 +49,7 @@ def write_paths(outcomes: Mapping[str, Sequence[Outcome]], path: Path) -> None:
                 axis.set_title(
                     f"{_TITLES[group]}\nquery {outcome.query.index}: planned and proven in "
                     f"{outcome.total_s * 1e3:.0f} ms, driven in {duration:.2f} s",
-                    fontsize=10,
+                    fontsize=9,
                 )
     axes[0, 0].legend(loc="lower left", fontsize=8, framealpha=0.9)
     figure.suptitle("Tool paths among obstacles: from above, and from behind the robot", fontsize=12)
