@@ -103,7 +103,10 @@ def test_a_goal_that_is_the_start_is_a_rest(planner):
 def test_start_in_collision_names_the_pair_and_the_depth(planner):
     start = HOME.copy()
     start[0], start[7] = -0.9, 0.9
-    with pytest.raises(StartInCollisionError, match=r"start is in collision: left_panda_\w+ and right_panda_\w+ penetrate by [\d.]+ mm"):
+    with pytest.raises(
+        StartInCollisionError,
+        match=r"start is in collision: left_panda_\w+ and right_panda_\w+ penetrate by [\d.]+ mm",
+    ):
         planner.plan_to_joints("left_arm", start, HOME[:7])
 
 
@@ -120,7 +123,9 @@ def test_goal_in_collision_names_the_pair(planner):
 
 
 def test_unreachable_pose_names_the_residual(planner):
-    with pytest.raises(IKUnreachableError, match=r"left hand cannot reach \(1.500, 0.000, 0.300\) m .* mm and"):
+    with pytest.raises(
+        IKUnreachableError, match=r"left hand cannot reach \(1.500, 0.000, 0.300\) m .* mm and"
+    ):
         planner.plan_to_poses("left_arm", HOME, {"left": pose(DOWN, (1.5, 0.0, 0.3))})
 
 
@@ -129,7 +134,10 @@ def test_unreachable_pose_names_the_residual(planner):
     [
         (lambda q: q[:7], "shape"),
         (lambda q: q * np.nan, "left_panda_joint1 = nan"),
-        (lambda q: np.where(np.arange(14) == 3, 1.0, q), "left_panda_joint4 = 1.0000 rad; its limits are -3.0718 to -0.0698"),
+        (
+            lambda q: np.where(np.arange(14) == 3, 1.0, q),
+            "left_panda_joint4 = 1.0000 rad; its limits are -3.0718 to -0.0698",
+        ),
     ],
 )
 def test_starts_out_of_limits_are_named(planner, change, says):
@@ -151,7 +159,10 @@ def test_no_path_in_time_names_budget_attempts_and_reason():
     start, goal = beside_the_post(1.4), beside_the_post(-1.4)
     planner = Planner(scene, PlannerConfig(search_checks_n=200))
     planner.engines()
-    with pytest.raises(NoPathInTimeError, match=r"no proven path for left_arm in 0.05 s: \d+ attempts, the last one: rrtconnect found no path"):
+    with pytest.raises(
+        NoPathInTimeError,
+        match=r"no proven path for left_arm in 0.05 s: \d+ attempts, the last one: rrtconnect found no path",
+    ):
         planner.plan_to_joints("left_arm", start, goal, budget_s=0.05)
     for bad in (0.0, -1.0, float("nan")):
         with pytest.raises(UsageError, match="budget_s"):
@@ -166,15 +177,23 @@ def test_a_failed_proof_is_planned_again(post_planner, monkeypatch):
     def refuse_first(trajectory):
         calls.append(trajectory)
         report = verify(trajectory)
-        return report if len(calls) > 1 else type(report)(**{**report.to_json(), "ok": False, "reason": "made up"})
+        return (
+            report
+            if len(calls) > 1
+            else type(report)(**{**report.to_json(), "ok": False, "reason": "made up"})
+        )
 
     monkeypatch.setattr(verifier, "verify", refuse_first)
     result = post_planner.plan_to_joints("left_arm", beside_the_post(1), beside_the_post(-1), seed=3)
     assert result.attempts_n == 2
     assert result.rejections == ("proof failed: made up",)
-    monkeypatch.setattr(verifier, "verify", lambda t: type(r := verify(t))(**{**r.to_json(), "ok": False, "reason": "no"}))
+    monkeypatch.setattr(
+        verifier, "verify", lambda t: type(r := verify(t))(**{**r.to_json(), "ok": False, "reason": "no"})
+    )
     with pytest.raises(NoPathInTimeError, match="proof failed: no"):
-        post_planner.plan_to_joints("left_arm", beside_the_post(1), beside_the_post(1)[:7] + 0.1, budget_s=0.3)
+        post_planner.plan_to_joints(
+            "left_arm", beside_the_post(1), beside_the_post(1)[:7] + 0.1, budget_s=0.3
+        )
 
 
 def test_unknown_group_and_wrong_targets(planner):
@@ -201,7 +220,9 @@ def test_allowing_and_forbidding_a_pair_changes_what_plans(planner):
     result = planner.plan_to_joints("left_arm", start, HOME, scene=scene)
     assert result.verification.ok
     with pytest.raises(GoalInCollisionError, match="foam and left_panda_rightfinger"):
-        planner.plan_to_joints("left_arm", start, HOME, scene=scene.forbidding("left_panda_rightfinger", "foam"))
+        planner.plan_to_joints(
+            "left_arm", start, HOME, scene=scene.forbidding("left_panda_rightfinger", "foam")
+        )
 
 
 def test_forbidding_a_robot_pair_changes_what_plans(planner):

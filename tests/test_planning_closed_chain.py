@@ -41,12 +41,19 @@ def q_start():
 
 @pytest.fixture(scope="module")
 def waypoints():
-    return [rod_at(0.5, 0.25, RADIUS, 0.2), rod_at(0.5, 0.25, 0.13, 0.2), rod_at(0.5, -0.25, 0.13), rod_at(0.5, -0.25, RADIUS)]
+    return [
+        rod_at(0.5, 0.25, RADIUS, 0.2),
+        rod_at(0.5, 0.25, 0.13, 0.2),
+        rod_at(0.5, -0.25, 0.13),
+        rod_at(0.5, -0.25, RADIUS),
+    ]
 
 
 @pytest.fixture(scope="module")
 def carried(q_start, waypoints):
-    return CarriedPlanner().plan(q_start, waypoints, *GRASPS, scene=scene_holding(PlanningScene(), ROD, GRASPS[0]))
+    return CarriedPlanner().plan(
+        q_start, waypoints, *GRASPS, scene=scene_holding(PlanningScene(), ROD, GRASPS[0])
+    )
 
 
 def test_grasps_hold_on_a_much_finer_grid_than_was_solved(carried):
@@ -114,7 +121,9 @@ def test_same_query_same_bytes(carried, q_start, waypoints):
 def test_rotation_while_carrying(q_start):
     turned = [rod_at(0.5, 0.25, 0.2, 0.2), rod_at(0.5, 0.0, 0.2, 0.8)]
     planner = Planner()
-    q = planner.plan_to_poses("both_arms", q_start, {"left": turned[0] @ GRASPS[0], "right": turned[0] @ GRASPS[1]}).q_goal
+    q = planner.plan_to_poses(
+        "both_arms", q_start, {"left": turned[0] @ GRASPS[0], "right": turned[0] @ GRASPS[1]}
+    ).q_goal
     plan = CarriedPlanner().plan(q, turned, *GRASPS)
     assert plan.residual_m < 1e-4
     assert np.abs(plan.Ts_world_object[-1] - turned[1]).max() < 1e-9

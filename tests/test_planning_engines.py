@@ -26,7 +26,9 @@ def scene():
             Capsule("capsule", (0.6, 0.0, 0.2), (HALF, HALF, 0.0, 0.0), radius_m=0.04, length_m=0.3),
             Sphere("sphere", (0.4, 0.0, 0.45), radius_m=0.06),
         )
-        .with_attached(Attached(Cylinder("stick", (0, 0, 0.11), radius_m=0.01, length_m=0.3), "left_panda_hand", fingers))
+        .with_attached(
+            Attached(Cylinder("stick", (0, 0, 0.11), radius_m=0.01, length_m=0.3), "left_panda_hand", fingers)
+        )
     )
 
 
@@ -126,7 +128,9 @@ def test_bisection_order_holds_every_fraction_once(count):
 def test_padding_is_kept_and_relaxes_at_a_tight_start():
     """A start 2 mm from a box: with full padding it could never be left."""
     plain = MujocoEngine(PlanningScene())
-    finger_z = min(p.distance_m for p in plain.closest(HOME, 1.0) if "finger" in p.first and p.second == "table")
+    finger_z = min(
+        p.distance_m for p in plain.closest(HOME, 1.0) if "finger" in p.first and p.second == "table"
+    )
     x, y, _ = Kinematics().tcp_poses(HOME)[0][:3, 3]
     top = finger_z - 0.002
     scene = PlanningScene().with_obstacles(Box("block", (x, y, 0.5 * top), size_m=(0.2, 0.2, top)))

@@ -153,7 +153,9 @@ def test_adding_and_removing_a_pair():
 
 def test_attached_object_moves_with_its_hand_and_may_touch_its_fingers():
     fingers = ("left_panda_leftfinger", "left_panda_rightfinger")
-    scene = PlanningScene().with_attached(Attached(Sphere("ball", (0, 0, 0.1), radius_m=0.03), "left_panda_hand", fingers))
+    scene = PlanningScene().with_attached(
+        Attached(Sphere("ball", (0, 0, 0.1), radius_m=0.03), "left_panda_hand", fingers)
+    )
     assert scene.why_unchecked("ball", "left_panda_hand") == "rigid"
     assert scene.why_unchecked("ball", "left_panda_leftfinger") == "rigid"
     assert scene.why_unchecked("ball", "right_panda_hand") is None

@@ -57,7 +57,9 @@ def test_stage_passes_and_writes_what_it_says(stage_run):
 
 
 def test_parameters_hold_the_planner_but_not_the_workers():
-    a, b = (STAGE.parameters(Config(plan=PlanConfig(planner=PlannerConfig(padding_m=p)))) for p in (0.005, 0.01))
+    a, b = (
+        STAGE.parameters(Config(plan=PlanConfig(planner=PlannerConfig(padding_m=p)))) for p in (0.005, 0.01)
+    )
     assert a != b
     assert STAGE.parameters(Config(workers=1)) == STAGE.parameters(Config(workers=2))
 
@@ -83,7 +85,9 @@ def test_common_checks_can_fail():
     good = CarryPlans(5, 5, 1e-5, 1e-5, 0.1, ())
 
     def names(agreement=1.0, repeatable=True, **change):
-        return failing(common_checks(agreement, repeatable, dataclasses.replace(good, **change), PlanConfig()))
+        return failing(
+            common_checks(agreement, repeatable, dataclasses.replace(good, **change), PlanConfig())
+        )
 
     assert names() == set()
     assert names(agreement=0.99) == {"engines.agreement"}

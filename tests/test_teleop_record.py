@@ -137,10 +137,11 @@ def test_a_recording_holds_sound_demonstrations_only(recorded: tuple[Job, Record
 def test_faults_of_a_recording_reach_its_numbers(recorded: tuple[Job, Recording]) -> None:
     first, second = recorded[1].attempts
     broken = dataclasses.replace(second, problems=("not_finite: ...",), sync_error_max_s=float("nan"))
-    numbers = count_recording(Recording((first, broken), 60.0), 870, 2)
+    first, broken = (dataclasses.replace(a, wall_s=40.0) for a in (first, broken))
+    numbers = count_recording(Recording((first, broken), 100.0, workers=2), 870, 2)
     assert numbers.files_at_fault == 1
     assert np.isnan(numbers.sync_error_max_s), "an unknown value must not vanish"
-    assert numbers.episodes_per_min == pytest.approx(2.0)
+    assert numbers.episodes_per_min == pytest.approx(3.0)
 
 
 def test_workers_change_nothing_in_the_files(recorded: tuple[Job, Recording], tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ class BenchmarkConfig(StrictModel):
 
     methods: tuple[str, ...] = Field(default=("moveit", "impedance", "act"), min_length=1)
     trials_n: int = Field(default=30, ge=1, le=10000)
-    success_rate_min: dict[str, float] = {"moveit": 0.8, "impedance": 0.8, "act": 0.5}
+    success_rate_min: dict[str, float] = Field(default={"moveit": 0.8, "impedance": 0.8, "act": 0.5})
     """Least success rate of a method; a method without an entry is reported without a limit."""
 
 

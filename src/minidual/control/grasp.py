@@ -22,7 +22,7 @@ from minidual.robot.constants import Array
 
 
 def skew(p: Array) -> Array:
-    """Return the (3, 3) matrix of the cross product: skew(p) @ f = p x f."""
+    """Return the (3, 3) matrix of the cross product with p, so that its product with f is p x f."""
     return np.array([[0.0, -p[2], p[1]], [p[2], 0.0, -p[0]], [-p[1], p[0], 0.0]])
 
 

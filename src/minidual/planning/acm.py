@@ -199,7 +199,8 @@ def _read(path: Path) -> AllowedCollisions | None:
         return None
     known = {link for arm in ARMS for link in links_of(arm)}
     sound = all(
-        e.first in known and e.second in known and e.first.split("_")[0] == e.second.split("_")[0] for e in acm
+        e.first in known and e.second in known and e.first.split("_")[0] == e.second.split("_")[0]
+        for e in acm
     )
     return acm if sound and len(acm) > 0 else None
 
@@ -208,7 +209,9 @@ def _write(path: Path, acm: AllowedCollisions) -> None:
     """Write the cache atomically; a folder that cannot be written costs a second next time, nothing more."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".tmp", delete=False, encoding="utf-8") as file:
+        with tempfile.NamedTemporaryFile(
+            "w", dir=path.parent, suffix=".tmp", delete=False, encoding="utf-8"
+        ) as file:
             json.dump([list(row) for row in acm.table()], file, indent=0)
         Path(file.name).replace(path)
     except OSError:

@@ -91,7 +91,9 @@ def scene_holding(
 
 
 def _placed(shape: Shape, position: tuple[float, ...], quat: tuple[float, ...]) -> Shape:
-    return replace(shape, position_m=tuple(float(v) for v in position), quat_wxyz=tuple(float(v) for v in quat))
+    return replace(
+        shape, position_m=tuple(float(v) for v in position), quat_wxyz=tuple(float(v) for v in quat)
+    )
 
 
 class _HeldCurve:
@@ -152,7 +154,10 @@ class CarriedPlanner:
             OutOfLimitsError, UsageError: A bad start or pose.
         """
         q_start = check_joints(q_start, "start")
-        grasps = (check_pose(T_object_tcp_left, "the left grasp"), check_pose(T_object_tcp_right, "the right grasp"))
+        grasps = (
+            check_pose(T_object_tcp_left, "the left grasp"),
+            check_pose(T_object_tcp_right, "the right grasp"),
+        )
         object_path = ObjectPath(Ts_world_object, corner_m)
         self._require_start(q_start, object_path.pose(0.0), grasps)
         step = _STEP_M
@@ -175,7 +180,11 @@ class CarriedPlanner:
         )
 
     def residuals(
-        self, trajectory: Trajectory, Ts_world_object: Array, T_object_tcp_left: Array, T_object_tcp_right: Array
+        self,
+        trajectory: Trajectory,
+        Ts_world_object: Array,
+        T_object_tcp_left: Array,
+        T_object_tcp_right: Array,
     ) -> tuple[float, float]:
         """Return the largest error of either hand against object pose and grasp, ([m], [rad]).
 
@@ -250,7 +259,9 @@ class CarriedPlanner:
 
 def _apart(A: Array, B: Array) -> tuple[float, float]:
     """Return distance [m] and angle [rad] between two poses."""
-    return float(np.linalg.norm(A[:3, 3] - B[:3, 3])), float(np.linalg.norm(pin.log3(A[:3, :3].T @ B[:3, :3])))
+    return float(np.linalg.norm(A[:3, 3] - B[:3, 3])), float(
+        np.linalg.norm(pin.log3(A[:3, :3].T @ B[:3, :3]))
+    )
 
 
 def plan_carried_object(
@@ -264,5 +275,10 @@ def plan_carried_object(
 ) -> CarriedTrajectory:
     """Plan one carry; see `CarriedPlanner.plan` (keep a planner to plan many)."""
     return CarriedPlanner().plan(
-        q_start, Ts_world_object, T_object_tcp_left, T_object_tcp_right, object_limits=object_limits, scene=scene
+        q_start,
+        Ts_world_object,
+        T_object_tcp_left,
+        T_object_tcp_right,
+        object_limits=object_limits,
+        scene=scene,
     )

@@ -44,7 +44,9 @@ class CoalEngine:
             for first in ids[a]:
                 for second in ids[b]:
                     self.geometry.addCollisionPair(pin.CollisionPair(first, second))
-        self._pool = pin.TreeBroadPhaseManagerPool_DynamicAABBTreeCollisionManager(self.model, self.geometry, 1)
+        self._pool = pin.TreeBroadPhaseManagerPool_DynamicAABBTreeCollisionManager(
+            self.model, self.geometry, 1
+        )
         for request in self._pool.getGeometryData(0).collisionRequests:
             request.gjk_tolerance = _GJK_TOLERANCE
 

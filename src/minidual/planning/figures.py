@@ -18,7 +18,11 @@ from minidual.robot.kinematics import Kinematics
 _ARM_COLOURS = {"left": "#1b6ca8", "right": "#d9822b"}
 _PHASE_COLOURS = ("#9aa5b1", "#4c78a8", "#72b7b2", "#f2cf5b", "#e45756", "#b279a2", "#54a24b")
 _OBSTACLE, _EDGE, _TABLE = "#c9ced6", "#7b8794", "#f4f1ea"
-_TITLES = {"left_arm": "left arm (7 joints)", "right_arm": "right arm (7 joints)", "both_arms": "both arms (14 joints)"}
+_TITLES = {
+    "left_arm": "left arm (7 joints)",
+    "right_arm": "right arm (7 joints)",
+    "both_arms": "both arms (14 joints)",
+}
 
 
 def _new_figure(columns: int, rows: int, width: float, height: float) -> tuple[Any, Any]:
@@ -177,5 +181,3 @@ def write_times(outcomes: Mapping[str, Sequence[Outcome]], path: Path, limit_s: 
     for axis in (spread, shares):
         axis.spines[["top", "right"]].set_visible(False)
     figure.savefig(path)
-
-

@@ -120,7 +120,10 @@ class PoseGoals:
             )
         solvers = {
             arm: self._solvers[arm].solutions(
-                check_pose(targets[arm], f"the target of the {arm} hand"), q_start[GROUPS[f"{arm}_arm"]], rng, restarts_n
+                check_pose(targets[arm], f"the target of the {arm} hand"),
+                q_start[GROUPS[f"{arm}_arm"]],
+                rng,
+                restarts_n,
             )
             for arm in arms
         }

@@ -48,7 +48,9 @@ def check_pose(T: Array, what: str) -> Array:
     R = T[:3, :3]
     off = float(np.abs(R @ R.T - np.eye(3)).max())
     if off > 1e-6 or np.linalg.det(R) < 0.0 or np.abs(T[3] - [0, 0, 0, 1]).max() > 1e-9:
-        raise UsageError(f"{what} is no rigid pose: R R^T is {off:.2g} from the identity, det {np.linalg.det(R):.3f}")
+        raise UsageError(
+            f"{what} is no rigid pose: R R^T is {off:.2g} from the identity, det {np.linalg.det(R):.3f}"
+        )
     return T
 
 
@@ -144,7 +146,10 @@ class ArmIK:
                 if all(np.max(np.abs(solution.q - q)) > _DISTINCT_RAD for q in found):
                     found.append(solution.q)
                     yield solution.q
-            elif best is None or solution.residual_m + solution.residual_rad < best.residual_m + best.residual_rad:
+            elif (
+                best is None
+                or solution.residual_m + solution.residual_rad < best.residual_m + best.residual_rad
+            ):
                 best = solution
         if not found and best is not None:
             x, y, z = T_world_tcp[:3, 3]

@@ -7,7 +7,12 @@ from __future__ import annotations
 
 from minidual.robot.constants import ARMS, DOF_PER_ARM
 
-_ARM_LINKS: tuple[str, ...] = (*(f"panda_link{i}" for i in range(8)), "panda_hand", "panda_leftfinger", "panda_rightfinger")
+_ARM_LINKS: tuple[str, ...] = (
+    *(f"panda_link{i}" for i in range(8)),
+    "panda_hand",
+    "panda_leftfinger",
+    "panda_rightfinger",
+)
 _END_LINKS = ("panda_link8", "panda_hand_tcp")
 
 LINKS: tuple[str, ...] = tuple(f"{arm}_{link}" for arm in ARMS for link in _ARM_LINKS)

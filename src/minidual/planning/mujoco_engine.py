@@ -20,7 +20,9 @@ from minidual.robot.constants import FINGER_JOINT_NAMES, FINGER_TRAVEL_M, JOINT_
 from minidual.robot.description import dual_panda_urdf
 
 # Without these the URDF reader would fuse the fixed links (and the tcp) into their parents.
-_COMPILER = '<mujoco><compiler fusestatic="false" discardvisual="true" strippath="false"/></mujoco><link name="world"'
+_COMPILER = (
+    '<mujoco><compiler fusestatic="false" discardvisual="true" strippath="false"/></mujoco><link name="world"'
+)
 _CLOSEST_WITHIN_M = 0.1
 
 

@@ -153,7 +153,11 @@ def random_obstacles(rng: np.random.Generator, count: int) -> tuple[Shape, ...]:
                 break
         place = (round(x, 4), round(y, 4), round(0.5 * height, 4))
         if rng.random() < 0.5:
-            size = (round(float(rng.uniform(0.05, 0.16)), 4), round(float(rng.uniform(0.05, 0.16)), 4), round(height, 4))
+            size = (
+                round(float(rng.uniform(0.05, 0.16)), 4),
+                round(float(rng.uniform(0.05, 0.16)), 4),
+                round(height, 4),
+            )
             half_yaw = 0.5 * float(rng.uniform(-np.pi / 2, np.pi / 2))
             quat = (float(np.cos(half_yaw)), 0.0, 0.0, float(np.sin(half_yaw)))
             shapes.append(Box(f"box{k}", place, quat, size))

@@ -13,7 +13,9 @@ from minidual.robot.kinematics import Kinematics
 class SceneEngines:
     """What planning in one scene needs (about 40 ms to build)."""
 
-    def __init__(self, scene: PlanningScene, kinematics: Kinematics, verify_step_rad: float = STEP_RAD) -> None:
+    def __init__(
+        self, scene: PlanningScene, kinematics: Kinematics, verify_step_rad: float = STEP_RAD
+    ) -> None:
         self.scene = scene
         self.mujoco = MujocoEngine(scene)
         self.coal = CoalEngine(scene)

@@ -29,7 +29,9 @@ def shortcut(path: Array, checker: EdgeChecker, rng: np.random.Generator, rounds
     """
     path = _drop_vertices(path, checker)
     both_move = all(np.ptp(path[:, GROUPS[f"{arm}_arm"]], axis=0).max() > 0.0 for arm in ("left", "right"))
-    parts = [slice(0, 14), GROUPS["left_arm"], slice(0, 14), GROUPS["right_arm"]] if both_move else [slice(0, 14)]
+    parts = (
+        [slice(0, 14), GROUPS["left_arm"], slice(0, 14), GROUPS["right_arm"]] if both_move else [slice(0, 14)]
+    )
     for k in range(rounds_n):
         if len(path) < 3:
             break

@@ -84,7 +84,9 @@ def drive(
         if factor <= 1.0:
             return trajectory, position
         sd = sd / (factor * 1.001)
-    raise TimingError(f"the path still needs to be {factor:.3f} times slower after {_SLOWDOWNS_MAX} slow-downs")
+    raise TimingError(
+        f"the path still needs to be {factor:.3f} times slower after {_SLOWDOWNS_MAX} slow-downs"
+    )
 
 
 def _slowdown_needed(trajectory: Trajectory, limits: MotionLimits, kinematics: Kinematics) -> float:
@@ -132,7 +134,9 @@ def fastest_profile(path: Curve, columns: Array, v_max: Array, a_max: Array) -> 
     )
     grid = _grid(path)
     toppra.setup_logging("ERROR")
-    solver = TOPPRA([velocity, acceleration], _adapter(path, columns), gridpoints=grid, solver_wrapper="seidel")
+    solver = TOPPRA(
+        [velocity, acceleration], _adapter(path, columns), gridpoints=grid, solver_wrapper="seidel"
+    )
     _, sd, _ = solver.compute_parameterization(0.0, 0.0)
     if sd is None or not np.isfinite(sd).all() or (sd[1:-1] <= 0.0).any():
         raise TimingError("toppra found no time law for the path; it may be degenerate")

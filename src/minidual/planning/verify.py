@@ -97,7 +97,9 @@ class Verifier:
         unproven = self._unproven(Q, nearest) if not (first.any() or second.any()) else 0
         reason = limit_reason
         if second.any() and not first.any():
-            reason = f"coal sees a collision at sample {int(np.argmax(second))} of {len(Q)} where MuJoCo sees none"
+            reason = (
+                f"coal sees a collision at sample {int(np.argmax(second))} of {len(Q)} where MuJoCo sees none"
+            )
         if first.any():
             k = int(np.argmax(first))
             reason = f"collision at sample {k} of {len(Q)}: {nearest[k][0]}"
@@ -176,7 +178,11 @@ class Verifier:
         if margin.min() < -_ROUNDING:
             joint = int(np.argmin(margin.min(axis=0)))
             return ratios, f"{JOINT_NAMES[joint]} leaves its position limit by {-margin.min():.4f} rad"
-        for what, values, limit in (("velocity", v, V_MAX), ("acceleration", a, A_MAX), ("torque", tau, TAU_MAX)):
+        for what, values, limit in (
+            ("velocity", v, V_MAX),
+            ("acceleration", a, A_MAX),
+            ("torque", tau, TAU_MAX),
+        ):
             worst = (np.abs(values) / limit).max(axis=0)
             joint = int(np.argmax(worst))
             if worst[joint] > 1.0 + _ROUNDING:

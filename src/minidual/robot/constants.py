@@ -59,7 +59,10 @@ FINGER_TRAVEL_M = 0.04
 FINGER_FORCE_MAX_N = 70.0
 """Continuous force of the Franka Hand [N] (Franka Hand data sheet)."""
 
-BASE_POSITIONS_M: dict[str, tuple[float, float, float]] = {"left": (0.0, 0.25, 0.0), "right": (0.0, -0.25, 0.0)}
+BASE_POSITIONS_M: dict[str, tuple[float, float, float]] = {
+    "left": (0.0, 0.25, 0.0),
+    "right": (0.0, -0.25, 0.0),
+}
 """Where each `panda_link0` stands in the world [m]; both face +x."""
 
 JOINT_ARMATURE = 0.1

@@ -31,7 +31,9 @@ def panda_description_dir() -> Path:
     try:
         files = importlib.metadata.distribution(_DISTRIBUTION).files or []
     except importlib.metadata.PackageNotFoundError as error:
-        raise EnvironmentMissingError(f"the package '{_DISTRIBUTION}' is not installed", remedy=remedy) from error
+        raise EnvironmentMissingError(
+            f"the package '{_DISTRIBUTION}' is not installed", remedy=remedy
+        ) from error
     for file in files:
         if str(file).endswith(_URDF_SUFFIX):
             folder = Path(str(file.locate())).resolve().parents[1]

@@ -228,7 +228,9 @@ def _add_cameras(spec: mujoco.MjSpec) -> None:
         about_z = [np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)]
         quat = np.empty(4)
         mujoco.mju_mulQuat(quat, np.array(about_y), np.array(about_z))
-        spec.body(f"{arm}_panda_hand").add_camera(name=arm, pos=[0.08, 0.0, 0.03], quat=quat.tolist(), fovy=62.0)
+        spec.body(f"{arm}_panda_hand").add_camera(
+            name=arm, pos=[0.08, 0.0, 0.03], quat=quat.tolist(), fovy=62.0
+        )
 
 
 def _add_contact_sensors(spec: mujoco.MjSpec) -> None:

@@ -64,7 +64,9 @@ class World:
         model: Reuse a compiled model (it must come from `build_model`).
     """
 
-    def __init__(self, scene: SceneConfig, *, visuals: bool = False, model: mujoco.MjModel | None = None) -> None:
+    def __init__(
+        self, scene: SceneConfig, *, visuals: bool = False, model: mujoco.MjModel | None = None
+    ) -> None:
         self.scene = scene
         self.model = build_model(scene, visuals=visuals) if model is None else model
         self.data = mujoco.MjData(self.model)
@@ -77,7 +79,9 @@ class World:
         self._rod_qpos, self._rod_qvel = int(free.qposadr[0]), int(free.dofadr[0])
         self._hand_bodies = [self.model.body(f"{arm}_panda_hand").id for arm in ARMS]
         start = int(self.model.sensor("left_leftfinger_contact").adr[0])
-        self._contacts = self.data.sensordata[start : start + 36].reshape(2, 2, 9)  # a view: arm, finger, field
+        self._contacts = self.data.sensordata[start : start + 36].reshape(
+            2, 2, 9
+        )  # a view: arm, finger, field
         self.reset()
 
     @property
@@ -116,7 +120,9 @@ class World:
         """Twist (6,) of the rod at its centre of mass, world axes."""
         v = self.data.qvel[self._rod_qvel : self._rod_qvel + 6]
         R = self.data.xmat[self._rod_body].reshape(3, 3)
-        return np.concatenate([v[:3], R @ v[3:]])  # MuJoCo keeps a free joint's angular velocity in the body frame
+        return np.concatenate(
+            [v[:3], R @ v[3:]]
+        )  # MuJoCo keeps a free joint's angular velocity in the body frame
 
     @property
     def contact_count(self) -> int:
@@ -127,7 +133,11 @@ class World:
         """Return (body, body, distance [m]) of every contact."""
         body = self.model.geom_bodyid
         return [
-            (self.model.body(int(body[c.geom1])).name, self.model.body(int(body[c.geom2])).name, float(c.dist))
+            (
+                self.model.body(int(body[c.geom1])).name,
+                self.model.body(int(body[c.geom2])).name,
+                float(c.dist),
+            )
             for c in self.data.contact[: self.data.ncon]
         ]
 
@@ -171,9 +181,7 @@ class World:
         contacts = self.data.contact[: self.data.ncon]
         return any({int(body[c.geom1]), int(body[c.geom2])} == {table, self._rod_body} for c in contacts)
 
-    def reset(
-        self, q: Array | None = None, *, rod_xy_yaw: tuple[float, float, float] | None = None
-    ) -> None:
+    def reset(self, q: Array | None = None, *, rod_xy_yaw: tuple[float, float, float] | None = None) -> None:
         """Put the arms at q (14,) (home by default), hands open, the rod at (x, y, yaw) on the table.
 
         Raises:
@@ -185,7 +193,9 @@ class World:
         bad = ~((q >= Q_LOWER - 1e-9) & (q <= Q_UPPER + 1e-9))
         if bad.any():
             i = int(np.argmax(bad))
-            raise UsageError(f"{JOINT_NAMES[i]} = {q[i]:.4f} rad; {Q_LOWER[i]:.4f} <= value <= {Q_UPPER[i]:.4f}")
+            raise UsageError(
+                f"{JOINT_NAMES[i]} = {q[i]:.4f} rad; {Q_LOWER[i]:.4f} <= value <= {Q_UPPER[i]:.4f}"
+            )
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[self.joints.qpos] = q
         self.data.qpos[self.fingers.qpos] = FINGER_TRAVEL_M

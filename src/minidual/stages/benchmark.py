@@ -65,7 +65,6 @@ class BenchmarkStage:
 
     def parameters(self, config: Config) -> dict[str, Any]:
         """Return what the result depends on."""
-
         return {
             "benchmark": config.benchmark,
             "carry": config.carry,

@@ -57,7 +57,6 @@ class DeployStage:
 
     def parameters(self, config: Config) -> dict[str, Any]:
         """Return what the result depends on."""
-
         return {
             "deploy": config.deploy,
             "scene": config.scene,

@@ -64,7 +64,7 @@ def record_checks(numbers: RecordingNumbers, config: TeleopConfig) -> list[Check
         ),
         Check(
             "episodes_per_min", n.episodes_per_min, ">", config.episodes_per_min, "1/min",
-            "demonstrations kept a minute, start-up included", "use more workers, or smaller or fewer cameras",
+            "demonstrations kept a minute, once the processes have started", "use more workers, or smaller or fewer cameras",
         ),
         Check(
             "sync_error_max_s", n.sync_error_max_s, "<=", SYNC_LIMIT_S, "s",
@@ -107,6 +107,10 @@ class TeleopRecordStage:
 
         config = context.config
         job = Job(context.folder, config.scene, config.teleop, config.arbiter, context.seed)
+        if config.teleop.leader == "keyboard":
+            from minidual.teleop.keyboard import HELP
+
+            context.progress.note(f"keys: {HELP}")
         with context.progress.task("demonstrations", config.teleop.episodes_n) as task:
 
             def tell(attempt: Attempt) -> None:
@@ -160,7 +164,7 @@ def count_recording(recording: Recording, dataset_rows: int, dataset_episodes: i
         sync_error_max_s=float(np.max([a.sync_error_max_s for a in kept])),
         latency_p50_s=float(np.percentile(latencies, 50)),
         latency_p99_s=float(np.percentile(latencies, 99)),
-        episodes_per_min=60.0 * len(kept) / recording.wall_s,
+        episodes_per_min=recording.episodes_per_min,
         recorded_ticks=sum(q.ticks for q in qualities),
         dataset_rows=dataset_rows,
         dataset_episodes=dataset_episodes,

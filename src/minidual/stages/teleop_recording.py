@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +73,7 @@ class Attempt:
         sync_error_max_s: Largest time between joints and pictures of a tick, read back from the file.
         problems: Faults of the file, read back.
         latencies_s: Wall-clock time of each tick from reading the leader to its torque.
+        wall_s: Wall-clock time of the attempt: planned, led, written and read back.
     """
 
     trial: RodTrial
@@ -87,6 +88,7 @@ class Attempt:
     sync_error_max_s: float = float("nan")
     problems: tuple[str, ...] = ()
     latencies_s: Array | None = None
+    wall_s: float = 0.0
 
 
 class Rig:
@@ -199,7 +201,14 @@ def _record_in_worker(job: Job, index: int) -> Attempt:
             rig.close()
         _rigs.clear()
         _rigs[key] = Rig(job, job.teleop.cameras)
-    return _rigs[key].record(index)
+    began = time.perf_counter()
+    attempt = _rigs[key].record(index)
+    return replace(attempt, wall_s=time.perf_counter() - began)
+
+
+def usable_workers(job: Job, workers: int) -> int:
+    """Return over how many processes a recording can be spread: one, if the leader needs this one's terminal."""
+    return 1 if job.teleop.leader in IN_PROCESS else workers
 
 
 def record_attempts(job: Job, indices: Sequence[int], *, workers: int) -> Iterator[Attempt]:
@@ -210,7 +219,7 @@ def record_attempts(job: Job, indices: Sequence[int], *, workers: int) -> Iterat
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"
     os.environ.setdefault("LP_NUM_THREADS", "0")  # the software renderer draws in the calling thread
-    processes = 1 if job.teleop.leader in IN_PROCESS else min(workers, max(1, len(indices)))
+    processes = min(usable_workers(job, workers), max(1, len(indices)))
     yield from joblib.Parallel(
         n_jobs=processes, return_as="generator", batch_size=1, pre_dispatch="2*n_jobs"
     )(joblib.delayed(_record_in_worker)(job, index) for index in indices)
@@ -223,10 +232,17 @@ class Recording:
     Attributes:
         attempts: One a trial.
         wall_s: Wall-clock time from the first to the last, start of the processes included.
+        workers: Processes they were spread over.
     """
 
     attempts: tuple[Attempt, ...]
     wall_s: float
+    workers: int
+
+    @property
+    def episodes_per_min(self) -> float:
+        """Demonstrations a minute once the processes run; their start, paid once, would hide it in a short run."""
+        return 60.0 * len(self.kept) * self.workers / sum(a.wall_s for a in self.attempts)
 
     @property
     def kept(self) -> tuple[Attempt, ...]:
@@ -263,7 +279,7 @@ def record(job: Job, *, workers: int, on_attempt: Callable[[Attempt], None] | No
                 on_attempt(attempt)
     if all(a.path is None or a.kept for a in attempts):
         durable.remove(job.folder / REJECTED)
-    return Recording(tuple(attempts), time.perf_counter() - began)
+    return Recording(tuple(attempts), time.perf_counter() - began, min(usable_workers(job, workers), wanted))
 
 
 def film(job: Job, index: int, path: Path) -> SessionResult:
