@@ -25,7 +25,7 @@ from minidual.errors import NothingEvaluatedError, UsageError
 from minidual.pipeline.stage import StageContext
 from minidual.robot.constants import Q_LOWER, Q_UPPER
 from minidual.sim.world import World
-from minidual.stages import teleop_recording
+from minidual.stages import teleop_recording, teleop_rig
 from minidual.stages.registry import STAGES
 from minidual.stages.teleop_record import (
     STAGE,
@@ -34,7 +34,8 @@ from minidual.stages.teleop_record import (
     record_checks,
     write_quality,
 )
-from minidual.stages.teleop_recording import Attempt, Job, Recording, Rig, record
+from minidual.stages.teleop_recording import Recording, record
+from minidual.stages.teleop_rig import Attempt, Job, Rig
 
 CONFIG = Config()
 GOOD = RecordingNumbers(
@@ -92,7 +93,7 @@ def _contents(path: Path) -> dict[str, Any]:
 def shared_model(visual_model: mujoco.MjModel) -> Iterator[None]:
     """Worlds of this process share the compiled model, which takes seconds to make."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(teleop_recording, "World", lambda scene, *, visuals: World(scene, model=visual_model))
+        patch.setattr(teleop_rig, "World", lambda scene, *, visuals: World(scene, model=visual_model))
         yield
 
 
@@ -223,7 +224,8 @@ _SCRIPT = """
 import sys
 from pathlib import Path
 from minidual.config.root import Config
-from minidual.stages.teleop_recording import Job, record
+from minidual.stages.teleop_recording import record
+from minidual.stages.teleop_rig import Job
 c = Config()
 job = Job(Path(sys.argv[1]), c.scene, c.teleop.model_copy(update={"episodes_n": 50}), c.arbiter, 11)
 record(job, workers=1)

@@ -9,7 +9,7 @@ import numpy as np
 
 from minidual.config.scene import TaskConfig
 from minidual.data.episode import read_episode
-from minidual.stages.teleop_recording import Attempt
+from minidual.stages.teleop_rig import Attempt
 
 
 def draw_quality(attempts: Sequence[Attempt], task: TaskConfig, jerk_limit_rad_s3: float, path: Path) -> None:

@@ -16,7 +16,8 @@ from minidual.pipeline.stage import StageContext, StageResult
 if TYPE_CHECKING:
     from minidual.config.root import Config
     from minidual.config.teleop import TeleopConfig
-    from minidual.stages.teleop_recording import Attempt, Recording
+    from minidual.stages.teleop_recording import Recording
+    from minidual.stages.teleop_rig import Attempt
 
 SYNC_LIMIT_S = 0.02
 
@@ -103,7 +104,8 @@ class TeleopRecordStage:
         """Record, convert, film, and write quality.csv and quality.png."""
         from minidual.data.lerobot_adapter import convert
         from minidual.stages.teleop_figures import draw_quality
-        from minidual.stages.teleop_recording import Job, film, record
+        from minidual.stages.teleop_recording import record
+        from minidual.stages.teleop_rig import Job, film
 
         config = context.config
         job = Job(context.folder, config.scene, config.teleop, config.arbiter, context.seed)
