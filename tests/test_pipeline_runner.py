@@ -7,9 +7,10 @@ import shutil
 from pathlib import Path
 
 import pytest
-from pipeline_toys import Bench
+from pipeline_toys import KNOB, Bench, Toy
 
 from minidual.errors import (
+    ConfigError,
     DataError,
     EnvironmentMissingError,
     ExitCode,
@@ -19,8 +20,9 @@ from minidual.errors import (
 )
 from minidual.pipeline.check import Check
 from minidual.pipeline.lock import run_lock
-from minidual.pipeline.runner import StageCrashedError
+from minidual.pipeline.runner import Runner, StageCrashedError
 from minidual.pipeline.stage import StageResult
+from minidual.pipeline.table import StageEntry, StageOption, StageTable
 
 
 @pytest.fixture
@@ -334,3 +336,26 @@ def test_data_that_is_not_json_is_a_crash_not_a_pass(bench, monkeypatch):
 def test_runs_folder_need_not_exist(tmp_path: Path):
     bench = Bench(tmp_path / "deep" / "runs")
     assert bench.runner().run("first").exit_code == ExitCode.PASS
+
+
+class _Refusing(Toy):
+    """A toy that finds its configuration impossible."""
+
+    def validate(self, config):
+        raise UsageError("no method 'x'; there are a, b")
+
+
+def test_what_is_typed_wrongly_is_said_before_the_gate_is_looked_at(bench):
+    bench.second = _Refusing("second", ("first",))
+    entries = [
+        StageEntry("first", bench.first, (), "Toy one", (StageOption("queries", KNOB, "How many."),)),
+        StageEntry("second", bench.second, ("first",), "Toy two"),
+    ]
+    runner = Runner(StageTable(tuple(entries), libraries=("numpy",)), bench.store, bench.loaded())
+    with pytest.raises(UsageError, match="no method 'x'"):
+        runner.run("second")  # the gate is closed as well; the typing error comes first
+    with pytest.raises(UsageError, match="no method 'x'"):
+        list(runner.run_until())  # and before the first stage of a whole run
+    assert bench.first.contexts == []
+    with pytest.raises(ConfigError, match="queries"):
+        runner.run("first", {"queries": 0})

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, Self
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from minidual.config.base import StrictModel
 
@@ -22,11 +22,20 @@ class OperatorConfig(StrictModel):
     open_s: float = Field(default=0.5, ge=0.3, le=20.0)
     retreat_s: float = Field(default=0.5, ge=0.2, le=20.0)
     rest_s: float = Field(default=0.1, ge=0.02, le=20.0)
+    overlap_s: float = Field(default=0.3, ge=0.0, le=1.0)
+    """How early the correction begins before the approach ends, and the descent before the correction does."""
     hover_m: float = Field(default=0.08, gt=0.02, le=0.3)
     """Height over the grasp from which the hands go straight down, and to which they retreat."""
     approach_noise_m: float = Field(default=0.010, ge=0.0, le=0.05)
     """Standard deviation of the error with which the hands arrive over the rod; corrected before they go down."""
     approach_noise_rad: float = Field(default=0.04, ge=0.0, le=0.2)
+
+    @model_validator(mode="after")
+    def _overlap_fits(self) -> Self:
+        shortest = min(self.approach_s, self.correct_s, self.descend_s)
+        if self.overlap_s > shortest:
+            raise ValueError(f"overlap_s {self.overlap_s} is longer than a phase it joins ({shortest} s)")
+        return self
 
 
 class MirrorConfig(StrictModel):

@@ -15,7 +15,7 @@ from minidual.pipeline.disk import disk_errors
 from minidual.pipeline.gate import Gate, StageState
 from minidual.pipeline.manifest import build_manifest
 from minidual.pipeline.progress import Progress, SilentProgress
-from minidual.pipeline.stage import StageContext
+from minidual.pipeline.stage import StageContext, Validates
 from minidual.pipeline.store import RunStore
 from minidual.pipeline.table import StageEntry, StageTable
 from minidual.pipeline.verdict import Verdict, Waiver
@@ -93,6 +93,7 @@ class Runner:
         """
         with disk_errors(self.store.folder), self.store.writing(self.command(name)):
             gate = Gate(self.table, self.store, self.loaded, {name: dict(options or {})})
+            self._validate(gate, name)
             return self._run_locked(gate, name, force, waiver)
 
     def run_until(
@@ -108,6 +109,8 @@ class Runner:
         with disk_errors(self.store.folder), self.store.writing(self.command(command)):
             gate = Gate(self.table, self.store, self.loaded)
             for name in names:
+                self._validate(gate, name)
+            for name in names:
                 # A finished stage that stands keeps the options it was typed with; one that must run again
                 # runs as the configuration says.
                 if force or gate.state(name).state != "pass":
@@ -117,6 +120,13 @@ class Runner:
                 yield outcome
                 if outcome.exit_code != ExitCode.PASS and waiver is None:
                     return
+
+    def _validate(self, gate: Gate, name: str) -> None:
+        """Raise what is wrong with the options and the configuration of a stage before anything else is said."""
+        stage = self.table[name].load()
+        _, loaded = gate.effective(name, None)
+        if isinstance(stage, Validates):
+            stage.validate(loaded.config)
 
     def _run_locked(self, gate: Gate, name: str, force: bool, waiver: str | None) -> Outcome:
         state = gate.state(name)

@@ -128,3 +128,16 @@ class HasInputs(Protocol):
     def inputs(self, config: Config) -> Sequence[Path]:
         """Return the files that the result depends on and that no stage wrote."""
         ...
+
+
+@runtime_checkable
+class Validates(Protocol):
+    """A stage that can tell from the configuration alone that it could not run."""
+
+    def validate(self, config: Config) -> None:
+        """Raise an error of `minidual.errors` for a name or value that the models cannot know to be wrong.
+
+        Called before the gate is looked at, and for every stage before the first of a whole run begins: an
+        unknown method must not come to light after half an hour of training.
+        """
+        ...

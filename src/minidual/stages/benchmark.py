@@ -74,6 +74,14 @@ class BenchmarkStage:
             "arbiter": config.arbiter,
         }
 
+    def validate(self, config: Config) -> None:
+        """Refuse unknown and repeated methods, and limits for methods that do not exist."""
+        from minidual.evaluation.methods import method_spec, parse_methods
+
+        parse_methods(config.benchmark.methods)
+        for name in config.benchmark.success_rate_min:
+            method_spec(name)
+
     def run(self, context: StageContext) -> StageResult:
         """Run all trials of all methods and write the tables."""
         from minidual.config.seeds import stream

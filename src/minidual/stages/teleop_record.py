@@ -100,6 +100,12 @@ class TeleopRecordStage:
         """Return what the result depends on."""
         return {"teleop": config.teleop, "scene": config.scene, "arbiter": config.arbiter}
 
+    def validate(self, config: Config) -> None:
+        """Refuse a leader that does not exist."""
+        from minidual.teleop.leader import require_leader
+
+        require_leader(config.teleop.leader)
+
     def run(self, context: StageContext) -> StageResult:
         """Record, convert, film, and write quality.csv and quality.png."""
         from minidual.data.lerobot_adapter import convert

@@ -31,7 +31,7 @@ class Phase:
 
     Attributes:
         name: What happens in it.
-        start_s: When it begins [s].
+        start_s: When it begins [s]; it may begin before the one before it ends.
         end_s: When it ends [s].
     """
 
@@ -97,15 +97,22 @@ class ScriptedOperator:
         self._grasps = grasp_offsets(scene)
 
     def phases(self) -> tuple[Phase, ...]:
-        """Return the phases with their times; the same in every trial."""
+        """Return the phases with their times; the same in every trial.
+
+        The correction begins before the approach ends and the descent before the correction does, so that the
+        hands never stand still over the rod. A policy that sees neither speed nor time would find a pause there,
+        learn to wait, and wait for ever.
+        """
         c = self.config
         result: list[Phase] = []
         start = 0.0
+        lead = {"correct": c.overlap_s, "descend": c.overlap_s}
         for name, duration in (
             ("approach", c.approach_s), ("correct", c.correct_s), ("descend", c.descend_s), ("close", c.close_s),
             ("lift", c.lift_s), ("carry", c.carry_s), ("lower", c.lower_s), ("open", c.open_s),
             ("retreat", c.retreat_s), ("rest", c.rest_s),
         ):  # fmt: skip
+            start -= lead.get(name, 0.0)
             result.append(Phase(name, start, start + duration))
             start += duration
         return tuple(result)
