@@ -65,10 +65,13 @@ class TaskConfig(StrictModel):
 
 
 class CameraConfig(StrictModel):
-    """Size of the recorded images."""
+    """The recorded images."""
 
     width_px: int = Field(default=128, ge=32, le=1920)
     height_px: int = Field(default=96, ge=24, le=1080)
+    supersample: int = Field(default=2, ge=1, le=4)
+    """Render this many times larger and average. A pixel spans 8 mm of the table; without averaging an edge inside
+    it leaves no trace, with it the shade of the pixel tells where the edge is."""
 
 
 class SceneConfig(StrictModel):

@@ -43,8 +43,7 @@ def policy(inputs: MethodInputs) -> Factory:
     def make(world: World, kinematics: Kinematics, trial: RodTrial) -> PolicyPilot:
         camera = cameras.get(id(world.model))
         if camera is None:
-            size = config.scene.camera
-            camera = cameras[id(world.model)] = Camera(world.model, size.width_px, size.height_px)
+            camera = cameras[id(world.model)] = Camera.recorded(world.model, config.scene.camera)
         return PolicyPilot(
             world, kinematics, runtime, lambda name: camera.picture(world.data, name),
             config.arbiter, config.teleop.rate_hz,

@@ -12,6 +12,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
+from minidual.config.scene import CameraConfig
 from minidual.errors import EnvironmentMissingError, unknown_name
 
 os.environ.setdefault("MUJOCO_GL", "egl")  # must be set before mujoco loads its GL backend
@@ -57,6 +58,11 @@ class Camera:
             self._renderer.scene.flags[flag] = int(shadows)
         self._model = model
         self._names = [model.camera(i).name for i in range(model.ncam)]
+
+    @classmethod
+    def recorded(cls, model: mujoco.MjModel, config: CameraConfig) -> Self:
+        """Return the camera whose pictures are recorded and whose pictures the policy sees: one and the same."""
+        return cls(model, config.width_px, config.height_px, supersample=config.supersample)
 
     def picture(self, data: mujoco.MjData, camera: str) -> Image:
         """Return the (H, W, 3) uint8 image that `camera` sees."""

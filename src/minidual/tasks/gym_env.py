@@ -218,8 +218,7 @@ class RodCarryEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
             observation["rod"] = self._rod().astype(np.float32)
         if self._images:
             if self._camera is None:
-                size = self.scene.camera
-                self._camera = Camera(world.model, size.width_px, size.height_px)
+                self._camera = Camera.recorded(world.model, self.scene.camera)
             camera = self._camera
             observation["images"] = {name: camera.picture(world.data, name) for name in self._images}
         return observation

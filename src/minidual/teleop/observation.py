@@ -42,8 +42,7 @@ class Observer:
     def __init__(self, world: World, cameras: Sequence[str] = ()) -> None:
         self.world = world
         self.cameras = tuple(cameras)
-        size = world.scene.camera
-        self._camera = Camera(world.model, size.width_px, size.height_px) if self.cameras else None
+        self._camera = Camera.recorded(world.model, world.scene.camera) if self.cameras else None
 
     def read(self) -> Observation:
         """Return the present instant."""
