@@ -7,10 +7,11 @@ import pytest
 
 from minidual.config.scene import SceneConfig
 from minidual.config.teleop import OperatorConfig
+from minidual.control.object_path import minimum_jerk
 from minidual.errors import UsageError
 from minidual.robot.constants import A_MAX, HOME, Q_LOWER, Q_UPPER, V_MAX
 from minidual.robot.kinematics import Kinematics
-from minidual.tasks.operator import ScriptedOperator, minimum_jerk
+from minidual.tasks.operator import ScriptedOperator
 from minidual.tasks.posture_ik import PostureIK
 from minidual.tasks.rod_carry import RodTrial, grasp_offsets, level_pose, sample_trial
 
@@ -28,7 +29,7 @@ def _tick(operator: ScriptedOperator, phase: str, rate_hz: float = 50.0) -> int:
 
 def test_the_minimum_jerk_profile_starts_and_ends_at_rest() -> None:
     s = np.linspace(0.0, 1.0, 2001)
-    x = minimum_jerk(s)
+    x = np.array([minimum_jerk(value)[0] for value in s])
     velocity = np.gradient(x, s)
     assert (x[0], x[-1]) == (0.0, 1.0)
     assert np.abs(velocity[[0, -1]]).max() < 1e-5

@@ -14,6 +14,7 @@ import numpy as np
 from minidual.config.scene import SceneConfig
 from minidual.config.seeds import stream
 from minidual.config.teleop import OperatorConfig
+from minidual.control.object_path import minimum_jerk
 from minidual.robot.constants import HOME, Array
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import pose, rot_x, rot_z
@@ -65,12 +66,6 @@ class Demonstration:
         """Return joint targets (14,) and openings (2,) at a time since the start [s]; the last ones after the end."""
         tick = min(max(round(elapsed_s * self.rate_hz), 0), len(self.q) - 1)
         return self.q[tick], self.gripper[tick]
-
-
-def minimum_jerk(s: Array | float) -> Array:
-    """Return 10 s^3 - 15 s^4 + 6 s^5 for s clipped to 0..1 (Flash and Hogan, 1985)."""
-    s = np.clip(s, 0.0, 1.0)
-    return s**3 * (10.0 + s * (6.0 * s - 15.0))
 
 
 class ScriptedOperator:
@@ -154,7 +149,7 @@ class ScriptedOperator:
         self, t: float, trial: RodTrial, error: Array, phases: tuple[Phase, ...]
     ) -> tuple[Array, Array]:
         """Return the poses of both tool centre points at time t."""
-        progress = {p.name: float(minimum_jerk((t - p.start_s) / (p.end_s - p.start_s))) for p in phases}
+        progress = {p.name: minimum_jerk((t - p.start_s) / (p.end_s - p.start_s))[0] for p in phases}
         T_world_rod = self._rod_pose(trial, error, progress)
         grasped = [T_world_rod @ T_rod_tcp for T_rod_tcp in self._grasps]
         s = progress["approach"]
