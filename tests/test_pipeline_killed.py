@@ -81,10 +81,13 @@ def test_lock_is_not_inherited_by_forked_children(bench, tmp_path):
         "import os, sys, time\n"
         "from pathlib import Path\n"
         "from minidual.pipeline.lock import run_lock\n"
+        "ready, tell = os.pipe()\n"
         "with run_lock(Path(sys.argv[1]), 'parent'):\n"
         "    child = os.fork()\n"
         "    if child == 0:\n"
+        "        os.write(tell, b'.')\n"
         "        time.sleep(60)\n"
+        "    os.read(ready, 1)\n"  # the child has been scheduled, and with it what runs after a fork
         "    print(child, flush=True)\n"
         "    time.sleep(60)\n"
     )
