@@ -14,10 +14,19 @@ from typing import Annotated, Any
 import typer
 
 import minidual
-from minidual.cli.commands import Body, config_body, explain_body, run_body, stage_body, status_body
+from minidual.cli.commands import (
+    Body,
+    config_body,
+    explain_body,
+    run_body,
+    stage_body,
+    status_body,
+    tool_body,
+)
 from minidual.cli.session import Session, Typed
 from minidual.errors import ExitCode, unknown_name
-from minidual.pipeline.table import StageOption, StageTable
+from minidual.pipeline.table import StageEntry, StageOption, StageTable
+from minidual.pipeline.tool import ToolEntry, ToolOption, key
 
 _COMMON: dict[str, tuple[Any, Any]] = {
     "profile": (
@@ -91,6 +100,26 @@ def _stage_option(option: StageOption) -> tuple[Any, Any]:
     return Annotated[option.kind | None, typer.Option(f"--{option.name}", help=option.help)], None
 
 
+def _tool_option(option: ToolOption) -> tuple[Any, Any]:
+    if option.argument:
+        kind: Any = list[option.kind] if option.many else option.kind
+        argument = typer.Argument(metavar=option.name.upper(), help=option.help)
+        return (
+            (Annotated[kind, argument], inspect.Parameter.empty)
+            if option.required
+            else (Annotated[kind | None, argument], None)
+        )
+    if option.kind is bool:
+        return Annotated[bool, typer.Option(f"--{option.name}", help=option.help)], False
+    return Annotated[option.kind | None, typer.Option(f"--{option.name}", help=option.help)], None
+
+
+def _stage_options(entry: StageEntry) -> dict[str, tuple[Any, Any]]:
+    """Return the options of a stage and of its asides; one that both have is the stage's."""
+    asides = {key(option.name): _tool_option(option) for aside in entry.asides for option in aside.options}
+    return {**asides, **{key(option.name): _stage_option(option) for option in entry.options}}
+
+
 def _show_version(wanted: bool) -> None:
     if wanted:
         print(f"minidual {minidual.__version__}")
@@ -101,8 +130,8 @@ def _flag(name: str) -> str:
     return "--set" if name == "settings" else f"--{name.replace('_', '-')}"
 
 
-def build_app(table: StageTable) -> typer.Typer:
-    """Return the command line for a table of stages."""
+def build_app(table: StageTable, tools: Sequence[ToolEntry] = ()) -> typer.Typer:
+    """Return the command line for a table of stages and the tools beside them."""
     app = typer.Typer(
         name="minidual",
         help="From an empty folder to a measured dual-arm robot system. Each command is a stage behind a gate.",
@@ -119,8 +148,11 @@ def build_app(table: StageTable) -> typer.Typer:
         del version
 
     for entry in table:
-        own = {option.name: _stage_option(option) for option in entry.options}
-        _add(app, table, entry.name, f"{entry.summary}.", {**own, **_RUNNING}, stage_body(entry))
+        own = {**_stage_options(entry), **_RUNNING}
+        _add(app, table, entry.name, f"{entry.summary}.", own, stage_body(entry))
+    for tool in tools:
+        options = {key(option.name): _tool_option(option) for option in tool.options}
+        _add(app, table, tool.name, f"{tool.summary}.", options, tool_body(tool))
     until = (Annotated[str | None, typer.Option(metavar="STAGE", help="Last stage to run.")], None)
     _add(
         app, table, "run", "Run every stage that is not passing and fresh, in order.",
@@ -138,9 +170,9 @@ def build_app(table: StageTable) -> typer.Typer:
     return app
 
 
-def run_command_line(arguments: Sequence[str], table: StageTable) -> int:
+def run_command_line(arguments: Sequence[str], table: StageTable, tools: Sequence[ToolEntry] = ()) -> int:
     """Run one command and return its exit code (see minidual.errors.ExitCode)."""
-    app = build_app(table)
+    app = build_app(table, tools)
     commands = {command.name or "" for command in app.registered_commands} | {"config"}
     if arguments and arguments[0].split("=")[0] in {_flag(name) for name in _COMMON}:
         flag = arguments[0].split("=")[0]
@@ -168,8 +200,9 @@ def _on_termination(number: int, frame: FrameType | None) -> None:
 def main() -> None:
     """Entry point of the `minidual` command."""
     from minidual.stages.registry import STAGES
+    from minidual.stages.tools import TOOLS
 
     signal.signal(signal.SIGTERM, _on_termination)
     # Some libraries' docstrings hold invalid escapes, and Python says so whenever it compiles them.
     warnings.simplefilter("ignore", SyntaxWarning)
-    sys.exit(run_command_line(sys.argv[1:], STAGES))
+    sys.exit(run_command_line(sys.argv[1:], STAGES, TOOLS))

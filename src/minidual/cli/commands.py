@@ -6,12 +6,13 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from minidual.cli.session import Session
-from minidual.errors import ExitCode
+from minidual.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
     from minidual.pipeline.gate import StageState
     from minidual.pipeline.runner import Outcome
     from minidual.pipeline.table import StageEntry
+    from minidual.pipeline.tool import ToolEntry
 
 Body = Callable[[Session, Mapping[str, Any]], ExitCode]
 """A command's work: the session and the values of its own options in, an exit code out."""
@@ -22,8 +23,13 @@ def stage_body(entry: StageEntry) -> Body:
 
     def body(session: Session, values: Mapping[str, Any]) -> ExitCode:
         from minidual.cli.tables import print_outcome
+        from minidual.pipeline.tool import key
 
-        options = {o.name: values[o.name] for o in entry.options if values[o.name] is not None}
+        for aside in entry.asides:
+            if aside.is_asked_for(values):
+                return run_tool(aside, session, values)
+        _refuse_loose_options(entry, values)
+        options = {o.name: values[key(o.name)] for o in entry.options if values[key(o.name)] is not None}
         outcome = session.runner().run(
             entry.name, options, force=values["force"], waiver=values["waive_gate"]
         )
@@ -36,6 +42,51 @@ def stage_body(entry: StageEntry) -> Body:
         return outcome.exit_code
 
     return body
+
+
+def tool_body(tool: ToolEntry) -> Body:
+    """Return the body of the command that is a tool."""
+    return lambda session, values: run_tool(tool, session, values)
+
+
+def run_tool(tool: ToolEntry, session: Session, values: Mapping[str, Any]) -> ExitCode:
+    """Run a tool and print what it says."""
+    from minidual.cli.progress import progress_for
+    from minidual.pipeline.disk import disk_errors
+    from minidual.pipeline.tool import ToolContext, key
+
+    config = session.loaded.config
+    typed = {
+        o.name: values[key(o.name)] for o in tool.options if values[key(o.name)] not in (None, False, ())
+    }
+    context = ToolContext(
+        config, config.seed, config.workers, session.loaded.profile, session.store.folder, typed,
+        progress_for(session.people), session.typed.command, tool.name,
+    )  # fmt: skip
+    context.begin()
+    with disk_errors(session.store.folder):
+        result = tool.load()(context)
+        context.publish()
+    for note in result.notes:
+        session.people.print(note, markup=False, highlight=False, soft_wrap=True)
+    if session.typed.json:
+        session.print_json({"tool": tool.name, "exit_code": int(result.exit_code), **result.data})
+    else:
+        for line in result.lines:
+            print(line)
+    return result.exit_code
+
+
+def _refuse_loose_options(entry: StageEntry, values: Mapping[str, Any]) -> None:
+    """Refuse an option that goes with an aside which nothing asked for: the stage would ignore it."""
+    from minidual.pipeline.tool import key
+
+    own = {option.name for option in entry.options}
+    for aside in entry.asides:
+        for option in aside.options:
+            if option.name not in own and values[key(option.name)] not in (None, False, ()):
+                triggers = " or ".join(f"--{name}" for name in aside.triggers)
+                raise UsageError(f"--{option.name} goes with {triggers} of {entry.name}")
 
 
 def _outcome_json(outcome: Outcome) -> dict[str, Any]:

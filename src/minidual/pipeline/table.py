@@ -9,6 +9,7 @@ from typing import Any, cast
 
 from minidual.errors import EnvironmentMissingError, unknown_name
 from minidual.pipeline.stage import Stage
+from minidual.pipeline.tool import ToolEntry
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,7 @@ class StageEntry:
 
     target: "module:ATTRIBUTE" that holds the stage, or the stage itself.
     closing: the stage that ends the pipeline; a waiver anywhere above it is a failed check in it.
+    asides: what the command does instead of running the stage when one of their options is typed.
     """
 
     name: str
@@ -46,6 +48,7 @@ class StageEntry:
     summary: str
     options: tuple[StageOption, ...] = ()
     closing: bool = False
+    asides: tuple[ToolEntry, ...] = ()
 
     def load(self) -> Stage:
         """Return the stage; EnvironmentMissingError names a library that it needs and that is not there."""

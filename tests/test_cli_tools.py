@@ -1,0 +1,97 @@
+"""Tools and asides: commands that are no stage write no verdict and leave nothing half-written."""
+
+import json
+
+import pytest
+from pipeline_toys import Toy
+
+from minidual.cli import run_command_line
+from minidual.errors import DataError, ExitCode
+from minidual.pipeline.table import StageEntry, StageTable
+from minidual.pipeline.tool import ToolContext, ToolEntry, ToolOption, ToolResult
+
+
+def measure(context: ToolContext) -> ToolResult:
+    if context.options.get("fail"):
+        (context.output / "half.txt").write_text("half")
+        raise DataError("the tool broke off")
+    (context.output / "number.txt").write_text(str(context.seed))
+    words = " ".join(context.options.get("names", ()))
+    return ToolResult([f"seed {context.seed} {words}"], ["a note"], {"seed": context.seed})
+
+
+def refuse(context: ToolContext) -> ToolResult:
+    return ToolResult(exit_code=ExitCode.ACCEPTANCE_FAILED)
+
+
+OPTIONS = (
+    ToolOption("fail", "Break off.", bool),
+    ToolOption("names", "Words.", argument=True, many=True),
+)
+TOOLS = (
+    ToolEntry("measure", f"{__name__}:measure", "Measure", OPTIONS),
+    ToolEntry("refuse", f"{__name__}:refuse", "Refuse"),
+)
+ASIDE = ToolEntry(
+    "number-tune", f"{__name__}:measure", "Tune",
+    (ToolOption("tune", "Tune.", bool), ToolOption("how-fast", "Speed.", float)), triggers=("tune",),
+)  # fmt: skip
+
+
+@pytest.fixture
+def run(tmp_path, capsys):
+    stage = Toy("first")
+    table = StageTable([StageEntry(stage.name, stage, stage.requires, stage.summary, asides=(ASIDE,))])
+
+    def call(*words):
+        code = run_command_line([*words, "--runs-dir", str(tmp_path), "--run", "r"], table, TOOLS)
+        out = capsys.readouterr()
+        return code, out.out, out.err
+
+    call.folder = tmp_path / "r"
+    call.stage = stage.name
+    return call
+
+
+def test_a_tool_prints_and_publishes_its_folder_and_no_verdict(run):
+    code, out, err = run("measure", "one", "two", "--seed", "7")
+    assert (code, out) == (0, "seed 7 one two\n")
+    assert "a note" in err
+    assert (run.folder / "measure" / "number.txt").read_text() == "7"
+    assert not list(run.folder.rglob("verdict.json"))
+
+
+def test_json_is_one_document(run):
+    code, out, _ = run("measure", "--json", "--seed", "7")
+    assert code == 0
+    assert json.loads(out) == {"tool": "measure", "exit_code": 0, "seed": 7}
+
+
+def test_a_tool_that_breaks_off_leaves_the_last_whole_result(run):
+    run("measure", "--seed", "7")
+    code, _, err = run("measure", "--fail")
+    assert code == int(DataError("x").exit_code)
+    assert "the tool broke off" in err
+    assert not (run.folder / "measure" / "half.txt").exists()
+    assert run("measure", "--seed", "8")[0] == 0
+    assert not (run.folder / "measure" / "half.txt").exists()
+    assert (run.folder / "measure" / "number.txt").read_text() == "8"
+
+
+def test_the_exit_code_is_the_tools(run):
+    assert run("refuse")[0] == 1
+
+
+def test_an_aside_runs_instead_of_the_stage(run):
+    code, _, _ = run(run.stage, "--tune", "--seed", "9")
+    assert code == 0
+    assert (run.folder / "number-tune" / "number.txt").read_text() == "9"
+    assert not list(run.folder.rglob("verdict.json"))
+    assert run(run.stage)[0] == 0
+    assert list(run.folder.rglob("verdict.json"))
+
+
+def test_an_option_of_an_aside_alone_is_refused(run):
+    code, _, err = run(run.stage, "--how-fast", "2")
+    assert code == 2
+    assert "--how-fast goes with --tune" in err
