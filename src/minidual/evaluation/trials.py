@@ -10,6 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from minidual.config.seeds import stream
+from minidual.evaluation.conditions import CLEAN
+from minidual.evaluation.conditions import condition as named_condition
 from minidual.evaluation.methods import Factory, Method, MethodInputs, load_factory, method_spec
 from minidual.evaluation.metrics import TrialMetrics, trial_metrics
 from minidual.robot.constants import TAU_MAX, Array
@@ -91,7 +94,7 @@ def run_trial(
     kinematics: Kinematics,
     trial: RodTrial,
     *,
-    condition: str = "clean",
+    condition: str = CLEAN,
     on_step: Callable[[World, Method], None] | None = None,
 ) -> tuple[TrialResult, TrialLog]:
     """Reset the world, run one trial to its end or its time limit, and judge it."""
@@ -153,16 +156,27 @@ class Bench:
     """A world and a method, built once in a process and used for many trials."""
 
     def __init__(self, method: str, inputs: MethodInputs) -> None:
-        self.method = method
+        self.method, self.seed = method, inputs.seed
         scene = inputs.config.scene
         model = build_model(scene, visuals=method_spec(method).needs_images)
         self.world = World(scene, model=model)
         self.kinematics = Kinematics()
         self.factory = load_factory(method, inputs)
 
-    def run(self, trial: RodTrial, *, condition: str = "clean") -> tuple[TrialResult, TrialLog]:
-        """Run one trial."""
-        return run_trial(self.method, self.factory, self.world, self.kinematics, trial, condition=condition)
+    def run(self, trial: RodTrial, *, condition: str = CLEAN) -> tuple[TrialResult, TrialLog]:
+        """Run one trial under a condition of the table in `minidual.evaluation.conditions`."""
+        spec = named_condition(condition)
+        disturb = spec.disturbance(stream(self.seed, f"disturbance/{condition}", trial.index))
+
+        def on_step(world: World, method: Method) -> None:
+            if disturb is not None:
+                disturb(world)
+
+        with spec.applied(self.world.model, trial.index):
+            return run_trial(
+                self.method, self.factory, self.world, self.kinematics, trial,
+                condition=condition, on_step=None if disturb is None else on_step,
+            )  # fmt: skip
 
 
 _BENCHES: dict[str, Bench] = {}
@@ -185,7 +199,7 @@ def run_trials(
     trials: Sequence[RodTrial],
     *,
     workers: int,
-    condition: str = "clean",
+    condition: str = CLEAN,
     keep_logs: bool = False,
 ) -> Iterator[tuple[TrialResult, TrialLog | None]]:
     """Run trials over processes and yield their results in order; the results do not depend on `workers`."""
