@@ -24,6 +24,7 @@ from minidual.cli.commands import (
     tool_body,
 )
 from minidual.cli.session import Session, Typed
+from minidual.cli.viewing import VIEW_OPTIONS
 from minidual.errors import ExitCode, unknown_name
 from minidual.pipeline.table import StageEntry, StageOption, StageTable
 from minidual.pipeline.tool import ToolEntry, ToolOption, key
@@ -148,15 +149,16 @@ def build_app(table: StageTable, tools: Sequence[ToolEntry] = ()) -> typer.Typer
         del version
 
     for entry in table:
-        own = {**_stage_options(entry), **_RUNNING}
+        own = {**_stage_options(entry), **(VIEW_OPTIONS if entry.watchable else {}), **_RUNNING}
         _add(app, table, entry.name, f"{entry.summary}.", own, stage_body(entry))
     for tool in tools:
         options = {key(option.name): _tool_option(option) for option in tool.options}
+        options |= VIEW_OPTIONS if tool.watchable else {}
         _add(app, table, tool.name, f"{tool.summary}.", options, tool_body(tool))
     until = (Annotated[str | None, typer.Option(metavar="STAGE", help="Last stage to run.")], None)
     _add(
         app, table, "run", "Run every stage that is not passing and fresh, in order.",
-        {"until": until, **_RUNNING}, run_body,
+        {"until": until, **VIEW_OPTIONS, **_RUNNING}, run_body,
     )  # fmt: skip
     _add(app, table, "status", "Show where every stage of the run stands.", {}, status_body)
     stage = (Annotated[str, typer.Argument(help="Name of a stage.")], inspect.Parameter.empty)

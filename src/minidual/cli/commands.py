@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from minidual.cli.session import Session
+from minidual.cli.viewing import live_view
 from minidual.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -30,9 +31,14 @@ def stage_body(entry: StageEntry) -> Body:
                 return run_tool(aside, session, values)
         _refuse_loose_options(entry, values)
         options = {o.name: values[key(o.name)] for o in entry.options if values[key(o.name)] is not None}
-        outcome = session.runner().run(
-            entry.name, options, force=values["force"], waiver=values["waive_gate"]
-        )
+        with live_view(session, values) as view:
+            outcome = session.runner(view).run(
+                entry.name, options, force=values["force"], waiver=values["waive_gate"]
+            )
+        if view is not None and not outcome.ran:
+            session.people.print(
+                f"nothing to watch: {entry.name} is passing and fresh; --force runs it again"
+            )
         following = session.following()
         print_outcome(session.people, outcome, following)
         if session.typed.json:
@@ -59,14 +65,15 @@ def run_tool(tool: ToolEntry, session: Session, values: Mapping[str, Any]) -> Ex
     typed = {
         o.name: values[key(o.name)] for o in tool.options if values[key(o.name)] not in (None, False, ())
     }
-    context = ToolContext(
-        config, config.seed, config.workers, session.loaded.profile, session.store.folder, typed,
-        progress_for(session.people), session.typed.command, tool.name,
-    )  # fmt: skip
-    context.begin()
-    with disk_errors(session.store.folder):
-        result = tool.load()(context)
-        context.publish()
+    with live_view(session, values, tool.view_default) as view:
+        context = ToolContext(
+            config, config.seed, config.workers if view is None else 1, session.loaded.profile,
+            session.store.folder, typed, progress_for(session.people), session.typed.command, tool.name, view,
+        )  # fmt: skip
+        context.begin()
+        with disk_errors(session.store.folder):
+            result = tool.load()(context)
+            context.publish()
     for note in result.notes:
         session.people.print(note, markup=False, highlight=False, soft_wrap=True)
     if session.typed.json:
@@ -109,12 +116,14 @@ def run_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
     if until is not None:
         session.table[until]  # an unknown stage is refused before anything runs
     outcomes: list[Outcome] = []
-    for outcome in session.runner().run_until(until, force=values["force"], waiver=values["waive_gate"]):
-        outcomes.append(outcome)
-        if outcome.ran:
-            print_outcome(session.people, outcome, "")
-        else:
-            session.people.print(f"{outcome.state.name}: pass, fresh")
+    with live_view(session, values) as view:
+        runner = session.runner(view)
+        for outcome in runner.run_until(until, force=values["force"], waiver=values["waive_gate"]):
+            outcomes.append(outcome)
+            if outcome.ran:
+                print_outcome(session.people, outcome, "")
+            else:
+                session.people.print(f"{outcome.state.name}: pass, fresh")
     code = next((o.exit_code for o in outcomes if o.exit_code != ExitCode.PASS), ExitCode.PASS)
     gate = session.gate()
     states = [gate.state(name) for name in session.table.names]

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from minidual.pipeline.runner import Runner
     from minidual.pipeline.store import RunStore
     from minidual.pipeline.table import StageTable
+    from minidual.view import View
 
 
 @dataclass(frozen=True)
@@ -98,12 +99,15 @@ class Session:
 
         return Gate(self.table, self.store, self.loaded)
 
-    def runner(self) -> Runner:
-        """Return a runner that reports to people."""
+    def runner(self, view: View | None = None) -> Runner:
+        """Return a runner that reports to people and shows the arms to `view`."""
         from minidual.cli.progress import progress_for
         from minidual.pipeline.runner import Runner
 
-        return Runner(self.table, self.store, self.loaded, progress_for(self.people), self.typed.command)
+        progress = progress_for(self.people)
+        if view is not None and self.loaded.config.workers > 1:
+            progress.note("what is watched runs in this process: one worker for this run")
+        return Runner(self.table, self.store, self.loaded, progress, self.typed.command, view)
 
     def following(self, gate: Gate | None = None) -> str:
         """Return the line that says what to type next."""

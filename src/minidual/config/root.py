@@ -12,6 +12,7 @@ from minidual.config.learning import DeployConfig, TrainConfig
 from minidual.config.planning import PlanConfig
 from minidual.config.scene import SceneConfig
 from minidual.config.teleop import TeleopConfig
+from minidual.config.view import ViewConfig
 
 
 class Config(StrictModel):
@@ -35,3 +36,4 @@ class Config(StrictModel):
     report: ReportConfig = ReportConfig()
     scene: SceneConfig = SceneConfig()
     arbiter: ArbiterConfig = ArbiterConfig()
+    view: ViewConfig = ViewConfig()

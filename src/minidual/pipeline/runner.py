@@ -61,6 +61,7 @@ class Runner:
     """Runs stages of one run.
 
     command: turns "plan" into the full command to type, for remedies.
+    view: handed to the stages as it is. What is watched runs in this process, so with a view there is one worker.
     """
 
     table: StageTable
@@ -68,6 +69,7 @@ class Runner:
     loaded: LoadedConfig
     progress: Progress = field(default_factory=SilentProgress)
     command: Callable[[str], str] = "minidual {}".format
+    view: Any = None
 
     def run(
         self,
@@ -170,7 +172,8 @@ class Runner:
             waivers=waivers,
             progress=self.progress,
             options=options,
-            workers=loaded.config.workers,
+            workers=loaded.config.workers if self.view is None else 1,
+            view=self.view,
         )
         started_at, started = now_text(), time.monotonic()
         try:

@@ -58,6 +58,8 @@ class StageContext:
     waivers: waivers that taint this stage, its own and inherited; empty in an honest run.
     options: command-line extras of this stage as typed, for example {"episodes": 50}.
     workers: how many processes the stage may use; results must not depend on it.
+    view: the live view (minidual.view.View) of somebody who watches, or None. Opaque here; it is no parameter and
+        enters no fingerprint, and what a stage finds must not depend on it.
     """
 
     folder: Path
@@ -70,6 +72,7 @@ class StageContext:
     progress: Progress = field(default_factory=SilentProgress)
     options: Mapping[str, Any] = field(default_factory=dict[str, Any])
     workers: int = 1
+    view: Any = None
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,7 @@ class StageEntry:
     target: "module:ATTRIBUTE" that holds the stage, or the stage itself.
     closing: the stage that ends the pipeline; a waiver anywhere above it is a failed check in it.
     asides: what the command does instead of running the stage when one of their options is typed.
+    watchable: it moves the arms and shows them to `context.view`: the command takes --view.
     """
 
     name: str
@@ -49,6 +50,7 @@ class StageEntry:
     options: tuple[StageOption, ...] = ()
     closing: bool = False
     asides: tuple[ToolEntry, ...] = ()
+    watchable: bool = False
 
     def load(self) -> Stage:
         """Return the stage; EnvironmentMissingError names a library that it needs and that is not there."""

@@ -57,6 +57,7 @@ class ToolContext:
     run_folder: the run that the command names; it need not exist.
     options: what was typed, without what was left out.
     command: turns "plan" into the full command to type, with the profile and run flags in use.
+    view: the live view (minidual.view.View) of somebody who watches, or None; only where the row says `watchable`.
     """
 
     config: Config
@@ -68,6 +69,7 @@ class ToolContext:
     progress: Progress = field(default_factory=SilentProgress)
     command: Callable[[str], str] = "minidual {}".format
     _name: str = ""
+    view: Any = None
 
     @property
     def folder(self) -> Path:
@@ -116,6 +118,9 @@ class ToolEntry:
     name: the command, or for an aside of a stage the name of its folder ("carry-tune").
     target: "module:function".
     triggers: for an aside, options any of which asks for it; the others only go with those.
+    watchable: it moves the arms and shows them to `context.view`: the command takes --view. An aside takes the one
+        of its stage.
+    view_default: the view without --view.
     """
 
     name: str
@@ -123,6 +128,8 @@ class ToolEntry:
     summary: str
     options: tuple[ToolOption, ...] = ()
     triggers: tuple[str, ...] = ()
+    watchable: bool = False
+    view_default: str = "none"
 
     def load(self) -> Callable[[ToolContext], ToolResult]:
         """Return the function."""
