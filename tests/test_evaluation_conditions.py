@@ -52,11 +52,11 @@ def test_another_joint_each_trial(model):
 
 
 def test_a_push_gives_the_object_its_impulse(model):
-    """A free object pushed by F for dt gains F dt / m: momentum is the oracle."""
+    """A free object pushed by F for dt, and by half of it during two ramps, gains F (dt + ramp) / m."""
     world = World(Config().scene, model=model)
     world.reset()
     address = int(model.joint("rod_free").qposadr[0])
-    pusher = _Pusher(Push((20.0, 0.0, 0.0), 0.02), delay_s=0.01)
+    pusher = _Pusher(Push((20.0, 0.0, 0.0), 0.02, ramp_s=0.005), delay_s=0.01)
     pusher(world)  # sees it at rest
     world.data.qpos[address + 2] += 0.3  # somebody lifted it
     gained = []
@@ -64,7 +64,7 @@ def test_a_push_gives_the_object_its_impulse(model):
         mujoco.mj_step(model, world.data)
         pusher(world)
         gained.append(world.rod_twist[0])
-    assert gained[-1] == pytest.approx(20.0 * 0.02 / 0.2, rel=0.01)
+    assert gained[-1] == pytest.approx(20.0 * 0.025 / 0.2, rel=0.01)
     assert not world.data.xfrc_applied.any()
 
 
