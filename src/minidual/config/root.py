@@ -11,6 +11,7 @@ from minidual.config.evaluation import BenchmarkConfig, ReportConfig
 from minidual.config.learning import DeployConfig, TrainConfig
 from minidual.config.planning import PlanConfig
 from minidual.config.scene import SceneConfig
+from minidual.config.supervisor import SupervisorConfig
 from minidual.config.teleop import TeleopConfig
 from minidual.config.view import ViewConfig
 
@@ -36,4 +37,5 @@ class Config(StrictModel):
     report: ReportConfig = ReportConfig()
     scene: SceneConfig = SceneConfig()
     arbiter: ArbiterConfig = ArbiterConfig()
+    supervisor: SupervisorConfig = SupervisorConfig()
     view: ViewConfig = ViewConfig()

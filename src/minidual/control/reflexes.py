@@ -1,0 +1,146 @@
+"""The reflexes: what stops the arms, why, and what to do then. One explicit table.
+
+A reflex is not an error of the program: it is the supervisor doing its work. It is reported once, as a `ReflexError`
+that carries the torque to apply in that very tick; afterwards the supervisor holds the arms until it is reset.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from minidual.errors import MinidualError
+from minidual.robot.constants import Array
+
+
+@dataclass(frozen=True)
+class ReflexKind:
+    """One row of the table.
+
+    Attributes:
+        name: Stable name.
+        libfranka: Name of the same error of the real arm, for those who move on to it; empty if it has none.
+        cause: What happened, in one line.
+        remedy: What to look at.
+        unit: Of value and bound.
+    """
+
+    name: str
+    libfranka: str
+    cause: str
+    remedy: str
+    unit: str
+
+
+_KINDS = (
+    ReflexKind(
+        "joint_position", "joint_position_limits_violation",
+        "a joint is beyond its position limit, or too fast to stop before it",
+        "keep targets inside the limits and slow down towards them; limits in minidual.robot.constants", "rad",
+    ),
+    ReflexKind(
+        "joint_velocity", "joint_velocity_violation", "a joint is faster than its limit",
+        "lower the velocity scale of the plan, or filter the targets (control/reference.py)", "rad/s",
+    ),
+    ReflexKind(
+        "torque_range", "tau_j_range_violation", "a controller asked for more torque than the motor has",
+        "clip the controller's output and find out why it needs so much: gains, payload, a jump of the target", "Nm",
+    ),
+    ReflexKind(
+        "torque_rate", "controller_torque_discontinuity",
+        "a controller kept asking for faster changes of torque than the motors follow",
+        "look for an oscillation or chatter: lower gains, filter velocities, smooth the reference", "Nm/s",
+    ),
+    ReflexKind(
+        "torque_saturation", "", "a motor stood at its torque limit",
+        "slow the motion down, lighten the load, or free the arm if it pushes against something", "Nm",
+    ),
+    ReflexKind(
+        "reference_acceleration", "joint_motion_generator_velocity_discontinuity",
+        "the commanded reference accelerates more than the joint may",
+        "time the trajectory within the limits (plan.planner.acceleration_scale), or send targets through the filter",
+        "rad/s^2",
+    ),
+    ReflexKind(
+        "reference_jerk", "joint_motion_generator_acceleration_discontinuity",
+        "the acceleration of the commanded reference jumps",
+        "use a profile with bounded jerk (quintic, ruckig), or send targets through a filter", "rad/s^3",
+    ),
+    ReflexKind(
+        "tcp_speed", "cartesian_velocity_violation", "a hand is faster than its limit",
+        "slow the motion down, or plan with a limit on the speed of the hand", "m/s",
+    ),
+    ReflexKind(
+        "workspace", "cartesian_position_limits_violation", "a hand is leaving the workspace",
+        "check the target; widen supervisor.workspace_m if the place is truly free", "m",
+    ),
+    ReflexKind(
+        "self_collision", "self_collision_avoidance_violation", "two parts of the arms come too close",
+        "plan around it (minidual plan checks collisions), or part the arms by hand before the reset", "m",
+    ),
+    ReflexKind(
+        "emergency_stop", "", "the emergency stop was pressed", "make the scene safe, then reset the supervisor", "",
+    ),
+    ReflexKind(
+        "not_finite", "", "a measurement or a torque is not a finite number",
+        "look at the controller's inputs: minidual replay FILE says what stopped being finite first", "",
+    ),
+    ReflexKind(
+        "stale_command", "communication_constraints_violation", "nobody has given a command for too long",
+        "see that the source runs and keeps its rate; supervisor.stale_s is how long it may be silent", "s",
+    ),
+)  # fmt: skip
+
+REFLEXES: dict[str, ReflexKind] = {kind.name: kind for kind in _KINDS}
+"""Every reflex by its name."""
+
+
+@dataclass(frozen=True)
+class Reflex:
+    """A reflex that came.
+
+    Attributes:
+        name: Key of REFLEXES.
+        time_s: When, on the clock of the control loop [s].
+        where: Joint, hand, pair of parts, or what was not finite.
+        value: What was measured or asked for; NaN is possible for `not_finite`.
+        bound: What it may be; None where there is no number.
+    """
+
+    name: str
+    time_s: float
+    where: str
+    value: float
+    bound: float | None
+
+    @property
+    def kind(self) -> ReflexKind:
+        """The row of the table."""
+        return REFLEXES[self.name]
+
+    @property
+    def text(self) -> str:
+        """Return "reflex joint_velocity at 1.234 s: ..." with value and bound."""
+        unit = f" {self.kind.unit}" if self.kind.unit else ""
+        numbers = "" if self.bound is None else f" ({self.value:.4g}{unit}, bound {self.bound:.4g}{unit})"
+        return f"reflex {self.name} at {self.time_s:.3f} s: {self.kind.cause}: {self.where}{numbers}"
+
+
+class ReflexError(MinidualError):
+    """The supervisor stops the arms.
+
+    Attributes:
+        reflex: What happened.
+        tau: (14,) [Nm] torque to apply in this tick, the first of the soft stop: always finite, within the limits.
+        dump: File with the last second before, for `minidual replay`, if one was written.
+    """
+
+    def __init__(self, reflex: Reflex, tau: Array, dump: Path | None = None) -> None:
+        look = f"; minidual replay {dump} shows the last second" if dump is not None else ""
+        super().__init__(reflex.text, remedy=reflex.kind.remedy + look)
+        self.reflex = reflex
+        self.tau = tau
+        self.dump = dump
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (type(self), (self.reflex, self.tau, self.dump))

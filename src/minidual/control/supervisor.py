@@ -1,0 +1,283 @@
+"""The supervisor: stands between the controllers and the motors, and stops the arms when a bound does not hold.
+
+`guard` is called once a tick with what was measured and what the controller asks for, and returns the torque to
+apply. All joint bounds are one comparison of six rows of fourteen numbers; what needs kinematics is looked at every
+`slow_period_s`, with a look-ahead that makes the period safe. The first tick in which something does not hold raises a
+`ReflexError` that carries the torque of that tick; from then on `guard` returns the torques of a soft stop until
+`reset`, whatever it is given. See docs/supervisor.md.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from minidual.config.supervisor import SupervisorConfig
+from minidual.control import limits
+from minidual.control.reflexes import Reflex, ReflexError
+from minidual.control.supervised_stop import SupervisedStop
+from minidual.errors import UsageError
+from minidual.robot.constants import ARMS, DOF, JOINT_NAMES, TCP_NAMES, Array
+from minidual.robot.kinematics import Kinematics
+
+Distance = Callable[[Array], tuple[str, float]]
+"""Takes q (14,) [rad]; returns the nearest pair of parts that may not touch ("a with b") and its distance [m]."""
+OnReflex = Callable[[Reflex], Path | None]
+"""Called once when a reflex comes; may return the file with the replayable state that it wrote."""
+
+_ZERO = np.zeros(DOF)
+
+
+class Supervisor:
+    """Guards the motors of both arms.
+
+    Args:
+        config: Bounds.
+        dt_s: Period of the control loop.
+        kinematics: Dynamics of its own; made if left out.
+        self_distance: Distance between parts of the arms; without it self-collision is not watched.
+        on_reflex: Called when a reflex comes, for example to write the last second to a file.
+    """
+
+    def __init__(
+        self,
+        config: SupervisorConfig | None = None,
+        *,
+        dt_s: float = 1e-3,
+        kinematics: Kinematics | None = None,
+        self_distance: Distance | None = None,
+        on_reflex: OnReflex | None = None,
+    ) -> None:
+        self.config = SupervisorConfig() if config is None else config
+        self.dt_s = dt_s
+        self.bounds = limits.TickBounds(self.config, dt_s)
+        self._kinematics = Kinematics() if kinematics is None else kinematics
+        self._stop = SupervisedStop(self._kinematics, self.config, dt_s)
+        self._self_distance = self_distance
+        self._on_reflex = on_reflex
+        self._slow_ticks = max(1, round(self.config.slow_period_s / dt_s))
+        self._rows = np.zeros((len(limits.ROWS), DOF))
+        self._ratio = np.zeros_like(self._rows)
+        self._jerk_ticks = 0
+        self.reset()
+
+    # What is asked of it -------------------------------------------------------------------------------------
+
+    def reset(self) -> None:
+        """Forget everything: the latched reflex, a pressed emergency stop, the last torque, the clock."""
+        self._reflex: Reflex | None = None
+        self._estop: str | None = None
+        self._deadline_s = math.inf
+        self._time_s = -math.inf
+        self._tick = 0
+        self._next_slow = 0
+        self._applied: Array | None = None
+        self._a_before: Array | None = None
+        self._slow_tick = -2
+        self._saturated = np.zeros(DOF, dtype=int)
+        self._limited = np.zeros(DOF, dtype=int)
+        self._jerk_ticks = 0
+        self._q_good: Array | None = None
+        self._v_good = _ZERO
+
+    @property
+    def reflex(self) -> Reflex | None:
+        """The reflex that holds the arms, or None."""
+        return self._reflex
+
+    @property
+    def jerk_ticks(self) -> int:
+        """Ticks since the reset in which the reference's jerk was over the limit."""
+        return self._jerk_ticks
+
+    def estop(self, reason: str = "pressed") -> None:
+        """Stop the arms in the next tick. May be called at any time, from any thread."""
+        self._estop = reason  # one assignment: atomic, nothing to lock
+
+    def heard(self, time_s: float) -> None:
+        """Report that a command came in. From the first report on, silence for `stale_s` is a reflex."""
+        self._deadline_s = time_s + self.config.stale_s
+
+    def guard(self, time_s: float, q: Array, v: Array, tau: Array, a_ref: Array | None = None) -> Array:
+        """Return the torques (14,) [Nm] to apply in this tick; always finite and within the limits.
+
+        Args:
+            time_s: Time of the control loop [s]; grows from call to call.
+            q: (14,) measured joints [rad].
+            v: (14,) measured velocities [rad/s].
+            tau: (14,) what the controller asks for [Nm], clipped by it to the motors' limits.
+            a_ref: (14,) acceleration of the commanded reference [rad/s^2], where there is one.
+
+        Raises:
+            ReflexError: Once, in the tick in which a bound does not hold; its `tau` is to be applied.
+            UsageError: Time does not grow: `reset` belongs to every reset of the world.
+        """
+        if self._reflex is not None:
+            return self._stop.torque(q, v)
+        if not time_s > self._time_s:
+            raise UsageError(
+                f"the supervisor's time does not grow: {time_s} s after {self._time_s} s",
+                remedy="call reset() of the supervisor whenever the world is reset",
+            )
+        self._time_s = time_s
+        self._tick += 1
+        rows, ratio = self._rows, self._ratio
+        rows[0], rows[1], rows[2] = q, v, tau
+        if self._applied is not None:
+            np.subtract(rows[2], self._applied, rows[3])
+        if a_ref is not None:
+            self._note_reference(a_ref)
+        np.subtract(rows, self.bounds.centre, ratio)
+        np.multiply(ratio, self.bounds.scale, ratio)
+        np.abs(ratio, ratio)
+        # argmax finds a NaN first, and NaN <= 1 is false: the one comparison also catches what is not finite.
+        if ratio.item(ratio.argmax()) <= 1.0 and self._estop is None and time_s <= self._deadline_s:
+            applied = rows[2]
+        else:
+            applied = self._look_closer(time_s)
+        if self._tick >= self._next_slow:
+            self._look_slowly(time_s)
+        if self._applied is None:
+            self._applied = np.zeros(DOF)
+        self._applied[:] = applied
+        return applied.copy()
+
+    # How it looks --------------------------------------------------------------------------------------------
+
+    def _note_reference(self, a_ref: Array) -> None:
+        self._rows[4] = a_ref
+        if self._a_before is None:
+            self._a_before = np.array(a_ref, dtype=float)
+        np.subtract(self._rows[4], self._a_before, self._rows[5])
+        self._a_before[:] = a_ref
+
+    def _look_closer(self, time_s: float) -> Array:
+        """Say which bound does not hold, or return the torque to apply where no reflex is due."""
+        q, v, tau, step, a_ref, a_step = self._rows
+        bounds = self.bounds
+        for what, values in (
+            ("measured position", q),
+            ("measured velocity", v),
+            ("torque", tau),
+            ("reference", a_ref),
+        ):
+            finite = np.isfinite(values)
+            if not finite.all():
+                joint = int(np.argmin(finite))
+                self._trip(
+                    "not_finite", time_s, f"{what} of {JOINT_NAMES[joint]}", float(values[joint]), None
+                )
+        if self._estop is not None:
+            self._trip("emergency_stop", time_s, self._estop, 1.0, None)
+        if time_s > self._deadline_s:
+            silent = time_s - self._deadline_s + self.config.stale_s
+            self._trip("stale_command", time_s, "no command", silent, self.config.stale_s)
+        if self._ratio[0].max() > 1.0:
+            self._trip_position(time_s, q)
+        self._trip_ratio("joint_velocity", time_s, v, bounds.v_max)
+        self._trip_ratio("torque_range", time_s, tau, bounds.tau_max, tolerance=limits.TORQUE_TOLERANCE)
+        self._trip_ratio("reference_acceleration", time_s, a_ref, bounds.a_max, tolerance=1e-9)
+        if np.max(np.abs(a_step) / bounds.a_step) > 1.0 + 1e-9:
+            self._jerk_ticks += 1
+            if self.config.jerk_reflex:
+                self._trip_ratio("reference_jerk", time_s, a_step / self.dt_s, bounds.a_step / self.dt_s)
+        return self._bound_torque(time_s, tau, step)
+
+    def _bound_torque(self, time_s: float, tau: Array, step: Array) -> Array:
+        """Limit the rate of the torque; count how long motors saturate and how long the limiter has worked."""
+        bounds = self.bounds
+        if self._slow_tick != self._tick - 1:  # the tick before was in order
+            self._saturated[:] = 0
+            self._limited[:] = 0
+        self._slow_tick = self._tick
+        self._saturated = np.where(np.abs(tau) >= limits.SATURATED * bounds.tau_max, self._saturated + 1, 0)
+        longest = int(np.argmax(self._saturated))
+        if self._saturated[longest] * self.dt_s > self.config.saturation_s + 1e-9:
+            where = f"{JOINT_NAMES[longest]} for {1e3 * self.config.saturation_s:.0f} ms"
+            self._trip(
+                "torque_saturation", time_s, where, float(tau[longest]), float(bounds.tau_max[longest])
+            )
+        over = np.abs(step) > bounds.tau_step * (1.0 + 1e-9)
+        self._limited = np.where(over, self._limited + 1, 0)
+        longest = int(np.argmax(self._limited))
+        if self._limited[longest] * self.dt_s > self.config.torque_rate_patience_s + 1e-9:
+            where = f"{JOINT_NAMES[longest]} for {1e3 * self.config.torque_rate_patience_s:.0f} ms"
+            rate, bound = float(step[longest]) / self.dt_s, bounds.tau_step / self.dt_s
+            self._trip("torque_rate", time_s, where, rate, bound)
+        if self._applied is None or not over.any():
+            return tau
+        return self._applied + np.clip(step, -bounds.tau_step, bounds.tau_step)
+
+    def _look_slowly(self, time_s: float) -> None:
+        """Check what needs kinematics, and set when to look again."""
+        self._next_slow = self._tick + self._slow_ticks
+        q, v = self._rows[0], self._rows[1]
+        self._q_good, self._v_good = q.copy(), v.copy()
+        rest = self.bounds.stopping_point(q, v)
+        if not np.abs((rest - self.bounds.centre[0]) * self.bounds.scale[0]).max() <= 1.0:
+            self._trip_position(time_s, rest)
+        model, data = self._kinematics.model, self._kinematics.data
+        pin.forwardKinematics(model, data, q, v)
+        ahead = self._slow_ticks * self.dt_s
+        (x0, x1), (y0, y1), (z0, z1) = self.config.workspace_m
+        for arm, frame in enumerate(self._kinematics.tcp_ids):
+            # Six numbers: plain floats are faster than arrays here.
+            x, y, z = pin.updateFramePlacement(model, data, frame).translation.tolist()
+            vx, vy, vz = pin.getFrameVelocity(model, data, frame, pin.LOCAL_WORLD_ALIGNED).linear.tolist()
+            speed = math.sqrt(vx * vx + vy * vy + vz * vz)
+            if not speed <= self.config.tcp_speed_max_m_per_s:
+                self._trip("tcp_speed", time_s, TCP_NAMES[arm], speed, self.config.tcp_speed_max_m_per_s)
+            x, y, z = x + ahead * vx, y + ahead * vy, z + ahead * vz
+            if not (x0 <= x <= x1 and y0 <= y <= y1 and z0 <= z <= z1):
+                self._trip_workspace(time_s, arm, (x, y, z))
+        if self._self_distance is not None:
+            pair, distance = self._self_distance(q)
+            if not distance >= self.config.self_collision_min_m:
+                self._trip("self_collision", time_s, pair, distance, self.config.self_collision_min_m)
+            # Look again before the gap could have closed to the bound, however the arms accelerate meanwhile.
+            gap = distance - self.config.self_collision_min_m
+            if gap < limits.approach_bound(v, ahead):
+                self._next_slow = self._tick + 1
+
+    # How it stops --------------------------------------------------------------------------------------------
+
+    def _trip_ratio(
+        self, name: str, time_s: float, values: Array, bounds: Array, *, tolerance: float = 0.0
+    ) -> None:
+        ratio = np.abs(values) / bounds
+        joint = int(np.argmax(ratio))
+        if ratio[joint] > 1.0 + tolerance:
+            self._trip(name, time_s, JOINT_NAMES[joint], float(values[joint]), float(bounds[joint]))
+
+    def _trip_position(self, time_s: float, q: Array) -> None:
+        bounds = self.bounds
+        joint = int(np.argmax(np.maximum(bounds.q_lower - q, q - bounds.q_upper)))
+        bound = bounds.q_lower if q[joint] < bounds.q_lower[joint] else bounds.q_upper
+        self._trip("joint_position", time_s, JOINT_NAMES[joint], float(q[joint]), float(bound[joint]))
+
+    def _trip_workspace(self, time_s: float, arm: int, there: tuple[float, float, float]) -> None:
+        excess = [
+            (max(low - value, value - high), axis, value, low if value < low else high)
+            for axis, value, (low, high) in zip("xyz", there, self.config.workspace_m, strict=True)
+        ]
+        _, axis, value, bound = max(excess)
+        self._trip("workspace", time_s, f"{axis} of the {ARMS[arm]} hand", value, bound)
+
+    def _trip(self, name: str, time_s: float, where: str, value: float, bound: float | None) -> None:
+        """Latch a reflex and raise it."""
+        reflex = Reflex(name, time_s, where, value, bound)
+        q, v = self._rows[0].copy(), self._rows[1].copy()
+        if not (np.isfinite(q).all() and np.isfinite(v).all()):
+            q, v = (np.zeros(DOF), _ZERO) if self._q_good is None else (self._q_good, self._v_good)
+        applied = self._applied
+        if applied is None:  # in the very first tick nothing was applied: begin with what carries the arms
+            applied = np.array(self._kinematics.gravity(q))
+        self._stop.begin(q, v, applied)
+        self._reflex = reflex
+        tau = self._stop.torque(self._rows[0], self._rows[1])
+        dump = self._on_reflex(reflex) if self._on_reflex is not None else None
+        raise ReflexError(reflex, tau, dump)
