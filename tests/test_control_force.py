@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from minidual.config.control import CarryConfig
+from minidual.config.control import CarryConfig, SensingConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.grasp import GraspMap, skew, squeeze_reference
 from minidual.control.object_impedance import (
@@ -173,7 +173,7 @@ def test_motion_feedforward_asks_for_the_acceleration_of_the_object() -> None:
 def test_energy_does_not_grow_when_a_held_rod_is_let_swing(scene: SceneConfig) -> None:
     """Grasp, squeeze, then hold: kinetic energy dies out and stays out."""
     world, kinematics = World(scene), Kinematics()
-    config = CarryConfig(lift_s=0.6)
+    config = CarryConfig(lift_s=0.6, transport_s=2.2, sensing=SensingConfig.perfect())
     trial = RodTrial("test", 0, (*scene.task.start_xy_m, 0.0), (*scene.task.start_xy_m, 0.0))
     world.reset(rod_xy_yaw=trial.start)
     carry = ImpedanceCarry(world, kinematics, config, trial)
@@ -241,12 +241,12 @@ def test_a_missing_rod_is_named_and_stops_the_trial(scene: SceneConfig) -> None:
     carry = ImpedanceCarry(world, Kinematics(), CarryConfig(), trial)
     judge = RodCarryJudge(scene, trial, demand_internal_force=True)
     while not carry.done and world.time < 14.0:
-        if carry.phase == "descend":  # somebody takes the rod away
+        if carry.phase == "close":  # somebody takes the rod away from between the fingers
             world.data.joint("rod_free").qpos[:3] = (0.5, 0.6, scene.rod.radius_m)
         carry.step()
         judge.observe(world)
     assert carry.aborted is not None
-    assert "missed grasp" in carry.aborted
+    assert "missed_grasp" in carry.aborted
     assert not judge.outcome(world).success
     assert np.abs(world.v).max() < 0.05  # a soft stop
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -22,10 +22,19 @@ class PhysicsConfig(StrictModel):
 
 
 class RodConfig(StrictModel):
-    """The carried object: an aluminium rod."""
+    """The carried object: an aluminium rod, or what tasks/objects.py puts in its place.
+
+    Its long axis is y. A cylinder has a radius; a box a width (x, between the fingers) and a height.
+    """
+
+    shape: Literal["cylinder", "box"] = "cylinder"
 
     length_m: float = Field(default=0.30, gt=0.1, le=0.6)
     radius_m: float = Field(default=0.00887, gt=0.003, le=0.03)
+    width_m: float = Field(default=0.05, gt=0.005, le=0.07)
+    """Of a box, between the fingers; a hand opens to 80 mm."""
+    height_m: float = Field(default=0.05, gt=0.005, le=0.2)
+    """Of a box."""
     mass_kg: float = Field(default=0.2, gt=0.01, le=3.0)
     friction: float = Field(default=0.5, gt=0.05, le=2.0)
     rolling_friction: float = Field(default=0.002, ge=0.0, le=0.1)
@@ -33,6 +42,29 @@ class RodConfig(StrictModel):
     """Distance of each hand from the rod's centre."""
     grasp_height_m: float = Field(default=0.003, ge=-0.01, le=0.02)
     """Height of the tool centre point over the rod's axis."""
+    break_force_n: float | None = Field(default=None, gt=0.0)
+    """Force of a hand or pinch of its fingers at which the object breaks; None for one that does not."""
+    colour: tuple[float, float, float, float] = (0.96, 0.45, 0.09, 1.0)
+
+    @property
+    def half_width_m(self) -> float:
+        """Half of what lies between the fingers."""
+        return self.radius_m if self.shape == "cylinder" else self.width_m / 2
+
+    @property
+    def rest_height_m(self) -> float:
+        """Height of the axis over the table while it rests."""
+        return self.radius_m if self.shape == "cylinder" else self.height_m / 2
+
+    @property
+    def inertia_kg_m2(self) -> tuple[float, float, float]:
+        """Principal moments about x, y (the long axis) and z of a body of uniform density."""
+        m, length = self.mass_kg, self.length_m
+        if self.shape == "cylinder":
+            across = m * (3 * self.radius_m**2 + length**2) / 12.0
+            return across, 0.5 * m * self.radius_m**2, across
+        w, h = self.width_m, self.height_m
+        return m * (length**2 + h**2) / 12.0, m * (w**2 + h**2) / 12.0, m * (w**2 + length**2) / 12.0
 
     @model_validator(mode="after")
     def _hands_on_rod(self) -> RodConfig:
@@ -43,11 +75,24 @@ class RodConfig(StrictModel):
         return self
 
 
+class ObstacleConfig(StrictModel):
+    """A block that stands on the table; nothing may touch it."""
+
+    size_m: tuple[float, float, float] = (0.30, 0.04, 0.10)
+    """Length along x, y and z."""
+    xy_m: tuple[float, float] = (0.5, 0.0)
+
+
 class TaskConfig(StrictModel):
     """Start, goal and limits of one rod trial."""
 
     start_xy_m: tuple[float, float] = (0.5, 0.25)
     goal_xy_m: tuple[float, float] = (0.5, -0.25)
+    goal_yaw_rad: float = Field(default=0.0, ge=-3.2, le=3.2)
+    """Direction in which the rod must lie at the goal."""
+    yaw_tolerance_rad: float | None = Field(default=None, gt=0.0, le=1.0)
+    """Largest error of that direction; None judges the place alone."""
+    obstacle: ObstacleConfig | None = None
     lift_height_m: float = Field(default=0.12, gt=0.03, le=0.4)
     """Height to which a method lifts the rod's axis above its resting height."""
     start_range_m: float = Field(default=0.05, ge=0.0, le=0.1)

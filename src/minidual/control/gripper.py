@@ -17,7 +17,7 @@ class Grippers:
     A finger servo of stiffness kp whose target lies `F / kp` inside the object's surface presses with F.
 
     Args:
-        scene: Holds the finger servo's stiffness and the rod's radius.
+        scene: Holds the finger servo's stiffness and the object's width.
         dt_s: Step of the control loop.
         pinch_force_n: Force to close with.
         speed_m_per_s: Slew rate of each finger.
@@ -33,19 +33,37 @@ class Grippers:
 
     def reset(self) -> None:
         """Open both hands at once."""
-        self._is_open = np.array([True, True])
+        self._is_open = [True, True]
         self.targets_m = np.full(2, FINGER_TRAVEL_M)
+
+    def close(self) -> None:
+        """Start with both hands closed, as when an object is already held."""
+        self._is_open = [False, False]
+        self.targets_m = np.full(2, self._closed_m)
 
     @property
     def is_open(self) -> Array:
         """Commanded state of each hand (2,), 1 open or 0 closed."""
-        return self._is_open.astype(float)
+        return np.array(self._is_open, dtype=float)
 
     def step(self, command: Array) -> Array:
-        """Advance one step towards command (2,) in 0..1; return the finger targets (2,) [m]."""
-        self._is_open = np.where(
-            command > OPEN_ABOVE, True, np.where(command < CLOSE_BELOW, False, self._is_open)
-        )
-        goal = np.where(self._is_open, FINGER_TRAVEL_M, self._closed_m)
-        self.targets_m = self.targets_m + np.clip(goal - self.targets_m, -self._step_m, self._step_m)
+        """Advance one step towards command (2,) in 0..1; return the finger targets (2,) [m].
+
+        Plain floats: on two numbers they take a fifth of the time of array operations.
+        """
+        targets = self.targets_m.tolist()
+        is_open = self._is_open
+        for hand, wanted in enumerate(command.tolist()):
+            if wanted > OPEN_ABOVE:
+                is_open[hand] = True
+            elif wanted < CLOSE_BELOW:
+                is_open[hand] = False
+            goal = FINGER_TRAVEL_M if is_open[hand] else self._closed_m
+            way = goal - targets[hand]
+            if way > self._step_m:
+                way = self._step_m
+            elif way < -self._step_m:
+                way = -self._step_m
+            targets[hand] += way
+        self.targets_m = np.array(targets)
         return self.targets_m

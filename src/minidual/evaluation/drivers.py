@@ -13,7 +13,7 @@ def impedance(inputs: MethodInputs) -> Factory:
     from minidual.tasks.impedance_carry import ImpedanceCarry
 
     config = inputs.config.carry
-    return lambda world, kinematics, trial: ImpedanceCarry(world, kinematics, config, trial)
+    return lambda world, kinematics, trial: ImpedanceCarry(world, kinematics, config, trial, seed=inputs.seed)
 
 
 def planned(inputs: MethodInputs) -> Factory:

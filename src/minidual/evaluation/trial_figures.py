@@ -22,7 +22,7 @@ def draw_trial(log: TrialLog, scene: SceneConfig, path: Path, *, title: str) -> 
 
     figure, axes = plt.subplots(2, 2, figsize=(11, 6.4), sharex=True, constrained_layout=True)
     (motion, tilt), (force, torque) = axes
-    goal = np.array([*scene.task.goal_xy_m, scene.rod.radius_m])
+    goal = np.array([*scene.task.goal_xy_m, scene.rod.rest_height_m])
     for k, (name, colour) in enumerate((("x", "#2f6db5"), ("y", "#e07b27"), ("z", "#3a9a5b"))):
         motion.plot(log.t, log.rod[:, k], color=colour, label=name)
         motion.axhline(goal[k], color=colour, lw=0.8, ls=":")

@@ -38,7 +38,8 @@ _PAD_POSITION_Z_M = 0.04525  # the URDF's "rubber tip" box, by which the pads ar
 
 _TABLE_HALF = (0.6, 0.8, 0.02)
 _TABLE_CENTRE_X = 0.38
-_ORANGE = [0.96, 0.45, 0.09, 1.0]
+OBSTACLE = "obstacle"
+"""Name of the geom that stands in the way, where a task has one."""
 _BLUE = [0.10, 0.25, 0.75, 1.0]
 
 
@@ -153,34 +154,50 @@ def _add_surroundings(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
     for arm in ARMS:
         spec.add_exclude(bodyname1="table", bodyname2=f"{arm}_panda_link0")  # the bases stand on it
     rod = scene.rod
-    for label, xy, rgba in (
-        ("start", scene.task.start_xy_m, [0.85, 0.87, 0.9, 1.0]),
-        ("goal", scene.task.goal_xy_m, [0.15, 0.62, 0.35, 1.0]),
+    for label, xy, yaw, rgba in (
+        ("start", scene.task.start_xy_m, 0.0, [0.85, 0.87, 0.9, 1.0]),
+        ("goal", scene.task.goal_xy_m, scene.task.goal_yaw_rad, [0.15, 0.62, 0.35, 1.0]),
     ):
         world.add_geom(
             name=f"{label}_mark", type=mujoco.mjtGeom.mjGEOM_BOX, pos=[xy[0], xy[1], 0.0003], rgba=rgba,
-            size=[1.6 * rod.radius_m, rod.length_m / 2 + 0.01, 0.0003], contype=0, conaffinity=0,
-            group=GROUP_MARKER,
+            size=[1.6 * rod.half_width_m, rod.length_m / 2 + 0.01, 0.0003], contype=0, conaffinity=0,
+            group=GROUP_MARKER, quat=_about_z(yaw),
         )  # fmt: skip
+    obstacle = scene.task.obstacle
+    if obstacle is not None:
+        x, y, z = obstacle.size_m
+        world.add_geom(
+            name=OBSTACLE, type=mujoco.mjtGeom.mjGEOM_BOX, size=[x / 2, y / 2, z / 2], rgba=[0.75, 0.22, 0.2, 1.0],
+            pos=[*obstacle.xy_m, z / 2],
+        )  # fmt: skip
+
+
+def _about_z(yaw_rad: float) -> list[float]:
+    return [float(np.cos(yaw_rad / 2.0)), 0.0, 0.0, float(np.sin(yaw_rad / 2.0))]
 
 
 def _add_rod(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
     """The rod's own y axis is its long axis; its body frame sits at the centre of mass."""
     rod = scene.rod
-    body = spec.worldbody.add_body(name="rod", pos=[*scene.task.start_xy_m, rod.radius_m])
+    body = spec.worldbody.add_body(name="rod", pos=[*scene.task.start_xy_m, rod.rest_height_m])
     body.add_freejoint(name="rod_free")
     along_y = [np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0]
+    if rod.shape == "cylinder":
+        shape = {"type": mujoco.mjtGeom.mjGEOM_CYLINDER, "quat": along_y}
+        size, band = [rod.radius_m, rod.length_m / 2, 0], [rod.radius_m + 0.0006, 0.015, 0]
+    else:
+        shape = {"type": mujoco.mjtGeom.mjGEOM_BOX}
+        size = [rod.width_m / 2, rod.length_m / 2, rod.height_m / 2]
+        band = [rod.width_m / 2 + 0.0006, 0.015, rod.height_m / 2 + 0.0006]
     body.add_geom(
-        name="rod", type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[rod.radius_m, rod.length_m / 2, 0], quat=along_y,
-        mass=rod.mass_kg, rgba=_ORANGE, condim=6, friction=[rod.friction, 0.01, rod.rolling_friction],
-        solref=_SOLREF, solimp=_SOLIMP,
+        name="rod", size=size, mass=rod.mass_kg, rgba=list(rod.colour), condim=6,
+        friction=[rod.friction, 0.01, rod.rolling_friction], solref=_SOLREF, solimp=_SOLIMP, **shape,
     )  # fmt: skip
     # Bands show where the hands belong and give the camera something to tell the rod's ends by.
     for sign in (-1, 1):
         body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[rod.radius_m + 0.0006, 0.015, 0], quat=along_y,
-            pos=[0, sign * rod.grasp_offset_m, 0], rgba=_BLUE, mass=0, contype=0, conaffinity=0,
-            group=GROUP_VISUAL,
+            size=band, pos=[0, sign * rod.grasp_offset_m, 0], rgba=_BLUE, mass=0, contype=0, conaffinity=0,
+            group=GROUP_VISUAL, **shape,
         )  # fmt: skip
 
 

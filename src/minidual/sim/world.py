@@ -149,6 +149,15 @@ class World:
         # The left finger (+y) pushes towards -y, the right one towards +y.
         return np.maximum(0.0, np.minimum(-along[:, 0], along[:, 1]))
 
+    def hand_forces(self) -> Array:
+        """Return the net force of each hand on the rod (2, 3) [N], world axes, left then right."""
+        return self._contacts[:, 0, :3] + self._contacts[:, 1, :3]
+
+    def touches(self, geom: str) -> bool:
+        """Return whether anything touches a geom, by its name."""
+        index = self.model.geom(geom).id
+        return bool((self.data.contact.geom[: self.data.ncon] == index).any())
+
     def contact_wrenches(self) -> tuple[ContactWrench, ContactWrench]:
         """Return the net wrench of each hand on the rod."""
         centre = self.data.xpos[self._rod_body]
@@ -202,7 +211,7 @@ class World:
         self.data.ctrl[self.fingers.ctrl] = FINGER_TRAVEL_M
         x, y, yaw = (*self.scene.task.start_xy_m, 0.0) if rod_xy_yaw is None else rod_xy_yaw
         address = self._rod_qpos
-        self.data.qpos[address : address + 3] = (x, y, self.scene.rod.radius_m)
+        self.data.qpos[address : address + 3] = (x, y, self.scene.rod.rest_height_m)
         self.data.qpos[address + 3 : address + 7] = quat_from_yaw(yaw)
         mujoco.mj_forward(self.model, self.data)
 

@@ -1,4 +1,8 @@
-"""Carry the rod under object impedance: approach, grasp, squeeze, lift, carry, lower, release, retreat."""
+"""Carry an object under object impedance: approach, grasp, squeeze, lift, carry, lower, release, retreat.
+
+Everything the arms do rests on what is sensed: joints and fingers from their encoders, motor torques from the drives,
+the object's pose and the contact forces through `sim/sensing.py`. The true state of the object is not read here.
+"""
 
 from __future__ import annotations
 
@@ -7,22 +11,31 @@ from dataclasses import dataclass
 import numpy as np
 
 from minidual.config.control import CarryConfig
+from minidual.config.seeds import stream
 from minidual.control.gripper import Grippers
 from minidual.control.joint_control import ComputedTorque
+from minidual.control.object_estimate import HeldEstimate, RestingEstimate
 from minidual.control.object_impedance import HeldObject, ImpedanceGains, ObjectImpedance, ObjectState
 from minidual.control.object_path import ObjectPath, Waypoint
-from minidual.robot.constants import Array
+from minidual.control.soft_stop import SoftStop, TorqueRate
+from minidual.robot.constants import DOF_PER_ARM, FINGER_TRAVEL_M, TAU_MAX, Array
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse
+from minidual.sim.sensing import Reading, Sensors
 from minidual.sim.world import World
-from minidual.tasks.reach import Quintic, approach_postures, grasp_posture
+from minidual.tasks.faults import FAULTS, CarryFault, FaultMonitor, Finding
+from minidual.tasks.pace import joint_duration_s, object_duration_s
+from minidual.tasks.reach import GraspUnreachableError, Quintic, approach_postures, grasp_posture
 from minidual.tasks.rod_carry import RodTrial, level_part, tilt_rad
 
 _OPEN, _CLOSED = np.ones(2), np.zeros(2)
-_GRASP_TIMEOUT_S = 1.5
-_SQUEEZE_RAMP_S = 0.4
-_RELEASE_RAMP_S = 0.25
-_ABORT_TILT_RAD = 0.35
+_SQUEEZE_RAMP_S, _SQUEEZE_SETTLE_S = 0.3, 0.1
+_LANDED_S = 0.1
+_RELEASE_RAMP_S = 0.2
+_OPENING_S = 0.3
+_STOPPED_S = 0.5
+_RETREAT_M = 0.10
+_GRIPPED = 0.9
 
 
 @dataclass(frozen=True)
@@ -37,38 +50,58 @@ class _Hold:
 
     law: ObjectImpedance
     path: ObjectPath
-    T_level_rod: Array
+    estimate: HeldEstimate
+    T_level_object: Array
 
     def desired(self, t_s: float) -> ObjectState:
         state = self.path.at(t_s)
-        return ObjectState(state.T_world_object @ self.T_level_rod, state.twist, state.acceleration)
+        return ObjectState(state.T_world_object @ self.T_level_object, state.twist, state.acceleration)
 
 
 class ImpedanceCarry:
     """One trial under object impedance; call `step` until `done`.
 
     Args:
-        world: The plant, already reset.
+        world: The plant, already reset. Joints, fingers and motors are read from it, the object never.
         kinematics: Workspace.
-        config: Speeds and gains.
-        trial: Start and goal.
+        config: Speeds, gains, sensing, limits.
+        trial: Start and goal. The start is not read: the object is found by its sensor.
+        sensors: What senses the object; by default, the configured sensors on the trial's own stream of `seed`.
+        seed: The run's seed.
     """
 
     name = "impedance"
 
-    def __init__(self, world: World, kinematics: Kinematics, config: CarryConfig, trial: RodTrial) -> None:
+    def __init__(
+        self, world: World, kinematics: Kinematics, config: CarryConfig, trial: RodTrial, *,
+        sensors: Sensors | None = None, seed: int = 0,
+    ) -> None:  # fmt: skip
         self.world, self._config, self._trial = world, config, trial
-        self._kinematics = kinematics
-        scene = world.scene
-        self._scene = scene
+        self._kinematics, self._scene = kinematics, world.scene
+        if sensors is None:
+            sensors = Sensors(world, config.sensing, stream(seed, f"sensing/{trial.purpose}", trial.index))
+        self._sensors = sensors
         self._joint = ComputedTorque(kinematics)
-        self._grippers = Grippers(scene, world.dt, pinch_force_n=config.impedance.pinch_n)
-        level = level_part(world.T_world_rod)
-        self._q_over, self._q_grasp = approach_postures(scene, level)
-        self._motion = Quintic(world.q, self._q_over, 1.2)
+        pinch = config.impedance.pinch_n
+        self._grippers = Grippers(world.scene, world.dt, pinch_force_n=pinch)
+        self._monitor = FaultMonitor(
+            config.faults, dt_s=world.dt, width_m=2.0 * world.scene.rod.half_width_m, pinch_n=pinch
+        )
+        self._reading = sensors.sense()
+        if self._reading.pose is None:
+            raise RuntimeError("the first reading of the sensors holds a pose")
+        self._sensed_s = world.time
+        self._forces, self._pinch = self._reading.hand_forces, self._reading.pinch
+        self._resting = RestingEstimate(self._reading.pose.T_world_object)
+        self._q_over, _ = approach_postures(world.scene, level_part(self._resting.T_world_object))
+        self._motion: Quintic | SoftStop = self._travel(world.q, self._q_over)
+        self._rate = TorqueRate(kinematics.gravity(world.q), world.dt)
+        self._told: Array | None = None
+        self._dead = np.zeros(2, dtype=bool)
+        self._stop_opens = False
         self._phase = _Phase("approach", world.time)
         self._hold: _Hold | None = None
-        self.aborted: str | None = None
+        self.fault: CarryFault | None = None
 
     @property
     def phase(self) -> str:
@@ -80,79 +113,129 @@ class ImpedanceCarry:
         """Return whether the cycle is over, aborted or not."""
         return self._phase.name == "done"
 
-    def _enter(self, name: str) -> None:
-        self._phase = _Phase(name, self.world.time)
+    @property
+    def aborted(self) -> str | None:
+        """Why the trial stopped itself, or None."""
+        return None if self.fault is None else self.fault.text
 
-    def _abort(self, reason: str) -> None:
-        """Stop softly: hold the posture and open the hands; the rod is lost, the arms are not."""
-        self.aborted = f"{reason} at {self.world.time:.2f} s"
-        self._motion = Quintic(self.world.q, self.world.q, 1.0)
-        self._hold = None
-        self._enter("aborted")
+    @property
+    def estimate(self) -> ObjectState:
+        """Where the controller believes the object to be."""
+        return ObjectState(self._resting.T_world_object) if self._hold is None else self._hold.estimate.state
 
     def step(self) -> None:
         """Run one control and physics step."""
-        t = self.world.time - self._phase.began_s
-        getattr(self, f"_{self._phase.name}")(t)
-        self.world.step()
+        world = self.world
+        self._sense()
+        if self.fault is None and self._told is not None:
+            self._heed(self._monitor.motors(self._told, world.tau))
+        getattr(self, f"_{self._phase.name}")(world.time - self._phase.began_s)
+        world.step()
+
+    # What is common to all phases -----------------------------------------------------------------------
+
+    def _sense(self) -> None:
+        """Take in what the sensors deliver and filter the forces."""
+        if self.world.time > self._sensed_s:  # the constructor has sensed the first step already
+            self._reading = self._sensors.sense()
+        reading: Reading = self._reading
+        share = self.world.dt / (self._config.sensing.force_filter_s + self.world.dt)
+        self._forces = self._forces + share * (reading.hand_forces - self._forces)
+        self._pinch = self._pinch + share * (reading.pinch - self._pinch)
+        if self._phase.name in ("approach", "descend") and reading.pose is not None:
+            self._resting.add(reading.pose.T_world_object)
+            self._heed(self._monitor.resting(self._resting.innovation))
+
+    def _command(self, tau: Array, opening: Array) -> None:
+        """Send torques, their change bounded, and finger targets."""
+        tau = np.where(np.repeat(self._dead, DOF_PER_ARM), 0.0, tau)
+        self._told = np.clip(self._rate.limit(tau), -TAU_MAX, TAU_MAX)
+        self.world.command(self._told, self._grippers.step(opening))
+
+    def _enter(self, name: str) -> None:
+        self._phase = _Phase(name, self.world.time)
+
+    def _heed(self, finding: Finding) -> None:
+        """Stop softly if something was found: the arms come to rest where they are."""
+        if finding is None or self.fault is not None:
+            return
+        name, detail = finding
+        world = self.world
+        self.fault = CarryFault(name, world.time, detail)
+        if name == "lost_arm":  # a drive that comes back must not find a torque waiting
+            self._dead = np.array([detail.startswith(arm) for arm in ("left", "right")])
+        self._stop_opens = FAULTS[name].opens_hands
+        self._motion = SoftStop(world.q, world.v, deceleration_share=self._config.faults.deceleration_share)
+        self._hold = None
+        self._enter("stop")
+
+    def _travel(self, q0: Array, q1: Array) -> Quintic:
+        return Quintic(q0, q1, joint_duration_s(q0, q1, self._config.pace))
 
     # Phases in joint space -------------------------------------------------------------------------------
 
-    def _joints(self, t: float, gripper: Array) -> bool:
+    def _joints(self, t: float, opening: Array) -> bool:
         world = self.world
-        tau = self._joint.torque(world.q, world.v, *self._motion.at(t))
-        world.command(tau, self._grippers.step(gripper))
+        self._command(self._joint.torque(world.q, world.v, *self._motion.at(t)), opening)
         return t >= self._motion.duration_s
 
     def _approach(self, t: float) -> None:
         if self._joints(t, _OPEN):
-            self._motion = Quintic(self._motion.q1, self._q_grasp, 0.7)
+            # By now the object has been seen a hundred times: the grasp is placed by the mean.
+            q_grasp = grasp_posture(self._scene, level_part(self._resting.T_world_object), self._q_over)
+            self._motion = self._travel(self._q_over, q_grasp)
             self._enter("descend")
 
     def _descend(self, t: float) -> None:
         if self._joints(t, _OPEN):
-            self._motion = Quintic(self._motion.q1, self._motion.q1, 1.0)
+            self._motion = Quintic(*[self._motion.at(t)[0]] * 2, 1.0)
             self._enter("close")
 
     def _close(self, t: float) -> None:
         self._joints(t, _CLOSED)
         # The lift is gated on what the fingers feel, not on a clock.
-        if float(self.world.pinch_forces().min()) > 0.9 * self._config.impedance.pinch_n:
+        if float(self._pinch.min()) > _GRIPPED * self._config.impedance.pinch_n:
             self._engage()
-        elif t > _GRASP_TIMEOUT_S:
-            self._abort(
-                f"missed grasp: pinch {self.world.pinch_forces().round(1).tolist()} N after {_GRASP_TIMEOUT_S} s"
-            )
+        else:
+            self._heed(self._monitor.closing(self._gaps_m(), self._pinch, t))
 
     def _open(self, t: float) -> None:
         if self._joints(t, _OPEN):
-            q_away = grasp_posture(
-                self._scene, level_part(self.world.T_world_rod), self.world.q, above_m=0.10
-            )
-            self._motion = Quintic(self.world.q, q_away, 0.8)
+            q = self.world.q
+            level = level_part(self._resting.T_world_object)
+            self._motion = self._travel(q, grasp_posture(self._scene, level, q, above_m=_RETREAT_M))
             self._enter("retreat")
 
     def _retreat(self, t: float) -> None:
         if self._joints(t, _OPEN):
             self._enter("done")
 
-    def _aborted(self, t: float) -> None:
-        if self._joints(t, _OPEN):
+    def _stop(self, t: float) -> None:
+        self._joints(t, _OPEN if self._stop_opens else _CLOSED)
+        if t > self._motion.duration_s + _STOPPED_S:
             self._enter("done")
 
     def _done(self, t: float) -> None:
-        self._joints(self._motion.duration_s, _OPEN)
+        self._joints(self._motion.duration_s, _CLOSED if self.fault and not self._stop_opens else _OPEN)
+
+    def _gaps_m(self) -> Array:
+        """Return the gap between the fingers of each hand (2,) [m], from their encoders."""
+        return 2.0 * FINGER_TRAVEL_M * self.world.gripper
 
     # Phases under object impedance -----------------------------------------------------------------------
 
     def _engage(self) -> None:
-        world, impedance = self.world, self._config.impedance
-        T_world_rod = world.T_world_rod
-        grasp = tuple(inverse(T_world_rod) @ T for T in self._kinematics.tcp_poses(world.q))
+        """Both hands have closed: fix the law, plan the path, begin to squeeze."""
+        world, impedance, sensing = self.world, self._config.impedance, self._config.sensing
+        T_object = self._resting.T_world_object
+        try:
+            path = self._plan(T_object)
+        except GraspUnreachableError as error:
+            self._heed(("unreachable", error.message))
+            return
+        grasp = tuple(inverse(T_object) @ T for T in self._kinematics.tcp_poses(world.q))
         rod = self._scene.rod
-        across = rod.mass_kg * (3 * rod.radius_m**2 + rod.length_m**2) / 12.0
-        along = 0.5 * rod.mass_kg * rod.radius_m**2
-        held = HeldObject(rod.mass_kg, np.diag([across, along, across]), grasp, np.array([0.0, 1.0, 0.0]))  # type: ignore[arg-type]
+        held = HeldObject(rod.mass_kg, np.diag(rod.inertia_kg_m2), grasp, np.array([0.0, 1.0, 0.0]))  # type: ignore[arg-type]
         gains = ImpedanceGains(
             stiffness=(impedance.stiffness_n_per_m,) * 3 + (impedance.stiffness_nm_per_rad,) * 3,
             damping_ratio=impedance.damping_ratio,
@@ -162,56 +245,91 @@ class ImpedanceCarry:
         )
         law = ObjectImpedance(self._kinematics, held, gains)
         law.engage(world.q)
-        x, y, z = T_world_rod[:3, 3]
-        level = level_part(T_world_rod)
-        yaw = float(np.arctan2(level[1, 0], level[0, 0]))
-        gx, gy, gyaw = self._trial.goal
-        high = z + self._scene.task.lift_height_m
-        c = self._config
-        path = ObjectPath(
-            Waypoint((x, y, z), yaw, 0.0),
-            [
-                Waypoint((x, y, high), yaw, c.lift_s),
-                Waypoint((gx, gy, high), gyaw, c.transport_s),
-                Waypoint((gx, gy, rod.radius_m), gyaw, c.lower_s),
-            ],
-        )
-        self._hold = _Hold(law, path, inverse(level) @ T_world_rod)  # a cylinder may have rolled
+        period = 1.0 / sensing.pose_rate_hz if sensing.pose_rate_hz > 0.0 else world.dt
+        estimate = HeldEstimate(
+            self._kinematics, world.q, T_object, delay_ticks=self._sensors.delay_ticks,
+            least_gain=period / max(sensing.grasp_memory_s, period),
+        )  # fmt: skip
+        self._hold = _Hold(law, path, estimate, inverse(level_part(T_object)) @ T_object)
         self._enter("squeeze")
+
+    def _plan(self, T_object: Array) -> ObjectPath:
+        """Return the path from where the object lies to the goal, each segment as fast as the limits allow."""
+        config, scene = self._config, self._scene
+        x, y, z = T_object[:3, 3]
+        level = level_part(T_object)
+        yaw = float(np.arctan2(level[1, 0], level[0, 0]))
+        gx, gy, goal_yaw = self._trial.goal
+        high = z + scene.task.lift_height_m
+        place, q = Waypoint((x, y, z), yaw, 0.0), self.world.q
+        ends = (
+            ((x, y, high), yaw, config.lift_s),
+            ((gx, gy, high), goal_yaw, config.transport_s),
+            ((gx, gy, scene.rod.rest_height_m), goal_yaw, config.lower_s),
+        )
+        start, waypoints = place, []
+        for xyz, direction, fixed_s in ends:
+            end = Waypoint(xyz, direction, 0.0)
+            planned_s, q = object_duration_s(scene, place, end, q, config.pace)
+            waypoints.append(Waypoint(xyz, direction, planned_s if fixed_s is None else fixed_s))
+            place = end
+        return ObjectPath(start, waypoints)
 
     @property
     def _held(self) -> _Hold:
         if self._hold is None:
-            raise RuntimeError(f"phase '{self.phase}' needs the rod in both hands")
+            raise RuntimeError(f"phase '{self.phase}' needs the object in both hands")
         return self._hold
 
-    def _impedance(self, t_path: float, squeeze_n: float) -> None:
-        world, hold = self.world, self._held
-        measured = ObjectState(world.T_world_rod, world.rod_twist)
+    def _impedance(self, t_path: float, squeeze_n: float, *, steady: bool = False) -> bool:
+        """Run the law for one step; return whether the object is still held."""
+        world, hold, sample = self.world, self._held, self._reading.pose
+        if sample is None:
+            state = hold.estimate.update(world.q, world.v, None)
+        else:
+            state = hold.estimate.update(world.q, world.v, sample.T_world_object, sample.age_ticks)
+        axis = state.T_world_object[:3, 1]
+        felt = min(-float(axis @ self._forces[0]), float(axis @ self._forces[1]))
         tau = hold.law.torque(
-            world.q, world.v, measured, hold.desired(t_path),
-            internal_force_n=squeeze_n, measured_internal_force_n=world.internal_force(),
+            world.q, world.v, state, hold.desired(t_path),
+            internal_force_n=squeeze_n, measured_internal_force_n=felt,
         )  # fmt: skip
-        world.command(tau, self._grippers.step(_CLOSED))
-        if tilt_rad(measured.T_world_object) > _ABORT_TILT_RAD:
-            self._abort(f"rod tilted {np.degrees(tilt_rad(measured.T_world_object)):.0f} deg")
-        elif self._phase.name == "carry" and float(world.pinch_forces().max()) == 0.0:
-            self._abort("rod lost: no contact at either hand")
+        self._command(tau, _CLOSED)
+        if self._phase.name != "unload":
+            self._watch(state, squeeze_n, felt, fresh=sample is not None, steady=steady)
+        return self.fault is None
+
+    def _watch(
+        self, state: ObjectState, squeeze_n: float, felt_n: float, *, fresh: bool, steady: bool
+    ) -> None:
+        estimate, monitor = self._held.estimate, self._monitor
+        self._heed(
+            monitor.holding(self._pinch, self._gaps_m(), estimate.spread_m, tilt_rad(state.T_world_object))
+        )
+        if fresh:
+            self._heed(monitor.held_pose(estimate.innovation))
+        if steady:
+            self._heed(monitor.squeezing(squeeze_n, felt_n))
 
     def _squeeze(self, t: float) -> None:
-        self._impedance(0.0, self._config.impedance.internal_force_n * min(1.0, t / _SQUEEZE_RAMP_S))
-        if t > _SQUEEZE_RAMP_S + 0.1 and not self.aborted:
+        full = self._config.impedance.internal_force_n
+        if (
+            self._impedance(0.0, full * min(1.0, t / _SQUEEZE_RAMP_S))
+            and t > _SQUEEZE_RAMP_S + _SQUEEZE_SETTLE_S
+        ):
             self._enter("carry")
 
     def _carry(self, t: float) -> None:
-        duration = self._held.path.duration_s
-        self._impedance(t, self._config.impedance.internal_force_n)
-        if t > duration + 0.15 and not self.aborted:
+        full, duration = self._config.impedance.internal_force_n, self._held.path.duration_s
+        if self._impedance(t, full, steady=True) and t > duration + _LANDED_S:
             self._enter("unload")
 
     def _unload(self, t: float) -> None:
         remaining = max(0.0, 1.0 - t / _RELEASE_RAMP_S)
-        self._impedance(self._held.path.duration_s, self._config.impedance.internal_force_n * remaining)
-        if t > _RELEASE_RAMP_S and not self.aborted:
-            self._motion = Quintic(self.world.q, self.world.q, 0.45)
+        full = self._config.impedance.internal_force_n
+        if self._impedance(self._held.path.duration_s, full * remaining) and t > _RELEASE_RAMP_S:
+            self._resting = RestingEstimate(self.estimate.T_world_object)
+            self._hold = None
+            q = self.world.q
+            self._motion = Quintic(q, q, _OPENING_S)
             self._enter("open")

@@ -68,7 +68,7 @@ class PlannedCarry:
         scene = self.world.scene
         grasps = grasp_offsets(scene)
         start = level_part(self.world.T_world_rod)
-        goal = level_pose(trial.goal[0], trial.goal[1], scene.rod.radius_m, trial.goal[2])
+        goal = level_pose(trial.goal[0], trial.goal[1], scene.rod.rest_height_m, trial.goal[2])
         lift = scene.task.lift_height_m
         targets = {arm: _raised(start, _HOVER_M) @ grasp for arm, grasp in zip(ARMS, grasps, strict=True)}
         approach = planner.plan_to_poses("both_arms", self.world.q, targets, seed=seed).trajectory

@@ -44,7 +44,7 @@ def sample_trial(scene: SceneConfig, seed: int, purpose: str, index: int, *, wid
     dx, dy = widen * task.start_range_m * rng.uniform(-1.0, 1.0, size=2)
     yaw = widen * task.start_range_rad * rng.uniform(-1.0, 1.0)
     start = (task.start_xy_m[0] + float(dx), task.start_xy_m[1] + float(dy), float(yaw))
-    return RodTrial(purpose, index, start, (*task.goal_xy_m, 0.0))
+    return RodTrial(purpose, index, start, (*task.goal_xy_m, task.goal_yaw_rad))
 
 
 def level_pose(x: float, y: float, z: float, yaw_rad: float) -> Array:

@@ -92,7 +92,7 @@ class RodCarryJudge:
         task, rod = self.scene.task, self.scene.rod
         T = world.T_world_rod
         tilt = tilt_rad(T)
-        rest = rod.radius_m
+        rest = rod.rest_height_m
         low_end = T[2, 3] - 0.5 * rod.length_m * abs(T[2, 1]) - rest
         self._rise = max(self._rise, low_end)
         self._tilt = max(self._tilt, tilt)

@@ -1,0 +1,143 @@
+"""Where the object is, from what a controller may know: late, noisy poses of it and the joints of both hands.
+
+On the table the object rests, and its pose is the mean of all samples. In two hands it moves with them: the hands define
+a frame H whose pose follows from the joint encoders at once and without noise,
+
+    origin    midway between the tool centre points,    y  from the right to the left one,
+    x         the mean of the fingers' directions, made orthogonal to y,
+
+so what is unknown is the pose of the object in H, which hardly changes. Every pose sample, compared with H at the time
+at which the sample was taken, corrects it by a mean that forgets:
+
+    X  <-  X + g (T_H(t - delay)^-1 z  -  X),        g = max(1 / n, sample period / memory)
+
+and the estimate is T_world_object = T_H(t) X, its twist that of H carried over to the object. Two pads leave the object
+free to pivot about the line of the fingers; that line is why y is taken from the two points and not from the hands'
+orientations.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pinocchio as pin
+
+from minidual.control.object_impedance import ObjectState
+from minidual.robot.constants import Array
+from minidual.robot.kinematics import Kinematics
+from minidual.robot.poses import inverse, pose, rotation_log
+
+
+class RestingEstimate:
+    """Mean pose of an object that lies still.
+
+    Attributes:
+        T_world_object: (4, 4), the mean of all samples so far.
+        samples_n: Number of them.
+        innovation: (distance [m], angle [rad]) of the last sample from the mean of those before it.
+    """
+
+    def __init__(self, T_world_object: Array) -> None:
+        self.T_world_object = T_world_object.copy()
+        self.samples_n = 1
+        self.innovation = (0.0, 0.0)
+
+    def add(self, T_world_object: Array) -> None:
+        """Take one more sample (4, 4) into the mean."""
+        self.samples_n += 1
+        self.T_world_object, self.innovation = _towards(
+            self.T_world_object, T_world_object, 1.0 / self.samples_n
+        )
+
+
+class HeldEstimate:
+    """Pose and twist of an object in both hands.
+
+    Args:
+        kinematics: Workspace.
+        q: Joints (14,) at which the hands have closed on it.
+        T_world_object: Its pose (4, 4) as known by then.
+        delay_ticks: Age of the samples that will come.
+        least_gain: g once the start is forgotten.
+        samples_n: How many samples T_world_object is worth.
+    """
+
+    def __init__(
+        self, kinematics: Kinematics, q: Array, T_world_object: Array, *, delay_ticks: int, least_gain: float,
+        samples_n: int = 5,
+    ) -> None:  # fmt: skip
+        self._model, self._data = kinematics.model, kinematics.data
+        self._tcps = kinematics.tcp_ids
+        self._least_gain, self._samples_n = least_gain, samples_n
+        self._history: list[Array] = []
+        self._keep = delay_ticks + 1
+        self.innovation = (0.0, 0.0)
+        T_world_hands, _ = self._hands(q, np.zeros_like(q))
+        self._T_hands_object = inverse(T_world_hands) @ T_world_object
+        self.state = ObjectState(T_world_object)
+        self.spread_m = 0.0
+
+    def update(self, q: Array, v: Array, sample: Array | None, age_ticks: int = 0) -> ObjectState:
+        """Return the object's state now.
+
+        Args:
+            q: Joint positions (14,).
+            v: Joint velocities (14,).
+            sample: Pose (4, 4) that arrived in this step, or None.
+            age_ticks: Steps since it was taken.
+        """
+        T_world_hands, twist = self._hands(q, v)
+        self._history.append(T_world_hands)
+        if len(self._history) > self._keep:
+            del self._history[0]
+        if sample is not None and age_ticks < len(self._history):
+            self._samples_n += 1
+            gain = max(1.0 / self._samples_n, self._least_gain)
+            seen = inverse(self._history[-1 - age_ticks]) @ sample
+            self._T_hands_object, self.innovation = _towards(self._T_hands_object, seen, gain)
+        T = T_world_hands @ self._T_hands_object
+        twist[:3] += _cross(twist[3:], T[:3, 3] - T_world_hands[:3, 3])
+        self.state = ObjectState(T, twist)
+        return self.state
+
+    def _hands(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Return T_world_hands (4, 4) and its twist (6,), world axes; also measures the hands' distance."""
+        model, data = self._model, self._data
+        pin.forwardKinematics(model, data, q, v)
+        poses, twists = [], []
+        for tcp in self._tcps:
+            placement = pin.updateFramePlacement(model, data, tcp)
+            poses.append((placement.translation, placement.rotation[:, 1]))
+            twists.append(pin.getFrameVelocity(model, data, tcp, pin.LOCAL_WORLD_ALIGNED).vector)
+        (p_left, finger_left), (p_right, finger_right) = poses
+        apart = p_left - p_right
+        distance = math.sqrt(apart @ apart)
+        self.spread_m = distance
+        y = apart / distance
+        x = finger_left + finger_right
+        x = x - (x @ y) * y
+        x = x / math.sqrt(x @ x)
+        T = np.eye(4)
+        T[:3, 0], T[:3, 1], T[:3, 2] = x, y, _cross(x, y)
+        T[:3, 3] = 0.5 * (p_left + p_right)
+        twist = 0.5 * (twists[0] + twists[1])
+        about_y = float(twist[3:] @ y)
+        # Turning about x and z shows in the two points, turning about y only in the hands' orientations.
+        twist[3:] = _cross(y, twists[0][:3] - twists[1][:3]) / distance + about_y * y
+        return T, twist
+
+
+def _towards(T: Array, sample: Array, gain: float) -> tuple[Array, tuple[float, float]]:
+    """Return T moved by a share of its way to a sample, and the (distance [m], angle [rad]) between them."""
+    offset = sample[:3, 3] - T[:3, 3]
+    turn = rotation_log(T[:3, :3].T @ sample[:3, :3])
+    moved = pose(T[:3, :3] @ pin.exp3(gain * turn), T[:3, 3] + gain * offset)
+    return moved, (math.sqrt(offset @ offset), math.sqrt(turn @ turn))
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Return the cross product of two (3,) vectors; numpy's own costs ten times as much."""
+    a0, a1, a2 = a.tolist()
+    b0, b1, b2 = b.tolist()
+    return np.array([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])

@@ -1,0 +1,153 @@
+"""What can go wrong in a carry, what tells it from sensed quantities alone, and what the hands do then.
+
+Every fault stops both arms softly (control/soft_stop.py) and names itself. One table; the monitor below raises each of
+them within 50 ms of its onset, which tests measure with the fault injected.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from minidual.config.control import CarryFaultConfig
+from minidual.robot.constants import ARMS, DOF_PER_ARM, Array
+
+
+@dataclass(frozen=True)
+class FaultKind:
+    """One row of the table.
+
+    Attributes:
+        sensed_by: What tells it.
+        opens_hands: Whether the hands let go; where the object may still be held they stay closed.
+    """
+
+    sensed_by: str
+    opens_hands: bool
+
+
+FAULTS: dict[str, FaultKind] = {
+    "missed_grasp": FaultKind("a hand closes past the object's width, or does not pinch in time", True),
+    "knocked_away": FaultKind("the object leaves the place where it lay, in two pose samples in a row", True),
+    "object_lost": FaultKind("a hand hardly pinches any more", True),
+    "slip": FaultKind(
+        "the object moves in the hands, the hands move along it, or the squeeze breaks down", False
+    ),
+    "tilted": FaultKind("the estimated tilt of the object", False),
+    "lost_arm": FaultKind("the motors of an arm do not give the torque they were told", True),
+    "unreachable": FaultKind("no posture for the goal, found before the object is lifted", True),
+}
+
+
+@dataclass(frozen=True)
+class CarryFault:
+    """A fault that a carry found.
+
+    Attributes:
+        name: A key of FAULTS.
+        at_s: When it was detected.
+        detail: What was sensed, with numbers.
+    """
+
+    name: str
+    at_s: float
+    detail: str
+
+    @property
+    def text(self) -> str:
+        """Return it as one line."""
+        return f"{self.name} at {self.at_s:.2f} s: {self.detail}"
+
+
+Finding = tuple[str, str] | None
+"""(name, detail) of what was found, or None."""
+
+
+class FaultMonitor:
+    """Looks for faults; each method is called once a control step in the phases where it applies.
+
+    Args:
+        config: Limits.
+        dt_s: Control step.
+        width_m: Width of the object between the fingers.
+        pinch_n: Pinch that the hands are told to hold.
+    """
+
+    def __init__(self, config: CarryFaultConfig, *, dt_s: float, width_m: float, pinch_n: float) -> None:
+        self._config, self._width, self._pinch = config, width_m, pinch_n
+        self._needed = max(1, round(config.persistence_s / dt_s))
+        self._counts: dict[str, int] = {}
+        self._spread_m: float | None = None
+
+    def _lasts(self, key: str, now: bool, needed: int | None = None) -> bool:
+        """Return whether `now` has held for as many calls in a row as needed."""
+        count = self._counts[key] = self._counts.get(key, 0) + 1 if now else 0
+        return count >= (self._needed if needed is None else needed)
+
+    def motors(self, commanded: Array, applied: Array) -> Finding:
+        """Compare torques (14,) told and given in the last step."""
+        missing = np.abs(commanded - applied).reshape(2, DOF_PER_ARM).max(axis=1)
+        for arm, name in enumerate(ARMS):
+            if self._lasts(f"motor {name}", bool(missing[arm] > self._config.motor_torque_n_m)):
+                return (
+                    "lost_arm",
+                    f"{name} arm: a motor gives {missing[arm]:.1f} Nm less than it was told",
+                )
+        return None
+
+    def resting(self, innovation: tuple[float, float]) -> Finding:
+        """Judge one fresh pose sample of an object that nobody has touched."""
+        away_m, away_rad = innovation
+        config = self._config
+        if self._lasts("resting", away_m > config.displaced_m or away_rad > config.displaced_rad, 2):
+            return "knocked_away", f"the object is {1e3 * away_m:.0f} mm from where it lay"
+        return None
+
+    def closing(self, gap_m: Array, pinch_n: Array, t_s: float) -> Finding:
+        """Judge closing hands by the gap between their fingers (2,), the pinch (2,) and the time since they began."""
+        for arm, name in enumerate(ARMS):
+            through = float(gap_m[arm]) < self._width - self._config.gap_margin_m
+            if self._lasts(f"gap {name}", through, 3):
+                return "missed_grasp", (
+                    f"the {name} hand has closed to {1e3 * float(gap_m[arm]):.0f} mm, the object is "
+                    f"{1e3 * self._width:.0f} mm wide"
+                )
+        if t_s > self._config.grasp_timeout_s:
+            felt = ", ".join(f"{f:.1f}" for f in pinch_n)
+            return "missed_grasp", f"pinch {felt} N after {self._config.grasp_timeout_s} s"
+        return None
+
+    def holding(self, pinch_n: Array, gap_m: Array, spread_m: float, tilt_rad: float) -> Finding:
+        """Judge a held object by pinch (2,), finger gaps (2,), the hands' distance and its estimated tilt."""
+        config = self._config
+        for arm, name in enumerate(ARMS):
+            if self._lasts(f"pinch {name}", bool(pinch_n[arm] < config.lost_pinch_share * self._pinch)):
+                return "object_lost", f"the {name} hand pinches {pinch_n[arm]:.1f} of {self._pinch:.0f} N"
+            if self._lasts(f"held gap {name}", bool(gap_m[arm] < self._width - config.gap_margin_m), 3):
+                return "object_lost", f"the {name} hand has closed to {1e3 * gap_m[arm]:.0f} mm"
+        if self._spread_m is None:
+            self._spread_m = spread_m
+        crept = abs(spread_m - self._spread_m)
+        if self._lasts("spread", crept > config.displaced_m):
+            return "slip", f"the hands have moved {1e3 * crept:.1f} mm along the object"
+        if self._lasts("tilt", tilt_rad > config.tilt_rad):
+            return "tilted", f"the object is tilted by {np.degrees(tilt_rad):.0f} deg"
+        return None
+
+    def held_pose(self, innovation: tuple[float, float]) -> Finding:
+        """Judge one fresh pose sample of a held object: how far it is from where the hands should have it."""
+        away_m, away_rad = innovation
+        config = self._config
+        if self._lasts("held", away_m > config.displaced_m or away_rad > config.displaced_rad, 2):
+            return (
+                "slip",
+                f"the object is {1e3 * away_m:.1f} mm, {np.degrees(away_rad):.1f} deg off in the hands",
+            )
+        return None
+
+    def squeezing(self, wanted_n: float, felt_n: float) -> Finding:
+        """Compare the squeeze that is wanted, once it is steady, with the one that is felt."""
+        if self._lasts("squeeze", felt_n < self._config.squeeze_share * wanted_n):
+            return "slip", f"internal force {felt_n:.1f} of {wanted_n:.0f} N"
+        return None
