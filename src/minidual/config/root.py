@@ -11,6 +11,7 @@ from minidual.config.evaluation import BenchmarkConfig, ReportConfig
 from minidual.config.learning import DeployConfig, TrainConfig
 from minidual.config.planning import PlanConfig
 from minidual.config.scene import SceneConfig
+from minidual.config.semantics import SemanticsConfig
 from minidual.config.supervisor import SupervisorConfig
 from minidual.config.teleop import TeleopConfig
 from minidual.config.view import ViewConfig
@@ -36,6 +37,7 @@ class Config(StrictModel):
     benchmark: BenchmarkConfig = BenchmarkConfig()
     report: ReportConfig = ReportConfig()
     scene: SceneConfig = SceneConfig()
+    semantics: SemanticsConfig = SemanticsConfig()
     arbiter: ArbiterConfig = ArbiterConfig()
     supervisor: SupervisorConfig = SupervisorConfig()
     view: ViewConfig = ViewConfig()
