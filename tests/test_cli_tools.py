@@ -7,7 +7,7 @@ from pipeline_toys import Toy
 
 from minidual.cli import run_command_line
 from minidual.errors import DataError, ExitCode
-from minidual.pipeline.table import StageEntry, StageTable
+from minidual.pipeline.table import StageEntry, StageOption, StageTable
 from minidual.pipeline.tool import ToolContext, ToolEntry, ToolOption, ToolResult
 
 
@@ -17,6 +17,8 @@ def measure(context: ToolContext) -> ToolResult:
         raise DataError("the tool broke off")
     (context.output / "number.txt").write_text(str(context.seed))
     words = " ".join(context.options.get("names", ()))
+    if "queries" in context.options:
+        words += f"queries {context.config.plan.queries_n}"
     return ToolResult([f"seed {context.seed} {words}"], ["a note"], {"seed": context.seed})
 
 
@@ -41,7 +43,10 @@ ASIDE = ToolEntry(
 @pytest.fixture
 def run(tmp_path, capsys):
     stage = Toy("first")
-    table = StageTable([StageEntry(stage.name, stage, stage.requires, stage.summary, asides=(ASIDE,))])
+    options = (StageOption("queries", "plan.queries_n", "How many."),)
+    table = StageTable(
+        [StageEntry(stage.name, stage, stage.requires, stage.summary, options, asides=(ASIDE,))]
+    )
 
     def call(*words):
         code = run_command_line([*words, "--runs-dir", str(tmp_path), "--run", "r"], table, TOOLS)
@@ -95,3 +100,8 @@ def test_an_option_of_an_aside_alone_is_refused(run):
     code, _, err = run(run.stage, "--how-fast", "2")
     assert code == 2
     assert "--how-fast goes with --tune" in err
+
+
+def test_the_options_of_the_stage_hold_for_its_asides(run):
+    code, out, _ = run(run.stage, "--tune", "--queries", "33", "--seed", "1")
+    assert (code, out) == (0, "seed 1 queries 33\n")

@@ -28,7 +28,7 @@ def stage_body(entry: StageEntry) -> Body:
 
         for aside in entry.asides:
             if aside.is_asked_for(values):
-                return run_tool(aside, session, values)
+                return run_tool(aside, session, values, entry)
         _refuse_loose_options(entry, values)
         options = {o.name: values[key(o.name)] for o in entry.options if values[key(o.name)] is not None}
         with live_view(session, values) as view:
@@ -55,16 +55,19 @@ def tool_body(tool: ToolEntry) -> Body:
     return lambda session, values: run_tool(tool, session, values)
 
 
-def run_tool(tool: ToolEntry, session: Session, values: Mapping[str, Any]) -> ExitCode:
-    """Run a tool and print what it says."""
+def run_tool(
+    tool: ToolEntry, session: Session, values: Mapping[str, Any], stage: StageEntry | None = None
+) -> ExitCode:
+    """Run a tool and print what it says; the options of the stage that it is an aside of hold for it too."""
     from minidual.cli.progress import progress_for
+    from minidual.config.loader import Override
     from minidual.pipeline.disk import disk_errors
     from minidual.pipeline.tool import ToolContext, key
 
-    config = session.loaded.config
-    typed = {
-        o.name: values[key(o.name)] for o in tool.options if values[key(o.name)] not in (None, False, ())
-    }
+    names = [option.name for option in (*tool.options, *(stage.options if stage else ()))]
+    typed = {name: values[key(name)] for name in names if values[key(name)] not in (None, False, ())}
+    overrides = [Override(*item) for item in stage.overrides(typed)] if stage else []
+    config = session.loaded.with_overrides(overrides).config
     with live_view(session, values, tool.view_default) as view:
         context = ToolContext(
             config, config.seed, config.workers if view is None else 1, session.loaded.profile,

@@ -8,6 +8,7 @@ value at `path`, exactly as --set does.
 from __future__ import annotations
 
 from minidual.pipeline.table import StageEntry, StageOption, StageTable
+from minidual.pipeline.tool import ToolEntry, ToolOption
 
 LIBRARIES = (
     "numpy", "scipy", "mujoco", "pin", "coal", "ompl", "toppra", "torch", "lerobot", "h5py", "av", "gymnasium",
@@ -35,6 +36,15 @@ STAGES = StageTable(
             ("plan",),
             "Carry the rod with both arms under object impedance control",
             (StageOption("trials", "carry.trials_n", "Randomised carries to try."),),
+            asides=(
+                ToolEntry(
+                    "carry-perturb",
+                    "minidual.stages.carry_tools:perturb",
+                    "Carry under pushes, other masses and frictions, and worse sensing",
+                    (ToolOption("perturb", "Carry under every disturbance (20 trials each) instead.", bool),),
+                    triggers=("perturb",),
+                ),
+            ),
         ),
         StageEntry(
             "teleop-record",

@@ -1,0 +1,118 @@
+"""One method under every condition of the table: how much of its success does each one cost?"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from minidual.config.change import changed
+from minidual.config.seeds import stream
+from minidual.evaluation.conditions import CLEAN, CONDITIONS, Condition
+from minidual.evaluation.methods import MethodInputs
+from minidual.evaluation.metrics import MethodSummary, TrialMetrics, summarise
+from minidual.evaluation.tables import write_csv, write_text
+from minidual.evaluation.trials import TrialResult, run_trials
+from minidual.tasks.rod_carry import sample_trial
+
+DROP_MAX = 0.15
+"""A condition may cost less than this share of the clean success rate."""
+PURPOSE = "perturb"
+"""Random stream of the starts; every condition has the same ones, and no other stage sees them."""
+
+
+@dataclass(frozen=True)
+class Robustness:
+    """A method under one condition.
+
+    Attributes:
+        condition: Row of the table of conditions.
+        summary: Its trials.
+        drop: Success rate lost against the clean condition; negative if gained.
+        example: What happened to the first trial that failed, or an empty string.
+    """
+
+    condition: Condition
+    summary: MethodSummary
+    drop: float
+    example: str
+
+    @property
+    def holds(self) -> bool:
+        """Whether the loss stays under the limit; a NaN does not."""
+        return self.drop < DROP_MAX
+
+    def row(self) -> dict[str, Any]:
+        """Return the line of the table."""
+        s = self.summary
+        return {
+            "condition": self.condition.name,
+            "successes": f"{s.successes_n} of {s.trials_n}",
+            "interval": f"{100 * s.success_low:.0f} to {100 * s.success_high:.0f} %",
+            "drop": f"{100 * self.drop:+.0f} points",
+            "least_squeeze_n": _number(s.internal_force_min_n, 1.0, 1),
+            "largest_tilt_deg": _number(s.tilt_max_rad, float(np.degrees(1.0)), 2),
+            "peak_torque_percent": _number(s.torque_ratio_max, 100.0, 0),
+            "holds": "yes" if self.holds else "NO",
+            "first_failure": self.example,
+        }
+
+
+def run_perturbations(
+    method: str,
+    inputs: MethodInputs,
+    trials_n: int,
+    *,
+    workers: int,
+    on_trial: Callable[[str, TrialResult], None] | None = None,
+) -> tuple[list[Robustness], list[TrialMetrics]]:
+    """Run the same trials under every condition; results do not depend on `workers`."""
+    found: list[Robustness] = []
+    everything: list[TrialMetrics] = []
+    clean_rate = float("nan")
+    for name, condition in CONDITIONS.items():
+        config = changed(inputs.config, condition.settings)
+        trials = [sample_trial(config.scene, inputs.seed, PURPOSE, i) for i in range(trials_n)]
+        results: list[TrialResult] = []
+        for result, _ in run_trials(
+            method, replace(inputs, config=config), trials, workers=workers, condition=name
+        ):
+            results.append(result)
+            if on_trial is not None:
+                on_trial(name, result)
+        metrics = [r.metrics for r in results]
+        summary = summarise(metrics, stream(inputs.seed, f"bootstrap/{PURPOSE}/{name}"))
+        if name == CLEAN:
+            clean_rate = summary.success_rate
+        example = next((f"trial {r.metrics.index}: {r.text}" for r in results if not r.success), "")
+        found.append(Robustness(condition, summary, clean_rate - summary.success_rate, example))
+        everything += metrics
+    return found, everything
+
+
+def write_perturbations(folder: Path, found: Sequence[Robustness], trials: Sequence[TrialMetrics]) -> None:
+    """Write conditions.csv (one row a condition) and trials.csv (one row a trial)."""
+    rows = [r.row() for r in found]
+    text = io.StringIO()
+    writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_text(folder / "conditions.csv", text.getvalue())
+    write_csv(folder / "trials.csv", trials)
+
+
+def table_lines(found: Sequence[Robustness]) -> list[str]:
+    """Return the table as Markdown, to read and to paste."""
+    rows = [r.row() for r in found]
+    heads = [head.replace("_", " ") for head in rows[0]]
+    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+    return lines + ["| " + " | ".join(str(v) for v in row.values()) + " |" for row in rows]
+
+
+def _number(value: float, factor: float, digits: int) -> str:
+    return f"{factor * value:.{digits}f}" if np.isfinite(value) else "no successful trial"

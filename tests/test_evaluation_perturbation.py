@@ -1,0 +1,115 @@
+"""The table of disturbances: what it compares with what, and that it can say no."""
+
+import dataclasses
+
+import pytest
+
+from minidual.config.change import changed
+from minidual.config.root import Config
+from minidual.errors import ExitCode, UsageError
+from minidual.evaluation import perturbation
+from minidual.evaluation.conditions import CONDITIONS
+from minidual.evaluation.methods import MethodInputs
+from minidual.evaluation.metrics import TrialMetrics
+from minidual.evaluation.perturbation import Robustness, run_perturbations, table_lines
+from minidual.evaluation.trials import TrialResult
+from minidual.pipeline.tool import ToolContext
+from minidual.stages.carry_tools import perturb
+
+
+def trial_result(index: int, condition: str, *, success: bool) -> TrialResult:
+    nan = float("nan")
+    metrics = TrialMetrics(
+        "impedance", index, condition, success, "" if success else "held", "" if success else "lost it",
+        nan if success else 3.0, 7.0 if success else nan, 0.7, 20.0, 0.001, 1.4, 39.0, 60.0, 0.001,
+    )  # fmt: skip
+    return TrialResult(metrics, (), "", lifted=True, wall_s=1.0)
+
+
+@pytest.fixture
+def outcomes(monkeypatch):
+    """Trials that fail as often as the test says: {condition: failures}; and what they were asked to run."""
+    failures: dict[str, int] = {}
+    asked: list = []
+
+    def run_trials(method, inputs, trials, *, workers, condition):
+        asked.append((condition, inputs.config, [t.start for t in trials]))
+        for trial in trials:
+            failed = trial.index < failures.get(condition, 0)
+            yield trial_result(trial.index, condition, success=not failed), None
+
+    monkeypatch.setattr(perturbation, "run_trials", run_trials)
+    return failures, asked
+
+
+def found(failures=(), trials_n=20):
+    rows, _ = run_perturbations("impedance", MethodInputs(Config(), 5), trials_n, workers=1)
+    return {row.condition.name: row for row in rows}
+
+
+def test_every_condition_has_the_same_starts(outcomes):
+    rows = found()
+    _, asked = outcomes
+    assert list(rows) == list(CONDITIONS)
+    assert all(starts == asked[0][2] for _, _, starts in asked)
+
+
+def test_settings_of_a_condition_reach_its_trials(outcomes):
+    found()
+    for name, config, _ in outcomes[1]:
+        document = config.model_dump()
+        for path, value in CONDITIONS[name].settings.items():
+            section = document
+            for step in path.split("."):
+                section = section[step]
+            assert section == value
+
+
+def test_three_of_twenty_is_at_the_limit_and_two_is_not(outcomes):
+    failures, _ = outcomes
+    failures.update({"friction 0.3": 3, "push +x": 2})
+    rows = found()
+    assert rows["friction 0.3"].drop == pytest.approx(0.15)
+    assert not dataclasses.replace(rows["friction 0.3"], drop=0.1500001).holds
+    assert rows["push +x"].holds
+    assert "trial 0" in rows["push +x"].example
+    assert "lost it" in rows["push +x"].example
+
+
+def test_the_loss_is_counted_from_the_clean_rate(outcomes):
+    failures, _ = outcomes
+    failures.update({"clean": 4, "push +x": 4})
+    assert found()["push +x"].drop == pytest.approx(0.0)
+
+
+def test_a_loss_that_is_no_number_does_not_hold(outcomes):
+    row = found()["clean"]
+    assert row.holds
+    assert not Robustness(row.condition, row.summary, float("nan"), "").holds
+
+
+def test_the_command_fails_when_a_condition_costs_too_much(outcomes, tmp_path):
+    failures, _ = outcomes
+    context = ToolContext(Config(), 5, 1, "standard", tmp_path, {"trials": 20})
+    assert perturb(context).exit_code == ExitCode.PASS
+    failures["mass +50 %"] = 10
+    result = perturb(context)
+    assert result.exit_code == ExitCode.ACCEPTANCE_FAILED
+    assert any("mass +50 %" in note for note in result.notes)
+    assert any("| mass +50 % | 10 of 20 |" in line for line in result.lines)
+    assert (context.output / "conditions.csv").read_text().count("\n") == len(CONDITIONS) + 1
+
+
+def test_the_table_has_a_line_for_every_condition(outcomes):
+    assert len(table_lines(list(found().values()))) == len(CONDITIONS) + 2
+
+
+def test_a_changed_configuration_is_validated():
+    assert changed(Config(), {"carry.trials_n": 3}).carry.trials_n == 3
+    assert Config().carry.trials_n != 3
+    with pytest.raises(UsageError, match="trials_n"):
+        changed(Config(), {"carry.trails_n": 3})
+    with pytest.raises(UsageError, match="carry"):
+        changed(Config(), {"cary.trials_n": 3})
+    with pytest.raises(ValueError, match="greater than or equal to 1"):
+        changed(Config(), {"carry.trials_n": 0})
