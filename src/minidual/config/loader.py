@@ -146,25 +146,34 @@ def _apply(document: Document, override: Override, resolved: dict[str, Any]) -> 
     document.origins[override.path] = override.text
 
 
-def _validate(document: Document) -> Config:
+def validate_document[Model: BaseModel](document: Document, model: type[Model]) -> Model:
+    """Return the document as a model.
+
+    Raises:
+        ConfigError: what does not hold, with file, line and dotted path; all problems in one message.
+    """
     try:
-        return Config.model_validate_json(json.dumps(document.tree, allow_nan=False), strict=True)
+        return model.model_validate_json(json.dumps(document.tree, allow_nan=False), strict=True)
     except ValidationError as error:
-        problems = [_sentence(problem, document) for problem in error.errors(include_url=False)]
+        problems = [_sentence(problem, document, model) for problem in error.errors(include_url=False)]
         raise ConfigError(
             "\n".join(text for text, _ in problems), remedy=next((hint for _, hint in problems if hint), None)
         ) from None
 
 
-def _sentence(problem: Any, document: Document) -> tuple[str, str | None]:
+def _validate(document: Document) -> Config:
+    return validate_document(document, Config)
+
+
+def _sentence(problem: Any, document: Document, model: type[BaseModel]) -> tuple[str, str | None]:
     """Return ("smoke.yaml:7: plan.queries_n: ...", remedy or None) for one error of pydantic."""
-    location = [str(part) for part in problem["loc"]]
+    location = _typed_location([str(part) for part in problem["loc"]], document.tree)
     dotted = ".".join(location)
     where = _origin(location, document)
     value = problem.get("input")
     if problem["type"] == "extra_forbidden":
         parent = ".".join(location[:-1])
-        known = sorted(_keys_at(location[:-1]))
+        known = sorted(_allowed_here(problem["loc"][:-1], model))
         close = difflib.get_close_matches(location[-1], known, n=1, cutoff=0.5)
         remedy = f"did you mean '{close[0]}'?" if close else None
         return f"{where}: {dotted}: no such key; {parent or 'the root'} has {', '.join(known)}", remedy
@@ -217,6 +226,35 @@ def _keys_at(location: Sequence[str]) -> set[str]:
         models = [found for annotation in annotations for found in _models_in(annotation)] or (
             models if part.isdigit() else []
         )
+    return {name for model in models for name in model.model_fields}
+
+
+def _typed_location(location: Sequence[str], tree: Any) -> list[str]:
+    """Return the location as it was typed: pydantic names the chosen member of a union too, which no file does."""
+    typed: list[str] = []
+    place: Any = tree
+    for index, part in enumerate(location):
+        if isinstance(place, dict):
+            if part not in place and index + 1 < len(location):
+                continue
+            place = cast(dict[str, Any], place).get(part)
+        elif isinstance(place, list):
+            items = cast(list[Any], place)
+            place = items[int(part)] if part.isdigit() and int(part) < len(items) else None
+        typed.append(part)
+    return typed
+
+
+def _allowed_here(location: Sequence[str | int], root: type[BaseModel]) -> set[str]:
+    """Return the keys allowed at pydantic's `location`, through lists, named entries and members of a union."""
+    models: list[type[BaseModel]] = [root]
+    for part in location:
+        fields = [model.model_fields[part] for model in models if part in model.model_fields]
+        if fields:
+            models = [found for field in fields for found in _models_in(field.annotation)]
+        else:  # a member of a union by its tag, or an entry of a list or mapping
+            tagged = [m for m in models if any(f.default == part for f in m.model_fields.values())]
+            models = tagged or models
     return {name for model in models for name in model.model_fields}
 
 

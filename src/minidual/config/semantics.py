@@ -6,7 +6,7 @@ a state outside the limits or of the wrong length, and a group of other joints t
 
 from __future__ import annotations
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from minidual.config.base import StrictModel
 
@@ -58,6 +58,28 @@ def _same(joints: tuple[float, ...], description: str) -> NamedStateConfig:
     return NamedStateConfig(left_rad=joints, right_rad=joints, description=description)
 
 
+_STATES: dict[str, NamedStateConfig] = {
+    "home": _same(_HOME, "where every run begins"),
+    "ready": _same(
+        (0.0, -0.1848, 0.0, -2.4967, 0.0, 2.3119, 0.7854),
+        "hands down, 25 cm over the table, fingers along x",
+    ),
+    "carry": NamedStateConfig(
+        left_rad=(-0.216, 0.0891, -0.0384, -2.3191, 0.0051, 2.4081, -1.0434),
+        right_rad=(0.0716, 0.0905, 0.1829, -2.319, -0.0246, 2.4079, -0.5134),
+        description="hands 24 cm apart at the middle, 20 cm over the table, as they hold the rod",
+    ),
+    "raised": NamedStateConfig(
+        left_rad=(0.0242, -0.3986, 0.0716, -1.7764, 0.0283, 1.3788, 0.8811),
+        right_rad=(-0.0244, -0.3986, -0.0715, -1.7764, -0.0283, 1.3788, 0.6897),
+        description="hands 60 cm over the table, out of the way of what stands on it",
+    ),
+    "folded": _same(
+        (0.0, -1.4, 0.0, -2.9, 0.0, 1.6, 0.785), "arms drawn back over their bases, the table free"
+    ),
+}
+
+
 class SemanticsConfig(StrictModel):
     """Groups, end effectors and named states."""
 
@@ -71,26 +93,10 @@ class SemanticsConfig(StrictModel):
     end_effectors: dict[str, EndEffectorConfig] = Field(
         default={"left_hand": _hand("left"), "right_hand": _hand("right")}
     )
-    states: dict[str, NamedStateConfig] = Field(
-        default={
-            "home": _same(_HOME, "where every run begins"),
-            "ready": _same(
-                (0.0, -0.1848, 0.0, -2.4967, 0.0, 2.3119, 0.7854),
-                "hands down, 25 cm over the table, fingers along x",
-            ),
-            "carry": NamedStateConfig(
-                left_rad=(-0.216, 0.0891, -0.0384, -2.3191, 0.0051, 2.4081, -1.0434),
-                right_rad=(0.0716, 0.0905, 0.1829, -2.319, -0.0246, 2.4079, -0.5134),
-                description="hands 24 cm apart at the middle, 20 cm over the table, as they hold the rod",
-            ),
-            "raised": NamedStateConfig(
-                left_rad=(0.0242, -0.3986, 0.0716, -1.7764, 0.0283, 1.3788, 0.8811),
-                right_rad=(-0.0244, -0.3986, -0.0715, -1.7764, -0.0283, 1.3788, 0.6897),
-                description="hands 60 cm over the table, out of the way of what stands on it",
-            ),
-            "folded": _same(
-                (0.0, -1.4, 0.0, -2.9, 0.0, 1.6, 0.785), "arms drawn back over their bases, the table free"
-            ),
-        }
-    )
-    """Named states; a profile or --set may add more under new names."""
+    states: dict[str, NamedStateConfig] = Field(default=_STATES)
+    """Named states; a profile or --set adds to the built-in ones, or replaces one under its name."""
+
+    @field_validator("states")
+    @classmethod
+    def _with_built_in(cls, states: dict[str, NamedStateConfig]) -> dict[str, NamedStateConfig]:
+        return {**_STATES, **states}
