@@ -163,6 +163,14 @@ CONDITIONS: dict[str, Condition] = {
         Condition("friction 0.3", "smoother pads, object and table than expected", friction=0.3),
         Condition("friction 0.7", "rougher pads, object and table than expected", friction=0.7),
         Condition(
+            "pose noise x3",
+            "the camera sees the object three times as badly",
+            settings={"carry.sensing.pose_noise_m": 0.0015, "carry.sensing.pose_noise_rad": 0.0157},
+        ),
+        Condition(
+            "delay 20 ms", "pose and forces arrive twice as late", settings={"carry.sensing.delay_s": 0.020}
+        ),
+        Condition(
             "joint friction x2",
             "one joint, another each trial, with doubled friction",
             joint_friction_factor=2.0,
