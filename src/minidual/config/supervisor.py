@@ -18,8 +18,9 @@ class SupervisorConfig(StrictModel):
     torque_scale: float = Field(default=1.0, gt=0.0, le=1.0)
     torque_rate_scale: float = Field(default=1.0, gt=0.0, le=1.0)
     """Share of 1000 Nm/s to which the torque's rate is limited."""
-    torque_rate_patience_s: float = Field(default=0.1, gt=0.0, le=1.0)
-    """A controller that asks for faster changes for longer than this is stopped."""
+    torque_rate_patience_s: float = Field(default=0.05, gt=0.0, le=1.0)
+    """A controller that asks for faster changes for longer than this is stopped. The steps that the reference
+    filter lets through need 13 ms of it at most."""
     saturation_s: float = Field(default=0.02, gt=0.0, le=1.0)
     """A motor may stand at its torque limit for this long."""
     acceleration_scale: float = Field(default=1.0, gt=0.0, le=1.0)

@@ -21,7 +21,7 @@ from minidual.control import limits
 from minidual.control.reflexes import Reflex, ReflexError
 from minidual.control.supervised_stop import SupervisedStop
 from minidual.errors import UsageError
-from minidual.robot.constants import ARMS, DOF, JOINT_NAMES, TCP_NAMES, Array
+from minidual.robot.constants import ARMS, DOF, HOME, JOINT_NAMES, TCP_NAMES, Array
 from minidual.robot.kinematics import Kinematics
 
 Distance = Callable[[Array], tuple[str, float]]
@@ -77,6 +77,7 @@ class Supervisor:
         self._next_slow = 0
         self._applied: Array | None = None
         self._a_before: Array | None = None
+        self._rows[:] = 0.0
         self._slow_tick = -2
         self._saturated = np.zeros(DOF, dtype=int)
         self._limited = np.zeros(DOF, dtype=int)
@@ -127,10 +128,14 @@ class Supervisor:
         self._tick += 1
         rows, ratio = self._rows, self._ratio
         rows[0], rows[1], rows[2] = q, v, tau
-        if self._applied is not None:
-            np.subtract(rows[2], self._applied, rows[3])
+        if self._applied is None:
+            self._applied = self._before_control(q)
+        np.subtract(rows[2], self._applied, rows[3])
         if a_ref is not None:
             self._note_reference(a_ref)
+        elif self._a_before is not None:  # a controller without a reference took over
+            self._a_before = None
+            rows[4:] = 0.0
         np.subtract(rows, self.bounds.centre, ratio)
         np.multiply(ratio, self.bounds.scale, ratio)
         np.abs(ratio, ratio)
@@ -141,12 +146,14 @@ class Supervisor:
             applied = self._look_closer(time_s)
         if self._tick >= self._next_slow:
             self._look_slowly(time_s)
-        if self._applied is None:
-            self._applied = np.zeros(DOF)
         self._applied[:] = applied
         return applied.copy()
 
     # How it looks --------------------------------------------------------------------------------------------
+
+    def _before_control(self, q: Array) -> Array:
+        """Return the torque that acted before the first tick: what carries the arms, as the drives do by themselves."""
+        return np.array(self._kinematics.gravity(q if np.isfinite(q).all() else HOME))
 
     def _note_reference(self, a_ref: Array) -> None:
         self._rows[4] = a_ref
@@ -190,9 +197,10 @@ class Supervisor:
     def _bound_torque(self, time_s: float, tau: Array, step: Array) -> Array:
         """Limit the rate of the torque; count how long motors saturate and how long the limiter has worked."""
         bounds = self.bounds
-        if self._slow_tick != self._tick - 1:  # the tick before was in order
+        in_order = self._tick - 1 - self._slow_tick
+        if in_order:  # ticks since the last that was looked at: then no motor stood at its limit
             self._saturated[:] = 0
-            self._limited[:] = 0
+            np.maximum(self._limited - in_order, 0, out=self._limited)
         self._slow_tick = self._tick
         self._saturated = np.where(np.abs(tau) >= limits.SATURATED * bounds.tau_max, self._saturated + 1, 0)
         longest = int(np.argmax(self._saturated))
@@ -202,15 +210,15 @@ class Supervisor:
                 "torque_saturation", time_s, where, float(tau[longest]), float(bounds.tau_max[longest])
             )
         over = np.abs(step) > bounds.tau_step * (1.0 + 1e-9)
-        self._limited = np.where(over, self._limited + 1, 0)
+        self._limited = np.where(over, self._limited + 1, np.maximum(self._limited - 1, 0))  # chatter pauses
         longest = int(np.argmax(self._limited))
         if self._limited[longest] * self.dt_s > self.config.torque_rate_patience_s + 1e-9:
             where = f"{JOINT_NAMES[longest]} for {1e3 * self.config.torque_rate_patience_s:.0f} ms"
             rate, bound = float(step[longest]) / self.dt_s, bounds.tau_step / self.dt_s
             self._trip("torque_rate", time_s, where, rate, bound)
-        if self._applied is None or not over.any():
+        if not over.any():
             return tau
-        return self._applied + np.clip(step, -bounds.tau_step, bounds.tau_step)
+        return tau - step + np.clip(step, -bounds.tau_step, bounds.tau_step)
 
     def _look_slowly(self, time_s: float) -> None:
         """Check what needs kinematics, and set when to look again."""
@@ -231,7 +239,8 @@ class Supervisor:
             speed = math.sqrt(vx * vx + vy * vy + vz * vz)
             if not speed <= self.config.tcp_speed_max_m_per_s:
                 self._trip("tcp_speed", time_s, TCP_NAMES[arm], speed, self.config.tcp_speed_max_m_per_s)
-            x, y, z = x + ahead * vx, y + ahead * vy, z + ahead * vz
+            # Two periods ahead: one until the next look, one for what the hand gains in speed meanwhile.
+            x, y, z = x + 2.0 * ahead * vx, y + 2.0 * ahead * vy, z + 2.0 * ahead * vz
             if not (x0 <= x <= x1 and y0 <= y <= y1 and z0 <= z <= z1):
                 self._trip_workspace(time_s, arm, (x, y, z))
         if self._self_distance is not None:
@@ -273,10 +282,7 @@ class Supervisor:
         q, v = self._rows[0].copy(), self._rows[1].copy()
         if not (np.isfinite(q).all() and np.isfinite(v).all()):
             q, v = (np.zeros(DOF), _ZERO) if self._q_good is None else (self._q_good, self._v_good)
-        applied = self._applied
-        if applied is None:  # in the very first tick nothing was applied: begin with what carries the arms
-            applied = np.array(self._kinematics.gravity(q))
-        self._stop.begin(q, v, applied)
+        self._stop.begin(q, v, self._before_control(q) if self._applied is None else self._applied)
         self._reflex = reflex
         tau = self._stop.torque(self._rows[0], self._rows[1])
         dump = self._on_reflex(reflex) if self._on_reflex is not None else None

@@ -1,0 +1,313 @@
+"""Every reflex comes on the real model when it should, with cause, value, bound and remedy; legal motion brings none."""
+
+from __future__ import annotations
+
+import pickle
+import re
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from guarded_arms import GuardedArms, accelerate
+
+from minidual.config.supervisor import SupervisorConfig
+from minidual.control import limits
+from minidual.control.loop import JointLoop
+from minidual.control.reflexes import REFLEXES, Reflex, ReflexError
+from minidual.control.supervisor import Supervisor
+from minidual.errors import UsageError
+from minidual.evaluation.joint_tracking import sine_reference
+from minidual.planning.arm_distance import ArmDistance
+from minidual.robot.constants import DOF, HOME, JOINT_NAMES, Q_LOWER, Q_UPPER, TAU_MAX, TAU_RATE_MAX, V_MAX
+
+
+@pytest.fixture
+def arms(world):
+    """Return a maker of guarded arms: `arms(field=value, ...)` changes the supervisor's configuration."""
+
+    def make(self_distance=None, on_reflex=None, **changes):
+        config = SupervisorConfig(**changes)
+        return GuardedArms(world, Supervisor(config, self_distance=self_distance, on_reflex=on_reflex))
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def nearest():
+    """Return the distance between parts of the arms, from the planner's collision engine."""
+    return ArmDistance()
+
+
+TRIGGERED: set[str] = set()
+
+
+def must_trip(error: ReflexError | None, name: str, where: str = "") -> Reflex:
+    assert error is not None, f"no {name}"
+    assert error.reflex.name == name, error.reflex.text
+    assert where in error.reflex.where
+    assert error.remedy is not None
+    assert error.remedy.startswith(REFLEXES[name].remedy)
+    assert name in error.message
+    assert np.isfinite(error.tau).all()
+    TRIGGERED.add(name)
+    return error.reflex
+
+
+class TestReflexes:
+    def test_joint_position_before_the_limit_is_reached_too_fast(self, arms):
+        set_up = arms()
+        reflex = must_trip(set_up.run(2.0, accelerate(3, 4.0, until_s=0.4)), "joint_position", "joint4")
+        assert reflex.value > Q_UPPER[3] == reflex.bound
+        assert set_up.world.q[3] < Q_UPPER[3]  # it looks ahead: the joint is still inside
+        set_up.go_on(0.5)
+        assert set_up.world.q[3] < Q_UPPER[3]
+
+    def test_joint_position_at_the_margin(self, arms):
+        reflex = must_trip(
+            arms(position_margin_rad=0.2).run(4.0, accelerate(5, -0.5)), "joint_position", "joint6"
+        )
+        assert reflex.bound == pytest.approx(Q_LOWER[5] + 0.2)
+
+    def test_joint_velocity(self, arms):
+        set_up = arms()
+        reflex = must_trip(set_up.run(1.0, accelerate(6, 12.0)), "joint_velocity", "left_panda_joint7")
+        assert V_MAX[6] < reflex.value < V_MAX[6] + 0.1
+
+    def test_torque_range(self, arms):
+        reflex = must_trip(
+            arms().run(0.1, torque=lambda t, tau: tau + 200.0 * np.eye(DOF)[8]), "torque_range"
+        )
+        assert reflex.where == JOINT_NAMES[8]
+        assert reflex.value > reflex.bound == TAU_MAX[8]
+
+    def test_torque_rate_when_a_controller_chatters(self, arms):
+        chatter = 5.0 * np.eye(DOF)[2]
+        set_up = arms()
+        error = set_up.run(1.0, torque=lambda t, tau: tau + chatter * (-1) ** round(t * 1e3))
+        reflex = must_trip(error, "torque_rate", "left_panda_joint3 for 50 ms")
+        assert abs(reflex.value) > reflex.bound == TAU_RATE_MAX
+        assert 0.05 <= reflex.time_s <= 0.053
+
+    def test_torque_saturation_after_20_ms(self, arms):
+        reflex = must_trip(
+            arms().run(0.2, torque=lambda t, tau: np.where(np.arange(DOF) == 7, TAU_MAX, tau)),
+            "torque_saturation", "right_panda_joint1 for 20 ms",
+        )  # fmt: skip
+        assert reflex.time_s == pytest.approx(0.020, abs=1e-9)
+
+    def test_reference_acceleration(self, arms):
+        error = arms().run(0.1, accelerate(1, 7.6), tell_reference=True)
+        assert must_trip(error, "reference_acceleration", "joint2").bound == 7.5
+
+    def test_reference_jerk_where_it_is_a_reflex(self, arms):
+        profile = accelerate(0, 10.0, until_s=0.05)
+        assert arms().run(0.2, profile, tell_reference=True) is None
+        world = arms(jerk_reflex=True)
+        world.world.reset()
+        reflex = must_trip(world.run(0.2, profile, tell_reference=True), "reference_jerk", "joint1")
+        assert abs(reflex.value) == pytest.approx(10_000.0)
+
+    def test_tcp_speed(self, arms):
+        reflex = must_trip(arms(tcp_speed_max_m_per_s=0.3).run(1.0, accelerate(0, 3.0)), "tcp_speed", "left")
+        assert 0.3 < reflex.value < 0.35
+
+    def test_workspace_is_left_by_nobody(self, arms):
+        box = ((-0.7, 1.1), (-1.1, 0.4), (-0.005, 1.3))
+        set_up = arms(workspace_m=box)
+        reflex = must_trip(set_up.run(2.0, accelerate(0, 1.0)), "workspace", "y of the left hand")
+        assert reflex.bound == 0.4
+        assert set_up.controller is not None
+        hand = set_up.supervisor._kinematics.tcp_poses(set_up.world.q)[0]
+        assert hand[1, 3] < 0.4
+
+    def test_self_collision_stops_the_arms_before_they_touch(self, arms, nearest):
+        inwards = -0.5 * np.eye(DOF)[0] + 0.5 * np.eye(DOF)[7]
+
+        def converge(t):
+            return HOME + 0.5 * t**2 * inwards, t * inwards, inwards
+
+        bare = arms()
+        bare.run(2.2, converge)
+        assert any("left" in a and "right" in b for a, b, _ in bare.world.contact_pairs())
+        set_up = arms(nearest, self_collision_min_m=0.03)
+        set_up.world.reset()
+        reflex = must_trip(set_up.run(2.2, converge), "self_collision", "with")
+        assert "left" in reflex.where
+        assert "right" in reflex.where
+        assert 0.02 < reflex.value < 0.03
+        for _ in range(100):
+            set_up.go_on(0.01)
+            assert not any(a.startswith(("left", "right")) for a, _, _ in set_up.world.contact_pairs())
+
+    def test_emergency_stop_from_another_thread_takes_effect_in_the_next_tick(self, arms):
+        set_up = arms()
+
+        def press(t):
+            if t > 0.2999:
+                presser = threading.Thread(target=set_up.supervisor.estop, args=("red button",))
+                presser.start()
+                presser.join()
+
+        reflex = must_trip(set_up.run(1.0, accelerate(0, 2.0), before=press), "emergency_stop", "red button")
+        assert reflex.time_s == pytest.approx(0.3)
+
+    @pytest.mark.parametrize("what", ["torque", "position", "velocity"])
+    def test_not_finite(self, arms, what):
+        set_up = arms()
+        set_up.run(0.05)
+        q, v, tau = set_up.world.q, set_up.world.v, np.zeros(DOF)
+        {"torque": tau, "position": q, "velocity": v}[what][4] = np.nan
+        with pytest.raises(ReflexError) as caught:
+            set_up.supervisor.guard(set_up.world.time, q, v, tau)
+        must_trip(caught.value, "not_finite", f"{what} of left_panda_joint5")
+
+    def test_not_finite_in_the_very_first_tick_still_carries_the_arms(self, arms):
+        set_up = arms()
+        gravity = set_up.supervisor._kinematics.gravity(HOME).copy()
+        must_trip(set_up.run(0.01, torque=lambda t, tau: tau * np.nan), "not_finite")
+        assert set_up.error.tau == pytest.approx(gravity, abs=1.01)
+
+    def test_stale_command(self, arms):
+        set_up = arms()
+
+        def speak(t):
+            if t < 0.2:
+                set_up.supervisor.heard(t)
+
+        reflex = must_trip(set_up.run(1.0, before=speak), "stale_command")
+        assert reflex.time_s == pytest.approx(0.3, abs=0.002)
+        assert reflex.value > reflex.bound == 0.1
+
+    def test_every_row_of_the_table_is_triggered_here(self):
+        assert set(REFLEXES) == TRIGGERED
+
+
+class TestStop:
+    def test_arms_come_to_rest_softly_and_stay_latched(self, arms):
+        set_up = arms()
+        set_up.run(
+            0.5,
+            accelerate(0, 3.0),
+            before=lambda t: set_up.supervisor.estop() if 0.3995 < t < 0.4005 else None,
+        )
+        assert np.abs(set_up.world.v).max() > 1.0
+        set_up.go_on(1.0)  # the controller asks for NaN all the while
+        assert np.abs(set_up.world.v).max() < 1e-3
+        rest = set_up.world.q
+        set_up.go_on(1.0, tau=np.full(DOF, 1e9))
+        assert np.abs(set_up.world.q - rest).max() < 1e-3
+        applied = np.array(set_up.applied)
+        assert np.isfinite(applied).all()
+        assert np.max(np.abs(applied) / TAU_MAX) <= 1.0
+        assert np.max(np.abs(np.diff(applied, axis=0))) <= TAU_RATE_MAX * 1e-3 + 1e-9
+        assert set_up.supervisor.reflex is not None
+        set_up.supervisor.reset()
+        set_up.error = None
+        assert set_up.run(0.2, lambda t: (rest, np.zeros(DOF), np.zeros(DOF))) is None
+
+    def test_blind_arms_are_carried(self, arms):
+        set_up = arms()
+        set_up.run(0.3, torque=lambda t, tau: tau * (np.nan if t > 0.2 else 1.0))
+        set_up.go_on(0.5, q=np.full(DOF, np.nan))
+        assert np.isfinite(set_up.applied).all()
+        assert np.abs(set_up.world.q - HOME).max() < 0.02
+
+    def test_the_callback_gets_the_reflex_and_its_file_is_named(self, arms):
+        seen = []
+        set_up = arms(on_reflex=lambda reflex: seen.append(reflex) or Path("last-second.npz"))
+        set_up.supervisor.estop()
+        error = set_up.run(0.1)
+        assert seen == [error.reflex]
+        assert "minidual replay last-second.npz" in str(error)
+
+    def test_the_error_crosses_processes(self, arms):
+        set_up = arms()
+        set_up.supervisor.estop()
+        error = set_up.run(0.1)
+        copy = pickle.loads(pickle.dumps(error))
+        assert (copy.reflex, copy.message, copy.remedy) == (error.reflex, error.message, error.remedy)
+        assert (copy.tau == error.tau).all()
+
+
+class TestLegalMotion:
+    def test_a_swing_of_all_joints_is_passed_on_unchanged(self, arms, nearest):
+        set_up = arms(nearest)
+        asked = []
+
+        def swing(t):
+            set_up.supervisor.heard(t)
+            return sine_reference(0.3, 0.5, t)
+
+        def note(_t, tau):
+            asked.append(tau)
+            return tau
+
+        set_up.world.reset(sine_reference(0.3, 0.5, 0.0)[0])
+        assert set_up.run(2.0, swing, torque=note, tell_reference=True) is None
+        same = np.array(asked) == np.array(set_up.applied)
+        assert same[20:].all()  # at the start the torque comes from rest, at the rate of the motors
+
+    @pytest.mark.parametrize(("joint", "way"), [(0, 1.0), (3, 1.0), (5, -1.0), (6, 1.5)])
+    def test_a_far_target_through_the_filter_arrives(self, world, kinematics, joint, way):
+        loop, supervisor = JointLoop(world, kinematics), Supervisor()
+        command = world.command
+        world.command = lambda tau, fingers: command(
+            supervisor.guard(world.time, world.q, world.v, tau, loop.reference.a), fingers
+        )
+        target = HOME + way * np.eye(DOF)[joint]
+        for _ in range(1500):
+            loop.step(target, np.ones(2))
+        assert np.abs(world.q - target).max() < 1e-4
+
+    def test_a_joint_may_go_to_its_very_limit(self, world, kinematics):
+        loop, supervisor = JointLoop(world, kinematics), Supervisor()
+        command = world.command
+        world.command = lambda tau, fingers: command(
+            supervisor.guard(world.time, world.q, world.v, tau), fingers
+        )
+        target = HOME.copy()
+        target[[6, 13]] = Q_UPPER[6], Q_LOWER[13]
+        for _ in range(2500):
+            loop.step(target, np.ones(2))
+        assert np.abs(world.q - target).max() < 1e-3
+
+
+class TestBounds:
+    def test_no_point_of_an_arm_moves_faster_than_its_reach_allows(self, world):
+        import mujoco
+
+        rng = np.random.default_rng(0)
+        model, data = world.model, world.data
+        moving = [g for g in range(model.ngeom) if model.body(model.geom_bodyid[g]).name.startswith("left_")]
+        for _ in range(30):
+            q, joint = rng.uniform(Q_LOWER, Q_UPPER), int(rng.integers(7))
+            corners = []
+            for step in (0.0, 1e-5):
+                data.qpos[world.joints.qpos] = q + step * np.eye(DOF)[joint]
+                mujoco.mj_kinematics(model, data)
+                corners.append(np.array([
+                    data.geom_xpos[g] + data.geom_xmat[g].reshape(3, 3) @ (model.geom_aabb[g, :3] + model.geom_aabb[g, 3:] * s)
+                    for g in moving for s in np.stack(np.meshgrid(*[[-1, 1]] * 3), -1).reshape(-1, 3)
+                ]))  # fmt: skip
+            fastest = np.linalg.norm(corners[1] - corners[0], axis=1).max() / 1e-5
+            assert fastest <= limits.REACH_M[joint]
+            assert fastest > 0.1 * limits.REACH_M[joint]
+
+    def test_time_must_grow(self, arms):
+        set_up = arms()
+        set_up.run(0.01)
+        with pytest.raises(UsageError, match="reset"):
+            set_up.supervisor.guard(0.001, HOME, np.zeros(DOF), np.zeros(DOF))
+
+    def test_limits_can_be_tightened_and_not_loosened(self):
+        for name in ("velocity_scale", "torque_scale", "torque_rate_scale", "acceleration_scale"):
+            assert SupervisorConfig(**{name: 0.5})
+            with pytest.raises(ValueError, match=name):
+                SupervisorConfig(**{name: 1.01})
+        with pytest.raises(ValueError, match="workspace_m"):
+            SupervisorConfig(workspace_m=((0.0, 1.0), (1.0, 0.0), (0.0, 1.0)))
+
+    def test_the_page_lists_every_reflex(self):
+        page = (Path(__file__).parent.parent / "docs" / "supervisor.md").read_text(encoding="utf-8")
+        assert set(re.findall(r"^\| `([a-z_]+)` \|", page, re.MULTILINE)) == set(REFLEXES)
