@@ -163,19 +163,27 @@ class Bench:
         self.kinematics = Kinematics()
         self.factory = load_factory(method, inputs)
 
-    def run(self, trial: RodTrial, *, condition: str = CLEAN) -> tuple[TrialResult, TrialLog]:
+    def run(
+        self,
+        trial: RodTrial,
+        *,
+        condition: str = CLEAN,
+        on_step: Callable[[World, Method], None] | None = None,
+    ) -> tuple[TrialResult, TrialLog]:
         """Run one trial under a condition of the table in `minidual.evaluation.conditions`."""
         spec = named_condition(condition)
         disturb = spec.disturbance(stream(self.seed, f"disturbance/{condition}", trial.index))
 
-        def on_step(world: World, method: Method) -> None:
+        def both(world: World, method: Method) -> None:
             if disturb is not None:
                 disturb(world)
+            if on_step is not None:
+                on_step(world, method)
 
         with spec.applied(self.world.model, trial.index):
             return run_trial(
-                self.method, self.factory, self.world, self.kinematics, trial,
-                condition=condition, on_step=None if disturb is None else on_step,
+                self.method, self.factory, self.world, self.kinematics, trial, condition=condition,
+                on_step=None if disturb is None and on_step is None else both,
             )  # fmt: skip
 
 

@@ -101,6 +101,7 @@ class ImpedanceCarry:
         self._stop_opens = False
         self._phase = _Phase("approach", world.time)
         self._hold: _Hold | None = None
+        self._desired: ObjectState | None = None
         self.fault: CarryFault | None = None
 
     @property
@@ -122,6 +123,11 @@ class ImpedanceCarry:
     def estimate(self) -> ObjectState:
         """Where the controller believes the object to be."""
         return ObjectState(self._resting.T_world_object) if self._hold is None else self._hold.estimate.state
+
+    @property
+    def desired(self) -> ObjectState | None:
+        """Where the object should be in this step, or None while it is not carried under impedance."""
+        return None if self._hold is None else self._desired
 
     def step(self) -> None:
         """Run one control and physics step."""
@@ -290,8 +296,9 @@ class ImpedanceCarry:
             state = hold.estimate.update(world.q, world.v, sample.T_world_object, sample.age_ticks)
         axis = state.T_world_object[:3, 1]
         felt = min(-float(axis @ self._forces[0]), float(axis @ self._forces[1]))
+        self._desired = hold.desired(t_path)
         tau = hold.law.torque(
-            world.q, world.v, state, hold.desired(t_path),
+            world.q, world.v, state, self._desired,
             internal_force_n=squeeze_n, measured_internal_force_n=felt,
         )  # fmt: skip
         self._command(tau, _CLOSED)
