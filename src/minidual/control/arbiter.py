@@ -12,6 +12,10 @@ posture. Every tick yields a target: where no source drives, a posture is held.
                          stopped <-------------------------------- stale --> active when heard again
                                         silent for stop_after_s
 
+Streamed targets go through bounded step by step. A timed command (trajectory, object path) is taken once, if it
+starts where the arms are, and then runs at the control rate; the source waits, active, until it ends. A switch
+brakes it along its path and moving arms at a bounded deceleration: nothing is stopped by a jump.
+
 Time is what `tick` is told; nothing here reads a clock, so a run under simulated time repeats exactly.
 """
 
@@ -23,11 +27,33 @@ from dataclasses import dataclass
 import numpy as np
 
 from minidual.config.arbiter import ArbiterConfig
-from minidual.control.commands import HOLD, SOURCES, ArbiterOutput, ArbiterState, JointCommand, Refusal
+from minidual.control.command_checks import Fault
+from minidual.control.commands import (
+    HOLD,
+    SOURCES,
+    ArbiterOutput,
+    ArbiterState,
+    Command,
+    JointCommand,
+    Refusal,
+)
+from minidual.control.execution import Execution
 from minidual.control.mailbox import Mailbox
+from minidual.control.underway import Underway
 from minidual.errors import UsageError, unknown_name
-from minidual.robot.constants import ARMS, DOF, DOF_PER_ARM, Q_LOWER, Q_UPPER, Array
+from minidual.robot.constants import (
+    A_MAX,
+    ARMS,
+    DOF,
+    DOF_PER_ARM,
+    Q_LOWER,
+    Q_UPPER,
+    V_MAX,
+    Array,
+)
 
+_STOP_SHARE = 0.5
+"""Share of the joints' acceleration limits with which arms in motion are stopped when a switch begins."""
 _DRIVING = (ArbiterState.WAITING, ArbiterState.ALIGNING, ArbiterState.ACTIVE, ArbiterState.STALE)
 
 
@@ -43,15 +69,27 @@ class CommandArbiter:
     """Decides at each tick which joint target reaches the controllers.
 
     The output moves by at most `switch_step_max_rad` a tick and joint while a source drives. A hold that begins
-    takes the measured posture, wherever the last target was: that asks the arms for less, never for more.
+    takes the measured posture (of moving arms: where they can come to rest), wherever the last target was: that
+    asks the arms for less, never for more.
 
     Args:
         config: Bounds and times.
         gripper: Opening (2,) to hold until a source commands another.
+        control_dt_s: Step of the control loop that runs timed commands.
+        admit: Says why the controllers cannot take a command now, or None; by default they take joint commands.
     """
 
-    def __init__(self, config: ArbiterConfig | None = None, *, gripper: Array | None = None) -> None:
+    def __init__(
+        self,
+        config: ArbiterConfig | None = None,
+        *,
+        gripper: Array | None = None,
+        control_dt_s: float = 0.001,
+        admit: Callable[[Command], Fault | None] | None = None,
+    ) -> None:
         self.config = ArbiterConfig() if config is None else config
+        self._underway = Underway(control_dt_s, admit)
+        self._confirm_listeners: list[Callable[[str], None]] = []
         self._mailboxes = {source: Mailbox(source) for source in SOURCES}
         self._listeners: list[Callable[[str], None]] = []
         self._requests: list[str] = []
@@ -69,14 +107,29 @@ class CommandArbiter:
         """What the arbiter did in the last tick."""
         return self._state
 
+    @property
+    def source(self) -> str | None:
+        """Whose turn it is, whether it speaks or not."""
+        return self._source
+
+    @property
+    def executions(self) -> tuple[Execution, ...]:
+        """Timed commands under way."""
+        return self._underway.executions
+
+    def on_confirm(self, listener: Callable[[str], None]) -> None:
+        """Call `listener(mode)` when a switch is confirmed, before the new source's first command is taken."""
+        self._confirm_listeners.append(listener)
+
     def on_flush(self, listener: Callable[[str], None]) -> None:
         """Call `listener(mode)` whenever a switch to `mode` begins, so that sources drop queued chunks too."""
         self._listeners.append(listener)
 
-    def propose(self, source: str, command: JointCommand) -> Refusal | None:
+    def propose(self, source: str, command: Command) -> Refusal | None:
         """Offer a command; return why it is refused, or None.
 
-        A source that does not drive may propose too: its commands are checked and kept, and forgotten at the
+        What can only be judged by the present posture is judged at the tick that would take the command, and
+        reported there. A source that does not drive may propose too: its commands are checked and kept, and forgotten at the
         next switch.
 
         Raises:
@@ -113,12 +166,18 @@ class CommandArbiter:
         dt = self._elapsed(now_s)
         posture = self._posture(q_measured)
         speed = float(np.max(np.abs(v_measured)))  # NaN compares as not still
-        self._begin_requested(now_s, posture)
+        ended = False
+        if self._underway.executions:
+            self._target, ended = self._underway.follow(self._held())
+        self._begin_requested(now_s, posture, v_measured)
         switched_to = None
         if self._switch is not None and now_s > self._switch.since_s:
             switched_to = self._settle(self._switch, now_s, speed, posture)
-        driven: dict[int, JointCommand] = {}
+        driven: dict[int, Command] = {}
         if self._source is not None:
+            if ended:
+                self._state, self._heard_s = ArbiterState.WAITING, now_s
+            self._begin_timed(self._source, now_s, posture)
             driven = self._drive(self._source, now_s, dt)
         refusals, self._refusals = tuple(self._refusals), []
         return ArbiterOutput(
@@ -129,6 +188,7 @@ class CommandArbiter:
             held_arms=tuple(name for arm, name in enumerate(ARMS) if arm not in driven),
             switched_to=switched_to,
             refusals=refusals,
+            executions=self._underway.executions,
         )
 
     def _elapsed(self, now_s: float) -> float:
@@ -156,7 +216,7 @@ class CommandArbiter:
             raise UsageError("the arbiter has not been told a posture yet", remedy="call tick first")
         return self._target
 
-    def _begin_requested(self, now_s: float, posture: Array) -> None:
+    def _begin_requested(self, now_s: float, posture: Array, v_measured: Array) -> None:
         """Start the switch asked for last; a request for who drives already is confirmed by going on."""
         requests, self._requests = self._requests, []
         if not requests:
@@ -164,19 +224,16 @@ class CommandArbiter:
         mode = requests[-1]
         for old in requests[:-1]:
             if old != mode:
-                self._refusals.append(
-                    Refusal(old, "superseded", f"'{mode}' was requested before the switch began")
-                )
+                self._refuse(old, "superseded", f"'{mode}' was requested before the switch began")
         if self._switch is not None:
             if mode == self._switch.mode:
                 return
-            self._refusals.append(
-                Refusal(self._switch.mode, "superseded", f"'{mode}' was requested while settling")
-            )
+            self._refuse(self._switch.mode, "superseded", f"'{mode}' was requested while settling")
         elif mode == self._source and self._state in _DRIVING:
             return
         self._source = None
-        self._target = posture
+        self._underway.brake()
+        self._target, _ = self._underway.follow(_where_they_stop(posture, v_measured))
         for mailbox in self._mailboxes.values():
             mailbox.flush(now_s)
         for listener in self._listeners:
@@ -187,12 +244,14 @@ class CommandArbiter:
     def _settle(self, switch: _Switch, now_s: float, speed: float, posture: Array) -> str | None:
         """Confirm the switch when the arms are still, give it up when they are not in time."""
         mode, waited = switch.mode, now_s - switch.since_s
-        if speed < self.config.still_speed_rad_s:
+        if speed < self.config.still_speed_rad_s and not self._underway.executions:
             self._switch = None
             self._target = posture
             self._source = None if mode == HOLD else mode
             self._state = ArbiterState.HOLDING if mode == HOLD else ArbiterState.WAITING
             self._heard_s = now_s
+            for listener in self._confirm_listeners:
+                listener(mode)
             return mode
         if waited >= self.config.settle_timeout_s:
             self._switch = None
@@ -201,16 +260,52 @@ class CommandArbiter:
                 f"fastest joint {speed:.3f} rad/s after {waited:.3f} s; still means below "
                 f"{self.config.still_speed_rad_s} rad/s"
             )
-            self._refusals.append(Refusal(mode, "not_still", detail))
+            self._refuse(mode, "not_still", detail)
         return None
 
-    def _drive(self, source: str, now_s: float, dt: float) -> dict[int, JointCommand]:
-        """Move the target to what the source asks for; return the commands that went through, by arm."""
-        fresh, refused = self._mailboxes[source].fresh(now_s, self.config.stale_s)
+    def _refuse(self, source: str, name: str, detail: str) -> None:
+        self._refusals.append(Refusal(source, name, detail))
+
+    def _begin_timed(self, source: str, now_s: float, posture: Array) -> None:
+        """Take the timed commands that wait, if nothing stands against them."""
+        taken, refused = self._mailboxes[source].take_timed(now_s, self.config.stale_s)
         self._refusals.extend(refused)
+        for command in taken:
+            fault = self._underway.begin(command, posture, self.config.switch_step_max_rad)
+            if fault is not None:
+                self._refuse(source, *fault)
+                continue
+            for arm in command.arms:
+                self._gripper[arm] = command.gripper[arm]
+
+    def _fresh(self, source: str, now_s: float) -> dict[int, JointCommand]:
+        """Return the streamed command of each arm, less those that cannot be followed now."""
+        mailbox = self._mailboxes[source]
+        fresh, refused = mailbox.fresh(now_s, self.config.stale_s)
+        self._refusals.extend(refused)
+        verdicts: dict[int, Fault | None] = {}
+        for arm, command in list(fresh.items()):
+            if id(command) not in verdicts:
+                verdicts[id(command)] = self._underway.admit(command)
+            fault = self._underway.busy((arm,)) or verdicts[id(command)]
+            if fault is not None:
+                self._refuse(source, *fault)
+                mailbox.drop(arm)
+                del fresh[arm]
+        return fresh
+
+    def _drive(self, source: str, now_s: float, dt: float) -> dict[int, Command]:
+        """Move the target to what the source asks for; return the commands that went through, by arm."""
+        fresh = self._fresh(source, now_s)
+        was_aligning = self._state == ArbiterState.ALIGNING
+        driven: dict[int, Command] = {arm: e.command for e in self._underway.executions for arm in e.arms}
+        if driven:
+            self._heard_s = now_s
+            self._state = ArbiterState.ACTIVE
         if not fresh:
-            self._go_quiet(now_s)
-            return {}
+            if not driven:
+                self._go_quiet(now_s)
+            return driven
         self._heard_s = max(self._heard_s, max(c.stamp_s for c in fresh.values()))
         wanted = self._held().copy()
         for arm, command in fresh.items():
@@ -220,7 +315,7 @@ class CommandArbiter:
         largest = float(np.max(np.abs(step)))
         # A step over the bound begins an alignment; it ends when one tick at its speed reaches the source.
         aligning = largest > self.config.switch_step_max_rad or (
-            self._state == ArbiterState.ALIGNING and largest > self.config.align_speed_rad_s * dt
+            was_aligning and largest > self.config.align_speed_rad_s * dt
         )
         if aligning:
             bound = min(self.config.align_speed_rad_s * dt, self.config.switch_step_max_rad)
@@ -231,7 +326,7 @@ class CommandArbiter:
                 self._gripper[arm] = command.gripper[arm]
         self._target = wanted
         self._state = ArbiterState.ALIGNING if aligning else ArbiterState.ACTIVE
-        return fresh
+        return {**driven, **fresh}
 
     def _go_quiet(self, now_s: float) -> None:
         """Hold while the source is silent, and take its turn away when it stays so."""
@@ -240,3 +335,11 @@ class CommandArbiter:
             self._source = None
         elif self._state != ArbiterState.WAITING:
             self._state = ArbiterState.STALE
+
+
+def _where_they_stop(posture: Array, v_measured: Array) -> Array:
+    """Return where arms at a posture (14,) and velocity (14,) come to rest when braked at a bounded deceleration."""
+    v = np.clip(v_measured, -V_MAX, V_MAX)
+    if not np.isfinite(v).all():
+        return posture.copy()
+    return np.clip(posture + v * np.abs(v) / (2.0 * _STOP_SHARE * A_MAX), Q_LOWER, Q_UPPER)

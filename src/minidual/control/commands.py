@@ -1,13 +1,24 @@
-"""What travels through the arbiter: a proposed command, a refusal, and what goes on to the controllers."""
+"""What travels through the arbiter: proposed commands, refusals, and what goes on to the controllers.
+
+Three kinds of command, one for each kind of source:
+
+* `JointCommand`       a joint target of this instant, streamed at 50 to 100 Hz (leader, policy)
+* `TrajectoryCommand`  a timed joint trajectory, taken once and run at 1 kHz (planner)
+* `ObjectCommand`      a timed path of a held object with the squeeze on it, run at 1 kHz (object impedance)
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import TYPE_CHECKING, Protocol
 
-import numpy as np
+from minidual.robot.constants import ARMS, DOF_PER_ARM, Array
 
-from minidual.robot.constants import ARMS, DOF_PER_ARM, GROUPS, JOINT_NAMES, Q_LOWER, Q_UPPER, Array
+if TYPE_CHECKING:
+    from minidual.control.execution import Execution
+    from minidual.control.object_impedance import ObjectState
 
 SOURCES: tuple[str, ...] = ("moveit", "teleop", "policy")
 """Who may propose commands; each is a mode of the system, and one at most drives at a time."""
@@ -15,8 +26,10 @@ SOURCES: tuple[str, ...] = ("moveit", "teleop", "policy")
 HOLD = "hold"
 """The mode in which nobody drives."""
 
-_LIMIT_TOLERANCE_RAD = 1e-6
-_ZERO_RAD = 1e-12
+
+def arms_of(group: str) -> tuple[int, ...]:
+    """Return the indices of the arms of a group (`both_arms`, `left_arm`, `right_arm`)."""
+    return (0, 1) if group == "both_arms" else (ARMS.index(group.removesuffix("_arm")),)
 
 
 @dataclass(frozen=True)
@@ -41,12 +54,115 @@ class JointCommand:
     @property
     def arms(self) -> tuple[int, ...]:
         """Indices of the arms that this command drives."""
-        return (0, 1) if self.group == "both_arms" else (ARMS.index(self.group.removesuffix("_arm")),)
+        return arms_of(self.group)
 
     def target_of(self, arm: int) -> Array:
         """Return the seven joint targets [rad] of one of its arms."""
         start = arm * DOF_PER_ARM if self.group == "both_arms" else 0
         return self.q[start : start + DOF_PER_ARM]
+
+
+class TimedMotion(Protocol):
+    """A joint trajectory on a regular time grid, at rest at both ends (`planning.Trajectory` is one).
+
+    q, v, a: (n, 14), or (n, 7) for a single arm. Of 14 columns a single arm's command uses its own seven.
+    """
+
+    @property
+    def q(self) -> Array:
+        """Positions [rad]."""
+        ...
+
+    @property
+    def v(self) -> Array:
+        """Velocities [rad/s]."""
+        ...
+
+    @property
+    def a(self) -> Array:
+        """Accelerations [rad/s^2]."""
+        ...
+
+    @property
+    def dt_s(self) -> float:
+        """Step between samples [s]."""
+        ...
+
+    @property
+    def duration_s(self) -> float:
+        """Time of the last sample [s]."""
+        ...
+
+    def sample_many(self, times: Array) -> tuple[Array, Array, Array]:
+        """Return (q, v, a) at times (m,) [s], each (m, joints)."""
+        ...
+
+
+@dataclass(frozen=True)
+class TrajectoryCommand:
+    """A timed joint trajectory that a source proposes; it starts when the arbiter takes it.
+
+    It need not be repeated: it has a clock of its own, ends by itself, and ends at rest.
+
+    Attributes:
+        motion: The trajectory; it must start where the arms are.
+        gripper: Openings (2,) from its start on.
+        stamp_s: When the source made it [s]. One not taken within `stale_s` is refused.
+        sequence: Counts up with every command of the source.
+        group: `both_arms`, `left_arm` or `right_arm`.
+    """
+
+    motion: TimedMotion
+    gripper: Array
+    stamp_s: float
+    sequence: int
+    group: str = "both_arms"
+
+    @property
+    def arms(self) -> tuple[int, ...]:
+        """Indices of the arms that this command drives."""
+        return arms_of(self.group)
+
+
+class ObjectMotion(Protocol):
+    """A path of a held object in time, at rest at both ends (`control.ObjectPath` is one)."""
+
+    @property
+    def duration_s(self) -> float:
+        """When it ends [s]."""
+        ...
+
+    def at(self, t_s: float) -> ObjectState:
+        """Return pose, twist and acceleration of the object at a time [s]."""
+        ...
+
+
+@dataclass(frozen=True)
+class ObjectCommand:
+    """A path of the object in both hands, and how hard they press it together.
+
+    Attributes:
+        motion: The path; it must start where the object is.
+        squeeze_n: Internal force [N] at a time [s] of the path, 0 to 80.
+        gripper: Openings (2,) from its start on.
+        stamp_s: When the source made it [s]. One not taken within `stale_s` is refused.
+        sequence: Counts up with every command of the source.
+    """
+
+    motion: ObjectMotion
+    squeeze_n: Callable[[float], float]
+    gripper: Array
+    stamp_s: float
+    sequence: int
+
+    @property
+    def arms(self) -> tuple[int, ...]:
+        """Both: an internal force takes two hands."""
+        return (0, 1)
+
+
+TimedCommand = TrajectoryCommand | ObjectCommand
+Command = JointCommand | TimedCommand
 
 
 @dataclass(frozen=True)
@@ -55,8 +171,7 @@ class Refusal:
 
     Attributes:
         source: Who proposed it.
-        name: Stable name: `unknown_group`, `wrong_shape`, `not_finite`, `all_zero`, `out_of_limits`,
-            `gripper_out_of_range`, `out_of_order`, `before_switch`, `from_future`, `superseded`, `not_still`.
+        name: Stable name; docs/control.md lists them all.
         detail: The value and the bound.
     """
 
@@ -69,10 +184,10 @@ class ArbiterState(StrEnum):
     """What the arbiter does with the arms.
 
     holding: nobody drives; the posture is held. settling: a switch waits for the arms to be still.
-    waiting: the new source may drive, and has not spoken yet. aligning: the target moves at a bounded rate
-    from the present posture to what the source asks for. active: the source's commands go through. stale: the
-    source fell silent; its last target is held. stopped: it stayed silent, or the arms would not come to rest;
-    only a new request goes on from here.
+    waiting: the source may drive, and has nothing under way: it has not spoken yet, or its trajectory has ended.
+    aligning: the target moves at a bounded rate from the present posture to what the source asks for. active: the
+    source's commands go through. stale: the source fell silent; its last target is held. stopped: it stayed silent,
+    or the arms would not come to rest; only a new request goes on from here.
     """
 
     HOLDING = "holding"
@@ -96,6 +211,7 @@ class ArbiterOutput:
         held_arms: Arms that no fresh command drives in this tick.
         switched_to: The mode whose request was confirmed in this tick, or None.
         refusals: Everything refused since the last tick.
+        executions: Timed commands under way; the arms they drive follow them and not `q_target`.
     """
 
     q_target: Array
@@ -105,33 +221,4 @@ class ArbiterOutput:
     held_arms: tuple[str, ...]
     switched_to: str | None
     refusals: tuple[Refusal, ...]
-
-
-def find_fault(command: JointCommand) -> tuple[str, str] | None:
-    """Return (name, detail) of what is wrong with a command by itself, or None."""
-    if command.group not in GROUPS:
-        return "unknown_group", f"no group '{command.group}'; there are {', '.join(sorted(GROUPS))}"
-    joints = GROUPS[command.group]
-    names = JOINT_NAMES[joints]
-    if np.shape(command.q) != (len(names),) or np.shape(command.gripper) != (2,):
-        given = f"q {np.shape(command.q)} and gripper {np.shape(command.gripper)}"
-        return "wrong_shape", f"{given}; group {command.group} needs ({len(names)},) and (2,)"
-    finite = np.isfinite(command.q)
-    if not finite.all():
-        index = int(np.argmin(finite))
-        return "not_finite", f"{names[index]} = {command.q[index]}"
-    if not (np.isfinite(command.gripper).all() and np.isfinite(command.stamp_s)):
-        return "not_finite", f"gripper {command.gripper}, stamp {command.stamp_s}"
-    if np.abs(command.q).max() < _ZERO_RAD:
-        return "all_zero", "every joint at 0.0 rad: a source that has not been given its values, or lost them"
-    lower, upper = Q_LOWER[joints] - _LIMIT_TOLERANCE_RAD, Q_UPPER[joints] + _LIMIT_TOLERANCE_RAD
-    outside = (command.q < lower) | (command.q > upper)
-    if outside.any():
-        index = int(np.argmax(outside))
-        return (
-            "out_of_limits",
-            f"{names[index]} = {command.q[index]:.4f} rad; {Q_LOWER[joints][index]:.4f} to {Q_UPPER[joints][index]:.4f}",
-        )
-    if command.gripper.min() < 0.0 or command.gripper.max() > 1.0:
-        return "gripper_out_of_range", f"gripper {command.gripper}; 0 (closed) to 1 (open)"
-    return None
+    executions: tuple[Execution, ...] = ()

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from minidual.control.commands import JointCommand, Refusal, find_fault
+from minidual.control.command_checks import find_fault
+from minidual.control.commands import Command, JointCommand, Refusal, TimedCommand
 from minidual.robot.constants import ARMS
 
 
@@ -20,10 +21,11 @@ class Mailbox:
     def __init__(self, source: str) -> None:
         self.source = source
         self._latest: dict[int, JointCommand] = {}
+        self._timed: list[TimedCommand] = []
         self._sequence: int | None = None
         self._not_before_s = float("-inf")
 
-    def put(self, command: JointCommand) -> Refusal | None:
+    def put(self, command: Command) -> Refusal | None:
         """Take a command, or return why it is refused."""
         fault = find_fault(command)
         if fault is None and command.stamp_s < self._not_before_s:
@@ -36,15 +38,27 @@ class Mailbox:
         if fault is not None:
             return Refusal(self.source, *fault)
         self._sequence = command.sequence
-        for arm in command.arms:
-            self._latest[arm] = command
+        arms = set(command.arms)
+        self._timed = [c for c in self._timed if not arms & set(c.arms)]
+        if isinstance(command, JointCommand):
+            for arm in command.arms:
+                self._latest[arm] = command
+        else:
+            for arm in command.arms:
+                self._latest.pop(arm, None)
+            self._timed.append(command)
         return None
 
     def flush(self, now_s: float) -> None:
         """Forget every command; refuse those stamped before now."""
         self._latest.clear()
+        self._timed.clear()
         self._sequence = None
         self._not_before_s = now_s
+
+    def drop(self, arm: int) -> None:
+        """Forget the streamed command of an arm."""
+        self._latest.pop(arm, None)
 
     def fresh(self, now_s: float, stale_s: float) -> tuple[dict[int, JointCommand], list[Refusal]]:
         """Return the command of each arm that is at most `stale_s` old, and refusals of stamps from the future.
@@ -56,9 +70,28 @@ class Mailbox:
         for arm, command in sorted(self._latest.items()):
             age = now_s - command.stamp_s
             if age < -stale_s:
-                detail = f"{ARMS[arm]} arm: stamped {command.stamp_s:.4f} s, {-age:.4f} s ahead of the clock"
-                refusals.append(Refusal(self.source, "from_future", detail))
+                refusals.append(self._ahead(f"{ARMS[arm]} arm", -age, command))
                 del self._latest[arm]
             elif age <= stale_s + 1e-9:
                 fresh[arm] = command
         return fresh, refusals
+
+    def take_timed(self, now_s: float, stale_s: float) -> tuple[list[TimedCommand], list[Refusal]]:
+        """Return the timed commands that wait, each only once, and refusals of those with a bad stamp."""
+        waiting, self._timed = self._timed, []
+        taken: list[TimedCommand] = []
+        refusals: list[Refusal] = []
+        for command in waiting:
+            age = now_s - command.stamp_s
+            if age < -stale_s:
+                refusals.append(self._ahead(type(command).__name__, -age, command))
+            elif age > stale_s + 1e-9:
+                detail = f"{type(command).__name__} is {age:.3f} s old; limit {stale_s} s"
+                refusals.append(Refusal(self.source, "stale", detail))
+            else:
+                taken.append(command)
+        return taken, refusals
+
+    def _ahead(self, what: str, ahead_s: float, command: Command) -> Refusal:
+        detail = f"{what}: stamped {command.stamp_s:.4f} s, {ahead_s:.4f} s ahead of the clock"
+        return Refusal(self.source, "from_future", detail)

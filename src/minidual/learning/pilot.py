@@ -10,9 +10,8 @@ import numpy as np
 
 from minidual.config.arbiter import ArbiterConfig
 from minidual.config.learning import DeployConfig
-from minidual.control.arbiter import CommandArbiter
 from minidual.control.commands import ArbiterState, JointCommand
-from minidual.control.loop import JointLoop
+from minidual.control.stack import ControlStack
 from minidual.errors import DataError
 from minidual.learning.policy import Image, PolicyRuntime
 from minidual.robot.constants import Q_LOWER, Q_UPPER
@@ -62,22 +61,21 @@ class PolicyPilot:
         self.world = world
         self.aborted: str | None = None
         self._runtime, self._picture = runtime, picture
-        self._loop = JointLoop(world, kinematics)
-        self._arbiter = CommandArbiter(arbiter)
+        self.stack = ControlStack(world, kinematics, arbiter, rate_hz=rate_hz)
         # A switch must drop the chunk that is under way, or it would run on after the switch.
-        self._arbiter.on_flush(lambda mode: runtime.flush())
+        self.stack.on_flush(lambda mode: runtime.flush())
         runtime.reset()
-        self._arbiter.request(SOURCE)
+        self.stack.request(SOURCE)
         self._steps_per_tick = round(1.0 / (rate_hz * world.dt))
         self._step = 0
         self._sequence = 0
-        self._output = self._arbiter.tick(world.time, world.q, world.v)
+        self.stack.arbitrate()
         self.refusals = 0
 
     @property
     def phase(self) -> str:
         """State of the arbiter."""
-        return str(self._output.state)
+        return str(self.stack.state)
 
     @property
     def done(self) -> bool:
@@ -89,23 +87,23 @@ class PolicyPilot:
         if self._step % self._steps_per_tick == 0:
             self._tick()
         self._step += 1
-        self._loop.step(self._output.q_target, self._output.gripper)
+        self.stack.advance()
 
     def _tick(self) -> None:
         world = self.world
-        if self._output.state is not ArbiterState.SETTLING and self.aborted is None:
+        if self.stack.state is not ArbiterState.SETTLING and self.aborted is None:
             state = np.concatenate([world.q, world.gripper])
             images = {name: partial(self._picture, name) for name in self._runtime.cameras}
             try:
                 action = self._runtime.act(images, state)
             except DataError as error:
                 self.aborted = error.message
-                self._arbiter.request("hold")
+                self.stack.request("hold")
             else:
                 self._sequence += 1
                 command = JointCommand(
                     action[:14], np.clip(action[14:], 0.0, 1.0), world.time, self._sequence
                 )
-                if self._arbiter.propose(SOURCE, command) is not None:
+                if self.stack.propose(SOURCE, command) is not None:
                     self.refusals += 1
-        self._output = self._arbiter.tick(world.time, world.q, world.v)
+        self.stack.arbitrate()

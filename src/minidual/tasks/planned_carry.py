@@ -1,8 +1,9 @@
 """Carry the rod by planning alone: OMPL to the rod, a closed-chain plan with it, joint trajectory control throughout.
 
 The whole cycle is planned before the arms move, from the rod's pose: approach (OMPL, proven free), straight
-descent, the carry on which both hands keep their grasps, straight retreat. Nothing is fed back but joint
-positions; the squeeze is whatever the stiff joints happen to give.
+descent, the carry on which both hands keep their grasps, straight retreat. Each trajectory is proposed to the arbiter
+when the one before it has ended. Nothing is fed back but joint positions; the squeeze is whatever the stiff joints
+happen to give.
 """
 
 from __future__ import annotations
@@ -11,16 +12,20 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from minidual.config.arbiter import ArbiterConfig
 from minidual.config.planning import PlannerConfig
-from minidual.control.loop import JointLoop
+from minidual.control.commands import ArbiterState, TrajectoryCommand
+from minidual.control.stack import ControlStack
 from minidual.planning.api import Planner
 from minidual.planning.closed_chain import CarriedPlanner, ObjectLimits
 from minidual.planning.errors import PlanningError
 from minidual.planning.trajectory import Trajectory
-from minidual.robot.constants import ARMS, DOF, Array
+from minidual.robot.constants import ARMS, Array
 from minidual.robot.kinematics import Kinematics
 from minidual.sim.world import World
 from minidual.tasks.rod_carry import RodTrial, grasp_offsets, level_part, level_pose
+
+SOURCE = "moveit"
 
 _HOVER_M = 0.08
 _RETREAT_M = 0.10
@@ -39,6 +44,7 @@ class PlannedCarry:
         carrier: Plans with the rod in both hands; shared by trials.
         trial: Goal.
         seed: Of the planner.
+        arbiter: Bounds of the arbiter.
     """
 
     def __init__(
@@ -49,22 +55,24 @@ class PlannedCarry:
         carrier: CarriedPlanner,
         trial: RodTrial,
         seed: int,
+        arbiter: ArbiterConfig | None = None,
     ) -> None:
         self.world = world
         self.aborted: str | None = None
-        self._loop = JointLoop(world, kinematics)
-        self._segments: list[tuple[str, Trajectory | float, float]] = []
-        self._began_s = world.time
-        self._q_end: Array = world.q
+        self.stack = ControlStack(world, kinematics, arbiter)
+        self._segments: list[tuple[str, Trajectory, float]] = []
+        self._proposed = 0
         try:
             self._segments = self._plan(planner, carrier, trial, seed)
         except PlanningError as error:
             self.aborted = error.message
+        else:
+            self.stack.request(SOURCE)
 
     def _plan(
         self, planner: Planner, carrier: CarriedPlanner, trial: RodTrial, seed: int
-    ) -> list[tuple[str, Trajectory | float, float]]:
-        """Return (phase, trajectory or waiting time, gripper opening) of the whole cycle."""
+    ) -> list[tuple[str, Trajectory, float]]:
+        """Return (phase, trajectory, gripper opening) of the whole cycle."""
         scene = self.world.scene
         grasps = grasp_offsets(scene)
         start = level_part(self.world.T_world_rod)
@@ -82,10 +90,10 @@ class PlannedCarry:
         return [
             ("approach", approach, 1.0),
             ("descend", descent, 1.0),
-            ("close", _CLOSE_S, 0.0),
+            ("close", _stay(descent, _CLOSE_S), 0.0),
             ("carry", carry, 0.0),
-            ("settle", _SETTLE_S, 0.0),
-            ("open", _OPEN_S, 1.0),
+            ("settle", _stay(carry, _SETTLE_S), 0.0),
+            ("open", _stay(carry, _OPEN_S), 1.0),
             ("retreat", retreat, 1.0),
         ]
 
@@ -101,23 +109,38 @@ class PlannedCarry:
 
     def step(self) -> None:
         """Run one control and physics step."""
-        still = np.zeros(DOF)
-        if not self._segments:
-            self._loop.follow(self._q_end, still, still, np.ones(2))
-            return
-        _, motion, opening = self._segments[0]
-        t = self.world.time - self._began_s
-        if isinstance(motion, Trajectory):
-            q, v, a = motion.sample(t)
-            length = motion.duration_s
-        else:
-            q, v, a = self._q_end, still, still
-            length = motion
-        self._q_end = q
-        self._loop.follow(q, v, a, np.full(2, opening))
-        if t >= length:
-            self._segments.pop(0)
-            self._began_s = self.world.time
+        stack = self.stack
+        if self._segments and not stack.executing and stack.source == SOURCE:
+            self._propose_next()
+        stack.step()
+        if self._segments and stack.state == ArbiterState.STOPPED:
+            self._abort("the arms were not handed over")
+
+    def _propose_next(self) -> None:
+        """Propose the next trajectory; the one before it, if any, has ended."""
+        refused = next((r for r in self.stack.refusals if r.source == SOURCE), None)
+        if refused is None:
+            if self._proposed > 0:
+                self._segments.pop(0)
+            if not self._segments:
+                return
+            _, motion, opening = self._segments[0]
+            self._proposed += 1
+            command = TrajectoryCommand(motion, np.full(2, opening), self.world.time, self._proposed)
+            refused = self.stack.propose(SOURCE, command)
+        if refused is not None:
+            self._abort(f"{refused.name}: {refused.detail}")
+
+    def _abort(self, reason: str) -> None:
+        self.aborted = f"the arbiter stopped phase '{self.phase}' ({reason})"
+        self._segments = []
+
+
+def _stay(after: Trajectory, duration_s: float) -> Trajectory:
+    """Return the trajectory that rests for a while where another one ends."""
+    q = np.array([after.q[-1], after.q[-1]])
+    still = np.zeros_like(q)
+    return Trajectory(np.array([0.0, duration_s]), q, still, still.copy(), after.group)
 
 
 def _raised(T: Array, height_m: float) -> Array:

@@ -1,4 +1,4 @@
-"""One episode of teleoperation: leader -> mirror -> arbiter -> joint control, and what was seen and commanded.
+"""One episode of teleoperation: leader -> mirror -> control stack, and what was seen and commanded.
 
 The loop is driven by simulated time: a tick every 1 / rate seconds of the simulation, however fast the machine
 is, so nothing is lost under load and the same trial gives the same episode.
@@ -14,9 +14,8 @@ import numpy as np
 
 from minidual.config.arbiter import ArbiterConfig
 from minidual.config.teleop import TeleopConfig
-from minidual.control.arbiter import CommandArbiter
 from minidual.control.commands import ArbiterOutput, ArbiterState, JointCommand, Refusal
-from minidual.control.loop import JointLoop
+from minidual.control.stack import ControlStack
 from minidual.errors import MinidualError, UsageError
 from minidual.robot.constants import Array
 from minidual.robot.kinematics import Kinematics
@@ -104,8 +103,6 @@ class TeleopSession:
     ) -> None:
         self.world, self.observer, self.config = world, observer, config
         self.mirror = Mirror(config.mirror) if mirror is None else mirror
-        self._arbiter_config = arbiter
-        self._loop = JointLoop(world, kinematics)
         steps = 1.0 / (config.rate_hz * world.dt)
         self._steps = round(steps)
         if abs(steps - self._steps) > 1e-6:
@@ -113,6 +110,7 @@ class TeleopSession:
                 f"teleop.rate_hz {config.rate_hz} does not divide the control rate of {1.0 / world.dt:g} Hz",
                 remedy="take a divisor of it, such as 50 or 100",
             )
+        self.stack = ControlStack(world, kinematics, arbiter, rate_hz=config.rate_hz)
 
     def run(
         self, trial: RodTrial, leader: Leader, *, on_tick: Callable[[int, Tick], None] | None = None
@@ -130,29 +128,27 @@ class TeleopSession:
         """
         world = self.world
         world.reset(rod_xy_yaw=trial.start)
-        self._loop.reset()
+        self.stack.reset()
         judge = RodCarryJudge(world.scene, trial)
-        arbiter = CommandArbiter(self._arbiter_config)
         first = leader.read(0.0)
         if first is not None:
             self.mirror.check_start(first[0], world.q)
-        self._hand_over(arbiter, judge)
-        return self._follow(arbiter, judge, leader, on_tick)
+        self._hand_over(judge)
+        return self._follow(judge, leader, on_tick)
 
-    def _hand_over(self, arbiter: CommandArbiter, judge: RodCarryJudge) -> None:
+    def _hand_over(self, judge: RodCarryJudge) -> None:
         """Step the held arms until the arbiter confirms the leader."""
-        arbiter.request(SOURCE)
+        self.stack.request(SOURCE)
         while True:
-            out = arbiter.tick(self.world.time, self.world.q, self.world.v)
+            out = self.stack.arbitrate()
             if out.switched_to == SOURCE:
                 return
             if out.state == ArbiterState.STOPPED:
                 raise HandoverError(f"the arbiter did not hand over: {out.refusals[-1].detail}")
-            self._move(out, judge)
+            self._move(judge)
 
     def _follow(
         self,
-        arbiter: CommandArbiter,
         judge: RodCarryJudge,
         leader: Leader,
         on_tick: Callable[[int, Tick], None] | None,
@@ -172,9 +168,9 @@ class TeleopSession:
                 time.sleep(max(0.0, began + elapsed - time.monotonic()))
             observation = self.observer.read()
             before = time.perf_counter()
-            out = self._ask(arbiter, leader, k, elapsed, observation)
+            out = self._ask(leader, k, elapsed, observation)
             tick = Tick(observation, out.q_target, out.gripper)
-            self._loop.step(out.q_target, out.gripper)
+            self.stack.advance()
             latencies.append(time.perf_counter() - before)
             judge.observe(world)
             refusals.extend(out.refusals)
@@ -184,24 +180,22 @@ class TeleopSession:
             if out.state == ArbiterState.STOPPED:
                 ended_by = "stopped"
                 break
-            self._move(out, judge, self._steps - 1)
+            self._move(judge, self._steps - 1)
         return SessionResult(
             np.array(measured), judge.outcome(world), np.array(latencies), refusals, ended_by
         )
 
-    def _ask(
-        self, arbiter: CommandArbiter, leader: Leader, k: int, elapsed_s: float, now: Observation
-    ) -> ArbiterOutput:
+    def _ask(self, leader: Leader, k: int, elapsed_s: float, now: Observation) -> ArbiterOutput:
         """Let the leader propose, and return what the arbiter forwards."""
         reading = leader.read(elapsed_s)
         if reading is not None:
             command = JointCommand(self.mirror.target(reading[0]), reading[1], now.time_s, k)
-            arbiter.propose(SOURCE, command)
-        return arbiter.tick(now.time_s, now.q, now.v)
+            self.stack.propose(SOURCE, command)
+        return self.stack.arbitrate()
 
-    def _move(self, out: ArbiterOutput, judge: RodCarryJudge, steps: int | None = None) -> None:
+    def _move(self, judge: RodCarryJudge, steps: int | None = None) -> None:
         for _ in range(self._steps if steps is None else steps):
-            self._loop.step(out.q_target, out.gripper)
+            self.stack.advance()
             judge.observe(self.world)
 
     def _time_limit_s(self, leader: Leader) -> float:

@@ -1,0 +1,136 @@
+"""What is wrong with a command by itself: checked when it is proposed, whoever drives."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from minidual.control.commands import Command, ObjectCommand, TrajectoryCommand
+from minidual.robot.constants import GROUPS, JOINT_NAMES, Q_LOWER, Q_UPPER, V_MAX, Array
+
+SQUEEZE_CEILING_N = 80.0
+"""No internal force above this is let through."""
+OBJECT_SPEED_MAX_M_PER_S = 1.0
+"""A held object is not commanded faster; the arms' own limits lie not far above."""
+
+_LIMIT_TOLERANCE_RAD = 1e-6
+_SPEED_TOLERANCE = 1.02
+_ZERO_RAD = 1e-12
+_REST_RAD_PER_S = 0.01
+_REST_OBJECT = 0.005
+_OBJECT_SAMPLES = 61
+
+Fault = tuple[str, str]
+"""Stable name, and the value with its bound."""
+
+
+def find_fault(command: Command) -> Fault | None:
+    """Return (name, detail) of what is wrong with a command by itself, or None."""
+    if isinstance(command, ObjectCommand):
+        return _common_fault(command) or _object_fault(command)
+    if command.group not in GROUPS:
+        return "unknown_group", f"no group '{command.group}'; there are {', '.join(sorted(GROUPS))}"
+    if isinstance(command, TrajectoryCommand):
+        return _trajectory_fault(command)
+    joints = GROUPS[command.group]
+    names = JOINT_NAMES[joints]
+    if np.shape(command.q) != (len(names),) or np.shape(command.gripper) != (2,):
+        given = f"q {np.shape(command.q)} and gripper {np.shape(command.gripper)}"
+        return "wrong_shape", f"{given}; group {command.group} needs ({len(names)},) and (2,)"
+    return _posture_fault(np.asarray(command.q, dtype=float)[None], joints) or _common_fault(command)
+
+
+def own_columns(command: TrajectoryCommand) -> slice:
+    """Return the columns of the command's motion that belong to its arms."""
+    return slice(0, 7) if np.shape(command.motion.q)[1] == 7 else GROUPS[command.group]
+
+
+def _common_fault(command: Command) -> Fault | None:
+    if np.shape(command.gripper) != (2,):
+        return "wrong_shape", f"gripper {np.shape(command.gripper)}; it must be (2,)"
+    if not (np.isfinite(command.gripper).all() and np.isfinite(command.stamp_s)):
+        return "not_finite", f"gripper {command.gripper}, stamp {command.stamp_s}"
+    if command.gripper.min() < 0.0 or command.gripper.max() > 1.0:
+        return "gripper_out_of_range", f"gripper {command.gripper}; 0 (closed) to 1 (open)"
+    return None
+
+
+def _posture_fault(q: Array, joints: slice) -> Fault | None:
+    """Return what is wrong with postures (n, joints), or None."""
+    names = JOINT_NAMES[joints]
+    finite = np.isfinite(q)
+    if not finite.all():
+        row, index = np.unravel_index(int(np.argmin(finite)), q.shape)
+        return "not_finite", f"{names[index]} = {q[row, index]}{_at(row, q)}"
+    if np.abs(q).max() < _ZERO_RAD:
+        return "all_zero", "every joint at 0.0 rad: a source that has not been given its values, or lost them"
+    lower, upper = Q_LOWER[joints], Q_UPPER[joints]
+    outside = (q < lower - _LIMIT_TOLERANCE_RAD) | (q > upper + _LIMIT_TOLERANCE_RAD)
+    if outside.any():
+        row, index = np.unravel_index(int(np.argmax(outside)), q.shape)
+        return (
+            "out_of_limits",
+            f"{names[index]} = {q[row, index]:.4f} rad{_at(row, q)}; {lower[index]:.4f} to {upper[index]:.4f}",
+        )
+    return None
+
+
+def _at(row: np.intp, q: Array) -> str:
+    return f" in sample {row}" if len(q) > 1 else ""
+
+
+def _trajectory_fault(command: TrajectoryCommand) -> Fault | None:
+    motion, joints = command.motion, GROUPS[command.group]
+    names = JOINT_NAMES[joints]
+    shape = np.shape(motion.q)
+    widths = (14,) if command.group == "both_arms" else (14, 7)
+    if len(shape) != 2 or shape[0] < 2 or shape[1] not in widths:
+        return (
+            "wrong_shape",
+            f"trajectory {shape}; group {command.group} needs n >= 2 samples of {' or '.join(map(str, widths))}",
+        )
+    if np.shape(motion.v) != shape or np.shape(motion.a) != shape:
+        return (
+            "wrong_shape",
+            f"q {shape}, v {np.shape(motion.v)}, a {np.shape(motion.a)}; they must be alike",
+        )
+    columns = own_columns(command)
+    q, v, a = motion.q[:, columns], motion.v[:, columns], motion.a[:, columns]
+    fault = _posture_fault(q, joints) or _common_fault(command)
+    if fault is not None:
+        return fault
+    if not (np.isfinite(v).all() and np.isfinite(a).all() and np.isfinite(motion.duration_s)):
+        return "not_finite", "a velocity, an acceleration or the duration of the trajectory"
+    speed = np.maximum(np.abs(np.diff(q, axis=0)).max(axis=0) / motion.dt_s, np.abs(v).max(axis=0))
+    if (speed > _SPEED_TOLERANCE * V_MAX[joints]).any():
+        index = int(np.argmax(speed / V_MAX[joints]))
+        return "too_fast", f"{names[index]} at {speed[index]:.3f} rad/s; limit {V_MAX[joints][index]:.3f}"
+    for place, row in (("starts", 0), ("ends", -1)):
+        index = int(np.argmax(np.abs(v[row])))
+        if abs(v[row, index]) > _REST_RAD_PER_S:
+            return (
+                "not_at_rest",
+                f"the trajectory {place} with {names[index]} at {v[row, index]:.3f} rad/s; it must rest there",
+            )
+    return None
+
+
+def _object_fault(command: ObjectCommand) -> Fault | None:
+    duration = command.motion.duration_s
+    if not (np.isfinite(duration) and duration > 0.0):
+        return "not_finite", f"duration {duration} s; it must be finite and > 0"
+    for t in np.linspace(0.0, duration, _OBJECT_SAMPLES):
+        state, squeeze = command.motion.at(float(t)), command.squeeze_n(float(t))
+        values = (state.T_world_object, state.twist, state.acceleration)
+        if not (all(np.isfinite(x).all() for x in values) and np.isfinite(squeeze)):
+            return "not_finite", f"object path or squeeze at {t:.3f} s"
+        if not 0.0 <= squeeze <= SQUEEZE_CEILING_N:
+            return (
+                "squeeze_out_of_range",
+                f"{squeeze:.1f} N at {t:.3f} s; 0 to {SQUEEZE_CEILING_N:.0f} N",
+            )
+        speed = float(np.linalg.norm(state.twist[:3]))
+        if speed > OBJECT_SPEED_MAX_M_PER_S:
+            return "too_fast", f"object at {speed:.2f} m/s; limit {OBJECT_SPEED_MAX_M_PER_S}"
+        if t in (0.0, duration) and float(np.abs(state.twist).max()) > _REST_OBJECT:
+            return "not_at_rest", f"the object moves at {t:.3f} s; a path must begin and end at rest"
+    return None

@@ -1,0 +1,156 @@
+"""Which controllers drive the joints: every joint by exactly one, at all times.
+
+A switch names the whole new set. It is strict: a set that would leave a joint to nobody, or give it to two, or that
+names a controller which is not ready, is refused by name and nothing changes. It is atomic: the next control step is
+the new set's. What the torques differ by at that instant fades over `fade_s`, so that the motors see no jump.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from minidual.control.command_checks import Fault
+from minidual.control.commands import ArbiterOutput, Command
+from minidual.control.controllers import Controller
+from minidual.errors import MinidualError, unknown_name
+from minidual.robot.constants import ARMS, DOF, DOF_PER_ARM, TAU_MAX, Array
+
+
+class ControllerSwitchError(MinidualError):
+    """A set of controllers was refused; `name` says why: `unclaimed`, `doubly_claimed`, `not_ready`, `under_way`."""
+
+    def __init__(self, name: str, message: str, *, remedy: str | None = None) -> None:
+        super().__init__(f"{name}: {message}", remedy=remedy)
+        self.name = name
+
+
+class ControllerManager:
+    """Holds all controllers and runs the active ones.
+
+    Args:
+        controllers: All that exist.
+        dt_s: Control step.
+        fade_s: How long the difference of the torques at a switch takes to fade.
+    """
+
+    def __init__(self, controllers: Sequence[Controller], dt_s: float, *, fade_s: float = 0.1) -> None:
+        self._all = {c.name: c for c in controllers}
+        self._active: tuple[Controller, ...] = ()
+        self._whole: Controller | None = None
+        self._fade_steps = max(1, round(fade_s / dt_s))
+        self._fade_left = 0
+        self._fading = False
+        self._offset = np.zeros(DOF)
+        self.tau = np.zeros(DOF)
+        """Torques (14,) [Nm] of the last step."""
+        self._reference = np.zeros(DOF)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All controllers."""
+        return tuple(self._all)
+
+    @property
+    def active(self) -> tuple[str, ...]:
+        """The controllers that drive now."""
+        return tuple(c.name for c in self._active)
+
+    def __getitem__(self, name: str) -> Controller:
+        """Return a controller, or say which exist."""
+        if name not in self._all:
+            raise unknown_name("controller", name, self._all)
+        return self._all[name]
+
+    def check(self, names: Sequence[str]) -> tuple[Controller, ...]:
+        """Return the set of controllers.
+
+        Raises:
+            UsageError: No controller has that name.
+            ControllerSwitchError: The set leaves a joint to nobody or gives it to two, or one is not ready.
+        """
+        chosen = tuple(self[name] for name in names)
+        for arm, arm_name in enumerate(ARMS):
+            claims = [c.name for c in chosen if arm in c.arms]
+            if not claims:
+                raise ControllerSwitchError(
+                    "unclaimed",
+                    f"the {arm_name} arm's joints would be left to nobody by ({', '.join(names)})",
+                    remedy="name a whole set: both_arms; left_arm and right_arm; or object_impedance",
+                )
+            if len(claims) > 1:
+                raise ControllerSwitchError(
+                    "doubly_claimed", f"the {arm_name} arm's joints would be driven by {' and '.join(claims)}"
+                )
+        for controller in chosen:
+            reason = controller.not_ready()
+            if reason:
+                raise ControllerSwitchError("not_ready", f"controller {controller.name}: {reason}")
+        return chosen
+
+    def switch(self, names: Sequence[str], q: Array, v: Array) -> None:
+        """Activate exactly these controllers at measured q (14,) and v (14,); all or nothing.
+
+        Raises:
+            UsageError, ControllerSwitchError: See `check`; nothing has changed then.
+        """
+        chosen = self.check(names)
+        had_any = bool(self._active)
+        for controller in chosen:
+            if controller not in self._active:
+                controller.activate(q, v)
+        if had_any and chosen != self._active:
+            self._fade_left = self._fade_steps
+            self._fading = False
+        self._active = chosen
+        self._whole = chosen[0] if len(chosen) == 1 else None
+
+    def find_fault(self, command: Command) -> Fault | None:
+        """Return why the active controllers cannot take a command, or None."""
+        for controller in self._active:
+            if set(controller.arms) & set(command.arms):
+                fault = controller.find_fault(command)
+                if fault is not None:
+                    return fault
+        return None
+
+    def follow(self, output: ArbiterOutput) -> None:
+        """Give the active controllers what the arbiter let through."""
+        for controller in self._active:
+            controller.follow(output)
+
+    def update(self, q: Array, v: Array) -> Array:
+        """Run one control step; return torques (14,) [Nm], each joint's from the one controller that claims it."""
+        if self._whole is not None:
+            tau = self._whole.update(q, v)
+        else:
+            tau = np.empty(DOF)
+            for controller in self._active:
+                part = controller.update(q, v)
+                for arm in controller.arms:
+                    joints = slice(arm * DOF_PER_ARM, (arm + 1) * DOF_PER_ARM)
+                    tau[joints] = part[joints]
+        if self._fade_left:
+            tau = self._faded(tau)
+        self.tau = tau
+        return tau
+
+    @property
+    def reference(self) -> Array:
+        """Joint references (14,) [rad] of the last step."""
+        if self._whole is not None:
+            return self._whole.reference
+        for controller in self._active:
+            for arm in controller.arms:
+                joints = slice(arm * DOF_PER_ARM, (arm + 1) * DOF_PER_ARM)
+                self._reference[joints] = controller.reference[joints]
+        return self._reference.copy()
+
+    def _faded(self, tau: Array) -> Array:
+        if not self._fading:
+            self._offset = self.tau - tau
+            self._fading = True
+        share = self._fade_left / self._fade_steps
+        self._fade_left -= 1
+        return np.clip(tau + share * self._offset, -TAU_MAX, TAU_MAX)

@@ -1,0 +1,270 @@
+"""The controllers behind the arbiter, all behind one small interface.
+
+A  `both_arms`                  joint trajectory control of 14 joints
+B  `left_arm`, `right_arm`      the same for the seven joints of one arm
+C  `object_impedance`           both arms and the object between them (see object_impedance)
+
+Each claims one or both arms. Activated, it holds what it measures; it never starts with a jump of its own.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from minidual.control.command_checks import Fault
+from minidual.control.commands import (
+    ArbiterOutput,
+    Command,
+    JointCommand,
+    ObjectCommand,
+    TrajectoryCommand,
+    arms_of,
+)
+from minidual.control.execution import ObjectExecution, TrajectoryExecution
+from minidual.control.joint_control import ComputedTorque
+from minidual.control.object_impedance import HeldObject, ImpedanceGains, ObjectImpedance, ObjectState
+from minidual.control.object_path import minimum_jerk
+from minidual.control.reference import ReferenceFilter
+from minidual.errors import UsageError
+from minidual.robot.constants import DOF, GROUPS, Array
+from minidual.robot.kinematics import Kinematics
+from minidual.robot.poses import rotation_log
+
+_BLEND_S = 0.5
+"""Over this time what is left between the reference and the start of a trajectory fades away."""
+_SQUEEZE_RATE_N_PER_S = 200.0
+_START_M, _START_RAD = 0.02, 0.1
+"""How far from the object its path may start."""
+
+
+class Controller(Protocol):
+    """Turns commands into torques of the joints it claims.
+
+    name: Of the table. arms: Indices of the arms it claims.
+    """
+
+    name: str
+    arms: tuple[int, ...]
+
+    def find_fault(self, command: Command) -> Fault | None:
+        """Return why it cannot take a command now, or None."""
+        ...
+
+    def not_ready(self) -> str:
+        """Return why it cannot be activated, or an empty string."""
+        ...
+
+    def activate(self, q: Array, v: Array) -> None:
+        """Take over at measured q (14,) [rad] and v (14,) [rad/s]: hold, without a jump."""
+        ...
+
+    def follow(self, output: ArbiterOutput) -> None:
+        """Take what the arbiter let through at this tick."""
+        ...
+
+    def update(self, q: Array, v: Array) -> Array:
+        """Run one control step; return torques (14,) [Nm], of which those of its own joints count."""
+        ...
+
+    @property
+    def reference(self) -> Array:
+        """Joint reference (14,) [rad] of the last step; where there is none, the measured joints."""
+        ...
+
+
+class JointTrajectoryController:
+    """Follows streamed targets through the reference filter, and timed trajectories as they are.
+
+    Args:
+        group: `both_arms`, `left_arm` or `right_arm`; also its name.
+        kinematics: Dynamics.
+        dt_s: Control step.
+        natural_frequency_rad_s: Closed-loop frequency of every joint.
+        bandwidth_rad_s: Of the reference filter.
+    """
+
+    def __init__(
+        self,
+        group: str,
+        kinematics: Kinematics,
+        dt_s: float,
+        *,
+        natural_frequency_rad_s: float = 20.0,
+        bandwidth_rad_s: float = 30.0,
+    ) -> None:
+        self.name = group
+        self.arms = arms_of(group)
+        self._joints = GROUPS[group]
+        self._dt = dt_s
+        self._servo = ComputedTorque(kinematics, natural_frequency_rad_s=natural_frequency_rad_s)
+        self._filter = ReferenceFilter(dt_s, bandwidth_rad_s=bandwidth_rad_s)
+        self._target = np.zeros(DOF)
+        self._executions: dict[TrajectoryExecution, tuple[Array, int]] = {}
+        self._q, self._v, self._a = np.zeros(DOF), np.zeros(DOF), np.zeros(DOF)
+        self._last_q, self._last_v = self._q, self._v
+
+    def find_fault(self, command: Command) -> Fault | None:
+        """Take joint targets and joint trajectories."""
+        if isinstance(command, JointCommand | TrajectoryCommand):
+            return None
+        return "wrong_controller", f"controller {self.name} takes joint commands, no {type(command).__name__}"
+
+    def not_ready(self) -> str:
+        """Return an empty string: nothing need be set up."""
+        return ""
+
+    def activate(self, q: Array, v: Array) -> None:
+        """Start the reference at what is measured; the target of the next tick says where it goes."""
+        self._filter.reset(q, v)
+        self._target = np.array(q, dtype=float)
+        self._executions.clear()
+        self._last_q, self._last_v = np.array(q, dtype=float), np.array(v, dtype=float)
+
+    def follow(self, output: ArbiterOutput) -> None:
+        """Take the target, and what trajectories of its arms have begun."""
+        self._target = output.q_target
+        for execution in output.executions:
+            new = isinstance(execution, TrajectoryExecution) and execution not in self._executions
+            if new and set(execution.arms) & set(self.arms):
+                offset = self._last_q[execution.joints] - execution.q
+                self._executions[execution] = (offset, 0 if np.abs(offset).max() > 1e-12 else -1)
+
+    def update(self, q: Array, v: Array) -> Array:
+        """Run one control step."""
+        if self._executions:
+            q_ref, v_ref, a_ref = self._trajectory_reference()
+        else:
+            q_ref, v_ref, a_ref = self._filter.step(self._target)
+        self._last_q, self._last_v = q_ref, v_ref
+        return self._servo.torque(q, v, q_ref, v_ref, a_ref)
+
+    @property
+    def reference(self) -> Array:
+        """Joint reference (14,) [rad] of the last step."""
+        return self._last_q
+
+    def _trajectory_reference(self) -> tuple[Array, Array, Array]:
+        """Return the reference with the driven joints on their trajectories, the others on the filter."""
+        driven = {arm for execution in self._executions for arm in execution.arms}
+        if not driven.issuperset(self.arms):
+            self._q[:], self._v[:], self._a[:] = self._filter.step(self._target)
+        ended = False
+        for execution, (offset, k) in list(self._executions.items()):
+            joints = execution.joints
+            self._q[joints], self._v[joints], self._a[joints] = execution.q, execution.v, execution.a
+            if k >= 0:
+                s, ds, dds = minimum_jerk(k * self._dt / _BLEND_S)
+                self._q[joints] += offset * (1.0 - s)
+                self._v[joints] -= offset * (ds / _BLEND_S)
+                self._a[joints] -= offset * (dds / _BLEND_S**2)
+                self._executions[execution] = (offset, k + 1 if k * self._dt < _BLEND_S else -1)
+            if execution.finished:
+                del self._executions[execution]
+                self._target = self._target.copy()
+                self._target[joints] = execution.q
+                ended = True
+        if ended:
+            self._filter.reset(self._q, self._v)
+        return self._q.copy(), self._v.copy(), self._a.copy()
+
+
+class ObjectSensor(Protocol):
+    """What tells controller C of the object in the hands."""
+
+    def read(self) -> tuple[ObjectState, float]:
+        """Return the object's state (its acceleration is not used) and the measured internal force [N]."""
+        ...
+
+
+class ObjectImpedanceController:
+    """Both arms around one object: its path is followed as by a damped spring, its squeeze is servoed.
+
+    Args:
+        kinematics: Dynamics.
+        dt_s: Control step.
+        sensor: Tells of the object.
+    """
+
+    name = "object_impedance"
+    arms = (0, 1)
+
+    def __init__(self, kinematics: Kinematics, dt_s: float, sensor: ObjectSensor) -> None:
+        self._kinematics, self._sensor = kinematics, sensor
+        self._squeeze_step = _SQUEEZE_RATE_N_PER_S * dt_s
+        self._law: ObjectImpedance | None = None
+        self._execution: ObjectExecution | None = None
+        self._desired: ObjectState | None = None
+        self._squeeze = self._squeeze_wanted = 0.0
+        self._reference = np.zeros(DOF)
+
+    def configure(self, held: HeldObject, gains: ImpedanceGains | None = None) -> None:
+        """Tell it what is held and how stiffly; it cannot be activated before."""
+        self._law = ObjectImpedance(self._kinematics, held, ImpedanceGains() if gains is None else gains)
+
+    def find_fault(self, command: Command) -> Fault | None:
+        """Take object paths that start where the object is."""
+        if not isinstance(command, ObjectCommand):
+            return (
+                "wrong_controller",
+                f"controller {self.name} takes object paths, no {type(command).__name__}",
+            )
+        measured, _ = self._sensor.read()
+        T, T_start = measured.T_world_object, command.motion.at(0.0).T_world_object
+        away_m = float(np.linalg.norm(T_start[:3, 3] - T[:3, 3]))
+        away_rad = float(np.linalg.norm(rotation_log(T_start[:3, :3] @ T[:3, :3].T)))
+        if away_m <= _START_M and away_rad <= _START_RAD:
+            return None
+        detail = (
+            f"the path starts {1e3 * away_m:.0f} mm, {away_rad:.3f} rad away from the object; bounds {_START_M} m, "
+            f"{_START_RAD} rad"
+        )
+        return "far_start", detail
+
+    def not_ready(self) -> str:
+        """Return why it cannot be activated, or an empty string."""
+        return "" if self._law is not None else "it has not been told what is held"
+
+    def activate(self, q: Array, v: Array) -> None:
+        """Hold the object where it is, pressed as it is."""
+        law = self._ready_law()
+        law.engage(q)
+        measured, internal_force = self._sensor.read()
+        self._desired = ObjectState(measured.T_world_object)
+        ceiling = law.gains.force_ceiling_n
+        self._squeeze = self._squeeze_wanted = float(np.clip(internal_force, 0.0, ceiling))
+        self._execution = None
+        self._reference = np.array(q, dtype=float)
+
+    def follow(self, output: ArbiterOutput) -> None:
+        """Take an object path that has begun."""
+        for execution in output.executions:
+            if isinstance(execution, ObjectExecution):
+                self._execution = execution
+
+    def update(self, q: Array, v: Array) -> Array:
+        """Run one control step."""
+        law = self._ready_law()
+        if self._execution is not None:
+            self._desired, self._squeeze_wanted = self._execution.desired, self._execution.squeeze_n
+            if self._execution.finished:
+                self._execution = None
+        step = self._squeeze_wanted - self._squeeze
+        self._squeeze += min(self._squeeze_step, max(-self._squeeze_step, step))
+        measured, internal_force = self._sensor.read()
+        self._reference = q
+        return law.torque(
+            q, v, measured, self._desired,
+            internal_force_n=self._squeeze, measured_internal_force_n=internal_force,
+        )  # fmt: skip
+
+    @property
+    def reference(self) -> Array:
+        """Measured joints (14,) [rad]: an impedance has no joint reference."""
+        return self._reference
+
+    def _ready_law(self) -> ObjectImpedance:
+        if self._law is None:
+            raise UsageError(f"controller {self.name} is not ready: {self.not_ready()}")
+        return self._law

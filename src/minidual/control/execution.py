@@ -1,0 +1,159 @@
+"""Timed commands under way: each has its own clock, runs at the control rate, and can be braked along its path.
+
+Braking slows the clock down instead of leaving the path, so that two hands that carry something keep their
+distance while they stop:
+
+    q(s),  s' = r,  r falls from 1 to 0 at a constant slope;   v = q' r,   a = q'' r^2 + q' dr/dt
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from minidual.control.command_checks import own_columns
+from minidual.control.commands import ObjectCommand, TrajectoryCommand
+from minidual.control.object_impedance import ObjectState
+from minidual.robot.constants import A_MAX, GROUPS
+
+BRAKE_SHARE = 0.8
+"""Share of the joints' acceleration limits that braking along a trajectory may take."""
+_BRAKE_SLOPE_MIN, _BRAKE_SLOPE_MAX = 2.0, 20.0
+_OBJECT_BRAKE_SLOPE = 4.0
+_LOOK_AHEAD_ROWS = 500
+
+
+class _Clock:
+    """Time along a path: it runs at rate 1 until it is braked."""
+
+    def __init__(self, duration_s: float, dt_s: float) -> None:
+        self.steps = max(1, int(np.ceil(duration_s / dt_s - 1e-6)))
+        self.k = -1
+        self.t_s = 0.0
+        self.rate = 1.0
+        self.slope = 0.0
+        self._dt, self._end_s = dt_s, duration_s
+
+    @property
+    def finished(self) -> bool:
+        """Whether the end, or a stop on the way, has been reached."""
+        return self.k >= self.steps or self.rate == 0.0
+
+    @property
+    def braking(self) -> bool:
+        """Whether it has been told to stop."""
+        return self.slope > 0.0
+
+    def step(self) -> None:
+        """Advance by one control step; the first one leads to time zero."""
+        if self.slope > 0.0:
+            self.rate = max(0.0, self.rate - self.slope * self._dt)
+            self.t_s = min(self.t_s + self.rate * self._dt, self._end_s)
+            if self.t_s >= self._end_s:
+                self.rate = 0.0
+        elif self.k < self.steps:
+            self.k += 1
+            self.t_s = min(self.k * self._dt, self._end_s)
+
+
+class TrajectoryExecution:
+    """A trajectory under way.
+
+    Args:
+        command: Checked by `find_fault`.
+        dt_s: Control step.
+
+    Attributes:
+        joints: Slice of the 14 joints that it drives.
+        q, v, a: Present reference of those joints.
+    """
+
+    def __init__(self, command: TrajectoryCommand, dt_s: float) -> None:
+        self.command = command
+        self.arms = command.arms
+        self.joints = GROUPS[command.group]
+        self._columns = own_columns(command)
+        self._clock = _Clock(command.motion.duration_s, dt_s)
+        times = np.minimum(np.arange(self._clock.steps + 1) * dt_s, command.motion.duration_s)
+        self._q, self._v, self._a = (x[:, self._columns] for x in command.motion.sample_many(times))
+        self.q, self.v, self.a = self._q[0], self._v[0], self._a[0]
+
+    @property
+    def finished(self) -> bool:
+        """Whether it has been played to its end, or has come to rest after `brake`."""
+        return self._clock.finished
+
+    @property
+    def braking(self) -> bool:
+        """Whether it is coming to rest before its end."""
+        return self._clock.braking
+
+    def brake(self) -> None:
+        """Come to rest on the path, at a bounded deceleration."""
+        clock = self._clock
+        if clock.braking or clock.finished:
+            return
+        k = max(clock.k, 0)
+        ahead = np.abs(self._v[k : k + _LOOK_AHEAD_ROWS]).max(axis=0)
+        limit = float((BRAKE_SHARE * A_MAX[self.joints] / np.maximum(ahead, 1e-6)).min())
+        clock.slope = float(np.clip(limit, _BRAKE_SLOPE_MIN, _BRAKE_SLOPE_MAX))
+
+    def step(self) -> None:
+        """Advance by one control step."""
+        clock = self._clock
+        clock.step()
+        if not clock.braking:
+            self.q, self.v, self.a = self._q[clock.k], self._v[clock.k], self._a[clock.k]
+            return
+        rows = self.command.motion.sample_many(np.array([clock.t_s]))
+        q, v, a = (x[0, self._columns] for x in rows)
+        slope = clock.slope if clock.rate > 0.0 else 0.0
+        self.q, self.v, self.a = q, v * clock.rate, a * clock.rate**2 - v * slope
+
+
+class ObjectExecution:
+    """An object path under way.
+
+    Attributes:
+        desired: Object as wanted now.
+        squeeze_n: Internal force wanted now.
+    """
+
+    def __init__(self, command: ObjectCommand, dt_s: float) -> None:
+        self.command = command
+        self.arms = command.arms
+        self._clock = _Clock(command.motion.duration_s, dt_s)
+        self.desired = command.motion.at(0.0)
+        self.squeeze_n = command.squeeze_n(0.0)
+
+    @property
+    def finished(self) -> bool:
+        """Whether it has been played to its end, or has come to rest after `brake`."""
+        return self._clock.finished
+
+    @property
+    def braking(self) -> bool:
+        """Whether it is coming to rest before its end."""
+        return self._clock.braking
+
+    def brake(self) -> None:
+        """Come to rest on the path; the squeeze stays as it is by then."""
+        if not (self._clock.braking or self._clock.finished):
+            self._clock.slope = _OBJECT_BRAKE_SLOPE
+
+    def step(self) -> None:
+        """Advance by one control step."""
+        clock = self._clock
+        clock.step()
+        state = self.command.motion.at(clock.t_s)
+        self.squeeze_n = self.command.squeeze_n(clock.t_s)
+        if clock.braking:
+            rate, slope = clock.rate, clock.slope if clock.rate > 0.0 else 0.0
+            state = ObjectState(
+                state.T_world_object,
+                state.twist * rate,
+                state.acceleration * rate**2 - state.twist * slope,
+            )
+        self.desired = state
+
+
+Execution = TrajectoryExecution | ObjectExecution

@@ -1,0 +1,310 @@
+"""The one way to move the arms: arbiter, controllers, supervisor and plant in one control loop.
+
+    stack = ControlStack(world, kinematics)
+    stack.request("moveit")
+    while stack.source != "moveit":
+        stack.step()
+    stack.propose("moveit", TrajectoryCommand(trajectory, np.ones(2), world.time, 1))
+    while stack.executing:
+        stack.step()
+
+One `step` is one tick of 1 kHz: the state is read once, the arbiter runs when it is due (at its own rate, and at once
+when a timed command has been proposed or has ended), the active controllers give torques, the supervisor may bound
+or stop them, the plant moves. See docs/control.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+
+from minidual.config.arbiter import ArbiterConfig
+from minidual.control.arbiter import CommandArbiter
+from minidual.control.commands import (
+    HOLD,
+    ArbiterOutput,
+    ArbiterState,
+    Command,
+    JointCommand,
+    Refusal,
+)
+from minidual.control.controller_manager import ControllerManager, ControllerSwitchError
+from minidual.control.controllers import (
+    Controller,
+    JointTrajectoryController,
+    ObjectImpedanceController,
+    ObjectSensor,
+)
+from minidual.control.gripper import Grippers
+from minidual.control.loop import JOINT_PINCH_N
+from minidual.control.object_impedance import ObjectState
+from minidual.errors import MinidualError, UsageError
+from minidual.robot.constants import Array
+from minidual.robot.kinematics import Kinematics
+
+DEFAULT_CONTROLLERS: tuple[str, ...] = ("both_arms",)
+"""What drives the arms until something else is asked for."""
+
+
+class Guard(Protocol):
+    """A supervisor: the last look at the torques before the motors."""
+
+    def guard(self, time_s: float, q: Array, v: Array, tau: Array) -> Array:
+        """Return the torques (14,) [Nm] to apply; raise a named error, once, to stop the arms."""
+        ...
+
+
+class WorldObjectSensor:
+    """Reads the rod of a simulated world as an ideal sensor would."""
+
+    def __init__(self, world: Any) -> None:
+        self._world = world
+
+    def read(self) -> tuple[ObjectState, float]:
+        """Return the rod's state and the internal force [N]."""
+        world = self._world
+        return ObjectState(world.T_world_rod, world.rod_twist), world.internal_force()
+
+
+class ControlStack:
+    """Drives one plant.
+
+    Args:
+        world: The plant: `time`, `dt`, `q`, `v`, `scene`, `command(tau, finger_targets_m)`, `step()`, as `sim.World`.
+        kinematics: Dynamics of the controllers.
+        config: Bounds and times of the arbiter.
+        rate_hz: Rate of the arbiter in `step`.
+        controllers: The set to begin with.
+        pinch_force_n: Force with which the hands close.
+        supervisor: Guards the torques; None guards nothing.
+        sensor: Tells controller C of the object; the world's rod by default.
+    """
+
+    def __init__(
+        self,
+        world: Any,
+        kinematics: Kinematics,
+        config: ArbiterConfig | None = None,
+        *,
+        rate_hz: float = 50.0,
+        controllers: Sequence[str] = DEFAULT_CONTROLLERS,
+        pinch_force_n: float = JOINT_PINCH_N,
+        supervisor: Guard | None = None,
+        sensor: ObjectSensor | None = None,
+    ) -> None:
+        self.world = world
+        self.supervisor = supervisor
+        self._config = ArbiterConfig() if config is None else config
+        self._initial = tuple(controllers)
+        steps = 1.0 / (rate_hz * world.dt)
+        self._every = round(steps)
+        if self._every < 1 or abs(steps - self._every) > 1e-6:
+            raise UsageError(
+                f"rate_hz {rate_hz} does not divide the control rate of {1.0 / world.dt:g} Hz",
+                remedy="take a divisor of it, such as 50 or 100",
+            )
+        self.grippers = Grippers(world.scene, world.dt, pinch_force_n=pinch_force_n)
+        table: list[Controller] = [
+            JointTrajectoryController(group, kinematics, world.dt)
+            for group in ("both_arms", "left_arm", "right_arm")
+        ]
+        self.impedance = ObjectImpedanceController(
+            kinematics, world.dt, WorldObjectSensor(world) if sensor is None else sensor
+        )
+        self.manager = ControllerManager([*table, self.impedance], world.dt)
+        self.manager.check(self._initial)
+        self._flush_listeners: list[Callable[[str], None]] = []
+        self.reset()
+
+    def reset(self) -> None:
+        """Start from where the arms are, at rest, hands open, nobody driving. Listeners stay.
+
+        It belongs to every reset of the world.
+        """
+        world = self.world
+        self.arbiter = CommandArbiter(
+            self._config, control_dt_s=world.dt, admit=lambda command: self.manager.find_fault(command)
+        )
+        self.arbiter.on_flush(self._flushed)
+        self.arbiter.on_confirm(self._confirmed)
+        self.manager = ControllerManager([self.manager[name] for name in self.manager.names], world.dt)
+        self.grippers.reset()
+        q = world.q
+        self.manager.switch(self._initial, q, np.zeros_like(q))
+        self._wanted: dict[str, tuple[str, ...]] = {}
+        self._countdown = 0
+        self._due, self._pending = True, False
+        self.output = ArbiterOutput(q, np.ones(2), ArbiterState.HOLDING, None, (), None, ())
+        """What the arbiter let through at its last tick."""
+        self.refusals: list[Refusal] = []
+        """Everything refused since the reset."""
+        self.reflex: MinidualError | None = None
+        """What the supervisor stopped the arms for, or None."""
+        self.applied = np.zeros_like(q)
+        """Torques (14,) [Nm] of the last control step, as the supervisor let them through."""
+        self._reset_supervisor()
+
+    # What sources say ------------------------------------------------------------------------------------
+
+    def propose(self, source: str, command: Command) -> Refusal | None:
+        """Offer a command; return why it is refused, or None. What depends on the posture is judged at the next tick.
+
+        Raises:
+            UsageError: There is no such source.
+        """
+        refusal = self.arbiter.propose(source, command)
+        if refusal is None and not isinstance(command, JointCommand):
+            self._due = self._pending = True
+        return refusal
+
+    def request(self, mode: str, controllers: Sequence[str] | None = None) -> None:
+        """Ask for a source to drive, or for "hold".
+
+        Args:
+            mode: One of the sources, or "hold".
+            controllers: The set to drive with from the moment the switch is confirmed; `both_arms` by default,
+                and for "hold" those that are active.
+
+        Raises:
+            UsageError: There is no such mode or controller.
+            ControllerSwitchError: The set would not claim every joint exactly once, or is not ready.
+        """
+        if controllers is None:
+            controllers = self.manager.active if mode == HOLD else DEFAULT_CONTROLLERS
+        self.manager.check(controllers)
+        if self.reflex is not None and mode != HOLD:
+            raise UsageError(
+                f"'{mode}' may not drive: the supervisor stopped the arms ({self.reflex.message})",
+                remedy="find the cause, then recover()",
+            )
+        self.arbiter.request(mode)
+        self._wanted[mode] = tuple(controllers)
+        self._due = True
+
+    def switch_controllers(self, names: Sequence[str]) -> None:
+        """Change the active controllers between two control steps, while the mode stays.
+
+        Raises:
+            UsageError: There is no such controller.
+            ControllerSwitchError: The set is refused, or a timed command is under way. Nothing has changed.
+        """
+        self.manager.check(names)
+        if self.arbiter.executions:
+            raise ControllerSwitchError(
+                "under_way", "a timed command is under way", remedy='wait for its end, or request("hold")'
+            )
+        self.manager.switch(names, self.world.q, self.world.v)
+        self._due = True
+
+    def on_flush(self, listener: Callable[[str], None]) -> None:
+        """Call `listener(mode)` whenever a switch to `mode` begins, so that sources drop queued chunks too."""
+        self._flush_listeners.append(listener)
+
+    def recover(self) -> None:
+        """Go on after a reflex: the controllers take over from the supervisor where the arms stand, nobody driving."""
+        self._reset_supervisor()
+        self.reflex = None
+        for name in self.manager.active:
+            self.manager[name].activate(self.world.q, self.world.v)
+        self.request(HOLD)
+
+    # What is seen ----------------------------------------------------------------------------------------
+
+    @property
+    def source(self) -> str | None:
+        """Whose turn it is, whether it speaks or not."""
+        return self.arbiter.source
+
+    @property
+    def state(self) -> ArbiterState:
+        """What the arbiter did in its last tick."""
+        return self.arbiter.state
+
+    @property
+    def executing(self) -> bool:
+        """Whether a timed command is under way, or waits to be taken at the next tick."""
+        return self._pending or any(not e.finished for e in self.arbiter.executions)
+
+    @property
+    def reference(self) -> Array:
+        """Joint references (14,) [rad] of the last control step."""
+        return self.manager.reference
+
+    @property
+    def tau(self) -> Array:
+        """Torques (14,) [Nm] that the controllers gave in the last control step."""
+        return self.manager.tau
+
+    # What runs -------------------------------------------------------------------------------------------
+
+    def step(self) -> None:
+        """Run one tick of 1 kHz, the arbiter's before it when it is due.
+
+        Raises:
+            The named error of the supervisor, once, after the tick in which it stopped the arms; further steps
+            bring them to rest.
+        """
+        if self._countdown == 0 or self._due:
+            self.arbitrate()
+        if self._countdown == 0:
+            self._countdown = self._every
+        self._countdown -= 1
+        self.advance()
+
+    def arbitrate(self) -> ArbiterOutput:
+        """Run a tick of the arbiter now; sessions that keep time themselves call this and `advance`."""
+        world = self.world
+        output = self.arbiter.tick(world.time, world.q, world.v)
+        self.output = output
+        if output.refusals:
+            self.refusals.extend(output.refusals)
+        self._due = self._pending = False
+        self.manager.follow(output)
+        return output
+
+    def advance(self) -> None:
+        """Run one control and physics step on what the arbiter let through last."""
+        world, output = self.world, self.output
+        for execution in output.executions:
+            execution.step()
+            if execution.finished:
+                self._due = True
+        q, v = world.q, world.v
+        tau = self.manager.update(q, v)
+        stopped: MinidualError | None = None
+        if self.supervisor is not None:
+            try:
+                tau = self.supervisor.guard(world.time, q, v, tau)
+            except MinidualError as error:
+                stopped = error
+                tau = self._stop(error)
+        self.applied = tau
+        world.command(tau, self.grippers.step(output.gripper))
+        world.step()
+        if stopped is not None:
+            raise stopped
+
+    def _stop(self, error: MinidualError) -> Array:
+        """Take the arms from everybody; return the torque that the supervisor's error carries for this tick."""
+        tau = getattr(error, "tau", None)
+        if tau is None:  # no reflex, but misuse
+            raise error
+        self.reflex = error
+        self.request(HOLD)
+        return tau
+
+    def _reset_supervisor(self) -> None:
+        reset = getattr(self.supervisor, "reset", None)
+        if reset is not None:
+            reset()
+
+    def _flushed(self, mode: str) -> None:
+        for listener in self._flush_listeners:
+            listener(mode)
+
+    def _confirmed(self, mode: str) -> None:
+        names = self._wanted.pop(mode, self.manager.active)
+        if names != self.manager.active:
+            self.manager.switch(names, self.world.q, self.world.v)
