@@ -53,7 +53,7 @@ class JointLoop:
 
     def follow(self, q_ref: Array, v_ref: Array, a_ref: Array, gripper: Array) -> None:
         """Run one step on a reference that is already smooth, such as a timed trajectory at 1 kHz."""
-        self.reference.reset(q_ref, v_ref)
+        self.reference.follow(q_ref, v_ref, a_ref)
         self._apply(q_ref, v_ref, a_ref, gripper)
 
     def _apply(self, q_ref: Array, v_ref: Array, a_ref: Array, gripper: Array) -> None:

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from minidual.robot.constants import A_MAX, Q_LOWER, Q_UPPER, V_MAX, Array
+from minidual.robot.constants import A_MAX, DOF, Q_LOWER, Q_UPPER, V_MAX, Array
 
 _BRAKE_SHARE = 0.9
 """Share of the acceleration bound that the braking curve plans with; the rest follows the curve closely."""
@@ -35,32 +35,61 @@ class ReferenceFilter:
     def __init__(
         self, dt_s: float, *, bandwidth_rad_s: float = 30.0, acceleration_scale: float = 0.8
     ) -> None:
-        self._dt = dt_s
-        self._w = bandwidth_rad_s
+        w, dt = bandwidth_rad_s, dt_s
         self._a_max = acceleration_scale * A_MAX
         self._v_max = 0.95 * V_MAX
-        self._brake = _BRAKE_SHARE * self._a_max
-        self._near = 4.0 * self._brake / self._w**2
-        self.q = np.zeros_like(A_MAX)
-        self.v = np.zeros_like(A_MAX)
-        self.a = np.zeros_like(A_MAX)
+        self._a_min, self._v_min = -self._a_max, -self._v_max
+        self._near = 4.0 * _BRAKE_SHARE * self._a_max / w**2
+        # Rows [bent error; v], [v; a] and [q; v before; v after] meet these in one product each.
+        self._spring = np.array([w**2, -2.0 * w])
+        self._advance = np.array([1.0, dt])
+        self._integrate = np.array([[1.0, 0.0, dt], [0.0, -1.0 / dt, 1.0 / dt]])
+        self._pull, self._push = np.zeros((2, DOF)), np.zeros((2, DOF))
+        self._state = np.zeros((3, DOF))
+        self._error, self._far = np.zeros((2, DOF))
+        self._bent, self._two = self._pull[0], np.full(DOF, 2.0)
+        self._asked, self._goal = b"", np.zeros(DOF)
+        self.q, self.v, self.a = np.zeros((3, DOF))
 
-    def reset(self, q: Array, v: Array | None = None) -> None:
-        """Start from posture q (14,) [rad] at velocity v (zero by default)."""
+    def reset(self, q: Array, v: Array | None = None, a: Array | None = None) -> None:
+        """Start from posture q (14,) [rad] at velocity v and acceleration a (zero by default)."""
         self.q = np.array(q, dtype=float)
-        self.v = np.zeros_like(self.q) if v is None else np.array(v, dtype=float)
-        self.a = np.zeros_like(self.q)
+        self.v = np.zeros(DOF) if v is None else np.array(v, dtype=float)
+        self.a = np.zeros(DOF) if a is None else np.array(a, dtype=float)
+
+    def follow(self, q: Array, v: Array, a: Array) -> None:
+        """Take over the state (each (14,)) of a reference that is already smooth, to go on from there."""
+        self.q, self.v, self.a = q.copy(), v.copy(), a.copy()
 
     def step(self, target: Array) -> tuple[Array, Array, Array]:
-        """Advance one step towards target (14,) [rad]; return (q_ref, v_ref, a_ref)."""
-        target = np.clip(target, Q_LOWER, Q_UPPER)
-        error = target - self.q
-        far = np.maximum(np.abs(error), self._near)
-        # |v_want| / |error| is w / 2 up to `near` and falls beyond it, so one factor serves both pieces.
-        v_want = error * (np.sqrt(2.0 * self._brake * (far - 0.5 * self._near)) / far)
-        a = np.clip(2.0 * self._w * (v_want - self.v), -self._a_max, self._a_max)
-        v = np.clip(self.v + self._dt * a, -self._v_max, self._v_max)
-        self.a = (v - self.v) / self._dt
-        self.q = self.q + self._dt * v
-        self.v = v
-        return self.q, self.v, self.a
+        """Advance one step towards target (14,) [rad]; return (q_ref, v_ref, a_ref).
+
+        With s = min(1, d / |e|) both pieces of v_want are w/2 e sqrt(s (2 - s)), so that
+        a = w^2 e sqrt(s (2 - s)) - 2 w v. Buffers are reused: the arrays that ufuncs would return cost more than
+        their sums.
+        """
+        error, far, bent = self._error, self._far, self._bent
+        asked = target.tobytes()
+        if asked != self._asked:  # a target stands for many steps
+            self._asked, self._goal = asked, np.maximum(np.minimum(target, Q_UPPER), Q_LOWER)
+        np.subtract(self._goal, self.q, error)
+        np.absolute(error, far)
+        np.maximum(far, self._near, far)
+        np.divide(self._near, far, bent)  # s
+        np.subtract(self._two, bent, far)
+        np.multiply(bent, far, bent)
+        np.sqrt(bent, bent)
+        np.multiply(bent, error, bent)
+        self._pull[1] = self.v
+        a = self._spring.dot(self._pull)
+        np.minimum(a, self._a_max, a)
+        np.maximum(a, self._a_min, a)
+        push, state = self._push, self._state
+        push[0], push[1] = self.v, a
+        v = self._advance.dot(push)
+        np.minimum(v, self._v_max, v)
+        np.maximum(v, self._v_min, v)
+        state[0], state[1], state[2] = self.q, self.v, v
+        moved = self._integrate.dot(state)
+        self.q, self.v, self.a = moved[0], v, moved[1]  # a anew: the bound on the speed may have cut it
+        return self.q, v, self.a
