@@ -11,12 +11,51 @@ from minidual.errors import UsageError
 from minidual.planning.blend import rounded
 from minidual.planning.ik import check_pose
 from minidual.robot.constants import Array
-from minidual.robot.poses import pose
 
 ROTATION_WEIGHT_M = 0.2
 """How much of path length one radian of rotation counts for [m/rad]."""
 _SAME = 1e-6
 _ANGLE_MAX_RAD = 3.0
+
+
+class ObjectChart:
+    """Six coordinates [m] of object poses: position, and the rotation vector from a reference by its weight.
+
+    Args:
+        R_world_reference: Rotation (3, 3) whose rotation vector is zero.
+    """
+
+    def __init__(self, R_world_reference: Array) -> None:
+        self._R0 = np.array(R_world_reference)
+
+    def coordinates(self, T: Array) -> Array:
+        """Return the coordinates (6,) of a pose (4, 4).
+
+        Raises:
+            UsageError: The pose is turned by more than 3 rad from the reference.
+        """
+        turn = pin.log3(self._R0.T @ T[:3, :3])
+        if np.linalg.norm(turn) > _ANGLE_MAX_RAD:
+            raise UsageError(
+                f"a waypoint turns the object by {np.linalg.norm(turn):.2f} rad from the first; "
+                f"at most {_ANGLE_MAX_RAD} rad are supported"
+            )
+        return np.concatenate([T[:3, 3], ROTATION_WEIGHT_M * turn])
+
+    def pose(self, x: Array) -> Array:
+        """Return the pose (4, 4) of coordinates (6,)."""
+        T = np.eye(4)
+        T[:3, :3] = self._R0 @ pin.exp3(x[3:] / ROTATION_WEIGHT_M)
+        T[:3, 3] = x[:3]
+        return T
+
+    def poses(self, X: Array) -> Array:
+        """Return the poses (n, 4, 4) of coordinates (n, 6)."""
+        Ts = np.zeros((len(X), 4, 4))
+        Ts[:, 3, 3] = 1.0
+        Ts[:, :3, 3] = X[:, :3]
+        Ts[:, :3, :3] = self._R0 @ np.array([pin.exp3(x) for x in X[:, 3:] / ROTATION_WEIGHT_M])
+        return Ts
 
 
 class ObjectPath:
@@ -37,8 +76,8 @@ class ObjectPath:
         poses = [check_pose(T, f"waypoint {i} of the object") for i, T in enumerate(Ts_world_object)]
         if len(poses) < 2:
             raise UsageError(f"an object path needs two or more waypoints; there are {len(poses)}")
-        self._R0 = poses[0][:3, :3]
-        points = [self._coordinates(T) for T in poses]
+        self.chart = ObjectChart(poses[0][:3, :3])
+        points = [self.chart.coordinates(T) for T in poses]
         kept = [points[0]]
         for point in points[1:]:
             if np.abs(point - kept[-1]).max() > _SAME:
@@ -46,15 +85,6 @@ class ObjectPath:
         if len(kept) < 2:
             raise UsageError("all waypoints of the object are the same pose; there is nothing to carry")
         self._curve = rounded(np.array(kept), corner_m)
-
-    def _coordinates(self, T: Array) -> Array:
-        turn = pin.log3(self._R0.T @ T[:3, :3])
-        if np.linalg.norm(turn) > _ANGLE_MAX_RAD:
-            raise UsageError(
-                f"a waypoint turns the object by {np.linalg.norm(turn):.2f} rad from the first; "
-                f"at most {_ANGLE_MAX_RAD} rad are supported"
-            )
-        return np.concatenate([T[:3, 3], ROTATION_WEIGHT_M * turn])
 
     @property
     def length(self) -> float:
@@ -76,5 +106,4 @@ class ObjectPath:
 
     def poses(self, s: Array) -> Array:
         """Return Ts_world_object (n, 4, 4) at (n,) parameters."""
-        X = self.coordinates(s)
-        return np.array([pose(self._R0 @ pin.exp3(x[3:] / ROTATION_WEIGHT_M), x[:3]) for x in X])
+        return self.chart.poses(self.coordinates(s))

@@ -1,0 +1,92 @@
+"""The space in which a held object moves: its pose leads, both hands follow by inverse kinematics.
+
+A point is z (20,): six coordinates of the object's pose (`ObjectChart`) and the 14 joints that hold it there. The
+straight line between two points is a line of object poses and of joints; at each of its poses the joints are projected
+onto the grasps (`HandsIK.solve`). So an edge is a function of its two ends alone: whoever looks at it, and however
+finely, sees the same motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from minidual.planning.edges import EdgeChecker, bisection_order
+from minidual.planning.hands_ik import HandsIK
+from minidual.planning.object_path import ObjectChart
+from minidual.robot.constants import Array
+
+X, Q = slice(0, 6), slice(6, 20)
+JOINT_WEIGHT_M = 0.1
+"""How much of a distance one radian of all joints together counts for [m/rad]."""
+_STEP_M = 0.03
+_STEP_RAD = 0.08
+_JUMP_RAD = 0.4
+
+
+class HeldSpace:
+    """Points, distances and edges of one held object in one scene.
+
+    Args:
+        hands: Follows the object.
+        chart: Coordinates of object poses.
+        checker: Collision checks of configurations (14,).
+    """
+
+    def __init__(self, hands: HandsIK, chart: ObjectChart, checker: EdgeChecker) -> None:
+        self.hands = hands
+        self.chart = chart
+        self.checker = checker
+
+    def point(self, T_world_object: Array, q: Array) -> Array:
+        """Return the point (20,) of an object pose and the joints that hold it there."""
+        return np.concatenate([self.chart.coordinates(T_world_object), q])
+
+    def solved(self, z: Array) -> Array | None:
+        """Return z with its joints projected onto the grasps, or None."""
+        q = self.hands.solve(self.chart.pose(z[X]), z[Q])
+        return None if q is None else np.concatenate([z[X], q])
+
+    def solved_free(self, z: Array) -> Array | None:
+        """Return z with its joints projected onto the grasps if that is free of collision, or None."""
+        z_solved = self.solved(z)
+        return z_solved if z_solved is not None and self.checker.free(z_solved[Q]) else None
+
+    @staticmethod
+    def distance(z: Array, Z: Array) -> Array:
+        """Return the distance [m] of z (20,) to points Z (n, 20)."""
+        d = Z - z
+        return np.linalg.norm(d[:, X], axis=1) + JOINT_WEIGHT_M * np.linalg.norm(d[:, Q], axis=1)
+
+    def edge_free(self, a: Array, b: Array) -> bool:
+        """Return whether the edge from a to b, both (20,) and free, can be followed and is free."""
+        step = b - a
+        count = int(np.ceil(max(np.linalg.norm(step[X]) / _STEP_M, np.abs(step[Q]).max() / _STEP_RAD)))
+        if count < 2:
+            return True
+        joints = np.empty((count + 1, 14))
+        joints[0], joints[-1] = a[Q], b[Q]
+        for share in bisection_order(count):
+            if share == 1.0:
+                continue
+            z = self.solved_free(a + share * step)
+            if z is None:
+                return False
+            joints[round(share * count)] = z[Q]
+        return bool(np.abs(np.diff(joints, axis=0)).max() < _JUMP_RAD)
+
+    def samples(self, rng: np.random.Generator, ends: Array, room_m: float, turn_m: float) -> Iterator[Array]:
+        """Yield random coordinates (6,): in the box round the ends, `room_m` wider, turns up to `turn_m` about them.
+
+        Args:
+            rng: Source.
+            ends: Coordinates of start and goal (2, 6).
+            room_m: How much wider the box of positions is on every side.
+            turn_m: Largest weighted rotation vector component beside the way from start to goal [m].
+        """
+        low, high = ends[:, :3].min(axis=0) - room_m, ends[:, :3].max(axis=0) + room_m
+        low[2] = max(low[2], 0.0)
+        while True:
+            between = ends[0, 3:] + rng.uniform() * (ends[1, 3:] - ends[0, 3:])
+            yield np.concatenate([rng.uniform(low, high), between + rng.uniform(-turn_m, turn_m, 3)])

@@ -1,0 +1,204 @@
+"""The grasp constraint: its Jacobian against finite differences and a second formula, its projection, OMPL's view."""
+
+import time
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from minidual.config.scene import RodConfig
+from minidual.errors import UsageError
+from minidual.planning.closed_chain import scene_holding
+from minidual.planning.constrained_search import SPACES, OmplGraspConstraint, search_manifold
+from minidual.planning.edges import EdgeChecker
+from minidual.planning.errors import ClosedChainError
+from minidual.planning.grasp_constraint import GraspConstraint
+from minidual.planning.hands_ik import HandsIK
+from minidual.planning.held_moves import rod_grasps, rod_shape
+from minidual.planning.mujoco_engine import MujocoEngine
+from minidual.planning.object_path import ObjectPath
+from minidual.planning.scene import PlanningScene
+from minidual.planning.shapes import Box
+from minidual.robot.constants import HOME, Q_LOWER, Q_UPPER
+from minidual.robot.kinematics import Kinematics
+from minidual.robot.poses import inverse, pose, rot_z
+
+GRASPS = rod_grasps(RodConfig())
+T_LEFT_RIGHT = inverse(GRASPS[0]) @ GRASPS[1]
+
+
+@pytest.fixture(scope="module")
+def constraint():
+    return GraspConstraint(T_LEFT_RIGHT)
+
+
+@pytest.fixture(scope="module")
+def q_held(constraint):
+    return constraint.project(HOME)
+
+
+def random_configurations(count, seed=0):
+    rng = np.random.default_rng(seed)
+    return rng.uniform(Q_LOWER, Q_UPPER, (count, 14))
+
+
+def central_differences(f, q, h):
+    return np.column_stack([(f(q + h * e) - f(q - h * e)) / (2.0 * h) for e in np.eye(14)])
+
+
+def test_jacobian_is_the_derivative(constraint, q_held):
+    """Oracle: central differences with Richardson extrapolation, anywhere in the joint limits and on the manifold."""
+    rng = np.random.default_rng(1)
+    near = [q_held + rng.normal(0.0, s, 14) for s in (0.0, 1e-3, 0.1, 0.3)]
+    far = [q for q in random_configurations(60) if np.linalg.norm(constraint.value(q)[3:]) < 2.8]
+    assert len(far) > 30
+    for q in [*near, *far]:
+        coarse, fine = (central_differences(constraint.value, q, h) for h in (2e-4, 1e-4))
+        numeric = (4.0 * fine - coarse) / 3.0
+        assert np.abs(constraint.jacobian(q) - numeric).max() < 1e-6
+
+
+def test_jacobian_by_a_second_formula(constraint):
+    """Oracle: log(E) = -log(E^-1), and E^-1 = G T_right^-1 T_left has the body velocity J_left - Ad(A) J_right."""
+    kinematics = Kinematics()
+    model, data = kinematics.model, kinematics.data
+    left, right = kinematics.tcp_ids
+    G = pin.SE3(T_LEFT_RIGHT)
+    for q in random_configurations(40, seed=2):
+        pin.computeJointJacobians(model, data, q)
+        pin.updateFramePlacements(model, data)
+        A = data.oMf[left].actInv(data.oMf[right])
+        J_left = pin.getFrameJacobian(model, data, left, pin.LOCAL)
+        J_right = pin.getFrameJacobian(model, data, right, pin.LOCAL)
+        E_inverse = G * A.inverse()
+        second = -pin.Jlog6(E_inverse) @ (J_left - A.action @ J_right)
+        value, J = constraint.value_and_jacobian(q)
+        assert np.abs(value + pin.log6(E_inverse).vector).max() < 1e-9
+        assert np.abs(J - second).max() < 1e-7 * max(1.0, np.abs(J).max())
+
+
+def test_a_wrong_jacobian_would_be_seen(constraint, q_held):
+    """Negative control: without Jlog6, or with the sign of one hand turned, the comparison above fails."""
+    q = q_held + np.random.default_rng(3).normal(0.0, 0.3, 14)
+    numeric = central_differences(constraint.value, q, 1e-5)
+    wrong = constraint.jacobian(q) * np.repeat([1.0, -1.0], 7)
+    assert np.abs(wrong - numeric).max() > 1e-2
+
+
+def test_value_vanishes_where_the_hands_hold_and_only_there(constraint, q_held):
+    left, right = Kinematics().tcp_poses(q_held)
+    assert np.abs(inverse(left) @ right - T_LEFT_RIGHT).max() < 1e-9
+    assert np.abs(constraint.value(q_held)).max() < 1e-9
+    moved = q_held.copy()
+    moved[3] += 0.01
+    distance, angle = constraint.residual(moved)
+    assert distance > 1e-3
+    assert angle == pytest.approx(0.01, rel=1e-3)
+
+
+def test_projection_stays_near_and_inside_the_limits(constraint, q_held):
+    rng = np.random.default_rng(4)
+    for _ in range(100):
+        q = np.clip(q_held + rng.normal(0.0, 0.1, 14), Q_LOWER, Q_UPPER)
+        projected = constraint.project(q)
+        assert np.linalg.norm(constraint.value(projected)) < 1e-9
+        assert np.linalg.norm(projected - q) < 6.0 * np.linalg.norm(constraint.value(q)) + 1e-6
+        assert ((projected >= Q_LOWER) & (projected <= Q_UPPER)).all()
+
+
+def test_projection_works_round_a_joint_at_its_limit(constraint, q_held):
+    q = q_held.copy()
+    q[1] = Q_UPPER[1]
+    projected = constraint.project(q)
+    if projected is not None:
+        assert (projected <= Q_UPPER).all()
+        assert np.linalg.norm(constraint.value(projected)) < 1e-9
+
+
+def test_a_relative_pose_that_cannot_be_kept_is_named():
+    apart = GraspConstraint(pose(np.eye(3), (0.0, 3.0, 0.0)))
+    assert apart.project(HOME) is None
+    with pytest.raises(
+        ClosedChainError, match=r"goal cannot keep the relative pose.* \d+\.\d\d mm and \d\.\d+ rad"
+    ):
+        apart.require(HOME, "goal")
+    with pytest.raises(UsageError, match="relative pose of the hands holds a value that is not finite"):
+        GraspConstraint(np.full((4, 4), np.nan))
+    assert GraspConstraint(T_LEFT_RIGHT).project(np.full(14, np.nan)) is None
+
+
+def test_ompl_gets_the_same_numbers(constraint, q_held):
+    held = OmplGraspConstraint(constraint)
+    q = q_held + 0.05
+    value, J = np.zeros(6), np.zeros((6, 14))
+    held.function(q, value)
+    held.jacobian(q, J)
+    expected, J_expected = constraint.value_and_jacobian(q)
+    assert np.array_equal(value, expected)
+    assert np.array_equal(J, J_expected)
+
+
+@pytest.fixture(scope="module")
+def move(q_held):
+    kinematics = Kinematics()
+    T_start = kinematics.tcp_poses(q_held)[0] @ inverse(GRASPS[0])
+    T_goal = T_start.copy()
+    T_goal[:3, :3] = rot_z(0.4) @ T_goal[:3, :3]
+    T_goal[:3, 3] += (0.05, -0.25, -0.05)
+    path = ObjectPath([T_start, T_goal])
+    Ts = path.poses(np.linspace(0.0, path.length, 60))
+    Q, stuck = HandsIK(*GRASPS, kinematics).follow(Ts, q_held)
+    assert stuck is None
+    return Q[-1], T_start, T_goal
+
+
+@pytest.mark.parametrize("space", SPACES)
+def test_ompl_plans_on_the_manifold(constraint, q_held, move, space):
+    q_goal, T_start, T_goal = move
+    middle = 0.5 * (T_start[:3, 3] + T_goal[:3, 3])
+    # A post through the middle of the straight way: only a path round it will do.
+    post = Box("post", (middle[0], middle[1], middle[2] - 0.15), size_m=(0.05, 0.05, 0.3))
+    scene = scene_holding(PlanningScene().with_obstacles(post), rod_shape(RodConfig()), GRASPS[0])
+    engine = MujocoEngine(scene)
+    for seed in (1, 2):
+        checker = EdgeChecker(engine, 0.0, (q_held, q_goal), 0.03)
+        path = search_manifold(
+            constraint, checker, q_held, [q_goal], space=space, box_rad=0.7, seed=seed,
+            checks_max=20_000, deadline=time.perf_counter() + 60.0,
+        )  # fmt: skip
+        assert path is not None
+        assert np.abs(path[0] - q_held).max() < 1e-6
+        assert np.abs(path[-1] - q_goal).max() < 1e-6
+        assert max(np.linalg.norm(constraint.value(q)) for q in path) < 1e-8
+        assert not engine.collisions(path).any()
+        assert np.abs(np.diff(path, axis=0)).max() < 0.5
+
+
+def test_ompl_gives_up_and_says_so(constraint, q_held, move):
+    q_goal, T_start, _ = move
+    x, y, z = T_start[:3, 3]
+    # Walls in front of and behind the rod, and over it: no way out.
+    walls = (
+        Box("wall0", (x, y - 0.3, z), size_m=(0.6, 0.02, 0.8)),
+        Box("wall1", (x, y + 0.3, z), size_m=(0.6, 0.02, 0.8)),
+    )
+    scene = scene_holding(PlanningScene(obstacles=walls), rod_shape(RodConfig()), GRASPS[0], rests_on=())
+    engine = MujocoEngine(scene)
+    checker = EdgeChecker(engine, 0.0, (), 0.03)
+    found = search_manifold(
+        constraint, checker, q_held, [q_goal], space="atlas", box_rad=0.7, seed=1, checks_max=300,
+        deadline=time.perf_counter() + 30.0,
+    )  # fmt: skip
+    assert found is None
+    with pytest.raises(UsageError, match="no constrained space 'tangent'"):
+        search_manifold(
+            constraint,
+            checker,
+            q_held,
+            [q_goal],
+            space="tangent",
+            box_rad=0.7,
+            seed=1,
+            checks_max=1,
+            deadline=0.0,
+        )
