@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from minidual.planning.scene import PlanningScene
-from minidual.planning.shapes import Box, Capsule, Cylinder, Shape, Sphere
+from minidual.planning.shapes import Box, Capsule, Cylinder, Mesh, Shape, Sphere
 from minidual.robot.constants import FINGER_JOINT_NAMES, FINGER_TRAVEL_M, Array
 from minidual.robot.description import dual_panda_urdf
 
@@ -29,17 +29,22 @@ class CoalEngine:
         ids: dict[str, list[int]] = {}
         for index, item in enumerate(self.geometry.geometryObjects):
             ids.setdefault(self.model.frames[item.parentFrame].name, []).append(index)
-        for shape in scene.obstacles:
+        for shape in scene.solid_obstacles:
             placement = pin.SE3(shape.T_parent_shape)
             ids[shape.name] = [
-                self.geometry.addGeometryObject(pin.GeometryObject(shape.name, 0, placement, _solid(shape)))
+                self.geometry.addGeometryObject(pin.GeometryObject(shape.name, 0, placement, solid))
+                for solid in _solids(shape)
             ]
         for held in scene.attached:
             frame_id = self.model.getFrameId(held.link)
             frame = self.model.frames[frame_id]
             placement = frame.placement * pin.SE3(held.shape.T_parent_shape)
-            item = pin.GeometryObject(held.name, frame.parentJoint, frame_id, placement, _solid(held.shape))
-            ids[held.name] = [self.geometry.addGeometryObject(item)]
+            ids[held.name] = [
+                self.geometry.addGeometryObject(
+                    pin.GeometryObject(held.name, frame.parentJoint, frame_id, placement, solid)
+                )
+                for solid in _solids(held.shape)
+            ]
         for a, b in scene.checked_pairs:
             for first in ids[a]:
                 for second in ids[b]:
@@ -80,13 +85,26 @@ def _robot_geometry() -> tuple[pin.Model, pin.GeometryModel]:
     return model, geometry
 
 
-def _solid(shape: Shape) -> coal.CollisionGeometry:
+def _solids(shape: Shape) -> list[coal.CollisionGeometry]:
+    """Return the convex solids of a shape: several for a mesh, else one."""
     match shape:
         case Box():
-            return coal.Box(*shape.size_m)
+            return [coal.Box(*shape.size_m)]
         case Cylinder():
-            return coal.Cylinder(shape.radius_m, shape.length_m)
+            return [coal.Cylinder(shape.radius_m, shape.length_m)]
         case Capsule():
-            return coal.Capsule(shape.radius_m, shape.length_m)
+            return [coal.Capsule(shape.radius_m, shape.length_m)]
         case Sphere():
-            return coal.Sphere(shape.radius_m)
+            return [coal.Sphere(shape.radius_m)]
+        case Mesh():
+            return [_hull(vertices) for vertices in shape.vertices()]
+
+
+def _hull(vertices: Array) -> coal.CollisionGeometry:
+    """Return the convex hull of (n, 3) points."""
+    cloud = coal.BVHModelOBBRSS()
+    cloud.beginModel(0, len(vertices))
+    cloud.addVertices(np.ascontiguousarray(vertices))
+    cloud.endModel()
+    cloud.buildConvexHull(True, "Qt")
+    return cloud.convex

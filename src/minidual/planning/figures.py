@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from minidual.planning.evaluate import Outcome
 from minidual.planning.result import PHASES
-from minidual.planning.shapes import Box, Capsule, Cylinder, Shape, Sphere
+from minidual.planning.shapes import Box, Capsule, Cylinder, Mesh, Shape, Sphere
 from minidual.robot.constants import ARMS, Array
 from minidual.robot.kinematics import Kinematics
 
@@ -124,6 +124,8 @@ def _silhouette(shape: Shape) -> Array:
             points = np.vstack([_ball(shape.radius_m) - end, _ball(shape.radius_m) + end])
         case Sphere():
             points = _ball(shape.radius_m)
+        case Mesh():
+            points = np.vstack(shape.vertices())
     T = shape.T_parent_shape
     return points @ T[:3, :3].T + T[:3, 3]
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from minidual.planning.links import LINKS
 from minidual.planning.scene import Attached, PlanningScene
-from minidual.planning.shapes import Box, Capsule, Cylinder, Shape, Sphere
+from minidual.planning.shapes import Box, Capsule, Cylinder, Mesh, Shape, Sphere
 from minidual.robot.constants import FINGER_JOINT_NAMES, FINGER_TRAVEL_M, JOINT_NAMES, Array
 from minidual.robot.description import dual_panda_urdf
 
@@ -45,7 +45,8 @@ class MujocoEngine:
     name = "mujoco"
 
     def __init__(self, scene: PlanningScene) -> None:
-        self._build(scene.checked_pairs, scene.obstacles, scene.attached)
+        self._build(scene.checked_pairs, scene.solid_obstacles, scene.attached)
+        self.min_distance_m = scene.min_distance_m
 
     @classmethod
     def from_pairs(
@@ -61,9 +62,9 @@ class MujocoEngine:
     ) -> None:
         spec = mujoco.MjSpec.from_string(dual_panda_urdf().replace('<link name="world"', _COMPILER, 1))
         for shape in obstacles:
-            _add_body(spec.worldbody, shape)
+            _add_body(spec, spec.worldbody, shape)
         for held in attached:
-            _add_body(spec.body(held.link), held.shape)
+            _add_body(spec, spec.body(held.link), held.shape)
         checked = {frozenset(p) for p in pairs}
         names = (*LINKS, *(s.name for s in obstacles), *(a.name for a in attached))
         for a, b in itertools.combinations(names, 2):
@@ -142,7 +143,7 @@ class MujocoEngine:
         return found
 
 
-def _add_body(parent: mujoco.MjsBody, shape: Shape) -> None:
+def _add_body(spec: mujoco.MjSpec, parent: mujoco.MjsBody, shape: Shape) -> None:
     body = parent.add_body(name=shape.name, pos=list(shape.position_m), quat=list(shape.quat_wxyz))
     kind = mujoco.mjtGeom
     match shape:
@@ -154,3 +155,8 @@ def _add_body(parent: mujoco.MjsBody, shape: Shape) -> None:
             body.add_geom(type=kind.mjGEOM_CAPSULE, size=[shape.radius_m, 0.5 * shape.length_m, 0.0])
         case Sphere():
             body.add_geom(type=kind.mjGEOM_SPHERE, size=[shape.radius_m, 0.0, 0.0])
+        case Mesh():
+            for index, vertices in enumerate(shape.vertices()):
+                name = f"{shape.name}:{index}"
+                spec.add_mesh(name=name, uservert=vertices.ravel())
+                body.add_geom(type=kind.mjGEOM_MESH, meshname=name)

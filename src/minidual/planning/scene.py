@@ -8,16 +8,19 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 
 from minidual.errors import UsageError, unknown_name
 from minidual.planning.acm import AllowedCollisions, default_acm
 from minidual.planning.links import LINKS, arm_of, joints_before
-from minidual.planning.shapes import Box, Shape
+from minidual.planning.shapes import Box, Shape, grown
 
 TABLE = Box("table", position_m=(0.38, 0.0, -0.2), size_m=(1.2, 1.6, 0.4))
 """The table of the simulated world. It is taken as solid down to 0.4 m: no arm reaches in under the top."""
+
+MIN_DISTANCE_MAX_M = 0.2
 
 
 @dataclass(frozen=True)
@@ -53,6 +56,9 @@ class PlanningScene:
     obstacles: tuple[Shape, ...] = (TABLE,)
     attached: tuple[Attached, ...] = ()
     allowed: AllowedCollisions = field(default_factory=default_acm)
+    min_distance_m: float = 0.0
+    """Distance [m] that arms and held objects must keep from every obstacle that they may not touch: both engines see
+    the obstacles grown by it, so a path that comes nearer is refused as one that collides."""
 
     def __post_init__(self) -> None:
         names = [*LINKS, *(o.name for o in self.obstacles), *(a.name for a in self.attached)]
@@ -64,6 +70,15 @@ class PlanningScene:
             for link in (attached.link, *attached.touch_links):
                 if arm_of(link) is None:
                     raise unknown_name("link", link, LINKS)
+        if not (math.isfinite(self.min_distance_m) and 0.0 <= self.min_distance_m <= MIN_DISTANCE_MAX_M):
+            raise UsageError(
+                f"min_distance_m = {self.min_distance_m}; it must be from 0 to {MIN_DISTANCE_MAX_M} m"
+            )
+
+    @cached_property
+    def solid_obstacles(self) -> tuple[Shape, ...]:
+        """What the engines are built from: the obstacles, grown by the distance to keep."""
+        return tuple(grown(shape, self.min_distance_m) for shape in self.obstacles)
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ All are frozen and hashable, so a scene can key the engines built from it.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -97,7 +97,38 @@ class Sphere(_Shape):
         return (self.radius_m,)
 
 
-Shape = Box | Cylinder | Capsule | Sphere
+@dataclass(frozen=True)
+class Mesh(_Shape):
+    """A solid from a file, as the union of convex pieces (see `minidual.planning.meshes`).
+
+    pieces: Vertices of each piece, (n, 3) float64 [m] in C order as bytes, so that a scene stays hashable.
+    file: Where it came from; for messages only.
+    """
+
+    pieces: tuple[bytes, ...] = ()
+    file: str = ""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.pieces:
+            raise UsageError(f"obstacle '{self.name}': a mesh needs at least one convex piece")
+        for vertices in self.vertices():
+            if len(vertices) < 4 or not np.isfinite(vertices).all():
+                raise UsageError(
+                    f"obstacle '{self.name}': a piece of its mesh is no solid of finite vertices"
+                )
+
+    def lengths(self) -> tuple[float, ...]:
+        """Return the edge lengths of the axis-aligned box round all pieces [m]."""
+        points = np.vstack(self.vertices()) if self.pieces else np.zeros((1, 3))
+        return tuple(float(v) for v in np.ptp(points, axis=0)) if self.pieces else ()
+
+    def vertices(self) -> tuple[Array, ...]:
+        """Return the vertices of each piece, (n, 3) [m] in the shape's frame."""
+        return tuple(np.frombuffer(piece, dtype=float).reshape(-1, 3) for piece in self.pieces)
+
+
+Shape = Box | Cylinder | Capsule | Sphere | Mesh
 
 
 def bounding_radius(shape: Shape) -> float:
@@ -111,3 +142,30 @@ def bounding_radius(shape: Shape) -> float:
             return shape.radius_m + 0.5 * shape.length_m
         case Sphere():
             return shape.radius_m
+        case Mesh():
+            return float(np.linalg.norm(np.vstack(shape.vertices()), axis=1).max())
+
+
+def grown(shape: Shape, by_m: float) -> Shape:
+    """Return the shape with everything in it that is nearer than `by_m`, and a little more at edges.
+
+    Capsules and spheres grow exactly; boxes, cylinders and meshes keep their edges sharp, where they then hold up to
+    0.73 by_m more than asked: a distance that is asked for is kept, never missed.
+    """
+    if by_m <= 0.0:
+        return shape
+    match shape:
+        case Box():
+            x, y, z = shape.size_m
+            return replace(shape, size_m=(x + 2 * by_m, y + 2 * by_m, z + 2 * by_m))
+        case Cylinder():
+            return replace(shape, radius_m=shape.radius_m + by_m, length_m=shape.length_m + 2 * by_m)
+        case Capsule() | Sphere():
+            return replace(shape, radius_m=shape.radius_m + by_m)
+        case Mesh():
+            # The sum with a cube that holds the ball: every vertex moved to the eight corners.
+            corners = by_m * np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
+            return replace(
+                shape,
+                pieces=tuple((v[:, None] + corners).reshape(-1, 3).tobytes() for v in shape.vertices()),
+            )
