@@ -38,3 +38,53 @@ def perturb(context: ToolContext) -> ToolResult:
         data={"trials_n": trials_n, "drop_max": DROP_MAX, "conditions": [r.row() for r in found]},
         exit_code=ExitCode.ACCEPTANCE_FAILED if failed else ExitCode.PASS,
     )
+
+
+def tune(context: ToolContext) -> ToolResult:
+    """Search squeeze and stiffness by carrying; write them as a profile."""
+    import yaml
+
+    from minidual.evaluation.tables import write_text
+    from minidual.evaluation.tuning import CARRIES_N, Tuner, TuningError, write_rows
+    from minidual.evaluation.tuning_figure import draw_tuning
+
+    with context.progress.task("tuning") as task:
+        tuner = Tuner(
+            context.config, context.seed, workers=context.workers,
+            on_step=lambda s: task.advance(note=f"{s.phase}: {s.force_n:.1f} N, {s.stiffness_n_per_m:.0f} N/m"),
+        )  # fmt: skip
+        try:
+            tuning = tuner.run()
+        except TuningError:
+            write_text(context.output / "tuning.csv", write_rows(tuner.steps))
+            context.publish()  # what was tried is what tells why nothing was found
+            raise
+    impedance = {path.rsplit(".", 1)[1]: round(value, 2) for path, value in tuning.settings.items()}
+    profile = {"extends": _base(context.profile), "carry": {"impedance": impedance}}
+    head = (
+        f"# Found by `minidual carry --tune`, seed {context.seed}: {tuning.least_force_n:.1f} N is the least squeeze that\n"
+        f"# held {CARRIES_N} of {CARRIES_N} carries; see tuning.csv and tuning.png beside this file.\n"
+    )
+    write_text(context.output / "tuned.yaml", head + yaml.safe_dump(profile, sort_keys=False))
+    write_text(context.output / "tuning.csv", write_rows(tuning.steps))
+    draw_tuning(tuning, context.config.scene.task.internal_force_min_n, context.output / "tuning.png")
+    rows = [s.row() for s in (tuning.final, *tuning.compared)]
+    lines = ["| " + " | ".join(k.replace("_", " ") for k in rows[0]) + " |", "|" + "---|" * len(rows[0])]
+    lines += ["| " + " | ".join(str(v) for v in row.values()) + " |" for row in rows]
+    return ToolResult(
+        lines=lines,
+        notes=[
+            f"least squeeze that holds: {tuning.least_force_n:.1f} N",
+            f"chosen: {tuning.force_n:.1f} N and {tuning.stiffness_n_per_m:.0f} N/m",
+            f"use it: {context.command('carry')} --profile {context.folder / 'tuned.yaml'}",
+        ],
+        data={
+            "settings": tuning.settings, "least_force_n": tuning.least_force_n,
+            "steps": [s.row() for s in tuning.steps],
+        },
+    )  # fmt: skip
+
+
+def _base(profile: str) -> str:
+    """Return the shipped profile that a tuned one extends."""
+    return profile if profile in ("smoke", "standard", "gpu") else "standard"

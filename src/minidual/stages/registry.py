@@ -35,7 +35,11 @@ STAGES = StageTable(
             "minidual.stages.carry:STAGE",
             ("plan",),
             "Carry the rod with both arms under object impedance control",
-            (StageOption("trials", "carry.trials_n", "Randomised carries to try."),),
+            (
+                StageOption("trials", "carry.trials_n", "Randomised carries to try."),
+                StageOption("object", "carry.object", "What is carried: rod, board, box, glass.", kind=str),
+                StageOption("motion", "carry.motion", "How it travels: straight, rotate, over.", kind=str),
+            ),
             asides=(
                 ToolEntry(
                     "carry-perturb",
@@ -43,6 +47,17 @@ STAGES = StageTable(
                     "Carry under pushes, other masses and frictions, and worse sensing",
                     (ToolOption("perturb", "Carry under every disturbance (20 trials each) instead.", bool),),
                     triggers=("perturb",),
+                ),
+                ToolEntry(
+                    "carry-tune",
+                    "minidual.stages.carry_tools:tune",
+                    "Search squeeze and stiffness by carrying",
+                    (
+                        ToolOption(
+                            "tune", "Search squeeze and stiffness by carrying, and write a profile.", bool
+                        ),
+                    ),
+                    triggers=("tune",),
                 ),
             ),
         ),

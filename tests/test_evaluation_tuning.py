@@ -1,0 +1,116 @@
+"""The search for gains: on carries whose law is known, so that the right answer is known too."""
+
+import numpy as np
+import pytest
+
+from minidual.config.loader import load_config
+from minidual.config.root import Config
+from minidual.evaluation import tuning
+from minidual.evaluation.tuning import (
+    FORCE_FACTOR,
+    OSCILLATION_MAX_M,
+    STIFFNESSES_N_PER_M,
+    Carried,
+    Tuner,
+    TuningError,
+    gains,
+    oscillation_m,
+)
+from minidual.pipeline.tool import ToolContext
+from minidual.stages.carry_tools import tune
+
+NEEDED_N = Config().scene.task.internal_force_min_n
+
+
+@pytest.fixture
+def plant(monkeypatch):
+    """A plant that loses 2 N of squeeze, slips over 60 N and oscillates from a stiffness that the test sets."""
+    law = {"loss_n": 2.0, "slips_n": 60.0, "oscillates": 1e9, "torque": 0.7}
+    starts = []
+
+    def carry_once(inputs, trial):
+        impedance = inputs.config.carry.impedance
+        starts.append((trial.purpose, trial.start))
+        least = impedance.internal_force_n - law["loss_n"]
+        holds = least > NEEDED_N and impedance.internal_force_n < law["slips_n"]
+        oscillation = OSCILLATION_MAX_M * impedance.stiffness_n_per_m / law["oscillates"]
+        t = np.linspace(0.0, 1.0, 50)
+        return Carried(
+            holds, "success" if holds else "squeezed", least, 0.001, oscillation, 0.001, law["torque"],
+            t, 0.001 + 0 * t, least + 0 * t, 0.5 + 0 * t, 0 * t,
+        )  # fmt: skip
+
+    monkeypatch.setattr(tuning, "carry_once", carry_once)
+    law["starts"] = starts
+    return law
+
+
+def test_the_least_force_that_holds_is_found_and_scaled(plant):
+    found = Tuner(Config(), 3).run()
+    assert NEEDED_N + 2.0 < found.least_force_n < NEEDED_N + 3.0
+    assert found.force_n == pytest.approx(FORCE_FACTOR * found.least_force_n)
+    assert found.final.holds
+    assert found.stiffness_n_per_m == STIFFNESSES_N_PER_M[1]
+
+
+def test_the_stiffness_stays_clear_of_oscillation(plant):
+    plant["oscillates"] = 400.0
+    found = Tuner(Config(), 3).run()
+    assert 370.0 < found.last_stiffness_n_per_m <= 400.0
+    assert found.stiffness_n_per_m == pytest.approx(0.8 * found.last_stiffness_n_per_m)
+
+
+def test_forces_that_do_not_hold_are_shown_as_such(plant):
+    found = Tuner(Config(), 3).run()
+    assert [s.holds for s in found.compared] == [False, True, False]  # 20 N is too little, 80 N slips
+    assert found.compared[0].row()["successes"] == "0 of 5"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [({"loss_n": 30.0}, "no squeeze up to 40 N holds"), ({"torque": 0.99}, "already takes 99 %"),
+     ({"oscillates": 100.0}, "oscillates even at 150")],
+)  # fmt: skip
+def test_a_plant_that_cannot_be_tuned_says_why(plant, change, message):
+    plant.update(change)
+    with pytest.raises(TuningError, match=message):
+        Tuner(Config(), 3).run()
+
+
+def test_tuning_sees_starts_of_its_own_stream(plant):
+    Tuner(Config(), 3).run()
+    assert {purpose for purpose, _ in plant["starts"]} == {"tuning"}
+    assert len({start for _, start in plant["starts"]}) == tuning.CARRIES_N
+
+
+def test_the_profile_that_is_written_loads(plant, tmp_path):
+    context = ToolContext(Config(), 3, 1, "standard", tmp_path, _name="carry-tune")
+    result = tune(context)
+    context.publish()
+    loaded = load_config(str(tmp_path / "carry-tune" / "tuned.yaml")).config.carry.impedance
+    assert loaded.internal_force_n == pytest.approx(
+        result.data["settings"]["carry.impedance.internal_force_n"], abs=0.01
+    )
+    assert (tmp_path / "carry-tune" / "tuning.png").stat().st_size > 10_000
+    assert (tmp_path / "carry-tune" / "tuning.csv").read_text().startswith("phase,")
+
+
+def test_what_was_tried_stays_when_nothing_was_found(plant, tmp_path):
+    plant["loss_n"] = 30.0
+    with pytest.raises(TuningError):
+        tune(ToolContext(Config(), 3, 1, "standard", tmp_path, _name="carry-tune"))
+    assert "force" in (tmp_path / "carry-tune" / "tuning.csv").read_text()
+
+
+def test_oscillation_is_what_is_fast_alone():
+    t = np.arange(0.0, 2.0, 1.0 / 250.0)
+    slow, fast = np.zeros((len(t), 3)), np.zeros((len(t), 3))
+    slow[:, 0] = 0.01 * np.sin(2 * np.pi * 0.5 * t)
+    fast[:, 0] = 0.001 * np.sin(2 * np.pi * 20.0 * t)
+    assert oscillation_m(slow) < 5e-5
+    assert oscillation_m(slow + fast) == pytest.approx(0.001 / np.sqrt(2.0), rel=0.05)
+    assert np.isnan(oscillation_m(fast[:50]))
+
+
+def test_gains_stay_inside_the_configuration():
+    assert gains(40.0, 500.0)["carry.impedance.stiffness_nm_per_rad"] == pytest.approx(20.0)
