@@ -44,7 +44,7 @@ class ImpedanceConfig(StrictModel):
     force_gain: float = Field(default=0.5, ge=0.0, lt=1.0)
     """Proportional force feedback; at 1 and over the loop limit-cycles."""
     force_correction_max_n: float = Field(default=15.0, ge=0.0, le=20.0)
-    pinch_n: float = Field(default=60.0, gt=20.0, le=70.0)
+    pinch_n: float = Field(default=60.0, gt=20.0, le=140.0)
     """Finger force; the pads carry the squeeze by friction, so internal_force < 2 mu pinch."""
 
 
@@ -101,8 +101,8 @@ class PaceConfig(StrictModel):
     joint_acceleration_share: float = Field(default=0.5, gt=0.0, le=1.0)
     object_speed_m_per_s: float = Field(default=0.6, gt=0.0, le=2.0)
     object_acceleration_m_per_s2: float = Field(default=1.2, gt=0.0, le=10.0)
-    object_turn_rad_per_s: float = Field(default=1.2, gt=0.0, le=10.0)
-    object_turn_rad_per_s2: float = Field(default=3.0, gt=0.0, le=50.0)
+    object_turn_rad_per_s: float = Field(default=2.0, gt=0.0, le=10.0)
+    object_turn_rad_per_s2: float = Field(default=5.0, gt=0.0, le=50.0)
 
 
 class CarryFaultConfig(StrictModel):

@@ -43,7 +43,9 @@ class RodConfig(StrictModel):
     grasp_height_m: float = Field(default=0.003, ge=-0.01, le=0.02)
     """Height of the tool centre point over the rod's axis."""
     break_force_n: float | None = Field(default=None, gt=0.0)
-    """Force of a hand or pinch of its fingers at which the object breaks; None for one that does not."""
+    """Net force of one hand at which the object breaks; None for one that does not."""
+    break_pinch_n: float | None = Field(default=None, gt=0.0)
+    """Pinch of one hand at which the object breaks."""
     colour: tuple[float, float, float, float] = (0.96, 0.45, 0.09, 1.0)
 
     @property

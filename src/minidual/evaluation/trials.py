@@ -23,6 +23,8 @@ from minidual.tasks.rod_carry import RodTrial, tilt_rad
 from minidual.tasks.success import RodCarryJudge
 
 LOG_RATE_HZ = 250
+_SATURATED = 0.999
+"""Share of its limit from which a motor counts as saturated; controllers clip at the limit itself."""
 SETTLED_S = 0.5
 """A trial ends this long after its rod lies finished; methods without an end of their own would go on."""
 
@@ -63,6 +65,7 @@ class TrialResult:
         faults: (name, time [s], detail) of everything that failed.
         aborted: Why the method stopped itself, or an empty string.
         lifted: Whether the rod rose clear of the table.
+        saturated_max_s: Longest time that one motor stood at its torque limit.
         wall_s: Wall time of the trial; it differs from run to run and stays out of the tables.
     """
 
@@ -71,6 +74,7 @@ class TrialResult:
     aborted: str
     lifted: bool
     wall_s: float
+    saturated_max_s: float = 0.0
 
     @property
     def success(self) -> bool:
@@ -106,12 +110,18 @@ def run_trial(
     every = round(1.0 / (LOG_RATE_HZ * world.dt))
     columns: list[tuple[Any, ...]] = []
     peak = np.zeros(len(TAU_MAX))
+    saturated, longest, longest_now = np.zeros(len(TAU_MAX), dtype=int), 0, 0
     steps = round(scene.task.time_limit_s / world.dt)
     finished_s = 0.0
     for step in range(steps):
         method.step()
         judge.observe(world)
-        np.maximum(peak, np.abs(world.tau) / TAU_MAX, out=peak)
+        ratio = np.abs(world.tau) / TAU_MAX
+        np.maximum(peak, ratio, out=peak)
+        if ratio.max() >= _SATURATED or longest_now:
+            saturated = np.where(ratio >= _SATURATED, saturated + 1, 0)
+            longest_now = int(saturated.max())
+            longest = max(longest, longest_now)
         if step % every == 0:
             columns.append(_sample(world, kinematics, method.phase))
         if on_step is not None:
@@ -133,6 +143,7 @@ def run_trial(
         aborted=method.aborted or "",
         lifted=outcome.rise_m > scene.task.clear_height_m,
         wall_s=time.perf_counter() - began,
+        saturated_max_s=longest * world.dt,
     )
     return result, log
 

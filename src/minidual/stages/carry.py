@@ -1,4 +1,4 @@
-"""`minidual carry`: two arms carry a rod 50 cm under object impedance, again and again from random starts."""
+"""`minidual carry`: two arms carry an object under object impedance, again and again from random starts."""
 
 from __future__ import annotations
 
@@ -10,43 +10,61 @@ from minidual.pipeline.check import Check
 from minidual.pipeline.stage import StageContext, StageResult
 
 if TYPE_CHECKING:
+    from minidual.config.control import CarryLimits
     from minidual.config.root import Config
     from minidual.evaluation.metrics import TrialMetrics
 
-SUCCESS_RATE_MIN = 0.8
-DURATION_MAX_S = 10.0
-
 
 def carry_checks(
-    trials: Sequence[TrialMetrics], *, tilt_limit_rad: float, force_limit_n: float, time_limit_s: float
+    trials: Sequence[TrialMetrics],
+    limits: CarryLimits,
+    *,
+    force_limit_n: float,
+    time_limit_s: float,
+    saturated_max_s: float = 0.0,
 ) -> list[Check]:
-    """Return the checks of the stage for judged trials; extremes are over all trials, failed ones too."""
+    """Return the checks of the stage for judged trials; extremes are over all trials, failed ones too.
+
+    Args:
+        trials: At least one.
+        limits: What they must reach together.
+        force_limit_n: Least internal force of the success test.
+        time_limit_s: What a failed trial counts as.
+        saturated_max_s: Longest time that a motor stood at its limit, over all trials.
+    """
     import numpy as np  # np.max and np.min pass a NaN on, so that its check fails; the built-ins may lose it
 
     return [
         Check(
-            "success_rate", sum(t.success for t in trials) / len(trials), ">", SUCCESS_RATE_MIN, "",
-            "share of trials in which both arms carried the rod to its goal and let go",
+            "success_rate", sum(t.success for t in trials) / len(trials), ">=", limits.success_rate_min, "",
+            "share of trials in which both arms carried the object to its goal and let go",
             "trials.csv names what failed first; minidual carry --set carry.impedance.internal_force_n=...",
         ),
         Check(
-            "tilt_max_rad", float(np.max([t.tilt_max_rad for t in trials])), "<", tilt_limit_rad, "rad",
-            "a tilted rod slips or spills", "raise carry.impedance.stiffness_n_per_m or lengthen carry.transport_s",
+            "tilt_max_rad", float(np.max([t.tilt_max_rad for t in trials])), "<", limits.tilt_max_rad, "rad",
+            "a tilted object slips or spills",
+            "raise carry.impedance.stiffness_n_per_m or lower carry.pace.object_acceleration_m_per_s2",
         ),
         Check(
             "internal_force_min_n", float(np.min([t.internal_force_min_n for t in trials])), ">", force_limit_n, "N",
-            "squeeze between the hands while the rod is off the table; below it the rod may slip",
+            "squeeze between the hands while the object is off the table; below it the object may slip",
             "raise carry.impedance.internal_force_n (at most 80)",
         ),
         Check(
-            "duration_max_s", float(np.max([t.duration_s if t.success else time_limit_s for t in trials])), "<", DURATION_MAX_S,
-            "s", "from the start to the rod released at its goal; a failed trial counts as the time limit",
-            "shorten carry.transport_s",
+            "duration_max_s", float(np.max([t.duration_s if t.success else time_limit_s for t in trials])), "<",
+            limits.duration_max_s, "s",
+            "from the start to the object released at its goal; a failed trial counts as the time limit",
+            "raise the limits of carry.pace",
         ),
         Check(
             "torque_ratio_max", float(np.max([t.torque_ratio_max for t in trials])), "<", 1.0, "",
             "largest motor torque over its limit; at 1 the drive saturates and control is lost",
-            "lengthen carry.lift_s, transport_s and lower_s",
+            "lower carry.impedance.internal_force_n or the limits of carry.pace",
+        ),
+        Check(
+            "saturated_max_s", saturated_max_s, "<=", limits.saturation_max_s, "s",
+            "longest time that a motor stands at its limit, failed trials included: a fault must stop softly",
+            "lower carry.faults.deceleration_share",
         ),
     ]  # fmt: skip
 
@@ -56,14 +74,27 @@ class CarryStage:
 
     name = "carry"
     requires = ("plan",)
-    summary = "Carry a rod with both arms under object impedance and internal force control"
+    summary = "Carry an object with both arms under object impedance and internal force control"
+
+    def validate(self, config: Config) -> None:
+        """Refuse objects and motions that do not exist."""
+        from minidual.tasks.motions import motion_spec
+        from minidual.tasks.objects import object_spec
+
+        object_spec(config.carry.object)
+        motion_spec(config.carry.motion)
 
     def parameters(self, config: Config) -> dict[str, Any]:
-        """Return what the result depends on."""
+        """Return what the result depends on: the values that the object and the motion stand for."""
+        from minidual.tasks.motions import MOTIONS, carry_config
+        from minidual.tasks.objects import OBJECTS
+
+        if config.carry.object in OBJECTS and config.carry.motion in MOTIONS:  # `validate` refuses others
+            config = carry_config(config)
         return {"carry": config.carry, "scene": config.scene}
 
     def run(self, context: StageContext) -> StageResult:
-        """Run the trials, plot the median and the worst, film the median one."""
+        """Run the trials; plot and film the median and the worst."""
         import numpy as np
 
         from minidual.config.seeds import stream
@@ -73,9 +104,11 @@ class CarryStage:
         from minidual.evaluation.tables import write_csv, write_json
         from minidual.evaluation.trial_figures import draw_trial
         from minidual.evaluation.trials import run_trials
+        from minidual.tasks.motions import carry_config
         from minidual.tasks.rod_carry import sample_trial
 
-        config, scene = context.config, context.config.scene
+        config = carry_config(context.config)
+        scene = config.scene
         inputs = MethodInputs(config, context.seed)
         trials = [sample_trial(scene, context.seed, "carry", i) for i in range(config.carry.trials_n)]
         results, logs = [], []
@@ -93,33 +126,34 @@ class CarryStage:
 
         order = np.argsort([-m.tilt_max_rad if m.success else -np.inf for m in metrics], kind="stable")
         shown = {"median": int(order[len(order) // 2]), "worst": int(order[0])}
-        for label, i in shown.items():
-            draw_trial(
-                logs[i],
-                scene,
-                context.folder / f"{label}.png",
-                title=f"{label} trial ({i}): {results[i].text}",
-            )
-        film_trial("impedance", inputs, trials[shown["median"]], context.folder / "carry.mp4")
+        films = {"median": "carry.mp4", "worst": "worst.mp4"}
+        with context.progress.task("films", len(shown)) as task:
+            for label, i in shown.items():
+                title = (
+                    f"{config.carry.object}, {config.carry.motion}: {label} trial ({i}): {results[i].text}"
+                )
+                draw_trial(logs[i], scene, context.folder / f"{label}.png", title=title)
+                film_trial("impedance", inputs, trials[i], context.folder / films[label])
+                task.advance()
 
-        limits = scene.task
         checks = carry_checks(
             metrics,
-            tilt_limit_rad=limits.tilt_max_rad,
-            force_limit_n=limits.internal_force_min_n,
-            time_limit_s=limits.time_limit_s,
+            config.carry.limits,
+            force_limit_n=scene.task.internal_force_min_n,
+            time_limit_s=scene.task.time_limit_s,
+            saturated_max_s=float(np.max([r.saturated_max_s for r in results])),
         )
         checks += [
             Check("success_low", summary.success_low, unit="", why="lower end of the 95 % Wilson interval"),
             Check(
                 "goal_error_max_m",
-                max(m.goal_error_m for m in metrics),
+                float(np.max([m.goal_error_m for m in metrics])),
                 unit="m",
                 why="largest distance from the goal",
             ),
             Check(
                 "pinch_force_min_n",
-                min(m.pinch_force_min_n for m in metrics),
+                float(np.min([m.pinch_force_min_n for m in metrics])),
                 unit="N",
                 why="least grip in the air",
             ),
@@ -132,10 +166,13 @@ class CarryStage:
             Check("jerk_rms_median", summary.jerk_rms_median, unit="rad/s^3", why=JERK_FILTER),
         ]
         data = {
+            "object": config.carry.object,
+            "motion": config.carry.motion,
             "trials": len(metrics),
             "success_low": summary.success_low,
             "success_high": summary.success_high,
             "failures": dict(summary.failures),
+            "stopped": {str(r.metrics.index): r.aborted for r in results if r.aborted},
             "shown": shown,
         }
         return StageResult(checks=checks, data=data)

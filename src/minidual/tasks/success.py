@@ -9,7 +9,13 @@ Whatever drives the arms (planner, impedance, policy, a person) is judged by the
 * released  no hand touches it any more,
 * at_rest   it lies on the table and does not move,
 * on_time   all that before the time limit,
-* squeezed  (impedance only) the internal force stays over 20 N while the rod is off the table.
+* squeezed  (impedance only) the internal force stays over 20 N while the rod is off the table,
+* whole     an object that can break never feels more than it stands,
+* clear     nothing touches the obstacle, where the task has one,
+* turned    it points as the goal asks, where the task asks for a direction.
+
+The 20 N of `squeezed` are a value of the scene (`task.internal_force_min_n`). One object has another: the glass, whose
+own range of forces ends below 20 N, must be squeezed with at least the low end of that range, 10 N.
 
 A rod pushed along the table never rises; a rod lifted by one hand is not held. Ground truth is read here,
 for scoring, and handed to nobody.
@@ -17,12 +23,14 @@ for scoring, and handed to nobody.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from minidual.config.scene import SceneConfig
 from minidual.robot.constants import Array
+from minidual.sim.model import OBSTACLE
 from minidual.sim.world import World
 from minidual.tasks.rod_carry import RodTrial, tilt_rad
 
@@ -103,6 +111,7 @@ class RodCarryJudge:
                 f"tilt {np.degrees(tilt):.1f} deg, limit {np.degrees(task.tilt_max_rad):.1f}",
             )
         pinch = world.pinch_forces()
+        self._observe_damage(world, pinch)
         if low_end > _AIRBORNE_M:
             self._was_airborne = True
             self._quiet_since = self._done_at = None
@@ -131,10 +140,32 @@ class RodCarryJudge:
             elif self._done_at is None and world.time - self._quiet_since >= _REST_S:
                 self._done_at = world.time
 
+    def _observe_damage(self, world: World, pinch: Array) -> None:
+        """Look for what nothing later can mend: a broken object, an obstacle touched."""
+        rod = self.scene.rod
+        if rod.break_pinch_n is not None and float(pinch.max()) > rod.break_pinch_n:
+            self._fault(
+                "whole",
+                world.time,
+                f"the object broke: pinch {float(pinch.max()):.1f} N, it stands {rod.break_pinch_n:.0f}",
+            )
+        if rod.break_force_n is not None:
+            force = float(np.linalg.norm(world.hand_forces(), axis=1).max())
+            if force > rod.break_force_n:
+                self._fault(
+                    "whole",
+                    world.time,
+                    f"the object broke: a hand pressed with {force:.1f} N, it stands {rod.break_force_n:.0f}",
+                )
+        if self.scene.task.obstacle is not None and world.touches(OBSTACLE):
+            self._fault("clear", world.time, "something touches the obstacle")
+
     def _finished(self, world: World, pinch: Array) -> bool:
-        position_error, _ = self.goal_errors(world)
+        position_error, yaw_error = self.goal_errors(world)
+        tolerance = self.scene.task.yaw_tolerance_rad
         return (
             position_error < self.scene.task.goal_tolerance_m
+            and (tolerance is None or yaw_error < tolerance)
             and float(pinch.max()) < 0.1
             and float(np.linalg.norm(world.rod_twist[:3])) < self.scene.task.rest_speed_m_per_s
             and not self._touched(world)
@@ -153,7 +184,7 @@ class RodCarryJudge:
         axis = T[:3, 1]
         return (
             float(np.hypot(T[0, 3] - x, T[1, 3] - y)),
-            abs(float(np.arctan2(-axis[0], axis[1])) - yaw),
+            abs(math.remainder(float(np.arctan2(-axis[0], axis[1])) - yaw, math.tau)),
         )
 
     @property
@@ -185,6 +216,12 @@ class RodCarryJudge:
             position_error < task.goal_tolerance_m,
             f"{1e3 * position_error:.1f} mm from the goal, limit {1e3 * task.goal_tolerance_m:.0f}",
         )
+        if task.yaw_tolerance_rad is not None:
+            demand(
+                "turned",
+                yaw_error < task.yaw_tolerance_rad,
+                f"{np.degrees(yaw_error):.1f} deg off its direction, limit {np.degrees(task.yaw_tolerance_rad):.0f}",
+            )
         demand("released", not self._touched(world), "a hand still touches the rod")
         speed = float(np.linalg.norm(world.rod_twist[:3]))
         demand(
