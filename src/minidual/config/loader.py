@@ -167,7 +167,9 @@ def _validate(document: Document) -> Config:
 
 def _sentence(problem: Any, document: Document, model: type[BaseModel]) -> tuple[str, str | None]:
     """Return ("smoke.yaml:7: plan.queries_n: ...", remedy or None) for one error of pydantic."""
-    location = _typed_location([str(part) for part in problem["loc"]], document.tree)
+    location = _typed_location(
+        [str(part) for part in problem["loc"]], document.tree, missing=problem["type"] == "missing"
+    )
     dotted = ".".join(location)
     where = _origin(location, document)
     value = problem.get("input")
@@ -229,13 +231,16 @@ def _keys_at(location: Sequence[str]) -> set[str]:
     return {name for model in models for name in model.model_fields}
 
 
-def _typed_location(location: Sequence[str], tree: Any) -> list[str]:
-    """Return the location as it was typed: pydantic names the chosen member of a union too, which no file does."""
+def _typed_location(location: Sequence[str], tree: Any, *, missing: bool) -> list[str]:
+    """Return the location as it was typed: pydantic names the chosen member of a union too, which no file does.
+
+    missing: the last part is a key that is not there.
+    """
     typed: list[str] = []
     place: Any = tree
     for index, part in enumerate(location):
         if isinstance(place, dict):
-            if part not in place and index + 1 < len(location):
+            if part not in place and not (missing and index + 1 == len(location)):
                 continue
             place = cast(dict[str, Any], place).get(part)
         elif isinstance(place, list):
