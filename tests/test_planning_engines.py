@@ -108,6 +108,55 @@ def test_motion_bound_holds(scene, engines):
     assert tightest > 0.3
 
 
+def test_levers_are_never_too_short_and_tighter_than_the_reach(scene, engines):
+    """The bound with measured levers holds for what the distances really do, for steps of any size."""
+    engine, coal = engines
+    bound = MotionBound(scene, coal)
+    rng = np.random.default_rng(5)
+    Q = states(120, seed=6)[:120]
+    gain = []
+    for q, size in zip(Q, rng.choice([0.005, 0.05, 0.3], len(Q)), strict=True):
+        both = np.clip(np.array([q, q + rng.uniform(-size, size, 14)]), Q_LOWER, Q_UPPER)
+        measured = engine.measure(both, 0.3)
+        step = np.abs(np.diff(both, axis=0))
+        tight = bound.approach(step, measured.levers[:1], measured.levers[1:])[0]
+        loose = bound.approach(step)[0]
+        assert (tight <= loose + 1e-12).all()
+        d = coal.distances(both)
+        free = (d > 0.0).all(axis=0)
+        assert (np.abs(d[1] - d[0])[free] <= tight[free] + 1e-6).all()
+        gain.append(np.median(tight[loose > 0.0] / loose[loose > 0.0]))
+    assert np.median(gain) < 0.75
+
+
+def test_distances_of_both_engines_are_the_same(scene, engines):
+    """Exact geometry up to a millionth of a metre; what MuJoCo does not name is farther than it says."""
+    engine, coal = engines
+    Q = states(60, seed=7)
+    mine, second = engine.measure(Q, 0.1).distances, coal.distances(Q)
+    named = (mine < 0.0799) & (mine > 0.0) & (second > 0.0)
+    assert named.sum() > 200
+    assert np.abs(mine - second)[named].max() < 1e-6
+    assert (second[mine >= 0.0799] > 0.0799).all()
+    assert ((mine <= 0.0) == (second <= 0.0)).mean() > 0.9999
+
+
+def test_margins_of_coal_are_its_distances(scene, engines):
+    """With a margin just below each pair's distance nothing is near; with one of them just above, something is."""
+    _, coal = engines
+    Q = states(2000, seed=8)
+    Q = Q[~coal.collisions(Q)][:40]
+    rng = np.random.default_rng(9)
+    for q, d in zip(Q, coal.distances(Q), strict=True):
+        below = np.minimum(0.98 * d - 1e-5, 0.3)
+        assert not coal.nearer_than(q[None], below)[0]
+        pair = rng.integers(len(d))
+        above = below.copy()
+        above[pair] = 1.02 * d[pair] + 1e-5
+        assert coal.nearer_than(q[None], above)[0]
+    assert not coal.collisions(Q).any()  # the margins are gone again
+
+
 def test_motion_bound_counts_only_joints_that_matter(scene, engines):
     bound = MotionBound(scene, engines[1])
     step = np.zeros(14)

@@ -147,7 +147,7 @@ def test_timing_starts_and_ends_where_the_path_does(timed):
 
 def test_smoothing_keeps_the_path_and_adds_its_window(engine, kinematics):
     curve = blended_path(zigzag(np.random.default_rng(6)), free_checker(engine), 0.3, 0.01)
-    plain = time_path(curve, "both_arms", MotionLimits(smoothing_s=0.0), kinematics)
+    plain = time_path(curve, "both_arms", MotionLimits(smoothing_s=0.0, jerk_scale=1e6), kinematics)
     smooth = time_path(curve, "both_arms", MotionLimits(smoothing_s=0.1), kinematics)
     assert 0.05 < smooth.duration_s - plain.duration_s < 0.4
     s = np.linspace(0.0, curve.length, 4000)
@@ -157,16 +157,27 @@ def test_smoothing_keeps_the_path_and_adds_its_window(engine, kinematics):
     assert np.abs(np.diff(plain.a, axis=0)).max() > 5 * np.abs(np.diff(smooth.a, axis=0)).max()
 
 
+def test_jerk_limit_slows_a_path_down(engine, kinematics):
+    """The same path under a tenth of the jerk: the limit is kept on the 1 kHz samples, and it costs time."""
+    curve = blended_path(zigzag(np.random.default_rng(8)), free_checker(engine), 0.3, 0.01)
+    fast = time_path(curve, "both_arms", MotionLimits(), kinematics)
+    slow = time_path(curve, "both_arms", MotionLimits(jerk_scale=0.05), kinematics)
+    for trajectory, scale in ((fast, 0.95), (slow, 0.05)):
+        jerk = np.abs(np.diff(trajectory.a, axis=0)) / trajectory.dt_s
+        assert np.max(jerk / JERK_MAX) <= scale * (1 + 1e-6)
+    assert slow.duration_s > fast.duration_s
+
+
 def test_torque_limit_slows_a_path_down(engine, kinematics):
     curve = blended_path(zigzag(np.random.default_rng(7)), free_checker(engine), 0.3, 0.01)
     fast = time_path(curve, "both_arms", MotionLimits(), kinematics)
-    used = torque_ratio(fast, kinematics)
+    used = torque_ratio(fast)
     held = max(
         float(np.max(np.abs(kinematics.gravity(q)) / TAU_MAX)) for q in fast.q[::50]
     )  # what gravity alone needs
     limit = 0.5 * (used + held)
     slow = time_path(curve, "both_arms", MotionLimits(torque_scale=limit), kinematics)
-    assert torque_ratio(slow, kinematics) <= limit * 1.01
+    assert torque_ratio(slow) <= limit * 1.01
     assert slow.duration_s > fast.duration_s
     with pytest.raises(TimingError, match="slower"):
         time_path(curve, "both_arms", MotionLimits(torque_scale=0.5 * held), kinematics)

@@ -5,7 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
+from minidual.planning import certificate
 from minidual.planning.api import Planner
+from minidual.planning.certificate import Certifier, _Motion
+from minidual.planning.dynamics import torques
 from minidual.planning.scene import PlanningScene
 from minidual.planning.shapes import Box, Sphere
 from minidual.planning.trajectory import Trajectory
@@ -45,8 +48,8 @@ def test_a_good_plan_passes(planner, good):
     report = planner.engines().verifier.verify(good)
     assert report.ok
     assert report.reason == ""
-    assert report.step_max_rad <= STEP_RAD
     assert report.disagreements_n == report.unproven_n == 0
+    assert 0.0 < report.jerk_ratio <= 0.9501
     assert 0.3 < report.acceleration_ratio <= 0.9001
 
 
@@ -64,7 +67,7 @@ def test_a_colliding_trajectory_fails_with_the_pair(planner):
     down[1] += 1.6
     report = planner.engines().verifier.verify(minimum_jerk(HOME, down, 3.0))
     assert not report.ok
-    assert report.reason.startswith("collision at sample")
+    assert report.reason.startswith("collision at ")
     assert "table" in report.reason
     assert "left_panda" in report.reason
 
@@ -91,6 +94,11 @@ def test_each_limit_is_named(planner, good):
     assert "velocity limit" in verifier.verify(spoiled).reason
     spoiled = dataclasses.replace(good, a=good.a * 3.0)
     assert "acceleration limit" in verifier.verify(spoiled).reason
+    k = len(good.times) // 2
+    a = good.a.copy()
+    a[k:, 3] += 7.0  # 7 rad/s^2 in a millisecond
+    assert "left_panda_joint4 needs 1." in verifier.verify(dataclasses.replace(good, a=a)).reason
+    assert "jerk limit" in verifier.verify(dataclasses.replace(good, a=a)).reason
     outside = HOME.copy()
     outside[6] = Q_UPPER[6] - 0.01
     beyond = outside.copy()
@@ -126,37 +134,126 @@ def test_a_jump_between_samples_fails(planner, good):
     assert not report.ok
 
 
-def test_what_hides_between_two_samples_is_not_proven():
-    """Both ends free and clear by more than the margin, a ball in the middle: only the motion bound can tell."""
-    kinematics = Kinematics()
+def swing_past(ball_offset_m):
+    """A swing of the elbow, and a scene with a small ball where the hand is half-way, moved up by an offset."""
     a, middle, b = HOME.copy(), HOME.copy(), HOME.copy()
     a[3] -= 0.2
     middle[3] += 0.4
     b[3] += 1.0
-    T_world_tcp = kinematics.tcp_poses(middle)[0]
-    hand = T_world_tcp[:3, 3] - 0.06 * T_world_tcp[:3, 2]
+    T_world_tcp = Kinematics().tcp_poses(middle)[0]
+    hand = T_world_tcp[:3, 3] - 0.06 * T_world_tcp[:3, 2] + [0.0, 0.0, ball_offset_m]
     scene = PlanningScene().with_obstacles(Sphere("ball", tuple(hand), radius_m=0.01))
+    return minimum_jerk(a, b, 3.0, "left_arm"), scene
+
+
+def test_what_hides_between_two_samples_is_found(monkeypatch):
+    """Both ends are free and clear, a ball in the middle: the motion bound alone asks for a look there."""
+    trajectory, scene = swing_past(0.0)
     engines = Planner(scene).engines()
-    assert not engines.mujoco.collisions(np.array([a, b])).any()
-    assert engines.mujoco.in_collision(middle)
-    assert not engines.verifier._proven(a, b, [], [], 12)
-    assert engines.verifier._proven(a, a + 0.001, [], [], 0)
+    assert not engines.mujoco.collisions(trajectory.q[[0, -1]]).any()
+    monkeypatch.setattr(certificate, "_FIRST_M", 100.0)  # the first look is at both ends only
+    report = engines.verifier.verify(trajectory)
+    assert "ball and left_panda" in report.reason or "left_panda" in report.reason.split(" and ")[0]
+    assert "penetrate" in report.reason
+    clear, scene = swing_past(0.5)
+    report = Planner(scene).engines().verifier.verify(clear)
+    assert report.ok
+    assert report.samples_n > 2
 
 
-def test_a_coarse_step_cannot_pass_as_the_proof(planner, good, monkeypatch):
+def test_without_the_bound_on_motion_the_ball_would_be_missed(monkeypatch):
+    """Negative control of the bound: with one a hundred times too small the same trajectory is called free."""
+    trajectory, scene = swing_past(0.0)
+    engines = Planner(scene).engines()
+    bound = engines.verifier._certifier._bound
+    approach = bound.approach
+    monkeypatch.setattr(bound, "approach", lambda *args: 0.01 * approach(*args))
+    monkeypatch.setattr(certificate, "_FIRST_M", 100.0)
+    assert engines.verifier.verify(trajectory).ok
+    audit = engines.verifier.audit(trajectory)
+    assert audit.collisions_n > 0  # and the audit finds it
+    assert audit.step_max_rad <= STEP_RAD
+
+
+def test_grazing_cannot_be_proven_and_is_refused():
+    """A ball that the hand touches by a hair: no sample need see it, but no proof may pass."""
+    trajectory, _ = swing_past(0.0)
+    engines = Planner().engines()
+    Q = collision_samples(trajectory)
+    assert not engines.mujoco.collisions(Q).any()
+    low, high = 0.0, 0.2
+    for _ in range(14):  # the offset at which the hand just touches the ball
+        offset = 0.5 * (low + high)
+        hit = Planner(swing_past(offset)[1]).engines().mujoco.collisions(Q).any()
+        low, high = (offset, high) if hit else (low, offset)
+    report = Planner(swing_past(high + 1e-6)[1]).engines().verifier.verify(trajectory)
+    assert not report.ok
+    assert report.clearance_m < 1e-4
+
+
+def test_travel_bounds_what_the_joints_do(good):
+    """Between any two times no joint travels farther than the bound says, and the bound is tight."""
+    motion = _Motion(good)
+    rng = np.random.default_rng(2)
+    for _ in range(30):
+        begin, end = np.sort(rng.uniform(0.0, good.duration_s, 2))
+        fine = motion.states(np.linspace(begin, end, 4000))
+        truth = np.abs(np.diff(fine, axis=0)).sum(axis=0)
+        said = np.diff(motion.travel(np.array([begin, end])), axis=0)[0]
+        assert (truth <= said + 1e-12).all()
+        assert (said <= 1.02 * truth + 1e-4).all()
+
+
+def test_the_audit_agrees_with_the_proof_and_can_say_no(planner, good):
     verifier = planner.engines().verifier
-    monkeypatch.setattr(verifier, "_step_rad", 0.02)
-    assert "rad apart" in verifier.verify(good).reason
+    audit = verifier.audit(good)
+    assert (audit.collisions_n, audit.disagreements_n) == (0, 0)
+    assert audit.samples_n > 200
+    inwards = HOME.copy()
+    inwards[[0, 7]] = -0.6, 0.6
+    assert verifier.audit(minimum_jerk(HOME, inwards, 3.0)).collisions_n > 0
+    verifier._second = Planner(PlanningScene(obstacles=())).engines().coal
+    down = HOME.copy()
+    down[1] += 1.6
+    try:
+        assert verifier.audit(minimum_jerk(HOME, down, 3.0)).disagreements_n > 0
+    finally:
+        verifier._second = planner.engines().coal
 
 
 def test_second_opinion_counts(good):
     """If coal alone sees a collision the plan is refused."""
     planner = Planner()
-    verifier = planner.engines().verifier
+    engines = planner.engines()
     middle = Kinematics().tcp_poses(good.q[len(good.q) // 2])[0][:3, 3]
-    other = PlanningScene().with_obstacles(Box("only_coal_sees_it", tuple(middle), size_m=(0.1, 0.1, 0.1)))
-    verifier._second = Planner(other).engines().coal
-    report = verifier.verify(good)
-    assert not report.ok
-    assert report.disagreements_n > 0
-    assert report.reason.startswith("coal sees a collision")
+    seen = Box("box", tuple(middle), size_m=(0.1, 0.1, 0.1))
+    far = Box("box", (3.0, 0.0, 0.0), size_m=(0.1, 0.1, 0.1))
+    blind, other = (Planner(PlanningScene().with_obstacles(box)).engines() for box in (far, seen))
+    assert blind.verifier.verify(good).ok
+    certifier = Certifier(blind.mujoco, other.coal, blind.verifier._certifier._bound)
+    proof = certifier.certify(good)
+    assert not proof.ok
+    assert proof.disagreements_n > 0
+    assert proof.reason.startswith("coal sees a collision")
+    assert engines.verifier.verify(good).ok
+
+
+def test_second_opinion_decides_by_its_own_distances(good, monkeypatch):
+    """Where coal does not confirm the margins at once, its exact distances settle the stretch."""
+    engines = Planner().engines()
+    certifier = engines.verifier._certifier
+    monkeypatch.setattr(engines.coal, "nearer_than", lambda Q, margins: np.ones(len(Q), dtype=bool))
+    n = len(good.q) // 6
+    part = Trajectory(good.times[:n], good.q[:n], good.v[:n], good.a[:n], good.group)
+    assert certifier.certify(part).ok
+    nothing = np.full((1, len(engines.mujoco.pairs)), 1e-7)
+    monkeypatch.setattr(engines.coal, "distances", lambda Q: np.repeat(nothing, len(Q), axis=0))
+    assert "coal leaves" in certifier.certify(part).reason
+
+
+def test_torques_in_one_call_are_those_of_the_states(good):
+    kinematics = Kinematics()
+    tau = torques(good.q, good.v, good.a)
+    for k in range(0, len(good.times), 50):
+        assert np.abs(tau[k] - kinematics.rnea(good.q[k], good.v[k], good.a[k])).max() < 1e-12
+    assert torques(good.q[:0], good.v[:0], good.a[:0]).shape == (0, 14)

@@ -7,6 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from minidual.config.base import StrictModel
+from minidual.config.held_moves import HeldMovesConfig
 
 PlannerName = Literal["rrtconnect", "rrt", "rrtstar", "bitstar", "kpiece"]
 
@@ -30,13 +31,15 @@ class PlannerConfig(StrictModel):
     """Fraction of the robot's velocity limits that a plan uses; the rest is headroom."""
     acceleration_scale: float = Field(default=0.9, gt=0.0, le=1.0)
     torque_scale: float = Field(default=0.95, gt=0.0, le=1.0)
+    jerk_scale: float = Field(default=0.95, gt=0.0, le=1.0)
+    """Fraction of libfranka's jerk limits that a plan uses."""
     smoothing_s: float = Field(default=0.04, ge=0.0, le=1.0)
     """Window over which the path position is averaged, so that the acceleration does not jump."""
     ik_restarts_n: int = Field(default=30, ge=1, le=10_000)
     goal_candidates_n: int = Field(default=4, ge=1, le=100)
     """Joint solutions of a pose goal that are tried in turn, the nearest first."""
     verify_step_rad: float = Field(default=0.002, gt=0.0, le=0.002)
-    """Largest joint step between the samples of the final proof."""
+    """Largest joint step between the samples of an audit, which tests the continuous proof."""
     budget_s: float = Field(default=10.0, gt=0.0, le=3600.0)
     """Wall time after which a query is given up."""
 
@@ -56,3 +59,4 @@ class PlanConfig(StrictModel):
     time_max_s: float = Field(default=10.0, gt=0.0, le=3600.0)
     agreement_min: float = Field(default=0.999, ge=0.0, le=1.0)
     planner: PlannerConfig = PlannerConfig()
+    held: HeldMovesConfig = HeldMovesConfig()

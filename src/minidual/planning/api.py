@@ -66,8 +66,9 @@ class Planner:
         self._engines: OrderedDict[PlanningScene, SceneEngines] = OrderedDict()
         config = self.config
         self._limits = MotionLimits(
-            config.velocity_scale, config.acceleration_scale, config.torque_scale, config.smoothing_s
-        )
+            config.velocity_scale, config.acceleration_scale, config.torque_scale, config.jerk_scale,
+            config.smoothing_s,
+        )  # fmt: skip
 
     def engines(self, scene: PlanningScene | None = None) -> SceneEngines:
         """Return both engines and the verifier of a scene, from the last few scenes or newly built."""

@@ -14,11 +14,9 @@ class SceneEngines:
     """What planning in one scene needs (about 40 ms to build)."""
 
     def __init__(
-        self, scene: PlanningScene, kinematics: Kinematics, verify_step_rad: float = STEP_RAD
+        self, scene: PlanningScene, _kinematics: Kinematics | None = None, verify_step_rad: float = STEP_RAD
     ) -> None:
         self.scene = scene
         self.mujoco = MujocoEngine(scene)
         self.coal = CoalEngine(scene)
-        self.verifier = Verifier(
-            self.mujoco, self.coal, MotionBound(scene, self.coal), kinematics, step_rad=verify_step_rad
-        )
+        self.verifier = Verifier(self.mujoco, self.coal, MotionBound(scene, self.coal), verify_step_rad)

@@ -6,7 +6,8 @@ whole, which can only lower velocities and accelerations.
 
 toppra knows no jerk limit: its path acceleration jumps. So the path position s(t) is averaged over a short window
 (a box filter). That leaves the path as it is, ends at rest at the same place, and makes the path acceleration
-continuous: its rate is at most its largest jump divided by the window.
+continuous: its rate is at most its largest jump divided by the window. What the joints' jerk still exceeds of its
+limit is slowed down like the rest (a motion k times slower has 1/k^3 of the jerk).
 """
 
 from __future__ import annotations
@@ -17,9 +18,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from minidual.planning.dynamics import torques
 from minidual.planning.errors import TimingError
 from minidual.planning.trajectory import Trajectory
-from minidual.robot.constants import A_MAX, GROUPS, TAU_MAX, V_MAX, Array
+from minidual.robot.constants import A_MAX, GROUPS, JERK_MAX, TAU_MAX, V_MAX, Array
 from minidual.robot.kinematics import Kinematics
 
 DT_S = 0.001
@@ -33,6 +35,7 @@ class MotionLimits:
     velocity_scale: float = 0.95
     acceleration_scale: float = 0.9
     torque_scale: float = 0.95
+    jerk_scale: float = 0.95
     smoothing_s: float = 0.04
     """Window of the average over s(t); every trajectory gets that much longer."""
 
@@ -80,7 +83,7 @@ def drive(
     for _ in range(_SLOWDOWNS_MAX):
         times, position, speed, acceleration = sample_parameters(s, sd, limits.smoothing_s)
         trajectory = _along(path, times, position, speed, acceleration, group)
-        factor = _slowdown_needed(trajectory, limits, kinematics)
+        factor = _slowdown_needed(trajectory, limits)
         if factor <= 1.0:
             return trajectory, position
         sd = sd / (factor * 1.001)
@@ -89,25 +92,23 @@ def drive(
     )
 
 
-def _slowdown_needed(trajectory: Trajectory, limits: MotionLimits, kinematics: Kinematics) -> float:
+def _slowdown_needed(trajectory: Trajectory, limits: MotionLimits) -> float:
     velocity = float(np.max(np.abs(trajectory.v) / (limits.velocity_scale * V_MAX)))
     acceleration = float(np.max(np.abs(trajectory.a) / (limits.acceleration_scale * A_MAX)))
-    factor = max(velocity, np.sqrt(acceleration))
+    jerk = float(np.max(np.abs(np.diff(trajectory.a, axis=0)) / (limits.jerk_scale * JERK_MAX)))
+    factor = max(velocity, np.sqrt(acceleration), np.cbrt(jerk / trajectory.dt_s))
     if factor > 1.0 + 1e-9:
         return float(factor)
     # Torque has a part that does not shrink with speed (gravity), so it is lowered step by step.
-    torque = torque_ratio(trajectory, kinematics, every=5) / limits.torque_scale
+    torque = torque_ratio(trajectory, every=4) / limits.torque_scale
     return 1.0 if torque <= 1.0 else 1.0 + 0.25 * min(1.0, torque - 1.0) + 0.02
 
 
-def torque_ratio(trajectory: Trajectory, kinematics: Kinematics, every: int = 1) -> float:
+def torque_ratio(trajectory: Trajectory, every: int = 1) -> float:
     """Return the largest |torque| / limit along the trajectory, at one of `every` samples and the last one."""
-    worst = 0.0
     rows = np.append(np.arange(0, len(trajectory.times), every), len(trajectory.times) - 1)
-    for k in rows:
-        tau = kinematics.rnea(trajectory.q[k], trajectory.v[k], trajectory.a[k])
-        worst = max(worst, float(np.max(np.abs(tau) / TAU_MAX)))
-    return worst
+    tau = torques(trajectory.q[rows], trajectory.v[rows], trajectory.a[rows])
+    return float(np.max(np.abs(tau) / TAU_MAX))
 
 
 def fastest_profile(path: Curve, columns: Array, v_max: Array, a_max: Array) -> tuple[Array, Array]:

@@ -83,6 +83,15 @@ class Trajectory:
         a = self.a[i] * (1 - x) + self.a[i + 1] * x
         return q, v, a
 
+    def variation_rates(self) -> Array:
+        """Return (n - 1, 14) [rad/s]: the largest speed of each joint within each step, exactly bounded.
+
+        Within a step q is a cubic; its derivative lies within the hull of its Bezier coefficients.
+        """
+        h = self.dt_s
+        middle = 3.0 * np.diff(self.q, axis=0) / h - self.v[:-1] - self.v[1:]
+        return np.maximum(np.maximum(np.abs(self.v[:-1]), np.abs(self.v[1:])), np.abs(middle))
+
     def slowed(self, factor: float) -> Trajectory:
         """Return the same path in `factor` times the time (factor >= 1), on the same time step."""
         if not (np.isfinite(factor) and factor >= 1.0):

@@ -1,0 +1,65 @@
+"""Does a timed trajectory stay inside the robot's limits? Measured on a finer grid than it was made on.
+
+Position, velocity and acceleration are looked at every half millisecond (toppra's grid has about a hundred points
+a path, ten to twenty times fewer), torque every millisecond. The acceleration of a trajectory is linear between its
+samples, so its jerk is constant there and the differences of the samples give it exactly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from minidual.planning.dynamics import torques
+from minidual.planning.trajectory import Trajectory
+from minidual.robot.constants import A_MAX, JERK_MAX, JOINT_NAMES, Q_LOWER, Q_UPPER, TAU_MAX, V_MAX
+
+_ROUNDING = 1e-9
+_REST_RAD_S = 1e-6
+
+
+@dataclass(frozen=True)
+class LimitUse:
+    """How much of the robot's limits a trajectory uses.
+
+    velocity_ratio, acceleration_ratio, jerk_ratio, torque_ratio: Largest fraction of a limit, of any joint.
+    limit_margin_rad: Smallest distance of a joint from its position limit.
+    """
+
+    velocity_ratio: float
+    acceleration_ratio: float
+    jerk_ratio: float
+    torque_ratio: float
+    limit_margin_rad: float
+
+
+def limit_use(trajectory: Trajectory) -> tuple[LimitUse, str]:
+    """Return what the trajectory uses, and the first broken limit ("" if none) with joint and numbers."""
+    times = np.arange(2 * len(trajectory.times) - 1) * (0.5 * trajectory.dt_s)
+    q, v, a = trajectory.sample_many(times)
+    worst = {
+        "velocity": np.abs(v).max(axis=0) / V_MAX,
+        "acceleration": np.abs(a).max(axis=0) / A_MAX,
+        "jerk": np.abs(np.diff(trajectory.a, axis=0)).max(axis=0) / trajectory.dt_s / JERK_MAX,
+        "torque": np.abs(torques(trajectory.q, trajectory.v, trajectory.a)).max(axis=0) / TAU_MAX,
+    }
+    margin = np.minimum(q.min(axis=0) - Q_LOWER, Q_UPPER - q.max(axis=0))
+    use = LimitUse(
+        *(float(worst[what].max()) for what in ("velocity", "acceleration", "jerk", "torque")),
+        limit_margin_rad=float(margin.min()),
+    )
+    if not margin.min() >= -_ROUNDING:
+        joint = int(np.argmin(margin))
+        return use, f"{JOINT_NAMES[joint]} leaves its position limit by {-margin.min():.4f} rad"
+    for what, ratios in worst.items():
+        joint = int(np.argmax(ratios))
+        if not ratios[joint] <= 1.0 + _ROUNDING:
+            return use, f"{JOINT_NAMES[joint]} needs {ratios[joint]:.3f} of its {what} limit"
+    at_ends = float(np.abs(trajectory.v[[0, -1]]).max())
+    if not at_ends <= _REST_RAD_S:
+        return use, f"the arms still move at {at_ends:.4f} rad/s at an end"
+    jump = float(np.abs(np.diff(trajectory.q, axis=0)).max()) / trajectory.dt_s
+    if not jump <= float(V_MAX.max()) * (1.0 + 1e-6):
+        return use, f"positions jump: {jump:.2f} rad/s between two samples"
+    return use, ""
