@@ -7,13 +7,15 @@ import json
 import numpy as np
 import pytest
 
+from minidual.config.held_moves import HeldMovesConfig
 from minidual.config.planning import PlanConfig, PlannerConfig
 from minidual.config.root import Config
 from minidual.pipeline.stage import StageContext
 from minidual.planning import queries
 from minidual.planning.api import Planner
 from minidual.planning.errors import PlanningError
-from minidual.planning.evaluate import CarryPlans, engine_agreement, plan_query, repeats
+from minidual.planning.evaluate import engine_agreement, plan_query, repeats
+from minidual.planning.evaluate_carries import CarryPlans
 from minidual.planning.queries import QueryGenerator
 from minidual.planning.scene import PlanningScene
 from minidual.robot.constants import GROUPS
@@ -21,7 +23,13 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import pose
 from minidual.stages.plan import STAGE, common_checks, group_checks
 
-CONFIG = Config(plan=PlanConfig(queries_n=2, agreement_states_n=200))
+CONFIG = Config(
+    plan=PlanConfig(
+        queries_n=2,
+        agreement_states_n=200,
+        held=HeldMovesConfig(moves_n=2, executed_n=1, time_median_max_s=None),
+    )
+)
 
 
 @pytest.fixture(scope="module")
@@ -93,12 +101,7 @@ def test_common_checks_can_fail():
     assert names(agreement=0.99) == {"engines.agreement"}
     assert names(agreement=float("nan")) == {"engines.agreement"}
     assert names(repeatable=False) == {"repeatable"}
-    assert names(solved_n=4) == {"closed_chain.success_rate"}
-    assert names(residual_max_m=2e-4) == {"closed_chain.residual_max_m"}
-    assert names(residual_max_rad=2e-3) == {"closed_chain.residual_max_rad"}
-    assert names(solved_n=0, residual_max_m=None, residual_max_rad=None) == {
-        "closed_chain.success_rate", "closed_chain.residual_max_m", "closed_chain.residual_max_rad",
-    }  # fmt: skip
+    assert names(solved_n=4) == {"closed_chain.carries_rate"}
 
 
 def test_failed_query_keeps_its_reason(outcomes):

@@ -9,19 +9,13 @@ from time import perf_counter
 import numpy as np
 
 from minidual.config.planning import PlanConfig
-from minidual.config.scene import SceneConfig
 from minidual.planning.api import Planner
-from minidual.planning.closed_chain import CarriedPlanner, scene_holding
 from minidual.planning.errors import PlanningError
 from minidual.planning.queries import Query, QueryGenerator
 from minidual.planning.result import PHASES, PlanResult
 from minidual.planning.scene import PlanningScene
-from minidual.planning.shapes import Capsule
 from minidual.planning.shortcut import path_length
 from minidual.robot.constants import GROUPS, HOME, Q_LOWER, Q_UPPER
-from minidual.robot.poses import pose, rot_x, rot_z
-
-_ROOT_HALF = float(np.sqrt(0.5))
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,67 +140,3 @@ def engine_agreement(scene: PlanningScene, states_n: int, seed: int) -> float:
         np.clip(HOME + rng.uniform(-0.8, 0.8, (states_n - half, 14)), Q_LOWER, Q_UPPER),
     ])  # fmt: skip
     return float(np.mean(engines.mujoco.collisions(Q) == engines.coal.collisions(Q)))
-
-
-@dataclass(frozen=True)
-class CarryPlans:
-    """Carries of the rod by both hands, planned as a closed chain; None where none was solved."""
-
-    planned_n: int
-    solved_n: int
-    residual_max_m: float | None
-    residual_max_rad: float | None
-    time_median_s: float | None
-    failures: tuple[str, ...]
-
-
-def plan_carries(config: PlanConfig, scene: SceneConfig, count: int, seed: int) -> CarryPlans:
-    """Plan the rod's carry from `count` random starts to the goal, with the rod in the collision scene.
-
-    Args:
-        config: Planner of the approach.
-        scene: Rod and task.
-        count: Number of carries.
-        seed: Seed of the starts.
-    """
-    rod, task = scene.rod, scene.task
-    hand_down = rot_z(np.pi / 2) @ rot_x(np.pi)
-    grasps = tuple(
-        pose(hand_down, (0.0, side * rod.grasp_offset_m, rod.grasp_height_m)) for side in (1.0, -1.0)
-    )
-    # Shorter by the ends' half spheres, so that capsule and rod are equally long.
-    shape = Capsule(
-        "rod", (0.0, 0.0, 0.0), (_ROOT_HALF, -_ROOT_HALF, 0.0, 0.0),
-        radius_m=rod.radius_m, length_m=rod.length_m - 2.0 * rod.radius_m,
-    )  # fmt: skip
-    holding = scene_holding(PlanningScene(), shape, grasps[0])
-    approach, carried = Planner(config=config.planner), CarriedPlanner()
-    rng = np.random.default_rng([seed, 13])
-    times, failures = [], []
-    residuals: list[tuple[float, float]] = []
-    for k in range(count):
-        dx, dy = rng.uniform(-task.start_range_m, task.start_range_m, 2)
-        yaw = rng.uniform(-task.start_range_rad, task.start_range_rad)
-        start = pose(rot_z(yaw), (task.start_xy_m[0] + dx, task.start_xy_m[1] + dy, rod.radius_m))
-        goal = pose(np.eye(3), (*task.goal_xy_m, rod.radius_m))
-        lift = np.array([0.0, 0.0, task.lift_height_m])
-        lifted, above = start.copy(), goal.copy()
-        lifted[:3, 3] += lift
-        above[:3, 3] += lift
-        try:
-            reached = approach.plan_to_poses(
-                "both_arms", HOME, {"left": start @ grasps[0], "right": start @ grasps[1]}, seed=k
-            )
-            begin = perf_counter()
-            plan = carried.plan(reached.q_goal, [start, lifted, above, goal], *grasps, scene=holding)
-        except PlanningError as error:
-            failures.append(f"carry {k}: {error.message}")
-            continue
-        times.append(perf_counter() - begin)
-        residuals.append((plan.residual_m, plan.residual_rad))
-    if not residuals:
-        return CarryPlans(count, 0, None, None, None, tuple(failures))
-    worst_m, worst_rad = np.max(residuals, axis=0)
-    return CarryPlans(
-        count, len(times), float(worst_m), float(worst_rad), float(np.median(times)), tuple(failures)
-    )

@@ -35,7 +35,7 @@ from minidual.robot.poses import pose, rot_x, rot_z
 _ROOM_M = 0.01
 _MOVE_MAX_M = 0.5
 _TURN_MAX_RAD = float(np.pi / 2.0)
-_TILT_MAX_RAD = 0.5
+_YAW_RAD, _LEAN_RAD = 0.6, 0.25
 _OBSTACLES_N = 3
 _WITNESS_CHECKS_N = 20_000
 _WITNESS_S = 60.0
@@ -98,11 +98,14 @@ class HeldMoveGenerator:
     Args:
         seed: Seed of the set.
         rod: The object.
+        from_table: Start with the rod level on the table, which it may touch, and nothing else around.
     """
 
-    def __init__(self, seed: int, rod: RodConfig | None = None) -> None:
+    def __init__(self, seed: int, rod: RodConfig | None = None, *, from_table: bool = False) -> None:
         self._seed = seed
         rod = rod or RodConfig()
+        self._from_table = from_table
+        self._radius_m = rod.radius_m
         self._grasps = rod_grasps(rod)
         self._shape = rod_shape(rod)
         self._kinematics = Kinematics()
@@ -115,22 +118,23 @@ class HeldMoveGenerator:
         Raises:
             PlanningError: None was found.
         """
-        rng = stream(self._seed, "held-move", index)
-        with_obstacles = index % 2 == 1
+        rng = stream(self._seed, "held-move/table" if self._from_table else "held-move", index)
+        with_obstacles = index % 2 == 1 and not self._from_table
+        rests_on = ("table",) if self._from_table else ()
         undecided = unreachable = 0
         for _ in range(_TRIES_N):
             obstacles = random_obstacles(rng, _OBSTACLES_N) if with_obstacles else ()
             scene = scene_holding(
-                PlanningScene(obstacles=(TABLE, *obstacles)), self._shape, self._grasps[0], rests_on=()
+                PlanningScene(obstacles=(TABLE, *obstacles)), self._shape, self._grasps[0], rests_on=rests_on
             )
             engine = MujocoEngine(scene)
-            start = self._held(rng, engine, _random_start(rng), HOME)
+            start = self._held(rng, engine, self._start(rng), HOME, 0.0 if self._from_table else _ROOM_M)
             if start is None:
                 unreachable += 1
                 continue
             for _ in range(4):
                 T_goal = _random_goal(rng, start[0])
-                goal = self._held(rng, engine, T_goal, start[1])
+                goal = self._held(rng, engine, T_goal, start[1], _ROOM_M)
                 if goal is None:
                     unreachable += 1
                     continue
@@ -155,8 +159,21 @@ class HeldMoveGenerator:
             remedy="use fewer obstacles or a shorter object",
         )
 
+    def _start(self, rng: np.random.Generator) -> Array:
+        """Return a rod pose over the table, yawed and a little tilted; or level on it."""
+        yaw, lean = rng.uniform(-_YAW_RAD, _YAW_RAD), rng.uniform(-_LEAN_RAD, _LEAN_RAD)
+        position = rng.uniform(_LOW, _HIGH)
+        if self._from_table:
+            lean, position[2] = 0.0, self._radius_m
+        return pose(rot_z(yaw) @ rot_x(lean), position)
+
     def _held(
-        self, rng: np.random.Generator, engine: MujocoEngine, T_world_rod: Array, q_near: Array
+        self,
+        rng: np.random.Generator,
+        engine: MujocoEngine,
+        T_world_rod: Array,
+        q_near: Array,
+        room_m: float,
     ) -> tuple[Array, Array] | None:
         """Return (pose, posture (14,)) with room round it that holds the rod there, the first one found, or None."""
         for k in range(_IK_STARTS_N):
@@ -171,7 +188,7 @@ class HeldMoveGenerator:
                 q[joints] = solution.q
             else:
                 solved = self._hands.solve(T_world_rod, q)
-                if solved is not None and not engine.closest(solved, _ROOM_M):
+                if solved is not None and not engine.closest(solved, room_m):
                     return T_world_rod, solved
         return None
 
@@ -196,14 +213,6 @@ class HeldMoveGenerator:
             checks_max=_WITNESS_CHECKS_N, deadline=time.perf_counter() + _WITNESS_S,
         )  # fmt: skip
         return None if path is None else path[::-1]
-
-
-def _random_start(rng: np.random.Generator) -> Array:
-    """Return a rod pose over the table, yawed and a little tilted."""
-    return pose(
-        rot_z(rng.uniform(-0.6, 0.6)) @ rot_x(rng.uniform(-1.0, 1.0) * 0.5 * _TILT_MAX_RAD),
-        rng.uniform(_LOW, _HIGH),
-    )
 
 
 def _random_goal(rng: np.random.Generator, T_world_start: Array) -> Array:

@@ -1,0 +1,185 @@
+"""The closed-chain part of `minidual plan`: moves of a held object, planned by two seeds, and some of them driven."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from minidual.pipeline.check import Check
+from minidual.pipeline.stage import StageContext
+
+if TYPE_CHECKING:
+    from minidual.config.held_moves import HeldMovesConfig
+    from minidual.config.planning import PlanConfig
+    from minidual.planning.evaluate_carries import MoveOutcome
+    from minidual.tasks.held_execution import Execution
+
+_SETS = ("first", "second")
+_SECOND_SEED_OFFSET = 7919
+_DRIVEN_SEED_OFFSET = 104_729
+
+
+class HeldResults:
+    """What the moves gave: outcomes of the two sets by name, and the executions."""
+
+    def __init__(
+        self, outcomes: Mapping[str, Sequence[MoveOutcome]], executions: Sequence[Execution]
+    ) -> None:
+        self.outcomes = outcomes
+        self.executions = executions
+
+
+def run_held(context: StageContext) -> HeldResults:
+    """Plan the moves of both seeds and drive some; writes held_moves.csv."""
+    from minidual.planning.evaluate_carries import run_moves, table_plans
+    from minidual.sim.world import World
+    from minidual.tasks.held_execution import execute
+
+    plan, scene = context.config.plan, context.config.scene
+    held = plan.held
+    outcomes = {}
+    with context.progress.task("held moves", 2 * held.moves_n + held.executed_n) as task:
+        for name, offset in zip(_SETS, (0, _SECOND_SEED_OFFSET), strict=True):
+            outcomes[name] = run_moves(
+                plan,
+                scene.rod,
+                context.seed + offset,
+                on_move=lambda _o, name=name: task.advance(note=f"{name} seed"),
+            )
+        world = World(scene)
+        executions = []
+        for trajectory in table_plans(plan, scene.rod, held.executed_n, context.seed + _DRIVEN_SEED_OFFSET):
+            executions.append(execute(trajectory, scene, world=world))
+            task.advance(note="driven")
+    _write_csv(outcomes, context.folder / "held_moves.csv")
+    return HeldResults(outcomes, executions)
+
+
+def held_checks(results: HeldResults, config: PlanConfig) -> list[Check]:
+    """Return the checks of the held-object moves."""
+    checks = _planning_checks(results.outcomes, config)
+    return checks + _execution_checks(results.executions, config.held)
+
+
+def _planning_checks(outcomes: Mapping[str, Sequence[MoveOutcome]], config: PlanConfig) -> list[Check]:
+    import numpy as np
+
+    from minidual.planning.evaluate_carries import excluded
+    from minidual.planning.held_path import RESIDUAL_MAX_M, RESIDUAL_MAX_RAD
+
+    every = [o for done in outcomes.values() for o in done]
+    solved = [o for o in every if o.ok]
+    left_out = {name: excluded(done)[0] for name, done in outcomes.items()}
+    residuals = np.array([[o.residual_m, o.residual_rad] for o in solved] or [[np.nan, np.nan]])
+    first = outcomes[_SETS[0]]
+    limit = config.held.time_median_max_s
+    time_check = (
+        ("closed_chain.time_median_s", float(np.median([o.time_s for o in first])), "<", limit)
+        if limit is not None
+        else ("closed_chain.time_median_s", float(np.median([o.time_s for o in first])))
+    )
+    return [
+        Check(
+            "closed_chain.success_rate", _rate(first), ">=", config.success_rate_min,
+            why="moves of a held object up to 0.5 m and 90 degrees, each with a free path as witness, proven free",
+            remedy="see the reasons in held_moves.csv",
+        ),
+        Check(
+            "closed_chain.second_seed_success_rate", _rate(outcomes[_SETS[1]]), ">=", config.success_rate_min,
+            why="a set of another seed must do as well",
+            remedy="see the reasons in held_moves.csv",
+        ),
+        Check(
+            *time_check, unit="s",
+            why="from the query going in to the proven trajectory coming out",
+            remedy="the machine may be busy: compare time_s with cpu_s in held_moves.csv",
+        ),
+        Check(
+            "closed_chain.cpu_time_median_s", float(np.median([o.cpu_s for o in first])), unit="s",
+            why="the same without what other programs took",
+        ),
+        Check(
+            "closed_chain.residual_max_m", float(np.max(residuals[:, 0])), "<", RESIDUAL_MAX_M, unit="m",
+            why="how far a hand strays from its grasp, or from the other hand, at 1 kHz and half-way between",
+        ),
+        Check(
+            "closed_chain.residual_max_rad", float(np.max(residuals[:, 1])), "<", RESIDUAL_MAX_RAD, unit="rad",
+            why="how far a hand turns away from its grasp (limit 0.05 degrees)",
+        ),
+        Check(
+            "closed_chain.undecided_n", sum(left_out.values()),
+            why="moves left out of the two sets because a long search found no free path for them",
+        ),
+    ]  # fmt: skip
+
+
+def _execution_checks(executions: Sequence[Execution], config: HeldMovesConfig) -> list[Check]:
+    import numpy as np
+
+    return [
+        Check(
+            "closed_chain.executed_error_max_m", float(np.max([e.error_max_m for e in executions])), "<",
+            config.executed_error_max_m, unit="m",
+            why="the rod against the plan at every millisecond of the simulated drive, from closed hands to rest",
+        ),
+        Check(
+            "closed_chain.executed_error_max_rad", float(np.max([e.error_max_rad for e in executions])), "<",
+            config.executed_error_max_rad, unit="rad",
+            why="the same for the rod's orientation",
+        ),
+    ]  # fmt: skip
+
+
+def _rate(outcomes: Sequence[MoveOutcome]) -> float:
+    return sum(o.ok for o in outcomes) / len(outcomes)
+
+
+def held_data(results: HeldResults) -> dict[str, Any]:
+    """Return what the stage keeps of the moves beside its checks."""
+    import dataclasses
+    from collections import Counter
+
+    import numpy as np
+
+    from minidual.planning.evaluate_carries import excluded
+
+    data: dict[str, Any] = {"executions": [dataclasses.asdict(e) for e in results.executions]}
+    for name, done in results.outcomes.items():
+        times, cpu = (np.array([getattr(o, field) for o in done]) for field in ("time_s", "cpu_s"))
+        undecided, unreachable = excluded(done)
+        data[f"{name}_seed"] = {
+            "moves_n": len(done),
+            "solved_n": sum(o.ok for o in done),
+            "found_by": dict(Counter(o.plan.found_by for o in done if o.plan is not None)),
+            "with_obstacles_n": sum(o.move.with_obstacles for o in done),
+            "straight_blocked_n": sum(o.move.blocked for o in done),
+            "undecided_n": undecided,
+            "unreachable_n": unreachable,
+            "time_median_s": float(np.median(times)),
+            "time_p99_s": float(np.percentile(times, 99)),
+            "cpu_median_s": float(np.median(cpu)),
+            "cpu_p99_s": float(np.percentile(cpu, 99)),
+        }
+    return data
+
+
+def held_notes(results: HeldResults) -> list[str]:
+    """Return one line for every move that failed."""
+    return [
+        f"held move {o.move.index} of the {name} seed failed: {o.message}"
+        for name, done in results.outcomes.items()
+        for o in done
+        if not o.ok
+    ]
+
+
+def _write_csv(outcomes: Mapping[str, Sequence[MoveOutcome]], path: Path) -> None:
+    import csv
+
+    from minidual.planning.evaluate_carries import CSV_COLUMNS
+
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, fieldnames=CSV_COLUMNS)
+        writer.writeheader()
+        writer.writerows(o.row(name) for name, done in outcomes.items() for o in done)
