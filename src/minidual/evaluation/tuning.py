@@ -2,9 +2,9 @@
 
     1  safe       the softest stiffness and the least force: the arms must come through without a saturated motor
     2  force      the least squeeze that holds: the root of  margin(f) = least measured internal force - what is needed,
-                  found by Brent's method between 10 and 40 N; the result is 1.5 times that
-    3  stiffness  the largest stiffness before oscillation: the root of  oscillation(K) - limit  over log K, by Brent's
-                  method; the result keeps 20 % away from it (the stiffest that is tried counts as it is if it does not
+                  raised from 10 N in steps of 10 and closed in on by Brent's method; the result is 1.5 times that
+    3  stiffness  the largest stiffness before oscillation: the root of  oscillation(K) - limit,  found likewise; the
+                  result keeps 20 % away from it (the stiffest that is tried counts as it is if it does not
                   oscillate) and must track within a centimetre
 
 Every step is five carries from starts of the tuning's own random stream, and counts by its worst. Source of the three
@@ -34,9 +34,9 @@ from minidual.tasks.rod_carry import RodTrial, sample_trial, tilt_rad
 PURPOSE = "tuning"
 """Random stream of the starts; no acceptance trial comes from it."""
 CARRIES_N = 5
-FORCES_N = (10.0, 40.0)
-STIFFNESSES_N_PER_M = (150.0, 600.0)
-"""Softest and stiffest that is tried; the upper end is the largest stiffness recommended for any of the objects."""
+FORCES_N = (10.0, 20.0, 30.0, 40.0)
+STIFFNESSES_N_PER_M = (150.0, 300.0, 450.0, 600.0)
+"""Raised step by step until something changes; no object is recommended a larger stiffness than the last."""
 FORCE_FACTOR, STIFFNESS_FACTOR = 1.5, 0.8
 FORCE_CEILING_N = 80.0
 OSCILLATION_MAX_M = 0.0003
@@ -45,7 +45,7 @@ TRACKING_MAX_M = 0.01
 COMPARED_N = (20.0, 40.0, 80.0)
 _HIGH_PASS_HZ = 5.0
 _LOG_HZ = 250.0
-_FORCE_STEP_N, _STIFFNESS_STEP = 0.5, 0.05
+_FORCE_STEP_N, _STIFFNESS_STEP_N_PER_M = 0.5, 10.0
 _SAFE_TORQUE = 0.95
 
 
@@ -167,7 +167,7 @@ class Tuner:
         Raises:
             TuningError: Not even the softest step is safe, no force up to 40 N holds, or nothing tracks.
         """
-        soft, stiff = STIFFNESSES_N_PER_M
+        soft, stiff = STIFFNESSES_N_PER_M[0], STIFFNESSES_N_PER_M[-1]
         safe = self.step("safe", FORCES_N[0], soft)
         if not safe.worst("torque_ratio_max") < _SAFE_TORQUE:
             raise TuningError(
@@ -178,7 +178,7 @@ class Tuner:
         start_n_per_m = self._config.carry.impedance.stiffness_n_per_m
         least = self._least_force(start_n_per_m)
         force = min(FORCE_FACTOR * least, FORCE_CEILING_N)
-        last = self._last_stiffness(force, soft, stiff)
+        last = self._last_stiffness(force)
         stiffness = last if last == stiff else STIFFNESS_FACTOR * last
         final = self.step("final", force, stiffness)
         if not (final.holds and final.worst("tracking_max_m") < TRACKING_MAX_M):
@@ -216,44 +216,56 @@ class Tuner:
             least = step.worst("internal_force_min_n", np.min) - needed
             return least if step.holds else min(least, -_FORCE_STEP_N)
 
-        low, high = FORCES_N
-        if margin(low) > 0.0:
-            return low
-        if not margin(high) > 0.0:
+        _raise_until(margin, FORCES_N, _FORCE_STEP_N)
+        # Brent's method ends on either side of the root; what counts is the least that was seen to hold.
+        held = [s.force_n for s in self.steps if s.phase == "force" and s.holds]
+        if not held:
             row = self.steps[-1].row()
             raise TuningError(
-                f"no squeeze up to {high:.0f} N holds: least force {row['internal_force_min_n']} N, needs > "
+                f"no squeeze up to {FORCES_N[-1]:.0f} N holds: least force {row['internal_force_min_n']} N, needs > "
                 f"{needed:.0f}; {row['first_failure']}",
                 remedy="pinch harder (carry.impedance.pinch_n) or see whether the pads slip (friction)",
             )
-        brentq(margin, low, high, xtol=_FORCE_STEP_N)
-        # Brent's method ends on either side of the root; what counts is the least that was seen to hold.
-        return min(s.force_n for s in self.steps if s.phase == "force" and s.holds)
+        return min(held)
 
-    def _last_stiffness(self, force_n: float, soft: float, stiff: float) -> float:
-        def excess(log_stiffness: float) -> float:
-            step = self.step("stiffness", force_n, float(np.exp(log_stiffness)))
+    def _last_stiffness(self, force_n: float) -> float:
+        def excess(stiffness: float) -> float:
+            step = self.step("stiffness", force_n, stiffness)
             oscillation = step.worst("oscillation_m")
             if not step.holds or not np.isfinite(oscillation):
                 return 1.0  # what cannot be carried is past the limit
             return oscillation / OSCILLATION_MAX_M - 1.0
 
-        low, high = float(np.log(soft)), float(np.log(stiff))
-        if excess(high) <= 0.0:
-            return stiff
-        if excess(low) > 0.0:
-            raise TuningError(
-                f"the object oscillates even at {soft:.0f} N/m with {force_n:.1f} N "
-                f"({self.steps[-1].row()['oscillation_rms_mm']} mm RMS above {_HIGH_PASS_HZ:.0f} Hz)",
-                remedy="raise carry.impedance.damping_ratio or look at the sensing delay",
-            )
-        brentq(excess, low, high, xtol=_STIFFNESS_STEP)
+        _raise_until(excess, STIFFNESSES_N_PER_M, _STIFFNESS_STEP_N_PER_M)
         good = [
             s.stiffness_n_per_m
             for s in self.steps
             if s.phase == "stiffness" and s.holds and s.worst("oscillation_m") <= OSCILLATION_MAX_M
         ]
+        if not good:
+            row = self.steps[-1].row()
+            raise TuningError(
+                f"the object oscillates even at {STIFFNESSES_N_PER_M[0]:.0f} N/m with {force_n:.1f} N "
+                f"({row['oscillation_rms_mm']} mm RMS above {_HIGH_PASS_HZ:.0f} Hz)",
+                remedy="raise carry.impedance.damping_ratio or look at the sensing delay",
+            )
         return max(good)
+
+
+def _raise_until(value: Callable[[float], float], ladder: Sequence[float], tolerance: float) -> None:
+    """Raise x along a ladder until the value turns positive, then close in on the root with Brent's method."""
+    seen: dict[float, float] = {}
+
+    def remembered(x: float) -> float:
+        if x not in seen:
+            seen[x] = value(x)
+        return seen[x]
+
+    for low, high in zip((None, *ladder), ladder, strict=False):
+        if remembered(high) > 0.0:
+            if low is not None:
+                brentq(remembered, low, high, xtol=tolerance)
+            return
 
 
 def carry_once(inputs: MethodInputs, trial: RodTrial) -> Carried:
