@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -23,6 +24,9 @@ from minidual.robot.constants import (
 from minidual.robot.poses import pose, quat_from_yaw
 from minidual.sim.addresses import map_joints
 from minidual.sim.model import build_model
+
+if TYPE_CHECKING:
+    from minidual.sim.recorder import Recorder
 
 
 class SimulationDivergedError(MinidualError):
@@ -94,6 +98,8 @@ class World:
         self._finger_ctrl = tuple(
             np.ascontiguousarray(self.fingers.ctrl.reshape(2, 2).T)
         )  # a strided index is slow
+        self.recorder: Recorder | None = None
+        """Keeps what a replay needs, where one is wanted (see minidual.sim.recorder)."""
         self.reset()
 
     @property
@@ -244,11 +250,15 @@ class World:
             SimulationDivergedError: The state or a command is not finite. MuJoCo has then reset the state.
         """
         before = self.data.time
+        if self.recorder is not None:
+            self.recorder.before_step()
         mujoco.mj_step(self.model, self.data)
         if self._warnings.tobytes() != self._no_warnings:  # a tenth of the time of `any`
             bad = [what for kind, what in _NOT_FINITE if self._warnings[int(kind)]]
             if bad:
-                raise SimulationDivergedError(
-                    f"the simulation diverged at t = {before:.3f} s ({', '.join(bad)} not finite)",
-                    remedy="check the commanded torques, the inertias and the time step",
-                )
+                message = f"the simulation diverged at t = {before:.3f} s ({', '.join(bad)} not finite)"
+                remedy = "check the commanded torques, the inertias and the time step"
+                dump = None if self.recorder is None else self.recorder.dump("diverged", message)
+                if dump is not None:
+                    remedy += f"; minidual replay {dump} says what came first"
+                raise SimulationDivergedError(message, remedy=remedy)

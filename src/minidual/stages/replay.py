@@ -1,0 +1,141 @@
+"""Tool `replay`: run a dumped state or a recorded trial again, and say what went wrong first."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from minidual.errors import ExitCode, UsageError
+from minidual.pipeline.tool import ToolContext, ToolResult
+
+if TYPE_CHECKING:
+    from minidual.evaluation.replay_film import Postures
+    from minidual.sim.recording import Recording
+    from minidual.sim.replay import Replayed
+
+_FRAMES = 8
+
+
+def replay_tool(context: ToolContext) -> ToolResult:
+    """Replay the file; exit 1 if the physics does not repeat although all versions are the same."""
+    from minidual.evaluation.replay_film import CAMERAS, FILM_FPS, Postures
+    from minidual.sim.recording import read_recording
+    from minidual.sim.replay import replay
+
+    options = context.options
+    camera = options.get("camera", "overview")
+    if camera not in CAMERAS:
+        raise UsageError(f"no camera '{camera}'; there are {', '.join(CAMERAS)}")
+    slowdown, frames = options.get("slowdown", 1.0), options.get("frames", _FRAMES)
+    if not 0.1 <= slowdown <= 100.0:
+        raise UsageError(f"--slowdown is {slowdown:g}; 0.1 <= value <= 100")
+    if not 1 <= frames <= 48:
+        raise UsageError(f"--frames is {frames}; 1 <= value <= 48")
+    video, picture = (
+        _target(options.get(name), ending) for name, ending in (("video", ".mp4"), ("picture", ".png"))
+    )
+    path = Path(options["file"])
+    recording = read_recording(path)
+    begin, end = options.get("from-s", recording.start_s), options.get("to-s", recording.end_s)
+    step_s = (end - begin) / frames if video is None else 1.0 / (FILM_FPS * slowdown)
+    postures = Postures(max(recording.dt_s, step_s)) if video or picture else None
+    found = replay(recording, from_s=options.get("from-s"), to_s=options.get("to-s"), on_step=postures)
+    notes = _draw(recording, postures, video, picture, camera, frames)
+    broken = not found.exact and not found.libraries
+    return ToolResult(
+        lines=_lines(path, recording, found),
+        notes=notes,
+        data=_document(path, recording, found),
+        exit_code=ExitCode.ACCEPTANCE_FAILED if broken else ExitCode.PASS,
+    )
+
+
+def _target(text: str | None, ending: str) -> Path | None:
+    """Return where a picture goes; refuse what could not be written before any work is done."""
+    if text is None:
+        return None
+    path = Path(text)
+    if path.suffix != ending:
+        raise UsageError(f"{path} must end in {ending}")
+    if not path.absolute().parent.is_dir():
+        raise UsageError(f"there is no folder {path.parent}", remedy="make it first")
+    return path
+
+
+def _draw(
+    recording: Recording,
+    postures: Postures | None,
+    video: Path | None,
+    picture: Path | None,
+    camera: str,
+    frames: int,
+) -> list[str]:
+    from minidual.evaluation.replay_film import film_postures, sheet_of_postures
+
+    notes: list[str] = []
+    if postures is not None and video is not None:
+        count = film_postures(recording.scene, postures, video, camera=camera)
+        notes.append(f"film of {count} frames: {video}")
+    if postures is not None and picture is not None:
+        count = sheet_of_postures(recording.scene, postures, picture, frames=frames, camera=camera)
+        notes.append(f"sheet of {count} frames: {picture}")
+    return notes
+
+
+def _lines(path: Path, recording: Recording, found: Replayed) -> list[str]:
+    made = ", ".join(f"{name} {version}" for name, version in recording.libraries.items())
+    extent = f"{recording.start_s:.3f} s to {recording.end_s:.3f} s"
+    lines = [
+        f"{path}: {recording.kind}, seed {'unknown' if recording.seed is None else recording.seed}",
+        f"  why       {recording.reason}",
+        f"  made by   {made}",
+        f"  replayed  {found.from_s:.3f} s to {found.to_s:.3f} s ({found.steps} steps) of {extent}",
+        f"  repeats   {_repeats(found)}",
+    ]
+    if found.libraries:
+        lines.append("  versions  " + ", ".join(f"{n}: was {a}, is {b}" for n, a, b in found.libraries))
+    if found.changed:
+        lines.append(f"  model     changed from the scene's: {', '.join(found.changed)}")
+    lines += [f"  first     {sign.text}" for sign in found.signs] or [
+        "  first     nothing went out of bounds"
+    ]
+    if found.ended is not None:
+        lines.append(f"  ended     {found.ended}")
+    return lines
+
+
+def _repeats(found: Replayed) -> str:
+    if found.deviates is None:
+        return f"to the bit, at {found.compared} of {found.compared} check points"
+    time_s, what, size = found.deviates
+    why = (
+        "another version may round differently"
+        if found.libraries
+        else "the state was changed between two steps"
+    )
+    return f"no: {what} is off by {size:.3g} at {time_s:.3f} s, {found.largest:.3g} at most; {why}"
+
+
+def _document(path: Path, recording: Recording, found: Replayed) -> dict[str, object]:
+    return {
+        "file": str(path),
+        "kind": recording.kind,
+        "reason": recording.reason,
+        "seed": recording.seed,
+        "details": dict(recording.details),
+        "made_by": dict(recording.libraries),
+        "from_s": found.from_s,
+        "to_s": found.to_s,
+        "steps": found.steps,
+        "exact": found.exact,
+        "compared": found.compared,
+        "largest_deviation": found.largest,
+        "deviates": None if found.deviates is None else dict(zip(("time_s", "what", "size"), found.deviates, strict=True)),
+        "versions_differ": [{"name": n, "was": a, "is": b} for n, a, b in found.libraries],
+        "model_changed": list(found.changed),
+        "first": [
+            {"time_s": s.time_s, "what": s.what, "value": s.value, "bound": s.bound, "unit": s.unit}
+            for s in found.signs
+        ],
+        "ended": found.ended,
+    }  # fmt: skip
