@@ -51,3 +51,9 @@ class ClosedChainError(PlanningError):
     """The two hands cannot keep their grasps along the asked object path."""
 
     reason = "closed_chain"
+
+
+class LinearMoveError(PlanningError):
+    """A straight line of the hands ends before the part of it that was asked for."""
+
+    reason = "linear_blocked"
