@@ -1,0 +1,105 @@
+"""The visible geoms of a model as coloured triangle meshes, one a body and colour."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+HIDDEN_GROUP = 3
+"""Geoms of this group and above are for collision; MuJoCo's own viewer hides them too."""
+_SHARP_RAD = np.deg2rad(35.0)
+"""An edge sharper than this stays an edge; a softer one is shaded smooth."""
+
+
+@dataclass(frozen=True)
+class BodyMesh:
+    """Triangles of one colour in the frame of their body.
+
+    Attributes:
+        body: Index of the body; 0 is the world.
+        vertices: (V, 3) [m].
+        faces: (F, 3).
+        rgba: (4,) 0 to 1.
+    """
+
+    body: int
+    vertices: npt.NDArray[np.float32]
+    faces: npt.NDArray[np.int32]
+    rgba: tuple[float, float, float, float]
+
+
+def moving_bodies(model: mujoco.MjModel) -> list[int]:
+    """Return the bodies that can move: those not welded to the world."""
+    return [body for body in range(1, model.nbody) if int(model.body_weldid[body]) != 0]
+
+
+def body_meshes(model: mujoco.MjModel) -> list[BodyMesh]:
+    """Return the visible meshes of a model; geoms of one body and colour are one mesh, as each mesh costs."""
+    import trimesh
+
+    parts: dict[tuple[int, tuple[float, ...]], list[trimesh.Trimesh]] = {}
+    for geom, mesh in _visible(model):
+        rgba = tuple(round(float(c), 4) for c in model.geom_rgba[geom])
+        parts.setdefault((int(model.geom_bodyid[geom]), rgba), []).append(mesh)
+    result = []
+    for (body, rgba), meshes in parts.items():
+        whole = trimesh.graph.smooth_shade(trimesh.util.concatenate(meshes), angle=_SHARP_RAD)
+        result.append(
+            BodyMesh(body, whole.vertices.astype(np.float32), whole.faces.astype(np.int32), rgba)  # type: ignore[arg-type]
+        )
+    return result
+
+
+def _visible(model: mujoco.MjModel) -> Iterator[tuple[int, object]]:
+    """Yield (geom, mesh in its body's frame) of every geom that is drawn and has a shape of its own."""
+    for geom in range(model.ngeom):
+        if int(model.geom_group[geom]) >= HIDDEN_GROUP or float(model.geom_rgba[geom, 3]) == 0.0:
+            continue
+        mesh = _mesh(model, geom)
+        if mesh is None:
+            continue
+        T = np.eye(4)
+        R = np.empty(9)
+        mujoco.mju_quat2Mat(R, model.geom_quat[geom])
+        T[:3, :3], T[:3, 3] = R.reshape(3, 3), model.geom_pos[geom]
+        mesh.apply_transform(T)
+        yield geom, mesh
+
+
+def _mesh(model: mujoco.MjModel, geom: int) -> object | None:
+    """Return the trimesh of a geom in its own frame, or None for a plane, which has no end."""
+    import trimesh
+
+    kind = mujoco.mjtGeom
+    size = model.geom_size[geom]
+    shape = int(model.geom_type[geom])
+    if shape == int(kind.mjGEOM_MESH):
+        mesh = model.mesh(int(model.geom_dataid[geom]))
+        vertices = model.mesh_vert[int(mesh.vertadr[0]) :][: int(mesh.vertnum[0])]
+        faces = model.mesh_face[int(mesh.faceadr[0]) :][: int(mesh.facenum[0])]
+        return trimesh.Trimesh(vertices.astype(float), faces.astype(int), process=False)
+    if shape == int(kind.mjGEOM_BOX):
+        return trimesh.creation.box(extents=2.0 * size)
+    if shape == int(kind.mjGEOM_CYLINDER):
+        return trimesh.creation.cylinder(radius=size[0], height=2.0 * size[1], sections=40)
+    if shape == int(kind.mjGEOM_CAPSULE):
+        return trimesh.creation.capsule(radius=size[0], height=2.0 * size[1], count=[24, 24])
+    if shape == int(kind.mjGEOM_SPHERE):
+        return trimesh.creation.icosphere(subdivisions=3, radius=size[0])
+    if shape == int(kind.mjGEOM_ELLIPSOID):
+        ball = trimesh.creation.icosphere(subdivisions=3)
+        ball.apply_scale(size)
+        return ball
+    return None
+
+
+def floor_height(model: mujoco.MjModel) -> float | None:
+    """Return the height [m] of the first plane, or None without one."""
+    for geom in range(model.ngeom):
+        if int(model.geom_type[geom]) == int(mujoco.mjtGeom.mjGEOM_PLANE):
+            return float(model.geom_pos[geom, 2])
+    return None
