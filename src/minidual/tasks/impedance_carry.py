@@ -34,6 +34,7 @@ _LANDED_S = 0.1
 _RELEASE_RAMP_S = 0.2
 _OPENING_S = 0.3
 _STOPPED_S = 0.5
+_STOP_FREQUENCY_RAD_S = 8.0
 _RETREAT_M = 0.10
 _GRIPPED = 0.9
 
@@ -171,6 +172,8 @@ class ImpedanceCarry:
         if name == "lost_arm":  # a drive that comes back must not find a torque waiting
             self._dead = np.array([detail.startswith(arm) for arm in ("left", "right")])
         self._stop_opens = FAULTS[name].opens_hands
+        # Two hands that still hold one object must not fight each other over it: a soft hold.
+        self._joint = ComputedTorque(self._kinematics, natural_frequency_rad_s=_STOP_FREQUENCY_RAD_S)
         self._motion = SoftStop(world.q, world.v, deceleration_share=self._config.faults.deceleration_share)
         self._hold = None
         self._enter("stop")

@@ -15,7 +15,7 @@ import numpy as np
 
 from minidual.config.control import PaceConfig
 from minidual.config.scene import SceneConfig
-from minidual.control.object_path import Waypoint
+from minidual.control.object_path import Waypoint, minimum_jerk
 from minidual.robot.constants import A_MAX, V_MAX, Array
 from minidual.tasks.reach import grasp_posture
 from minidual.tasks.rod_carry import level_pose
@@ -23,7 +23,7 @@ from minidual.tasks.rod_carry import level_pose
 _PEAK_SPEED = 1.875
 _PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)
 _LEAST_S = 0.25
-_SAMPLES = 6
+_SAMPLES = 12
 
 
 def _time(distance: float | Array, speed: float | Array, acceleration: float | Array) -> float:
@@ -44,8 +44,7 @@ def object_duration_s(
 ) -> tuple[float, Array]:
     """Return the time for a straight motion of the held object between two level poses, and the posture at its end.
 
-    The postures along the way come from inverse kinematics at a few points; their steepest change bounds the speed
-    of the joints.
+    The postures along the way come from inverse kinematics at a few points, from which the joints' speeds follow.
 
     Args:
         scene: Holds the grasp.
@@ -58,17 +57,19 @@ def object_duration_s(
         GraspUnreachableError: A hand cannot follow.
     """
     a, b = (np.array([*w.xyz_m, w.yaw_rad]) for w in (start, end))
-    q, steepest = q_near, np.zeros(len(q_near))
+    postures = [q_near]
     for k in range(_SAMPLES + 1):
-        x, y, z, yaw = a + (k / _SAMPLES) * (b - a)
-        q_next = grasp_posture(scene, level_pose(x, y, z, yaw), q)
-        if k:
-            steepest = np.maximum(steepest, np.abs(q_next - q) * _SAMPLES)
-        q = q_next
+        x, y, z, yaw = a + minimum_jerk(k / _SAMPLES)[0] * (b - a)
+        postures.append(grasp_posture(scene, level_pose(x, y, z, yaw), postures[-1]))
+    q = np.array(postures[1:])
+    # Samples are even in time, so differences are the joints' speeds and accelerations for a duration of one second.
+    speed = np.abs(np.diff(q, axis=0)) * _SAMPLES / (pace.joint_speed_share * V_MAX)
+    acceleration = np.abs(np.diff(q, 2, axis=0)) * _SAMPLES**2 / (pace.joint_acceleration_share * A_MAX)
     distance, turn = float(np.linalg.norm(b[:3] - a[:3])), float(abs(b[3] - a[3]))
     return max(
         _LEAST_S,
         _time(distance, pace.object_speed_m_per_s, pace.object_acceleration_m_per_s2),
         _time(turn, pace.object_turn_rad_per_s, pace.object_turn_rad_per_s2),
-        _time(steepest, pace.joint_speed_share * V_MAX, pace.joint_acceleration_share * A_MAX),
-    ), q
+        float(speed.max()),
+        float(np.sqrt(acceleration.max())),
+    ), q[-1]
