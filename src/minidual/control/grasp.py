@@ -12,6 +12,15 @@ and every f splits into the part that moves the object and the part that only sq
 
 The null space of G holds the internal forces: equal and opposite wrenches that do no work on a rigid object.
 Source: Siciliano, Khatib, Springer Handbook of Robotics, 2nd ed., ch. 38 (grasping), sec. 38.2.
+
+The blocks of G are so plain that G^+ needs no solver. With the middle of the hands m = (r_L + r_R) / 2, half their
+span h = (r_L - r_R) / 2 and the moment about the middle n = w_n - m x w_f,
+
+    lambda = (n + h (h . n)) / (2 + 2 h . h)
+    G^+ w  = [ w_f / 2 + lambda x h ; lambda ; w_f / 2 - lambda x h ; lambda ]
+
+Each hand takes half the force; of the moment each takes lambda as a torque, and the couple of opposite forces
++-lambda x h, with lever h to either side, takes the rest. docs/force-control.md derives it.
 """
 
 from __future__ import annotations
@@ -19,6 +28,7 @@ from __future__ import annotations
 import numpy as np
 
 from minidual.robot.constants import Array
+from minidual.robot.vectors import Vector, cross, inner, minus, plus, times
 
 
 def skew(p: Array) -> Array:
@@ -34,28 +44,62 @@ class GraspMap:
         r_right: (3,) likewise for the right hand.
     """
 
-    def __init__(self, r_left: Array, r_right: Array) -> None:
+    def __init__(self, r_left: Vector | Array, r_right: Vector | Array) -> None:
+        self._r_left, self._r_right = r_left, r_right
+        self._middle = times(0.5, plus(r_left, r_right))
+        self._half_span = times(0.5, minus(r_left, r_right))
+
+    @property
+    def G(self) -> Array:
+        """The matrix itself (6, 12)."""
         G = np.zeros((6, 12))
         G[0:3, 0:3] = G[0:3, 6:9] = G[3:6, 3:6] = G[3:6, 9:12] = np.eye(3)
-        G[3:6, 0:3] = skew(r_left)
-        G[3:6, 6:9] = skew(r_right)
-        self.G = G
-        self._gram = G @ G.T  # positive definite for any two points: each hand can apply a full wrench
+        G[3:6, 0:3] = skew(np.asarray(self._r_left))
+        G[3:6, 6:9] = skew(np.asarray(self._r_right))
+        return G
 
     def motion_part(self, w: Array) -> Array:
         """Return G^+ w, (12,): the least hand wrenches that put wrench w (6,) on the object."""
-        return self.G.T @ np.linalg.solve(self._gram, w)
+        return np.array(self._least(w[:3].tolist(), w[3:].tolist()))
 
     def internal_part(self, f: Array) -> Array:
         """Return (I - G^+ G) f, (12,): what of f (12,) only squeezes."""
-        return f - self.G.T @ np.linalg.solve(self._gram, self.G @ f)
+        return f - self.motion_part(self.G @ f)
 
     def distribute(self, w: Array, f_int: Array) -> Array:
         """Return hand wrenches (12,): object wrench w (6,) plus the internal part of f_int (12,).
 
-        G^+ w + (I - G^+ G) f_int = f_int + G^+ (w - G f_int), one solve instead of two.
+        G^+ w + (I - G^+ G) f_int = f_int + G^+ (w - G f_int), one pseudo-inverse instead of two.
         """
-        return f_int + self.G.T @ np.linalg.solve(self._gram, w - self.G @ f_int)
+        return f_int + self.motion_part(w - self.G @ f_int)
+
+    def squeezing(self, force: Vector, moment: Vector, squeeze: Vector) -> list[float]:
+        """Return `distribute` for the squeeze f_int = [-squeeze; 0; squeeze; 0], in plain floats, 12 of them.
+
+        Args:
+            force: Three, to put on the object [N].
+            moment: Three, about the object's centre of mass [Nm].
+            squeeze: Three [N], along the object's axis from the right to the left hand. G f_int is no force and the
+                moment (r_R - r_L) x squeeze, none at all if the hands lie on that axis.
+        """
+        twisting = cross(times(-2.0, self._half_span), squeeze)
+        f = self._least(force, minus(moment, twisting))
+        sx, sy, sz = squeeze
+        f[0] -= sx
+        f[1] -= sy
+        f[2] -= sz
+        f[6] += sx
+        f[7] += sy
+        f[8] += sz
+        return f
+
+    def _least(self, force: Vector, moment: Vector) -> list[float]:
+        """Return G^+ [force; moment], 12 floats."""
+        h = self._half_span
+        n = minus(moment, cross(self._middle, force))
+        turn = times(1.0 / (2.0 + 2.0 * inner(h, h)), plus(n, times(inner(h, n), h)))
+        half, couple = times(0.5, force), cross(turn, h)
+        return [*plus(half, couple), *turn, *minus(half, couple), *turn]
 
 
 def squeeze_reference(axis: Array, force_n: float) -> Array:

@@ -21,13 +21,22 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pinocchio as pin
+from scipy.linalg.lapack import dposv
 
-from minidual.control.grasp import GraspMap, squeeze_reference
-from minidual.robot.constants import DOF, GROUPS, JOINT_DAMPING, TAU_MAX, Array
-from minidual.robot.kinematics import Kinematics
-from minidual.robot.poses import rotation_log
+from minidual.control.grasp import GraspMap
+from minidual.control.joint_control import within_motors
+from minidual.errors import MinidualError
+from minidual.robot.constants import DOF, GROUPS, JOINT_DAMPING, Array
+from minidual.robot.kinematics import HandMotion, Kinematics
+from minidual.robot.vectors import Vector, apply, apply_transposed, cross, minus, plus, times
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
+_G = 9.81
+_ARMS = (GROUPS["left_arm"], GROUPS["right_arm"])
+
+
+class SingularPostureError(MinidualError):
+    """An arm is stretched so far that its hand cannot be accelerated in every direction."""
 
 
 @dataclass(frozen=True)
@@ -83,30 +92,39 @@ class ObjectImpedance:
 
     def __init__(self, kinematics: Kinematics, held: HeldObject, gains: ImpedanceGains) -> None:
         self._model, self._data = kinematics.model, kinematics.data
-        self._tcps = kinematics.tcp_ids
+        self._kinematics = kinematics
         self.held, self.gains = held, gains
-        self._K = np.array(gains.stiffness)
-        self._D = np.zeros(6)
+        self._K = list(gains.stiffness)
+        self._D = [0.0] * 6
+        self._inertia: list[list[float]] = held.inertia_kg_m2.tolist()
+        self._axis: list[float] = held.axis.tolist()
+        self._R_object_hands = tuple(np.array(T[:3, :3]) for T in held.T_object_tcps)
+
+        # Generalised forces of the hands and of joint friction in one product: [J; D]^T [f; v].
+        stacked = np.vstack([np.zeros((12, DOF)), JOINT_DAMPING * np.eye(DOF)])
+        self._to_joints, self._J = stacked.T, stacked[:12]
+        self._pushes = np.zeros(12 + DOF)
+        self._f, self._v = self._pushes[:12], self._pushes[12:]
+        self._hands = HandMotion(kinematics, self._J)
+
         self._posture = np.zeros(DOF)
-        self._arms = (GROUPS["left_arm"], GROUPS["right_arm"])
+        self._posture_gains = np.array([gains.posture_stiffness_per_s2, -gains.posture_damping_per_s])
+        self._posture_error = np.zeros((2, DOF))  # rows: q* - q and v
+        self._away, self._speed = self._posture_error
 
     def engage(self, q: Array) -> None:
         """Take over at posture q (14,): the damping and the null-space posture follow from it."""
         self._posture = np.array(q)
-        pin.computeJointJacobians(self._model, self._data, q)
-        pin.updateFramePlacements(self._model, self._data)
-        M = pin.crba(self._model, self._data, q)
-        M = np.triu(M) + np.triu(M, 1).T
+        M = self._kinematics.mass_matrix(q)
         moving = np.zeros(6)
         moving[:3] = self.held.mass_kg
         moving[3:] = np.diag(self.held.inertia_kg_m2)
         lever = max(float(np.linalg.norm(T[:3, 3])) for T in self.held.T_object_tcps)
-        for tcp, arm in zip(self._tcps, self._arms, strict=True):
-            J = pin.getFrameJacobian(self._model, self._data, tcp, pin.LOCAL_WORLD_ALIGNED)[:, arm]
-            mass_at_hand = np.linalg.inv(J[:3] @ np.linalg.solve(M[arm, arm], J[:3].T))
+        for J, arm in zip(self._kinematics.tcp_jacobians(q), _ARMS, strict=True):
+            mass_at_hand = np.linalg.inv(J[:3, arm] @ np.linalg.solve(M[arm, arm], J[:3, arm].T))
             moving[:3] += np.diag(mass_at_hand)
             moving[3:] += lever**2 * float(np.mean(np.diag(mass_at_hand)))
-        self._D = 2.0 * self.gains.damping_ratio * np.sqrt(self._K * moving)
+        self._D = (2.0 * self.gains.damping_ratio * np.sqrt(self._K * moving)).tolist()
 
     def torque(
         self, q: Array, v: Array, measured: ObjectState, desired: ObjectState, *,
@@ -122,62 +140,92 @@ class ObjectImpedance:
             internal_force_n: Squeeze wanted [N].
             measured_internal_force_n: Squeeze sensed at the contacts [N]; never taken from the hands' distance.
         """
-        model, data, gains = self._model, self._data, self.gains
-        zero = np.zeros(DOF)
-        pin.forwardKinematics(model, data, q, v, zero)
-        pin.computeJointJacobians(model, data)
-        pin.updateFramePlacements(model, data)
-        T_object, T_desired = measured.T_world_object, desired.T_world_object
-        R, p = T_object[:3, :3], T_object[:3, 3]
+        # Posture first: what of it the hands would feel is taken out again below.
+        np.subtract(self._posture, q, self._away)
+        self._speed[:] = v
+        posture = self._posture_gains.dot(self._posture_error)
+        hands = self._hands
+        hands.update(q, v, posture)
 
-        frames = [data.oMf[tcp] for tcp in self._tcps]
-        grasp = GraspMap(frames[0].translation - p, frames[1].translation - p)
+        R, R_d = measured.T_world_object[:3, :3], np.ascontiguousarray(desired.T_world_object[:3, :3])
+        p = measured.T_world_object[:3, 3].tolist()
+        r_left, r_right = minus(hands.p[0].tolist(), p), minus(hands.p[1].tolist(), p)
+        rows = R.tolist()
+        force, moment = self._object_wrench(R, R_d, rows, p, measured, desired)
         squeeze = self._squeeze(internal_force_n, measured_internal_force_n)
-        f = grasp.distribute(
-            self._object_wrench(R, p, T_desired, measured, desired),
-            squeeze_reference(R @ self.held.axis, squeeze),
-        )
+        f = GraspMap(r_left, r_right).squeezing(force, moment, times(squeeze, apply(rows, self._axis)))
+        self._hold_hands(f, R_d, desired, self._J.dot(v).tolist())
+        self._f[:] = f
+        self._v[:] = v
 
-        qdd = np.zeros(DOF)
-        external = np.zeros(DOF)
-        for i, (tcp, arm) in enumerate(zip(self._tcps, self._arms, strict=True)):
-            J = pin.getFrameJacobian(model, data, tcp, pin.LOCAL_WORLD_ALIGNED)[:, arm]
-            drift = pin.getFrameClassicalAcceleration(model, data, tcp, pin.LOCAL_WORLD_ALIGNED).vector
-            r = frames[i].translation - p
-            omega, alpha = desired.twist[3:], desired.acceleration[3:]
-            a_hand = np.concatenate(
-                [desired.acceleration[:3] + np.cross(alpha, r) + np.cross(omega, np.cross(omega, r)), alpha]
-            )
-            gram = J @ J.T
-            posture = (
-                gains.posture_stiffness_per_s2 * (self._posture[arm] - q[arm])
-                - gains.posture_damping_per_s * v[arm]
-            )
-            # Least-squares joint acceleration of the hand plus posture motion in the Jacobian's null space.
-            qdd[arm] = posture + J.T @ np.linalg.solve(gram, a_hand - drift - J @ posture)
-            wrench = f[6 * i : 6 * i + 6].copy()
-            R_grasp = T_desired[:3, :3] @ self.held.T_object_tcps[i][:3, :3]
-            hand_error = rotation_log(R_grasp @ frames[i].rotation.T)
-            hand_rate = omega - J[3:] @ v[arm]
-            wrench[3:] += (
-                gains.hand_stiffness_nm_per_rad * hand_error + gains.hand_damping_nms_per_rad * hand_rate
-            )
-            external[arm] = J.T @ wrench
-        tau = pin.rnea(model, data, q, v, qdd) + external + JOINT_DAMPING * v
-        return np.clip(tau, -TAU_MAX, TAU_MAX)
+        qdd = posture + self._least_acceleration(r_left, r_right, desired)
+        tau = pin.rnea(self._model, self._data, q, v, qdd)
+        tau += self._to_joints.dot(self._pushes)
+        return within_motors(tau)
 
     def _squeeze(self, wanted_n: float, measured_n: float) -> float:
+        """Return F: the wanted squeeze, corrected within its bounds, never a pull and never over the ceiling."""
         limit = self.gains.force_correction_max_n
         correction = min(limit, max(-limit, self.gains.force_gain * (wanted_n - measured_n)))
         return min(self.gains.force_ceiling_n, max(0.0, wanted_n + correction))
 
     def _object_wrench(
-        self, R: Array, p: Array, T_desired: Array, measured: ObjectState, desired: ObjectState
-    ) -> Array:
-        error = np.concatenate([T_desired[:3, 3] - p, rotation_log(T_desired[:3, :3] @ R.T)])
-        w = self._K * error + self._D * (desired.twist - measured.twist)
-        inertia = R @ self.held.inertia_kg_m2 @ R.T
-        omega = desired.twist[3:]
-        w[:3] += self.held.mass_kg * (desired.acceleration[:3] - GRAVITY)
-        w[3:] += inertia @ desired.acceleration[3:] + np.cross(omega, inertia @ omega)
-        return w
+        self, R: Array, R_d: Array, rows: list[list[float]], p: list[float],
+        measured: ObjectState, desired: ObjectState,
+    ) -> tuple[Vector, Vector]:  # fmt: skip
+        """Return w as (force, moment): spring, damper, and what the object's own mass needs."""
+        e = minus(desired.T_world_object[:3, 3].tolist(), p)
+        turn = pin.log3(R_d.dot(R.T)).tolist()
+        k1, k2, k3, k4, k5, k6 = self._K
+        d1, d2, d3, d4, d5, d6 = self._D
+        v1, v2, v3, v4, v5, v6 = (desired.twist - measured.twist).tolist()
+        a1, a2, a3, *alpha = desired.acceleration.tolist()
+        m = self.held.mass_kg
+        # I_w alpha + omega x I_w omega in the object's own axes, where its inertia is constant.
+        omega_o = apply_transposed(rows, desired.twist[3:].tolist())
+        alpha_o = apply_transposed(rows, alpha)
+        spin = cross(omega_o, apply(self._inertia, omega_o))
+        n1, n2, n3 = apply(rows, plus(apply(self._inertia, alpha_o), spin))
+        return (
+            (
+                k1 * e[0] + d1 * v1 + m * a1,
+                k2 * e[1] + d2 * v2 + m * a2,
+                k3 * e[2] + d3 * v3 + m * (a3 + _G),
+            ),
+            (k4 * turn[0] + d4 * v4 + n1, k5 * turn[1] + d5 * v5 + n2, k6 * turn[2] + d6 * v6 + n3),
+        )
+
+    def _hold_hands(self, f: list[float], R_d: Array, desired: ObjectState, twists: list[float]) -> None:
+        """Add to f (12) the torsional springs that hold the hands to their grasp frames."""
+        k, d = self.gains.hand_stiffness_nm_per_rad, self.gains.hand_damping_nms_per_rad
+        w1, w2, w3 = desired.twist[3:].tolist()
+        for at, R_hand, R_object_hand in zip((3, 9), self._hands.R, self._R_object_hands, strict=True):
+            e1, e2, e3 = pin.log3(R_d.dot(R_object_hand).dot(R_hand.T)).tolist()
+            f[at] += k * e1 + d * (w1 - twists[at])
+            f[at + 1] += k * e2 + d * (w2 - twists[at + 1])
+            f[at + 2] += k * e3 + d * (w3 - twists[at + 2])
+
+    def _least_acceleration(self, r_left: Vector, r_right: Vector, desired: ObjectState) -> Array:
+        """Return the least joint acceleration (14,) that adds to the posture's what the hands lack.
+
+        Adding J^+ (a_hand - J qdd_posture - Jdot v) leaves of the posture motion its part in the null space of J.
+        """
+        a1, a2, a3, *alpha = desired.acceleration.tolist()
+        omega = desired.twist[3:].tolist()
+        wanted = []
+        for r in (r_left, r_right):
+            # Of a point of a rigid body: a + alpha x r + omega x (omega x r).
+            c1, c2, c3 = plus(cross(alpha, r), cross(omega, cross(omega, r)))
+            wanted += [a1 + c1, a2 + c2, a3 + c3, *alpha]
+        lacking = np.array(wanted)
+        lacking -= self._hands.acceleration
+        J = self._J
+        _, y, failed = dposv(
+            J.dot(J.T), lacking
+        )  # Cholesky: J J^T is positive definite away from singularities
+        if failed:
+            raise SingularPostureError(
+                "a hand has lost a direction of motion: J J^T is singular",
+                remedy="keep the elbows bent: a stretched arm cannot carry",
+            )
+        return J.T.dot(y)

@@ -19,6 +19,8 @@ from minidual.robot.constants import (
 )
 from minidual.robot.description import dual_panda_urdf
 
+_WORLD_ALIGNED = pin.LOCAL_WORLD_ALIGNED
+
 
 @functools.cache
 def _shared_model() -> Any:
@@ -84,3 +86,42 @@ class Kinematics:
     def rnea(self, q: Array, v: Array, a: Array) -> Array:
         """Return the torques (14,) [Nm] that give acceleration a (14,) [rad/s^2] (no joint friction)."""
         return pin.rnea(self.model, self.data, q, v, a)
+
+
+class HandMotion:
+    """Poses, Jacobian and accelerations of both hands, updated together at 1 kHz.
+
+    The arrays are made once and `update` fills them: whoever keeps one must copy it.
+
+    Attributes:
+        p: Positions of the left and the right tool centre point, two (3,) [m].
+        R: Their orientations in the world, two (3, 3).
+        J: (12, 14) Jacobian of both, rows [linear; angular] left then right, world-aligned. An arm moves its own hand
+            alone, so J J^T is block-diagonal.
+        acceleration: (12,) of the hands under the joint acceleration that `update` was given, J a + Jdot v.
+    """
+
+    def __init__(self, kinematics: Kinematics, J: Array | None = None) -> None:
+        self._model, self._data = kinematics.model, kinematics.data
+        self._left, self._right = kinematics.tcp_ids
+        frames = [self._data.oMf[i] for i in kinematics.tcp_ids]
+        # Pinocchio's own memory, seen through numpy: to read it again costs nothing.
+        self.p: tuple[Array, Array] = tuple(frame.translation for frame in frames)  # type: ignore[assignment]
+        self.R: tuple[Array, Array] = tuple(frame.rotation for frame in frames)  # type: ignore[assignment]
+        self.J = np.zeros((12, DOF)) if J is None else J
+        self.acceleration = np.zeros(12)
+        self._J_left, self._J_right = self.J[:6], self.J[6:]
+        self._a_left, self._a_right = self.acceleration[:6], self.acceleration[6:]
+
+    def update(self, q: Array, v: Array, a: Array) -> None:
+        """Fill all arrays for joints at q with velocity v and acceleration a, each (14,)."""
+        model, data, left, right, frame = self._model, self._data, self._left, self._right, _WORLD_ALIGNED
+        pin.forwardKinematics(model, data, q, v, a)
+        pin.computeJointJacobians(model, data)
+        pin.updateFramePlacement(model, data, left)
+        pin.updateFramePlacement(model, data, right)
+        self._J_left[:] = pin.getFrameJacobian(model, data, left, frame)
+        self._J_right[:] = pin.getFrameJacobian(model, data, right, frame)
+        # Classical: the second derivative of the point's position, not the spatial acceleration.
+        self._a_left[:] = pin.getFrameClassicalAcceleration(model, data, left, frame).vector
+        self._a_right[:] = pin.getFrameClassicalAcceleration(model, data, right, frame).vector

@@ -1,0 +1,101 @@
+"""The object impedance law written out plainly, one line an equation: the oracle for the fast one.
+
+It shares no code with `minidual.control.object_impedance`: the pseudo-inverse is numpy's, the time derivative of the
+Jacobians is a finite difference of Pinocchio's, the dynamics are M qdd + h.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from minidual.control.object_impedance import HeldObject, ImpedanceGains, ObjectState
+from minidual.robot.constants import DOF, GROUPS, JOINT_DAMPING, TAU_MAX, Array
+from minidual.robot.kinematics import Kinematics
+from minidual.robot.poses import rotation_log
+
+GRAVITY = np.array([0.0, 0.0, -9.81])
+
+
+def cross_matrix(r: Array) -> Array:
+    """Return the (3, 3) matrix of the cross product with r."""
+    return np.cross(r, -np.eye(3))
+
+
+def grasp_matrix(r_left: Array, r_right: Array) -> Array:
+    """Return G (6, 12)."""
+    one, none = np.eye(3), np.zeros((3, 3))
+    return np.block([[one, none, one, none], [cross_matrix(r_left), one, cross_matrix(r_right), one]])
+
+
+def drift(kinematics: Kinematics, q: Array, v: Array) -> Array:
+    """Return Jdot v (12,) of both hands by central differences along the motion."""
+    h = 1e-6
+    ahead, behind = (np.vstack(kinematics.tcp_jacobians(q + s * h * v)) for s in (1.0, -1.0))
+    return (ahead - behind) @ v / (2.0 * h)
+
+
+def damping(kinematics: Kinematics, held: HeldObject, gains: ImpedanceGains, q: Array) -> Array:
+    """Return D (6,) at the posture where the law takes over."""
+    M = kinematics.mass_matrix(q)
+    moving = np.concatenate([np.full(3, held.mass_kg), np.diag(held.inertia_kg_m2)])
+    lever = max(np.linalg.norm(T[:3, 3]) for T in held.T_object_tcps)
+    for J in kinematics.tcp_jacobians(q):
+        mass = np.linalg.inv(J[:3] @ np.linalg.inv(M) @ J[:3].T)
+        moving += np.concatenate([np.diag(mass), np.full(3, lever**2 * np.trace(mass) / 3.0)])
+    return 2.0 * gains.damping_ratio * np.sqrt(np.array(gains.stiffness) * moving)
+
+
+def torque(
+    kinematics: Kinematics, held: HeldObject, gains: ImpedanceGains, q_engaged: Array, q: Array, v: Array,
+    measured: ObjectState, desired: ObjectState, internal_force_n: float, measured_internal_force_n: float,
+) -> Array:  # fmt: skip
+    """Return the law's torques (14,) [Nm]."""
+    R, p = measured.T_world_object[:3, :3], measured.T_world_object[:3, 3]
+    R_d, p_d = desired.T_world_object[:3, :3], desired.T_world_object[:3, 3]
+    a_d, alpha_d, omega_d = desired.acceleration[:3], desired.acceleration[3:], desired.twist[3:]
+
+    # What the object should feel.
+    e = np.concatenate([p_d - p, rotation_log(R_d @ R.T)])
+    spring = np.array(gains.stiffness) * e
+    damper = damping(kinematics, held, gains, q_engaged) * (desired.twist - measured.twist)
+    I_w = R @ held.inertia_kg_m2 @ R.T
+    inertia = np.concatenate(
+        [held.mass_kg * (a_d - GRAVITY), I_w @ alpha_d + np.cross(omega_d, I_w @ omega_d)]
+    )
+    w = spring + damper + inertia
+
+    # How the hands share it, and how they squeeze.
+    correction = np.clip(
+        gains.force_gain * (internal_force_n - measured_internal_force_n),
+        -gains.force_correction_max_n, gains.force_correction_max_n,
+    )  # fmt: skip
+    F = np.clip(internal_force_n + correction, 0.0, gains.force_ceiling_n)
+    axis, none = R @ held.axis, np.zeros(3)
+    f_int = np.concatenate([-F * axis, none, F * axis, none])
+    tcps = kinematics.tcp_poses(q)
+    r = [T[:3, 3] - p for T in tcps]
+    G = grasp_matrix(*r)
+    G_inverse = np.linalg.pinv(G)
+    f = G_inverse @ w + (np.eye(12) - G_inverse @ G) @ f_int
+
+    # What the arms must do for it.
+    J_left, J_right = kinematics.tcp_jacobians(q)
+    drifts = drift(kinematics, q, v)
+    qdd = np.zeros(DOF)
+    external = np.zeros(DOF)
+    for i, (J, arm) in enumerate(((J_left, GROUPS["left_arm"]), (J_right, GROUPS["right_arm"]))):
+        J = J[:, arm]
+        a_hand = np.concatenate(
+            [a_d + np.cross(alpha_d, r[i]) + np.cross(omega_d, np.cross(omega_d, r[i])), alpha_d]
+        )
+        posture = (gains.posture_stiffness_per_s2 * (q_engaged - q) - gains.posture_damping_per_s * v)[arm]
+        J_inverse = np.linalg.pinv(J)
+        null = np.eye(7) - J_inverse @ J
+        qdd[arm] = J_inverse @ (a_hand - drifts[6 * i : 6 * i + 6]) + null @ posture
+        hand_error = rotation_log(R_d @ held.T_object_tcps[i][:3, :3] @ tcps[i][:3, :3].T)
+        hand_rate = omega_d - J[3:] @ v[arm]
+        pivot = gains.hand_stiffness_nm_per_rad * hand_error + gains.hand_damping_nms_per_rad * hand_rate
+        external[arm] = J.T @ (f[6 * i : 6 * i + 6] + np.concatenate([none, pivot]))
+    friction = JOINT_DAMPING * v
+    tau = kinematics.mass_matrix(q) @ qdd + kinematics.bias(q, v) + external + friction
+    return np.clip(tau, -TAU_MAX, TAU_MAX)
