@@ -149,7 +149,8 @@ def build_app(table: StageTable, tools: Sequence[ToolEntry] = ()) -> typer.Typer
         del version
 
     for entry in table:
-        own = {**_stage_options(entry), **(VIEW_OPTIONS if entry.watchable else {}), **_RUNNING}
+        watchable = entry.watchable or any(aside.watchable for aside in entry.asides)
+        own = {**_stage_options(entry), **(VIEW_OPTIONS if watchable else {}), **_RUNNING}
         _add(app, table, entry.name, f"{entry.summary}.", own, stage_body(entry))
     for tool in tools:
         options = {key(option.name): _tool_option(option) for option in tool.options}

@@ -65,7 +65,7 @@ def run_tool(
     from minidual.pipeline.tool import ToolContext, key
 
     names = [option.name for option in (*tool.options, *(stage.options if stage else ()))]
-    typed = {name: values[key(name)] for name in names if values[key(name)] not in (None, False, ())}
+    typed = {name: values[key(name)] for name in names if _was_typed(values[key(name)])}
     overrides = [Override(*item) for item in stage.overrides(typed)] if stage else []
     config = session.loaded.with_overrides(overrides).config
     with live_view(session, values, tool.view_default) as view:
@@ -87,6 +87,11 @@ def run_tool(
     return result.exit_code
 
 
+def _was_typed(value: Any) -> bool:
+    """Return whether an option was given: 0 was, though it equals False."""
+    return not (value is None or value is False or value == ())
+
+
 def _refuse_loose_options(entry: StageEntry, values: Mapping[str, Any]) -> None:
     """Refuse an option that goes with an aside which nothing asked for: the stage would ignore it."""
     from minidual.pipeline.tool import key
@@ -94,9 +99,12 @@ def _refuse_loose_options(entry: StageEntry, values: Mapping[str, Any]) -> None:
     own = {option.name for option in entry.options}
     for aside in entry.asides:
         for option in aside.options:
-            if option.name not in own and values[key(option.name)] not in (None, False, ()):
+            if option.name not in own and _was_typed(values[key(option.name)]):
                 triggers = " or ".join(f"--{name}" for name in aside.triggers)
                 raise UsageError(f"--{option.name} goes with {triggers} of {entry.name}")
+    if not entry.watchable and values.get("view") not in (None, "none"):
+        triggers = " or ".join(f"--{name}" for a in entry.asides if a.watchable for name in a.triggers)
+        raise UsageError(f"--view goes with {triggers} of {entry.name}")
 
 
 def _outcome_json(outcome: Outcome) -> dict[str, Any]:

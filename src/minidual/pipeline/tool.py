@@ -18,6 +18,7 @@ stopped leaves nothing that looks whole.
 from __future__ import annotations
 
 import importlib
+import keyword
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -118,8 +119,7 @@ class ToolEntry:
     name: the command, or for an aside of a stage the name of its folder ("carry-tune").
     target: "module:function".
     triggers: for an aside, options any of which asks for it; the others only go with those.
-    watchable: it moves the arms and shows them to `context.view`: the command takes --view. An aside takes the one
-        of its stage.
+    watchable: it moves the arms and shows them to `context.view`: the command takes --view.
     view_default: the view without --view.
     """
 
@@ -142,5 +142,6 @@ class ToolEntry:
 
 
 def key(name: str) -> str:
-    """Return the Python name of an option."""
-    return name.replace("-", "_")
+    """Return the Python name of an option (`from` is no name in Python, so it becomes `from_`)."""
+    name = name.replace("-", "_")
+    return f"{name}_" if keyword.iskeyword(name) else name
