@@ -37,7 +37,7 @@ def replay_tool(context: ToolContext) -> ToolResult:
     path = Path(options["file"])
     recording = read_recording(path)
     begin, end = options.get("from-s", recording.start_s), options.get("to-s", recording.end_s)
-    step_s = (end - begin) / frames if video is None else 1.0 / (FILM_FPS * slowdown)
+    step_s = (end - begin) / (4 * frames) if video is None else 1.0 / (FILM_FPS * slowdown)
     postures = Postures(max(recording.dt_s, step_s)) if video or picture else None
     found = replay(recording, from_s=options.get("from-s"), to_s=options.get("to-s"), on_step=postures)
     notes = _draw(recording, postures, video, picture, camera, frames)
