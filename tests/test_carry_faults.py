@@ -1,0 +1,261 @@
+"""Each fault of a carry, brought about in the simulated world: told within 50 ms, by name, and stopped softly."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from minidual.config.control import CarryConfig, CarryFaultConfig
+from minidual.config.scene import SceneConfig
+from minidual.control.soft_stop import SoftStop, TorqueRate
+from minidual.robot.constants import A_MAX, DOF, HOME, TAU_MAX, TAU_RATE_MAX
+from minidual.robot.kinematics import Kinematics
+from minidual.sim.world import World
+from minidual.tasks.faults import FAULTS, FaultMonitor
+from minidual.tasks.impedance_carry import ImpedanceCarry
+from minidual.tasks.rod_carry import sample_trial
+
+DETECTED_S = 0.05
+
+
+@dataclass
+class Run:
+    """What one disturbed trial showed."""
+
+    carry: ImpedanceCarry
+    onset_s: float
+    torque_step_nm: float = 0.0
+    saturated_s: float = 0.0
+    speeds: list[np.ndarray] = field(default_factory=list)
+
+    @property
+    def latency_s(self) -> float:
+        assert self.carry.fault is not None
+        return self.carry.fault.at_s - self.onset_s
+
+    def deceleration(self, first: int) -> np.ndarray:
+        """Largest deceleration of each joint, over 20 ms, in the first steps after the fault, by its limit."""
+        v = np.array(self.speeds[:first])
+        slower = np.abs(v[:-20]) - np.abs(v[20:])
+        return slower.max(axis=0) / 0.02 / A_MAX
+
+
+@contextmanager
+def untouched(world: World) -> Iterator[None]:
+    """Put back what a disturbance does to the compiled model, which tests share."""
+    model = world.model
+    kept = model.actuator_gainprm.copy(), model.geom_friction.copy()
+    try:
+        yield
+    finally:
+        model.actuator_gainprm[:], model.geom_friction[:] = kept
+
+
+def run(
+    world: World, phase: str, after_s: float, disturb: Callable[[World], None], *,
+    onset: Callable[[World], bool] | None = None, index: int = 3,
+) -> Run:  # fmt: skip
+    """Carry until `phase` has lasted for `after_s`, disturb, and go on to the end.
+
+    `onset` tells from the truth when the fault begins, where that is later than the disturbance.
+    """
+    trial = sample_trial(world.scene, 5, "faults", index)
+    with untouched(world):
+        world.reset(rod_xy_yaw=trial.start)
+        carry = ImpedanceCarry(world, Kinematics(), CarryConfig(), trial, seed=5)
+        found, began, disturbed = Run(carry, np.inf), None, False
+        told, run_length = Kinematics().gravity(world.q), np.zeros(DOF)
+        while not carry.done and world.time < 14.0:
+            if began is None and carry.phase == phase:
+                began = world.time
+            if not disturbed and began is not None and world.time >= began + after_s:
+                disturb(world)
+                disturbed = True
+            if disturbed and not np.isfinite(found.onset_s) and (onset is None or onset(world)):
+                found.onset_s = world.time
+            carry.step()
+            commanded = world.data.ctrl[world.joints.ctrl].copy()
+            found.torque_step_nm = max(found.torque_step_nm, float(np.abs(commanded - told).max()))
+            told = commanded
+            run_length = np.where(np.abs(commanded) >= 0.999 * TAU_MAX, run_length + world.dt, 0.0)
+            found.saturated_s = max(found.saturated_s, float(run_length.max()))
+            if carry.fault is not None:
+                found.speeds.append(world.v.copy())
+    return found
+
+
+def rod_moves(velocity: tuple[float, float, float]) -> Callable[[World], None]:
+    def disturb(world: World) -> None:
+        world.data.joint("rod_free").qvel[:3] = velocity
+
+    return disturb
+
+
+def rod_vanishes(world: World) -> None:
+    world.data.joint("rod_free").qpos[:3] = (0.9, 0.6, 0.2)
+
+
+def grows_smooth(friction: float) -> Callable[[World], None]:
+    def disturb(world: World) -> None:
+        world.model.geom_friction[:, 0] = friction
+
+    return disturb
+
+
+def motors_off(arm: str) -> Callable[[World], None]:
+    def disturb(world: World) -> None:
+        for i in range(world.model.nu):
+            if world.model.actuator(i).name.startswith(arm) and world.model.actuator(i).name.endswith(
+                "_motor"
+            ):
+                world.model.actuator_gainprm[i, 0] = 0.0
+
+    return disturb
+
+
+def a_hand_has_closed_past(world: World) -> bool:
+    return float((0.08 * world.gripper).min()) < 2.0 * world.scene.rod.radius_m
+
+
+SCENARIOS = {
+    "kicked before the grasp": ("knocked_away", "approach", 0.8, rod_moves((0.6, 0.0, 0.0)), None),
+    "gone when the hands close": ("missed_grasp", "close", 0.0, rod_vanishes, a_hand_has_closed_past),
+    "torn from the hands": ("object_lost", "carry", 1.4, rod_vanishes, None),
+    "pads grow smooth": ("slip", "carry", 1.4, grows_smooth(0.1), None),
+    "pads grow a little too smooth": ("slip", "carry", 0.4, grows_smooth(0.25), None),
+    "left motors off in the air": ("lost_arm", "carry", 1.4, motors_off("left"), None),
+    "right motors off on the way": ("lost_arm", "approach", 0.5, motors_off("right"), None),
+}
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_a_fault_is_told_in_time_by_name_and_stopped_softly(world: World, scenario: str) -> None:
+    name, phase, after_s, disturb, onset = SCENARIOS[scenario]
+    found = run(world, phase, after_s, disturb, onset=onset)
+    fault = found.carry.fault
+    assert fault is not None
+    assert fault.name == name
+    assert 0.0 <= found.latency_s <= DETECTED_S
+    assert found.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
+    assert found.saturated_s <= 0.02
+    alive = slice(0, DOF)
+    if name == "lost_arm":
+        alive = slice(7, DOF) if fault.detail.startswith("left") else slice(0, 7)
+        assert np.all(
+            found.carry.world.data.ctrl[world.joints.ctrl][_other(alive)] == 0.0
+        )  # nothing waits for it
+    # A dead arm falls, and sooner or later it strikes the other one.
+    decelerated = found.deceleration(300 if name == "lost_arm" else 2000)[alive].max()
+    assert decelerated < (1.5 if name == "slip" else 0.7)
+    if name != "lost_arm":
+        assert np.abs(found.speeds[-1]).max() < 0.05
+
+
+def _other(arm: slice) -> slice:
+    return slice(0, 7) if arm.start == 7 else slice(7, DOF)
+
+
+def test_an_undisturbed_trial_raises_nothing(world: World) -> None:
+    """The negative control of all of them; the stage runs two hundred more."""
+    found = run(world, "done", 0.0, lambda _world: None)
+    assert found.carry.fault is None
+    assert found.carry.done
+    assert found.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
+
+
+def test_noise_alone_never_moves_a_resting_object() -> None:
+    """Ten thousand samples of the standard noise, judged as the trial judges them: not one false alarm."""
+    rng = np.random.default_rng(0)
+    monitor = FaultMonitor(CarryFaultConfig(), dt_s=0.001, width_m=0.0177, pinch_n=60.0)
+    for _ in range(10_000):
+        away = float(np.linalg.norm(0.0005 * rng.standard_normal(3)))
+        angle = float(np.linalg.norm(0.005236 * rng.standard_normal(3)))
+        assert monitor.resting((away, angle)) is None
+        assert monitor.held_pose((away, angle)) is None
+
+
+@pytest.fixture
+def monitor() -> FaultMonitor:
+    return FaultMonitor(CarryFaultConfig(), dt_s=0.001, width_m=0.02, pinch_n=60.0)
+
+
+def _until_told(look: Callable[[], tuple[str, str] | None], *, calls: int = 50) -> tuple[str, int]:
+    for k in range(1, calls + 1):
+        finding = look()
+        if finding is not None:
+            return finding[0], k
+    raise AssertionError("nothing was told")
+
+
+def test_every_row_of_the_table_can_be_told(monitor: FaultMonitor) -> None:
+    fine, gaps = np.full(2, 60.0), np.full(2, 0.02)
+    holds = {"pinch_n": fine, "gap_m": gaps, "spread_m": 0.24, "tilt_rad": 0.0}
+    assert monitor.holding(**holds) is None
+    told = {
+        "missed_grasp": _until_told(lambda: monitor.closing(np.array([0.02, 0.01]), np.zeros(2), 0.1)),
+        "knocked_away": _until_told(lambda: monitor.resting((0.01, 0.0))),
+        "object_lost": _until_told(lambda: monitor.holding(**{**holds, "pinch_n": np.array([60.0, 3.0])})),
+        "slip": _until_told(lambda: monitor.squeezing(40.0, 10.0)),
+        "tilted": _until_told(lambda: monitor.holding(**{**holds, "tilt_rad": 0.5})),
+        "lost_arm": _until_told(
+            lambda: monitor.motors(np.full(DOF, 5.0), np.r_[np.full(7, 5.0), np.zeros(7)])
+        ),
+    }
+    for name, (said, calls) in told.items():
+        assert said == name
+        assert calls <= 5
+    assert set(told) | {"unreachable"} == set(FAULTS)
+    assert _until_told(lambda: monitor.held_pose((0.0, 0.1)))[0] == "slip"
+    assert _until_told(lambda: monitor.holding(**{**holds, "spread_m": 0.25}))[0] == "slip"
+    assert monitor.closing(gaps, np.array([60.0, 3.0]), 1.6) is not None  # a finger that stands on the object
+
+
+def test_a_single_bad_reading_is_not_a_fault(monitor: FaultMonitor) -> None:
+    for _ in range(20):
+        assert monitor.resting((0.02, 0.0)) is None
+        assert monitor.resting((0.0, 0.0)) is None
+        assert monitor.squeezing(40.0, 0.0) is None
+        assert monitor.squeezing(40.0, 39.0) is None
+
+
+def test_a_soft_stop_integrates_its_own_speed_and_keeps_to_its_bound() -> None:
+    rng = np.random.default_rng(1)
+    v = rng.uniform(-2.0, 2.0, DOF)
+    stop = SoftStop(HOME, v, deceleration_share=0.5)
+    t = np.linspace(0.0, stop.duration_s, 2001)
+    q, speed, a = (np.array(x) for x in zip(*(stop.at(float(k)) for k in t), strict=True))
+    assert np.array_equal(q[0], HOME)
+    assert np.allclose(speed[0], v)
+    assert np.allclose(stop.at(stop.duration_s + 1.0)[1], 0.0)
+    assert np.allclose(np.gradient(q, t, axis=0)[1:-1], speed[1:-1], atol=1e-5)
+    assert np.allclose(np.gradient(speed, t, axis=0)[1:-1], a[1:-1], atol=1e-4)
+    assert np.max(np.abs(a) / A_MAX) <= 0.5 + 1e-9
+    assert np.max(np.abs(a) / A_MAX) > 0.49  # as fast as allowed, no slower
+
+
+def test_the_torque_rate_is_bounded_and_reaches_what_is_asked() -> None:
+    rate = TorqueRate(np.zeros(DOF), 0.001)
+    wanted = np.full(DOF, 10.0)
+    steps = [rate.limit(wanted).copy() for _ in range(12)]
+    assert np.allclose(np.diff(steps, axis=0).max(), 1.0)
+    assert np.allclose(steps[-1], wanted)
+    assert np.allclose(rate.limit(wanted + 0.3), wanted + 0.3)
+
+
+def test_an_unreachable_goal_is_told_before_the_object_is_lifted(scene: SceneConfig) -> None:
+    far = scene.model_copy(update={"task": scene.task.model_copy(update={"goal_xy_m": (0.9, -0.6)})})
+    world = World(far)
+    trial = sample_trial(far, 5, "faults", 0)
+    world.reset(rod_xy_yaw=trial.start)
+    carry = ImpedanceCarry(world, Kinematics(), CarryConfig(), trial, seed=5)
+    highest = 0.0
+    while not carry.done:
+        carry.step()
+        highest = max(highest, float(world.T_world_rod[2, 3]))
+    assert carry.fault is not None
+    assert carry.fault.name == "unreachable"
+    assert highest < far.rod.radius_m + 0.002
