@@ -180,7 +180,10 @@ def test_noise_alone_never_moves_a_resting_object() -> None:
 
 @pytest.fixture
 def monitor() -> FaultMonitor:
-    return FaultMonitor(CarryFaultConfig(), dt_s=0.001, width_m=0.02, pinch_n=60.0)
+    made = FaultMonitor(CarryFaultConfig(), dt_s=0.001, width_m=0.02, pinch_n=60.0)
+    for _ in range(100):  # a tenth of a second of an object that lies still
+        assert made.resting((0.0008, 0.008)) is None
+    return made
 
 
 def _until_told(look: Callable[[], tuple[str, str] | None], *, calls: int = 50) -> tuple[str, int]:
