@@ -3,7 +3,9 @@
 Braking slows the clock down instead of leaving the path, so that two hands that carry something keep their
 distance while they stop:
 
-    q(s),  s' = r,  r falls from 1 to 0 at a constant slope;   v = q' r,   a = q'' r^2 + q' dr/dt
+    q(s),  s' = r,  r falls from 1 to 0;   v = q' r,   a = q'' r^2 + q' dr/dt
+
+dr/dt rises from zero to a bounded slope and falls to zero again over short ramps, so that the torques do not jump.
 """
 
 from __future__ import annotations
@@ -19,6 +21,8 @@ BRAKE_SHARE = 0.8
 """Share of the joints' acceleration limits that braking along a trajectory may take."""
 _BRAKE_SLOPE_MIN, _BRAKE_SLOPE_MAX = 2.0, 20.0
 _OBJECT_BRAKE_SLOPE = 4.0
+_BRAKE_RAMP_S = 0.03
+_STOPPED_RATE = 1e-4
 _LOOK_AHEAD_ROWS = 500
 
 
@@ -31,6 +35,7 @@ class _Clock:
         self.t_s = 0.0
         self.rate = 1.0
         self.slope = 0.0
+        self._slope_max = 0.0
         self._dt, self._end_s = dt_s, duration_s
 
     @property
@@ -41,15 +46,23 @@ class _Clock:
     @property
     def braking(self) -> bool:
         """Whether it has been told to stop."""
-        return self.slope > 0.0
+        return self._slope_max > 0.0
+
+    def brake(self, slope_max: float) -> None:
+        """Let the rate fall to zero, by `slope_max` a second at most."""
+        self._slope_max = slope_max
 
     def step(self) -> None:
         """Advance by one control step; the first one leads to time zero."""
-        if self.slope > 0.0:
+        if self._slope_max > 0.0:
+            rise = self.slope + self._slope_max * self._dt / _BRAKE_RAMP_S
+            # Along this curve the slope falls to zero within the ramp's time while the rate does.
+            fall = float(np.sqrt(2.0 * self.rate * self._slope_max / _BRAKE_RAMP_S))
+            self.slope = min(rise, self._slope_max, fall)
             self.rate = max(0.0, self.rate - self.slope * self._dt)
             self.t_s = min(self.t_s + self.rate * self._dt, self._end_s)
-            if self.t_s >= self._end_s:
-                self.rate = 0.0
+            if self.rate < _STOPPED_RATE or self.t_s >= self._end_s:
+                self.rate = self.slope = 0.0
         elif self.k < self.steps:
             self.k += 1
             self.t_s = min(self.k * self._dt, self._end_s)
@@ -95,7 +108,7 @@ class TrajectoryExecution:
         k = max(clock.k, 0)
         ahead = np.abs(self._v[k : k + _LOOK_AHEAD_ROWS]).max(axis=0)
         limit = float((BRAKE_SHARE * A_MAX[self.joints] / np.maximum(ahead, 1e-6)).min())
-        clock.slope = float(np.clip(limit, _BRAKE_SLOPE_MIN, _BRAKE_SLOPE_MAX))
+        clock.brake(float(np.clip(limit, _BRAKE_SLOPE_MIN, _BRAKE_SLOPE_MAX)))
 
     def step(self) -> None:
         """Advance by one control step."""
@@ -106,8 +119,7 @@ class TrajectoryExecution:
             return
         rows = self.command.motion.sample_many(np.array([clock.t_s]))
         q, v, a = (x[0, self._columns] for x in rows)
-        slope = clock.slope if clock.rate > 0.0 else 0.0
-        self.q, self.v, self.a = q, v * clock.rate, a * clock.rate**2 - v * slope
+        self.q, self.v, self.a = q, v * clock.rate, a * clock.rate**2 - v * clock.slope
 
 
 class ObjectExecution:
@@ -138,7 +150,7 @@ class ObjectExecution:
     def brake(self) -> None:
         """Come to rest on the path; the squeeze stays as it is by then."""
         if not (self._clock.braking or self._clock.finished):
-            self._clock.slope = _OBJECT_BRAKE_SLOPE
+            self._clock.brake(_OBJECT_BRAKE_SLOPE)
 
     def step(self) -> None:
         """Advance by one control step."""
@@ -147,7 +159,7 @@ class ObjectExecution:
         state = self.command.motion.at(clock.t_s)
         self.squeeze_n = self.command.squeeze_n(clock.t_s)
         if clock.braking:
-            rate, slope = clock.rate, clock.slope if clock.rate > 0.0 else 0.0
+            rate, slope = clock.rate, clock.slope
             state = ObjectState(
                 state.T_world_object,
                 state.twist * rate,

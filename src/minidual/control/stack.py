@@ -228,6 +228,11 @@ class ControlStack:
         return self._pending or any(not e.finished for e in self.arbiter.executions)
 
     @property
+    def tick_next(self) -> bool:
+        """Whether the next `step` begins with a regular tick of the arbiter: the instant to propose a streamed command."""
+        return self._countdown == 0
+
+    @property
     def reference(self) -> Array:
         """Joint references (14,) [rad] of the last control step."""
         return self.manager.reference

@@ -23,4 +23,14 @@ TOOLS: tuple[ToolEntry, ...] = (
             ToolOption("camera", "overview, high, left or right."),
         ),
     ),
+    ToolEntry(
+        "modes",
+        "minidual.stages.modes:modes",
+        "Planner, leader and policy hand the arms to one another in one process: film, log, bounds of every switch",
+        (
+            ToolOption("modes", "Modes in turn, separated by commas (default: moveit,teleop,policy,moveit)."),
+            ToolOption("checkpoint", "Folder of the policy (default: the run's train-act)."),
+        ),
+        watchable=True,
+    ),
 )

@@ -1,0 +1,195 @@
+"""`minidual modes`: planner, leader and policy hand the arms to one another in one process, on film."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from minidual.errors import ExitCode, GateClosedError, UsageError
+from minidual.pipeline.tool import ToolContext, ToolResult
+
+if TYPE_CHECKING:
+    from minidual.control.stack import ControlStack
+    from minidual.evaluation.modes import ModesResult
+    from minidual.evaluation.modes_drivers import Driver
+    from minidual.sim.render import Image
+
+_PATIENCE_S = 1.0
+"""Streamed targets ask for faster changes of torque than the motors follow. Here that is limited for as long as it
+lasts instead of stopping the arms after the supervisor's default patience."""
+_INTERRUPT_SHARE = 0.55
+"""The planner's first motion is interrupted after this part of it: a switch of arms in motion."""
+
+
+def modes(context: ToolContext) -> ToolResult:
+    """Run the demonstration, write film and log, and hold every switch to its bounds."""
+    from minidual.evaluation.modes import DEFAULT_MODES, parse_modes
+
+    named = context.options.get("modes")
+    wanted = DEFAULT_MODES if named is None else parse_modes(named)
+    checkpoint = find_checkpoint(context) if "policy" in wanted else None
+    result = _run(context, wanted, checkpoint)
+    return ToolResult(
+        lines=[str(context.folder / "modes.json"), str(context.folder / "modes.mp4")],
+        notes=_notes(result, context),
+        data=result.to_json(),
+        exit_code=ExitCode.ACCEPTANCE_FAILED if result.faults else ExitCode.PASS,
+    )
+
+
+def find_checkpoint(context: ToolContext) -> Path:
+    """Return the policy to use: the one named, or the run's own.
+
+    Raises:
+        UsageError: The folder named does not exist.
+        GateClosedError: The run has no trained policy.
+    """
+    named = context.options.get("checkpoint")
+    if named is not None:
+        folder = Path(named).expanduser()
+        if not (folder / "config.json").is_file():
+            raise UsageError(f"--checkpoint {named}: there is no policy (config.json) in that folder")
+        return folder
+    folder = context.run_folder / "train-act" / "checkpoint"
+    if not (folder / "config.json").is_file():
+        raise GateClosedError(
+            f"mode 'policy' needs a trained policy, and the run '{context.run_folder.name}' has none ({folder})",
+            remedy=f"{context.command('run --until train-act')}; or name one with --checkpoint PATH; or leave the "
+            "policy out with --modes moveit,teleop,moveit",
+        )
+    return folder
+
+
+def _run(context: ToolContext, wanted: tuple[str, ...], checkpoint: Path | None) -> ModesResult:
+    from minidual.control.stack import ControlStack
+    from minidual.control.supervisor import Supervisor
+    from minidual.evaluation.modes import ModesDemo
+    from minidual.evaluation.modes_film import FILM_FPS, FILM_SIZE, filmed
+    from minidual.pipeline.canonical import canonical, dumps, write_durably
+    from minidual.robot.kinematics import Kinematics
+    from minidual.sim.model import build_model
+    from minidual.sim.render import Camera, write_video
+    from minidual.sim.world import World
+    from minidual.tasks.rod_carry import sample_trial
+
+    config = context.config
+    world = World(config.scene, model=build_model(config.scene, visuals=True))
+    trial = sample_trial(config.scene, context.seed, "modes", 0)
+    world.reset(rod_xy_yaw=trial.goal)  # as the last carry left it
+    bounds = config.supervisor.model_copy(update={"torque_rate_patience_s": _PATIENCE_S})
+    stack = ControlStack(
+        world, Kinematics(), config.arbiter,
+        rate_hz=config.teleop.rate_hz, supervisor=Supervisor(bounds, dt_s=world.dt),
+    )  # fmt: skip
+    with Camera.recorded(world.model, config.scene.camera) as eyes:
+        demo = ModesDemo(
+            stack, _turns(context, stack, trial, checkpoint, wanted, lambda n: eyes.picture(world.data, n))
+        )
+        steps = _watched(context, demo.steps(), stack)
+        with Camera(world.model, *FILM_SIZE, shadows=True) as camera:
+            write_video(context.output / "modes.mp4", filmed(steps, stack, camera), fps=FILM_FPS)
+    result = demo.result(config.arbiter)
+    demo.recorder.write_csv(context.output / "modes.csv")
+    document = {
+        "modes": list(wanted),
+        "checkpoint": str(checkpoint) if checkpoint else None,
+        "seed": context.seed,
+        **result.to_json(),
+        "bounds": [
+            {
+                "mode": s.mode,
+                **{n: {"value": v, "bound": b} for n, v, b in s.bounds(config.arbiter, world.dt)},
+            }
+            for s in result.switches
+        ],
+    }
+    write_durably(context.output / "modes.json", dumps(canonical(document)))
+    return result
+
+
+def _turns(
+    context: ToolContext,
+    stack: ControlStack,
+    trial: Any,
+    checkpoint: Path | None,
+    wanted: tuple[str, ...],
+    picture: Callable[[str], Image],
+) -> list[tuple[str, Callable[[], Driver]]]:
+    """Return who drives in each turn; what several turns share is loaded once."""
+    from minidual.evaluation.modes_drivers import MoveitDriver, PolicyDriver, TeleopDriver
+    from minidual.planning.api import Planner
+    from minidual.tasks.operator import ScriptedOperator
+
+    config, seed = context.config, context.seed
+    planner = Planner(config=config.plan.planner)
+    operator = ScriptedOperator(config.scene, config.teleop.operator)
+    runtime: Any = None
+    if checkpoint is not None:
+        from minidual.learning.pilot import load_runtime
+
+        runtime = load_runtime(checkpoint, config.deploy)
+
+    def make(mode: str, last: bool) -> Driver:
+        if mode == "moveit":
+            share = 1.0 if last else _INTERRUPT_SHARE
+            return MoveitDriver(stack, planner, seed, home=last, share=share)
+        if mode == "teleop":
+            return TeleopDriver(stack, operator, trial.start, seed, config.teleop.rate_hz)
+        return PolicyDriver(stack, runtime, picture, trial)
+
+    final = len(wanted) - 1
+    return [(mode, lambda mode=mode, k=k: make(mode, k == final)) for k, mode in enumerate(wanted)]
+
+
+def _watched(
+    context: ToolContext, steps: Iterator[tuple[str, str]], stack: ControlStack
+) -> Iterator[tuple[str, str]]:
+    """Pass the steps on, showing them to whoever watches live."""
+    view = context.view
+    if view is None:
+        yield from steps
+        return
+    from minidual.view.overlay import Overlay
+
+    world = stack.world
+    view.open(world.model)
+    for mode, doing in steps:
+        if view.due():
+            source = stack.output.active_source or ""
+            view.update(
+                world.data,
+                Overlay(
+                    world.time, title="modes", mode=mode, source=source, state=str(stack.state), status=doing
+                ),
+            )
+        yield mode, doing
+
+
+def _notes(result: ModesResult, context: ToolContext) -> list[str]:
+    notes = [
+        "switch to   asked at  confirmed  fastest joint  first step  reference step  torque step (asked for)",
+        "                  s          s          rad/s         rad  rad in 1 ms     Nm in 1 ms",
+    ]
+    notes += [
+        f"{s.mode:<10}{s.requested_s:>9.2f}{s.confirmed_s:>11.2f}{s.speed_at_request_rad_s:>15.2f}{s.first_step_rad:>12.4f}"
+        f"{s.reference_step_rad:>13.5f}{s.torque_step_nm:>14.2f} ({s.torque_step_asked_nm:.1f})"
+        for s in result.switches
+    ]
+    for outcome in result.outcomes:
+        notes.append(", ".join(f"{k} {_text(v)}" for k, v in outcome.items()))
+    for name in sorted({r[1] for r in result.refusals}):
+        notes.append(f"refused as {name}: {sum(r[1] == name for r in result.refusals)}")
+    notes += [f"OVER ITS BOUND: {fault}" for fault in result.faults]
+    if not result.faults:
+        notes.append("every step at every switch within its bound")
+    notes.append(f"log, film: {context.folder}")
+    return notes
+
+
+def _text(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.3g}"
+    if isinstance(value, list):
+        return "[" + ", ".join(_text(v) for v in value) + "]"
+    return str(value)
