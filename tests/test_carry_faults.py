@@ -198,6 +198,8 @@ def test_every_row_of_the_table_can_be_told(monitor: FaultMonitor) -> None:
     fine, gaps = np.full(2, 60.0), np.full(2, 0.02)
     holds = {"pinch_n": fine, "gap_m": gaps, "spread_m": 0.24, "tilt_rad": 0.0}
     assert monitor.holding(**holds) is None
+    for _ in range(12):  # what the sensor's noise is like
+        assert monitor.resting((0.0005, 0.005)) is None
     told = {
         "missed_grasp": _until_told(lambda: monitor.closing(np.array([0.02, 0.01]), np.zeros(2), 0.1)),
         "knocked_away": _until_told(lambda: monitor.resting((0.01, 0.0))),

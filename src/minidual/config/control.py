@@ -109,8 +109,11 @@ class CarryFaultConfig(StrictModel):
     """When a carry gives itself up; each limit reads sensed quantities only. See tasks/faults.py."""
 
     displaced_m: float = Field(default=0.004, gt=0.0, le=0.1)
-    """Distance of a resting object from where it lay, or of a held one from where the hands should have it."""
+    """Distance of a resting object from where it lay, or of a held one from where the hands should have it; more where
+    the sensor scatters more while the object lies still."""
     displaced_rad: float = Field(default=0.045, gt=0.0, le=1.0)
+    creep_m: float = Field(default=0.001, gt=0.0, le=0.1)
+    """How far the hands may move along the object before the squeeze is eased."""
     gap_margin_m: float = Field(default=0.004, gt=0.0, le=0.03)
     """A hand that closes this far under the object's width holds nothing."""
     grasp_timeout_s: float = Field(default=1.5, gt=0.1, le=10.0)

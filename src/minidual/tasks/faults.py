@@ -64,6 +64,33 @@ Finding = tuple[str, str] | None
 """(name, detail) of what was found, or None."""
 
 
+_SCATTERS = 2.9
+"""Root mean squares of a reading's distance from its mean that it must exceed to mean something: five standard
+deviations a coordinate, which white noise does twice in a row once in a billion samples."""
+_LEARNT = 10
+"""Samples before the scatter of a sensor is known well enough to judge by it."""
+
+
+class _Scatter:
+    """How far readings of an object that lies still stray: a sensor is only as good as it shows itself to be."""
+
+    def __init__(self, least: float) -> None:
+        self._least, self._squares, self._count = least, 0.0, 0
+
+    @property
+    def limit(self) -> float:
+        """Distance that a reading must exceed to be no noise; generous until enough readings were seen."""
+        if self._count < _LEARNT:
+            return 4.0 * self._least
+        return max(self._least, _SCATTERS * float(np.sqrt(self._squares / self._count)))
+
+    def learn(self, distance: float) -> None:
+        """Take in a reading of an object that has not moved."""
+        if distance <= self.limit:
+            self._squares += distance**2
+            self._count += 1
+
+
 class FaultMonitor:
     """Looks for faults; each method is called once a control step in the phases where it applies.
 
@@ -79,6 +106,11 @@ class FaultMonitor:
         self._needed = max(1, round(config.persistence_s / dt_s))
         self._counts: dict[str, int] = {}
         self._spread_m: float | None = None
+        self._away_m, self._away_rad = _Scatter(config.displaced_m), _Scatter(config.displaced_rad)
+
+    def _is_away(self, innovation: tuple[float, float]) -> bool:
+        """Return whether a pose sample is farther from where the object should be than its sensor's scatter."""
+        return innovation[0] > self._away_m.limit or innovation[1] > self._away_rad.limit
 
     def _lasts(self, key: str, now: bool, needed: int | None = None) -> bool:
         """Return whether `now` has held for as many calls in a row as needed."""
@@ -99,8 +131,10 @@ class FaultMonitor:
     def resting(self, innovation: tuple[float, float]) -> Finding:
         """Judge one fresh pose sample of an object that nobody has touched."""
         away_m, away_rad = innovation
-        config = self._config
-        if self._lasts("resting", away_m > config.displaced_m or away_rad > config.displaced_rad, 2):
+        away = self._is_away(innovation)
+        self._away_m.learn(away_m)
+        self._away_rad.learn(away_rad)
+        if self._lasts("resting", away, 2):
             return "knocked_away", f"the object is {1e3 * away_m:.0f} mm from where it lay"
         return None
 
@@ -138,8 +172,7 @@ class FaultMonitor:
     def held_pose(self, innovation: tuple[float, float]) -> Finding:
         """Judge one fresh pose sample of a held object: how far it is from where the hands should have it."""
         away_m, away_rad = innovation
-        config = self._config
-        if self._lasts("held", away_m > config.displaced_m or away_rad > config.displaced_rad, 2):
+        if self._lasts("held", self._is_away(innovation), 2):
             return (
                 "slip",
                 f"the object is {1e3 * away_m:.1f} mm, {np.degrees(away_rad):.1f} deg off in the hands",

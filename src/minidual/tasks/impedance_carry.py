@@ -37,6 +37,10 @@ _STOPPED_S = 0.5
 _STOP_FREQUENCY_RAD_S = 8.0
 _RETREAT_M = 0.10
 _GRIPPED = 0.9
+_EASED = 0.75
+"""Share of the squeeze felt as the hands began to slip that is wanted from then on."""
+_EASE_MARGIN = 1.1
+"""Squeeze over what the task needs below which it is not eased: a grip that slips even then is lost."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +105,8 @@ class ImpedanceCarry:
         self._dead = np.zeros(2, dtype=bool)
         self._stop_opens = False
         self._phase = _Phase("approach", world.time)
+        self._squeeze_n = config.impedance.internal_force_n
+        self._spread_m: float | None = None
         self._hold: _Hold | None = None
         self._desired: ObjectState | None = None
         self.fault: CarryFault | None = None
@@ -124,6 +130,11 @@ class ImpedanceCarry:
     def estimate(self) -> ObjectState:
         """Where the controller believes the object to be."""
         return ObjectState(self._resting.T_world_object) if self._hold is None else self._hold.estimate.state
+
+    @property
+    def squeeze_n(self) -> float:
+        """Internal force that is wanted once the squeeze is complete [N]; it falls when the hands slip."""
+        return self._squeeze_n
 
     @property
     def desired(self) -> ObjectState | None:
@@ -316,13 +327,28 @@ class ImpedanceCarry:
         self._heed(
             monitor.holding(self._pinch, self._gaps_m(), estimate.spread_m, tilt_rad(state.T_world_object))
         )
+        self._ease(estimate.spread_m, felt_n)
         if fresh:
             self._heed(monitor.held_pose(estimate.innovation))
         if steady:
             self._heed(monitor.squeezing(squeeze_n, felt_n))
 
+    def _ease(self, spread_m: float, felt_n: float) -> None:
+        """Want less squeeze when the hands begin to slip along the object: it is smoother than expected.
+
+        The squeeze is carried by friction, at most 2 mu times the pinch. What was felt as they began to slip is that
+        limit; three quarters of it holds with a margin. The squeeze rises while the object still lies on the table, so
+        a smooth one shows there.
+        """
+        if self._spread_m is None:
+            self._spread_m = spread_m
+        if abs(spread_m - self._spread_m) > self._config.faults.creep_m:
+            least = _EASE_MARGIN * self._scene.task.internal_force_min_n
+            self._squeeze_n = max(min(self._squeeze_n, least), min(self._squeeze_n, _EASED * felt_n))
+            self._spread_m = spread_m
+
     def _squeeze(self, t: float) -> None:
-        full = self._config.impedance.internal_force_n
+        full = self._squeeze_n
         if (
             self._impedance(0.0, full * min(1.0, t / _SQUEEZE_RAMP_S))
             and t > _SQUEEZE_RAMP_S + _SQUEEZE_SETTLE_S
@@ -330,13 +356,13 @@ class ImpedanceCarry:
             self._enter("carry")
 
     def _carry(self, t: float) -> None:
-        full, duration = self._config.impedance.internal_force_n, self._held.path.duration_s
+        full, duration = self._squeeze_n, self._held.path.duration_s
         if self._impedance(t, full, steady=True) and t > duration + _LANDED_S:
             self._enter("unload")
 
     def _unload(self, t: float) -> None:
         remaining = max(0.0, 1.0 - t / _RELEASE_RAMP_S)
-        full = self._config.impedance.internal_force_n
+        full = self._squeeze_n
         if self._impedance(self._held.path.duration_s, full * remaining) and t > _RELEASE_RAMP_S:
             self._resting = RestingEstimate(self.estimate.T_world_object)
             self._hold = None

@@ -1,0 +1,67 @@
+"""What the carry makes of a world that is not as expected: smoother objects, worse cameras."""
+
+import numpy as np
+import pytest
+
+from minidual.config.change import changed
+from minidual.config.control import CarryFaultConfig
+from minidual.config.root import Config
+from minidual.evaluation.conditions import condition
+from minidual.evaluation.methods import MethodInputs
+from minidual.evaluation.trials import Bench
+from minidual.tasks.faults import FaultMonitor
+from minidual.tasks.rod_carry import sample_trial
+
+
+@pytest.fixture(scope="module")
+def bench() -> Bench:
+    return Bench("impedance", MethodInputs(Config(), 11))
+
+
+def carry(bench: Bench, name: str):
+    wanted = []
+    result, _ = bench.run(
+        sample_trial(bench.world.scene, 11, "robust", 0), condition=name,
+        on_step=lambda world, method: wanted.append(getattr(method, "squeeze_n", None)),
+    )  # fmt: skip
+    return result, wanted
+
+
+def test_a_smoother_object_is_squeezed_less_and_not_lost(bench):
+    result, wanted = carry(bench, "friction 0.3")
+    assert result.success, result.text
+    # 2 mu F_pinch = 36 N cannot carry 40 N of squeeze
+    assert wanted[-1] < 2.0 * 0.3 * bench.world.scene.physics.finger_force_max_n
+    assert result.metrics.internal_force_min_n > bench.world.scene.task.internal_force_min_n
+
+
+def test_an_object_as_expected_is_squeezed_as_told(bench):
+    result, wanted = carry(bench, "clean")
+    assert result.success, result.text
+    assert set(wanted) == {Config().carry.impedance.internal_force_n}
+
+
+def test_a_grip_that_slips_at_any_squeeze_is_given_up(bench):
+    config = changed(
+        Config(), {"carry.impedance.pinch_n": 30.0}
+    )  # 2 * 0.3 * 30 = 18 N, less than the task needs
+    weak = Bench("impedance", MethodInputs(config, 11))
+    result, _ = weak.run(sample_trial(config.scene, 11, "robust", 0), condition="friction 0.3")
+    assert not result.success
+    assert "slip" in result.aborted
+
+
+def test_a_camera_is_trusted_as_far_as_it_scatters():
+    rng = np.random.default_rng(0)
+    for sigma_m, moved_m, told in ((0.0005, 0.006, True), (0.0015, 0.006, False), (0.0015, 0.02, True)):
+        monitor = FaultMonitor(CarryFaultConfig(), dt_s=0.001, width_m=0.018, pinch_n=60.0)
+        for _ in range(100):
+            assert monitor.resting((float(np.linalg.norm(sigma_m * rng.standard_normal(3))), 0.0)) is None
+        assert (monitor.resting((moved_m, 0.0)) or monitor.resting((moved_m, 0.0)) is not None) is told
+
+
+def test_worse_sensing_raises_no_false_alarm(bench):
+    name = "pose noise x3"
+    worse = Bench("impedance", MethodInputs(changed(Config(), condition(name).settings), 11))
+    result, _ = carry(worse, name)
+    assert result.success, result.text
