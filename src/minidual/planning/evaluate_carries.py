@@ -16,7 +16,8 @@ from minidual.planning.errors import PlanningError
 from minidual.planning.hands_ik import HandsIK
 from minidual.planning.held_moves import HeldMove, HeldMoveGenerator, rod_grasps, rod_shape
 from minidual.planning.held_path import CarriedTrajectory
-from minidual.planning.held_planner import HeldPlanner, HeldQuery
+from minidual.planning.held_planner import HeldPlanner
+from minidual.planning.held_query import HeldQuery
 from minidual.planning.scene import PlanningScene
 from minidual.robot.constants import HOME, Array
 from minidual.robot.kinematics import Kinematics

@@ -2,8 +2,9 @@
 
 Start and goal are rod poses over the table: the goal is up to 0.5 m and 90 degrees away, turned about the vertical and
 tilted. Every second move has obstacles, and of those the straight way is blocked where such a scene is found. A move
-enters the set only with a witness: a free path from start to goal that a long search found, looking the other way
-round (from the goal to the start) and with its own random numbers. What has no witness is left out and counted.
+enters the set only with a witness: a path that long searches found, looking the other way round (from the goal
+to the start) and with their own random numbers, and that was timed and proven free. What has no witness is left out
+and counted.
 """
 
 from __future__ import annotations
@@ -17,9 +18,10 @@ from minidual.config.scene import RodConfig
 from minidual.config.seeds import stream
 from minidual.planning.closed_chain import scene_holding
 from minidual.planning.edges import EdgeChecker
-from minidual.planning.errors import PlanningError
+from minidual.planning.errors import ClosedChainError, PlanningError, TimingError
 from minidual.planning.hands_ik import HandsIK
-from minidual.planning.held_planner import HeldQuery
+from minidual.planning.held_planner import HeldPlanner
+from minidual.planning.held_query import HeldQuery
 from minidual.planning.held_search import search_object
 from minidual.planning.held_space import HeldSpace
 from minidual.planning.ik import ArmIK
@@ -37,11 +39,12 @@ _MOVE_MAX_M = 0.5
 _TURN_MAX_RAD = float(np.pi / 2.0)
 _YAW_RAD, _LEAN_RAD = 0.6, 0.25
 _OBSTACLES_N = 3
-_WITNESS_CHECKS_N = 20_000
+_WITNESS_CHECKS_N = 10_000
 _WITNESS_S = 60.0
 _TRIES_N = 200
 _IK_STARTS_N = 6
-_PADDING_M = 0.004
+_WITNESS_TRIES = ((0.005, 1.0), (0.008, 0.5), (0.002, 0.5))
+"""Padding [m] and closeness of the points that are checked, of the searches for a witness."""
 _EDGE_STEP_RAD = 0.03
 _ROOT_HALF = float(np.sqrt(0.5))
 _LOW, _HIGH = np.array([0.35, -0.3, 0.08]), np.array([0.6, 0.3, 0.4])
@@ -58,7 +61,7 @@ class HeldMove:
         with_obstacles: Whether more than the table stands round.
         blocked: Whether the straight way, continued from the start, touches something or cannot be followed.
         distance_m, turn_rad: How far and by how much the rod moves.
-        witness: Points (n, 20) of a free path, from start to goal.
+        witness: Points (n, 20) of a path from start to goal that was proven free.
         undecided_n: Drawn before this one and left out, because no witness was found for them.
         unreachable_n: Drawn before this one and left out, because no free posture holds the rod at start or goal.
     """
@@ -110,6 +113,7 @@ class HeldMoveGenerator:
         self._shape = rod_shape(rod)
         self._kinematics = Kinematics()
         self._hands = HandsIK(*self._grasps, self._kinematics)
+        self._prover = HeldPlanner()
         self._ik = {arm: ArmIK(arm) for arm in ARMS}
 
     def move(self, index: int) -> HeldMove:
@@ -141,12 +145,11 @@ class HeldMoveGenerator:
                 blocked = self._blocked(engine, start, T_goal)
                 if with_obstacles and not blocked:
                     continue
-                witness = self._witness(rng, engine, start, goal)
+                query = HeldQuery(start[1], T_goal, *self._grasps, scene, int(rng.integers(2**31)))
+                witness = self._witness(rng, engine, query, start, goal)
                 if witness is None:
                     undecided += 1
                     continue
-                seed = int(rng.integers(2**31))
-                query = HeldQuery(start[1], T_goal, *self._grasps, scene, seed)
                 way = ObjectChart(start[0][:3, :3])
                 turn = float(np.linalg.norm(way.coordinates(T_goal)[3:])) / 0.2
                 return HeldMove(
@@ -202,17 +205,26 @@ class HeldMoveGenerator:
         self,
         rng: np.random.Generator,
         engine: MujocoEngine,
+        query: HeldQuery,
         start: tuple[Array, Array],
         goal: tuple[Array, Array],
     ) -> Array | None:
-        """Return points (n, 20) of a free path from start to goal, searched from the goal, or None."""
-        checker = EdgeChecker(engine, _PADDING_M, (start[1], goal[1]), _EDGE_STEP_RAD)
-        space = HeldSpace(self._hands, ObjectChart(start[0][:3, :3]), checker)
-        path = search_object(
-            space, space.point(*goal), [space.point(*start)], rng,
-            checks_max=_WITNESS_CHECKS_N, deadline=time.perf_counter() + _WITNESS_S,
-        )  # fmt: skip
-        return None if path is None else path[::-1]
+        """Return points (n, 20) from start to goal that can be timed and proven free, searched from the goal, or None."""
+        for padding_m, step_scale in _WITNESS_TRIES:
+            checker = EdgeChecker(engine, padding_m, (start[1], goal[1]), _EDGE_STEP_RAD)
+            space = HeldSpace(self._hands, ObjectChart(start[0][:3, :3]), checker, step_scale)
+            path = search_object(
+                space, space.point(*goal), [space.point(*start)], rng,
+                checks_max=_WITNESS_CHECKS_N, deadline=time.perf_counter() + _WITNESS_S,
+            )  # fmt: skip
+            if path is None:
+                continue
+            try:
+                self._prover.prove(query, path[::-1])
+            except (ClosedChainError, TimingError):
+                continue
+            return path[::-1]
+        return None
 
 
 def _random_goal(rng: np.random.Generator, T_world_start: Array) -> Array:

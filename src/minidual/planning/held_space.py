@@ -21,7 +21,7 @@ X, Q = slice(0, 6), slice(6, 20)
 JOINT_WEIGHT_M = 0.1
 """How much of a distance one radian of all joints together counts for [m/rad]."""
 _STEP_M = 0.03
-_STEP_RAD = 0.08
+_STEP_RAD = 0.06
 _JUMP_RAD = 0.4
 
 
@@ -32,9 +32,14 @@ class HeldSpace:
         hands: Follows the object.
         chart: Coordinates of object poses.
         checker: Collision checks of configurations (14,).
+        step_scale: How much closer than usual (1.0) the points of an edge are checked.
     """
 
-    def __init__(self, hands: HandsIK, chart: ObjectChart, checker: EdgeChecker) -> None:
+    def __init__(
+        self, hands: HandsIK, chart: ObjectChart, checker: EdgeChecker, step_scale: float = 1.0
+    ) -> None:
+        self._step_m, self._step_rad = step_scale * _STEP_M, step_scale * _STEP_RAD
+        self._jump_rad = step_scale * _JUMP_RAD
         self.hands = hands
         self.chart = chart
         self.checker = checker
@@ -62,7 +67,9 @@ class HeldSpace:
     def edge_free(self, a: Array, b: Array) -> bool:
         """Return whether the edge from a to b, both (20,) and free, can be followed and is free."""
         step = b - a
-        count = int(np.ceil(max(np.linalg.norm(step[X]) / _STEP_M, np.abs(step[Q]).max() / _STEP_RAD)))
+        count = int(
+            np.ceil(max(np.linalg.norm(step[X]) / self._step_m, np.abs(step[Q]).max() / self._step_rad))
+        )
         if count < 2:
             return True
         joints = np.empty((count + 1, 14))
@@ -74,7 +81,7 @@ class HeldSpace:
             if z is None:
                 return False
             joints[round(share * count)] = z[Q]
-        return bool(np.abs(np.diff(joints, axis=0)).max() < _JUMP_RAD)
+        return bool(np.abs(np.diff(joints, axis=0)).max() < self._jump_rad)
 
     def samples(self, rng: np.random.Generator, ends: Array, room_m: float, turn_m: float) -> Iterator[Array]:
         """Yield random coordinates (6,): in the box round the ends, `room_m` wider, turns up to `turn_m` about them.
