@@ -68,6 +68,8 @@ def run_tool(
     typed = {name: values[key(name)] for name in names if _was_typed(values[key(name)])}
     overrides = [Override(*item) for item in stage.overrides(typed)] if stage else []
     config = session.loaded.with_overrides(overrides).config
+    if values.get("view") not in (None, "none") and not tool.watchable:
+        raise UsageError(f"{tool.name} shows nothing to a view", remedy="leave out --view")
     with live_view(session, values, tool.view_default) as view:
         context = ToolContext(
             config, config.seed, config.workers if view is None else 1, session.loaded.profile,
@@ -190,9 +192,12 @@ def _state_json(state: StageState) -> dict[str, Any]:
 
 
 def explain_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
-    """Explain one stage."""
+    """Explain one stage, or without one walk the debug ladder."""
+    from minidual.cli.ladder import explain_ladder, print_lowest, walk_of
     from minidual.cli.tables import print_explanation
 
+    if values["stage"] is None:
+        return explain_ladder(session)
     entry = session.table[values["stage"]]
     gate = session.gate()
     state = gate.state(entry.name)
@@ -205,6 +210,7 @@ def explain_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
                 "requires": {item.name: item.state for item in upstream},
                 "folder": state.folder,
                 "verdict": state.verdict.to_json() if state.verdict else None,
+                "ladder": walk_of(session, gate).to_json(),
             }
         )
         return ExitCode.PASS
@@ -216,6 +222,8 @@ def explain_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
     else:
         following = f"next: {session.typed.command(entry.name)}"
     print_explanation(session.data, entry, state, upstream, following)
+    if state.state != "pass":
+        print_lowest(session.data, walk_of(session, gate))
     return ExitCode.PASS
 
 
