@@ -28,7 +28,18 @@ from minidual.control.joint_control import within_motors
 from minidual.errors import MinidualError
 from minidual.robot.constants import DOF, GROUPS, JOINT_DAMPING, Array
 from minidual.robot.kinematics import HandMotion, Kinematics
-from minidual.robot.vectors import Vector, apply, apply_transposed, cross, minus, plus, times
+from minidual.robot.vectors import (
+    Matrix,
+    Vector,
+    apply,
+    apply_transposed,
+    cross,
+    minus,
+    parts,
+    plus,
+    rotation_error,
+    times,
+)
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 _G = 9.81
@@ -98,19 +109,20 @@ class ObjectImpedance:
         self._D = [0.0] * 6
         self._inertia: list[list[float]] = held.inertia_kg_m2.tolist()
         self._axis: list[float] = held.axis.tolist()
-        self._R_object_hands = tuple(np.array(T[:3, :3]) for T in held.T_object_tcps)
+        self._mass_kg = held.mass_kg
+        self._R_hand_object = tuple(np.array(T[:3, :3].T) for T in held.T_object_tcps)
 
         # Generalised forces of the hands and of joint friction in one product: [J; D]^T [f; v].
         stacked = np.vstack([np.zeros((12, DOF)), JOINT_DAMPING * np.eye(DOF)])
         self._to_joints, self._J = stacked.T, stacked[:12]
-        self._pushes = np.zeros(12 + DOF)
-        self._f, self._v = self._pushes[:12], self._pushes[12:]
+        # f (12), v (14) and q* - q (14) side by side, so that v is written once for both products that take it.
+        rows = np.zeros(12 + 2 * DOF)
+        self._f, self._v, self._away = rows[:12], rows[12 : 12 + DOF], rows[12 + DOF :]
+        self._pushes, self._posture_error = rows[: 12 + DOF], rows[12:].reshape(2, DOF)
         self._hands = HandMotion(kinematics, self._J)
 
         self._posture = np.zeros(DOF)
-        self._posture_gains = np.array([gains.posture_stiffness_per_s2, -gains.posture_damping_per_s])
-        self._posture_error = np.zeros((2, DOF))  # rows: q* - q and v
-        self._away, self._speed = self._posture_error
+        self._posture_gains = np.array([-gains.posture_damping_per_s, gains.posture_stiffness_per_s2])
 
     def engage(self, q: Array) -> None:
         """Take over at posture q (14,): the damping and the null-space posture follow from it."""
@@ -140,25 +152,26 @@ class ObjectImpedance:
             internal_force_n: Squeeze wanted [N].
             measured_internal_force_n: Squeeze sensed at the contacts [N]; never taken from the hands' distance.
         """
-        # Posture first: what of it the hands would feel is taken out again below.
-        np.subtract(self._posture, q, self._away)
-        self._speed[:] = v
-        posture = self._posture_gains.dot(self._posture_error)
         hands = self._hands
+        # Posture first: what the hands would feel of it is taken out again by `_least_acceleration`.
+        np.subtract(self._posture, q, self._away)
+        self._v[:] = v
+        posture = self._posture_gains.dot(self._posture_error)
         hands.update(q, v, posture)
 
-        R, R_d = measured.T_world_object[:3, :3], np.ascontiguousarray(desired.T_world_object[:3, :3])
-        p = measured.T_world_object[:3, 3].tolist()
+        R, p = parts(measured.T_world_object)
+        wanted = _Wanted(desired)
         r_left, r_right = minus(hands.p[0].tolist(), p), minus(hands.p[1].tolist(), p)
-        rows = R.tolist()
-        force, moment = self._object_wrench(R, R_d, rows, p, measured, desired)
         squeeze = self._squeeze(internal_force_n, measured_internal_force_n)
-        f = GraspMap(r_left, r_right).squeezing(force, moment, times(squeeze, apply(rows, self._axis)))
-        self._hold_hands(f, R_d, desired, self._J.dot(v).tolist())
+        f = GraspMap(r_left, r_right).squeezing(
+            *self._object_wrench(R, p, wanted, (desired.twist - measured.twist).tolist()),
+            times(squeeze, apply(R, self._axis)),
+        )
+        self._hold_hands(f, wanted, self._J.dot(v).tolist())
         self._f[:] = f
-        self._v[:] = v
 
-        qdd = posture + self._least_acceleration(r_left, r_right, desired)
+        qdd = self._least_acceleration(r_left, r_right, wanted)
+        qdd += posture
         tau = pin.rnea(self._model, self._data, q, v, qdd)
         tau += self._to_joints.dot(self._pushes)
         return within_motors(tau)
@@ -170,62 +183,66 @@ class ObjectImpedance:
         return min(self.gains.force_ceiling_n, max(0.0, wanted_n + correction))
 
     def _object_wrench(
-        self, R: Array, R_d: Array, rows: list[list[float]], p: list[float],
-        measured: ObjectState, desired: ObjectState,
-    ) -> tuple[Vector, Vector]:  # fmt: skip
+        self, R: Matrix, p: Vector, wanted: _Wanted, twist_error: list[float]
+    ) -> tuple[Vector, Vector]:
         """Return w as (force, moment): spring, damper, and what the object's own mass needs."""
-        e = minus(desired.T_world_object[:3, 3].tolist(), p)
-        turn = pin.log3(R_d.dot(R.T)).tolist()
+        e1, e2, e3 = minus(wanted.p, p)
+        e4, e5, e6 = rotation_error(wanted.R, R)
         k1, k2, k3, k4, k5, k6 = self._K
         d1, d2, d3, d4, d5, d6 = self._D
-        v1, v2, v3, v4, v5, v6 = (desired.twist - measured.twist).tolist()
-        a1, a2, a3, *alpha = desired.acceleration.tolist()
-        m = self.held.mass_kg
-        # I_w alpha + omega x I_w omega in the object's own axes, where its inertia is constant.
-        omega_o = apply_transposed(rows, desired.twist[3:].tolist())
-        alpha_o = apply_transposed(rows, alpha)
-        spin = cross(omega_o, apply(self._inertia, omega_o))
-        n1, n2, n3 = apply(rows, plus(apply(self._inertia, alpha_o), spin))
+        v1, v2, v3, v4, v5, v6 = twist_error
+        a1, a2, a3 = wanted.a
+        m = self._mass_kg
+        # I_w alpha + omega x I_w omega, in the object's own axes, where its inertia is constant.
+        omega, alpha = apply_transposed(R, wanted.omega), apply_transposed(R, wanted.alpha)
+        spin = cross(omega, apply(self._inertia, omega))
+        n1, n2, n3 = apply(R, plus(apply(self._inertia, alpha), spin))
         return (
-            (
-                k1 * e[0] + d1 * v1 + m * a1,
-                k2 * e[1] + d2 * v2 + m * a2,
-                k3 * e[2] + d3 * v3 + m * (a3 + _G),
-            ),
-            (k4 * turn[0] + d4 * v4 + n1, k5 * turn[1] + d5 * v5 + n2, k6 * turn[2] + d6 * v6 + n3),
+            (k1 * e1 + d1 * v1 + m * a1, k2 * e2 + d2 * v2 + m * a2, k3 * e3 + d3 * v3 + m * (a3 + _G)),
+            (k4 * e4 + d4 * v4 + n1, k5 * e5 + d5 * v5 + n2, k6 * e6 + d6 * v6 + n3),
         )
 
-    def _hold_hands(self, f: list[float], R_d: Array, desired: ObjectState, twists: list[float]) -> None:
+    def _hold_hands(self, f: list[float], wanted: _Wanted, twists: list[float]) -> None:
         """Add to f (12) the torsional springs that hold the hands to their grasp frames."""
         k, d = self.gains.hand_stiffness_nm_per_rad, self.gains.hand_damping_nms_per_rad
-        w1, w2, w3 = desired.twist[3:].tolist()
-        for at, R_hand, R_object_hand in zip((3, 9), self._hands.R, self._R_object_hands, strict=True):
-            e1, e2, e3 = pin.log3(R_d.dot(R_object_hand).dot(R_hand.T)).tolist()
+        w1, w2, w3 = wanted.omega
+        for i, at in enumerate((3, 9)):
+            # How the object would lie if it had not turned in this hand.
+            R_object = self._hands.R[i].dot(self._R_hand_object[i]).tolist()
+            e1, e2, e3 = rotation_error(wanted.R, R_object)
             f[at] += k * e1 + d * (w1 - twists[at])
             f[at + 1] += k * e2 + d * (w2 - twists[at + 1])
             f[at + 2] += k * e3 + d * (w3 - twists[at + 2])
 
-    def _least_acceleration(self, r_left: Vector, r_right: Vector, desired: ObjectState) -> Array:
+    def _least_acceleration(self, r_left: Vector, r_right: Vector, wanted: _Wanted) -> Array:
         """Return the least joint acceleration (14,) that adds to the posture's what the hands lack.
 
         Adding J^+ (a_hand - J qdd_posture - Jdot v) leaves of the posture motion its part in the null space of J.
         """
-        a1, a2, a3, *alpha = desired.acceleration.tolist()
-        omega = desired.twist[3:].tolist()
-        wanted = []
-        for r in (r_left, r_right):
-            # Of a point of a rigid body: a + alpha x r + omega x (omega x r).
-            c1, c2, c3 = plus(cross(alpha, r), cross(omega, cross(omega, r)))
-            wanted += [a1 + c1, a2 + c2, a3 + c3, *alpha]
-        lacking = np.array(wanted)
+        a, omega, alpha = wanted.a, wanted.omega, wanted.alpha
+        # Of a point r of a rigid body: a + alpha x r + omega x (omega x r).
+        a_left = plus(a, plus(cross(alpha, r_left), cross(omega, cross(omega, r_left))))
+        a_right = plus(a, plus(cross(alpha, r_right), cross(omega, cross(omega, r_right))))
+        lacking = np.array((*a_left, *alpha, *a_right, *alpha))
         lacking -= self._hands.acceleration
         J = self._J
-        _, y, failed = dposv(
-            J.dot(J.T), lacking
-        )  # Cholesky: J J^T is positive definite away from singularities
+        # Cholesky: J J^T is symmetric, so its transpose is itself in the order of memory that LAPACK works in.
+        _, y, failed = dposv(J.dot(J.T).T, lacking, overwrite_a=True, overwrite_b=True)
         if failed:
             raise SingularPostureError(
                 "a hand has lost a direction of motion: J J^T is singular",
                 remedy="keep the elbows bent: a stretched arm cannot carry",
             )
         return J.T.dot(y)
+
+
+class _Wanted:
+    """An `ObjectState` in plain floats."""
+
+    __slots__ = ("R", "a", "alpha", "omega", "p")
+
+    def __init__(self, state: ObjectState) -> None:
+        self.R, self.p = parts(state.T_world_object)
+        _, _, _, w1, w2, w3 = state.twist.tolist()
+        a1, a2, a3, b1, b2, b3 = state.acceleration.tolist()
+        self.omega, self.a, self.alpha = (w1, w2, w3), (a1, a2, a3), (b1, b2, b3)

@@ -25,6 +25,7 @@ from minidual.sim.world import World
 from minidual.tasks.reach import approach_postures
 from minidual.tasks.rod_carry import level_part
 
+_REST = np.zeros(6)
 OPEN, CLOSED = np.ones(2), np.zeros(2)
 _CLOSE_STEPS = 900
 _LIFT_S, _LIFT_M = 0.6, 0.1
@@ -80,8 +81,8 @@ class BenchScene:
 
     def measured(self) -> ObjectState:
         """Return the object as the controller senses it."""
-        state = ObjectState(self.world.T_world_rod, self.world.rod_twist)
-        return ObjectState(self.rest) if self.virtual else state
+        T, twist = self.world.T_world_rod, self.world.rod_twist
+        return ObjectState(self.rest, _REST, _REST) if self.virtual else ObjectState(T, twist, _REST)
 
 
 def free_scene(scene: SceneConfig, gains: ImpedanceGains) -> BenchScene:

@@ -21,11 +21,13 @@ from minidual.robot.constants import (
     Q_UPPER,
     Array,
 )
-from minidual.robot.poses import pose, quat_from_yaw
+from minidual.robot.poses import quat_from_yaw
 from minidual.sim.addresses import map_joints
 from minidual.sim.model import build_model
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from minidual.sim.recorder import Recorder
 
 
@@ -33,6 +35,7 @@ class SimulationDivergedError(MinidualError):
     """The state or a command stopped being finite."""
 
 
+_AT_ORIGIN = np.eye(4)
 _NOT_FINITE: tuple[tuple[mujoco.mjtWarning, str], ...] = (
     (mujoco.mjtWarning.mjWARN_BADQPOS, "positions"),
     (mujoco.mjtWarning.mjWARN_BADQVEL, "velocities"),
@@ -94,12 +97,15 @@ class World:
         self._rod_axis = self._rod_R[:, 1]
         self._rod_v, self._rod_w = np.split(self._qvel[self._rod_qvel : self._rod_qvel + 6], 2)
         self._contact_forces = self._contacts[:, :, :3]
+        self._readings, self._along = self._contacts.reshape(4, 9), np.zeros(9)
         self._hand_axes = [data.xmat[body].reshape(3, 3)[:, 1] for body in self._hand_bodies]
         self._finger_ctrl = tuple(
             np.ascontiguousarray(self.fingers.ctrl.reshape(2, 2).T)
         )  # a strided index is slow
         self.recorder: Recorder | None = None
         """Keeps what a replay needs, where one is wanted (see minidual.sim.recorder)."""
+        self.observer: Callable[[World], None] | None = None
+        """Called after every step, where somebody watches (see minidual.sim.watch); it only reads."""
         self.reset()
 
     @property
@@ -131,7 +137,10 @@ class World:
     @property
     def T_world_rod(self) -> Array:
         """Pose (4, 4) of the rod; its y axis is the long axis."""
-        return pose(self._rod_R, self._rod_p)
+        T = _AT_ORIGIN.copy()
+        T[:3, :3] = self._rod_R
+        T[:3, 3] = self._rod_p
+        return T
 
     @property
     def rod_twist(self) -> Array:
@@ -199,8 +208,9 @@ class World:
         Positive when the hands press towards each other, negative when they pull. One hand alone gives at most
         zero: the internal force is what both carry.
         """
-        left, right = self.hand_forces().dot(self._rod_axis).tolist()
-        return min(-left, right)  # the left hand holds the +y end
+        self._along[:3] = self._rod_axis  # picks the forces out of the four fingers' readings in one product
+        a, b, c, d = self._readings.dot(self._along).tolist()
+        return min(-a - b, c + d)  # the left hand holds the +y end
 
     def rod_on_table(self) -> bool:
         """Return whether the rod touches the table."""
@@ -262,3 +272,5 @@ class World:
                 if dump is not None:
                     remedy += f"; minidual replay {dump} says what came first"
                 raise SimulationDivergedError(message, remedy=remedy)
+        if self.observer is not None:
+            self.observer(self)
