@@ -19,6 +19,7 @@ from minidual.evaluation.metrics import MethodSummary, TrialMetrics, summarise
 from minidual.evaluation.tables import write_csv, write_text
 from minidual.evaluation.trials import TrialResult, run_trials
 from minidual.tasks.rod_carry import sample_trial
+from minidual.view.protocol import View
 
 DROP_MAX = 0.15
 """A condition may cost less than this share of the clean success rate."""
@@ -70,6 +71,7 @@ def run_perturbations(
     *,
     workers: int,
     on_trial: Callable[[str, TrialResult], None] | None = None,
+    view: View | None = None,
 ) -> tuple[list[Robustness], list[TrialMetrics]]:
     """Run the same trials under every condition; results do not depend on `workers`."""
     found: list[Robustness] = []
@@ -80,7 +82,7 @@ def run_perturbations(
         trials = [sample_trial(config.scene, inputs.seed, PURPOSE, i) for i in range(trials_n)]
         results: list[TrialResult] = []
         for result, _ in run_trials(
-            method, replace(inputs, config=config), trials, workers=workers, condition=name
+            method, replace(inputs, config=config), trials, workers=workers, condition=name, view=view
         ):
             results.append(result)
             if on_trial is not None:

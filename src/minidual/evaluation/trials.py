@@ -15,12 +15,14 @@ from minidual.evaluation.conditions import CLEAN
 from minidual.evaluation.conditions import condition as named_condition
 from minidual.evaluation.methods import Factory, Method, MethodInputs, load_factory, method_spec
 from minidual.evaluation.metrics import TrialMetrics, trial_metrics
+from minidual.evaluation.watch import TrialWatch
 from minidual.robot.constants import TAU_MAX, Array
 from minidual.robot.kinematics import Kinematics
 from minidual.sim.model import build_model
 from minidual.sim.world import World
 from minidual.tasks.rod_carry import RodTrial, tilt_rad
 from minidual.tasks.success import RodCarryJudge
+from minidual.view.protocol import View
 
 LOG_RATE_HZ = 250
 _SATURATED = 0.999
@@ -212,6 +214,18 @@ def _run_in_worker(
     return result, log if keep_log else None
 
 
+def _run_watched(
+    method: str, inputs: MethodInputs, trials: Sequence[RodTrial], condition: str, view: View
+) -> Iterator[tuple[TrialResult, TrialLog | None]]:
+    bench = Bench(method, inputs)
+    watch = TrialWatch(view, bench.world, bench.kinematics, method, speed_max=inputs.config.view.speed_max)
+    for number, trial in enumerate(trials, start=1):
+        watch.title = f"{method}, trial {number} of {len(trials)}"
+        if condition != CLEAN:
+            watch.title += f", {condition}"
+        yield bench.run(trial, condition=condition, on_step=watch)
+
+
 def run_trials(
     method: str,
     inputs: MethodInputs,
@@ -220,8 +234,15 @@ def run_trials(
     workers: int,
     condition: str = CLEAN,
     keep_logs: bool = False,
+    view: View | None = None,
 ) -> Iterator[tuple[TrialResult, TrialLog | None]]:
-    """Run trials over processes and yield their results in order; the results do not depend on `workers`."""
+    """Run trials over processes and yield their results in order; the results do not depend on `workers`.
+
+    With a view the trials run in this process, one after another, and give the same results.
+    """
+    if view is not None:
+        yield from _run_watched(method, inputs, trials, condition, view)
+        return
     import joblib
 
     # One numeric thread a process: on a busy machine more of them only wait for each other.

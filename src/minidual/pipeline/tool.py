@@ -119,7 +119,8 @@ class ToolEntry:
     name: the command, or for an aside of a stage the name of its folder ("carry-tune").
     target: "module:function".
     triggers: for an aside, options any of which asks for it; the others only go with those.
-    watchable: it moves the arms and shows them to `context.view`: the command takes --view.
+    watchable: it moves the arms and shows them to `context.view`: the command, or for an aside its stage's, takes
+        --view.
     view_default: the view without --view.
     """
 

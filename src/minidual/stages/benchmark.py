@@ -102,7 +102,9 @@ class BenchmarkStage:
         with context.progress.task("benchmark trials", len(methods) * len(trials)) as task:
             for method in methods:
                 rows = []
-                for result, _ in run_trials(method, inputs, trials, workers=context.workers):
+                for result, _ in run_trials(
+                    method, inputs, trials, workers=context.workers, view=context.view
+                ):
                     rows.append(result.metrics)
                     task.advance(note=f"{method} {sum(r.success for r in rows)}/{len(rows)}")
                 metrics += rows

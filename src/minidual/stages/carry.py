@@ -114,7 +114,7 @@ class CarryStage:
         results, logs = [], []
         with context.progress.task("carries", len(trials)) as task:
             for result, log in run_trials(
-                "impedance", inputs, trials, workers=context.workers, keep_logs=True
+                "impedance", inputs, trials, workers=context.workers, keep_logs=True, view=context.view
             ):
                 results.append(result)
                 logs.append(log)

@@ -24,7 +24,7 @@ def perturb(context: ToolContext) -> ToolResult:
     with context.progress.task("disturbed carries", len(CONDITIONS) * trials_n) as task:
         found, trials = run_perturbations(
             "impedance", inputs, trials_n, workers=context.workers,
-            on_trial=lambda name, result: task.advance(note=name),
+            on_trial=lambda name, result: task.advance(note=name), view=context.view,
         )  # fmt: skip
     write_perturbations(context.output, found, trials)
     failed = [r for r in found if not r.holds]

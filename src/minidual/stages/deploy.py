@@ -87,7 +87,7 @@ class DeployStage:
         with context.progress.task("policy trials", len(held_out) + len(seen)) as task:
             for condition, trials in (("held_out", held_out), ("training", seen)):
                 for result, _ in run_trials(
-                    "act", inputs, trials, workers=context.workers, condition=condition
+                    "act", inputs, trials, workers=context.workers, condition=condition, view=context.view
                 ):
                     results[condition].append(result)
                     done = sum(r.success for r in results[condition])

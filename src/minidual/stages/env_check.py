@@ -46,6 +46,7 @@ class EnvCheckStage:
         from minidual.evaluation.step_cost import control_step_cost
         from minidual.robot.kinematics import Kinematics
         from minidual.sim.model import build_model
+        from minidual.sim.watch import Narration, watched
         from minidual.sim.world import World
 
         config = context.config.env_check
@@ -63,14 +64,24 @@ class EnvCheckStage:
             task.advance(note="cameras")
             mapping = measure.torque_pulse_mapping(world, kinematics, pulse_share=config.pulse_share)
             task.advance(note="mapping")
-            alone = motion.single_joint_errors(loop, config.single_step_rad, config.single_duration_s)
-            task.advance(note="each joint alone")
-            step = motion.step_response(loop, motion.outward_step(config.step_rad), config.step_duration_s)
-            task.advance(note="step")
-            sine = motion.sine_response(
-                loop, config.sine_amplitude_rad, config.sine_frequency_hz, config.sine_duration_s
-            )
-            task.advance(note="swing")
+            doing = "each joint alone"
+
+            def tell() -> Narration:
+                return Narration("env-check", "joint", "env-check", doing)
+
+            with watched(context.view, world, tell, speed_max=context.config.view.speed_max):
+                alone = motion.single_joint_errors(loop, config.single_step_rad, config.single_duration_s)
+                task.advance(note="each joint alone")
+                doing = "a step"
+                step = motion.step_response(
+                    loop, motion.outward_step(config.step_rad), config.step_duration_s
+                )
+                task.advance(note="step")
+                doing = "all joints swing"
+                sine = motion.sine_response(
+                    loop, config.sine_amplitude_rad, config.sine_frequency_hz, config.sine_duration_s
+                )
+                task.advance(note="swing")
             agreement = measure.model_agreement(
                 world, kinematics, stream(context.seed, "env-check/states"), config.agreement_states_n
             )

@@ -38,10 +38,12 @@ class PlanStage:
         from minidual.planning.evaluate import engine_agreement, repeats, run_queries
         from minidual.planning.evaluate_carries import plan_carries
         from minidual.planning.figures import write_paths, write_times
+        from minidual.stages.plan_view import show_plans
 
         config = context.config.plan
         with context.progress.task("queries", 3 * config.queries_n) as task:
             outcomes = run_queries(config, context.seed, on_query=lambda o: task.advance(note=o.query.group))
+        show_plans(context, outcomes)
         scene = outcomes["both_arms"][0].query.scene
         agreement = engine_agreement(scene, config.agreement_states_n, context.seed)
         repeatable = all(repeats(config, done[0]) for done in outcomes.values())

@@ -33,6 +33,7 @@ class HeldResults:
 def run_held(context: StageContext) -> HeldResults:
     """Plan the moves of both seeds and drive some; writes held_moves.csv."""
     from minidual.planning.evaluate_carries import run_moves, table_plans
+    from minidual.sim.watch import Narration, watched
     from minidual.sim.world import World
     from minidual.tasks.held_execution import execute
 
@@ -50,7 +51,8 @@ def run_held(context: StageContext) -> HeldResults:
         world = World(scene)
         executions = []
         for trajectory in table_plans(plan, scene.rod, held.executed_n, context.seed + _DRIVEN_SEED_OFFSET):
-            executions.append(execute(trajectory, scene, world=world))
+            with watched(context.view, world, lambda: Narration("plan, held-object move", "joint", "plan")):
+                executions.append(execute(trajectory, scene, world=world))
             task.advance(note="driven")
     _write_csv(outcomes, context.folder / "held_moves.csv")
     return HeldResults(outcomes, executions)

@@ -22,6 +22,7 @@ STAGES = StageTable(
             "minidual.stages.env_check:STAGE",
             (),
             "Simulation and joints: every joint read, mapped and driven, tracking, contacts, libraries",
+            watchable=True,
         ),
         StageEntry(
             "plan",
@@ -29,6 +30,38 @@ STAGES = StageTable(
             ("env-check",),
             "Plan collision-free motions for left_arm, right_arm and both_arms",
             (StageOption("queries", "plan.queries_n", "Queries per planning group."),),
+            asides=(
+                ToolEntry(
+                    "plan-acm",
+                    "minidual.stages.plan_acm:plan_acm",
+                    "Print the pairs of links that are not checked, and why",
+                    (
+                        ToolOption("acm", "Print the pairs that are not checked, and why, instead.", bool),
+                        ToolOption("scene", "With --to or --acm: planning scene in YAML."),
+                    ),
+                    triggers=("acm",),
+                ),
+                ToolEntry(
+                    "plan-once",
+                    "minidual.stages.plan_once:plan_once",
+                    "Plan one motion, without the gate",
+                    (
+                        ToolOption(
+                            "to", "Plan once to this state (home, ready, carry ...) or goal file instead."
+                        ),
+                        ToolOption("from", "With --to: start at this state or file (default: home)."),
+                        ToolOption("group", "With --to: left_arm, right_arm or both_arms (default)."),
+                        ToolOption("scene", "With --to or --acm: planning scene in YAML."),
+                        ToolOption("out", "With --to: write the trajectory here (.json)."),
+                        ToolOption("csv", "With --to: write the trajectory here (.csv)."),
+                        ToolOption("picture", "With --to: draw the path here (.png)."),
+                        ToolOption("budget-s", "With --to: give up after this wall time.", float),
+                    ),
+                    triggers=("to",),
+                    watchable=True,
+                ),
+            ),
+            watchable=True,
         ),
         StageEntry(
             "carry",
@@ -47,6 +80,7 @@ STAGES = StageTable(
                     "Carry under pushes, other masses and frictions, and worse sensing",
                     (ToolOption("perturb", "Carry under every disturbance (20 trials each) instead.", bool),),
                     triggers=("perturb",),
+                    watchable=True,
                 ),
                 ToolEntry(
                     "carry-tune",
@@ -60,6 +94,7 @@ STAGES = StageTable(
                     triggers=("tune",),
                 ),
             ),
+            watchable=True,
         ),
         StageEntry(
             "teleop-record",
@@ -67,6 +102,7 @@ STAGES = StageTable(
             ("carry",),
             "Teleoperate, record demonstrations, convert and grade the dataset",
             (StageOption("episodes", "teleop.episodes_n", "Demonstrations to record."),),
+            watchable=True,
         ),
         StageEntry(
             "train-act",
@@ -80,6 +116,7 @@ STAGES = StageTable(
             ("train-act",),
             "Let the policy drive the arms on seeds it never saw",
             (StageOption("trials", "deploy.trials", "Held-out trials."),),
+            watchable=True,
         ),
         StageEntry(
             "benchmark",
@@ -95,6 +132,7 @@ STAGES = StageTable(
                     split=True,
                 ),
             ),
+            watchable=True,
         ),
         StageEntry(
             "report",

@@ -127,7 +127,7 @@ class TeleopRecordStage:
                     "" if attempt.kept else f"trial {attempt.trial.index}: {attempt.reason}",
                 )
 
-            recording = record(job, workers=context.workers, on_attempt=tell)
+            recording = record(job, workers=context.workers, on_attempt=tell, view=context.view)
         write_quality(recording.attempts, context.folder / "quality.csv")
         if not recording.kept:
             raise NothingEvaluatedError(

@@ -15,22 +15,28 @@ from typing import Any
 
 import numpy as np
 
+from minidual.control.narrate import StackNarrator
 from minidual.data import durable
+from minidual.sim.watch import watched
 from minidual.stages.teleop_rig import REJECTED, Attempt, Job, Rig
 from minidual.teleop.leader import IN_PROCESS, require_leader
+from minidual.view.protocol import View
 
 _rigs: dict[str, Rig] = {}
 
 
-def _record_in_worker(job: Job, index: int) -> Attempt:
+def _record_in_worker(job: Job, index: int, view: View | None = None) -> Attempt:
     key = f"{job.folder}/{job.seed}/{job.teleop}/{job.scene}/{job.arbiter}"
     if key not in _rigs:
         for rig in _rigs.values():
             rig.close()
         _rigs.clear()
         _rigs[key] = Rig(job, job.teleop.cameras)
+    rig = _rigs[key]
+    narrate = StackNarrator(rig.session.stack, rig.kinematics, f"teleop-record, trial {index}")
     began = time.perf_counter()
-    attempt = _rigs[key].record(index)
+    with watched(view, rig.world, narrate):
+        attempt = rig.record(index)
     return replace(attempt, wall_s=time.perf_counter() - began)
 
 
@@ -39,8 +45,13 @@ def usable_workers(job: Job, workers: int) -> int:
     return 1 if job.teleop.leader in IN_PROCESS else workers
 
 
-def record_attempts(job: Job, indices: Sequence[int], *, workers: int) -> Iterator[Attempt]:
-    """Record trials over processes and yield what became of them, in the order of `indices`."""
+def record_attempts(
+    job: Job, indices: Sequence[int], *, workers: int, view: View | None = None
+) -> Iterator[Attempt]:
+    """Record trials over processes and yield what became of them, in the order of `indices`.
+
+    What a view shows runs in this process, which needs `workers` to be 1.
+    """
     import joblib
 
     # One numeric thread a process: on a busy machine more of them only wait for each other.
@@ -50,7 +61,7 @@ def record_attempts(job: Job, indices: Sequence[int], *, workers: int) -> Iterat
     processes = min(usable_workers(job, workers), max(1, len(indices)))
     yield from joblib.Parallel(
         n_jobs=processes, return_as="generator", batch_size=1, pre_dispatch="2*n_jobs"
-    )(joblib.delayed(_record_in_worker)(job, index) for index in indices)
+    )(joblib.delayed(_record_in_worker)(job, index, view) for index in indices)
 
 
 @dataclass(frozen=True)
@@ -83,7 +94,13 @@ class Recording:
         return [a.path for a in self.kept if a.path is not None]
 
 
-def record(job: Job, *, workers: int, on_attempt: Callable[[Attempt], None] | None = None) -> Recording:
+def record(
+    job: Job,
+    *,
+    workers: int,
+    on_attempt: Callable[[Attempt], None] | None = None,
+    view: View | None = None,
+) -> Recording:
     """Record until there are `episodes_n` demonstrations, or the allowed attempts are used up.
 
     A round tries as many trials as demonstrations are still missing, so which trials are tried depends on
@@ -101,7 +118,9 @@ def record(job: Job, *, workers: int, on_attempt: Callable[[Attempt], None] | No
     began = time.perf_counter()
     while (missing := wanted - sum(a.kept for a in attempts)) > 0 and len(attempts) < allowed:
         start = len(attempts)
-        for attempt in record_attempts(job, range(start, min(start + missing, allowed)), workers=workers):
+        for attempt in record_attempts(
+            job, range(start, min(start + missing, allowed)), workers=workers, view=view
+        ):
             attempts.append(attempt)
             if on_attempt is not None:
                 on_attempt(attempt)

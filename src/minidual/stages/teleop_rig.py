@@ -89,7 +89,7 @@ class Rig:
 
     def __init__(self, job: Job, cameras: Sequence[str]) -> None:
         self.job = job
-        kinematics = Kinematics()
+        self.kinematics = kinematics = Kinematics()
         self.world = World(job.scene, visuals=True)
         self.observer = Observer(self.world, cameras)
         self.session = TeleopSession(self.world, kinematics, self.observer, job.teleop, job.arbiter)
