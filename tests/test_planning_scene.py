@@ -8,7 +8,7 @@ import pytest
 
 from minidual.errors import UsageError
 from minidual.planning import acm as acm_module
-from minidual.planning.acm import AllowedCollisions, build_acm, default_acm
+from minidual.planning.acm import AllowedCollisions, acm_report, build_acm, default_acm
 from minidual.planning.links import LINKS, arm_of, joints_before
 from minidual.planning.mujoco_engine import MujocoEngine
 from minidual.planning.scene import TABLE, Attached, PlanningScene
@@ -103,7 +103,7 @@ def test_the_pairs_of_the_published_srdf_that_may_touch_cover_ours_that_always_d
 
 def test_few_samples_would_drop_pairs_that_collide():
     """Why the default takes tens of thousands: a thousand samples call pairs `never` that do touch."""
-    few = build_acm(samples_min=500, samples_max=1000)
+    few = build_acm(samples_min=500, samples_max=1000).acm
     never_few = {(a, b) for a, b, r in few.table() if r.startswith("never")}
     never = {(a, b) for a, b, r in default_acm().table() if r.startswith("never")}
     assert never <= never_few
@@ -123,14 +123,15 @@ def test_what_is_called_never_does_not_touch_in_fresh_samples():
 def test_cache_is_used_refreshed_and_never_needed(tmp_path, monkeypatch):
     monkeypatch.setenv("MINIDUAL_CACHE", str(tmp_path))
     built = []
-    matrix = default_acm()
+    matrix = acm_report()
     monkeypatch.setattr(acm_module, "build_acm", lambda: built.append(1) or matrix)
-    fresh = default_acm.__wrapped__
+    fresh = acm_report.__wrapped__
     assert fresh() == matrix
     (file,) = tmp_path.glob("acm-*.json")
     assert fresh() == matrix
     assert len(built) == 1  # the second call read the file
-    for bad in ("{", "[]", '[["left_panda_hand", "right_panda_hand", "never"]]', "[[1]]"):
+    crossing = matrix.to_json() | {"pairs": [["left_panda_hand", "right_panda_hand", "never"]]}
+    for bad in ("{", "[]", json.dumps(crossing), '{"pairs": [[1]]}'):
         file.write_text(bad)
         assert fresh() == matrix  # a damaged cache is built anew, a cross-arm entry is not believed
     assert len(built) == 5

@@ -1,0 +1,54 @@
+"""`minidual plan --acm`: the pairs of links that are not checked for collision, and why."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+from minidual.pipeline.tool import ToolContext, ToolResult
+
+_MEANINGS = {
+    "rigid": "carried by one joint: they cannot move against each other",
+    "adjacent": "neighbours along the chain: their hulls overlap at the joint",
+    "always": "touch at home and in at least 95 % of the samples",
+    "never": "touched in none of the samples",
+}
+
+
+def plan_acm(context: ToolContext) -> ToolResult:
+    """Return the matrix of the robot, with the rules of --scene laid over it if one is given."""
+    from minidual.planning.acm import acm_report
+    from minidual.planning.scene import PlanningScene
+    from minidual.planning.scene_file import load_scene
+
+    report = acm_report()
+    scene = PlanningScene()
+    notes: list[str] = []
+    if "scene" in context.options:
+        loaded = load_scene(Path(context.options["scene"]))
+        scene, notes = loaded.scene, list(loaded.notes)
+    table = scene.allowed.table()
+    lines = [f"{first:26s} {second:26s} {reason}" for first, second, reason in table]
+    kinds = Counter(_kind(reason) for _, _, reason in table)
+    notes += [
+        f"{count:4d} {kind:9s} {_MEANINGS.get(kind, 'allowed by the scene file')}"
+        for kind, count in sorted(kinds.items())
+    ]
+    notes += [
+        (
+            f"{len(table)} pairs may touch, {len(scene.checked_pairs)} of this scene are checked; pairs of different arms "
+            "always are"
+        ),
+        *report.lines(),
+    ]
+    data = {
+        "allowed": [{"first": a, "second": b, "reason": r} for a, b, r in table],
+        "checked": [list(pair) for pair in scene.checked_pairs],
+        "built": report.to_json(),
+    }
+    return ToolResult(lines, notes, data)
+
+
+def _kind(reason: str) -> str:
+    word = reason.split(" ")[0]
+    return word if word in _MEANINGS else "user"

@@ -1,0 +1,183 @@
+"""`minidual plan --to`: one goal, planned, proven and shown. It is no stage: it writes no verdict and opens no gate."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from minidual.errors import ExitCode, UsageError, unknown_name
+from minidual.pipeline.tool import ToolContext, ToolResult
+
+if TYPE_CHECKING:
+    from minidual.planning.goal_plan import GoalPlanner
+    from minidual.planning.result import PlanResult
+    from minidual.planning.scene import PlanningScene
+    from minidual.robot.constants import Array
+
+_ENDINGS = {"out": ".json", "csv": ".csv", "picture": ".png"}
+_BUDGET_MAX_S = 600.0
+_MEASURED_M = 0.05
+
+
+def plan_once(context: ToolContext) -> ToolResult:
+    """Plan from --from to --to for --group in --scene; exit 1 where no path was found, 2 where the query is bad."""
+    from minidual.planning.errors import ClosedChainError, LinearMoveError, NoPathInTimeError, TimingError
+
+    options = context.options
+    targets = {name: _target(name, options.get(name), end) for name, end in _ENDINGS.items()}
+    group = options.get("group", "both_arms")
+    budget_s = options.get("budget-s")
+    if budget_s is not None and not 0.0 < budget_s <= _BUDGET_MAX_S:
+        raise UsageError(f"--budget-s is {budget_s:g}; 0 < value <= {_BUDGET_MAX_S:g}")
+    planner, scene, q_start, notes = _prepare(context, group)
+    goal = _goal(options["to"], planner)
+    try:
+        result = planner.plan(group, q_start, goal, scene=scene, seed=context.seed, budget_s=budget_s)
+    except (NoPathInTimeError, TimingError, ClosedChainError, LinearMoveError) as error:
+        return ToolResult(
+            lines=[f"no path: {error.message}"],
+            notes=[*notes, *([f"remedy: {error.remedy}"] if error.remedy else [])],
+            data={"solved": False, "group": group, "reason": error.reason, "message": error.message},
+            exit_code=ExitCode.ACCEPTANCE_FAILED,
+        )
+    title = f"{group} to {options['to']}"
+    notes += _write(targets, context, scene, result, title)
+    if context.view is not None:
+        _play(context, scene, result, title)
+    return ToolResult(_lines(title, result, scene.min_distance_m), notes, _document(group, result, targets))
+
+
+def _prepare(context: ToolContext, group: str) -> tuple[GoalPlanner, PlanningScene, Array, list[str]]:
+    """Return planner, scene, start (14,) and notes; whatever is typed wrongly is said before anything is planned."""
+    from minidual.planning.api import Planner
+    from minidual.planning.goal_file import goal_of
+    from minidual.planning.goal_plan import GoalPlanner
+    from minidual.planning.scene import PlanningScene
+    from minidual.planning.scene_file import load_scene
+    from minidual.planning.semantics import Semantics
+    from minidual.robot.constants import GROUPS, HOME
+
+    if group not in GROUPS:
+        raise unknown_name("group", group, GROUPS)
+    scene, notes = PlanningScene(), []
+    if "scene" in context.options:
+        loaded = load_scene(Path(context.options["scene"]))
+        scene, notes = loaded.scene, list(loaded.notes)
+    semantics = Semantics(context.config.semantics)
+    planner = GoalPlanner(Planner(scene, context.config.plan.planner), semantics)
+    q_home = semantics.state("home", "both_arms", HOME)
+    start = goal_of(context.options.get("from", "home"), semantics.state_names)
+    # A start places both arms, whichever group moves afterwards; a start of one hand leaves the other at home.
+    q_start = planner.start_joints(_start_group(start, group), q_home, start, scene, seed=context.seed)
+    return planner, scene, q_start, notes
+
+
+def _start_group(start: Any, group: str) -> str:
+    """Return the group whose joints a start sets."""
+    from minidual.planning.goal_types import JointGoal, StateGoal
+    from minidual.robot.constants import DOF
+
+    if isinstance(start, StateGoal):
+        return "both_arms"
+    if isinstance(start, JointGoal) and (not isinstance(start.values, tuple) or len(start.values) == DOF):
+        return "both_arms"
+    return group
+
+
+def _goal(word: str, planner: GoalPlanner) -> Any:
+    from minidual.planning.goal_file import goal_of
+
+    return goal_of(word, planner.semantics.state_names)
+
+
+def _target(name: str, text: str | None, ending: str) -> Path | None:
+    """Return where a file goes; refuse what could not be written before any work is done."""
+    if text is None:
+        return None
+    path = Path(text)
+    if path.suffix != ending:
+        raise UsageError(f"--{name} {path} must end in {ending}")
+    if not path.absolute().parent.is_dir():
+        raise UsageError(f"there is no folder {path.parent}", remedy="make it first")
+    return path
+
+
+def _write(
+    targets: dict[str, Path | None],
+    context: ToolContext,
+    scene: PlanningScene,
+    result: PlanResult,
+    title: str,
+) -> list[str]:
+    notes = [*result.rejections]
+    if targets["out"] is not None:
+        result.trajectory.write_json(targets["out"])
+        notes.append(f"trajectory: {targets['out']}")
+    if targets["csv"] is not None:
+        result.trajectory.write_csv(targets["csv"])
+        notes.append(f"trajectory: {targets['csv']}")
+    if targets["picture"] is not None:
+        from minidual.planning.show import write_picture
+
+        write_picture(targets["picture"], context.config.scene, scene, result.trajectory, title)
+        notes.append(f"picture: {targets['picture']}")
+    return notes
+
+
+def _play(context: ToolContext, scene: PlanningScene, result: PlanResult, title: str) -> None:
+    """Show the plan until the view is closed or Ctrl-C; once where nobody sits at the terminal."""
+    from minidual.planning.show import play
+
+    rounds = None if sys.stdin is not None and sys.stdin.isatty() else 1
+    try:
+        play(context.view, context.config.scene, scene, result.trajectory, title, rounds_n=rounds)
+    except KeyboardInterrupt:
+        return
+
+
+def _lines(title: str, result: PlanResult, min_distance_m: float) -> list[str]:
+    proof = result.verification
+    spent = ", ".join(f"{name} {1e3 * s:.1f}" for name, s in result.times_s.items() if s > 0.0)
+    return [
+        f"{title}: {result.trajectory.duration_s:.3f} s of motion, planned and proven in {result.total_s * 1e3:.1f} ms",
+        f"  phases [ms]   {spent}",
+        (
+            f"  way           {'straight line' if result.direct else f'{len(result.path)} vertices'}, "
+            f"{result.attempts_n} attempt{'s' if result.attempts_n != 1 else ''}"
+        ),
+        f"  clearance     {_clearance(proof.clearance_m, min_distance_m)}",
+        (
+            f"  of limits     velocity {proof.velocity_ratio:.0%}, acceleration {proof.acceleration_ratio:.0%}, "
+            f"jerk {proof.jerk_ratio:.0%}, torque {proof.torque_ratio:.0%}"
+        ),
+        f"  joint margin  {proof.limit_margin_rad:.3f} rad",
+    ]
+
+
+def _clearance(clearance_m: float, min_distance_m: float) -> str:
+    """Return the smallest distance along the plan in words; the proof measures a few centimetres at most."""
+    far = clearance_m >= _MEASURED_M
+    text = f"{'at least ' if far else ''}{min(clearance_m, _MEASURED_M) * 1e3:.1f} mm"
+    return (
+        text
+        if min_distance_m == 0.0
+        else f"{text} beyond the {min_distance_m * 1e3:g} mm that the scene asks for"
+    )
+
+
+def _document(group: str, result: PlanResult, targets: dict[str, Path | None]) -> dict[str, Any]:
+    return {
+        "solved": True,
+        "group": group,
+        "duration_s": result.trajectory.duration_s,
+        "total_s": result.total_s,
+        "times_s": result.times_s,
+        "attempts_n": result.attempts_n,
+        "direct": result.direct,
+        "rejections": list(result.rejections),
+        "q_goal_rad": result.q_goal.tolist(),
+        "proof": result.verification.to_json(),
+        "digest": result.trajectory.digest(),
+        "files": {name: str(path) for name, path in targets.items() if path is not None},
+    }
