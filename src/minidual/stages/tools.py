@@ -9,6 +9,24 @@ from minidual.pipeline.tool import ToolEntry, ToolOption
 
 TOOLS: tuple[ToolEntry, ...] = (
     ToolEntry(
+        "bench",
+        "minidual.stages.bench:bench",
+        "Time beside a yardstick of the same run: one control step against bare physics, and where the rest goes",
+        (
+            ToolOption("names", "What to time (default: everything).", argument=True, many=True),
+            ToolOption("repeats", "How often each thing is timed.", int),
+            ToolOption("check", "Exit 1 if a number exceeds its limit.", bool),
+        ),
+    ),
+    ToolEntry(
+        "view",
+        "minidual.stages.scene_view:view_scene",
+        "Show the scene in real time, with a slider a joint: in a browser, or in a window",
+        (ToolOption("for-s", "End by itself after this many seconds (default: Ctrl-C ends it).", float),),
+        watchable=True,
+        view_default="web",
+    ),
+    ToolEntry(
         "replay",
         "minidual.stages.replay:replay_tool",
         "Run a dumped state or a recorded trial again: does it repeat, and what went out of bounds first",

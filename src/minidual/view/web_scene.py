@@ -11,8 +11,8 @@ import numpy as np
 from minidual.view.overlay import NO_PREVIEW, Array, Arrow, Preview
 from minidual.view.shapes import BodyMesh, body_meshes, floor_height, moving_bodies
 
-ARROW_M_PER_N = 0.004
-"""Length of a force arrow: 40 N are 16 cm."""
+ARROW_M_PER_N = 0.0025
+"""Length of a force arrow: 40 N are 10 cm."""
 ARROW_MIN_N = 0.5
 _MOVED = 1e-5
 """Least change of a position [m] or quaternion entry that is sent; the screen shows 1 mm at best."""

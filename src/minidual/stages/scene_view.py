@@ -1,0 +1,95 @@
+"""`minidual view`: the scene alone, in real time; the arms hold home and go where a person's sliders say."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from typing import TYPE_CHECKING
+
+from minidual.errors import UsageError
+from minidual.pipeline.tool import ToolContext, ToolResult
+
+if TYPE_CHECKING:
+    from minidual.robot.constants import Array
+    from minidual.view.overlay import Slider
+
+SLIDER_SPEED_RAD_S = 0.8
+"""A slider that jumps leads its joint no faster than this."""
+_SLICE_S = 0.01
+_LOST_S = 0.1
+"""Further behind the clock than this, the time is given up: it would be run through in a rush otherwise."""
+
+
+def joint_sliders() -> list[Slider]:
+    """Return one slider a joint and one a hand, at home and open."""
+    from minidual.robot.constants import ARMS, DOF_PER_ARM, HOME, Q_LOWER, Q_UPPER
+    from minidual.view.overlay import Slider
+
+    sliders = [
+        Slider(f"{arm} arm", f"joint {j + 1} [rad]", float(Q_LOWER[i]), float(Q_UPPER[i]), float(HOME[i]))
+        for a, arm in enumerate(ARMS)
+        for j in range(DOF_PER_ARM)
+        for i in (a * DOF_PER_ARM + j,)
+    ]
+    return [*sliders, *(Slider(f"{arm} arm", "hand, 0 closed to 1 open", 0.0, 1.0, 1.0) for arm in ARMS)]
+
+
+def towards(present: Array, wanted: Array, step: float) -> Array:
+    """Return `present` moved by at most `step` in each entry towards `wanted`."""
+    import numpy as np
+
+    return present + np.clip(wanted - present, -step, step)
+
+
+def view_scene(context: ToolContext) -> ToolResult:
+    """Run the scene in real time until Ctrl-C, the end of --for-s, or the closed window.
+
+    Raises:
+        UsageError: --view none, or a time that is none.
+    """
+    import numpy as np
+
+    from minidual.control.loop import JointLoop
+    from minidual.robot.constants import HOME, Q_LOWER, Q_UPPER
+    from minidual.robot.kinematics import Kinematics
+    from minidual.sim.watch import Narration, watched
+    from minidual.sim.world import World
+
+    view = context.view
+    if view is None:
+        raise UsageError("`minidual view` is there to be looked at", remedy="--view web or --view native")
+    for_s = float(context.options.get("for-s", np.inf))
+    if not for_s > 0.0:
+        raise UsageError(f"--for-s {for_s:g} is no time; it must be above 0")
+    world = World(context.config.scene)
+    loop = JointLoop(world, Kinematics())
+    sliders = joint_sliders()
+    offered = view.offer(sliders)
+    wanted = np.array([slider.value for slider in sliders])
+    target = HOME.copy()
+
+    def tell() -> Narration:
+        return Narration("the scene", "joint", "sliders" if offered else "home", "following joint targets")
+
+    began = time.monotonic()
+    # Ctrl-C is how a person ends this command, so it is an end like any other.
+    with contextlib.suppress(KeyboardInterrupt), watched(view, world, tell):
+        due = began
+        while view.alive and time.monotonic() - began < for_s:
+            if offered:
+                wanted = view.slider_values()
+            for _ in range(round(_SLICE_S / world.dt)):
+                aim = np.clip(wanted[:-2], Q_LOWER, Q_UPPER)
+                target = towards(target, aim, SLIDER_SPEED_RAD_S * world.dt)
+                loop.step(target, wanted[-2:])
+            due += _SLICE_S
+            ahead = due - time.monotonic()
+            if ahead > 0.0:
+                time.sleep(ahead)
+            elif ahead < -_LOST_S:
+                due = time.monotonic()
+    spent = time.monotonic() - began
+    return ToolResult(
+        notes=[f"showed {world.time:.1f} s of simulated time in {spent:.1f} s"],
+        data={"view": view.name, "url": view.url, "simulated_s": world.time, "wall_s": round(spent, 3)},
+    )
