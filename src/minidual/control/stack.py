@@ -191,7 +191,7 @@ class ControlStack:
             ControllerSwitchError: The set is refused, or a timed command is under way. Nothing has changed.
         """
         self.manager.check(names)
-        if self.arbiter.executions:
+        if self.executing:
             raise ControllerSwitchError(
                 "under_way", "a timed command is under way", remedy='wait for its end, or request("hold")'
             )
