@@ -102,7 +102,8 @@ def _refuse_loose_options(entry: StageEntry, values: Mapping[str, Any]) -> None:
     for aside in entry.asides:
         for option in aside.options:
             if option.name not in own and _was_typed(values[key(option.name)]):
-                triggers = " or ".join(f"--{name}" for name in aside.triggers)
+                owners = [a for a in entry.asides if option.name in {o.name for o in a.options}]
+                triggers = " or ".join(f"--{name}" for a in owners for name in a.triggers)
                 raise UsageError(f"--{option.name} goes with {triggers} of {entry.name}")
     if not entry.watchable and values.get("view") not in (None, "none"):
         triggers = " or ".join(f"--{name}" for a in entry.asides if a.watchable for name in a.triggers)
