@@ -50,6 +50,8 @@ def plan_once(context: ToolContext) -> ToolResult:
 
 def _prepare(context: ToolContext, group: str) -> tuple[GoalPlanner, PlanningScene, Array, list[str]]:
     """Return planner, scene, start (14,) and notes; whatever is typed wrongly is said before anything is planned."""
+    import toppra  # noqa: F401  (a second to load; the times printed are those of planning)
+
     from minidual.planning.api import Planner
     from minidual.planning.goal_file import goal_of
     from minidual.planning.goal_plan import GoalPlanner
