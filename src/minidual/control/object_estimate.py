@@ -19,6 +19,7 @@ orientations.
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import numpy as np
 import pinocchio as pin
@@ -27,6 +28,9 @@ from minidual.control.object_impedance import ObjectState
 from minidual.robot.constants import Array
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse, pose, rotation_log
+from minidual.robot.vectors import Vector, cross, inner, minus, plus, times
+
+_WORLD_ALIGNED = pin.LOCAL_WORLD_ALIGNED
 
 
 class RestingEstimate:
@@ -61,6 +65,11 @@ class HeldEstimate:
         delay_ticks: Age of the samples that will come.
         least_gain: g once the start is forgotten.
         samples_n: How many samples T_world_object is worth.
+
+    Attributes:
+        state: The object, as of the last update.
+        innovation: (distance [m], angle [rad]) of the last sample from where the hands had the object.
+        spread_m: Distance of the hands.
     """
 
     def __init__(
@@ -68,15 +77,17 @@ class HeldEstimate:
         samples_n: int = 5,
     ) -> None:  # fmt: skip
         self._model, self._data = kinematics.model, kinematics.data
-        self._tcps = kinematics.tcp_ids
+        self._left, self._right = kinematics.tcp_ids
+        frames = [self._data.oMf[i] for i in kinematics.tcp_ids]
+        self._p = [frame.translation for frame in frames]  # Pinocchio's own memory, seen through numpy
+        self._fingers = [frame.rotation[:, 1] for frame in frames]
         self._least_gain, self._samples_n = least_gain, samples_n
-        self._history: list[Array] = []
-        self._keep = delay_ticks + 1
+        self._history: deque[Array] = deque(maxlen=delay_ticks + 1)
         self.innovation = (0.0, 0.0)
-        T_world_hands, _ = self._hands(q, np.zeros_like(q))
+        self.spread_m = 0.0
+        T_world_hands, _, _ = self._hands(q, np.zeros_like(q))
         self._T_hands_object = inverse(T_world_hands) @ T_world_object
         self.state = ObjectState(T_world_object)
-        self.spread_m = 0.0
 
     def update(self, q: Array, v: Array, sample: Array | None, age_ticks: int = 0) -> ObjectState:
         """Return the object's state now.
@@ -87,45 +98,42 @@ class HeldEstimate:
             sample: Pose (4, 4) that arrived in this step, or None.
             age_ticks: Steps since it was taken.
         """
-        T_world_hands, twist = self._hands(q, v)
+        T_world_hands, velocity, omega = self._hands(q, v)
         self._history.append(T_world_hands)
-        if len(self._history) > self._keep:
-            del self._history[0]
         if sample is not None and age_ticks < len(self._history):
             self._samples_n += 1
             gain = max(1.0 / self._samples_n, self._least_gain)
             seen = inverse(self._history[-1 - age_ticks]) @ sample
             self._T_hands_object, self.innovation = _towards(self._T_hands_object, seen, gain)
-        T = T_world_hands @ self._T_hands_object
-        twist[:3] += _cross(twist[3:], T[:3, 3] - T_world_hands[:3, 3])
-        self.state = ObjectState(T, twist)
+        T = T_world_hands.dot(self._T_hands_object)
+        lever = minus(T[:3, 3].tolist(), T_world_hands[:3, 3].tolist())
+        self.state = ObjectState(T, np.array([*plus(velocity, cross(omega, lever)), *omega]))
         return self.state
 
-    def _hands(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Return T_world_hands (4, 4) and its twist (6,), world axes; also measures the hands' distance."""
+    def _hands(self, q: Array, v: Array) -> tuple[Array, Vector, Vector]:
+        """Return T_world_hands (4, 4), its velocity and its angular velocity; also measures the hands' distance."""
         model, data = self._model, self._data
         pin.forwardKinematics(model, data, q, v)
-        poses, twists = [], []
-        for tcp in self._tcps:
-            placement = pin.updateFramePlacement(model, data, tcp)
-            poses.append((placement.translation, placement.rotation[:, 1]))
-            twists.append(pin.getFrameVelocity(model, data, tcp, pin.LOCAL_WORLD_ALIGNED).vector)
-        (p_left, finger_left), (p_right, finger_right) = poses
-        apart = p_left - p_right
-        distance = math.sqrt(apart @ apart)
+        pin.updateFramePlacement(model, data, self._left)
+        pin.updateFramePlacement(model, data, self._right)
+        left, right = self._p[0].tolist(), self._p[1].tolist()
+        apart = minus(left, right)
+        distance = math.sqrt(inner(apart, apart))
         self.spread_m = distance
-        y = apart / distance
-        x = finger_left + finger_right
-        x = x - (x @ y) * y
-        x = x / math.sqrt(x @ x)
-        T = np.eye(4)
-        T[:3, 0], T[:3, 1], T[:3, 2] = x, y, _cross(x, y)
-        T[:3, 3] = 0.5 * (p_left + p_right)
-        twist = 0.5 * (twists[0] + twists[1])
-        about_y = float(twist[3:] @ y)
+        y = times(1.0 / distance, apart)
+        x = plus(self._fingers[0].tolist(), self._fingers[1].tolist())
+        x = minus(x, times(inner(x, y), y))
+        x = times(1.0 / math.sqrt(inner(x, x)), x)
+        z, p = cross(x, y), times(0.5, plus(left, right))
+        T = np.array([
+            [x[0], y[0], z[0], p[0]], [x[1], y[1], z[1], p[1]], [x[2], y[2], z[2], p[2]], [0.0, 0.0, 0.0, 1.0],
+        ])  # fmt: skip
+        v_left = pin.getFrameVelocity(model, data, self._left, _WORLD_ALIGNED).vector.tolist()
+        v_right = pin.getFrameVelocity(model, data, self._right, _WORLD_ALIGNED).vector.tolist()
         # Turning about x and z shows in the two points, turning about y only in the hands' orientations.
-        twist[3:] = _cross(y, twists[0][:3] - twists[1][:3]) / distance + about_y * y
-        return T, twist
+        about_y = 0.5 * inner(plus(v_left[3:], v_right[3:]), y)
+        swing = times(1.0 / distance, cross(y, minus(v_left[:3], v_right[:3])))
+        return T, times(0.5, plus(v_left[:3], v_right[:3])), plus(swing, times(about_y, y))
 
 
 def _towards(T: Array, sample: Array, gain: float) -> tuple[Array, tuple[float, float]]:
@@ -134,10 +142,3 @@ def _towards(T: Array, sample: Array, gain: float) -> tuple[Array, tuple[float, 
     turn = rotation_log(T[:3, :3].T @ sample[:3, :3])
     moved = pose(T[:3, :3] @ pin.exp3(gain * turn), T[:3, 3] + gain * offset)
     return moved, (math.sqrt(offset @ offset), math.sqrt(turn @ turn))
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Return the cross product of two (3,) vectors; numpy's own costs ten times as much."""
-    a0, a1, a2 = a.tolist()
-    b0, b1, b2 = b.tolist()
-    return np.array([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])

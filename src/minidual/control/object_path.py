@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import bisect
+import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,7 +12,6 @@ import numpy as np
 
 from minidual.control.object_impedance import ObjectState
 from minidual.robot.constants import Array
-from minidual.robot.poses import pose, rot_z
 
 
 def minimum_jerk(s: float) -> tuple[float, float, float]:
@@ -41,24 +43,28 @@ class ObjectPath:
 
     def __init__(self, start: Waypoint, waypoints: Sequence[Waypoint]) -> None:
         points = [start, *waypoints]
-        self._poses = np.array([[*w.xyz_m, w.yaw_rad] for w in points])
-        self._ends = np.cumsum([0.0, *(w.duration_s for w in waypoints)])
+        self._poses = [(*w.xyz_m, w.yaw_rad) for w in points]
+        self._ends = list(itertools.accumulate((w.duration_s for w in waypoints), initial=0.0))
 
     @property
     def duration_s(self) -> float:
         """Total time."""
-        return float(self._ends[-1])
+        return self._ends[-1]
 
     def at(self, t_s: float) -> ObjectState:
         """Return pose, twist and acceleration at time t."""
-        i = int(np.clip(np.searchsorted(self._ends, t_s, side="right") - 1, 0, len(self._ends) - 2))
+        i = min(max(bisect.bisect_right(self._ends, t_s) - 1, 0), len(self._ends) - 2)
         span = self._ends[i + 1] - self._ends[i]
         blend, rate, curvature = minimum_jerk((t_s - self._ends[i]) / span)
-        delta = self._poses[i + 1] - self._poses[i]
-        x = self._poses[i] + blend * delta
-        T: Array = pose(rot_z(float(x[3])), x[:3])
-        twist, acceleration = np.zeros(6), np.zeros(6)
-        for out, factor in ((twist, rate / span), (acceleration, curvature / span**2)):
-            out[:3] = factor * delta[:3]
-            out[5] = factor * delta[3]
-        return ObjectState(T, twist, acceleration)
+        (x0, y0, z0, yaw0), (x1, y1, z1, yaw1) = self._poses[i], self._poses[i + 1]
+        dx, dy, dz, turn = x1 - x0, y1 - y0, z1 - z0, yaw1 - yaw0
+        yaw = yaw0 + blend * turn
+        c, s, v, a = math.cos(yaw), math.sin(yaw), rate / span, curvature / span**2
+        T: Array = np.array([
+            [c, -s, 0.0, x0 + blend * dx], [s, c, 0.0, y0 + blend * dy], [0.0, 0.0, 1.0, z0 + blend * dz],
+            [0.0, 0.0, 0.0, 1.0],
+        ])  # fmt: skip
+        return ObjectState(
+            T, np.array([v * dx, v * dy, v * dz, 0.0, 0.0, v * turn]),
+            np.array([a * dx, a * dy, a * dz, 0.0, 0.0, a * turn]),
+        )  # fmt: skip

@@ -22,7 +22,10 @@ class TorqueRate:
 
     def limit(self, tau: Array) -> Array:
         """Return the torques (14,) nearest to tau that may follow the last ones."""
-        self.tau = self.tau + np.clip(tau - self.tau, -self._step, self._step)
+        change = tau - self.tau
+        np.minimum(change, self._step, change)
+        np.maximum(change, -self._step, change)
+        self.tau = self.tau + change
         return self.tau
 
 

@@ -72,8 +72,7 @@ class Sensors:
         self._bias = np.r_[config.pose_bias_m * bias[:3], config.pose_bias_rad * bias[3:]]
         self._scale = np.r_[[config.pose_noise_m] * 3, [config.pose_noise_rad] * 3]
         self._tick = 0
-        self._force_noise = self._pose_noise = np.zeros((0, 0))
-        self._force_row = self._pose_row = _BLOCK
+        self._force_noise, self._force_row = np.zeros((0, _FORCES)), _BLOCK
         length = self.delay_ticks + 1
         self._forces = np.zeros((length, _FORCES))
         self._poses: dict[int, Array] = {}
@@ -82,10 +81,10 @@ class Sensors:
     def sense(self) -> Reading:
         """Sample the world and return what arrives; call once a control step."""
         tick, length = self._tick, self.delay_ticks + 1
-        now = self._sample_forces()
+        now = self._forces[tick % length]
+        self._sample_forces(now)
         if self._first:
             self._forces[:] = now
-        self._forces[tick % length] = now
         if tick % self._period_ticks == 0:
             self._poses[tick] = self._sample_pose()
         arrived: Array | None = self._poses.pop(tick - self.delay_ticks, None)
@@ -93,19 +92,21 @@ class Sensors:
             arrived = self._poses[tick]  # it lay there before the trial began
         self._first = False
         self._tick += 1
-        forces = self._forces[(tick + 1) % length]
         pose = None if arrived is None else PoseSample(arrived, self.delay_ticks)
-        return Reading(pose, forces[:6].reshape(2, 3).copy(), forces[6:].copy())
+        forces = self._forces[(tick + 1) % length].copy()
+        return Reading(pose, forces[:6].reshape(2, 3), forces[6:])
 
-    def _sample_forces(self) -> Array:
-        if self._force_row == _BLOCK:
+    def _sample_forces(self, out: Array) -> None:
+        """Write what the hands feel now, noise included, into (8,)."""
+        row = self._force_row
+        if row == _BLOCK:
             self._force_noise = self._config.force_noise_n * self._rng.standard_normal((_BLOCK, _FORCES))
-            self._force_row = 0
-        sample = self._force_noise[self._force_row].copy()
-        self._force_row += 1
-        sample[:6] += self._world.hand_forces().ravel()
-        sample[6:] = np.maximum(0.0, sample[6:] + self._world.pinch_forces())
-        return sample
+            row = 0
+        self._force_row = row + 1
+        out[:6] = self._world.hand_forces().ravel()
+        out[6:] = self._world.pinch_forces()
+        out += self._force_noise[row]
+        np.maximum(out[6:], 0.0, out[6:])
 
     def _sample_pose(self) -> Array:
         T = self._world.T_world_rod.copy()

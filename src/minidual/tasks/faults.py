@@ -106,6 +106,7 @@ class FaultMonitor:
         self._needed = max(1, round(config.persistence_s / dt_s))
         self._counts: dict[str, int] = {}
         self._spread_m: float | None = None
+        self._motors_missing = False
         self._away_m, self._away_rad = _Scatter(config.displaced_m), _Scatter(config.displaced_rad)
 
     def _is_away(self, innovation: tuple[float, float]) -> bool:
@@ -114,12 +115,20 @@ class FaultMonitor:
 
     def _lasts(self, key: str, now: bool, needed: int | None = None) -> bool:
         """Return whether `now` has held for as many calls in a row as needed."""
-        count = self._counts[key] = self._counts.get(key, 0) + 1 if now else 0
+        if not now:
+            self._counts[key] = 0
+            return False
+        count = self._counts[key] = self._counts.get(key, 0) + 1
         return count >= (self._needed if needed is None else needed)
 
     def motors(self, commanded: Array, applied: Array) -> Finding:
         """Compare torques (14,) told and given in the last step."""
-        missing = np.abs(commanded - applied).reshape(2, DOF_PER_ARM).max(axis=1)
+        difference = commanded - applied
+        np.abs(difference, difference)
+        if difference.max() <= self._config.motor_torque_n_m and not self._motors_missing:
+            return None
+        missing = difference.reshape(2, DOF_PER_ARM).max(axis=1)
+        self._motors_missing = bool((missing > self._config.motor_torque_n_m).any())
         for arm, name in enumerate(ARMS):
             if self._lasts(f"motor {name}", bool(missing[arm] > self._config.motor_torque_n_m)):
                 return (
@@ -155,11 +164,12 @@ class FaultMonitor:
     def holding(self, pinch_n: Array, gap_m: Array, spread_m: float, tilt_rad: float) -> Finding:
         """Judge a held object by pinch (2,), finger gaps (2,), the hands' distance and its estimated tilt."""
         config = self._config
-        for arm, name in enumerate(ARMS):
-            if self._lasts(f"pinch {name}", bool(pinch_n[arm] < config.lost_pinch_share * self._pinch)):
-                return "object_lost", f"the {name} hand pinches {pinch_n[arm]:.1f} of {self._pinch:.0f} N"
-            if self._lasts(f"held gap {name}", bool(gap_m[arm] < self._width - config.gap_margin_m), 3):
-                return "object_lost", f"the {name} hand has closed to {1e3 * gap_m[arm]:.0f} mm"
+        least_n, least_m = config.lost_pinch_share * self._pinch, self._width - config.gap_margin_m
+        for name, pinch, gap in zip(ARMS, pinch_n.tolist(), gap_m.tolist(), strict=True):
+            if self._lasts(f"pinch {name}", pinch < least_n):
+                return "object_lost", f"the {name} hand pinches {pinch:.1f} of {self._pinch:.0f} N"
+            if self._lasts(f"held gap {name}", gap < least_m, 3):
+                return "object_lost", f"the {name} hand has closed to {1e3 * gap:.0f} mm"
         if self._spread_m is None:
             self._spread_m = spread_m
         crept = abs(spread_m - self._spread_m)

@@ -18,7 +18,7 @@ from minidual.control.object_estimate import HeldEstimate, RestingEstimate
 from minidual.control.object_impedance import HeldObject, ImpedanceGains, ObjectImpedance, ObjectState
 from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.control.soft_stop import SoftStop, TorqueRate
-from minidual.robot.constants import DOF_PER_ARM, FINGER_TRAVEL_M, TAU_MAX, Array
+from minidual.robot.constants import ARMS, DOF_PER_ARM, FINGER_TRAVEL_M, Array
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse
 from minidual.sim.sensing import Reading, Sensors
@@ -96,13 +96,14 @@ class ImpedanceCarry:
         if self._reading.pose is None:
             raise RuntimeError("the first reading of the sensors holds a pose")
         self._sensed_s = world.time
-        self._forces, self._pinch = self._reading.hand_forces, self._reading.pinch
+        self._forces, self._pinch = self._reading.hand_forces.copy(), self._reading.pinch.copy()
+        self._filter_share = world.dt / (config.sensing.force_filter_s + world.dt)
         self._resting = RestingEstimate(self._reading.pose.T_world_object)
         self._q_over, _ = approach_postures(world.scene, level_part(self._resting.T_world_object))
         self._motion: Quintic | SoftStop = self._travel(world.q, self._q_over)
         self._rate = TorqueRate(kinematics.gravity(world.q), world.dt)
         self._told: Array | None = None
-        self._dead = np.zeros(2, dtype=bool)
+        self._dead: Array | None = None
         self._stop_opens = False
         self._phase = _Phase("approach", world.time)
         self._squeeze_n = config.impedance.internal_force_n
@@ -157,17 +158,18 @@ class ImpedanceCarry:
         if self.world.time > self._sensed_s:  # the constructor has sensed the first step already
             self._reading = self._sensors.sense()
         reading: Reading = self._reading
-        share = self.world.dt / (self._config.sensing.force_filter_s + self.world.dt)
-        self._forces = self._forces + share * (reading.hand_forces - self._forces)
-        self._pinch = self._pinch + share * (reading.pinch - self._pinch)
+        share = self._filter_share
+        self._forces += share * (reading.hand_forces - self._forces)
+        self._pinch += share * (reading.pinch - self._pinch)
         if self._phase.name in ("approach", "descend") and reading.pose is not None:
             self._resting.add(reading.pose.T_world_object)
             self._heed(self._monitor.resting(self._resting.innovation))
 
     def _command(self, tau: Array, opening: Array) -> None:
         """Send torques, their change bounded, and finger targets."""
-        tau = np.where(np.repeat(self._dead, DOF_PER_ARM), 0.0, tau)
-        self._told = np.clip(self._rate.limit(tau), -TAU_MAX, TAU_MAX)
+        if self._dead is not None:
+            tau = np.where(self._dead, 0.0, tau)
+        self._told = self._rate.limit(tau)  # between torques within the motors' limits, so within them too
         self.world.command(self._told, self._grippers.step(opening))
 
     def _enter(self, name: str) -> None:
@@ -181,7 +183,7 @@ class ImpedanceCarry:
         world = self.world
         self.fault = CarryFault(name, world.time, detail)
         if name == "lost_arm":  # a drive that comes back must not find a torque waiting
-            self._dead = np.array([detail.startswith(arm) for arm in ("left", "right")])
+            self._dead = np.repeat([detail.startswith(arm) for arm in ARMS], DOF_PER_ARM)
         self._stop_opens = FAULTS[name].opens_hands
         # Two hands that still hold one object must not fight each other over it: a soft hold.
         self._joint = ComputedTorque(self._kinematics, natural_frequency_rad_s=_STOP_FREQUENCY_RAD_S)
