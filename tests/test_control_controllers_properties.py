@@ -1,0 +1,316 @@
+"""The whole control stack under random interleavings of commands of all kinds, switches, delays and faults.
+
+Never two sources in one tick, never a joint reference that jumps, never silence: one torque a joint every tick, from
+exactly one controller. The same checks are then turned on stacks that were broken on purpose.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+from control_plant import ArmsPlant, HandsObject
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_control_controllers import move
+
+from minidual.config.arbiter import ArbiterConfig
+from minidual.config.scene import SceneConfig
+from minidual.control import controllers as controllers_module
+from minidual.control import underway
+from minidual.control.commands import (
+    HOLD,
+    SOURCES,
+    ArbiterState,
+    JointCommand,
+    ObjectCommand,
+    TrajectoryCommand,
+)
+from minidual.control.controller_manager import ControllerManager, ControllerSwitchError
+from minidual.control.mailbox import Mailbox
+from minidual.control.object_path import ObjectPath, Waypoint
+from minidual.control.stack import ControlStack
+from minidual.robot.constants import GROUPS, HOME, V_MAX, Array
+from minidual.robot.kinematics import Kinematics
+
+Event = tuple[Any, ...]
+CONFIG = ArbiterConfig()
+SCENE = SceneConfig()
+A, B, C = ("both_arms",), ("left_arm", "right_arm"), ("object_impedance",)
+BAD_SETS = (("left_arm",), ("both_arms", "left_arm"), ())
+# A trajectory at its speed limit, plus what fades of its distance from the reference, plus rounding.
+REFERENCE_STEP = (1.02 * V_MAX + 2.0 * CONFIG.switch_step_max_rad / 0.5) * 1e-3 + 1e-9
+
+
+class Witness:
+    """Plays events to a stack and looks at every control step."""
+
+    def __init__(self) -> None:
+        self.plant = ArmsPlant(SCENE)
+        here = HandsObject(self.plant)
+        self.stack = ControlStack(self.plant, Kinematics(), CONFIG, sensor=here)
+        self._here = here
+        self.stack.impedance.configure(here.held())
+        self.stack.on_flush(self._flushed)
+        self.sequence = 0
+        self.taken: dict[int, str] = {}
+        self._kept: list[Any] = []
+        self.turn: str | None = None
+        self.seen: Counter[Any] = Counter()
+        self._updates: Counter[int] = Counter()
+        self._last: Array | None = None
+        self._active = self.stack.manager.active
+        for name in self.stack.manager.names:
+            self._spy(self.stack.manager[name])
+
+    def _spy(self, controller: Any) -> None:
+        run = controller.update
+
+        def update(q: Array, v: Array) -> Array:
+            self._updates.update(controller.arms)
+            return run(q, v)
+
+        controller.update = update
+
+    def _flushed(self, mode: str) -> None:
+        self.turn = None
+        self.taken.clear()
+
+    def play(self, events: Sequence[Event]) -> None:
+        for event in events:
+            getattr(self, event[0])(*event[1:])
+
+    # Events ---------------------------------------------------------------------------------------------
+
+    def request(self, mode: str, controllers: Any) -> None:
+        before = self.stack.manager.active
+        try:
+            self.stack.request(mode, controllers)
+        except ControllerSwitchError as error:
+            assert controllers in BAD_SETS
+            self.seen[error.name] += 1
+            assert self.stack.manager.active == before
+
+    def controllers(self, names: tuple[str, ...]) -> None:
+        before, busy = self.stack.manager.active, self.stack.executing
+        try:
+            self.stack.switch_controllers(names)
+        except ControllerSwitchError as error:
+            assert names in BAD_SETS or busy
+            self.seen[error.name] += 1
+            assert self.stack.manager.active == before
+
+    def _offer(self, source: str, command: Any) -> None:
+        if self.stack.propose(source, command) is None:
+            self.taken[id(command)] = source
+            self._kept.append(command)  # so that no other command gets its id
+
+    def stream(self, source: str, group: str, offset: float, age: float, fault: str, ticks: int) -> None:
+        """A source that sends joint targets for a while."""
+        corner = 0.15 * (SOURCES.index(source) - 1) + offset
+        for _ in range(ticks):
+            self.sequence += 1
+            q = HOME[GROUPS[group]] + corner
+            if fault == "nan":
+                q = np.where(np.arange(len(q)) == 2, np.nan, q)
+            elif fault == "zero":
+                q = np.zeros(len(q))
+            elif fault == "limits":
+                q = q + 4.0
+            stamp = self.plant.time - age
+            self._offer(source, JointCommand(q, np.ones(2), stamp, self.sequence, group))
+            self.run(20)
+
+    def trajectory(
+        self, source: str, group: str, away: float, goal: float, seconds: float, age: float
+    ) -> None:
+        self.sequence += 1
+        start = self.plant.q + away
+        motion = move(start, HOME + goal, seconds, group)
+        stamp = self.plant.time - age
+        self._offer(source, TrajectoryCommand(motion, np.ones(2), stamp, self.sequence, group))
+
+    def object(self, source: str, dz: float, seconds: float) -> None:
+        self.sequence += 1
+        x, y, z = (float(value) for value in self._here.pose()[:3, 3])
+        path = ObjectPath(Waypoint((x, y, z), 0.0, 0.0), [Waypoint((x, y, z + dz), 0.0, seconds)])
+        self._offer(source, ObjectCommand(path, lambda t: 0.0, np.ones(2), self.plant.time, self.sequence))
+
+    def run(self, steps: int) -> None:
+        for _ in range(steps):
+            n = len(self.plant.torques)
+            self._updates.clear()
+            self.stack.step()
+            self._check(n)
+
+    # Checks ---------------------------------------------------------------------------------------------
+
+    def _check(self, torques_before: int) -> None:
+        stack, out = self.stack, self.stack.output
+        assert len(self.plant.torques) == torques_before + 1, "silence"
+        assert np.isfinite(self.plant.torques[-1]).all()
+        assert self._updates == {0: 1, 1: 1}, f"joints claimed {dict(self._updates)} times"
+        self._check_reference()
+        if out.switched_to is not None:
+            self.turn = None if out.switched_to == HOLD else out.switched_to
+        for execution in out.executions:
+            source = self.taken.get(id(execution.command))
+            assert execution.braking or source == self.turn, "a command of another turn runs"
+            self.seen[type(execution.command)] += 1
+        assert out.active_source in (None, self.turn), "driven by a source whose turn it is not"
+        self.seen[stack.state] += 1
+        self.seen[stack.manager.active] += 1
+        self.seen.update({r.name for r in out.refusals})
+
+    def _check_reference(self) -> None:
+        reference, active = np.array(self.stack.reference), self.stack.manager.active
+        if self._last is not None and active != C:
+            step = np.abs(reference - self._last)
+            if active == self._active:
+                assert (step <= REFERENCE_STEP).all(), f"the reference jumped by {step.max()}"
+            else:  # the new controllers start at what is measured, which the old reference may be ahead of
+                assert step.max() <= CONFIG.switch_step_max_rad, f"a switch jumped by {step.max()}"
+        self._last, self._active = reference, active
+
+
+source = st.sampled_from(SOURCES)
+group = st.sampled_from(sorted(GROUPS))
+sets = st.sampled_from([A, A, B, C, *BAD_SETS])
+events = st.one_of(
+    st.tuples(st.just("request"), st.sampled_from((*SOURCES, HOLD)), st.one_of(st.none(), sets)),
+    st.tuples(st.just("controllers"), sets),
+    st.tuples(
+        st.just("stream"), source, group, st.sampled_from([0.0, 0.05, -0.09, 0.3]), st.sampled_from([0.0, 0.0, 0.2]),
+        st.sampled_from(["", "", "", "nan", "zero", "limits"]), st.integers(1, 4),
+    ),
+    st.tuples(
+        st.just("trajectory"), source, group, st.sampled_from([0.0, 0.0, 0.04, 0.5]), st.sampled_from([0.0, 0.2, -0.2]),
+        st.sampled_from([0.3, 0.6]), st.sampled_from([0.0, 0.0, 0.0, 0.2, -3.0]),
+    ),
+    st.tuples(st.just("object"), source, st.sampled_from([0.05, -0.03]), st.just(0.4)),
+    st.tuples(st.just("run"), st.sampled_from([1, 7, 20, 90])),
+)  # fmt: skip
+
+
+def turn(mode: str, controllers: Any = None) -> list[Event]:
+    return [("request", mode, controllers), ("run", 60)]
+
+
+scripts = st.sampled_from([
+    [*turn("moveit"), ("trajectory", "moveit", "both_arms", 0.0, 0.2, 0.3, 0.0), ("run", 90)],
+    [*turn("moveit", B), ("trajectory", "moveit", "left_arm", 0.0, 0.2, 0.3, 0.0), ("run", 20),
+     ("trajectory", "moveit", "right_arm", 0.0, -0.2, 0.3, 0.0), ("run", 90)],
+    [*turn("moveit", C), ("object", "moveit", 0.05, 0.4), ("run", 90)],
+    [*turn("teleop"), ("stream", "teleop", "both_arms", 0.05, 0.0, "", 4)],
+    [*turn("teleop"), ("stream", "teleop", "left_arm", 0.0, 0.0, "", 2), ("run", 1150)],
+    [*turn("teleop", C), ("stream", "teleop", "both_arms", 0.05, 0.0, "", 2)],
+    [*turn("moveit"), ("trajectory", "moveit", "both_arms", 0.5, 0.2, 0.6, 0.0), ("run", 2)],
+    [*turn("policy"), ("stream", "policy", "right_arm", 0.3, 0.0, "", 6), ("run", 150)],
+])  # fmt: skip
+histories = st.lists(st.one_of(events.map(lambda e: [e]), scripts), max_size=10).map(
+    lambda parts: [("run", 1), *(event for part in parts for event in part), ("run", 30)]
+)
+
+
+@settings(max_examples=100, deadline=None)
+@given(histories)
+def test_one_source_no_jump_and_never_silence(history: list[Event]) -> None:
+    Witness().play(history)
+
+
+def test_random_histories_reach_all_that_there_is() -> None:
+    seen: Counter[Any] = Counter()
+
+    @settings(max_examples=150, deadline=None, derandomize=True, database=None)
+    @given(histories)
+    def collect(history: list[Event]) -> None:
+        witness = Witness()
+        witness.play(history)
+        seen.update(witness.seen)
+
+    collect()
+    wanted = {
+        *ArbiterState, A, B, C, TrajectoryCommand, ObjectCommand,
+        "unclaimed", "doubly_claimed", "wrong_controller", "far_start", "busy", "not_finite", "all_zero",
+    }  # fmt: skip
+    assert wanted <= set(seen), f"never reached: {wanted - set(seen)}"
+
+
+@settings(max_examples=15, deadline=None)
+@given(histories)
+def test_the_same_history_gives_the_same_torques(history: list[Event]) -> None:
+    first, second = Witness(), Witness()
+    for witness in (first, second):
+        witness.play(history)
+    np.testing.assert_array_equal(first.plant.torques, second.plant.torques)
+
+
+# What the checks say of stacks that are broken ------------------------------------------------------------
+
+DRIVE: list[Event] = [
+    ("run", 1), *turn("moveit"), ("trajectory", "moveit", "both_arms", 0.0, 0.2, 0.6, 0.0), ("run", 90),
+    *turn("teleop"), ("run", 400), ("stream", "teleop", "both_arms", 0.0, 0.0, "", 3), ("run", 150),
+    ("controllers", B), ("run", 30), ("controllers", A), ("run", 30),
+]  # fmt: skip
+
+
+def test_the_crafted_history_passes_a_whole_stack() -> None:
+    witness = Witness()
+    witness.play(DRIVE)
+    assert {A, B, TrajectoryCommand, ArbiterState.ACTIVE, ArbiterState.STALE} <= set(witness.seen)
+
+
+def test_the_witness_sees_an_arm_with_two_controllers(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ControllerManager, "check", lambda self, names: tuple(self[n] for n in names))
+    witness = Witness()
+    witness.play(DRIVE)
+    with pytest.raises(AssertionError, match="claimed"):
+        witness.play([("controllers", ("both_arms",)), ("controllers", ("left_arm",)), ("run", 1)])
+    with pytest.raises(AssertionError, match="claimed"):
+        witness.play([("request", "policy", ("both_arms", "left_arm")), ("run", 700)])
+
+
+def test_the_witness_sees_a_trajectory_that_starts_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(underway, "_far_start", lambda *_: None)
+    monkeypatch.setattr(controllers_module, "_BLEND_S", 1e-3)
+    with pytest.raises(AssertionError, match="the reference jumped"):
+        Witness().play([
+            ("run", 1), *turn("moveit"), ("trajectory", "moveit", "both_arms", 0.5, 0.2, 0.6, 0.0), ("run", 30),
+        ])  # fmt: skip
+
+
+def test_the_witness_sees_an_old_trajectory_after_a_switch(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Mailbox, "flush", lambda self, now_s: None)
+    with pytest.raises(AssertionError, match="another turn"):
+        Witness().play([
+            ("run", 1), ("trajectory", "moveit", "both_arms", 0.0, 0.2, 0.6, 0.0), ("request", "moveit", None), ("run", 60),
+        ])  # fmt: skip
+
+
+def test_the_witness_sees_silence(monkeypatch: pytest.MonkeyPatch) -> None:
+    advance = ControlStack.advance
+    monkeypatch.setattr(
+        ControlStack, "advance", lambda self: None if self.state == ArbiterState.STALE else advance(self)
+    )
+    with pytest.raises(AssertionError, match="silence"):
+        Witness().play(DRIVE)
+
+
+def test_the_witness_sees_a_reference_without_its_filter(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Jumping:
+        def __init__(self, *args: Any, **kwargs: Any) -> None:
+            self.zero = np.zeros(14)
+
+        def reset(self, q: Array, v: Array | None = None) -> None: ...
+
+        def step(self, target: Array) -> tuple[Array, Array, Array]:
+            return target, self.zero, self.zero
+
+    monkeypatch.setattr(controllers_module, "ReferenceFilter", Jumping)
+    with pytest.raises(AssertionError, match="the reference jumped"):
+        Witness().play([
+            ("run", 1), *turn("teleop"), ("stream", "teleop", "both_arms", 0.05, 0.0, "", 2),
+        ])  # fmt: skip
