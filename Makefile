@@ -16,7 +16,7 @@ TEST_WORKERS ?= 2
 BIN := .venv/bin
 READY := .venv/.ready
 
-.PHONY: help all test test-slow lint format typecheck wheel setup egl clean
+.PHONY: help all bench test test-slow lint format typecheck wheel setup egl clean
 
 help: ## show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 20
@@ -31,6 +31,9 @@ test: $(READY) egl ## run the fast tests
 
 test-slow: $(READY) egl ## run the tests marked slow
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 HF_HUB_OFFLINE=1 $(BIN)/python -m pytest -m slow $(ARGS)
+
+bench: $(READY) ## one control step beside bare physics, and what else is timed
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/minidual bench $(ARGS)
 
 lint: $(READY) ## ruff, its formatter, and the direction of imports
 	@$(BIN)/ruff check .

@@ -83,12 +83,12 @@ def rotation_error(wanted: Matrix, actual: Matrix) -> tuple[float, float, float]
     sin(angle) axis is half the vector of the antisymmetric part, cos(angle) follows from the trace (Rodrigues).
     """
     (a, b, c), (d, e, f), (g, h, i) = wanted
-    (k, l, m), (n, o, p), (q, r, s) = actual
+    (k, u, m), (n, o, p), (q, r, s) = actual
     x = g * n + h * o + i * p - d * q - e * r - f * s
-    y = a * q + b * r + c * s - g * k - h * l - i * m
-    z = d * k + e * l + f * m - a * n - b * o - c * p
+    y = a * q + b * r + c * s - g * k - h * u - i * m
+    z = d * k + e * u + f * m - a * n - b * o - c * p
     sine = 0.5 * math.sqrt(x * x + y * y + z * z)
-    cosine = 0.5 * (a * k + b * l + c * m + d * n + e * o + f * p + g * q + h * r + i * s - 1.0)
+    cosine = 0.5 * (a * k + b * u + c * m + d * n + e * o + f * p + g * q + h * r + i * s - 1.0)
     if cosine < _NEAR_HALF_TURN:
         x, y, z = rotation_log(np.array(wanted) @ np.array(actual).T).tolist()
         return x, y, z

@@ -1,0 +1,218 @@
+"""The bench: what it times, what it says of limits, and that a slow controller shows. No test here judges a time."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import time
+
+import numpy as np
+import pytest
+
+from minidual.cli import run_command_line
+from minidual.config.scene import SceneConfig
+from minidual.control.object_impedance import ImpedanceGains
+from minidual.errors import ExitCode, UsageError
+from minidual.evaluation import bench, bench_control
+from minidual.evaluation.bench import BENCHES, BenchInputs, BenchRow, BenchSpec, BenchTable, parse_benches
+from minidual.evaluation.bench_control import CASES, COLUMNS, Case, measure_case, trajectory_14
+from minidual.evaluation.bench_scenes import BenchScene, free_scene, held_scene
+from minidual.evaluation.step_cost import step_cost
+from minidual.robot.constants import HOME
+from minidual.stages.registry import STAGES
+from minidual.stages.tools import TOOLS
+from minidual.tasks.rod_carry import tilt_rad
+
+
+@pytest.fixture(scope="module")
+def held() -> BenchScene:
+    return held_scene(SceneConfig(), ImpedanceGains())
+
+
+@pytest.fixture(scope="module")
+def free() -> BenchScene:
+    return free_scene(SceneConfig(), ImpedanceGains())
+
+
+class TestScenes:
+    def test_held_means_held(self, held: BenchScene) -> None:
+        held.restore()
+        assert held.world.pinch_forces().min() > 50.0
+        assert held.world.internal_force() == pytest.approx(40.0, abs=2.0)
+        assert held.world.T_world_rod[2, 3] > 0.09
+        assert not held.world.rod_on_table()
+
+    def test_free_means_free(self, free: BenchScene) -> None:
+        free.restore()
+        assert free.world.pinch_forces().tolist() == [0.0, 0.0]
+
+    def test_a_restored_scene_is_the_same_to_the_byte(self, held: BenchScene) -> None:
+        held.restore()
+        before = held.world.data.qpos.tobytes() + held.world.data.sensordata.tobytes()
+        for _ in range(5):
+            held.world.step()
+        assert held.world.data.qpos.tobytes() + held.world.data.sensordata.tobytes() != before
+        held.restore()
+        assert held.world.data.qpos.tobytes() + held.world.data.sensordata.tobytes() == before
+
+    @pytest.mark.parametrize("make", CASES)
+    def test_every_case_keeps_its_situation(self, make: bench_control.MakeCase, held: BenchScene) -> None:
+        held.restore()
+        case = make(held)
+        for _ in range(300):
+            case.before()
+            case.step()
+        assert held.world.pinch_forces().min() > 40.0
+        assert tilt_rad(held.world.T_world_rod) < 0.02
+        assert held.world.T_world_rod[2, 3] > 0.09
+
+    def test_samples_agree_with_their_rates(self, free: BenchScene) -> None:
+        samples = free.joint_samples()
+        (q0, _, _), (q1, v1, a1), (q2, _, _) = (next(samples) for _ in range(3))
+        dt = free.world.dt
+        assert q0 == pytest.approx(free.q_rest, abs=1e-12)
+        assert (q2 - q0) / (2 * dt) == pytest.approx(v1, abs=1e-5)
+        assert (q2 - 2 * q1 + q0) / dt**2 == pytest.approx(a1, abs=1e-3)
+        states = free.object_samples()
+        s0, s1, s2 = (next(states) for _ in range(3))
+        x0, x1, x2 = (s.T_world_object[:3, 3] for s in (s0, s1, s2))
+        assert (x2 - x0) / (2 * dt) == pytest.approx(s1.twist[:3], abs=1e-6)
+        assert (x2 - 2 * x1 + x0) / dt**2 == pytest.approx(s1.acceleration[:3], abs=1e-4)
+
+
+class TestStepCost:
+    def test_every_step_is_taken_once_and_bare_physics_leaves_the_world_alone(self, free: BenchScene) -> None:
+        free.restore()
+        began, taken = free.world.time, []
+        cost = step_cost(
+            free.world,
+            free.world.step,
+            130,
+            parts={"look": lambda: free.world.q},
+            before=lambda: taken.append(1),
+        )
+        assert len(taken) == 130
+        assert free.world.time - began == pytest.approx(0.130)
+        assert set(cost.parts_us) == {"look"}
+        assert cost.real_time_factor == pytest.approx(1e3 / cost.median_us)
+
+    def test_a_controller_slowed_on_purpose_shows(self, held: BenchScene) -> None:
+        """Two milliseconds beside some tens of microseconds: no load on the machine hides that."""
+
+        def slowed(scene: BenchScene) -> Case:
+            case = trajectory_14(scene)
+
+            def step() -> None:
+                time.sleep(2e-3)
+                case.step()
+
+            return Case("slowed", step, case.before, case.parts, case.ratio_max)
+
+        row = measure_case(held, slowed, 60)
+        assert row.exceeded == ("ratio",)
+        assert row.numbers["ratio"] > 5.0
+        assert row.numbers["algebra_us"] > 1000.0
+
+    def test_rows_have_every_column_and_parts_are_parts(self, held: BenchScene) -> None:
+        for make in CASES:
+            row = measure_case(held, make, 100)
+            assert set(row.numbers) == set(COLUMNS)
+            assert all(np.isfinite(value) and value > 0.0 for value in row.numbers.values())
+            assert row.numbers["read_us"] + row.numbers["dynamics_us"] < row.numbers["step_us"]
+            assert set(row.limits) == {"ratio"}
+
+    def test_an_imagined_object_has_no_limit_to_keep(self, free: BenchScene) -> None:
+        assert measure_case(free, bench_control.object_impedance, 50).limits == {}
+
+
+class TestTable:
+    TABLE = BenchTable(
+        "title", ("a_us", "ratio"),
+        (
+            BenchRow("good", {"a_us": 3.0, "ratio": 1.0}, {"ratio": 1.5}),
+            BenchRow("bad", {"ratio": 2.0}, {"ratio": 1.5}),
+            BenchRow("broken", {"ratio": float("nan")}, {"ratio": 1.5}),
+        ),
+        ("a note",),
+    )  # fmt: skip
+
+    def test_over_the_limit_is_marked_and_nan_is_over(self) -> None:
+        assert [row.exceeded for row in self.TABLE.rows] == [(), ("ratio",), ("ratio",)]
+        lines = self.TABLE.lines()
+        assert lines[0] == "title"
+        assert "!2.00 (<= 1.5)" in next(line for line in lines if line.startswith("bad"))
+        assert "!" not in next(line for line in lines if line.startswith("good"))
+        assert "  -  " in next(line for line in lines if line.startswith("bad"))
+        assert len(self.TABLE.exceeded) == 2
+
+
+class TestRegistry:
+    def test_every_target_exists(self) -> None:
+        for spec in BENCHES.values():
+            module, function = spec.target.split(":")
+            assert callable(getattr(importlib.import_module(module), function))
+            assert spec.summary
+            assert spec.repeats_n > 0
+
+    def test_names(self) -> None:
+        assert parse_benches(()) == tuple(BENCHES)
+        assert parse_benches(("control",)) == ("control",)
+        with pytest.raises(UsageError, match="control"):
+            parse_benches(("contrl",))
+        with pytest.raises(UsageError, match="twice"):
+            parse_benches(("control", "control"))
+
+
+def toy(inputs: BenchInputs) -> BenchTable:
+    inputs.advance("toy")
+    return BenchTable("toy", ("n",), (BenchRow("row", {"n": float(inputs.repeats_n)}, {"n": 10.0}),))
+
+
+class TestCommand:
+    @pytest.fixture
+    def call(self, tmp_path, capsys, monkeypatch):
+        monkeypatch.setattr(bench, "BENCHES", {"toy": BenchSpec(f"{__name__}:toy", "A toy", 3)})
+
+        def run(*words: str) -> tuple[int, str, str]:
+            code = run_command_line(["bench", *words, "--runs-dir", str(tmp_path)], STAGES, TOOLS)
+            out = capsys.readouterr()
+            return code, out.out, out.err
+
+        return run
+
+    def test_within_limits(self, call) -> None:
+        code, out, _ = call("--check")
+        assert code == ExitCode.PASS
+        assert "row" in out
+
+    def test_over_a_limit_is_said_and_with_check_fails(self, call) -> None:
+        code, out, err = call("toy", "--repeats", "11")
+        assert code == ExitCode.PASS
+        assert "!" in out
+        assert "row: n 11.00, limit 10" in err
+        assert call("--repeats", "11", "--check")[0] == ExitCode.ACCEPTANCE_FAILED
+
+    def test_json(self, call) -> None:
+        code, out, _ = call("--json", "--repeats", "4")
+        document = json.loads(out)
+        assert code == ExitCode.PASS
+        assert document["benches"]["toy"]["rows"][0]["numbers"] == {"n": 4.0}
+        assert document["exceeded"] == []
+
+    def test_usage(self, call) -> None:
+        code, _, err = call("nonsense")
+        assert code == ExitCode.USAGE
+        assert "toy" in err
+        assert call("--repeats", "0")[0] == ExitCode.USAGE
+
+
+def test_env_check_still_learns_its_step_cost(free: BenchScene) -> None:
+    from minidual.control.loop import JointLoop
+    from minidual.evaluation.step_cost import control_step_cost
+
+    loop = JointLoop(free.world, free.kinematics)
+    cost = control_step_cost(loop, 120)
+    assert cost.ratio > 1.0
+    assert cost.p99_us >= cost.median_us > cost.bare_median_us > 0.0
+    assert np.array_equal(free.world.q, HOME)
+    free.restore()
