@@ -12,7 +12,13 @@ from minidual.pipeline.stage import StageContext, StageResult
 if TYPE_CHECKING:
     from minidual.config.control import CarryLimits
     from minidual.config.root import Config
+    from minidual.evaluation.methods import MethodInputs
     from minidual.evaluation.metrics import TrialMetrics
+    from minidual.evaluation.trials import TrialResult
+    from minidual.tasks.rod_carry import RodTrial
+
+RECORDED_FAILURES_MAX = 20
+"""Recordings of failed trials that the stage keeps; trials.csv has all of them."""
 
 
 def carry_checks(
@@ -94,7 +100,7 @@ class CarryStage:
         return {"carry": config.carry, "scene": config.scene}
 
     def run(self, context: StageContext) -> StageResult:
-        """Run the trials; plot and film the median and the worst."""
+        """Run the trials; plot, film and record the median and the worst, and record what failed."""
         import numpy as np
 
         from minidual.config.seeds import stream
@@ -135,6 +141,7 @@ class CarryStage:
                 draw_trial(logs[i], scene, context.folder / f"{label}.png", title=title)
                 film_trial("impedance", inputs, trials[i], context.folder / films[label])
                 task.advance()
+        self._record(context, inputs, trials, results, shown)
 
         checks = carry_checks(
             metrics,
@@ -176,6 +183,28 @@ class CarryStage:
             "shown": shown,
         }
         return StageResult(checks=checks, data=data)
+
+    def _record(
+        self, context: StageContext, inputs: MethodInputs, trials: list[RodTrial], results: list[TrialResult],
+        shown: dict[str, int],
+    ) -> None:  # fmt: skip
+        """Write recordings for `minidual replay` of the median, the worst and the first trials that failed."""
+        from minidual.errors import DataError
+        from minidual.evaluation.trial_records import TrialRecords
+
+        failed = [i for i, result in enumerate(results) if not result.success]
+        named = {i: f"trial{i:03d}" for i in failed[:RECORDED_FAILURES_MAX]}
+        named |= {i: label for label, i in shown.items()}
+        records = TrialRecords("impedance", inputs)
+        with context.progress.task("recordings", len(named)) as task:
+            for i, label in named.items():
+                again = records.write(trials[i], context.folder / f"{label}.npz")
+                if again.text != results[i].text:
+                    raise DataError(
+                        f"trial {i} ended otherwise when it was recorded: {again.text}; before: {results[i].text}",
+                        remedy="trials must depend on their seed alone; report this",
+                    )
+                task.advance()
 
 
 STAGE = CarryStage()
