@@ -196,3 +196,30 @@ def test_padding_is_kept_and_relaxes_at_a_tight_start():
     pressed = HOME.copy()
     pressed[3] -= 0.02
     assert not relaxed.free(pressed)
+
+
+def test_restricting_to_one_arm_drops_only_what_stands_still(scene, engines):
+    """With the right arm held, distances of pairs that the left one moves are the same; others are not measured."""
+    engine = engines[0]
+    Q = states(60, seed=10)
+    full = engine.measure(Q, 0.1).distances
+    with engine.moving(["left"]):
+        part = engine.measure(Q, 0.1).distances
+    mine = np.array(
+        [any(n.startswith("left_") or n == "stick" for n in pair) for pair in scene.checked_pairs]
+    )
+    assert np.array_equal(full[:, mine], part[:, mine])
+    assert (full[:, ~mine] < 0.0799).any()
+    assert (part[:, ~mine] > 0.0799).all()
+    assert np.array_equal(engine.measure(Q, 0.1).distances, full)  # and everything is back
+
+
+def test_lower_bounds_are_given_where_exact_distances_are_not_asked_for(scene, engines):
+    engine = engines[0]
+    Q = states(60, seed=11)
+    exact = engine.measure(Q, 0.1).distances
+    rough = engine.measure(Q, 0.1, np.full_like(exact, 0.02)).distances
+    free = exact > 0.0
+    assert (rough <= exact + 1e-9)[free].all()
+    assert np.array_equal(rough[free & (rough < 0.02)], exact[free & (rough < 0.02)])
+    assert (rough < exact - 1e-4).any()

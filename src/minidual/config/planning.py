@@ -18,13 +18,13 @@ class PlannerConfig(StrictModel):
     planner: PlannerName = "rrtconnect"
     range_rad: float = Field(default=1.0, gt=0.0, le=10.0)
     """Longest edge of a search tree, Euclidean in joint space."""
-    edge_step_rad: float = Field(default=0.03, gt=0.0, le=0.2)
-    """Largest joint step between two collision checks during the search."""
-    padding_m: float = Field(default=0.005, ge=0.0, le=0.1)
+    edge_step_rad: float = Field(default=0.05, gt=0.0, le=0.2)
+    """Largest joint step between two collision checks during the search; the proof finds what that misses."""
+    padding_m: float = Field(default=0.008, ge=0.0, le=0.1)
     """Distance that the search keeps; it relaxes near a start or goal that is nearer than that."""
     search_checks_n: int = Field(default=40_000, ge=100, le=100_000_000)
     """State checks after which one search gives up; every further attempt has twice as many."""
-    shortcut_rounds_n: int = Field(default=40, ge=0, le=10_000)
+    shortcut_rounds_n: int = Field(default=10, ge=0, le=10_000)
     blend_radius_rad: float = Field(default=0.3, gt=0.001, le=2.0)
     """Largest half length of a rounded corner."""
     velocity_scale: float = Field(default=0.95, gt=0.0, le=1.0)
@@ -36,7 +36,7 @@ class PlannerConfig(StrictModel):
     smoothing_s: float = Field(default=0.04, ge=0.0, le=1.0)
     """Window over which the path position is averaged, so that the acceleration does not jump."""
     ik_restarts_n: int = Field(default=30, ge=1, le=10_000)
-    goal_candidates_n: int = Field(default=4, ge=1, le=100)
+    goal_candidates_n: int = Field(default=2, ge=1, le=100)
     """Joint solutions of a pose goal that are tried in turn, the nearest first."""
     verify_step_rad: float = Field(default=0.002, gt=0.0, le=0.002)
     """Largest joint step between the samples of an audit, which tests the continuous proof."""

@@ -21,9 +21,9 @@ from minidual.planning.coal_engine import CoalEngine
 from minidual.planning.motion_bound import MotionBound
 from minidual.planning.mujoco_engine import MujocoEngine
 from minidual.planning.trajectory import Trajectory
-from minidual.robot.constants import Array
+from minidual.robot.constants import ARMS, GROUPS, Array
 
-_MARGIN_M = 0.06
+_MARGIN_M = 0.05
 """Distances are measured up to here: farther pairs count as this far apart."""
 _SLACK_M = 2e-5
 """Taken off every distance: what the engines' iterations may leave open (they stop at 1e-6)."""
@@ -33,6 +33,7 @@ _PARTS_MAX = 16
 _ROUNDS_MAX = 12
 _SHORTEST = 1.0 / 64.0
 _HEADROOM = 1.15
+_EXACT_BELOW = 0.35
 
 
 @dataclass(frozen=True)
@@ -60,12 +61,17 @@ class _Motion:
 
     def __init__(self, trajectory: Trajectory) -> None:
         self.trajectory = trajectory
-        rates = trajectory.variation_rates()
+        self._rates = rates = trajectory.variation_rates()
         self.travelled = np.zeros_like(trajectory.q)
         np.cumsum(rates * trajectory.dt_s, axis=0, out=self.travelled[1:])
 
     def states(self, times: Array) -> Array:
-        return self.trajectory.sample_many(times)[0]
+        return self.trajectory.positions(times)
+
+    def near(self, times: Array, widths: Array) -> Array:
+        """Return (n, 14) [rad]: roughly how far each joint travels within a width [s] of each time."""
+        cell = np.minimum((times / self.trajectory.dt_s).astype(int), len(self._rates) - 1)
+        return self._rates[cell] * widths[:, None]
 
     def travel(self, times: Array) -> Array:
         """Return (n, 14) [rad]: the difference of two rows bounds the travel between the two times."""
@@ -109,7 +115,12 @@ class Certifier:
     def certify(self, trajectory: Trajectory) -> Certificate:
         """Return what can be proven about a trajectory; it never raises for a bad one."""
         motion = _Motion(trajectory)
-        samples, unproven = self._settle(motion)
+        arms = [arm for arm in ARMS if motion.travelled[-1, GROUPS[f"{arm}_arm"]].max() > 0.0]
+        # What does not move is looked at once; from there on only what does.
+        still = self._primary.measure(trajectory.q[:1], _MARGIN_M).distances[0] - _SLACK_M
+        with self._primary.moving(arms):
+            samples, unproven = self._settle(motion)
+        samples.distances[0] = np.minimum(samples.distances[0], still)
         clearance = float(samples.distances.min(initial=_MARGIN_M)) + _SLACK_M
         if clearance <= 0.0:
             return self._collision(samples, clearance)
@@ -118,14 +129,19 @@ class Certifier:
             return Certificate(False, reason, len(samples.times), unproven, 0, clearance)
         return self._second_opinion(motion, samples, clearance)
 
-    def _measure(self, motion: _Motion, times: Array) -> _Samples:
+    def _measure(self, motion: _Motion, times: Array, widths: Array) -> _Samples:
+        """Return samples; `widths` (n,) [s] is how far they are from their neighbours."""
         q = motion.states(times)
-        measured = self._primary.measure(q, _MARGIN_M)
-        return _Samples(times, q, motion.travel(times), measured.distances - _SLACK_M, measured.levers)
+        travel = motion.travel(times)
+        # Distances need to be exact only where they are of the size of the approach.
+        enough = _EXACT_BELOW * (motion.near(times, widths) @ self._bound.matrix)
+        measured = self._primary.measure(q, _MARGIN_M, enough)
+        return _Samples(times, q, travel, measured.distances - _SLACK_M, measured.levers)
 
     def _settle(self, motion: _Motion) -> tuple[_Samples, int]:
         """Return samples on which every stretch is settled by MuJoCo's distances, and how many stretches are not."""
-        samples = self._measure(motion, self._first_times(motion))
+        times = self._first_times(motion)
+        samples = self._measure(motion, times, _widths(times))
         shortest = _SHORTEST * motion.trajectory.dt_s
         for _ in range(_ROUNDS_MAX):
             if samples.distances.min(initial=1.0) <= -_SLACK_M:
@@ -137,7 +153,8 @@ class Certifier:
             widths = np.diff(samples.times)
             if (widths[open_ones] <= shortest).any():
                 break
-            samples = samples.merged(self._measure(motion, _divided(samples.times, open_ones, lack)))
+            new, between = _divided(samples.times, open_ones, lack)
+            samples = samples.merged(self._measure(motion, new, between))
         return samples, int(np.sum(self._lack(samples) >= 1.0))
 
     def _first_times(self, motion: _Motion) -> Array:
@@ -178,9 +195,7 @@ class Certifier:
         needed = np.zeros_like(samples.distances)
         needed[:-1] = share * samples.distances[:-1]
         needed[1:] = np.maximum(needed[1:], share * samples.distances[1:])
-        refused = np.zeros(len(samples.times), dtype=bool)
-        for group in _groups(needed, samples.distances):
-            refused[group] = self._second.nearer_than(samples.q[group], needed[group].max(axis=0))
+        refused = self._refused(samples, needed)
         touching, unproven = 0, 0
         times_n = len(samples.times)
         if refused.any():
@@ -197,6 +212,24 @@ class Certifier:
                 return Certificate(False, reason, times_n, unproven, touching, clearance)
         reason = f"coal leaves {unproven} stretches of the motion unproven" if unproven else ""
         return Certificate(not unproven, reason, times_n, unproven, 0, clearance)
+
+    def _refused(self, samples: _Samples, needed: Array) -> np.ndarray:
+        """Return (n,): at which samples coal does not see every pair farther apart than is needed of it there.
+
+        One margin a pair serves a whole batch of coal, so it gets the largest need of any sample, but less than the
+        least distance that MuJoCo saw; the few samples that need more of a pair are asked for its exact distance.
+        """
+        margins = np.minimum(needed.max(axis=0), 0.9 * samples.distances.min(axis=0))
+        refused = self._second.nearer_than(samples.q, margins)
+        more = needed > margins
+        for k in np.flatnonzero(more.any(axis=1)):
+            pairs = np.flatnonzero(more[k])
+            refused[k] |= bool(
+                (
+                    np.array(self._second.pair_distances(samples.q[k], pairs.tolist())) <= needed[k, pairs]
+                ).any()
+            )
+        return refused
 
     def _by_second(self, motion: _Motion, begin: float, end: float) -> tuple[bool, int, int]:
         """Settle one stretch by coal's exact distances and the reaches: (proven, touching states, states asked)."""
@@ -216,7 +249,7 @@ class Certifier:
                 return True, 0, asked
             if (np.diff(times)[open_ones] <= shortest).any() or asked > 2000:
                 return False, 0, asked
-            new = _divided(times, open_ones, lack)
+            new, _ = _divided(times, open_ones, lack)
             asked += len(new)
             order = np.argsort(np.concatenate([times, new]), kind="stable")
             measured = self._second.distances(motion.states(new)) - _SLACK_M
@@ -224,28 +257,15 @@ class Certifier:
             distances = np.concatenate([distances, measured])[order]
 
 
-def _divided(times: Array, stretches: Array, lack: Array) -> Array:
-    """Return the new times that divide each of the stretches into as many parts as it lacks room."""
+def _widths(times: Array) -> Array:
+    """Return the distance (n,) of each time to its farther neighbour."""
+    gaps = np.diff(times, prepend=times[0], append=times[-1])
+    return np.maximum(gaps[:-1], gaps[1:])
+
+
+def _divided(times: Array, stretches: Array, lack: Array) -> tuple[Array, Array]:
+    """Return the new times that divide each of the stretches into as many parts as it lacks room, and their gaps."""
     parts = np.clip(np.ceil(_HEADROOM * lack[stretches]), 2, _PARTS_MAX).astype(int)
-    return np.concatenate([
-        np.linspace(times[k], times[k + 1], n + 1)[1:-1] for k, n in zip(stretches, parts, strict=True)
-    ])  # fmt: skip
-
-
-def _groups(needed: Array, distances: Array) -> list[slice]:
-    """Return runs of neighbouring samples of which the largest need of every pair is less than its least distance.
-
-    coal takes one margin a pair for a whole batch, and setting it costs as much as four states.
-    """
-    groups: list[slice] = []
-    start = 0
-    need, room = needed[0], distances[0]
-    for k in range(1, len(needed)):
-        need_k, room_k = np.maximum(need, needed[k]), np.minimum(room, distances[k])
-        if (need_k >= room_k).any():
-            groups.append(slice(start, k))
-            start, need, room = k, needed[k], distances[k]
-        else:
-            need, room = need_k, room_k
-    groups.append(slice(start, len(needed)))
-    return groups
+    new = [np.linspace(times[k], times[k + 1], n + 1)[1:-1] for k, n in zip(stretches, parts, strict=True)]
+    gaps = (times[stretches + 1] - times[stretches]) / parts
+    return np.concatenate(new), np.repeat(gaps, parts - 1)

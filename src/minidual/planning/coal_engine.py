@@ -5,6 +5,8 @@ Batches run inside one C++ call with a dynamic bounding-volume tree (about 20 us
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import coal
 import numpy as np
 import pinocchio as pin
@@ -58,6 +60,7 @@ class CoalEngine:
         for request in self._requests:
             request.gjk_tolerance = _GJK_TOLERANCE
         self._owner = np.array(owner, dtype=int)
+        self._items = [np.flatnonzero(self._owner == k).tolist() for k in range(len(scene.checked_pairs))]
         self._has_margins = False
         self._data = self.model.createData()
         self._placed = pin.GeometryData(self.geometry)
@@ -67,7 +70,7 @@ class CoalEngine:
     def collisions(self, Q: Array) -> np.ndarray:
         """Return for each row of Q (n, 14) whether anything touches, (n,) bool."""
         if self._has_margins:
-            self._set_margins(np.zeros(self._owner.max(initial=0) + 1))
+            self._set_margins(np.zeros(len(self._items)))
             self._has_margins = False
         return self._hits(Q)
 
@@ -82,13 +85,16 @@ class CoalEngine:
 
         Exact and slow (about half a millisecond a state): only for what margins leave open.
         """
-        out = np.full((len(Q), self._owner.max(initial=-1) + 1), np.inf)
-        for k, q in enumerate(Q):
-            pin.updateGeometryPlacements(self.model, self._data, self.geometry, self._placed, q)
-            for item, pair in enumerate(self._owner):
-                distance = pin.computeDistance(self.geometry, self._placed, item).min_distance
-                out[k, pair] = min(out[k, pair], distance)
-        return out
+        columns = range(len(self._items))
+        return np.array([self.pair_distances(q, columns) for q in Q]).reshape(len(Q), len(columns))
+
+    def pair_distances(self, q: Array, pairs: Sequence[int]) -> list[float]:
+        """Return the exact distances [m] at q (14,) of the pairs with these columns."""
+        pin.updateGeometryPlacements(self.model, self._data, self.geometry, self._placed, q)
+        return [
+            min(pin.computeDistance(self.geometry, self._placed, item).min_distance for item in self._items[pair])
+            for pair in pairs
+        ]  # fmt: skip
 
     def _set_margins(self, margins_m: Array) -> None:
         for request, margin in zip(self._requests, margins_m[self._owner].tolist(), strict=True):

@@ -7,7 +7,8 @@ compiled from the same URDF as the simulated world; bodies whose pair is not che
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import mujoco
@@ -17,7 +18,7 @@ from minidual.planning.levers import LeverArms
 from minidual.planning.links import LINKS
 from minidual.planning.scene import Attached, PlanningScene
 from minidual.planning.shapes import Box, Capsule, Cylinder, Mesh, Shape, Sphere
-from minidual.robot.constants import FINGER_JOINT_NAMES, FINGER_TRAVEL_M, JOINT_NAMES, Array
+from minidual.robot.constants import ARMS, FINGER_JOINT_NAMES, FINGER_TRAVEL_M, JOINT_NAMES, Array
 from minidual.robot.description import dual_panda_urdf
 
 # Without these the URDF reader would fuse the fixed links (and the tcp) into their parents.
@@ -25,8 +26,9 @@ _COMPILER = (
     '<mujoco><compiler fusestatic="false" discardvisual="true" strippath="false"/></mujoco><link name="world"'
 )
 _CLOSEST_WITHIN_M = 0.1
-_UNNAMED = 0.8
-"""A pair without a contact is at least this fraction of the margin apart."""
+_SURE = 0.8
+"""Fraction of the distance of a contact that is surely there: it was up to 4 % larger than that of coal and of
+mj_geomDistance, which agree to 1e-8 m."""
 _CONTACTS_FULL = int(mujoco.mjtWarning.mjWARN_CONTACTFULL)
 
 
@@ -47,7 +49,7 @@ class PairDistance:
 class Measured:
     """Distances and levers of n postures.
 
-    distances: (n, p) [m], of each checked pair, at most `_UNNAMED` of the margin that was asked for.
+    distances: (n, p) [m], of each checked pair, at most `_SURE` of the margin that was asked for.
     levers: (n, m, 7) [m], of each moving part from each joint of its arm.
     """
 
@@ -63,11 +65,12 @@ class MujocoEngine:
     def __init__(self, scene: PlanningScene) -> None:
         self._build(scene.checked_pairs, scene.solid_obstacles, scene.attached)
         self.min_distance_m = scene.min_distance_m
+        carried = {held.name: held.link for held in scene.attached}
+        self._owners = [carried.get(name, name) for name in self._body_names]
         self.pairs = scene.checked_pairs
         self._pair_of_geoms = self._pair_table(scene.checked_pairs)
         moving = [n for n in scene.names if scene.moving_joints(n).stop > 0]
-        carriers = {held.name: held.link for held in scene.attached}
-        self._levers = LeverArms(self.model, moving, [carriers.get(n, n) for n in moving])
+        self._levers = LeverArms(self.model, moving, [carried.get(n, n) for n in moving])
 
     @classmethod
     def from_pairs(
@@ -123,9 +126,7 @@ class MujocoEngine:
 
     def contact_count(self, q: Array) -> int:
         """Place the arms at q (14,) and return how many contacts lie within the margin."""
-        self._left[:] = q[:7]
-        self._right[:] = q[7:]
-        mujoco.mj_kinematics(self.model, self.data)
+        self._place(q)
         mujoco.mj_collision(self.model, self.data)
         return self.data.ncon
 
@@ -133,8 +134,33 @@ class MujocoEngine:
         """Return the smallest distance among the contacts of the last state [m]; infinity without any."""
         return float(self.data.contact.dist.min()) if self.data.ncon else np.inf
 
-    def measure(self, Q: Array, margin_m: float) -> Measured:
+    @contextmanager
+    def moving(self, arms: Sequence[str]) -> Iterator[None]:
+        """Within the block, check only the pairs of which one part belongs to one of these arms.
+
+        The other pairs do not move while the other arm is held; who uses this must have checked them once.
+        """
+        if len(arms) == len(ARMS):
+            yield
+            return
+        model = self.model
+        before = [x.copy() for x in (model.geom_contype, model.body_contype)]
+        mine = np.array([name.startswith(tuple(f"{arm}_" for arm in arms)) for name in self._owners])
+        # Two geoms may touch if one's type meets the other's affinity; all affinities stay 1.
+        model.body_contype[:] = mine
+        model.geom_contype[:] = mine[model.geom_bodyid]
+        try:
+            yield
+        finally:
+            model.geom_contype[:], model.body_contype[:] = before
+
+    def measure(self, Q: Array, margin_m: float, enough_m: Array | None = None) -> Measured:
         """Return the distance of every checked pair, up to a margin, and the levers, at the rows of Q (n, 14).
+
+        Args:
+            Q: Postures.
+            margin_m: Pairs farther apart are not measured.
+            enough_m: (n, p), distances from which on a lower bound is good enough; without it all are exact.
 
         Raises:
             RuntimeError: MuJoCo ran out of room for contacts, so that distances are missing.
@@ -144,29 +170,52 @@ class MujocoEngine:
         centres = np.empty((count, model.ngeom, 3))
         anchors, axes = np.empty((count, model.njnt, 3)), np.empty((count, model.njnt, 3))
         rows: list[int] = []
-        pairs: list[tuple[int, int]] = []
-        found: list[float] = []
-        ends = np.zeros(6)
+        geoms: list[np.ndarray] = []
+        found: list[Array] = []
         full_before = data.warning[_CONTACTS_FULL].number
         for k, q in enumerate(Q):
             if self.contact_count(q):
-                # The contacts name the pairs; their own distances are up to 4 % off (measured against coal), those
-                # of mj_geomDistance 1e-8 m.
-                for first, second in data.contact.geom.tolist():
-                    rows.append(k)
-                    pairs.append((first, second))
-                    found.append(mujoco.mj_geomDistance(model, data, first, second, margin_m, ends))
+                contact = data.contact
+                rows.append(k)
+                geoms.append(contact.geom.copy())  # views into a buffer that the next state overwrites
+                found.append(contact.dist.copy())
             centres[k], anchors[k], axes[k] = data.geom_xpos, data.xanchor, data.xaxis
         if data.warning[_CONTACTS_FULL].number > full_before:
             raise RuntimeError(
                 f"MuJoCo has no room for all contacts within {margin_m} m; distances are missing"
             )
-        # A pair just outside the margin may go unnamed for the same reason.
-        distances = np.full((count, len(self.pairs)), _UNNAMED * margin_m)
+        # A pair just outside the margin may go unnamed, because the distances of contacts are not exact.
+        distances = np.full((count, len(self.pairs)), _SURE * margin_m)
         if rows:
-            first, second = np.array(pairs).T
-            np.minimum.at(distances, (rows, self._pair_of_geoms[first, second]), found)
+            at = np.repeat(rows, [len(d) for d in found])
+            self._nearest(Q, at, np.concatenate(geoms), np.concatenate(found), enough_m, distances)
         return Measured(distances, self._levers.of(centres, anchors, axes))
+
+    def _nearest(
+        self, Q: Array, at: np.ndarray, geoms: np.ndarray, found: Array, enough_m: Array | None, out: Array
+    ) -> None:
+        """Lower the distances `out` (n, p) by contacts found at rows `at` of Q; exact ones where it matters."""
+        columns = self._pair_of_geoms[geoms[:, 0], geoms[:, 1]]
+        sure = _SURE * found
+        unsure = np.arange(len(at))
+        if enough_m is not None:
+            unsure = np.flatnonzero((sure < enough_m[at, columns]) | (sure <= 0.0))
+        model, data = self.model, self.data
+        ends = np.zeros(6)
+        placed = -1
+        for i, k, (first, second) in zip(
+            unsure.tolist(), at[unsure].tolist(), geoms[unsure].tolist(), strict=True
+        ):
+            if k != placed:
+                self._place(Q[k])
+                placed = k
+            sure[i] = mujoco.mj_geomDistance(model, data, first, second, 2.0 * self.margin_m, ends)
+        np.minimum.at(out, (at, columns), sure)
+
+    def _place(self, q: Array) -> None:
+        self._left[:] = q[:7]
+        self._right[:] = q[7:]
+        mujoco.mj_kinematics(self.model, self.data)
 
     def in_collision(self, q: Array) -> bool:
         """Return whether anything touches at q (14,)."""

@@ -83,6 +83,20 @@ class Trajectory:
         a = self.a[i] * (1 - x) + self.a[i + 1] * x
         return q, v, a
 
+    def positions(self, times: Array) -> Array:
+        """Return q (m, 14) at times (m,) [s], the first part of `sample_many`."""
+        t = np.clip(np.asarray(times, dtype=float), 0.0, self.duration_s)
+        h = self.dt_s
+        i = np.minimum((t / h).astype(int), len(self.times) - 2)
+        x = ((t - self.times[i]) / h)[:, None]
+        y = 1.0 - x
+        start, end = self.q[i], self.q[i + 1]
+        return (
+            start * (y * y * (1.0 + 2.0 * x))
+            + end * (x * x * (1.0 + 2.0 * y))
+            + (self.v[i] * (x * y * y * h) - self.v[i + 1] * (x * x * y * h))
+        )
+
     def variation_rates(self) -> Array:
         """Return (n - 1, 14) [rad/s]: the largest speed of each joint within each step, exactly bounded.
 
