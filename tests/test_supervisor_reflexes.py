@@ -260,6 +260,25 @@ class TestLegalMotion:
             loop.step(target, np.ones(2))
         assert np.abs(world.q - target).max() < 1e-4
 
+    def test_targets_streamed_at_50_hz_are_limited_and_not_stopped(self, world, kinematics):
+        loop, supervisor = JointLoop(world, kinematics), Supervisor()
+        command, asked, applied = world.command, [], []
+
+        def guarded(tau, fingers):
+            asked.append(tau.copy())
+            applied.append(supervisor.guard(world.time, world.q, world.v, tau, loop.reference.a))
+            command(applied[-1], fingers)
+
+        world.command = guarded
+        target = HOME.copy()
+        for k in range(1500):
+            if k % 20 == 0 and k < 1000:
+                target = target + 0.02 * np.eye(DOF)[0]
+            loop.step(target, np.ones(2))
+        assert np.abs(np.diff(asked, axis=0)).max() > 5.0
+        assert np.abs(np.diff(applied, axis=0)).max() <= 1.0 + 1e-9
+        assert np.abs(world.q - target).max() < 1e-4
+
     def test_a_joint_may_go_to_its_very_limit(self, world, kinematics):
         loop, supervisor = JointLoop(world, kinematics), Supervisor()
         command = world.command

@@ -18,9 +18,11 @@ class SupervisorConfig(StrictModel):
     torque_scale: float = Field(default=1.0, gt=0.0, le=1.0)
     torque_rate_scale: float = Field(default=1.0, gt=0.0, le=1.0)
     """Share of 1000 Nm/s to which the torque's rate is limited."""
+    torque_rate_excess: float = Field(default=3.0, ge=1.0, le=5.0)
+    """A torque that is asked for jumps if it changes by more than so many times that rate in one tick. Targets
+    streamed at 50 Hz jump once in 20 ticks and change by up to 1.3 times the rate between, chatter in every tick."""
     torque_rate_patience_s: float = Field(default=0.05, gt=0.0, le=1.0)
-    """A controller that asks for faster changes for longer than this is stopped. The steps that the reference
-    filter lets through need 13 ms of it at most."""
+    """A controller whose torque jumps for so long is stopped: ticks with a jump count up, others down."""
     saturation_s: float = Field(default=0.02, gt=0.0, le=1.0)
     """A motor may stand at its torque limit for this long."""
     acceleration_scale: float = Field(default=1.0, gt=0.0, le=1.0)
