@@ -1,0 +1,226 @@
+"""The demonstration of the three modes: what it measures at each switch, what it refuses, and that it can fail."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from minidual.config.arbiter import ArbiterConfig
+from minidual.config.root import Config
+from minidual.config.supervisor import SupervisorConfig
+from minidual.control.stack import ControlStack
+from minidual.control.supervisor import Supervisor
+from minidual.errors import ExitCode, GateClosedError, UsageError
+from minidual.evaluation.modes import DEFAULT_MODES, ModesDemo, ModesResult, SwitchError, parse_modes
+from minidual.evaluation.modes_drivers import Driver, MoveitDriver, PolicyDriver, TeleopDriver
+from minidual.evaluation.modes_film import captioned
+from minidual.evaluation.modes_record import Switch
+from minidual.pipeline.tool import ToolContext
+from minidual.planning.api import Planner
+from minidual.robot.constants import HOME, Array
+from minidual.robot.kinematics import Kinematics
+from minidual.sim.world import World
+from minidual.stages.modes import find_checkpoint, modes
+from minidual.tasks.operator import ScriptedOperator
+from minidual.tasks.rod_carry import RodTrial, sample_trial
+
+SEED = 11
+
+
+class Mimic:
+    """Stands in for a trained policy: it asks for what it sees, and drops its queue when it is told to."""
+
+    inference_hz = 100.0
+
+    def __init__(self, step_rad: float = 0.0) -> None:
+        self.cameras: dict[str, tuple[int, int]] = {}
+        self.step_rad = step_rad
+        self.flushes = 0
+
+    def reset(self) -> None: ...
+
+    def flush(self) -> None:
+        self.flushes += 1
+
+    def act(self, images: Any, state: Array) -> Array:
+        return np.r_[HOME + self.step_rad, 1.0, 1.0]
+
+
+class Stage:
+    """The world of the demonstration, and the drivers of its modes."""
+
+    def __init__(self, world: World, *, supervised: bool = True) -> None:
+        scene = world.scene
+        self.world = world
+        self.trial: RodTrial = sample_trial(scene, SEED, "modes", 0)
+        world.reset(rod_xy_yaw=self.trial.goal)
+        guard = (
+            Supervisor(SupervisorConfig(torque_rate_patience_s=1.0), dt_s=world.dt) if supervised else None
+        )
+        self.stack = ControlStack(world, Kinematics(), supervisor=guard)
+        self.runtime: Any = Mimic()
+
+    def moveit(self, *, home: bool, share: float = 1.0) -> Callable[[], Driver]:
+        return lambda: MoveitDriver(self.stack, Planner(), SEED, home=home, share=share)
+
+    def teleop(self) -> Driver:
+        return TeleopDriver(self.stack, ScriptedOperator(self.world.scene), self.trial.start, SEED, 50.0)
+
+    def policy(self) -> Driver:
+        return PolicyDriver(self.stack, self.runtime, lambda name: np.zeros((1, 1, 3), np.uint8), self.trial)
+
+    def run(
+        self, *turns: tuple[str, Callable[[], Driver]]
+    ) -> tuple[ModesDemo, ModesResult, list[tuple[str, str]]]:
+        demo = ModesDemo(self.stack, turns)
+        steps = list(demo.steps())
+        return demo, demo.result(ArbiterConfig()), steps
+
+
+def test_planner_leader_and_planner_again_carry_the_rod_within_every_bound(
+    world: World, tmp_path: Path
+) -> None:
+    stage = Stage(world)
+    demo, result, steps = stage.run(
+        ("moveit", stage.moveit(home=False, share=0.5)),
+        ("teleop", stage.teleop),
+        ("moveit", stage.moveit(home=True)),
+    )
+    assert result.faults == ()
+    first, second, third = result.switches
+    assert first.speed_at_request_rad_s == 0.0
+    assert second.speed_at_request_rad_s > 0.5, "the leader is to interrupt arms in motion"
+    assert 0.05 < second.confirmed_s - second.requested_s < 0.5
+    assert third.controllers == ("left_arm", "right_arm")
+    for switch in result.switches:
+        assert 0.0 < switch.reference_step_ratio <= 1.0
+        assert 0.0 < switch.torque_step_nm <= 1.0 + 1e-9
+        assert switch.first_step_rad < 0.1
+        assert switch.first_command_s >= switch.confirmed_s
+    assert result.outcomes[1]["rod_error_m"] < 0.005
+    np.testing.assert_allclose(world.q, HOME, atol=5e-3)
+    assert len(steps) == round(result.duration_s / world.dt)
+    assert [mode for mode, _ in steps[:1]] == ["moveit"]
+
+    demo.recorder.write_csv(tmp_path / "modes.csv")
+    with (tmp_path / "modes.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == -(-len(steps) // 4)
+    assert {r["active_source"] for r in rows} == {"", "moveit", "teleop"}
+    assert {"settling", "active"} <= {r["state"] for r in rows}
+    json.dumps(result.to_json(), allow_nan=False)
+
+
+def test_without_a_supervisor_the_torque_steps_are_over_their_bound_and_named(world: World) -> None:
+    stage = Stage(world, supervised=False)
+    stage.runtime = Mimic(step_rad=0.05)
+    demo = ModesDemo(stage.stack, [("policy", stage.policy)])
+    steps = demo.steps()
+    for _ in range(800):
+        next(steps)
+    result = demo.result(ArbiterConfig())
+    assert any("torque_step_nm" in fault and "policy" in fault for fault in result.faults)
+    assert result.switches[0].torque_step_nm == result.switches[0].torque_step_asked_nm
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("first_step_rad", {"first_step_rad": 0.11}),
+        ("first_step_rad", {"first_step_rad": float("nan")}),
+        ("target_step_rad", {"target_step_rad": 0.11}),
+        ("reference_step_ratio", {"reference_step_ratio": 1.01}),
+        ("torque_step_nm", {"torque_step_nm": 1.01}),
+        ("torque_step_nm", {"torque_step_nm": float("nan")}),
+    ],
+)
+def test_every_bound_can_fail(name: str, changes: dict[str, float]) -> None:
+    fine = {
+        "first_step_rad": 0.01,
+        "reference_step_ratio": 0.9,
+        "torque_step_nm": 0.9,
+        "target_step_rad": 0.01,
+    }
+    assert Switch("teleop", 1.0, **fine).faults(ArbiterConfig(), 1e-3) == []
+    faults = Switch("teleop", 1.0, **{**fine, **changes}).faults(ArbiterConfig(), 1e-3)
+    assert len(faults) == 1
+    assert faults[0].startswith(f"switch to teleop at 1.00 s: {name}")
+
+
+def test_the_policy_gets_its_turn_and_its_queue_is_dropped_at_every_switch(world: World) -> None:
+    stage = Stage(world)
+    demo = ModesDemo(stage.stack, [("policy", stage.policy), ("moveit", stage.moveit(home=True))])
+    steps = demo.steps()
+    for mode, _ in steps:
+        if mode == "moveit":
+            break
+    limit = world.scene.task.time_limit_s
+    assert world.time == pytest.approx(limit + 0.02, abs=0.05), (
+        "a policy that does nothing is ended by the clock"
+    )
+    assert stage.runtime.flushes == 2
+    assert demo._outcomes[0]["rod_put_down_at_goal"] is False
+
+
+def test_a_mode_that_falls_silent_ends_the_demonstration(world: World) -> None:
+    stage = Stage(world)
+
+    class Silent(TeleopDriver):
+        def tick(self) -> None: ...
+
+    make = lambda: Silent(stage.stack, ScriptedOperator(world.scene), stage.trial.start, SEED, 50.0)  # noqa: E731
+    with pytest.raises(SwitchError, match=r"mode 'teleop' lost its turn at 1\.\d+ s: no command came"):
+        stage.run(("teleop", make))
+
+
+def test_the_caption_changes_with_who_drives(world: World) -> None:
+    stage = Stage(world)
+    picture = np.zeros((90, 160, 3), np.uint8)
+    held = captioned(picture, stage.stack, "teleop", "something")
+    assert held.shape[0] > 90
+    assert held.shape[1] == 160
+    stage.stack.request("teleop")
+    demo = ModesDemo(stage.stack, [("teleop", stage.teleop)])
+    steps = demo.steps()
+    for _ in range(60):
+        next(steps)
+    driven = captioned(picture, stage.stack, "teleop", "something")
+    assert stage.stack.output.active_source == "teleop"
+    assert not np.array_equal(held[95:], driven[95:])
+
+
+def test_modes_are_parsed_or_refused() -> None:
+    assert parse_modes("moveit, teleop") == ("moveit", "teleop")
+    assert DEFAULT_MODES == ("moveit", "teleop", "policy", "moveit")
+    with pytest.raises(UsageError, match=r"(?s)no mode 'polcy'.*did you mean 'policy'"):
+        parse_modes("moveit,polcy")
+    with pytest.raises(UsageError, match="twice running"):
+        parse_modes("moveit,moveit")
+    with pytest.raises(UsageError, match="no mode named"):
+        parse_modes(" , ")
+
+
+def _context(run: Path, **options: str) -> ToolContext:
+    return ToolContext(Config(), SEED, 1, "standard", run, options, _name="modes")
+
+
+def test_without_a_policy_nothing_is_put_in_its_place(tmp_path: Path) -> None:
+    with pytest.raises(GateClosedError) as caught:
+        modes(_context(tmp_path / "standard"))
+    assert caught.value.exit_code == ExitCode.GATE_CLOSED
+    assert "run 'standard' has none" in caught.value.message
+    assert "minidual run --until train-act" in str(caught.value.remedy)
+    assert "--modes moveit,teleop,moveit" in str(caught.value.remedy)
+    assert not list((tmp_path).iterdir()), "nothing is written before it can run"
+    with pytest.raises(UsageError, match=r"there is no policy \(config.json\)"):
+        find_checkpoint(_context(tmp_path, checkpoint=str(tmp_path)))
+    folder = tmp_path / "train-act" / "checkpoint"
+    folder.mkdir(parents=True)
+    (folder / "config.json").write_text("{}")
+    assert find_checkpoint(_context(tmp_path)) == folder
