@@ -28,7 +28,7 @@ from __future__ import annotations
 import numpy as np
 
 from minidual.robot.constants import Array
-from minidual.robot.vectors import Vector, cross, inner, minus, plus, times
+from minidual.robot.vectors import ZERO, Vector, cross, inner, minus, mix
 
 
 def skew(p: Array) -> Array:
@@ -46,8 +46,8 @@ class GraspMap:
 
     def __init__(self, r_left: Vector | Array, r_right: Vector | Array) -> None:
         self._r_left, self._r_right = r_left, r_right
-        self._middle = times(0.5, plus(r_left, r_right))
-        self._half_span = times(0.5, minus(r_left, r_right))
+        self._middle = mix(0.5, r_left, 0.5, r_right)
+        self._half_span = mix(0.5, r_left, -0.5, r_right)
 
     @property
     def G(self) -> Array:
@@ -60,7 +60,7 @@ class GraspMap:
 
     def motion_part(self, w: Array) -> Array:
         """Return G^+ w, (12,): the least hand wrenches that put wrench w (6,) on the object."""
-        return np.array(self._least(w[:3].tolist(), w[3:].tolist()))
+        return np.array(self.hand_wrenches(w[:3].tolist(), w[3:].tolist()))
 
     def internal_part(self, f: Array) -> Array:
         """Return (I - G^+ G) f, (12,): what of f (12,) only squeezes."""
@@ -73,33 +73,21 @@ class GraspMap:
         """
         return f_int + self.motion_part(w - self.G @ f_int)
 
-    def squeezing(self, force: Vector, moment: Vector, squeeze: Vector) -> list[float]:
+    def hand_wrenches(self, force: Vector, moment: Vector, squeeze: Vector = ZERO) -> tuple[float, ...]:
         """Return `distribute` for the squeeze f_int = [-squeeze; 0; squeeze; 0], in plain floats, 12 of them.
 
         Args:
             force: Three, to put on the object [N].
             moment: Three, about the object's centre of mass [Nm].
             squeeze: Three [N], along the object's axis from the right to the left hand. G f_int is no force and the
-                moment (r_R - r_L) x squeeze, none at all if the hands lie on that axis.
+                moment -2 h x squeeze: none at all if the hands lie on that axis, taken out again if they do not.
         """
-        twisting = cross(times(-2.0, self._half_span), squeeze)
-        f = self._least(force, minus(moment, twisting))
-        sx, sy, sz = squeeze
-        f[0] -= sx
-        f[1] -= sy
-        f[2] -= sz
-        f[6] += sx
-        f[7] += sy
-        f[8] += sz
-        return f
-
-    def _least(self, force: Vector, moment: Vector) -> list[float]:
-        """Return G^+ [force; moment], 12 floats."""
         h = self._half_span
-        n = minus(moment, cross(self._middle, force))
-        turn = times(1.0 / (2.0 + 2.0 * inner(h, h)), plus(n, times(inner(h, n), h)))
-        half, couple = times(0.5, force), cross(turn, h)
-        return [*plus(half, couple), *turn, *minus(half, couple), *turn]
+        n = mix(1.0, minus(moment, cross(self._middle, force)), 2.0, cross(h, squeeze))
+        share = 0.5 / (1.0 + inner(h, h))
+        turn = mix(share, n, share * inner(h, n), h)
+        press = minus(cross(turn, h), squeeze)
+        return (*mix(0.5, force, 1.0, press), *turn, *mix(0.5, force, -1.0, press), *turn)
 
 
 def squeeze_reference(axis: Array, force_n: float) -> Array:

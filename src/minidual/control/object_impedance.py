@@ -29,6 +29,7 @@ from minidual.errors import MinidualError
 from minidual.robot.constants import DOF, GROUPS, JOINT_DAMPING, Array
 from minidual.robot.kinematics import HandMotion, Kinematics
 from minidual.robot.vectors import (
+    ZERO,
     Matrix,
     Vector,
     apply,
@@ -163,12 +164,11 @@ class ObjectImpedance:
         wanted = _Wanted(desired)
         r_left, r_right = minus(hands.p[0].tolist(), p), minus(hands.p[1].tolist(), p)
         squeeze = self._squeeze(internal_force_n, measured_internal_force_n)
-        f = GraspMap(r_left, r_right).squeezing(
+        f = GraspMap(r_left, r_right).hand_wrenches(
             *self._object_wrench(R, p, wanted, (desired.twist - measured.twist).tolist()),
             times(squeeze, apply(R, self._axis)),
         )
-        self._hold_hands(f, wanted, self._J.dot(v).tolist())
-        self._f[:] = f
+        self._f[:] = self._hold_hands([*f], wanted, self._J.dot(v).tolist())
 
         qdd = self._least_acceleration(r_left, r_right, wanted)
         qdd += posture
@@ -193,17 +193,20 @@ class ObjectImpedance:
         v1, v2, v3, v4, v5, v6 = twist_error
         a1, a2, a3 = wanted.a
         m = self._mass_kg
-        # I_w alpha + omega x I_w omega, in the object's own axes, where its inertia is constant.
-        omega, alpha = apply_transposed(R, wanted.omega), apply_transposed(R, wanted.alpha)
-        spin = cross(omega, apply(self._inertia, omega))
-        n1, n2, n3 = apply(R, plus(apply(self._inertia, alpha), spin))
+        n1, n2, n3 = self._spin_up(R, wanted) if wanted.turns else ZERO
         return (
             (k1 * e1 + d1 * v1 + m * a1, k2 * e2 + d2 * v2 + m * a2, k3 * e3 + d3 * v3 + m * (a3 + _G)),
             (k4 * e4 + d4 * v4 + n1, k5 * e5 + d5 * v5 + n2, k6 * e6 + d6 * v6 + n3),
         )
 
-    def _hold_hands(self, f: list[float], wanted: _Wanted, twists: list[float]) -> None:
-        """Add to f (12) the torsional springs that hold the hands to their grasp frames."""
+    def _spin_up(self, R: Matrix, wanted: _Wanted) -> Vector:
+        """Return I_w alpha + omega x I_w omega, formed in the object's own axes, where its inertia is constant."""
+        omega, alpha = apply_transposed(R, wanted.omega), apply_transposed(R, wanted.alpha)
+        spin = cross(omega, apply(self._inertia, omega))
+        return apply(R, plus(apply(self._inertia, alpha), spin))
+
+    def _hold_hands(self, f: list[float], wanted: _Wanted, twists: list[float]) -> list[float]:
+        """Return f (12) with the torsional springs that hold the hands to their grasp frames."""
         k, d = self.gains.hand_stiffness_nm_per_rad, self.gains.hand_damping_nms_per_rad
         w1, w2, w3 = wanted.omega
         for i, at in enumerate((3, 9)):
@@ -213,17 +216,15 @@ class ObjectImpedance:
             f[at] += k * e1 + d * (w1 - twists[at])
             f[at + 1] += k * e2 + d * (w2 - twists[at + 1])
             f[at + 2] += k * e3 + d * (w3 - twists[at + 2])
+        return f
 
     def _least_acceleration(self, r_left: Vector, r_right: Vector, wanted: _Wanted) -> Array:
         """Return the least joint acceleration (14,) that adds to the posture's what the hands lack.
 
         Adding J^+ (a_hand - J qdd_posture - Jdot v) leaves of the posture motion its part in the null space of J.
         """
-        a, omega, alpha = wanted.a, wanted.omega, wanted.alpha
-        # Of a point r of a rigid body: a + alpha x r + omega x (omega x r).
-        a_left = plus(a, plus(cross(alpha, r_left), cross(omega, cross(omega, r_left))))
-        a_right = plus(a, plus(cross(alpha, r_right), cross(omega, cross(omega, r_right))))
-        lacking = np.array((*a_left, *alpha, *a_right, *alpha))
+        alpha = wanted.alpha
+        lacking = np.array((*wanted.a_at(r_left), *alpha, *wanted.a_at(r_right), *alpha))
         lacking -= self._hands.acceleration
         J = self._J
         # Cholesky: J J^T is symmetric, so its transpose is itself in the order of memory that LAPACK works in.
@@ -237,12 +238,19 @@ class ObjectImpedance:
 
 
 class _Wanted:
-    """An `ObjectState` in plain floats."""
+    """An `ObjectState` in plain floats. A straight path does not turn, and its terms of rotation are not formed."""
 
-    __slots__ = ("R", "a", "alpha", "omega", "p")
+    __slots__ = ("R", "a", "alpha", "omega", "p", "turns")
 
     def __init__(self, state: ObjectState) -> None:
         self.R, self.p = parts(state.T_world_object)
         _, _, _, w1, w2, w3 = state.twist.tolist()
         a1, a2, a3, b1, b2, b3 = state.acceleration.tolist()
         self.omega, self.a, self.alpha = (w1, w2, w3), (a1, a2, a3), (b1, b2, b3)
+        self.turns = self.omega != ZERO or self.alpha != ZERO
+
+    def a_at(self, r: Vector) -> Vector:
+        """Return the acceleration of the object's point at r from its centre: a + alpha x r + omega x (omega x r)."""
+        if not self.turns:
+            return self.a
+        return plus(self.a, plus(cross(self.alpha, r), cross(self.omega, cross(self.omega, r))))

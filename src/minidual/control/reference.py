@@ -16,6 +16,7 @@ otherwise a policy would be trained on one plant and run on another.
 from __future__ import annotations
 
 import numpy as np
+from numpy import absolute, divide, maximum, minimum, multiply, sqrt, subtract
 
 from minidual.robot.constants import A_MAX, DOF, Q_LOWER, Q_UPPER, V_MAX, Array
 
@@ -71,24 +72,24 @@ class ReferenceFilter:
         error, far, bent = self._error, self._far, self._bent
         asked = target.tobytes()
         if asked != self._asked:  # a target stands for many steps
-            self._asked, self._goal = asked, np.maximum(np.minimum(target, Q_UPPER), Q_LOWER)
-        np.subtract(self._goal, self.q, error)
-        np.absolute(error, far)
-        np.maximum(far, self._near, far)
-        np.divide(self._near, far, bent)  # s
-        np.subtract(self._two, bent, far)
-        np.multiply(bent, far, bent)
-        np.sqrt(bent, bent)
-        np.multiply(bent, error, bent)
+            self._asked, self._goal = asked, maximum(minimum(target, Q_UPPER), Q_LOWER)
+        subtract(self._goal, self.q, error)
+        absolute(error, far)
+        maximum(far, self._near, far)
+        divide(self._near, far, bent)  # s
+        subtract(self._two, bent, far)
+        multiply(bent, far, bent)
+        sqrt(bent, bent)
+        multiply(bent, error, bent)
         self._pull[1] = self.v
         a = self._spring.dot(self._pull)
-        np.minimum(a, self._a_max, a)
-        np.maximum(a, self._a_min, a)
+        minimum(a, self._a_max, a)
+        maximum(a, self._a_min, a)
         push, state = self._push, self._state
         push[0], push[1] = self.v, a
         v = self._advance.dot(push)
-        np.minimum(v, self._v_max, v)
-        np.maximum(v, self._v_min, v)
+        minimum(v, self._v_max, v)
+        maximum(v, self._v_min, v)
         state[0], state[1], state[2] = self.q, self.v, v
         moved = self._integrate.dot(state)
         self.q, self.v, self.a = moved[0], v, moved[1]  # a anew: the bound on the speed may have cut it

@@ -118,9 +118,7 @@ class HandMotion:
         model, data, left, right, frame = self._model, self._data, self._left, self._right, _WORLD_ALIGNED
         pin.forwardKinematics(model, data, q, v, a)
         pin.computeJointJacobians(model, data)
-        pin.updateFramePlacement(model, data, left)
-        pin.updateFramePlacement(model, data, right)
-        self._J_left[:] = pin.getFrameJacobian(model, data, left, frame)
+        self._J_left[:] = pin.getFrameJacobian(model, data, left, frame)  # also updates the frame's placement
         self._J_right[:] = pin.getFrameJacobian(model, data, right, frame)
         # Classical: the second derivative of the point's position, not the spatial acceleration.
         self._a_left[:] = pin.getFrameClassicalAcceleration(model, data, left, frame).vector

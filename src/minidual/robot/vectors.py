@@ -18,6 +18,7 @@ Vector = Sequence[float]
 """Three floats; `array.tolist()` makes one."""
 Matrix = Sequence[Vector]
 """Three rows."""
+ZERO: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 _NEAR_HALF_TURN = -0.99
 """Cosine of the angle under which the antisymmetric part of a rotation has too few digits left."""
@@ -54,6 +55,13 @@ def times(s: float, a: Vector) -> tuple[float, float, float]:
     """Return s a."""
     x, y, z = a
     return s * x, s * y, s * z
+
+
+def mix(s: float, a: Vector, t: float, b: Vector) -> tuple[float, float, float]:
+    """Return s a + t b."""
+    ax, ay, az = a
+    bx, by, bz = b
+    return s * ax + t * bx, s * ay + t * by, s * az + t * bz
 
 
 def inner(a: Vector, b: Vector) -> float:

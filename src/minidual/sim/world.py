@@ -35,7 +35,6 @@ class SimulationDivergedError(MinidualError):
     """The state or a command stopped being finite."""
 
 
-_AT_ORIGIN = np.eye(4)
 _NOT_FINITE: tuple[tuple[mujoco.mjtWarning, str], ...] = (
     (mujoco.mjtWarning.mjWARN_BADQPOS, "positions"),
     (mujoco.mjtWarning.mjWARN_BADQVEL, "velocities"),
@@ -95,6 +94,8 @@ class World:
         self._qpos, self._qvel, self._ctrl, self._force = data.qpos, data.qvel, data.ctrl, data.actuator_force
         self._rod_R, self._rod_p = data.xmat[rod].reshape(3, 3), data.xpos[rod]
         self._rod_axis = self._rod_R[:, 1]
+        self._T = np.eye(4)
+        self._T_rotation, self._T_position = self._T[:3, :3], self._T[:3, 3]
         self._rod_v, self._rod_w = np.split(self._qvel[self._rod_qvel : self._rod_qvel + 6], 2)
         self._contact_forces = self._contacts[:, :, :3]
         self._readings, self._along = self._contacts.reshape(4, 9), np.zeros(9)
@@ -137,10 +138,9 @@ class World:
     @property
     def T_world_rod(self) -> Array:
         """Pose (4, 4) of the rod; its y axis is the long axis."""
-        T = _AT_ORIGIN.copy()
-        T[:3, :3] = self._rod_R
-        T[:3, 3] = self._rod_p
-        return T
+        self._T_rotation[:] = self._rod_R
+        self._T_position[:] = self._rod_p
+        return self._T.copy()
 
     @property
     def rod_twist(self) -> Array:
