@@ -24,9 +24,9 @@ import pinocchio as pin
 from scipy.linalg.lapack import dposv
 
 from minidual.control.grasp import GraspMap
-from minidual.control.joint_control import within_motors
+from minidual.control.joint_control import JointFriction, within_motors
 from minidual.errors import MinidualError
-from minidual.robot.constants import DOF, GROUPS, JOINT_DAMPING, Array
+from minidual.robot.constants import DOF, GROUPS, Array
 from minidual.robot.kinematics import HandMotion, Kinematics
 from minidual.robot.vectors import (
     ZERO,
@@ -100,9 +100,13 @@ class ObjectImpedance:
         kinematics: Workspace for kinematics and dynamics.
         held: Object and grasp.
         gains: Gains.
+        friction: Joint friction that is cancelled; the model's by default.
     """
 
-    def __init__(self, kinematics: Kinematics, held: HeldObject, gains: ImpedanceGains) -> None:
+    def __init__(
+        self, kinematics: Kinematics, held: HeldObject, gains: ImpedanceGains,
+        friction: JointFriction | None = None,
+    ) -> None:  # fmt: skip
         self._model, self._data = kinematics.model, kinematics.data
         self._kinematics = kinematics
         self.held, self.gains = held, gains
@@ -113,8 +117,10 @@ class ObjectImpedance:
         self._mass_kg = held.mass_kg
         self._R_hand_object = tuple(np.array(T[:3, :3].T) for T in held.T_object_tcps)
 
-        # Generalised forces of the hands and of joint friction in one product: [J; D]^T [f; v].
-        stacked = np.vstack([np.zeros((12, DOF)), JOINT_DAMPING * np.eye(DOF)])
+        # Generalised forces of the hands and of viscous friction in one product: [J; diag d]^T [f; v].
+        self._friction = JointFriction() if friction is None else friction
+        self._is_dry = self._friction.is_dry
+        stacked = np.vstack([np.zeros((12, DOF)), np.diag(self._friction.viscous)])
         self._to_joints, self._J = stacked.T, stacked[:12]
         # f (12), v (14) and q* - q (14) side by side, so that v is written once for both products that take it.
         rows = np.zeros(12 + 2 * DOF)
@@ -174,6 +180,8 @@ class ObjectImpedance:
         qdd += posture
         tau = pin.rnea(self._model, self._data, q, v, qdd)
         tau += self._to_joints.dot(self._pushes)
+        if self._is_dry:
+            tau += self._friction.dry_torque(v)
         return within_motors(tau)
 
     def _squeeze(self, wanted_n: float, measured_n: float) -> float:
