@@ -210,3 +210,49 @@ def test_a_dropped_rod_is_named_by_the_hold_first(scene):
     _, outcome = judge(dropped, scene)
     assert outcome.reason.startswith("held")
     assert {"held", "arrived", "at_rest"} <= faults(outcome)
+
+
+def test_a_rod_that_points_elsewhere_is_not_turned_where_the_task_asks_for_a_direction(scene):
+    task = scene.task.model_copy(update={"yaw_tolerance_rad": 0.1})
+    turned = scene.model_copy(update={"task": task})
+    askew = [replace(i, yaw=0.2) for i in cycle()]
+    assert judge(askew, scene)[1].success
+    referee, outcome = judge(askew, turned)
+    assert faults(outcome) == {"turned"}
+    assert not referee.finished
+    assert judge([replace(i, yaw=0.05) for i in cycle()], turned)[1].success
+
+
+def test_the_error_of_a_direction_is_the_short_way_round(scene):
+    around = RodTrial("test", 0, (*START, 0.0), (*GOAL, 3.1))
+    referee = RodCarryJudge(scene, around)
+    assert referee.goal_errors(Instant(yaw=-3.1))[1] == pytest.approx(2 * np.pi - 6.2)
+
+
+def test_a_broken_object_stays_broken(scene):
+    glass = scene.model_copy(update={"rod": scene.rod.model_copy(update={"break_pinch_n": 65.0})})
+    assert judge(cycle(), glass)[1].success
+    instants = cycle()
+    instants[120] = replace(instants[120], pinch=(66.0, 60.0))  # for an instant, while it is lifted
+    _, outcome = judge(instants, glass)
+    assert faults(outcome) == {"whole"}
+    assert outcome.faults[0].at_s == pytest.approx(1.2)
+
+
+def test_touching_the_obstacle_counts_where_there_is_one(scene):
+    from minidual.config.scene import ObstacleConfig
+
+    blocked = scene.model_copy(update={"task": scene.task.model_copy(update={"obstacle": ObstacleConfig()})})
+
+    @dataclass
+    class Near(Instant):
+        struck: bool = False
+
+        def touches(self, geom):
+            assert geom == "obstacle"
+            return self.struck
+
+    instants = [Near(**vars(i)) for i in cycle()]
+    assert judge(instants, blocked)[1].success
+    instants[300] = replace(instants[300], struck=True)
+    assert faults(judge(instants, blocked)[1]) == {"clear"}

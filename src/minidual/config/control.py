@@ -25,6 +25,14 @@ class EnvCheckConfig(StrictModel):
     """Limit on the RMS over time of the 14-D error norm while all joints swing at once."""
     pulse_share: float = Field(default=0.1, gt=0.0, le=0.5)
     """Torque pulse that tells which joint a motor moves, as a share of the motor's limit."""
+    rise_max_s: float = Field(default=0.25, gt=0.0, le=1.0)
+    """Limit on the time in which each joint goes from 10 % to 90 % of its own step."""
+    overshoot_max_rad: float = Field(default=0.005, gt=0.0, le=0.02)
+    """Limit on how far each joint goes beyond its own step."""
+    latency_max_us: float = Field(default=1000.0, gt=0.0, le=10_000.0)
+    """Limit on the wall time from a proposed command to the motors' torques, the arbiter's period apart."""
+    stop_rest_max_s: float = Field(default=0.5, gt=0.0, le=2.0)
+    """Limit on the time that swinging arms need to come to rest after an emergency stop."""
     agreement_states_n: int = Field(default=20, ge=1, le=1000)
     agreement_max: float = Field(default=1e-10, gt=0.0, le=1e-6)
     cost_steps_n: int = Field(default=2000, ge=100, le=100_000)
@@ -103,6 +111,10 @@ class PaceConfig(StrictModel):
     object_acceleration_m_per_s2: float = Field(default=1.2, gt=0.0, le=10.0)
     object_turn_rad_per_s: float = Field(default=2.0, gt=0.0, le=10.0)
     object_turn_rad_per_s2: float = Field(default=5.0, gt=0.0, le=50.0)
+    landing_m: float = Field(default=0.0, ge=0.0, le=0.05)
+    """Last part of the lowering that is travelled slowly; 0 lands in one motion."""
+    landing_s: float = Field(default=0.3, gt=0.0, le=5.0)
+    """Duration of that part."""
 
 
 class CarryFaultConfig(StrictModel):

@@ -284,11 +284,14 @@ class ImpedanceCarry:
         gx, gy, goal_yaw = self._trial.goal
         high = z + scene.task.lift_height_m
         place, q = Waypoint((x, y, z), yaw, 0.0), self.world.q
-        ends = (
+        rest, landing = scene.rod.rest_height_m, config.pace.landing_m
+        ends = [
             ((x, y, high), yaw, config.lift_s),
             ((gx, gy, high), goal_yaw, config.transport_s),
-            ((gx, gy, scene.rod.rest_height_m), goal_yaw, config.lower_s),
-        )
+            ((gx, gy, rest + landing), goal_yaw, config.lower_s),
+        ]
+        if landing > 0.0:
+            ends.append(((gx, gy, rest), goal_yaw, config.pace.landing_s))
         start, waypoints = place, []
         for xyz, direction, fixed_s in ends:
             end = Waypoint(xyz, direction, 0.0)

@@ -84,7 +84,7 @@ OBJECTS: dict[str, CarryObject] = {
                 "force_correction_max_n": 3.0,
             },
             # It lands softly: a soft spring follows a fast motion less closely, and what is left is a blow.
-            pace={"object_acceleration_m_per_s2": 0.6},
+            pace={"object_acceleration_m_per_s2": 0.9, "landing_m": 0.003, "landing_s": 0.35},
         ),
     )
 }  # fmt: skip

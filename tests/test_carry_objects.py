@@ -1,0 +1,157 @@
+"""The catalogue of objects and the table of motions: consistent with mechanics, carried for real, judged both ways."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from minidual.config.root import Config
+from minidual.errors import UsageError
+from minidual.robot.constants import FINGER_TRAVEL_M
+from minidual.robot.kinematics import Kinematics
+from minidual.sim.model import OBSTACLE
+from minidual.sim.world import World
+from minidual.tasks.impedance_carry import ImpedanceCarry
+from minidual.tasks.motions import MOTIONS, carry_config
+from minidual.tasks.objects import OBJECTS, PINCH_SAFETY
+from minidual.tasks.rod_carry import sample_trial
+from minidual.tasks.success import Outcome, RodCarryJudge
+
+
+def configured(**carry: Any) -> Config:
+    return carry_config(Config.model_validate({"carry": carry}))
+
+
+def carried(config: Config, *, until: str | None = None) -> tuple[Outcome, ImpedanceCarry]:
+    """Carry to the end, or until the judge has noted a fault of that name."""
+    world = World(config.scene)
+    trial = sample_trial(config.scene, 7, "objects", 0)
+    world.reset(rod_xy_yaw=trial.start)
+    carry = ImpedanceCarry(world, Kinematics(), config.carry, trial, seed=7)
+    judge = RodCarryJudge(config.scene, trial, demand_internal_force=True)
+    while not carry.done and not judge.finished:
+        carry.step()
+        judge.observe(world)
+        if until in judge._faults:
+            break
+    return judge.outcome(world), carry
+
+
+def test_the_rod_on_its_straight_way_is_the_configuration_itself() -> None:
+    assert carry_config(Config()) == Config()
+    assert carry_config(Config()).model_dump_json() == Config().model_dump_json()
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_an_object_is_carried_as_it_is_recommended_and_the_pads_can_hold_it(name: str) -> None:
+    spec, config = OBJECTS[name], configured(object=name)
+    rod, impedance = config.scene.rod, config.carry.impedance
+    least, most = spec.squeeze_range_n
+    assert least <= impedance.internal_force_n <= most
+    soft, stiff = spec.stiffness_range_n_per_m
+    assert soft <= impedance.stiffness_n_per_m <= stiff
+    # Two pads a hand carry the squeeze and half the weight by friction.
+    carried_n = math.hypot(impedance.internal_force_n, 0.5 * 9.81 * rod.mass_kg)
+    assert 2.0 * rod.friction * impedance.pinch_n > 1.25 * carried_n
+    assert impedance.pinch_n <= config.scene.physics.finger_force_max_n <= 140.0
+    assert impedance.pinch_n > config.scene.task.pinch_min_n
+    assert 2.0 * rod.half_width_m < 2.0 * FINGER_TRAVEL_M - 0.01
+    assert config.scene.task.internal_force_min_n == min(20.0, least)
+    if rod.break_pinch_n is not None and rod.break_force_n is not None:
+        assert impedance.pinch_n < rod.break_pinch_n
+        assert impedance.internal_force_n + impedance.force_correction_max_n < rod.break_force_n
+    assert PINCH_SAFETY > 1.0
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_what_the_law_is_told_of_mass_and_inertia_is_what_the_simulator_has(name: str) -> None:
+    world = World(configured(object=name).scene)
+    body, rod = world.model.body("rod"), world.scene.rod
+    assert body.mass[0] == pytest.approx(rod.mass_kg, rel=1e-12)
+    # MuJoCo keeps principal axes of its own; the sets of moments must agree.
+    assert np.allclose(sorted(body.inertia), sorted(rod.inertia_kg_m2), rtol=1e-9)
+    assert world.T_world_rod[2, 3] == rod.rest_height_m
+    while world.time < 0.2:
+        world.step()
+    assert world.rod_on_table()
+    assert (
+        abs(world.T_world_rod[2, 3] - rod.rest_height_m) < 2e-4
+    )  # it stands on the table, not in it or above it
+
+
+def test_what_somebody_has_set_stays_and_a_second_call_changes_nothing() -> None:
+    once = carry_config(
+        Config.model_validate(
+            {
+                "carry": {"object": "board", "impedance": {"internal_force_n": 21.0}},
+                "scene": {"rod": {"mass_kg": 1.4}},
+            }
+        )
+    )
+    assert once.carry.impedance.internal_force_n == 21.0
+    assert once.scene.rod.mass_kg == 1.4
+    assert once.scene.rod.length_m == 0.40
+    assert carry_config(once) == once
+
+
+@pytest.mark.parametrize(
+    ("carry", "message"), [({"object": "glas"}, "'glass'"), ({"motion": "rotat"}, "'rotate'")]
+)
+def test_an_unknown_name_is_refused_with_the_nearest_one(carry: dict[str, str], message: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        configured(**carry)
+    assert message in str(caught.value)
+
+
+@pytest.mark.parametrize("name", [name for name in OBJECTS if name != "rod"])
+def test_every_object_is_carried(name: str) -> None:
+    outcome, carry = carried(configured(object=name))
+    assert outcome.success, outcome.reason
+    assert carry.fault is None
+    assert outcome.tilt_max_rad < 0.0349
+    assert outcome.duration_s < 8.0
+
+
+def test_a_glass_squeezed_too_hard_breaks() -> None:
+    hard = configured(object="glass", impedance={"internal_force_n": 24.0, "pinch_n": 38.0})
+    outcome, _ = carried(hard, until="whole")
+    assert not outcome.success
+    assert outcome.reason.startswith("whole")
+    assert "stands 20" in outcome.reason
+
+
+def test_a_glass_pinched_too_hard_breaks() -> None:
+    outcome, _ = carried(configured(object="glass", impedance={"pinch_n": 48.0}), until="whole")
+    assert outcome.reason.startswith("whole")
+    assert "pinch" in outcome.reason
+
+
+def test_the_object_is_turned_by_ninety_degrees() -> None:
+    config = configured(motion="rotate")
+    outcome, carry = carried(config)
+    assert outcome.success, outcome.reason
+    axis = carry.world.T_world_rod[:3, 1]
+    assert abs(axis[0]) > 0.999  # it lay along y, and lies along x
+    assert outcome.yaw_error_rad < 0.02
+    assert outcome.duration_s < 8.0
+
+
+def test_it_is_lifted_over_the_obstacle_and_lower_it_would_strike() -> None:
+    outcome, _ = carried(configured(motion="over"))
+    assert outcome.success, outcome.reason
+    low = carry_config(
+        Config.model_validate({"carry": {"motion": "over"}, "scene": {"task": {"lift_height_m": 0.07}}})
+    )
+    outcome, _ = carried(low, until="clear")
+    assert not outcome.success
+    assert "clear" in {fault.name for fault in outcome.faults}
+
+
+def test_only_the_way_over_has_an_obstacle() -> None:
+    for name in MOTIONS:
+        model = World(configured(motion=name).scene).model
+        names = {model.geom(i).name for i in range(model.ngeom)}
+        assert (OBSTACLE in names) == (name == "over")
