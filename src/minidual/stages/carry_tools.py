@@ -18,9 +18,10 @@ def perturb(context: ToolContext) -> ToolResult:
         table_lines,
         write_perturbations,
     )
+    from minidual.tasks.motions import carry_config
 
     trials_n = int(context.options.get("trials", PERTURB_TRIALS_N))
-    inputs = MethodInputs(context.config, context.seed)
+    inputs = MethodInputs(carry_config(context.config), context.seed)
     with context.progress.task("disturbed carries", len(CONDITIONS) * trials_n) as task:
         found, trials = run_perturbations(
             "impedance", inputs, trials_n, workers=context.workers,
@@ -47,10 +48,12 @@ def tune(context: ToolContext) -> ToolResult:
     from minidual.evaluation.tables import write_text
     from minidual.evaluation.tuning import CARRIES_N, Tuner, TuningError, write_rows
     from minidual.evaluation.tuning_figure import draw_tuning
+    from minidual.tasks.motions import carry_config
 
+    config = carry_config(context.config)
     with context.progress.task("tuning") as task:
         tuner = Tuner(
-            context.config, context.seed, workers=context.workers,
+            config, context.seed, workers=context.workers,
             on_step=lambda s: task.advance(note=f"{s.phase}: {s.force_n:.1f} N, {s.stiffness_n_per_m:.0f} N/m"),
         )  # fmt: skip
         try:
@@ -67,7 +70,7 @@ def tune(context: ToolContext) -> ToolResult:
     )
     write_text(context.output / "tuned.yaml", head + yaml.safe_dump(profile, sort_keys=False))
     write_text(context.output / "tuning.csv", write_rows(tuning.steps))
-    draw_tuning(tuning, context.config.scene.task.internal_force_min_n, context.output / "tuning.png")
+    draw_tuning(tuning, config.scene.task.internal_force_min_n, context.output / "tuning.png")
     rows = [s.row() for s in (tuning.final, *tuning.compared)]
     lines = ["| " + " | ".join(k.replace("_", " ") for k in rows[0]) + " |", "|" + "---|" * len(rows[0])]
     lines += ["| " + " | ".join(str(v) for v in row.values()) + " |" for row in rows]
