@@ -1,0 +1,361 @@
+"""The fast object impedance law against the same law written out plainly, and against mechanics."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import force_law_oracle as oracle
+import mujoco
+import numpy as np
+import pytest
+from arm_scripts import solve_hands
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from minidual.config.scene import SceneConfig
+from minidual.control.grasp import GraspMap, squeeze_reference
+from minidual.control.object_impedance import (
+    HeldObject,
+    ImpedanceGains,
+    ObjectImpedance,
+    ObjectState,
+    SingularPostureError,
+)
+from minidual.control.pinch import largest_squeeze, pinch_force
+from minidual.errors import UsageError
+from minidual.evaluation.bench_scenes import BenchScene, held_scene
+from minidual.robot.constants import DOF, HOME, TAU_MAX
+from minidual.robot.kinematics import HandMotion, Kinematics
+from minidual.robot.poses import inverse, pose, rot_z, rotation_log
+from minidual.robot.vectors import (
+    apply,
+    apply_transposed,
+    cross,
+    inner,
+    minus,
+    mix,
+    parts,
+    plus,
+    rotation_error,
+    times,
+)
+
+triples = st.lists(st.floats(-2.0, 2.0), min_size=3, max_size=3).map(np.array)
+
+
+def rotation(vector: np.ndarray) -> np.ndarray:
+    """Return exp of a rotation vector."""
+    quat, matrix = np.empty(4), np.empty(9)
+    angle = float(np.linalg.norm(vector))
+    mujoco.mju_axisAngle2Quat(quat, vector / angle if angle > 0.0 else np.array([1.0, 0, 0]), angle)
+    mujoco.mju_quat2Mat(matrix, quat)
+    return matrix.reshape(3, 3)
+
+
+@dataclasses.dataclass
+class Case:
+    """A random situation of the law."""
+
+    held: HeldObject
+    q_engaged: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    measured: ObjectState
+    desired: ObjectState
+    wanted_n: float
+    felt_n: float
+
+
+def draw(rng: np.random.Generator, kinematics: Kinematics, *, turning: bool = True) -> Case:
+    q = HOME + 0.15 * rng.normal(size=DOF)
+    left, right = kinematics.tcp_poses(q)
+    centre = 0.5 * (left[:3, 3] + right[:3, 3]) + 0.02 * rng.normal(size=3)
+    T = pose(rotation(0.3 * rng.normal(size=3)), centre)
+    grasps = (inverse(T) @ left, inverse(T) @ right)
+    axis = grasps[0][:3, 3] - grasps[1][:3, 3]
+    root = rng.normal(size=(3, 3))
+    held = HeldObject(rng.uniform(0.1, 1.5), 1e-3 * root @ root.T, grasps, axis / np.linalg.norm(axis))
+    twist, acceleration = 0.3 * rng.normal(size=6), 0.5 * rng.normal(size=6)
+    if not turning:
+        twist[3:] = acceleration[3:] = 0.0
+    T_d = pose(rotation(0.1 * rng.normal(size=3)) @ T[:3, :3], centre + 0.02 * rng.normal(size=3))
+    return Case(
+        held, q, q + 0.02 * rng.normal(size=DOF), 0.3 * rng.normal(size=DOF),
+        ObjectState(T, 0.2 * rng.normal(size=6)), ObjectState(T_d, twist, acceleration),
+        20.0, float(rng.uniform(-20.0, 60.0)),
+    )  # fmt: skip
+
+
+class TestOracle:
+    @pytest.mark.parametrize("turning", [True, False])
+    def test_the_fast_law_is_the_law(self, kinematics: Kinematics, turning: bool) -> None:
+        rng, unclipped = np.random.default_rng(7), 0
+        gains = ImpedanceGains(stiffness=(450.0, 500.0, 550.0, 18.0, 20.0, 25.0), damping_ratio=0.8)
+        for _ in range(40):
+            case = draw(rng, kinematics, turning=turning)
+            law = ObjectImpedance(kinematics, case.held, gains)
+            law.engage(case.q_engaged)
+            for _ in range(2):  # buffers are reused: the second call must not see the first
+                tau = law.torque(
+                    case.q, case.v, case.measured, case.desired,
+                    internal_force_n=case.wanted_n, measured_internal_force_n=case.felt_n,
+                )  # fmt: skip
+            plain = oracle.torque(
+                kinematics, case.held, gains, case.q_engaged, case.q, case.v, case.measured, case.desired,
+                case.wanted_n, case.felt_n,
+            )  # fmt: skip
+            unclipped += int((np.abs(plain) < TAU_MAX).all())
+            assert np.abs(tau - plain).max() < 5e-9  # the oracle's drift is a finite difference
+        assert unclipped > 25
+
+    def test_the_oracle_notices_every_term(self, kinematics: Kinematics) -> None:
+        """Change one thing the law must heed: the torques must answer."""
+        case = draw(np.random.default_rng(3), kinematics)
+        case.felt_n = 15.0
+
+        def torque(case: Case, gains: ImpedanceGains | None = None) -> np.ndarray:
+            law = ObjectImpedance(kinematics, case.held, gains or ImpedanceGains())
+            law.engage(case.q_engaged)
+            return law.torque(
+                case.q, case.v, case.measured, case.desired,
+                internal_force_n=case.wanted_n, measured_internal_force_n=case.felt_n,
+            )  # fmt: skip
+
+        before = torque(case)
+        assert (np.abs(before) < TAU_MAX).all()
+        heavier = dataclasses.replace(case.held, mass_kg=case.held.mass_kg + 0.1)
+        rounder = dataclasses.replace(case.held, inertia_kg_m2=2.0 * case.held.inertia_kg_m2)
+        still = dataclasses.replace(case.desired, acceleration=np.zeros(6))
+        for changed in (
+            torque(dataclasses.replace(case, held=heavier)),
+            torque(dataclasses.replace(case, held=rounder)),
+            torque(dataclasses.replace(case, desired=still)),
+            torque(dataclasses.replace(case, felt_n=18.0)),
+            torque(dataclasses.replace(case, q_engaged=case.q_engaged + 0.05)),
+            torque(case, ImpedanceGains(hand_stiffness_nm_per_rad=0.0)),
+            torque(case, ImpedanceGains(posture_damping_per_s=0.0)),
+            torque(case, ImpedanceGains(damping_ratio=0.5)),
+        ):
+            assert np.abs(changed - before).max() > 1e-3
+
+    def test_a_lost_direction_is_named(self, kinematics: Kinematics) -> None:
+        law = ObjectImpedance(kinematics, draw(np.random.default_rng(1), kinematics).held, ImpedanceGains())
+        law.engage(HOME)
+        law._hands.update = lambda *_: law._J.fill(0.0)  # type: ignore[method-assign]
+        state = ObjectState(np.eye(4))
+        with pytest.raises(SingularPostureError, match="singular") as caught:
+            law.torque(HOME, np.zeros(DOF), state, state, internal_force_n=0.0, measured_internal_force_n=0.0)
+        assert caught.value.remedy
+
+
+class TestGrasp:
+    @given(triples, triples)
+    @settings(deadline=None, max_examples=50)
+    def test_motion_and_internal_parts_are_orthogonal_projections(
+        self, r_l: np.ndarray, r_r: np.ndarray
+    ) -> None:
+        grasp = GraspMap(r_l, r_r)
+        G = grasp.G
+        assert np.array_equal(G, oracle.grasp_matrix(r_l, r_r))
+        squeeze = np.column_stack([grasp.internal_part(e) for e in np.eye(12)])
+        motion = np.column_stack([grasp.motion_part(w) for w in np.eye(6)]) @ G
+        assert np.allclose(squeeze @ squeeze, squeeze, atol=1e-9)
+        assert np.allclose(squeeze, squeeze.T, atol=1e-9)
+        assert np.allclose(squeeze + motion, np.eye(12), atol=1e-9)
+        assert np.allclose(squeeze @ motion, 0.0, atol=1e-9)
+        assert np.linalg.matrix_rank(squeeze, tol=1e-6) == 6  # the null space of G
+
+    @given(triples, triples, triples, triples, triples)
+    @settings(deadline=None, max_examples=50)
+    def test_the_closed_form_is_the_distribution(
+        self, r_l: np.ndarray, r_r: np.ndarray, force: np.ndarray, moment: np.ndarray, squeeze: np.ndarray
+    ) -> None:
+        grasp = GraspMap(r_l.tolist(), r_r.tolist())
+        w = np.concatenate([force, moment])
+        f_int = np.concatenate([-squeeze, np.zeros(3), squeeze, np.zeros(3)])
+        G = oracle.grasp_matrix(r_l, r_r)
+        G_inverse = np.linalg.pinv(G)
+        plain = G_inverse @ w + (np.eye(12) - G_inverse @ G) @ f_int
+        f = grasp.hand_wrenches(force.tolist(), moment.tolist(), squeeze.tolist())
+        assert np.allclose(f, plain, atol=1e-9)
+        assert np.allclose(grasp.distribute(w, f_int), plain, atol=1e-9)
+        assert np.allclose(G @ np.array(f), w, atol=1e-9)
+
+    @pytest.mark.parametrize("yaw", [0.0, np.pi / 2])
+    def test_a_rod_turned_by_90_degrees_keeps_its_squeeze_along_itself(
+        self, kinematics: Kinematics, yaw: float
+    ) -> None:
+        """Arms really reach round the turned rod; what their torques put on it is measured by statics."""
+        T = pose(rot_z(yaw), (0.45, 0.0, 0.35))
+        down = rot_z(np.pi / 2) @ np.diag([1.0, -1.0, -1.0])
+        grasps = (pose(down, (0.0, 0.12, 0.0)), pose(down, (0.0, -0.12, 0.0)))
+        q = solve_hands(kinematics, (T @ grasps[0], T @ grasps[1]), HOME)
+        held = HeldObject(0.2, np.diag([1.5e-3, 1e-5, 1.5e-3]), grasps, np.array([0.0, 1.0, 0.0]))
+        law = ObjectImpedance(kinematics, held, ImpedanceGains())
+        law.engage(q)
+        state = ObjectState(T)
+        tau = law.torque(
+            q, np.zeros(DOF), state, state, internal_force_n=30.0, measured_internal_force_n=30.0
+        )
+        J = np.vstack(kinematics.tcp_jacobians(q))
+        f = np.linalg.lstsq(J.T, tau - kinematics.gravity(q), rcond=None)[0]
+        axis = T[:3, 1]
+        carried = np.array([0.0, 0.0, 0.2 * 9.81 / 2.0])
+        assert f[0:3] == pytest.approx(-30.0 * axis + carried, abs=1e-6)
+        assert f[6:9] == pytest.approx(30.0 * axis + carried, abs=1e-6)
+        assert f[3:6] == pytest.approx(np.zeros(3), abs=1e-6)
+        internal = squeeze_reference(axis, 30.0)
+        rigid = GraspMap(0.12 * axis, -0.12 * axis).G.T @ np.array([0.3, -0.2, 0.1, 0.5, 1.0, -2.0])
+        assert internal @ rigid == pytest.approx(0.0, abs=1e-9)  # no work on any motion of the rod
+
+
+@pytest.fixture(scope="module")
+def held() -> BenchScene:
+    return held_scene(SceneConfig(), ImpedanceGains())
+
+
+class TestHeld:
+    @staticmethod
+    def _run(held: BenchScene, desired: ObjectState, steps: int, squeeze_n: float):
+        world, grippers = held.world, held.grippers()
+        for _ in range(steps):
+            measured, felt = held.sense()
+            tau = held.law.torque(
+                world.q,
+                world.v,
+                measured,
+                desired,
+                internal_force_n=squeeze_n,
+                measured_internal_force_n=felt,
+            )
+            world.command(tau, grippers.step(held.gripper))
+            world.step()
+            yield measured, felt
+
+    def test_stored_energy_falls(self, held: BenchScene) -> None:
+        """The rod is pulled 2 cm off and let go: kinetic energy of the arms plus what the object's spring stores."""
+        held.restore()
+        T = held.rest.copy()
+        T[:3, 3] += (0.0, 0.015, 0.015)
+        stiffness, energy = np.array(held.law.gains.stiffness), []
+        for measured, _ in self._run(held, ObjectState(T), 1200, 40.0):
+            M, v = held.kinematics.mass_matrix(held.world.q), held.world.v
+            R = measured.T_world_object[:3, :3]
+            e = np.concatenate([T[:3, 3] - measured.T_world_object[:3, 3], rotation_log(T[:3, :3] @ R.T)])
+            energy.append(0.5 * v @ M @ v + 0.5 * e @ (stiffness * e))
+        assert energy[0] > 0.1
+        rises = np.maximum(np.diff(energy), 0.0).sum()
+        assert rises < 2e-3 * energy[0]  # what the squeeze's own settling puts in
+        assert energy[-1] < 0.01 * energy[0]
+
+    def test_pads_carry_no_more_than_friction_lets_them(self, held: BenchScene) -> None:
+        """The limit is real: asked for 75 N at mu 0.5 and 60 N of pinch, the pads hold 60 N and slip at once."""
+        limit = largest_squeeze(60.0, 0.5, safety=1.0)
+        assert limit == pytest.approx(60.0)
+        held.restore()
+        felt = [felt for _, felt in self._run(held, ObjectState(held.rest), 400, 75.0)]
+        slipped = int(np.argmax(np.array(felt) < 20.0))
+        assert 0 < slipped < 50
+        assert 0.95 * limit < np.max(felt[:slipped]) < 1.05 * limit
+        held.restore()
+        asked = largest_squeeze(60.0, 0.5, 0.2, safety=1.25)
+        felt = [felt for _, felt in self._run(held, ObjectState(held.rest), 400, asked)]
+        assert felt[-1] == pytest.approx(asked, abs=0.5)
+        held.restore()
+
+
+class TestPinch:
+    def test_a_light_object_needs_half_the_squeeze_over_mu(self) -> None:
+        assert pinch_force(40.0, 0.5, safety=1.0) == pytest.approx(40.0)
+        assert pinch_force(40.0, 0.5) == pytest.approx(60.0)  # what the joint-space modes pinch with
+        assert pinch_force(0.0, 0.5, 2.0, safety=1.0) == pytest.approx(2.0 * 9.81 / 2.0)
+
+    def test_weight_tilt_and_acceleration_ask_for_more(self) -> None:
+        least = pinch_force(27.0, 0.7, 1.0)
+        assert least > pinch_force(27.0, 0.7)
+        assert pinch_force(27.0, 0.7, 1.0, tilt_rad=0.2) > least
+        assert pinch_force(27.0, 0.7, 1.0, acceleration_m_per_s2=3.0) > least
+
+    @given(
+        st.floats(0.0, 80.0),
+        st.floats(0.1, 1.5),
+        st.floats(0.0, 2.0),
+        st.floats(1.0, 3.0),
+        st.floats(-0.3, 0.3),
+    )
+    def test_the_largest_squeeze_is_the_way_back(
+        self, squeeze: float, mu: float, mass: float, safety: float, tilt: float
+    ) -> None:
+        pinch = pinch_force(squeeze, mu, mass, safety=safety, tilt_rad=tilt)
+        assert largest_squeeze(pinch, mu, mass, safety=safety, tilt_rad=tilt) == pytest.approx(
+            squeeze, abs=1e-6
+        )
+
+    def test_a_pinch_too_weak_for_the_weight_carries_no_squeeze(self) -> None:
+        assert largest_squeeze(5.0, 0.3, 1.0) == 0.0
+
+    @pytest.mark.parametrize(
+        ("values", "message"),
+        [
+            ((-1.0, 0.5, 0.2), "squeeze -1.0 N"),
+            ((40.0, 0.0, 0.2), "friction coefficient 0.0"),
+            ((40.0, 0.5, -0.2), "mass -0.2 kg"),
+            ((math.nan, 0.5, 0.2), "squeeze nan"),
+        ],
+    )
+    def test_nonsense_is_refused_by_name(self, values: tuple[float, float, float], message: str) -> None:
+        with pytest.raises(UsageError, match=message):
+            pinch_force(*values)
+        with pytest.raises(UsageError, match=r"safety factor 0\.9"):
+            pinch_force(40.0, 0.5, safety=0.9)
+
+
+class TestHandMotion:
+    def test_poses_jacobian_and_acceleration(self, kinematics: Kinematics) -> None:
+        rng = np.random.default_rng(4)
+        hands, h = HandMotion(kinematics), 1e-5
+        for _ in range(10):
+            q, v, a = HOME + 0.3 * rng.normal(size=DOF), rng.normal(size=DOF), rng.normal(size=DOF)
+            hands.update(q, v, a)
+            J, acceleration = hands.J.copy(), hands.acceleration.copy()
+            poses = [(R.copy(), p.copy()) for R, p in zip(hands.R, hands.p, strict=True)]
+            for (R, p), T in zip(poses, kinematics.tcp_poses(q), strict=True):
+                assert np.allclose(R, T[:3, :3], atol=1e-12)
+                assert np.allclose(p, T[:3, 3], atol=1e-12)
+            assert np.allclose(J, np.vstack(kinematics.tcp_jacobians(q)), atol=1e-12)
+            ahead, behind = (
+                np.vstack(kinematics.tcp_jacobians(q + s * h * v + 0.5 * h**2 * a)) @ (v + s * h * a)
+                for s in (1.0, -1.0)
+            )
+            assert np.allclose((ahead - behind) / (2 * h), acceleration, atol=1e-6)
+
+
+class TestVectors:
+    @given(triples, triples, st.floats(-2, 2), st.floats(-2, 2))
+    def test_they_are_what_numpy_says(self, a: np.ndarray, b: np.ndarray, s: float, t: float) -> None:
+        x, y = a.tolist(), b.tolist()
+        A = np.outer(a, b) + np.diag(a)
+        for mine, numpys in (
+            (cross(x, y), np.cross(a, b)), (plus(x, y), a + b), (minus(x, y), a - b), (times(s, x), s * a),
+            (mix(s, x, t, y), s * a + t * b), (inner(x, y), a @ b), (apply(A.tolist(), y), A @ b),
+            (apply_transposed(A.tolist(), y), A.T @ b),
+        ):  # fmt: skip
+            assert np.allclose(mine, numpys, atol=1e-12)
+
+    @given(triples, triples, st.sampled_from([0.0, 1e-9, 1e-4, 1.0, math.pi - 1e-3, math.pi - 1e-7]))
+    def test_rotation_error_turns_the_one_into_the_other(
+        self, a: np.ndarray, b: np.ndarray, angle: float
+    ) -> None:
+        axis = b / np.linalg.norm(b) if np.linalg.norm(b) > 1e-3 else np.array([0.0, 0.0, 1.0])
+        R = rotation(a)
+        wanted = rotation(angle * axis) @ R
+        error = np.array(rotation_error(wanted.tolist(), R.tolist()))
+        assert np.allclose(rotation(error) @ R, wanted, atol=1e-7)
+        assert np.linalg.norm(error) == pytest.approx(angle, abs=1e-7)
+
+    def test_parts_of_a_pose(self) -> None:
+        T = pose(rotation(np.array([0.1, 0.2, 0.3])), (1.0, 2.0, 3.0))
+        R, p = parts(T)
+        assert np.array_equal(np.array(R), T[:3, :3])
+        assert p == (1.0, 2.0, 3.0)
