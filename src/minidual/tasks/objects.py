@@ -2,9 +2,7 @@
 
 Shapes are chosen so that two parallel grippers can hold them from above: 80 mm of opening, pads 3 mm over the axis.
 Squeeze and stiffness lie in the range that is recommended for the object. Pads carry the squeeze by friction, so the
-pinch follows from it:
-
-    pinch = safety * squeeze / (2 mu)
+pinch follows from it (control/pinch.py).
 """
 
 from __future__ import annotations
@@ -16,9 +14,8 @@ from typing import Any
 from pydantic import BaseModel
 
 from minidual.config.root import Config
+from minidual.control.pinch import pinch_force
 from minidual.errors import unknown_name
-
-PINCH_SAFETY = 1.5
 
 
 @dataclass(frozen=True)
@@ -46,8 +43,8 @@ class CarryObject:
     pace: Mapping[str, float] = field(default_factory=dict)
 
 
-def _pinch(squeeze_n: float, friction: float) -> float:
-    return round(PINCH_SAFETY * squeeze_n / (2.0 * friction), 1)
+def _rounded(force_n: float) -> float:
+    return round(force_n, 1)
 
 
 OBJECTS: dict[str, CarryObject] = {
@@ -60,7 +57,7 @@ OBJECTS: dict[str, CarryObject] = {
                 "shape": "box", "length_m": 0.40, "width_m": 0.05, "height_m": 0.03, "mass_kg": 1.0, "friction": 0.7,
                 "grasp_offset_m": 0.16, "colour": (0.63, 0.44, 0.26, 1.0),
             },
-            impedance={"internal_force_n": 27.0, "stiffness_n_per_m": 500.0, "pinch_n": 40.0},
+            impedance={"internal_force_n": 27.0, "stiffness_n_per_m": 500.0, "pinch_n": _rounded(pinch_force(27.0, 0.7, 1.0))},
         ),
         CarryObject(
             "box", "plastic box, 30 x 6 x 6 cm, 0.5 kg", (40.0, 60.0), (300.0, 500.0),
@@ -68,7 +65,7 @@ OBJECTS: dict[str, CarryObject] = {
                 "shape": "box", "length_m": 0.30, "width_m": 0.06, "height_m": 0.06, "mass_kg": 0.5, "friction": 0.3,
                 "colour": (0.36, 0.55, 0.72, 1.0),
             },
-            impedance={"internal_force_n": 42.0, "stiffness_n_per_m": 400.0, "pinch_n": _pinch(42.0, 0.3)},
+            impedance={"internal_force_n": 42.0, "stiffness_n_per_m": 400.0, "pinch_n": _rounded(pinch_force(42.0, 0.3, 0.5))},
             # More than the hand's continuous 70 N and within its 140 N maximum: a carry lasts seconds.
             physics={"finger_force_max_n": 110.0},
         ),
@@ -80,7 +77,7 @@ OBJECTS: dict[str, CarryObject] = {
                 "colour": (0.62, 0.84, 0.86, 0.55),
             },
             impedance={
-                "internal_force_n": 13.0, "stiffness_n_per_m": 200.0, "pinch_n": _pinch(13.0, 0.4),
+                "internal_force_n": 13.0, "stiffness_n_per_m": 200.0, "pinch_n": _rounded(pinch_force(13.0, 0.4, 0.15)),
                 "force_correction_max_n": 3.0,
             },
             # It lands softly: a soft spring follows a fast motion less closely, and what is left is a blow.
