@@ -41,14 +41,15 @@ class ReferenceFilter:
         self._v_max = 0.95 * V_MAX
         self._a_min, self._v_min = -self._a_max, -self._v_max
         self._near = 4.0 * _BRAKE_SHARE * self._a_max / w**2
-        # Rows [bent error; v], [v; a] and [q; v before; v after] meet these in one product each.
+        # One block of rows, so that each of three sums over them is one product: the bent error, v, a, q, v afterwards.
+        rows = np.zeros((5, DOF))
+        self._bent, self._v, self._a, self._q, self._v_after = rows
+        self._pull, self._push, self._motion = rows[0:2], rows[1:3], rows[1:5]
         self._spring = np.array([w**2, -2.0 * w])
         self._advance = np.array([1.0, dt])
-        self._integrate = np.array([[1.0, 0.0, dt], [0.0, -1.0 / dt, 1.0 / dt]])
-        self._pull, self._push = np.zeros((2, DOF)), np.zeros((2, DOF))
-        self._state = np.zeros((3, DOF))
+        self._integrate = np.array([[0.0, 0.0, 1.0, dt], [-1.0 / dt, 0.0, 0.0, 1.0 / dt]])  # of q and a
         self._error, self._far = np.zeros((2, DOF))
-        self._bent, self._two = self._pull[0], np.full(DOF, 2.0)
+        self._two = np.full(DOF, 2.0)
         self._asked, self._goal = b"", np.zeros(DOF)
         self.q, self.v, self.a = np.zeros((3, DOF))
 
@@ -81,16 +82,14 @@ class ReferenceFilter:
         multiply(bent, far, bent)
         sqrt(bent, bent)
         multiply(bent, error, bent)
-        self._pull[1] = self.v
+        self._v[:], self._q[:] = self.v, self.q
         a = self._spring.dot(self._pull)
         minimum(a, self._a_max, a)
-        maximum(a, self._a_min, a)
-        push, state = self._push, self._state
-        push[0], push[1] = self.v, a
-        v = self._advance.dot(push)
+        maximum(a, self._a_min, self._a)
+        v = self._advance.dot(self._push)
         minimum(v, self._v_max, v)
         maximum(v, self._v_min, v)
-        state[0], state[1], state[2] = self.q, self.v, v
-        moved = self._integrate.dot(state)
+        self._v_after[:] = v
+        moved = self._integrate.dot(self._motion)
         self.q, self.v, self.a = moved[0], v, moved[1]  # a anew: the bound on the speed may have cut it
         return self.q, v, self.a
