@@ -2,29 +2,50 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 import json
+import platform
+import subprocess
+from pathlib import Path
 
 import av
 import numpy as np
 import pytest
 
+import minidual
+from minidual.cli import run_command_line
+from minidual.config.arbiter import ArbiterConfig
 from minidual.config.control import EnvCheckConfig
 from minidual.config.root import Config
 from minidual.config.scene import PhysicsConfig, SceneConfig
+from minidual.config.supervisor import SupervisorConfig
 from minidual.control.loop import JointLoop
-from minidual.errors import EnvironmentMissingError
+from minidual.control.supervisor import Supervisor
+from minidual.errors import EnvironmentMissingError, MinidualError
 from minidual.evaluation import environment as measure
 from minidual.evaluation import installation
 from minidual.evaluation import joint_tracking as motion
-from minidual.evaluation.installation import Library, required_libraries
-from minidual.evaluation.step_cost import control_step_cost
+from minidual.evaluation.command_latency import (
+    CommandLatency,
+    LatencyRig,
+    StopResponse,
+    command_latency,
+    emergency_stop,
+)
+from minidual.evaluation.environment_pictures import CameraCheck
+from minidual.evaluation.installation import Library, Package, required_libraries
+from minidual.evaluation.joint_response import JointResponse, joint_responses, rise_time_s
+from minidual.evaluation.step_cost import StepCost, control_step_cost
 from minidual.pipeline.stage import StageContext
-from minidual.robot.constants import DOF, HOME
+from minidual.robot.constants import DOF, HOME, JOINT_NAMES
 from minidual.robot.kinematics import Kinematics
 from minidual.sim.model import build_spec
 from minidual.sim.world import World
+from minidual.stages import env_check_checks as judge
 from minidual.stages.env_check import STAGE
+from minidual.stages.env_check_bill import markdown
+from minidual.stages.registry import STAGES
 
 QUICK = EnvCheckConfig(
     sine_duration_s=2.0, cost_steps_n=300, video_width_px=160, video_height_px=120, agreement_states_n=4
@@ -60,6 +81,8 @@ class TestStage:
         assert {
             "joints.count", "joints.mapped", "joints.reached", "tracking.step_error_rad", "tracking.sine_rms_rad",
             "contacts.home", "model.agreement_max", "control.step_median_us", "libraries.unfit",
+            "joints.rise_max_s", "joints.overshoot_max_rad", "latency.ticks_max", "latency.ticks_min",
+            "latency.wall_median_us", "stop.ticks", "stop.rest_s",
         } <= names  # fmt: skip
 
     def test_its_limits_are_the_goals_not_the_baselines(self, passed):
@@ -75,6 +98,8 @@ class TestStage:
             "sine.mp4",
             "cameras.png",
             "tracking.png",
+            "joints.png",
+            "joints.csv",
         }
         with av.open(str(folder / "sine.mp4")) as film:
             frames = [f.to_ndarray(format="rgb24") for f in film.decode(video=0)]
@@ -85,6 +110,20 @@ class TestStage:
         data = json.loads((folder / "environment.json").read_text())
         assert data["libraries"]["mujoco"]["found"].startswith("4.")
         assert data["machine"]["python"].startswith("3.12")
+        with (folder / "joints.csv").open(newline="") as stream:
+            rows = list(csv.DictReader(stream))
+        assert [row["joint"] for row in rows] == list(JOINT_NAMES)
+        assert all(0.0 < float(row["rise_s"]) < 0.25 for row in rows)
+        assert max(float(row["sine_peak_rad"]) for row in rows) < 0.005
+
+    def test_every_check_with_a_limit_says_why_and_what_to_do(self, passed):
+        for check in passed[1].checks:
+            assert check.why or not check.limited, check.name
+        checks = all_failing_checks()
+        assert {check.name for check in checks} == {c.name for c in passed[1].checks if c.limited}
+        for check in checks:
+            assert check.passed is False, check.name
+            assert check.remedy, check.name
 
     def test_its_data_is_json_without_nan(self, passed):
         data = passed[1].data
@@ -111,13 +150,44 @@ class TestStage:
             run_stage(tmp_path)
 
     def test_limits_that_cannot_be_met_are_not_met(self, tmp_path):
-        result = run_stage(tmp_path, sine_rms_max_rad=1e-9, step_error_max_rad=1e-17, agreement_max=1e-18)
-        assert failed(result) == {"tracking.sine_rms_rad", "tracking.step_error_rad", "model.agreement_max"}
+        result = run_stage(
+            tmp_path, sine_rms_max_rad=1e-9, step_error_max_rad=1e-17, agreement_max=1e-18, rise_max_s=0.01,
+            latency_max_us=0.1, stop_rest_max_s=0.01,
+        )  # fmt: skip
+        assert failed(result) == {
+            "tracking.sine_rms_rad", "tracking.step_error_rad", "model.agreement_max", "joints.rise_max_s",
+            "latency.wall_median_us", "stop.rest_s",
+        }  # fmt: skip
 
     def test_limits_weaker_than_the_baseline_are_no_configuration(self):
         for name in ("sine_rms_max_rad", "step_error_max_rad"):
             with pytest.raises(ValueError, match=name):
                 EnvCheckConfig(**{name: 0.06})
+
+
+def all_failing_checks():
+    """Return every check with a limit, made from measurements in which everything is broken."""
+    nan = float("nan")
+    config = Config()
+    pair = [("left_panda_hand", "table", -0.01)]
+    still = np.zeros((300, DOF))
+    lost = motion.Tracking(np.arange(300) * 1e-3, np.full((300, DOF), nan), still, np.zeros((300, 1)), 3)
+    mapping = measure.Mapping((-1,) * DOF, np.zeros((DOF, DOF)), np.ones(DOF))
+    rows = [JointResponse(name, 0.1, nan, nan, nan, nan, nan) for name in JOINT_NAMES]
+    latency = CommandLatency((60,) * 20, 20, np.full(10, nan))
+    checks = [
+        *judge.library_checks([Library("mujoco", ">=4", None)]),
+        judge.count_check(13),
+        *judge.motion_checks(config, mapping, [nan] * DOF, lost, lost),
+        *judge.joint_checks(rows, config.env_check),
+        judge.contact_check(pair),
+        judge.cost_check(StepCost(nan, nan, nan)),
+        *judge.latency_checks(latency, StopResponse(0, nan, nan, nan), config.env_check),
+        *judge.camera_checks(CameraCheck(0.0, 0.0, 0.0, "none")),
+        judge.agreement_check({"position_m": nan}, config.env_check),
+        judge.film_check(0, config.env_check),
+    ]
+    return [check for check in checks if check.limited]
 
 
 class TestMapping:
@@ -220,6 +290,86 @@ class TestTracking:
             motion.sine_reference(2.0, 0.1, 0.0)
 
 
+class TestResponses:
+    def test_the_rise_of_a_known_curve(self):
+        t = np.arange(1000) * 1e-3
+        measured = np.tile(HOME, (1000, 1))
+        measured[:, 3] += 0.1 * (1.0 - np.exp(-t / 0.05))  # rises in 0.05 ln 9
+        target = HOME + 0.1 * np.eye(DOF)[3]
+        step = motion.Tracking(t, np.tile(target, (1000, 1)), measured, np.zeros((1000, 1)), start=HOME)
+        assert rise_time_s(step, 3) == pytest.approx(0.05 * np.log(9.0), abs=1.1e-3)
+
+    def test_overshoot_and_never_arriving_are_seen_on_either_side(self):
+        t = np.arange(1000) * 1e-3
+        for sign in (1.0, -1.0):
+            target = HOME + sign * 0.1 * np.eye(DOF)[5]
+            measured = np.tile(HOME, (1000, 1))
+            measured[:, 5] += sign * 0.1 * (1.0 - np.exp(-t / 0.05) * np.cos(40.0 * t))
+            beyond = sign * (measured[:, 5] - target[5])
+            step = motion.Tracking(t, np.tile(target, (1000, 1)), measured, np.zeros((1000, 1)), start=HOME)
+            still = dataclasses.replace(step, measured=np.tile(HOME, (1000, 1)))
+            row = joint_responses([step] * DOF, step)[5]
+            assert row.overshoot_rad == pytest.approx(beyond.max(), rel=1e-9)
+            assert row.step_rad == pytest.approx(sign * 0.1)
+            assert np.isnan(rise_time_s(still, 5))
+
+    def test_a_joint_that_never_arrives_fails_the_rise_time(self):
+        rows = [JointResponse(name, 0.1, 0.1, 0.0, 0.0, 0.0, 0.0) for name in JOINT_NAMES]
+        assert {c.passed for c in judge.joint_checks(rows, QUICK)} == {True}
+        rows[6] = dataclasses.replace(rows[6], rise_s=float("nan"))
+        rise = judge.joint_checks(rows, QUICK)[0]
+        assert rise.passed is False
+        assert "left_panda_joint7" in rise.remedy
+
+
+class TestLatency:
+    @pytest.fixture
+    def rig(self, world, kinematics):
+        return LatencyRig(world, kinematics, ArbiterConfig(), SupervisorConfig(), 50.0)
+
+    def test_a_command_waits_for_the_arbiter_and_for_nothing_else(self, rig):
+        found = command_latency(rig, repeats_n=10)
+        assert found.ticks == (1, *range(20, 1, -1))  # the later after a tick, the nearer the next one
+        assert 0.0 < np.median(found.wall_us) < 5000.0
+
+    def test_a_controller_that_lags_a_step_is_seen(self, rig):
+        guard, late = rig.supervisor.guard, []
+
+        def lagging(t, q, v, tau):
+            late.append(tau.copy())
+            return guard(t, q, v, late[max(0, len(late) - 3)])
+
+        rig.supervisor.guard = lagging
+        found = command_latency(rig, repeats_n=1)
+        assert (found.ticks_min, found.ticks_max) == (3, 22)
+        checks = {
+            c.name: c.passed for c in judge.latency_checks(found, StopResponse(1, 0.3, 1.0, 1.0), QUICK)
+        }
+        assert checks["latency.ticks_max"] is checks["latency.ticks_min"] is False
+
+    def test_a_command_that_never_arrives_counts_as_late(self, rig, monkeypatch):
+        monkeypatch.setattr(rig.stack.arbiter, "propose", lambda *_: None)
+        assert set(command_latency(rig, repeats_n=1).ticks) == {60}
+
+    def test_a_source_that_does_not_get_the_arms_is_an_error(self, world, kinematics):
+        with pytest.raises(MinidualError, match="did not get the arms"):
+            LatencyRig(world, kinematics, ArbiterConfig(still_speed_rad_s=1e-30), SupervisorConfig(), 50.0)
+
+    def test_an_emergency_stop_brings_swinging_arms_to_rest(self, world, kinematics):
+        stop = emergency_stop(world, kinematics, SupervisorConfig())
+        assert stop.ticks == 1
+        assert stop.speed_rad_s > 0.9
+        assert 0.05 < stop.rest_s < 0.5
+        assert stop.torque_step_nm <= 1.0 + 1e-9
+
+    def test_a_supervisor_that_ignores_the_button_is_seen(self, world, kinematics, monkeypatch):
+        monkeypatch.setattr(Supervisor, "estop", lambda *_: None)
+        stop = emergency_stop(world, kinematics, SupervisorConfig())
+        assert np.isnan(stop.rest_s)
+        limits = judge.latency_checks(CommandLatency((1,), 20, np.ones(3)), stop, QUICK)
+        assert {c.name for c in limits if c.passed is False} == {"stop.ticks", "stop.rest_s"}
+
+
 class TestContacts:
     def test_none_at_home_though_the_rod_touches_the_table(self, world):
         assert world.contact_count > 0
@@ -319,6 +469,79 @@ class TestLibraries:
             library.name: (library.wanted, library.found, library.fits) for library in required_libraries()
         }
         assert read == {"a": (">=1,<2", "1.5", True), "b": ("~=3.0", "2.0", False), "D": ("", None, False)}
+
+
+class TestBill:
+    def test_it_names_versions_and_no_private_path(self, tmp_path, capsys, monkeypatch):
+        monkeypatch.setenv("HOME", "/home/somebody")
+        assert run_command_line(["env-check", "--markdown", "--runs-dir", str(tmp_path)], STAGES) == 0
+        out = capsys.readouterr().out
+        assert out.startswith("### minidual environment\n")
+        for word in (
+            "| python | 3.12",
+            "| gl renderer | ",
+            "| mujoco | ",
+            "| processor | ",
+            "env-check has not run",
+        ):
+            assert word in out
+        for private in (
+            str(tmp_path),
+            str(Path.home()),
+            str(Path(minidual.__file__).parent),
+            platform.node(),
+        ):
+            assert private not in out
+        assert list(tmp_path.iterdir()) == []
+
+    def test_json_is_the_same_as_a_document(self, tmp_path, capsys):
+        assert (
+            run_command_line(["env-check", "--markdown", "--json", "--runs-dir", str(tmp_path)], STAGES) == 0
+        )
+        document = json.loads(capsys.readouterr().out)
+        assert document["libraries"]["mujoco"]["fits"] is True
+        assert document["about"]["minidual"] == minidual.__version__
+
+    def test_it_comes_out_without_opengl_too(self, tmp_path, capsys, monkeypatch):
+        def broken(*_args):
+            raise RuntimeError("no EGL")
+
+        monkeypatch.setattr("minidual.sim.render.mujoco.Renderer", broken)
+        assert run_command_line(["env-check", "--markdown", "--runs-dir", str(tmp_path)], STAGES) == 0
+        assert "| gl renderer | none: cannot create" in capsys.readouterr().out
+
+    def test_it_marks_what_is_unfit_and_what_failed(self):
+        failed_check = {
+            "status": "fail",
+            "finished_at": "now",
+            "profile": "standard",
+            "failed": ["x is 1, limit < 0"],
+        }
+        lines = markdown(
+            {"python": "3|12"}, [Library("mujoco", ">=4", "3.9")], [Package("libegl1", None)], failed_check
+        )
+        assert "| mujoco | >=4 | 3.9 | **unfit** |" in lines
+        assert "| libegl1 | **none** |" in lines
+        assert "| python | 3\\|12 |" in lines
+        assert lines[-2:] == ["env-check: **fail** on now, profile standard", "- x is 1, limit < 0"]
+
+    def test_debian_packages_are_asked_of_dpkg(self, monkeypatch):
+        def answer(words, **_kept):
+            found = words[-1] == "libegl1"
+            out = "installed 1.6.0-1" if found else ""
+            return subprocess.CompletedProcess(words, 0 if found else 1, out, "")
+
+        monkeypatch.setattr(installation.shutil, "which", lambda _: "/usr/bin/dpkg-query")
+        monkeypatch.setattr(installation.subprocess, "run", answer)
+        assert installation.system_packages() == [
+            Package("libegl1", "1.6.0-1"),
+            Package("libgl1-mesa-dri", None),
+        ]
+        missing = judge.package_checks(installation.system_packages())[0]
+        assert (missing.observed, missing.passed) == (1, None)
+        monkeypatch.setattr(installation.shutil, "which", lambda _: None)
+        assert installation.system_packages() == []
+        assert judge.package_checks([]) == []
 
 
 def test_the_scene_is_part_of_what_makes_the_verdict_stale():

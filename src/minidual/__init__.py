@@ -1,3 +1,8 @@
 """minidual: two Franka Pandas, from an empty folder to a measured comparison of methods."""
 
+import os
+
+# mujoco picks its OpenGL platform when it is first imported, whoever imports it first.
+os.environ.setdefault("MUJOCO_GL", "egl")
+
 __version__ = "0.1.0"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,6 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from minidual.evaluation.joint_response import JointResponse
 from minidual.evaluation.joint_tracking import Tracking
 from minidual.robot.constants import ARMS, DOF_PER_ARM, Array
 from minidual.sim.model import CAMERAS
@@ -58,6 +59,18 @@ def check_cameras(world: World, *, width_px: int = 320, height_px: int = 240) ->
         renderer = _gl_renderer()
     contrast = min(float(picture.mean(axis=2).std()) for picture in pictures.values())
     return CameraCheck(contrast, orange_share(pictures["high"]), min(fingers), renderer)
+
+
+def renderer_name() -> str:
+    """Return the name of the OpenGL renderer that draws without a screen.
+
+    Raises:
+        EnvironmentMissingError: No off-screen OpenGL context can be made.
+    """
+    model = mujoco.MjModel.from_xml_string("<mujoco><worldbody><camera name='eye'/></worldbody></mujoco>")
+    with Camera(model, 32, 32) as camera:
+        camera.picture(mujoco.MjData(model), "eye")
+        return _gl_renderer()
 
 
 def _gl_renderer() -> str:
@@ -121,6 +134,41 @@ def save_tracking(
     _draw_error_norm(figure.add_subplot(2, 2, 2), step, step_limit_rad)
     _draw_swing(figure.add_subplot(2, 2, 3), sine)
     _draw_joints(figure.add_subplot(2, 2, 4), sine.joint_rms, alone, sine_limit_rad)
+    _save(figure, path)
+
+
+def save_joints(
+    path: Path, steps: Sequence[Tracking], rows: Sequence[JointResponse], *, rise_limit_s: float
+) -> None:
+    """Save how each joint answers its own step: the responses on one scale, and the rise times.
+
+    Args:
+        path: PNG to write.
+        steps: The step of each joint alone.
+        rows: Numbers of the same, with the swing's.
+        rise_limit_s: Limit on the rise time.
+    """
+    figure = _figure(11.0, 4.2)
+    left, right = figure.add_subplot(1, 2, 1), figure.add_subplot(1, 2, 2)
+    for j, (step, row) in enumerate(zip(steps, rows, strict=True)):
+        arm = j // DOF_PER_ARM
+        label = f"{ARMS[arm]} arm" if j % DOF_PER_ARM == 0 else None
+        share = (step.measured[:, j] - step.start[j]) / row.step_rad
+        style = {"color": (_LEFT, _RIGHT)[arm], "ls": ("-", (0, (4, 4)))[arm]}  # the arms answer alike
+        left.plot(step.t, share, lw=1.3, label=label, **style)
+    left.axhline(1.0, color=_GREY, lw=0.8, ls=":")
+    _label(
+        left, f"A step of {abs(rows[0].step_rad):g} rad, each joint alone", "time [s]", "share of the step"
+    )
+    left.legend(frameon=False, fontsize=8, loc="lower right")
+    x = np.arange(len(rows))
+    colours = [_LEFT] * DOF_PER_ARM + [_RIGHT] * DOF_PER_ARM
+    right.bar(x, [1e3 * row.rise_s for row in rows], width=0.7, color=colours, alpha=0.85)
+    right.axhline(1e3 * rise_limit_s, color=_LIMIT, lw=1, ls="--", label=f"limit {1e3 * rise_limit_s:g} ms")
+    right.set_xticks(x, [f"{'LR'[i // DOF_PER_ARM]}{i % DOF_PER_ARM + 1}" for i in x], fontsize=8)
+    right.set_ylim(top=1.25e3 * rise_limit_s)
+    _label(right, "Rise time, 10 % to 90 %", "joint", "time [ms]")
+    right.legend(frameon=False, fontsize=8, loc="upper right")
     _save(figure, path)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -29,6 +29,7 @@ class Tracking:
         measured: (T, 14) [rad].
         qpos: (T, nq) state of the whole model, to draw it afterwards.
         contacts: Number of looks, 100 a second, at which an arm touched something.
+        start: (14,) [rad] before the first step.
     """
 
     t: Array
@@ -36,6 +37,7 @@ class Tracking:
     measured: Array
     qpos: Array
     contacts: int = 0
+    start: Array = field(default_factory=lambda: HOME)
 
     @property
     def error_norm(self) -> Array:
@@ -71,12 +73,12 @@ def track(
     """Run `steps` control steps; `drive(t)` commands the loop for time t and returns the desired q (14,)."""
     world = loop.world
     t, wanted, got, qpos = (np.empty((steps, *shape)) for shape in ((), (DOF,), (DOF,), (world.model.nq,)))
-    touching, start = 0, world.time
+    touching, start, q_start = 0, world.time, world.q
     for k in range(steps):
         wanted[k] = drive(world.time - start + world.dt)
         t[k], got[k], qpos[k] = world.time - start, world.q, world.data.qpos
         touching += int(contacts and k % _CONTACTS_EVERY == 0 and bool(arm_contacts(world)))
-    return Tracking(t, wanted, got, qpos, touching)
+    return Tracking(t, wanted, got, qpos, touching, q_start)
 
 
 def step_response(loop: JointLoop, target: Array, duration_s: float) -> Tracking:
@@ -99,17 +101,19 @@ def outward_step(step_rad: float) -> Array:
     return q
 
 
-def single_joint_errors(loop: JointLoop, step_rad: float, duration_s: float) -> Array:
-    """Step each joint alone and return its own worst settled error, others included, (14,) [rad].
-
-    The step goes towards the farther joint limit.
-    """
-    errors = np.empty(DOF)
+def single_joint_steps(loop: JointLoop, step_rad: float, duration_s: float) -> list[Tracking]:
+    """Step each joint alone from home, towards its farther limit; return what all joints did, one entry a joint."""
+    responses = []
     for j in range(DOF):
         target = HOME.copy()
         target[j] += step_rad if Q_UPPER[j] - HOME[j] > HOME[j] - Q_LOWER[j] else -step_rad
-        errors[j] = step_response(loop, target, duration_s).settled
-    return errors
+        responses.append(step_response(loop, target, duration_s))
+    return responses
+
+
+def single_joint_errors(loop: JointLoop, step_rad: float, duration_s: float) -> Array:
+    """Step each joint alone and return its own worst settled error, others included, (14,) [rad]."""
+    return np.array([step.settled for step in single_joint_steps(loop, step_rad, duration_s)])
 
 
 def sine_reference(amplitude_rad: float, frequency_hz: float, t: float) -> tuple[Array, Array, Array]:

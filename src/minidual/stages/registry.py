@@ -22,6 +22,15 @@ STAGES = StageTable(
             "minidual.stages.env_check:STAGE",
             (),
             "Simulation and joints: every joint read, mapped and driven, tracking, contacts, libraries",
+            asides=(
+                ToolEntry(
+                    "env-check-bill",
+                    "minidual.stages.env_check_bill:print_bill",
+                    "Print versions, libraries and machine for a bug report",
+                    (ToolOption("markdown", "Print a bill of versions for a bug report instead.", bool),),
+                    triggers=("markdown",),
+                ),
+            ),
             watchable=True,
         ),
         StageEntry(
