@@ -13,7 +13,6 @@ import pytest
 
 from minidual.config.arbiter import ArbiterConfig
 from minidual.config.root import Config
-from minidual.config.supervisor import SupervisorConfig
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.errors import ExitCode, GateClosedError, UsageError
@@ -60,9 +59,7 @@ class Stage:
         self.world = world
         self.trial: RodTrial = sample_trial(scene, SEED, "modes", 0)
         world.reset(rod_xy_yaw=self.trial.goal)
-        guard = (
-            Supervisor(SupervisorConfig(torque_rate_patience_s=1.0), dt_s=world.dt) if supervised else None
-        )
+        guard = Supervisor(dt_s=world.dt) if supervised else None
         self.stack = ControlStack(world, Kinematics(), supervisor=guard)
         self.runtime: Any = Mimic()
 

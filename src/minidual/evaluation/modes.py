@@ -77,6 +77,8 @@ class ModesDemo:
     def __init__(self, stack: ControlStack, turns: Sequence[tuple[str, Callable[[], Driver]]]) -> None:
         self.stack = stack
         self.recorder = Recorder(stack)
+        self.mode = self.doing = ""
+        """The mode asked for last, and what it does, for people."""
         self._turns = tuple(turns)
         self._outcomes: list[dict[str, object]] = []
 
@@ -90,6 +92,7 @@ class ModesDemo:
         stack = self.stack
         for mode, make in self._turns:
             driver = make()
+            self.mode, self.doing = mode, driver.caption
             self.recorder.requested(mode)
             stack.request(mode, driver.controllers)
             while stack.source != mode:

@@ -13,11 +13,9 @@ if TYPE_CHECKING:
     from minidual.control.stack import ControlStack
     from minidual.evaluation.modes import ModesResult
     from minidual.evaluation.modes_drivers import Driver
+    from minidual.pipeline.progress import Task
     from minidual.sim.render import Image
 
-_PATIENCE_S = 1.0
-"""Streamed targets ask for faster changes of torque than the motors follow. Here that is limited for as long as it
-lasts instead of stopping the arms after the supervisor's default patience."""
 _INTERRUPT_SHARE = 0.55
 """The planner's first motion is interrupted after this part of it: a switch of arms in motion."""
 
@@ -70,6 +68,7 @@ def _run(context: ToolContext, wanted: tuple[str, ...], checkpoint: Path | None)
     from minidual.robot.kinematics import Kinematics
     from minidual.sim.model import build_model
     from minidual.sim.render import Camera, write_video
+    from minidual.sim.watch import Narration, watched
     from minidual.sim.world import World
     from minidual.tasks.rod_carry import sample_trial
 
@@ -77,18 +76,25 @@ def _run(context: ToolContext, wanted: tuple[str, ...], checkpoint: Path | None)
     world = World(config.scene, model=build_model(config.scene, visuals=True))
     trial = sample_trial(config.scene, context.seed, "modes", 0)
     world.reset(rod_xy_yaw=trial.goal)  # as the last carry left it
-    bounds = config.supervisor.model_copy(update={"torque_rate_patience_s": _PATIENCE_S})
     stack = ControlStack(
         world, Kinematics(), config.arbiter,
-        rate_hz=config.teleop.rate_hz, supervisor=Supervisor(bounds, dt_s=world.dt),
+        rate_hz=config.teleop.rate_hz, supervisor=Supervisor(config.supervisor, dt_s=world.dt),
     )  # fmt: skip
     with Camera.recorded(world.model, config.scene.camera) as eyes:
-        demo = ModesDemo(
-            stack, _turns(context, stack, trial, checkpoint, wanted, lambda n: eyes.picture(world.data, n))
-        )
-        steps = _watched(context, demo.steps(), stack)
-        with Camera(world.model, *FILM_SIZE, shadows=True) as camera:
-            write_video(context.output / "modes.mp4", filmed(steps, stack, camera), fps=FILM_FPS)
+        turns = _turns(context, stack, trial, checkpoint, wanted, lambda name: eyes.picture(world.data, name))
+        demo = ModesDemo(stack, turns)
+
+        def tell() -> Narration:
+            source = stack.output.active_source or ""
+            return Narration("modes", demo.mode, source, str(stack.state), demo.doing)
+
+        with (
+            Camera(world.model, *FILM_SIZE, shadows=True) as camera,
+            watched(context.view, world, tell, speed_max=config.view.speed_max),
+            context.progress.task("modes", len(wanted)) as task,
+        ):
+            pictures = filmed(_counted(demo.steps(), task), stack, camera)
+            write_video(context.output / "modes.mp4", pictures, fps=FILM_FPS)
     result = demo.result(config.arbiter)
     demo.recorder.write_csv(context.output / "modes.csv")
     document = {
@@ -142,42 +148,33 @@ def _turns(
     return [(mode, lambda mode=mode, k=k: make(mode, k == final)) for k, mode in enumerate(wanted)]
 
 
-def _watched(
-    context: ToolContext, steps: Iterator[tuple[str, str]], stack: ControlStack
-) -> Iterator[tuple[str, str]]:
-    """Pass the steps on, showing them to whoever watches live."""
-    view = context.view
-    if view is None:
-        yield from steps
-        return
-    from minidual.view.overlay import Overlay
-
-    world = stack.world
-    view.open(world.model)
-    for mode, doing in steps:
-        if view.due():
-            source = stack.output.active_source or ""
-            view.update(
-                world.data,
-                Overlay(
-                    world.time, title="modes", mode=mode, source=source, state=str(stack.state), status=doing
-                ),
-            )
-        yield mode, doing
+def _counted(steps: Iterator[tuple[str, str]], task: Task) -> Iterator[tuple[str, str]]:
+    """Pass the steps on, counting the turns that have ended."""
+    before: tuple[str, str] | None = None
+    for now in steps:
+        if before is not None and now != before:
+            task.advance(note=f"{before[0]} done")
+        before = now
+        yield now
+    task.advance(note="film")
 
 
 def _notes(result: ModesResult, context: ToolContext) -> list[str]:
+    bounds = result.switches[0].bounds(context.config.arbiter, context.config.scene.physics.timestep_s)
+    first_step, torque = bounds[0][2], bounds[3][2]
     notes = [
         "switch to   asked at  confirmed  fastest joint  first step  reference step  torque step (asked for)",
-        "                  s          s          rad/s         rad  rad in 1 ms     Nm in 1 ms",
+        "                   s          s          rad/s         rad    rad in 1 ms  Nm in 1 ms",
     ]
     notes += [
-        f"{s.mode:<10}{s.requested_s:>9.2f}{s.confirmed_s:>11.2f}{s.speed_at_request_rad_s:>15.2f}{s.first_step_rad:>12.4f}"
-        f"{s.reference_step_rad:>13.5f}{s.torque_step_nm:>14.2f} ({s.torque_step_asked_nm:.1f})"
+        f"{s.mode:<10}{s.requested_s:>10.2f}{s.confirmed_s:>11.2f}{s.speed_at_request_rad_s:>15.2f}"
+        f"{s.first_step_rad:>12.4f}{s.reference_step_rad:>15.5f}{s.torque_step_nm:>12.2f} ({s.torque_step_asked_nm:.1f})"
         for s in result.switches
     ]
+    notes.append(f"{'bound':<46}{first_step:>12.4f}{'speed limit':>15}{torque:>12.2f}")
     for outcome in result.outcomes:
-        notes.append(", ".join(f"{k} {_text(v)}" for k, v in outcome.items()))
+        what = ", ".join(f"{k} {_text(v)}" for k, v in outcome.items() if k != "mode")
+        notes.append(f"{outcome['mode']}: {what}")
     for name in sorted({r[1] for r in result.refusals}):
         notes.append(f"refused as {name}: {sum(r[1] == name for r in result.refusals)}")
     notes += [f"OVER ITS BOUND: {fault}" for fault in result.faults]
