@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from minidual.planning.errors import LinearMoveError, PlanningError
+from minidual.planning.goals import check_joints
 from minidual.planning.linear import LinearMove
 from minidual.planning.pipeline.stage import (
     Backward,
@@ -24,7 +25,7 @@ from minidual.planning.pipeline.stage import (
 from minidual.planning.pipeline.state import CLOSED, OPEN, Segment, State, raised
 from minidual.planning.scene import PlanningScene
 from minidual.planning.trajectory import Trajectory
-from minidual.robot.constants import ARMS, Array
+from minidual.robot.constants import ARMS, GROUPS, Array
 
 
 class MoveTo(Connector):
@@ -37,9 +38,11 @@ class MoveTo(Connector):
     def offers(self, start: State, end: State, tools: Tools) -> Iterator[Offer]:
         """Yield the planner's path."""
         moving = tuple(
-            arm for arm, rows in zip(ARMS, (slice(0, 7), slice(7, 14)), strict=True)
-            if np.abs(end.q[rows] - start.q[rows]).max() > 0.0
-        )  # fmt: skip
+            arm for arm in ARMS if np.any(end.q[GROUPS[f"{arm}_arm"]] != start.q[GROUPS[f"{arm}_arm"]])
+        )
+        if moving and len(start.held_by) == len(ARMS):
+            yield Failure("closed_chain", "both hands hold the object; a free motion would tear it from them")
+            return
         group = group_of(moving or ARMS)
         scene = tools.scene(start)
         try:
@@ -58,15 +61,24 @@ class MoveTo(Connector):
 
 
 class GoTo(Generator):
-    """A fixed configuration at which the task ends, the object where it was put."""
+    """A fixed configuration of some arms; the others and the object stay as they are.
 
-    def __init__(self, name: str, q: Array) -> None:
+    Args:
+        name: Of the stage.
+        q: All 14 joints [rad]; those of other arms are not looked at.
+        arms: That go there.
+    """
+
+    def __init__(self, name: str, q: Array, arms: tuple[str, ...] = ARMS) -> None:
         super().__init__(name)
-        self._q = np.array(q)
+        self._q, self._arms = check_joints(q, f"configuration of stage '{name}'"), arms
 
     def offers(self, first: State, tools: Tools) -> Iterator[Offer]:
-        """Yield the configuration; the object's pose is that of the stage before, which the search carries on."""
-        state = replace(first, q=self._q)
+        """Yield the configuration."""
+        q = first.q.copy()
+        for arm in self._arms:
+            q[GROUPS[f"{arm}_arm"]] = self._q[GROUPS[f"{arm}_arm"]]
+        state = replace(first, q=q)
         yield Candidate("as given", 0.0, state, state)
 
 

@@ -102,3 +102,52 @@ def carry_task(
             GoTo("end", q_end),
         ],
     )
+
+
+def handover_task(
+    first: str,
+    grips_first: Sequence[Grip],
+    grips_second: Sequence[Grip],
+    meetings: Sequence[Place],
+    places: Sequence[Place],
+    *,
+    q_end: Array = HOME,
+) -> Task:
+    """Return the task: one hand fetches the object, the other takes it from it in the air and puts it down.
+
+    Args:
+        first: Arm that fetches.
+        grips_first: Its grips.
+        grips_second: Grips of the other hand, which must leave room for the first.
+        meetings: Poses of the object in the air at which it changes hands.
+        places: Where it is put down.
+        q_end: Configuration (14,) [rad] to which each arm goes back.
+    """
+    second = "right" if first == "left" else "left"
+    return Task(
+        f"hand the rod from {first} to {second}",
+        [
+            MoveTo("move_to"),
+            Approach("approach", (first,)),
+            Grasp("grasp", grips_first),
+            Close("close", (first,)),
+            Lift("lift"),
+            ChoosePlace("meeting", meetings),
+            Transport("to_meeting", heights_m=(0.0,)),
+            MoveTo("second_move_to"),
+            Approach("second_approach", (second,)),
+            Grasp("second_grasp", grips_second),
+            Close("second_close", (second,)),
+            Release("let_go", (first,)),
+            Retreat("first_retreat", (first,)),
+            MoveTo("first_back"),
+            GoTo("first_end", q_end, (first,)),
+            ChoosePlace("place_pose", places),
+            Transport("transport"),
+            PutDown("place"),
+            Release("release", (second,)),
+            Retreat("retreat", (second,)),
+            MoveTo("move_back"),
+            GoTo("end", q_end),
+        ],
+    )
