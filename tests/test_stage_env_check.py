@@ -489,7 +489,7 @@ class TestBill:
             str(tmp_path),
             str(Path.home()),
             str(Path(minidual.__file__).parent),
-            platform.node(),
+            f" {platform.node()} ",
         ):
             assert private not in out
         assert list(tmp_path.iterdir()) == []

@@ -24,7 +24,7 @@ _NUDGE_RAD = 0.02
 _CHANGED_SHARE = 0.5
 """A torque has answered when it changes in a tick by this share of what the supervisor lets through (1 Nm). The nudge
 asks for twenty times that; what is left of the one before changes it by a hundredth."""
-_SETTLE_STEPS = 200
+_SETTLE_STEPS = 120
 _STILL_RAD_S = 0.01
 
 
