@@ -30,7 +30,7 @@ def find_browser():
 class Browser:
     """One page of a headless browser. `requests` collects the address of everything that the page asks for."""
 
-    def __init__(self, path, folder: Path, size=(1280, 800)):
+    def __init__(self, path, folder: Path, size=(1000, 620)):
         self.requests: list[str] = []
         self._id = 0
         command = [
@@ -64,15 +64,18 @@ class Browser:
             time.sleep(0.1)
         raise TimeoutError("the browser did not start")
 
-    def call(self, method, **params):
+    def call(self, method, limit_s=60.0, **params):
         """Send one command and return its result; events on the way are noted."""
         self._id += 1
         self._socket.send(json.dumps({"id": self._id, "method": method, "params": params}))
+        end = time.monotonic() + limit_s
         while True:
-            message = json.loads(self._socket.recv(timeout=60))
+            message = json.loads(self._socket.recv(timeout=max(0.0, end - time.monotonic())))
             self._note(message)
             if message.get("id") == self._id:
-                return message.get("result", {})
+                if "error" in message:
+                    raise RuntimeError(f"{method}: {message['error']}")
+                return message["result"]
 
     def _note(self, message):
         if message.get("method") == "Network.requestWillBeSent":
@@ -80,21 +83,42 @@ class Browser:
         elif message.get("method") == "Network.webSocketCreated":
             self.requests.append(message["params"]["url"])
 
-    def go(self, url):
-        """Open an address."""
-        return self.call("Page.navigate", url=url)
+    def go(self, url, limit_s=30.0):
+        """Open an address and wait until the page is loaded."""
+        answer = self.call("Page.navigate", url=url)
+        end = time.monotonic() + limit_s
+        while time.monotonic() < end and self._evaluate("document.readyState") != "complete":
+            time.sleep(0.2)
+        return answer
 
     def text(self):
         """Return the words that the page shows."""
-        answer = self.call("Runtime.evaluate", expression="document.body.innerText", returnByValue=True)
-        return str(answer.get("result", {}).get("value", ""))
+        return str(self._evaluate("document.body.innerText"))
+
+    def _evaluate(self, expression):
+        try:
+            answer = self.call("Runtime.evaluate", expression=expression, returnByValue=True)
+        except RuntimeError:  # the page before has gone, the next one is not there yet
+            return ""
+        return answer.get("result", {}).get("value", "")
 
     def picture(self, save: Path | None = None):
         """Return (H, W, 3) uint8 of what the page shows."""
-        data = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
+        data = base64.b64decode(self._screenshot())
         if save is not None:
             save.write_bytes(data)
         return np.array(Image.open(io.BytesIO(data)).convert("RGB"))
+
+    def _screenshot(self, tries=6):
+        for _ in range(tries - 1):
+            try:
+                return self.call("Page.captureScreenshot", limit_s=15.0, format="png")["data"]
+            except (
+                RuntimeError,
+                TimeoutError,
+            ):  # between two pages there is nothing to see, or no frame comes
+                time.sleep(0.5)
+        return self.call("Page.captureScreenshot", limit_s=15.0, format="png")["data"]
 
     def wait(self, ready, limit_s=40.0, pause_s=0.3):
         """Return the first picture for which `ready(picture)` holds, or the last one when time is up."""

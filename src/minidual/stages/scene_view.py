@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import signal
+import threading
 import time
+from collections.abc import Generator
+from types import FrameType
 from typing import TYPE_CHECKING
 
 from minidual.errors import UsageError
@@ -41,12 +45,37 @@ def towards(present: Array, wanted: Array, step: float) -> Array:
     return present + np.clip(wanted - present, -step, step)
 
 
+@contextlib.contextmanager
+def interruptions() -> Generator[threading.Event]:
+    """Yield what Ctrl-C or a request to end sets, even where a library swallows the KeyboardInterrupt it raises."""
+    stop = threading.Event()
+
+    def note(number: int, frame: FrameType | None) -> None:
+        del number, frame
+        stop.set()
+        raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
 def view_scene(context: ToolContext) -> ToolResult:
     """Run the scene in real time until Ctrl-C, the end of --for-s, or the closed window.
+
+    Ctrl-C is how a person ends this command, so it is an end like any other.
 
     Raises:
         UsageError: --view none, or a time that is none.
     """
+    with interruptions() as stop:
+        return _show(context, stop)
+
+
+def _show(context: ToolContext, stop: threading.Event) -> ToolResult:
     import numpy as np
 
     from minidual.control.loop import JointLoop
@@ -72,10 +101,9 @@ def view_scene(context: ToolContext) -> ToolResult:
         return Narration("the scene", "joint", "sliders" if offered else "home", "following joint targets")
 
     began = time.monotonic()
-    # Ctrl-C is how a person ends this command, so it is an end like any other.
     with contextlib.suppress(KeyboardInterrupt), watched(view, world, tell):
-        due = began
-        while view.alive and time.monotonic() - began < for_s:
+        began = due = time.monotonic()
+        while view.alive and not stop.is_set() and time.monotonic() - began < for_s:
             if offered:
                 wanted = view.slider_values()
             for _ in range(round(_SLICE_S / world.dt)):

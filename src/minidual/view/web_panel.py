@@ -33,6 +33,7 @@ def _row(label: str, value: str) -> str:
 
 
 def _bar(label: str, value_n: float, rgb: tuple[int, int, int]) -> str:
+    value_n = round(value_n, 1) + 0.0  # no minus before zero
     share = 100.0 * min(1.0, max(0.0, value_n / _FORCE_FULL_N))
     return (
         "<div style='margin:5px 0'><div style='display:flex;justify-content:space-between'>"

@@ -16,6 +16,8 @@ ARROW_M_PER_N = 0.0025
 ARROW_MIN_N = 0.5
 _MOVED = 1e-5
 """Least change of a position [m] or quaternion entry that is sent; the screen shows 1 mm at best."""
+_FLAT_M = 0.002
+"""A mesh thinner than this, such as a mark on the table, would only cast a blurred shadow on itself."""
 _GHOSTS_MAX = 4
 _GHOST_RGB = (70, 160, 255)
 _BACKGROUND_RGB = (255, 255, 255)
@@ -94,8 +96,9 @@ class WebScene:
     def _add_mesh(self, name: str, mesh: BodyMesh, *, ghost: bool = False) -> Any:
         rgb = _GHOST_RGB if ghost else tuple(round(255 * c) for c in mesh.rgba[:3])
         opacity = 0.28 if ghost else (mesh.rgba[3] if mesh.rgba[3] < 1.0 else None)
+        flat = float(np.ptp(mesh.vertices, axis=0).min()) < _FLAT_M
         return self._server.scene.add_mesh_simple(
-            name, mesh.vertices, mesh.faces, color=rgb, opacity=opacity, cast_shadow=not ghost,
+            name, mesh.vertices, mesh.faces, color=rgb, opacity=opacity, cast_shadow=not (ghost or flat),
             receive_shadow=not ghost,
         )  # fmt: skip
 

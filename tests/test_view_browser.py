@@ -1,0 +1,126 @@
+"""`minidual view` seen by a real browser without a screen: the picture must show the scene, and nothing else passes.
+
+Needs Chromium (Debian package `chromium`); skipped, with that reason, where there is none.
+"""
+
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from browser import Browser, find_browser
+
+from minidual.config.view import ViewConfig
+from minidual.view import make_view
+
+BROWSER = find_browser()
+pytestmark = pytest.mark.skipif(
+    BROWSER is None, reason="no browser: none of chromium, chromium-browser, google-chrome is in PATH"
+)
+Picture = npt.NDArray[np.uint8]
+
+
+def shows_scene(picture: Picture) -> bool:
+    """Return whether a picture has the rod's orange, the goal's green, a grey-blue table and white arms."""
+    p = picture[160:, :650].astype(int)  # below the browser's notice, beside the panel
+    r, g, b = p[..., 0], p[..., 1], p[..., 2]
+    orange = ((r > 190) & (g > 70) & (g < 190) & (b < 110) & (r - b > 100)).mean()
+    green = ((g - r > 50) & (g - b > 30)).mean()
+    table = ((b - r > 8) & (b - r < 50) & (g > 90) & (g < 190)).mean()
+    colours = len(np.unique(p.reshape(-1, 3), axis=0))
+    return 0.001 < orange < 0.05 and 0.001 < green < 0.05 and table > 0.1 and colours > 1500
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with Browser(BROWSER, tmp_path_factory.mktemp("browser")) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """Run `minidual view` and yield its process and the address that it printed."""
+    folder = tmp_path_factory.mktemp("runs")
+    command = [
+        sys.executable, "-m", "minidual.cli", "view", "--view", "web", "--for-s", "150", "--json",
+        "--view-port", "8500", "--runs-dir", str(folder),
+    ]  # fmt: skip
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    found = None
+    for line in process.stderr:
+        if found := re.match(r"view: (\S+)", line):
+            break
+    assert found, "the command printed no address"
+    yield process, found[1]
+    if process.poll() is None:
+        process.kill()
+    process.communicate()
+
+
+def test_pages_without_the_scene_do_not_pass(browser: Browser) -> None:
+    """Negative controls: a blank page, a page that nobody serves, and the server without a scene."""
+    assert not shows_scene(browser.picture())
+    assert browser.go("http://127.0.0.1:9/").get("errorText")
+    assert not shows_scene(browser.picture())
+    empty = make_view("web", ViewConfig(port=8510), say=lambda _line: None)
+    assert empty is not None
+    try:
+        browser.go(str(empty.url))
+        browser.wait(lambda picture: bool(np.ptp(picture) > 50), limit_s=20.0)
+        time.sleep(1.0)
+        assert "minidual" in browser.text()  # the page is there; what it should show is not
+        assert not shows_scene(browser.picture())
+    finally:
+        empty.close()
+
+
+def test_the_scene_is_in_the_picture_and_nothing_comes_from_the_net(
+    browser: Browser, scene: tuple[subprocess.Popen[str], str]
+) -> None:
+    _, address = scene
+    browser.requests.clear()
+    browser.go(address)
+    picture = browser.wait(shows_scene, limit_s=60.0)
+    assert shows_scene(picture)
+    words = browser.text()
+    for text in ("the scene", "source in control", "sliders", "x real time", "pinch, left hand", "right arm"):
+        assert text in words
+    seconds = re.compile(r"simulated time\s+([\d.]+) s")
+    before = seconds.search(browser.text())
+    time.sleep(1.0)
+    after = seconds.search(browser.text())
+    assert before
+    assert after
+    assert float(after[1]) > float(before[1])  # it is alive
+    foreign = [
+        asked[:100] for asked in browser.requests
+        if not re.match(r"(https?|ws)://127\.0\.0\.1:\d+/|data:|blob:http://127\.0\.0\.1:|chrome:|about:", asked)
+    ]  # fmt: skip
+    assert browser.requests
+    assert foreign == []
+
+
+def test_a_closed_page_stops_nothing_and_ctrl_c_is_a_clean_end(
+    browser: Browser, scene: tuple[subprocess.Popen[str], str]
+) -> None:
+    process, _ = scene
+    browser.go("about:blank")
+    time.sleep(0.5)
+    assert process.poll() is None
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=20)
+    assert process.returncode == 0
+    assert '"simulated_s"' in out
+    assert "Traceback" not in err
+
+
+def test_the_browser_keeps_no_profile_in_the_checkout() -> None:
+    root = Path(__file__).resolve().parent.parent
+    assert not list(root.glob("**/DevToolsActivePort"))

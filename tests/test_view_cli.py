@@ -1,0 +1,123 @@
+"""Asking for a view: the options, what they change (one worker), and what they must not (the verdict)."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pipeline_toys import Toy
+
+from minidual.cli import run_command_line
+from minidual.config.loader import load_config
+from minidual.errors import ExitCode
+from minidual.pipeline.runner import Runner
+from minidual.pipeline.store import RunStore
+from minidual.pipeline.table import StageEntry, StageTable
+from minidual.stages.registry import STAGES
+from minidual.stages.tools import TOOLS
+
+MOVES_ARMS = {"env-check", "plan", "carry", "teleop-record", "deploy", "benchmark"}
+
+
+def _table(toy: Toy, *, watchable: bool = True) -> StageTable:
+    return StageTable((StageEntry(toy.name, toy, (), "A toy", watchable=watchable),))
+
+
+def test_every_stage_that_moves_the_arms_can_be_watched_and_no_other() -> None:
+    assert {entry.name for entry in STAGES if entry.watchable} == MOVES_ARMS
+    assert next(t for t in TOOLS if t.name == "view").view_default == "web"
+
+
+def test_a_view_is_handed_on_and_leaves_the_fingerprint_as_it_is(tmp_path: Path) -> None:
+    contexts: list[Any] = []
+
+    class Seen(Toy):
+        def run(self, context: Any) -> Any:
+            contexts.append(context)
+            return super().run(context)
+
+    toy = Seen("alpha")
+    loaded = load_config("smoke", [])
+    verdicts = []
+    for name, view in (("plain", None), ("watched", object())):
+        runner = Runner(_table(toy), RunStore(tmp_path, name), loaded, view=view)
+        verdicts.append(runner.run("alpha").verdict)
+        assert contexts[-1].view is view
+    assert [c.workers for c in contexts] == [loaded.config.workers, 1]
+    assert loaded.config.workers > 1
+    plain, watched = verdicts
+    assert plain.fingerprint == watched.fingerprint
+    assert plain.options == watched.options == {}
+    assert plain.overrides == watched.overrides == ()
+    assert [c.to_json() for c in plain.checks] == [c.to_json() for c in watched.checks]
+    # What was watched counts for one who does not watch: it is passing and fresh.
+    assert not Runner(_table(toy), RunStore(tmp_path, "watched"), loaded).run("alpha").ran
+
+
+def test_wrong_words_are_refused_before_anything_runs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    table = _table(Toy("alpha"))
+    common = ["--profile", "smoke", "--runs-dir", str(tmp_path)]
+    for words, code, said in (
+        (["--view", "wbe"], ExitCode.USAGE, "did you mean 'web'?"),
+        (["--view-port", "9000"], ExitCode.USAGE, "--view-port goes with --view web, not with --view none"),
+        (["--view", "web", "--view-port", "99999"], ExitCode.USAGE, "view.port"),
+        (["--view", "web", "--view-host", "203.0.113.7"], ExitCode.USAGE, "cannot bind interface"),
+        (["--view", "native"], ExitCode.ENVIRONMENT, "--view web needs no display"),
+    ):
+        assert run_command_line(["alpha", *words, *common], table) == code
+        assert said in capsys.readouterr().err
+    assert not (tmp_path / "smoke" / "alpha").exists()
+    assert run_command_line(["alpha", "--view", "none", *common], table) == ExitCode.PASS
+
+
+def test_a_command_that_moves_nothing_takes_no_view(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = _table(Toy("alpha"), watchable=False)
+    arguments = ["alpha", "--view", "web", "--profile", "smoke", "--runs-dir", str(tmp_path)]
+    assert run_command_line(arguments, table) == ExitCode.USAGE
+    assert "--view" in capsys.readouterr().err
+
+
+def test_a_fresh_stage_has_nothing_to_show_and_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["alpha", "--profile", "smoke", "--runs-dir", str(tmp_path)]
+    assert run_command_line(arguments, _table(Toy("alpha"))) == ExitCode.PASS
+    capsys.readouterr()
+    watched = [*arguments, "--view", "web", "--view-port", "8480", "--json"]
+    assert run_command_line(watched, _table(Toy("alpha"))) == ExitCode.PASS
+    shown = capsys.readouterr()
+    assert "nothing to watch: alpha is passing and fresh; --force runs it again" in shown.err
+    assert json.loads(shown.out)["ran"] is False
+
+
+def test_the_scene_shows_itself_for_the_time_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    common = ["--runs-dir", str(tmp_path), "--view-port", "8490"]
+    assert run_command_line(["view", "--for-s", "0.6", "--json", *common], STAGES, TOOLS) == ExitCode.PASS
+    shown = capsys.readouterr()
+    document = json.loads(shown.out)
+    assert document["url"].startswith("http://127.0.0.1:84")
+    assert f"view: {document['url']}" in shown.err
+    assert 0.6 <= document["wall_s"] < 5.0
+    assert 0.0 < document["simulated_s"] <= document["wall_s"] + 0.05  # never faster than life
+    for words, said in ((["--for-s", "-1"], "--for-s -1"), (["--view", "none"], "--view-port goes with")):
+        assert run_command_line(["view", *words, *common], STAGES, TOOLS) == ExitCode.USAGE
+        assert said in capsys.readouterr().err
+    assert run_command_line(["view", "--view", "none"], STAGES, TOOLS) == ExitCode.USAGE
+    assert "there to be looked at" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())  # a tool that only shows writes nothing
+
+
+def test_an_aside_that_shows_nothing_refuses_a_view(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["carry", "--tune", "--view", "web", "--runs-dir", str(tmp_path)]
+    assert run_command_line(arguments, STAGES, TOOLS) == ExitCode.USAGE
+    assert "carry-tune shows nothing to a view" in capsys.readouterr().err

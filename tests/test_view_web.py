@@ -1,0 +1,250 @@
+"""The web view's server: who can reach it, what it survives, and that it changes nothing of what it shows."""
+
+import dataclasses
+import socket
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+
+import mujoco
+import numpy as np
+import psutil
+import pytest
+from websockets.sync.client import connect
+
+from minidual.config.root import Config
+from minidual.config.view import ViewConfig
+from minidual.evaluation.methods import MethodInputs
+from minidual.evaluation.trials import run_trials
+from minidual.sim.watch import Narration, Watcher, overlay, visual_model, watched
+from minidual.sim.world import World
+from minidual.tasks.rod_carry import sample_trial
+from minidual.view import Arrow, Overlay, PathLine, Preview, Slider, make_view
+from minidual.view.pace import Metronome
+from minidual.view.web import WebView
+
+CONFIG = Config()
+SUBPROTOCOL = "viser-v1.1.1"
+
+
+@pytest.fixture
+def lines() -> list[str]:
+    return []
+
+
+@pytest.fixture
+def view(lines: list[str]) -> Iterator[WebView]:
+    made = make_view("web", ViewConfig(port=8460), say=lines.append)
+    assert isinstance(made, WebView)
+    yield made
+    made.close()
+
+
+def _show(view: WebView, world: World, **words: object) -> None:
+    """Show one picture and wait until the thread has taken it."""
+    view.update(world.data, Overlay(world.time, **words))  # type: ignore[arg-type]
+    end = time.monotonic() + 5.0
+    while (view._slot is not None or view._lock.locked()) and time.monotonic() < end:
+        time.sleep(0.005)
+    time.sleep(0.02)
+
+
+def _connects(host: str, port: int) -> bool:
+    try:
+        with socket.create_connection((host, port), timeout=2.0):
+            return True
+    except OSError:
+        return False
+
+
+def test_only_the_loopback_interface_answers(view: WebView, lines: list[str]) -> None:
+    assert _connects("127.0.0.1", view.port)
+    mine = {
+        a.address for items in psutil.net_if_addrs().values() for a in items if a.family == socket.AF_INET
+    }
+    others = sorted((mine | {"127.0.0.2"}) - {"127.0.0.1"})  # every other address of this machine
+    assert others
+    assert not any(_connects(host, view.port) for host in others)
+    assert any(f"view: http://127.0.0.1:{view.port}" in line for line in lines)
+    assert any(f"ssh -L {view.port}:127.0.0.1:{view.port} " in line for line in lines)
+    assert not any("warning" in line for line in lines)
+
+
+def test_another_interface_must_be_asked_for_and_is_warned_of() -> None:
+    said: list[str] = []
+    view = make_view("web", ViewConfig(host="0.0.0.0", port=8470), say=said.append)
+    assert isinstance(view, WebView)
+    try:
+        assert _connects("127.0.0.2", view.port)  # the test above can fail
+        assert any("warning: the view is bound to 0.0.0.0" in line for line in said)
+    finally:
+        view.close()
+
+
+def test_page_and_socket_answer_and_the_port_is_free_afterwards(
+    view: WebView, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with urllib.request.urlopen(str(view.url), timeout=5) as answer:
+        page = answer.read().decode()
+    assert answer.status == 200
+    assert "<script" in page
+    with pytest.raises(urllib.error.HTTPError):
+        urllib.request.urlopen(f"{view.url}/../../etc/passwd", timeout=5)
+    view.open(visual_model(CONFIG.scene))
+    with connect(f"ws://127.0.0.1:{view.port}", subprotocols=[SUBPROTOCOL], max_size=None) as client:  # type: ignore[list-item]
+        first = client.recv(timeout=5)
+        assert isinstance(first, bytes)
+        assert len(first) > 100
+    view.close()
+    view.close()
+    assert not _connects("127.0.0.1", view.port)
+    assert not view.alive
+    assert capfd.readouterr().out == ""  # stdout is for data
+
+
+def test_a_second_view_takes_the_next_port_and_says_so(view: WebView) -> None:
+    said: list[str] = []
+    other = make_view("web", ViewConfig(port=view.port), say=said.append)
+    assert isinstance(other, WebView)
+    other.close()
+    assert other.port == view.port + 1
+    assert said[0] == f"port {view.port} is taken; the view is at port {other.port}"
+
+
+def test_only_bodies_that_moved_are_sent(view: WebView) -> None:
+    world = World(CONFIG.scene)
+    view.open(visual_model(CONFIG.scene))
+    scene = view._scene
+    assert scene is not None
+    _show(view, world)
+    assert scene.move(world.data.xpos, world.data.xquat) == 0
+    world.data.joint("left_panda_joint7").qpos[:] += 0.1
+    mujoco.mj_kinematics(world.model, world.data)
+    sent = scene.move(world.data.xpos, world.data.xquat)
+    assert 1 <= sent <= 4  # the last link, the hand and its fingers
+    frame = scene._frames[world.model.body("left_panda_link7").id]
+    assert np.allclose(frame.position, world.data.body("left_panda_link7").xpos)
+    assert np.allclose(frame.wxyz, world.data.body("left_panda_link7").xquat)
+
+
+def test_forces_and_plans_are_drawn_and_taken_away(view: WebView) -> None:
+    world = World(CONFIG.scene)
+    model = visual_model(CONFIG.scene)
+    view.open(model)
+    scene = view._scene
+    assert scene is not None
+    line = PathLine("left", np.array([[0.0, 0, 0], [0.1, 0, 0], [0.2, 0, 0.1]]), (1, 2, 3))
+    ghost = world.data.qpos.copy()
+    preview = Preview((line,), (ghost,))
+    arrows = (
+        Arrow(np.zeros(3), np.array([0.0, 40.0, 0.0]), (1, 2, 3)),
+        Arrow(np.ones(3), np.zeros(3), (1, 2, 3)),
+    )
+    _show(view, world, arrows=arrows, preview=preview, pinch_n=(1.0, 2.0), internal_n=3.0)
+    assert view.alive
+    assert scene._arrows.visible
+    assert scene._arrows.points.shape == (1, 2, 3)  # no force, no arrow
+    assert np.allclose(np.diff(scene._arrows.points[0], axis=0), [[0.0, 0.1, 0.0]])
+    assert [node.name for node in scene._preview_nodes] == ["/plan/left", "/plan/ghost0"]
+    _show(view, world)
+    assert not scene._arrows.visible
+    assert scene._preview_nodes == []
+
+
+def test_what_breaks_in_the_view_is_said_once_and_stays_there(
+    view: WebView, lines: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world = World(CONFIG.scene)
+    view.open(visual_model(CONFIG.scene))
+
+    def broken(*_: object) -> int:
+        raise OSError("the wire was cut")
+
+    monkeypatch.setattr(view._scene, "move", broken)
+    view.update(world.data, Overlay(0.0))
+    view._thread.join(timeout=5.0)
+    assert not view.alive
+    assert not view.due()
+    view.update(world.data, Overlay(0.0))  # a caller that does not look is not punished
+    assert sum("the wire was cut" in line for line in lines) == 1
+
+
+def test_clients_that_vanish_do_not_hold_the_run_up(view: WebView) -> None:
+    world = World(CONFIG.scene)
+    clients = []
+    with watched(view, world, Narration):
+        for k in range(600):
+            world.step()
+            if k % 150 == 0:
+                clients.append(socket.create_connection(("127.0.0.1", view.port)))
+                clients.append(
+                    connect(f"ws://127.0.0.1:{view.port}", subprotocols=[SUBPROTOCOL], max_size=None)  # type: ignore[list-item]
+                )
+            if k % 200 == 199:
+                gone = clients.pop()
+                (gone.socket if hasattr(gone, "socket") else gone).close()  # no farewell
+    assert view.alive
+    assert world.observer is None
+    for client in clients:
+        (client.socket if hasattr(client, "socket") else client).close()
+
+
+def test_sliders_give_their_values(view: WebView) -> None:
+    assert view.slider_values().shape == (0,)
+    assert view.offer([Slider("a", "x", -1.0, 1.0, 0.25), Slider("a", "y", 0.0, 1.0, 1.0)])
+    assert view.slider_values().tolist() == [0.25, 1.0]
+    view._panel._sliders[0].value = -0.5
+    assert view.slider_values().tolist() == [-0.5, 1.0]
+
+
+def test_no_one_can_open_a_public_tunnel(view: WebView) -> None:
+    assert view._server.request_share_url() is None
+    assert view._server._share_tunnel is None
+
+
+def test_a_watched_trial_ends_as_an_unwatched_one_to_the_last_bit(view: WebView) -> None:
+    scene = CONFIG.scene.model_copy(
+        update={"task": CONFIG.scene.task.model_copy(update={"time_limit_s": 2.5})}
+    )
+    config = CONFIG.model_copy(update={"scene": scene})
+    inputs = MethodInputs(config, 5)
+    trials = [sample_trial(scene, 5, "view-test", 0)]
+    shown: list[Overlay] = []
+    plain, log = next(run_trials("impedance", inputs, trials, workers=1, keep_logs=True))
+    view._metronome = Metronome(1000.0)  # nobody is connected: a tenth of it is what is shown
+    update = view.update
+    view.update = lambda data, words: (shown.append(words), update(data, words))[1]  # type: ignore[method-assign]
+    seen, seen_log = next(run_trials("impedance", inputs, trials, workers=1, keep_logs=True, view=view))
+    assert len(shown) > 5
+    assert shown[-1].title == "impedance, trial 1 of 1"
+    assert dataclasses.replace(seen, wall_s=0.0) == dataclasses.replace(plain, wall_s=0.0)
+    assert log is not None
+    assert seen_log is not None
+    assert np.array_equal(log.q, seen_log.q)
+    assert np.array_equal(log.tau, seen_log.tau)
+    slower = sample_trial(scene, 5, "view-test", 1)  # another start is another trial: the comparison can fail
+    other, _ = next(run_trials("impedance", inputs, [slower], workers=1))
+    assert other.metrics != plain.metrics
+
+
+def test_between_pictures_a_step_pays_for_a_look_at_the_clock_only(view: WebView) -> None:
+    world = World(CONFIG.scene)
+    asked: list[int] = []
+    watcher = Watcher(view, world, lambda: asked.append(1) or Narration())  # type: ignore[func-returns-value]
+    watcher(world)
+    began = time.perf_counter()
+    for _ in range(2000):
+        watcher(world)
+    spent = time.perf_counter() - began
+    # Nobody is connected, so three pictures a second are taken.
+    assert len(asked) <= 2 + spent * 4
+
+
+def test_the_overlay_says_what_the_world_says() -> None:
+    world = World(CONFIG.scene)
+    words = overlay(world, Narration("a title", "moveit", "moveit", "active"))
+    assert words.time_s == world.time
+    assert words.pinch_n == tuple(world.pinch_forces())
+    assert words.internal_n == world.internal_force()
+    assert (words.title, words.mode, words.source, words.state) == ("a title", "moveit", "moveit", "active")
