@@ -152,6 +152,32 @@ def test_a_switch_brakes_a_trajectory_on_its_path(plant: ArmsPlant) -> None:
     assert 0.5 < share[-1, 0] < 0.95
 
 
+def test_a_source_that_falls_silent_in_motion_is_held_and_brought_to_rest(plant: ArmsPlant) -> None:
+    stack = stack_on(plant)
+    hand_over(stack, "teleop")
+    for k in range(1, 31):  # 0.6 s at 1 rad/s
+        stack.propose("teleop", JointCommand(HOME + 0.02 * k, OPEN, plant.time, k))
+        for _ in range(20):
+            stack.step()
+    assert np.abs(stack.reference - HOME).min() > 0.4
+    assert plant.v.min() > 0.8
+    states, references, targets = [], [stack.reference], set()
+    for _ in range(1300):
+        stack.step()
+        states.append(stack.state)
+        references.append(stack.reference)
+        if stack.state == ArbiterState.STALE:
+            targets.add(stack.output.q_target.tobytes())
+    assert list(dict.fromkeys(states)) == [ArbiterState.ACTIVE, ArbiterState.STALE, ArbiterState.STOPPED]
+    assert states.index(ArbiterState.STALE) <= 121, "0.1 s, and a tick"
+    assert len(targets) == 1, "the held target moved"
+    path = np.array(references)
+    v = np.diff(path, axis=0) / plant.dt
+    assert (np.abs(np.diff(v, axis=0) / plant.dt) <= 0.81 * A_MAX).all(), "the stop is not a controlled one"
+    assert path.max(axis=0).max() - path[-1].max() < 1e-3, "it overshot"
+    np.testing.assert_allclose(plant.q, HOME + 0.6, atol=1e-3)
+
+
 # B ----------------------------------------------------------------------------------------------------------
 
 

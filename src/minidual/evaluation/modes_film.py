@@ -14,17 +14,22 @@ from minidual.sim.render import Camera, Image
 FILM_FPS = 25
 FILM_SIZE = (720, 540)
 _BAR_PX = 64
+_LAST_S = 1.0
 _COLOURS = {"moveit": (32, 108, 214), "teleop": (20, 140, 90), "policy": (150, 62, 190)}
 _NOBODY = (96, 96, 96)
 
 
 def filmed(steps: Iterator[tuple[str, str]], stack: ControlStack, camera: Camera) -> Iterator[Image]:
-    """Run `steps`; yield a captioned picture every 1 / FILM_FPS seconds of simulated time."""
+    """Run `steps`; yield a captioned picture every 1 / FILM_FPS seconds of simulated time. The last one stays a while."""
     world, count = stack.world, 0
+    mode = doing = ""
     for mode, doing in steps:
         if world.time * FILM_FPS >= count:
             count += 1
             yield captioned(camera.picture(world.data, "overview"), stack, mode, doing)
+    last = captioned(camera.picture(world.data, "overview"), stack, mode, doing)
+    for _ in range(round(_LAST_S * FILM_FPS)):
+        yield last
 
 
 def captioned(picture: Image, stack: ControlStack, mode: str, doing: str) -> Image:
