@@ -94,6 +94,8 @@ class TestStepCost:
         assert len(taken) == 130
         assert free.world.time - began == pytest.approx(0.130)
         assert set(cost.parts_us) == {"look"}
+        assert len(cost.turn_ratios) == 3
+        assert cost.ratio == sorted(cost.turn_ratios)[1]
         assert cost.real_time_factor == pytest.approx(1e3 / cost.median_us)
 
     def test_a_controller_slowed_on_purpose_shows(self, held: BenchScene) -> None:

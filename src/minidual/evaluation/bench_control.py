@@ -126,7 +126,7 @@ def measure(inputs: BenchInputs) -> BenchTable:
         f"{inputs.repeats_n} steps in turns of 50",
         COLUMNS, tuple(rows),
         (
-            "ratio = step / bare; real_time = simulated time / wall time; algebra = step - bare - read - dynamics.",
+            "ratio = step / bare, turn by turn; real_time = simulated time / wall time; algebra = step - bare - read - dynamics.",
             "held: both hands hold the rod in the air, their contacts are solved. free: open hands, nothing touched;",
             "object impedance then runs on an imagined object, to show the law beside the cheapest physics there is.",
         ),

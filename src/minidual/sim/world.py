@@ -94,6 +94,8 @@ class World:
         self._qpos, self._qvel, self._ctrl, self._force = data.qpos, data.qvel, data.ctrl, data.actuator_force
         self._rod_R, self._rod_p = data.xmat[rod].reshape(3, 3), data.xpos[rod]
         self._rod_axis = self._rod_R[:, 1]
+        self._twist = np.zeros(6)
+        self._twist_v, self._twist_w = self._twist[:3], self._twist[3:]
         self._T = np.eye(4)
         self._T_rotation, self._T_position = self._T[:3, :3], self._T[:3, 3]
         self._rod_v, self._rod_w = np.split(self._qvel[self._rod_qvel : self._rod_qvel + 6], 2)
@@ -145,12 +147,11 @@ class World:
     @property
     def rod_twist(self) -> Array:
         """Twist (6,) of the rod at its centre of mass, world axes."""
-        twist = np.empty(6)
-        twist[:3] = self._rod_v
-        twist[3:] = self._rod_R.dot(
-            self._rod_w
+        self._twist_v[:] = self._rod_v
+        self._rod_R.dot(
+            self._rod_w, self._twist_w
         )  # MuJoCo keeps a free joint's angular velocity in the body frame
-        return twist
+        return self._twist.copy()
 
     @property
     def contact_count(self) -> int:
