@@ -83,8 +83,11 @@ def require_free(engine: MujocoEngine, q: Array, what: str) -> None:
     near = engine.closest(q, 0.001)
     if near and near[0].distance_m <= 0.0:
         kind = StartInCollisionError if what == "start" else GoalInCollisionError
+        kept = engine.min_distance_m
+        # Obstacles are grown by the distance to keep, so nearness to one looks like touching.
+        grown = f" (the scene keeps {kept * 1e3:g} mm from obstacles)" if kept > 0.0 else ""
         raise kind(
-            f"the {what} is in collision: {near[0]}",
+            f"the {what} is in collision: {near[0]}{grown}",
             remedy="move it, remove the obstacle, or allow the pair in the scene",
         )
 

@@ -1,0 +1,308 @@
+"""Named states, every kind of goal, and straight moves with the fraction achieved."""
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from minidual.config.semantics import (
+    ChainConfig,
+    EndEffectorConfig,
+    GroupConfig,
+    NamedStateConfig,
+    SemanticsConfig,
+)
+from minidual.errors import ConfigError, DataError, MinidualError, UsageError
+from minidual.planning.api import Planner
+from minidual.planning.errors import IKUnreachableError, LinearMoveError, OutOfLimitsError
+from minidual.planning.goal_file import goal_of, load_goal
+from minidual.planning.goal_plan import GoalPlanner
+from minidual.planning.goal_types import JointGoal, PoseGoal, RelativeGoal, StateGoal, TipOffset, TipPose
+from minidual.planning.linear import Line
+from minidual.planning.mujoco_engine import MujocoEngine
+from minidual.planning.scene import PlanningScene
+from minidual.planning.semantics import Semantics
+from minidual.planning.shapes import Box
+from minidual.robot.constants import GROUPS, HOME, JOINT_NAMES, Q_LOWER, Q_UPPER
+from minidual.robot.kinematics import Kinematics
+from minidual.robot.poses import pose, rot_x
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+@pytest.fixture(scope="module")
+def planner():
+    return GoalPlanner(Planner())
+
+
+@pytest.fixture(scope="module")
+def ready():
+    return Semantics().state("ready", "both_arms", HOME)
+
+
+def tips(q):
+    return dict(zip(("left", "right"), Kinematics().tcp_poses(q), strict=True))
+
+
+def test_every_named_state_is_inside_the_limits_and_free():
+    semantics = Semantics()
+    engine = MujocoEngine(PlanningScene())
+    assert {"home", "ready", "carry", "raised", "folded"} <= set(semantics.state_names)
+    for name in semantics.state_names:
+        q = semantics.state(name, "both_arms", HOME)
+        assert ((q > Q_LOWER) & (q < Q_UPPER)).all()
+        assert not engine.touching_pairs(q), name
+        assert semantics.describe(name)
+    assert (semantics.state("home", "both_arms", np.zeros(14)) == HOME).all()
+
+
+def test_the_groups_are_those_of_the_planner():
+    assert {name: tuple(JOINT_NAMES[rows]) for name, rows in GROUPS.items()} == Semantics().groups
+    hands = Semantics().end_effectors
+    assert {h.arm: h.tcp_link for h in hands.values()} == {
+        a: f"{a}_panda_hand_tcp" for a in ("left", "right")
+    }
+
+
+def test_a_state_of_one_arm_leaves_the_other(planner):
+    config = SemanticsConfig(states={"wave": NamedStateConfig(left_rad=(0.1, 0, 0, -1.5, 0, 1.5, 0))})
+    semantics = Semantics(config)
+    assert {"wave", "home"} <= set(semantics.state_names)  # the built-in ones stay
+    q = semantics.state("wave", "left_arm", HOME)
+    assert q[0] == 0.1
+    assert (q[7:] == HOME[7:]).all()
+    with pytest.raises(UsageError, match="'wave' says nothing about the right arm, which both_arms moves"):
+        semantics.state("wave", "both_arms", HOME)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"states": {"x": NamedStateConfig(left_rad=(0.0,) * 6)}}, r"states.x.left_rad: 6 values; an arm has 7"),
+        ({"states": {"x": NamedStateConfig()}}, "neither left_rad nor right_rad"),
+        ({"states": {"x": NamedStateConfig(right_rad=(0.0,) * 7)}}, r"right_panda_joint4 = 0.0000 rad; its limits"),
+        ({"groups": {"left_arm": SemanticsConfig().groups["left_arm"]}}, "the planner has left_arm, right_arm"),
+        (
+            {"groups": {**SemanticsConfig().groups, "left_arm": GroupConfig(chains=(
+                ChainConfig(base_link="left_panda_link0", tip_link="left_panda_link3"),))}},
+            "its chains hold 3 joints",
+        ),
+        (
+            {"groups": {**SemanticsConfig().groups, "left_arm": GroupConfig(chains=(
+                ChainConfig(base_link="left_panda_lnk0", tip_link="left_panda_link3"),))}},
+            "no link 'left_panda_lnk0'",
+        ),
+        (
+            {"groups": {**SemanticsConfig().groups, "left_arm": GroupConfig(chains=(
+                ChainConfig(base_link="right_panda_link0", tip_link="left_panda_link3"),))}},
+            "left_panda_link3 does not hang on right_panda_link0",
+        ),
+        (
+            {"end_effectors": {"h": EndEffectorConfig(
+                group="left_arm", parent_link="right_panda_hand", tcp_link="left_panda_hand_tcp")}},
+            "does not hang on right_panda_hand",
+        ),
+        (
+            {"end_effectors": {"h": EndEffectorConfig(
+                group="both_arms", parent_link="left_panda_hand", tcp_link="left_panda_hand_tcp")}},
+            "a hand belongs to left_arm or right_arm",
+        ),
+    ],
+)  # fmt: skip
+def test_semantics_that_do_not_fit_the_robot_are_refused(change, says):
+    with pytest.raises(ConfigError, match=says):
+        Semantics(SemanticsConfig(**change))
+
+
+def test_one_hand_moves_to_a_pose_and_the_other_stays(planner, ready):
+    goal = PoseGoal({"left": TipPose((0.5, 0.3, 0.3))})
+    resolved = planner.resolve("both_arms", ready, goal)
+    before = tips(ready)
+    assert np.abs(resolved.targets["right"] - before["right"]).max() < 1e-12
+    assert np.abs(resolved.targets["left"][:3, :3] - before["left"][:3, :3]).max() < 1e-12
+    plan = planner.plan("both_arms", ready, goal, seed=1)
+    after = tips(plan.trajectory.q[-1])
+    assert np.abs(after["left"][:3, 3] - (0.5, 0.3, 0.3)).max() < 1e-6
+    assert np.abs(after["right"] - before["right"]).max() < 1e-6
+
+
+def test_frames_are_the_world_links_obstacles_and_held_objects(planner):
+    T = pose(rot_x(0.4), (0.5, 0.2, 0.3))
+    quat = pin.Quaternion(T[:3, :3])
+    scene = PlanningScene().with_obstacles(
+        Box("shelf", (0.5, 0.2, 0.3), (quat.w, quat.x, quat.y, quat.z), size_m=(0.1, 0.1, 0.1))
+    )
+    point = (0.1, 0.02, -0.03)
+    goal = PoseGoal({"left": TipPose(point, (1.0, 0.0, 0.0, 0.0), "shelf")})
+    target = planner.resolve("left_arm", HOME, goal, scene).targets["left"]
+    assert np.abs(target - T @ pose(np.eye(3), point)).max() < 1e-12
+    own = PoseGoal({"left": TipPose((0.0, 0.0, 0.05), (1.0, 0.0, 0.0, 0.0), "left_panda_hand_tcp")})
+    ahead = planner.resolve("left_arm", HOME, own).targets["left"]
+    assert np.abs(ahead - tips(HOME)["left"] @ pose(np.eye(3), (0, 0, 0.05))).max() < 1e-12
+    with pytest.raises(UsageError, match=r"no frame 'shelv'.*shelf") as caught:
+        planner.resolve("left_arm", HOME, PoseGoal({"left": TipPose(point, None, "shelv")}), scene)
+    assert caught.value.remedy == "did you mean 'shelf'?"
+
+
+@pytest.mark.parametrize("frame", ["world", "tcp"])
+def test_relative_goals_in_both_frames(planner, ready, frame):
+    offset = TipOffset((0.02, -0.03, 0.05), (0.1, 0.0, 0.4))
+    before = tips(ready)["right"]
+    target = planner.resolve("right_arm", ready, RelativeGoal({"right": offset}, frame)).targets["right"]
+    turn = pin.exp3(np.array(offset.rotation_rad))
+    if frame == "tcp":
+        wanted = before @ pose(turn, offset.offset_m)
+    else:
+        wanted = pose(turn @ before[:3, :3], before[:3, 3] + offset.offset_m)
+    assert np.abs(target - wanted).max() < 1e-12
+
+
+def test_some_joints_by_name(planner):
+    resolved = planner.resolve("left_arm", HOME, JointGoal({"left_panda_joint1": 0.4}))
+    assert resolved.q[0] == 0.4
+    assert (resolved.q[1:] == HOME[1:]).all()
+
+
+@pytest.mark.parametrize(
+    ("group", "goal", "kind", "says"),
+    [
+        ("left_arm", StateGoal("redy"), UsageError, "no named state 'redy'; there are carry, folded"),
+        ("left_arms", StateGoal("ready"), UsageError, "no group 'left_arms'"),
+        ("left_arm", JointGoal({"left_panda_joint9": 0.1}), UsageError, "no joint 'left_panda_joint9'"),
+        ("left_arm", JointGoal({"right_panda_joint1": 0.1}), UsageError, "moves joints outside left_arm"),
+        (
+            "left_arm",
+            JointGoal({"left_panda_joint4": 0.5}),
+            OutOfLimitsError,
+            "left_panda_joint4 = 0.5000 rad",
+        ),
+        ("left_arm", JointGoal((float("nan"),) * 7), OutOfLimitsError, "left_panda_joint1 = nan"),
+        ("left_arm", JointGoal((0.0,) * 5), OutOfLimitsError, r"shape \(5,\)"),
+        ("left_arm", PoseGoal({"left": TipPose((0.5, float("nan"), 0.3))}), UsageError, "not finite"),
+        ("left_arm", PoseGoal({"right": TipPose((0.5, 0.0, 0.3))}), UsageError, "left_arm moves left only"),
+        ("left_arm", PoseGoal({"middle": TipPose((0.5, 0.0, 0.3))}), UsageError, "no arm 'middle'"),
+        ("left_arm", PoseGoal({}), UsageError, "names no hand; left_arm has left"),
+        (
+            "left_arm",
+            PoseGoal({"left": TipPose((1.5, 0.0, 0.3))}),
+            IKUnreachableError,
+            r"cannot reach \(1.500",
+        ),
+        ("left_arm", RelativeGoal({"left": TipOffset((float("inf"), 0, 0))}), UsageError, "not finite"),
+        ("left_arm", RelativeGoal({"left": TipOffset()}, "tool"), UsageError, "no frame for offsets 'tool'"),
+    ],
+)
+def test_bad_goals_are_named(planner, group, goal, kind, says):
+    with pytest.raises(kind, match=says) as caught:
+        planner.plan(group, HOME, goal)
+    assert caught.value.exit_code == 2
+
+
+def test_a_straight_move_is_straight(planner, ready):
+    """Oracle: forward kinematics at random times against the line and the turn about one axis."""
+    goal = RelativeGoal(
+        {"left": TipOffset((0.1, 0.05, -0.12), (0.0, 0.3, 0.5)), "right": TipOffset((0, 0, -0.1))},
+        linear=True,
+    )
+    move = planner.linear_move("both_arms", ready, planner.resolve("both_arms", ready, goal))
+    assert move.fraction == 1.0
+    assert move.reason == ""
+    assert move.verification.ok
+    before, targets = tips(ready), planner.resolve("both_arms", ready, goal).targets
+    Q, _, _ = move.trajectory.sample_many(
+        np.random.default_rng(0).uniform(0, move.trajectory.duration_s, 300)
+    )
+    for arm in ("left", "right"):
+        line = Line(before[arm], targets[arm])
+        shift = targets[arm][:3, 3] - before[arm][:3, 3]
+        for q in Q:
+            T = tips(q)[arm]
+            x = float((T[:3, 3] - before[arm][:3, 3]) @ shift / (shift @ shift))
+            distance, angle = line.off(T, x)
+            assert distance < 2e-4
+            assert angle < 3e-3
+        assert np.abs(tips(move.trajectory.q[-1])[arm] - targets[arm]).max() < 1e-5
+    speeds = (
+        np.linalg.norm(np.diff([tips(q)["left"][:3, 3] for q in move.trajectory.q[::10]], axis=0), axis=1)
+        / 0.01
+    )
+    assert speeds.max() < 0.26
+
+
+def test_a_straight_move_tells_how_far_it_goes_and_why(planner, ready):
+    into_table = RelativeGoal({"left": TipOffset((0, 0, -0.5))}, linear=True)
+    with pytest.raises(
+        LinearMoveError, match=r"ends at 4\d.\d% of the way .*collision: .*finger and table"
+    ) as caught:
+        planner.plan("left_arm", ready, into_table)
+    assert caught.value.reason == "linear_blocked"
+    part = RelativeGoal({"left": TipOffset((0, 0, -0.5))}, linear=True, fraction_min=0.3)
+    plan = planner.plan("left_arm", ready, part)
+    fell = tips(ready)["left"][2, 3] - tips(plan.trajectory.q[-1])["left"][2, 3]
+    move = planner.linear_move("left_arm", ready, planner.resolve("left_arm", ready, part))
+    assert 0.3 < move.fraction < 0.5
+    assert fell == pytest.approx(0.5 * move.fraction, abs=1e-4)
+    assert plan.verification.ok
+    assert "the line covers" in plan.rejections[0]
+    with pytest.raises(LinearMoveError, match=r"would jump by|cannot go on"):
+        planner.plan("left_arm", ready, RelativeGoal({"left": TipOffset((1.0, 0, 0))}, linear=True))
+    stay = planner.plan("left_arm", ready, RelativeGoal({"left": TipOffset()}, linear=True))
+    assert len(stay.trajectory.times) == 2
+
+
+def test_example_goal_files(planner, ready):
+    down = load_goal(EXAMPLES / "straight-down.yaml")
+    assert down == RelativeGoal(
+        {"left": TipOffset((0, 0, -0.1), (0, 0, 0.5)), "right": TipOffset((0, 0, -0.1))}, linear=True
+    )
+    assert planner.plan("both_arms", ready, down).verification.ok
+    over = load_goal(EXAMPLES / "over-the-bracket.yaml")
+    assert over.poses["right"].frame == "bracket"
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "goal.yaml: the goal file is empty"),
+        ("state: ready\njoints_rad: [1]\n", "holds state and joints_rad; give one of state"),
+        ("linear: true\n", "holds no goal"),
+        ("state: ready\nlinear: true\n", "linear goes with poses or move, not with state"),
+        ("poses: {left: {position_m: [0, 0]}}\n", r"goal.yaml:1: poses.left.position_m"),
+        ("poses: {}\n", "poses names neither left nor right"),
+        ("poses:\n  left: {position_m: [0, 0, .nan]}\n", r"goal.yaml:2: .*not a finite number"),
+        ("move: {left: {ofset_m: [0, 0, 0]}}\n", r"move.left.ofset_m: no such key; move.left has offset_m"),
+        ("state: a\nstate: b\n", "stands twice"),
+        ("move: {left: {}}\nfraction_min: 0.5\n", "fraction_min goes with linear"),
+    ],
+)
+def test_bad_goal_files_are_named(tmp_path, text, says):
+    path = tmp_path / "goal.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=says):
+        load_goal(path)
+
+
+def test_words_and_files(tmp_path, planner, ready):
+    names = planner.semantics.state_names
+    assert goal_of("carry", names) == StateGoal("carry")
+    with pytest.raises(UsageError, match=r"no named state 'cary'.*a file ends in .yaml or .json"):
+        goal_of("cary", names)
+    with pytest.raises(UsageError, match="there is no file"):
+        goal_of("nowhere.yaml", names)
+    plan = planner.plan("left_arm", HOME, JointGoal({"left_panda_joint1": 0.2}))
+    plan.trajectory.write_json(tmp_path / "t.json")
+    again = goal_of(str(tmp_path / "t.json"), names)
+    assert np.abs(np.array(again.values) - plan.trajectory.q[-1]).max() < 1e-8
+    for bad in ("[]", "{", '{"joint_names": ["a"], "q_rad": [[0]]}'):
+        (tmp_path / "t.json").write_text(bad)
+        with pytest.raises(DataError, match=r"t\.json"):
+            goal_of(str(tmp_path / "t.json"), names)
+
+
+def test_poses_as_a_start(planner):
+    q = planner.start_joints("left_arm", HOME, PoseGoal({"left": TipPose((0.5, 0.3, 0.3))}))
+    assert np.abs(tips(q)["left"][:3, 3] - (0.5, 0.3, 0.3)).max() < 1e-6
+    assert (q[7:] == HOME[7:]).all()
+    with pytest.raises(MinidualError):
+        planner.start_joints("left_arm", HOME, PoseGoal({"left": TipPose((0.5, 0.3, -0.3))}))
