@@ -427,7 +427,7 @@ class TestCost:
     def test_a_step_fits_into_a_millisecond_and_costs_more_than_physics(self, loop):
         cost = control_step_cost(loop, 300)
         assert 0.0 < cost.bare_median_us < cost.median_us < 1000.0
-        assert cost.ratio == pytest.approx(cost.median_us / cost.bare_median_us)
+        assert cost.ratio == np.median(cost.turn_ratios) > 1.0
 
     def test_a_slow_controller_is_seen(self, loop, monkeypatch):
         import time
