@@ -19,7 +19,17 @@ from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
 from minidual.evaluation.joint_tracking import sine_reference
 from minidual.planning.arm_distance import ArmDistance
-from minidual.robot.constants import DOF, HOME, JOINT_NAMES, Q_LOWER, Q_UPPER, TAU_MAX, TAU_RATE_MAX, V_MAX
+from minidual.robot.constants import (
+    A_MAX,
+    DOF,
+    HOME,
+    JOINT_NAMES,
+    Q_LOWER,
+    Q_UPPER,
+    TAU_MAX,
+    TAU_RATE_MAX,
+    V_MAX,
+)
 
 
 @pytest.fixture
@@ -312,6 +322,14 @@ class TestBounds:
             fastest = np.linalg.norm(corners[1] - corners[0], axis=1).max() / 1e-5
             assert fastest <= limits.REACH_M[joint]
             assert fastest > 0.1 * limits.REACH_M[joint]
+
+    def test_no_gap_closes_before_its_safe_time(self):
+        rng = np.random.default_rng(0)
+        for _ in range(200):
+            v, gap = rng.uniform(-V_MAX, V_MAX), float(rng.uniform(0.0, 0.2))
+            h = limits.safe_time_s(v, gap)
+            assert h * (limits.REACH_M @ (np.abs(v) + A_MAX * h)) == pytest.approx(gap, abs=1e-12)
+        assert limits.safe_time_s(v, -0.01) == 0.0
 
     def test_time_must_grow(self, arms):
         set_up = arms()

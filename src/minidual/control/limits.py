@@ -77,10 +77,15 @@ class TickBounds:
         return q + v * np.abs(v) / (2.0 * A_MAX)
 
 
-def approach_bound(v: Array, horizon_s: float) -> float:
-    """Return how far two parts of the arms can approach each other in `horizon_s` [m], at any posture.
+_REACH_ACCELERATION = float(REACH_M @ A_MAX)
 
-    Joint speeds (14,) [rad/s] may grow by the acceleration limits meanwhile. Both arms may move towards each other,
-    so all fourteen joints add up.
+
+def safe_time_s(v: Array, gap_m: float) -> float:
+    """Return for how long [s] two parts of the arms cannot close a gap [m] between them, at any posture.
+
+    Joint speeds (14,) [rad/s] may grow by the acceleration limits meanwhile, and both arms may move towards each other:
+    in a time h no gap shrinks by more than h sum_j REACH_M[j] (|v_j| + a_j h).
     """
-    return horizon_s * float(REACH_M @ (np.abs(v) + A_MAX * horizon_s))
+    speed = float(REACH_M @ np.abs(v))
+    root = np.sqrt(speed * speed + 4.0 * _REACH_ACCELERATION * max(0.0, gap_m))
+    return float(root - speed) / (2.0 * _REACH_ACCELERATION)

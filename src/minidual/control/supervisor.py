@@ -253,10 +253,9 @@ class Supervisor:
             pair, distance = self._self_distance(q)
             if not distance >= self.config.self_collision_min_m:
                 self._trip("self_collision", time_s, pair, distance, self.config.self_collision_min_m)
-            # Look again before the gap could have closed to the bound, however the arms accelerate meanwhile.
-            gap = distance - self.config.self_collision_min_m
-            if gap < limits.approach_bound(v, ahead):
-                self._next_slow = self._tick + 1
+            # Look again before the gap can have closed to the bound, however the arms accelerate meanwhile.
+            safe_s = limits.safe_time_s(v, distance - self.config.self_collision_min_m)
+            self._next_slow = self._tick + min(self._slow_ticks, max(1, int(safe_s / self.dt_s)))
 
     # How it stops --------------------------------------------------------------------------------------------
 

@@ -20,13 +20,19 @@ class ArmDistance:
     """
 
     def __init__(self, scene: PlanningScene | None = None) -> None:
-        self._engine = MujocoEngine(PlanningScene() if scene is None else scene)
+        scene = PlanningScene() if scene is None else scene
+        left, right = (f"{arm}_" for arm in ARMS)
+        across = [
+            (a, b)
+            for a, b in (sorted(pair) for pair in scene.checked_pairs)
+            if a.startswith(left) and b.startswith(right)
+        ]
+        self._engine = MujocoEngine.from_pairs(across, scene.solid_obstacles, scene.attached)
+        self._engine.set_margin(_WITHIN_M)
 
     def __call__(self, q: Array) -> tuple[str, float]:
         """Return ("left part with right part", distance [m]) at q (14,); beyond 150 mm the pair is "none"."""
-        left, right = ARMS
-        for pair in self._engine.closest(q, _WITHIN_M):  # nearest first
-            first, second = sorted((pair.first, pair.second))
-            if first.startswith(f"{left}_") and second.startswith(f"{right}_"):
-                return f"{first} with {second}", pair.distance_m
-        return "none", _WITHIN_M
+        if self._engine.contact_count(q) == 0:
+            return "none", _WITHIN_M
+        pair = self._engine.contacts()[0]  # nearest first
+        return f"{pair.first} with {pair.second}", pair.distance_m
