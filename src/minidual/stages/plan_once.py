@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -50,7 +51,9 @@ def plan_once(context: ToolContext) -> ToolResult:
 
 def _prepare(context: ToolContext, group: str) -> tuple[GoalPlanner, PlanningScene, Array, list[str]]:
     """Return planner, scene, start (14,) and notes; whatever is typed wrongly is said before anything is planned."""
-    import toppra  # noqa: F401  (a second to load; the times printed are those of planning)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SyntaxWarning)  # its docstrings hold unescaped backslashes
+        import toppra  # noqa: F401  (a second to load; the times printed are those of planning)
 
     from minidual.planning.api import Planner
     from minidual.planning.goal_file import goal_of

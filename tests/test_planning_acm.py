@@ -1,0 +1,60 @@
+"""The allowed-collision matrix: when it has converged, what that is worth, and that the rule can fail."""
+
+import itertools
+import json
+
+import pytest
+
+from minidual.planning import acm
+from minidual.planning.acm import QUIET_DOUBLINGS, acm_report, build_acm
+from minidual.planning.links import arm_of
+
+
+@pytest.fixture(scope="module")
+def built():
+    return acm_report()
+
+
+def test_the_matrix_has_converged_by_its_own_rule(built):
+    assert built.converged
+    sizes = [r.samples_n for r in built.rounds]
+    assert sizes[0] >= 20_000
+    assert all(b == 2 * a for a, b in itertools.pairwise(sizes))
+    assert all(not r.changed for r in built.rounds[-QUIET_DOUBLINGS:])
+    assert built.samples_n == sizes[-1]
+
+
+def test_too_few_samples_change_classes_and_do_not_converge():
+    """Negative control of the rule: from 50 samples on, pairs still change, and a limit ends it unconverged."""
+    short = build_acm(samples_min=50, samples_max=400)
+    assert not short.converged
+    assert any(r.changed for r in short.rounds)
+    assert "NOT converged" in short.lines()[0]
+    assert short.samples_n <= 400
+
+
+def test_the_rarest_contact_is_far_from_being_missed(built):
+    """A pair that touched n times in N samples is missed by N samples with probability exp(-n) or so."""
+    pair, count = built.rarest
+    assert count > 30
+    first, second = pair.split(" + ")
+    assert built.acm.reason(first, second) is None  # it is checked
+
+
+def test_cross_arm_pairs_never_enter(built):
+    assert all(arm_of(e.first) == arm_of(e.second) for e in built.acm)
+
+
+def test_reasons_say_how_many_samples(built):
+    never = [r for _, _, r in built.acm.table() if r.startswith("never")]
+    assert set(never) == {f"never in {built.samples_n} samples"}
+
+
+def test_history_survives_the_cache(built, tmp_path, monkeypatch):
+    monkeypatch.setenv("MINIDUAL_CACHE", str(tmp_path))
+    monkeypatch.setattr(acm, "build_acm", lambda: built)
+    fresh = acm_report.__wrapped__
+    assert fresh() == built
+    (file,) = tmp_path.glob("acm-*.json")
+    assert json.loads(file.read_text())["rounds"][0]["samples_n"] == built.rounds[0].samples_n
+    assert fresh() == built
