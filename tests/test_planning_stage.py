@@ -8,24 +8,30 @@ import numpy as np
 import pytest
 
 from minidual.config.held_moves import HeldMovesConfig
-from minidual.config.planning import PlanConfig, PlannerConfig
+from minidual.config.planning import GroupTimes, PlanConfig, PlannerConfig
 from minidual.config.root import Config
+from minidual.errors import DataError
 from minidual.pipeline.stage import StageContext
-from minidual.planning import queries
+from minidual.planning import queries, query_set
 from minidual.planning.api import Planner
+from minidual.planning.coal_engine import CoalEngine
 from minidual.planning.errors import PlanningError
-from minidual.planning.evaluate import engine_agreement, plan_query, repeats
+from minidual.planning.evaluate import engine_agreement, plan_query, query_source, repeats
 from minidual.planning.evaluate_carries import CarryPlans
+from minidual.planning.mujoco_engine import MujocoEngine
 from minidual.planning.queries import QueryGenerator
+from minidual.planning.query_set import is_free, polyline_states, stored_set
 from minidual.planning.scene import PlanningScene
+from minidual.planning.verify import Audit
 from minidual.robot.constants import GROUPS
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import pose
-from minidual.stages.plan import STAGE, common_checks, group_checks
+from minidual.stages.plan import STAGE, audit_checks, common_checks, group_checks
 
 CONFIG = Config(
     plan=PlanConfig(
         queries_n=2,
+        second_queries_n=1,
         agreement_states_n=200,
         held=HeldMovesConfig(moves_n=2, executed_n=1, time_median_max_s=None),
     )
@@ -56,6 +62,13 @@ def test_stage_passes_and_writes_what_it_says(stage_run):
         phases = sum(float(row[f"{p}_s"]) for p in ("ik", "search", "shortcut", "blend", "timing", "verify"))
         assert phases <= float(row["total_s"]) + 1e-5
         assert float(row["velocity_ratio"]) <= 0.951
+    assert {"second_seed.both_arms.success_rate", "proof.audit_collisions", "left_arm.time_p99_s"} <= names
+    assert result.data["second_seed"]["left_arm"]["queries_n"] == 1
+    assert len((folder / "queries_second_seed.csv").read_text().splitlines()) == 4
+    for row in rows:
+        assert int(row["audited_n"]) > 100
+        assert 0.0 < float(row["jerk_ratio"]) <= 0.951
+        assert row["line_blocked"] == "True"
     for name in ("paths.png", "times.png"):
         assert (folder / name).stat().st_size > 20_000
     trajectory = json.loads((folder / "trajectory_both_arms.json").read_text())
@@ -85,8 +98,29 @@ def test_group_checks_can_fail(outcomes):
     assert failing(group_checks("left_arm", [failed, outcomes[1]], config)) == {"left_arm.success_rate"}
     slow = dataclasses.replace(outcomes[0], total_s=10.5)
     assert failing(group_checks("left_arm", [slow, outcomes[1]], config)) == {"left_arm.time_max_s"}
+    quick = [dataclasses.replace(o, total_s=0.03) for o in outcomes]
+    late = [dataclasses.replace(o, total_s=0.03 + 0.1 * k) for k, o in enumerate(outcomes)]
+    limited = PlanConfig(time_median_max_s=GroupTimes(left_arm=0.05, both_arms=0.01), time_p99_max_s=0.1)
+    assert failing(group_checks("left_arm", quick, limited)) == set()
+    assert failing(group_checks("left_arm", late, limited)) == {
+        "left_arm.time_median_s", "left_arm.time_p99_s"
+    }  # fmt: skip
+    assert failing(group_checks("left_arm", late, limited, "second_seed.left_arm")) == {
+        "second_seed.left_arm.time_median_s", "second_seed.left_arm.time_p99_s"
+    }  # fmt: skip
     assert failed.row()["reason"] == "no_path_in_time"
     assert failed.row().keys() == outcomes[0].row().keys()
+
+
+def test_audit_checks_can_fail(outcomes):
+    def names(**change):
+        found = {"samples_n": 900, "step_max_rad": 0.002, "collisions_n": 0, "disagreements_n": 0, **change}
+        return failing(audit_checks([dataclasses.replace(outcomes[0], audit=Audit(**found))]))
+
+    assert names() == set()
+    assert names(collisions_n=1) == {"proof.audit_collisions"}
+    assert names(disagreements_n=1) == {"proof.audit_disagreements"}
+    assert failing(audit_checks([outcomes[0]])) == {"proof.audit_states"}  # nothing was audited
 
 
 def test_common_checks_can_fail():
@@ -127,7 +161,7 @@ def test_queries_repeat_and_differ():
     assert first.seed == again.seed
     assert not np.array_equal(first.q_goal, QueryGenerator(9).query("both_arms", 3).q_goal)
     assert first.as_poses
-    assert not QueryGenerator(8).query("both_arms", 2).as_poses
+    assert not QueryGenerator(8).query("both_arms", 1).as_poses
 
 
 @pytest.mark.parametrize("group", GROUPS)
@@ -140,6 +174,7 @@ def test_queries_are_what_they_say(group):
         assert not engines.mujoco.closest(query.q_goal, 0.0099)
         line = query.q_start + np.linspace(0, 1, 200)[:, None] * (query.q_goal - query.q_start)
         assert query.blocked
+        assert query.kind == generator.kind(group, index)
         assert engines.coal.collisions(line).any()  # the second engine sees the block, too
         assert len(query.scene.obstacles) == 5
         hands = dict(zip(("left", "right"), Kinematics().tcp_poses(query.q_goal), strict=True))
@@ -148,6 +183,76 @@ def test_queries_are_what_they_say(group):
         held = np.ones(14, dtype=bool)
         held[GROUPS[group]] = False
         assert np.array_equal(query.q_goal[held], query.q_start[held])
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_queries_are_hard_as_their_kind_says(group):
+    """Asked of coal, which the generator does not use: without what makes the query hard the line is freer."""
+    generator = QueryGenerator(12)
+    for index in range(2):
+        query = generator.query(group, index)
+        line = query.q_start + np.linspace(0, 1, 200)[:, None] * (query.q_goal - query.q_start)
+        hands = [Kinematics().tcp_poses(q) for q in (query.q_start, query.q_goal)]
+        sides = [left[1, 3] - right[1, 3] for left, right in hands]
+        engine = MujocoEngine(query.scene)
+        touched = set().union(*(engine.touching_pairs(q) for q in line))
+        owners = {frozenset(n.split("_")[0] for n in pair) for pair in touched}
+        if query.kind == "crossing":
+            assert sides[0] * sides[1] < 0.0
+            assert CoalEngine(query.scene).collisions(line).any()
+        elif query.kind == "past_arm":
+            assert frozenset(("left", "right")) in owners
+        else:
+            bare = PlanningScene(obstacles=query.scene.obstacles[:1])  # only the table
+            assert CoalEngine(query.scene).collisions(line).sum() > CoalEngine(bare).collisions(line).sum()
+
+
+def test_stored_queries_are_those_of_the_generator():
+    known = stored_set(20260)
+    generator = QueryGenerator(20260)
+    for group, index in (("left_arm", 3), ("both_arms", 1)):
+        query, again = (
+            known.query(group, index),
+            generator.attempt(group, index, known.attempts[group][index]),
+        )
+        assert query.scene == again.scene
+        assert (query.seed, query.kind, query.as_poses) == (again.seed, again.kind, again.as_poses)
+        assert np.abs(query.q_start - again.q_start).max() < 1e-6
+        assert np.abs(query.q_goal - again.q_goal).max() < 1e-6
+        for arm, T in query.targets.items():
+            assert np.abs(T - again.targets[arm]).max() < 1e-6
+
+
+@pytest.mark.parametrize("seed", [20260, 20261])
+def test_stored_witnesses_prove_their_queries_feasible(seed):
+    """A way exists: every 0.002 rad along the witness both engines see nothing. A spoiled witness does not pass."""
+    known = stored_set(seed)
+    assert all(known.size(group) == 100 for group in GROUPS)
+    for group, index in (("left_arm", 1), ("right_arm", 50), ("both_arms", 99)):
+        query, path = known.query(group, index), known.witness(group, index)
+        engines = Planner(query.scene).engines()
+        assert np.array_equal(path[[0, -1]], [query.q_start, query.q_goal])
+        assert np.abs(np.diff(polyline_states(path), axis=0)).max() <= 0.002 + 1e-12
+        assert is_free(path, engines)
+        assert not is_free(path[[0, -1]], engines)
+
+
+def test_a_seed_without_a_set_and_a_damaged_set(monkeypatch, tmp_path):
+    assert stored_set(4711) is None
+    (tmp_path / "query_sets").mkdir()
+    (tmp_path / "query_sets" / "seed-4712.npz").write_bytes(b"not a set")
+    monkeypatch.setattr(query_set, "files", lambda _package: tmp_path)
+    with pytest.raises(DataError, match="seed 4712 cannot be read"):
+        stored_set(4712)
+
+
+def test_the_stored_set_is_used_where_it_fits():
+    known = stored_set(20260)
+    assert np.array_equal(
+        query_source(20260, 5, 1.0)("left_arm", 0).q_goal, known.query("left_arm", 0).q_goal
+    )
+    assert len(query_source(20260, 3, 1.0)("left_arm", 0).scene.obstacles) == 4
+    assert query_source(20260, 5, 1.0)("both_arms", 100).index == 100  # beyond the set: generated
 
 
 def test_a_query_that_cannot_be_made_is_an_error(monkeypatch):

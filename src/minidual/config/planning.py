@@ -22,7 +22,9 @@ class PlannerConfig(StrictModel):
     """Largest joint step between two collision checks during the search; the proof finds what that misses."""
     padding_m: float = Field(default=0.008, ge=0.0, le=0.1)
     """Distance that the search keeps; it relaxes near a start or goal that is nearer than that."""
-    search_checks_n: int = Field(default=40_000, ge=100, le=100_000_000)
+    fallback_planners: tuple[PlannerName, ...] = ("rrtconnect", "kpiece")
+    """Planners that take turns after two searches of `planner` that found nothing."""
+    search_checks_n: int = Field(default=12_000, ge=100, le=100_000_000)
     """State checks after which one search gives up; every further attempt has twice as many."""
     shortcut_rounds_n: int = Field(default=10, ge=0, le=10_000)
     blend_radius_rad: float = Field(default=0.3, gt=0.001, le=2.0)
@@ -44,19 +46,35 @@ class PlannerConfig(StrictModel):
     """Wall time after which a query is given up."""
 
 
+class GroupTimes(StrictModel):
+    """A time [s] for each planning group; None sets no limit."""
+
+    left_arm: float | None = Field(default=None, gt=0.0)
+    right_arm: float | None = Field(default=None, gt=0.0)
+    both_arms: float | None = Field(default=None, gt=0.0)
+
+
 class PlanConfig(StrictModel):
     """How many queries are planned, and how fast it must go."""
 
     queries_n: int = Field(default=20, ge=1, le=10000)
     """Queries per planning group."""
+    second_seed: int = Field(default=20261, ge=0, lt=2**63)
+    """Seed of a second query set, so that the first one cannot have been tuned to."""
+    second_queries_n: int = Field(default=0, ge=0, le=10000)
+    """Queries per planning group of the second set."""
     obstacles_n: int = Field(default=5, ge=0, le=50)
     """Boxes and cylinders on the table of each query."""
-    blocked_fraction: float = Field(default=0.75, ge=0.0, le=1.0)
-    """Share of the queries that are chosen so that the straight line in joint space is blocked."""
+    blocked_fraction: float = Field(default=1.0, ge=0.0, le=1.0)
+    """Share of the queries that are hard by construction: no straight line free, past an obstacle or an arm."""
     agreement_states_n: int = Field(default=2000, ge=100, le=1_000_000)
     """Random states on which the two collision engines are compared."""
     success_rate_min: float = Field(default=1.0, ge=0.0, le=1.0)
     time_max_s: float = Field(default=10.0, gt=0.0, le=3600.0)
+    time_median_max_s: GroupTimes = GroupTimes()
+    """Largest median time of each group, of every set."""
+    time_p99_max_s: float | None = Field(default=None, gt=0.0)
+    """Largest 99th percentile of the time of each group, of every set."""
     agreement_min: float = Field(default=0.999, ge=0.0, le=1.0)
     planner: PlannerConfig = PlannerConfig()
     held: HeldMovesConfig = HeldMovesConfig()

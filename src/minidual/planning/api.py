@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from minidual.robot.kinematics import Kinematics
 
 _SCENES_KEPT = 8
 _SAME_RAD = 1e-9
+_TRIES_OF_FIRST = 2
 
 
 @dataclass(frozen=True)
@@ -35,14 +36,24 @@ class _Effort:
     padding_m: float
     step_rad: float
     checks_n: int
+    fruitless_n: int = 0
 
     def after_no_path(self) -> _Effort:
         """Return more patience and less padding: the way may be narrow."""
-        return _Effort(0.5 * self.padding_m, self.step_rad, 2 * self.checks_n)
+        return replace(
+            self, padding_m=0.5 * self.padding_m, checks_n=2 * self.checks_n, fruitless_n=self.fruitless_n + 1
+        )
+
+    def planner(self, first: str, fallbacks: Sequence[str]) -> str:
+        """Return whose turn it is: the first planner's twice, then the fallbacks' one after the other."""
+        turn = self.fruitless_n - _TRIES_OF_FIRST
+        return fallbacks[turn % len(fallbacks)] if turn >= 0 and fallbacks else first
 
     def after_refusal(self) -> _Effort:
         """Return more padding and a closer look: the path was blocked where the search did not see it."""
-        return _Effort(min(1.5 * self.padding_m, 0.02), max(0.5 * self.step_rad, 0.004), self.checks_n)
+        return replace(
+            self, padding_m=min(1.5 * self.padding_m, 0.02), step_rad=max(0.5 * self.step_rad, 0.004)
+        )
 
 
 class Planner:
@@ -173,7 +184,8 @@ class Planner:
             try:
                 path, checker = self._search(group, q_start, goal, engines, effort, key, times, budget_s)
                 if path is None:
-                    rejections.append(f"{config.planner} found no path in {checker.checks_n} state checks")
+                    name = effort.planner(config.planner, config.fallback_planners)
+                    rejections.append(f"{name} found no path in {checker.checks_n} state checks")
                     effort = effort.after_no_path()
                     continue
                 trajectory, path = self._finish(group, path, checker, key, times)
@@ -213,8 +225,9 @@ class Planner:
             if checker.edge_free(q_start, goal):
                 return np.array([q_start, goal]), checker
             path = search(
-                checker, q_start, goal, GROUPS[group], planner=self.config.planner, range_rad=self.config.range_rad,
-                seed=int(key.generate_state(1)[0]), checks_max=effort.checks_n, deadline=times.started + budget_s,
+                checker, q_start, goal, GROUPS[group],
+                planner=effort.planner(self.config.planner, self.config.fallback_planners),
+                range_rad=self.config.range_rad, seed=int(key.generate_state(1)[0]), checks_max=effort.checks_n, deadline=times.started + budget_s,
             )  # fmt: skip
         return path, checker
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
@@ -12,9 +12,11 @@ from minidual.config.planning import PlanConfig
 from minidual.planning.api import Planner
 from minidual.planning.errors import PlanningError
 from minidual.planning.queries import Query, QueryGenerator
+from minidual.planning.query_set import OBSTACLES_N, stored_set
 from minidual.planning.result import PHASES, PlanResult
 from minidual.planning.scene import PlanningScene
 from minidual.planning.shortcut import path_length
+from minidual.planning.verify import Audit
 from minidual.robot.constants import GROUPS, HOME, Q_LOWER, Q_UPPER
 
 
@@ -28,6 +30,7 @@ class Outcome:
     message: str
     total_s: float
     scene_s: float
+    audit: Audit | None = None
 
     @property
     def ok(self) -> bool:
@@ -43,6 +46,7 @@ class Outcome:
             "seed": query.seed,
             "ok": self.ok,
             "reason": self.reason,
+            "kind": query.kind,
             "goal": "poses" if query.as_poses else "joints",
             "line_blocked": query.blocked,
             "total_s": round(self.total_s, 6),
@@ -55,7 +59,9 @@ class Outcome:
         }
         if result is None:
             empty = ("direct", "attempts_n", "path_length_rad", "duration_s", "samples_n", "clearance_m")
-            row |= dict.fromkeys((*empty, "velocity_ratio", "acceleration_ratio", "torque_ratio"), "")
+            row |= dict.fromkeys(
+                (*empty, "velocity_ratio", "acceleration_ratio", "jerk_ratio", "torque_ratio"), ""
+            )
         else:
             proof = result.verification
             row |= {
@@ -67,8 +73,11 @@ class Outcome:
                 "clearance_m": round(proof.clearance_m, 6),
                 "velocity_ratio": round(proof.velocity_ratio, 6),
                 "acceleration_ratio": round(proof.acceleration_ratio, 6),
+                "jerk_ratio": round(proof.jerk_ratio, 6),
                 "torque_ratio": round(proof.torque_ratio, 6),
             }
+        row["audited_n"] = "" if self.audit is None else self.audit.samples_n
+        row["audit_collisions_n"] = "" if self.audit is None else self.audit.collisions_n
         row["message"] = self.message
         return row
 
@@ -96,26 +105,48 @@ def plan_query(planner: Planner, query: Query) -> Outcome:
     return Outcome(query, result, "", "", perf_counter() - begin, scene_s)
 
 
+def query_source(seed: int, obstacles_n: int, blocked_fraction: float) -> Callable[[str, int], Query]:
+    """Return what gives query `index` of a group: the stored set of the seed if there is one, else the generator."""
+    generator = QueryGenerator(seed, obstacles_n, blocked_fraction)
+    stored = stored_set(seed) if (obstacles_n, blocked_fraction) == (OBSTACLES_N, 1.0) else None
+    if stored is None:
+        return generator.query
+
+    def query(group: str, index: int) -> Query:
+        known = index < stored.size(group)
+        return stored.query(group, index) if known else generator.query(group, index)
+
+    return query
+
+
 def run_queries(
-    config: PlanConfig, seed: int, on_query: Callable[[Outcome], None] | None = None
+    config: PlanConfig,
+    seed: int,
+    on_query: Callable[[Outcome], None] | None = None,
+    queries_n: int | None = None,
 ) -> dict[str, list[Outcome]]:
-    """Plan `config.queries_n` queries of every group, in one process so that the times mean something.
+    """Plan queries of every group, in one process so that the times mean something, and audit what was proven.
 
     Args:
         config: Query set and planner.
         seed: Seed of the query set.
         on_query: Called after each.
+        queries_n: Queries per group; `config.queries_n` by default.
     """
     planner = Planner(config=config.planner)
     # Import and compile what the first query would otherwise pay for.
     planner.plan_to_joints("both_arms", HOME, HOME + 0.05)
-    generator = QueryGenerator(seed, config.obstacles_n, config.blocked_fraction)
+    source = query_source(seed, config.obstacles_n, config.blocked_fraction)
     outcomes: dict[str, list[Outcome]] = {group: [] for group in GROUPS}
     for group, done in outcomes.items():
-        for index in range(config.queries_n):
-            done.append(plan_query(planner, generator.query(group, index)))
+        for index in range(config.queries_n if queries_n is None else queries_n):
+            outcome = plan_query(planner, source(group, index))
+            if outcome.result is not None:
+                verifier = planner.engines(outcome.query.scene).verifier
+                outcome = replace(outcome, audit=verifier.audit(outcome.result.trajectory))
+            done.append(outcome)
             if on_query is not None:
-                on_query(done[-1])
+                on_query(outcome)
     return outcomes
 
 
