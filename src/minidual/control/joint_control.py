@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pinocchio as pin
+from numpy import maximum, minimum, subtract
 
 from minidual.robot.constants import DOF, JOINT_DAMPING, JOINT_FRICTION, TAU_MAX, Array
 from minidual.robot.kinematics import Kinematics
@@ -54,8 +55,8 @@ def within_motors(tau: Array) -> Array:
 
     Two ufuncs with `out` take a third of the time of `np.clip`, which the 1 kHz step can tell.
     """
-    np.minimum(tau, TAU_MAX, tau)
-    return np.maximum(tau, _TAU_MIN, tau)
+    minimum(tau, TAU_MAX, tau)
+    return maximum(tau, _TAU_MIN, tau)
 
 
 class ComputedTorque:
@@ -83,8 +84,8 @@ class ComputedTorque:
 
     def torque(self, q: Array, v: Array, q_ref: Array, v_ref: Array, a_ref: Array) -> Array:
         """Return motor torques (14,) [Nm], clipped to the motors' limits."""
-        np.subtract(q_ref, q, self._e)
-        np.subtract(v_ref, v, self._de)
+        subtract(q_ref, q, self._e)
+        subtract(v_ref, v, self._de)
         self._dde[:] = a_ref
         a = self._gains.dot(self._errors)
         # rnea(q, v, a) = M a + h in one O(n) pass; it knows rotor inertia through model.armature.

@@ -174,7 +174,7 @@ class ObjectImpedance:
             *self._object_wrench(R, p, wanted, (desired.twist - measured.twist).tolist()),
             times(squeeze, apply(R, self._axis)),
         )
-        self._f[:] = self._hold_hands([*f], wanted, self._J.dot(v).tolist())
+        self._f[:] = self._hold_hands(f, wanted, self._J.dot(v).tolist())
 
         qdd = self._least_acceleration(r_left, r_right, wanted)
         qdd += posture
@@ -214,7 +214,7 @@ class ObjectImpedance:
         return apply(R, plus(apply(self._inertia, alpha), spin))
 
     def _hold_hands(self, f: list[float], wanted: _Wanted, twists: list[float]) -> list[float]:
-        """Return f (12) with the torsional springs that hold the hands to their grasp frames."""
+        """Add to f (12), and return it, the torsional springs that hold the hands to their grasp frames."""
         k, d = self.gains.hand_stiffness_nm_per_rad, self.gains.hand_damping_nms_per_rad
         w1, w2, w3 = wanted.omega
         for i, at in enumerate((3, 9)):

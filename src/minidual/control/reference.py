@@ -60,8 +60,11 @@ class ReferenceFilter:
         self.a = np.zeros(DOF) if a is None else np.array(a, dtype=float)
 
     def follow(self, q: Array, v: Array, a: Array) -> None:
-        """Take over the state (each (14,)) of a reference that is already smooth, to go on from there."""
-        self.q, self.v, self.a = q.copy(), v.copy(), a.copy()
+        """Take over the state (each (14,)) of a reference that is already smooth, to go on from there.
+
+        The acceleration is kept for readers only, as it was given: no step starts from it.
+        """
+        self.q, self.v, self.a = q.copy(), v.copy(), a
 
     def step(self, target: Array) -> tuple[Array, Array, Array]:
         """Advance one step towards target (14,) [rad]; return (q_ref, v_ref, a_ref).

@@ -60,10 +60,11 @@ def trajectory_7(scene: BenchScene) -> Case:
     """Controller B: the left arm follows a trajectory of 7 joints, the right one is held."""
     loop, arm = _loop(scene), GROUPS["left_arm"]
     q, v, a = scene.q_rest.copy(), np.zeros(DOF), np.zeros(DOF)
+    q_arm, v_arm, a_arm = q[arm], v[arm], a[arm]
     now = _Latest[JointSample]((q[arm], v[arm], a[arm]) for q, v, a in scene.joint_samples())
 
     def step() -> None:
-        q[arm], v[arm], a[arm] = now.value
+        q_arm[:], v_arm[:], a_arm[:] = now.value
         loop.follow(q, v, a, scene.gripper)
 
     return Case("B trajectory, 7 joints of one arm", step, now.take, _joint_parts(scene), JOINT_RATIO_MAX)

@@ -7,6 +7,12 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from pinocchio import (
+    computeJointJacobians,
+    forwardKinematics,
+    getFrameClassicalAcceleration,
+    getFrameJacobian,
+)
 
 from minidual.robot.constants import (
     DOF,
@@ -116,10 +122,10 @@ class HandMotion:
     def update(self, q: Array, v: Array, a: Array) -> None:
         """Fill all arrays for joints at q with velocity v and acceleration a, each (14,)."""
         model, data, left, right, frame = self._model, self._data, self._left, self._right, _WORLD_ALIGNED
-        pin.forwardKinematics(model, data, q, v, a)
-        pin.computeJointJacobians(model, data)
-        self._J_left[:] = pin.getFrameJacobian(model, data, left, frame)  # also updates the frame's placement
-        self._J_right[:] = pin.getFrameJacobian(model, data, right, frame)
+        forwardKinematics(model, data, q, v, a)
+        computeJointJacobians(model, data)
+        self._J_left[:] = getFrameJacobian(model, data, left, frame)  # also updates the frame's placement
+        self._J_right[:] = getFrameJacobian(model, data, right, frame)
         # Classical: the second derivative of the point's position, not the spatial acceleration.
-        self._a_left[:] = pin.getFrameClassicalAcceleration(model, data, left, frame).vector
-        self._a_right[:] = pin.getFrameClassicalAcceleration(model, data, right, frame).vector
+        self._a_left[:] = getFrameClassicalAcceleration(model, data, left, frame).vector
+        self._a_right[:] = getFrameClassicalAcceleration(model, data, right, frame).vector
