@@ -122,7 +122,7 @@ class Reflex:
     def text(self) -> str:
         """Return "reflex joint_velocity at 1.234 s: ..." with value and bound."""
         unit = f" {self.kind.unit}" if self.kind.unit else ""
-        numbers = "" if self.bound is None else f" ({self.value:.4g}{unit}, bound {self.bound:.4g}{unit})"
+        numbers = "" if self.bound is None else f" ({self.value:.6g}{unit}, bound {self.bound:.6g}{unit})"
         return f"reflex {self.name} at {self.time_s:.3f} s: {self.kind.cause}: {self.where}{numbers}"
 
 

@@ -65,6 +65,7 @@ class Recorder:
         self._controls = np.empty((capacity, world.model.nu))
         self._ctrl, self._xfrc = world.data.ctrl, world.data.xfrc_applied  # views
         self._still = bytes(self._xfrc.nbytes)
+        self._state_size = mujoco.mj_stateSize(world.model, STATE)
         self._time_tolerance_s = 1.5 * world.dt
         self.write_error: OSError | None = None
         """Why the last dump could not be written, if it could not."""
@@ -96,7 +97,7 @@ class Recorder:
         count = self._count
         self._controls[count] = self._ctrl
         if not count % self._every:
-            state = np.empty(mujoco.mj_stateSize(self._model, STATE))
+            state = np.empty(self._state_size)
             mujoco.mj_getState(self._model, self._data, state, STATE)
             self._keyframes.append((count, state))
         push = self._xfrc.tobytes()
@@ -152,7 +153,7 @@ class Recorder:
         """
         if self._folder is None or self._count == 0:
             return None
-        stem = re.sub(r"[^A-Za-z0-9_-]+", "-", f"{name}-{self._last_s:.3f}s")
+        stem = re.sub(r"[^A-Za-z0-9_.-]+", "-", f"{name}-{self._last_s:.3f}s")
         try:
             names = (f"{stem}.npz" if i == 0 else f"{stem}-{i}.npz" for i in itertools.count())
             path = next(p for p in (self._folder / n for n in names) if not p.exists())

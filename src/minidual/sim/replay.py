@@ -39,8 +39,8 @@ class Sign:
     @property
     def text(self) -> str:
         """Return the sign as one line for people."""
-        bound = "" if self.bound is None else f", bound {self.bound:.4g} {self.unit}"
-        return f"{self.time_s:.3f} s  {self.what}: {self.value:.4g} {self.unit}{bound}"
+        bound = "" if self.bound is None else f", bound {self.bound:.6g} {self.unit}"
+        return f"{self.time_s:.3f} s  {self.what}: {self.value:.6g} {self.unit}{bound}"
 
 
 @dataclass(frozen=True)

@@ -65,8 +65,10 @@ def _run(context: ToolContext, wanted: tuple[str, ...], checkpoint: Path | None)
     from minidual.evaluation.modes import ModesDemo
     from minidual.evaluation.modes_film import FILM_FPS, FILM_SIZE, filmed
     from minidual.pipeline.canonical import canonical, dumps, write_durably
+    from minidual.planning.arm_distance import ArmDistance
     from minidual.robot.kinematics import Kinematics
     from minidual.sim.model import build_model
+    from minidual.sim.recorder import Recorder
     from minidual.sim.render import Camera, write_video
     from minidual.sim.watch import Narration, watched
     from minidual.sim.world import World
@@ -76,10 +78,13 @@ def _run(context: ToolContext, wanted: tuple[str, ...], checkpoint: Path | None)
     world = World(config.scene, model=build_model(config.scene, visuals=True))
     trial = sample_trial(config.scene, context.seed, "modes", 0)
     world.reset(rod_xy_yaw=trial.goal)  # as the last carry left it
+    world.recorder = Recorder(world, window_s=1.0, seed=context.seed, folder=context.run_folder / "dumps")
+    supervisor = Supervisor(
+        config.supervisor, dt_s=world.dt, self_distance=ArmDistance(), on_reflex=world.recorder.on_reflex
+    )
     stack = ControlStack(
-        world, Kinematics(), config.arbiter,
-        rate_hz=config.teleop.rate_hz, supervisor=Supervisor(config.supervisor, dt_s=world.dt),
-    )  # fmt: skip
+        world, Kinematics(), config.arbiter, rate_hz=config.teleop.rate_hz, supervisor=supervisor
+    )
     with Camera.recorded(world.model, config.scene.camera) as eyes:
         turns = _turns(context, stack, trial, checkpoint, wanted, lambda name: eyes.picture(world.data, name))
         demo = ModesDemo(stack, turns)
