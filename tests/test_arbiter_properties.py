@@ -105,7 +105,8 @@ class Witness:
         assert (q >= Q_LOWER).all()
         assert (q <= Q_UPPER).all()
         assert np.isfinite(out.gripper).all()
-        last = self.q if self.last is None else self.last
+        # A confirmed switch begins at the measured posture: the first step is bounded from there.
+        last = self.q if self.last is None or out.switched_to is not None else self.last
         step = np.abs(q - last).max()
         # Moving arms are held where they can come to rest with half of their acceleration limits.
         room = self.v**2 / A_MAX + 1e-12
