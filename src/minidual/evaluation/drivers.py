@@ -23,7 +23,9 @@ def planned(inputs: MethodInputs) -> Factory:
     planner, carrier = make_planners(inputs.config.plan.planner)
 
     def make(world: World, kinematics: Kinematics, trial: RodTrial) -> PlannedCarry:
-        return PlannedCarry(world, kinematics, planner, carrier, trial, inputs.seed + trial.index)
+        return PlannedCarry(
+            world, kinematics, planner, carrier, trial, inputs.seed + trial.index, inputs.config.arbiter
+        )
 
     return make
 
