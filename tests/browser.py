@@ -109,16 +109,16 @@ class Browser:
             save.write_bytes(data)
         return np.array(Image.open(io.BytesIO(data)).convert("RGB"))
 
-    def _screenshot(self, tries=6):
+    def _screenshot(self, tries=3):
         for _ in range(tries - 1):
             try:
-                return self.call("Page.captureScreenshot", limit_s=15.0, format="png")["data"]
+                return self.call("Page.captureScreenshot", limit_s=60.0, format="png")["data"]
             except (
                 RuntimeError,
                 TimeoutError,
             ):  # between two pages there is nothing to see, or no frame comes
                 time.sleep(0.5)
-        return self.call("Page.captureScreenshot", limit_s=15.0, format="png")["data"]
+        return self.call("Page.captureScreenshot", limit_s=60.0, format="png")["data"]
 
     def wait(self, ready, limit_s=40.0, pause_s=0.3):
         """Return the first picture for which `ready(picture)` holds, or the last one when time is up."""

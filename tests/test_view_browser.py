@@ -48,7 +48,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[subprocess
     """Run `minidual view` and yield its process and the address that it printed."""
     folder = tmp_path_factory.mktemp("runs")
     command = [
-        sys.executable, "-m", "minidual.cli", "view", "--view", "web", "--for-s", "150", "--json",
+        sys.executable, "-m", "minidual.cli", "view", "--view", "web", "--for-s", "400", "--json",
         "--view-port", "8500", "--runs-dir", str(folder),
     ]  # fmt: skip
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -81,6 +81,7 @@ def test_pages_without_the_scene_do_not_pass(browser: Browser) -> None:
         empty.close()
 
 
+@pytest.mark.timeout(400)  # drawn in software, on a busy machine, a picture can take half a minute
 def test_the_scene_is_in_the_picture_and_nothing_comes_from_the_net(
     browser: Browser, scene: tuple[subprocess.Popen[str], str]
 ) -> None:
