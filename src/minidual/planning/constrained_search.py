@@ -24,6 +24,8 @@ from minidual.robot.constants import DOF, Q_LOWER, Q_UPPER, Array
 SPACES = ("atlas", "projected")
 _DELTA_RAD = 0.15
 _TOLERANCE = 1e-4
+_CALLS_A_CHECK = 20
+"""Calls of the constraint that a search may make for every state check it may make."""
 
 
 class OmplGraspConstraint(ob.Constraint):
@@ -32,9 +34,11 @@ class OmplGraspConstraint(ob.Constraint):
     def __init__(self, constraint: GraspConstraint) -> None:
         super().__init__(DOF, 6, _TOLERANCE)
         self._constraint = constraint
+        self.calls_n = 0
 
     def function(self, x: Any, out: Any) -> None:
         """Write F (6,) at x (14,) into out."""
+        self.calls_n += 1
         out[:] = self._constraint.value(np.asarray(x))
 
     def jacobian(self, x: Any, out: Any) -> None:
@@ -140,7 +144,9 @@ def _search(
     checks_end = checker.checks_n + checks_max
 
     def enough() -> bool:
-        return problem.hasExactSolution() or checker.checks_n >= checks_end or time.perf_counter() > deadline
+        # Where hardly a state gets as far as a collision check, the projections count.
+        spent = checker.checks_n >= checks_end or held.calls_n >= _CALLS_A_CHECK * checks_max
+        return problem.hasExactSolution() or spent or time.perf_counter() > deadline
 
     status = planner.solve(ob.PlannerTerminationCondition(enough))
     if status.getStatus() != ob.PlannerStatus.EXACT_SOLUTION:

@@ -23,6 +23,11 @@ _SMALL = 1e-4
 _DAMPING = 1e-9
 _ITERATIONS = 8
 _STEP_MAX_RAD = 1.0
+_LIMIT_BAND_RAD = 0.35
+_LIMIT_PUSH_RAD_PER_M = 3.0
+_RELAX_STEPS_N = 12
+_RELAX_STEP_M = 0.05
+_ARM_M = 0.2
 JUMP_MAX_RAD = 0.15
 """Largest joint step between neighbouring points of a path: more is a jump, not a motion."""
 
@@ -75,11 +80,14 @@ class HandsIK:
         flat = e.ravel()
         return math.sqrt(flat @ flat)
 
-    def _step(self, e: Array) -> Array:
-        """Return the least-norm step (14,) for errors (2, 6, 1), with the Jacobians of the last linearisation."""
+    def _step(self, e: Array, wish: Array | None = None) -> Array:
+        """Return the step (14,) that takes errors (2, 6, 1) away: the shortest, or the one nearest to a wish (14,)."""
         H = self._J @ self._J_t
         H += self._damping
-        return (self._J_t @ np.linalg.solve(H, e)).ravel()
+        if wish is None:
+            return (self._J_t @ np.linalg.solve(H, e)).ravel()
+        e = e - self._J @ wish.reshape(2, DOF_PER_ARM, 1)
+        return wish + (self._J_t @ np.linalg.solve(H, e)).ravel()
 
     def solve(self, T_world_object: Array, q_near: Array) -> Array | None:
         """Return q (14,) with both hands at their grasps, inside the limits, or None.
@@ -98,10 +106,37 @@ class HandsIK:
                 return q if _inside(q) else None
         return None
 
+    def elbow_swing(self, q: Array, swings_rad: Array) -> Array:
+        """Return the step (14,) at q (14,) that moves no hand: each arm along its one free direction, by swings (2,)."""
+        model, data = self._kinematics.model, self._kinematics.data
+        pin.computeJointJacobians(model, data, q)
+        step = np.empty_like(q)
+        for k, frame in enumerate(self._kinematics.tcp_ids):
+            joints = slice(k * DOF_PER_ARM, (k + 1) * DOF_PER_ARM)
+            pin.updateFramePlacement(model, data, frame)
+            J = pin.getFrameJacobian(model, data, frame, pin.LOCAL)[:, joints]
+            free = np.linalg.svd(J)[2][-1]
+            step[joints] = swings_rad[k] * (free if free[np.argmax(np.abs(free))] > 0.0 else -free)
+        return step
+
+    def relaxed(self, T_world_object: Array, q: Array) -> Array:
+        """Return the posture (14,) at the same object pose with its joints off their limits, as far as it goes."""
+        for _ in range(_RELAX_STEPS_N):
+            wish = _RELAX_STEP_M * off_limits(q)
+            if not wish.any():
+                break
+            self._linearise(q, pin.SE3(T_world_object))
+            moved = self.solve(T_world_object, q + self._step(self._e, wish))
+            if moved is None:
+                break
+            q = moved
+        return q
+
     def follow(self, Ts_world_object: Array, q_start: Array) -> tuple[Array, Stuck | None]:
         """Continue along poses (n, 4, 4) from q_start (14,), which must be at the first one.
 
-        Each arm moves as little as it can from pose to pose.
+        Each arm moves as little as it can from pose to pose, but keeps its joints off their limits where its
+        redundancy allows (see `off_limits`).
 
         Returns:
             Q (m, 14) as far as it got, and why it ended there (None if m = n).
@@ -116,7 +151,10 @@ class HandsIK:
             moved = poses[k - 1].actInv(poses[k])
             for i, grasp in enumerate(self._grasps):
                 ahead[i, :, 0] = pin.log6(grasp.actInv(moved * grasp)).vector
-            q = Q[k - 1] + self._step(ahead)
+            way = math.hypot(
+                np.linalg.norm(moved.translation), _ARM_M * np.linalg.norm(pin.log3(moved.rotation))
+            )
+            q = Q[k - 1] + self._step(ahead, way * off_limits(Q[k - 1]))
             for _ in range(_ITERATIONS):
                 error = self._linearise(q, poses[k])
                 step = self._step(self._e)
@@ -169,6 +207,16 @@ class HandsIK:
         grasp = (self._grasps[0].inverse() * self._grasps[1]).homogeneous
         pairs = ((hands[:, 0], wanted[0]), (hands[:, 1], wanted[1]), (hands[:, 1], hands[:, 0] @ grasp))
         return tuple(np.max([_apart(a, b) for a, b in pairs], axis=0).tolist())
+
+
+def off_limits(q: Array) -> Array:
+    """Return where joints (14,) near a limit should go, away from it [rad per metre of the object's way].
+
+    Zero farther than 0.35 rad from both limits, growing with the square of what is missing, so that it has no corner.
+    """
+    low = np.maximum(0.0, _LIMIT_BAND_RAD - (q - Q_LOWER)) / _LIMIT_BAND_RAD
+    high = np.maximum(0.0, _LIMIT_BAND_RAD - (Q_UPPER - q)) / _LIMIT_BAND_RAD
+    return _LIMIT_PUSH_RAD_PER_M * (low**2 - high**2)
 
 
 def _inside(q: Array) -> bool:

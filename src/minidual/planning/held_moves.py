@@ -215,7 +215,7 @@ class HeldMoveGenerator:
             space = HeldSpace(self._hands, ObjectChart(start[0][:3, :3]), checker, step_scale)
             path = search_object(
                 space, space.point(*goal), [space.point(*start)], rng,
-                checks_max=_WITNESS_CHECKS_N, deadline=time.perf_counter() + _WITNESS_S,
+                checks_max=_WITNESS_CHECKS_N, deadline=time.perf_counter() + _WITNESS_S, any_posture=False,
             )  # fmt: skip
             if path is None:
                 continue

@@ -30,6 +30,7 @@ _POINTS_MIN = 16
 _REFINEMENTS = 4
 _BETWEEN = (0.25, 0.5, 0.75)
 _STILL = 1e-9
+_HOPELESS = 0.7
 
 
 @dataclass(frozen=True)
@@ -127,20 +128,24 @@ def fine_curve(
         ClosedChainError: The hands stray too far however close the points are, or `solve` says so.
     """
     count = max(_POINTS_MIN, int(np.ceil(length / _STEP_M)))
-    strays = (np.inf, np.inf)
+    strays = before = (np.inf, np.inf)
+    step = length
     for _ in range(_REFINEMENTS):
         marks = np.linspace(0.0, length, count + 1)
         Q = solve(marks, chart.poses(coordinates(marks, 0)))
         curve = HeldCurve(marks, Q, coordinates, knots)
-        step = marks[1]
+        step = float(marks[1])
         between = np.concatenate([marks[:-1] + share * step for share in _BETWEEN])
         strays = hands.strays(curve.spline(between), chart.poses(coordinates(between, 0)))
         if strays[0] < 0.5 * RESIDUAL_MAX_M and strays[1] < 0.5 * RESIDUAL_MAX_RAD:
             return curve, *strays
+        if strays[0] > _HOPELESS * before[0]:
+            break  # a smooth motion would stray eight times less with every refinement: this one has a break in it
+        before = strays
         count *= 2
     raise ClosedChainError(
         f"the hands stray {strays[0] * 1e3:.3f} mm and {strays[1]:.5f} rad from their grasps between points "
-        f"{length / count * 2e3:.2f} mm apart; allowed are {RESIDUAL_MAX_M * 1e3} mm and {RESIDUAL_MAX_RAD:.5f} rad",
+        f"{step * 1e3:.2f} mm apart; allowed are {RESIDUAL_MAX_M * 1e3} mm and {RESIDUAL_MAX_RAD:.5f} rad",
         remedy="the arms pass near a singular posture; choose another path or posture",
     )
 

@@ -12,13 +12,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from minidual.planning.hands_ik import off_limits
 from minidual.planning.held_space import HeldSpace, Q, X
-from minidual.robot.constants import DOF, Array
+from minidual.robot.constants import Array
 
 _EXTEND_M = 0.15
 _CONNECT_M = 0.25
-_ELBOW_SHARE = 0.3
-_ELBOW_RAD = 0.4
+_ELBOW_SHARE = 0.5
+_ELBOW_RAD = 0.6
+_GOAL_SHARE = 0.3
+_NEXT_N = 8
 _SAME_M = 1e-9
 _ROOM_START_M, _ROOM_GROWTH_M, _ROOM_MAX_M = 0.08, 0.02, 0.35
 _TURN_M = 0.12
@@ -32,8 +35,12 @@ class _Tree:
     def nearest(self, space: HeldSpace, z: Array) -> int:
         return int(np.argmin(space.distance(z, self.points)))
 
-    def nearest_object(self, x: Array) -> int:
-        return int(np.argmin(np.linalg.norm(self.points[:, X] - x, axis=1)))
+    def near_object(self, x: Array, rng: np.random.Generator, among: int) -> int:
+        """Return one of the `among` points whose object poses are nearest to x."""
+        away = np.linalg.norm(self.points[:, X] - x, axis=1)
+        if among == 1:
+            return int(np.argmin(away))
+        return int(rng.choice(np.argsort(away, kind="stable")[:among]))
 
     def add(self, z: Array, parent: int) -> int:
         self.points = np.vstack([self.points, z])
@@ -57,8 +64,9 @@ def search_object(
     *,
     checks_max: int,
     deadline: float,
+    any_posture: bool = True,
 ) -> Array | None:
-    """Return free points (n, 20) from the start to one of the goals, joined by free edges, or None.
+    """Return free points (n, 20) from the start to a goal, joined by free edges, or None.
 
     Args:
         space: Edges and collisions.
@@ -67,6 +75,7 @@ def search_object(
         rng: Random numbers; the same give the same path.
         checks_max: State checks after which the search gives up.
         deadline: time.perf_counter() at which it gives up whatever the count.
+        any_posture: Any joints that hold the object at the goal's pose will do, not only those of `goals`.
     """
     here, there = _Tree([start]), _Tree(goals)
     ends = np.array([start[X], goals[0][X]])
@@ -79,6 +88,10 @@ def search_object(
         # Near the two ends first; the longer it takes, the farther round.
         room = min(_ROOM_START_M + _ROOM_GROWTH_M * rounds, _ROOM_MAX_M)
         rounds += 1
+        if forward and any_posture and rng.random() < _GOAL_SHARE:
+            arrived = _carry_to(space, here, ends[1], rng)
+            if arrived is not None:
+                return np.array(here.branch(arrived))
         new = _extend(space, here, next(space.samples(rng, ends, room, _TURN_M)), rng)
         if new is not None:
             met = _connect(space, there, here.points[new])
@@ -91,18 +104,37 @@ def search_object(
 
 def _extend(space: HeldSpace, tree: _Tree, x: Array, rng: np.random.Generator) -> int | None:
     """Grow the tree towards an object pose; return the new point, or None."""
-    parent = tree.nearest_object(x)
-    z = tree.points[parent]
+    swing = rng.random() < _ELBOW_SHARE
+    # Elbows spread only if others than the very nearest point may grow, too.
+    parent = tree.near_object(x, rng, _NEXT_N if swing else 1)
+    new = _step_towards(space, tree.points[parent], x, rng if swing else None)
+    return None if new is None else tree.add(new, parent)
+
+
+def _step_towards(space: HeldSpace, z: Array, x: Array, elbows: np.random.Generator | None) -> Array | None:
+    """Return a point one step from z towards an object pose, its elbows moved at random if asked, or None."""
     way = x - z[X]
     share = min(1.0, _EXTEND_M / max(float(np.linalg.norm(way)), _SAME_M))
     aim = z.copy()
-    aim[X] += share * way
-    if rng.random() < _ELBOW_SHARE:
-        aim[Q] += rng.uniform(-_ELBOW_RAD, _ELBOW_RAD, DOF)
+    aim[X] = x if share == 1.0 else z[X] + share * way
+    aim[Q] += _EXTEND_M * off_limits(z[Q])
+    if elbows is not None:
+        aim[Q] += space.hands.elbow_swing(z[Q], elbows.uniform(-_ELBOW_RAD, _ELBOW_RAD, 2))
     new = space.solved_free(aim)
-    if new is None or not space.edge_free(z, new):
-        return None
-    return tree.add(new, parent)
+    return new if new is not None and space.edge_free(z, new) else None
+
+
+def _carry_to(space: HeldSpace, tree: _Tree, x: Array, rng: np.random.Generator) -> int | None:
+    """Carry the object straight to a pose from one of the points next to it; return the point there, or None."""
+    current = tree.near_object(x, rng, _NEXT_N)
+    while True:
+        point = tree.points[current]
+        new = _step_towards(space, point, x, None)
+        if new is None:
+            return None
+        current = tree.add(new, current)
+        if np.array_equal(new[X], x):
+            return current
 
 
 def _connect(space: HeldSpace, tree: _Tree, z: Array) -> int | None:

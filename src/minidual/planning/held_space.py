@@ -23,6 +23,8 @@ JOINT_WEIGHT_M = 0.1
 _STEP_M = 0.03
 _STEP_RAD = 0.06
 _JUMP_RAD = 0.4
+_SURE_RAD = 0.12
+_HALVED = 0.75
 
 
 class HeldSpace:
@@ -70,8 +72,7 @@ class HeldSpace:
         count = int(
             np.ceil(max(np.linalg.norm(step[X]) / self._step_m, np.abs(step[Q]).max() / self._step_rad))
         )
-        if count < 2:
-            return True
+        count = max(count, 1)
         joints = np.empty((count + 1, 14))
         joints[0], joints[-1] = a[Q], b[Q]
         for share in bisection_order(count):
@@ -81,7 +82,27 @@ class HeldSpace:
             if z is None:
                 return False
             joints[round(share * count)] = z[Q]
-        return bool(np.abs(np.diff(joints, axis=0)).max() < self._jump_rad)
+        jumps = np.abs(np.diff(joints, axis=0)).max(axis=1)
+        if jumps.max() > self._jump_rad:
+            return False
+        # A large joint step is either a fast motion or a change of branch: half-way it is half as large, or it is not.
+        return all(
+            self._continuous(a, step, k / count, (k + 1) / count, joints[k], joints[k + 1])
+            for k in np.flatnonzero(jumps > _SURE_RAD)
+        )
+
+    def _continuous(self, a: Array, step: Array, u: float, v: float, q_u: Array, q_v: Array) -> bool:
+        """Return whether the joints move on without a break between two shares u, v of an edge."""
+        jump = float(np.abs(q_v - q_u).max())
+        if jump <= _SURE_RAD:
+            return True
+        middle = 0.5 * (u + v)
+        z = self.solved_free(a + middle * step)
+        if z is None or max(np.abs(z[Q] - q_u).max(), np.abs(q_v - z[Q]).max()) > _HALVED * jump:
+            return False
+        return self._continuous(a, step, u, middle, q_u, z[Q]) and self._continuous(
+            a, step, middle, v, z[Q], q_v
+        )
 
     def samples(self, rng: np.random.Generator, ends: Array, room_m: float, turn_m: float) -> Iterator[Array]:
         """Yield random coordinates (6,): in the box round the ends, `room_m` wider, turns up to `turn_m` about them.

@@ -29,13 +29,20 @@ from minidual.robot.constants import ARMS, Q_LOWER, Q_UPPER, Array
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse
 
-METHODS = ("object_rrt", "object_rrt", "object_rrt", "atlas", "projected")
+METHODS = ("object_rrt", "object_rrt", "object_rrt", "projected", "object_rrt", "object_rrt", "atlas")
 """Searches, in the order of the attempts; then from the beginning."""
 _CORNERS_M = (0.06, 0.02, 0.006)
 _SHORTEN_ROUNDS_N = 10
-_GOALS_N = 4
+_GOALS_N = 16
 _LIMIT_ROOM_RAD = 1e-4
+_MANIFOLD_GOALS_N = 4
 _BOX_RAD = 0.7
+_MORE_GOALS = {1: 1, 2: 10}
+"""Attempts before which more postures at the goal are looked for, and how many times the usual restarts. One posture is
+enough for most; more cost more than the search."""
+_CANDIDATES_N = 400
+_SAME_RAD = 0.5
+"""Postures that differ less count once."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +51,7 @@ class _Effort:
 
     padding_m: float
     step_scale: float = 1.0
-    checks_n: int = 1000
+    checks_n: int = 600
 
     def after_no_path(self) -> _Effort:
         """Return more patience and less padding: the way may be narrow."""
@@ -120,8 +127,8 @@ class HeldWork:
         for attempt, method in enumerate(itertools.cycle(METHODS)):
             if time.perf_counter() > self._deadline:
                 break
-            if attempt == 1:  # one posture is enough for most; more cost more than the search
-                goals = self._goal_postures(straight, _GOALS_N)
+            if attempt in _MORE_GOALS:
+                goals = self._goal_postures(straight, _GOALS_N, _MORE_GOALS[attempt])
             points = self._search(method, goals, effort, attempt)
             if points is None:
                 self._rejections.append(f"{method} found no path")
@@ -179,7 +186,7 @@ class HeldWork:
         _, what, k = min(found)
         return f"{what} after {k / max(1, len(rows) - 1):.0%} of it"
 
-    def _goal_postures(self, end: Array | None, wanted_n: int) -> list[Array]:
+    def _goal_postures(self, end: Array | None, wanted_n: int, restarts_scale: int = 1) -> list[Array]:
         """Return free postures (14,) at the goal: the end of the straight continuation first, then the nearest.
 
         Raises:
@@ -197,16 +204,27 @@ class HeldWork:
                 more = self._goals.candidates(
                     "both_arms", self._query.q_start, targets, mujoco,
                     np.random.default_rng([self._query.seed, 1]),
-                    restarts_n=self._config.ik_restarts_n, candidates_n=wanted_n,
+                    restarts_n=restarts_scale * self._config.ik_restarts_n,
+                    candidates_n=1 if wanted_n == 1 else _CANDIDATES_N,
                 )  # fmt: skip
             except PlanningError:
                 if not goals:
                     raise
                 more = []
-            goals += [q for q in more if all(np.abs(q - other).max() > 1e-3 for other in goals)]
-        inside = (np.clip(q, Q_LOWER + _LIMIT_ROOM_RAD, Q_UPPER - _LIMIT_ROOM_RAD) for q in goals)
-        held = [self._hands.solve(self._query.T_world_goal, q) for q in inside]
-        found = [q for q in held if q is not None]
+            goals += more
+        found: list[Array] = []
+        for goal in goals:
+            if len(found) >= wanted_n:
+                break
+            q = self._hands.solve(
+                self._query.T_world_goal, np.clip(goal, Q_LOWER + _LIMIT_ROOM_RAD, Q_UPPER - _LIMIT_ROOM_RAD)
+            )
+            if q is None:
+                continue
+            roomy = self._hands.relaxed(self._query.T_world_goal, q)
+            q = q if mujoco.in_collision(roomy) else roomy
+            if all(np.abs(q - other).max() > _SAME_RAD for other in found):
+                found.append(q)
         if not found:
             x, y, z = self._query.T_world_goal[:3, 3]
             raise ClosedChainError(
@@ -230,7 +248,7 @@ class HeldWork:
             return search_object(space, start, ends, rng, checks_max=effort.checks_n, deadline=self._deadline)
         constraint = GraspConstraint.from_grasps(*self._grasps, self._kinematics)
         configurations = search_manifold(
-            constraint, space.checker, query.q_start, goals, space=method, box_rad=_BOX_RAD,
+            constraint, space.checker, query.q_start, goals[:_MANIFOLD_GOALS_N], space=method, box_rad=_BOX_RAD,
             seed=query.seed + attempt, checks_max=effort.checks_n, deadline=self._deadline,
         )  # fmt: skip
         if configurations is None:
