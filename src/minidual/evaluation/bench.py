@@ -151,6 +151,11 @@ BENCHES: dict[str, BenchSpec] = {
         "one 1 kHz step of every controller against bare physics, arms free and holding the rod",
         2000,
     ),
+    "planning": BenchSpec(
+        "minidual.evaluation.bench_planning:measure",
+        "planners and checkers on the stored hard queries, and the price of proof",
+        20,
+    ),
 }
 
 

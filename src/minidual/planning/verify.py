@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from minidual.planning.certificate import Certifier
+from minidual.planning.certificate import Certificate, Certifier
 from minidual.planning.coal_engine import CoalEngine
 from minidual.planning.limits import limit_use
 from minidual.planning.motion_bound import MotionBound
@@ -95,7 +95,7 @@ class Verifier:
     def verify(self, trajectory: Trajectory) -> Verification:
         """Return the report on one trajectory; it never raises for a bad one."""
         use, broken = limit_use(trajectory)
-        proof = self._certifier.certify(trajectory)
+        proof = self.certify(trajectory)
         reason = proof.reason or broken
         return Verification(
             ok=not reason,
@@ -106,6 +106,10 @@ class Verifier:
             clearance_m=proof.clearance_m,
             **asdict(use),
         )
+
+    def certify(self, trajectory: Trajectory) -> Certificate:
+        """Return the proof that nothing touches, without the limits."""
+        return self._certifier.certify(trajectory)
 
     def audit(self, trajectory: Trajectory) -> Audit:
         """Return what dense sampling says; for a proven trajectory it must find nothing."""
