@@ -162,7 +162,10 @@ def build_app(table: StageTable, tools: Sequence[ToolEntry] = ()) -> typer.Typer
         {"until": until, **VIEW_OPTIONS, **_RUNNING}, run_body,
     )  # fmt: skip
     _add(app, table, "status", "Show where every stage of the run stands.", {}, status_body)
-    stage = (Annotated[str | None, typer.Argument(help="Name of a stage; none walks the debug ladder.")], None)
+    stage = (
+        Annotated[str | None, typer.Argument(help="Name of a stage; none walks the debug ladder.")],
+        None,
+    )
     _add(
         app, table, "explain",
         "Explain one stage: checks, margins, remedies, staleness, requirements; or what to look at first.",
