@@ -34,6 +34,10 @@ _URDF_COMPILER = (
 # Stiff contacts with little creep; see docs/simulation.md for the comparison of cone and impratio.
 _SOLREF = [0.002, 1.0]
 _SOLIMP = [0.99, 0.999, 0.001, 0.5, 2.0]
+_FACE_MARGIN_M = 0.0002
+"""Distance from which flat faces push. Pads press by micrometres, and between two parallel faces MuJoCo now and then
+sees no contact for a step, in which the fingers leap; faces that never overlap do not show it. It makes a box wider by as
+much on every side."""
 _PAD_POSITION_Z_M = 0.04525  # the URDF's "rubber tip" box, by which the pads are told from the other boxes
 
 _TABLE_HALF = (0.6, 0.8, 0.02)
@@ -184,14 +188,19 @@ def _add_rod(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
     along_y = [np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0]
     if rod.shape == "cylinder":
         shape = {"type": mujoco.mjtGeom.mjGEOM_CYLINDER, "quat": along_y}
+        condim = 6  # with rolling friction: a cylinder without it rolls away untouched
+        margin = 0.0
         size, band = [rod.radius_m, rod.length_m / 2, 0], [rod.radius_m + 0.0006, 0.015, 0]
     else:
         shape = {"type": mujoco.mjtGeom.mjGEOM_BOX}
+        condim = 4  # a face does not roll, and its many contact points would fight over it
+        margin = _FACE_MARGIN_M
         size = [rod.width_m / 2, rod.length_m / 2, rod.height_m / 2]
         band = [rod.width_m / 2 + 0.0006, 0.015, rod.height_m / 2 + 0.0006]
     body.add_geom(
-        name="rod", size=size, mass=rod.mass_kg, rgba=list(rod.colour), condim=6,
-        friction=[rod.friction, 0.01, rod.rolling_friction], solref=_SOLREF, solimp=_SOLIMP, **shape,
+        name="rod", size=size, mass=rod.mass_kg, rgba=list(rod.colour), condim=condim,
+        friction=[rod.friction, 0.01, rod.rolling_friction], solref=_SOLREF, solimp=_SOLIMP,
+        margin=margin, **shape,
     )  # fmt: skip
     # Bands show where the hands belong and give the camera something to tell the rod's ends by.
     for sign in (-1, 1):
