@@ -1,0 +1,306 @@
+"""Moves of a held object: found round obstacles, on the grasps all along, refused with numbers; and driven."""
+
+import dataclasses
+import itertools
+import time
+
+import numpy as np
+import pytest
+
+from minidual.config.held_moves import HeldMovesConfig
+from minidual.config.planning import PlanConfig
+from minidual.config.scene import RodConfig, SceneConfig
+from minidual.errors import UsageError
+from minidual.planning.closed_chain import scene_holding
+from minidual.planning.edges import EdgeChecker
+from minidual.planning.errors import (
+    ClosedChainError,
+    GoalInCollisionError,
+    IKUnreachableError,
+    NoPathInTimeError,
+    StartInCollisionError,
+)
+from minidual.planning.evaluate_carries import plan_move, timed_residual
+from minidual.planning.grasp_constraint import GraspConstraint
+from minidual.planning.hands_ik import HandsIK, off_limits
+from minidual.planning.held_moves import HeldMoveGenerator, rod_grasps, rod_shape
+from minidual.planning.held_planner import HeldPlanner
+from minidual.planning.held_query import HeldQuery
+from minidual.planning.held_search import search_object, shorten
+from minidual.planning.held_space import HeldSpace, Q, X
+from minidual.planning.object_path import ObjectChart, ObjectPath
+from minidual.planning.scene import PlanningScene
+from minidual.planning.shapes import Box
+from minidual.robot.constants import HOME, Q_LOWER, Q_UPPER
+from minidual.robot.kinematics import Kinematics
+from minidual.robot.poses import inverse, pose, rot_x, rot_z
+from minidual.sim.world import World
+from minidual.stages.plan_held import HeldResults, held_checks
+from minidual.tasks.held_execution import deviation, execute
+
+GRASPS = rod_grasps(RodConfig())
+ROD = rod_shape(RodConfig())
+START = pose(np.eye(3), (0.5, 0.2, 0.25))
+GOAL = pose(rot_z(0.3), (0.5, -0.2, 0.25))
+WALL = Box("wall", (0.5, 0.0, 0.16), size_m=(0.3, 0.04, 0.32))
+
+
+@pytest.fixture(scope="module")
+def planner():
+    return HeldPlanner()
+
+
+@pytest.fixture(scope="module")
+def q_start():
+    hands = HandsIK(*GRASPS, Kinematics())
+    kinematics = Kinematics()
+    q = GraspConstraint.from_grasps(*GRASPS).project(HOME)
+    here = kinematics.tcp_poses(q)[0] @ inverse(GRASPS[0])
+    path = ObjectPath([here, START])
+    Q_path, stuck = hands.follow(path.poses(np.linspace(0.0, path.length, 100)), q)
+    assert stuck is None
+    return Q_path[-1]
+
+
+def query(q_start, goal=GOAL, obstacles=(), **change):
+    scene = scene_holding(PlanningScene().with_obstacles(*obstacles), ROD, GRASPS[0], rests_on=())
+    return dataclasses.replace(HeldQuery(q_start, goal, *GRASPS, scene, seed=3), **change)
+
+
+def failing(checks):
+    return {c.name for c in checks if c.passed is False}
+
+
+@pytest.fixture(scope="module")
+def over_the_wall(planner, q_start):
+    return planner.plan(query(q_start, obstacles=(WALL,)))
+
+
+def test_free_way_is_taken_straight(planner, q_start):
+    plan = planner.plan(query(q_start))
+    assert plan.found_by == "continuation"
+    way = plan.Ts_world_object[:, :3, 3] - START[:3, 3]
+    along = (GOAL - START)[:3, 3] / np.linalg.norm((GOAL - START)[:3, 3])
+    assert np.linalg.norm(way - np.outer(way @ along, along), axis=1).max() < 1e-9
+    assert np.abs(plan.Ts_world_object[-1] - GOAL).max() < 1e-9
+    assert np.abs(plan.q[0] - q_start).max() < 1e-9
+
+
+def test_a_wall_is_passed_and_the_proof_covers_the_rod(planner, over_the_wall):
+    plan = over_the_wall
+    assert plan.found_by != "continuation"
+    assert plan.verification.ok
+    assert np.abs(plan.Ts_world_object[-1] - GOAL).max() < 1e-9
+    # Oracle: dense samples, both engines, the rod attached.
+    scene = scene_holding(PlanningScene().with_obstacles(WALL), ROD, GRASPS[0], rests_on=())
+    audit = planner.engines(scene).verifier.audit(plan)
+    assert audit.collisions_n == 0
+    assert audit.samples_n > 300
+    # The rod went over the wall or round its end.
+    middle = plan.Ts_world_object[:, :3, 3]
+    crossing = np.abs(middle[:, 1]) < 0.01
+    assert crossing.any()
+    assert (middle[crossing, 2] > 0.32).all() or (np.abs(middle[crossing, 0] - 0.5) > 0.15).all()
+
+
+def test_hands_keep_their_grasps_at_1_khz_and_between(over_the_wall, q_start):
+    worst = timed_residual(over_the_wall, query(q_start), Kinematics())
+    assert worst[0] < 1e-4
+    assert worst[1] < np.deg2rad(0.05)
+    # Oracle: forward kinematics at random times against the constraint.
+    constraint = GraspConstraint.from_grasps(*GRASPS)
+    times = np.random.default_rng(0).uniform(0.0, over_the_wall.duration_s, 400)
+    residuals = np.array([constraint.residual(q) for q in over_the_wall.sample_many(times)[0]])
+    assert residuals[:, 0].max() < 1e-4
+    assert residuals[:, 1].max() < np.deg2rad(0.05)
+    # Negative control: a hand that turns by 2 mrad is seen.
+    bent = over_the_wall.q.copy()
+    bent[len(bent) // 2, 13] += 2e-3
+    assert (
+        timed_residual(dataclasses.replace(over_the_wall, q=bent), query(q_start), Kinematics())[1] > 1.9e-3
+    )
+
+
+def test_same_query_same_bytes(planner, over_the_wall, q_start):
+    assert HeldPlanner().plan(query(q_start, obstacles=(WALL,))).digest() == over_the_wall.digest()
+
+
+def test_continuation_and_projection_agree_with_the_grasps(q_start):
+    hands = HandsIK(*GRASPS, Kinematics())
+    path = ObjectPath([START, pose(rot_z(0.5) @ rot_x(0.3), (0.45, 0.0, 0.35))])
+    Ts = path.poses(np.linspace(0.0, path.length, 40))
+    followed, stuck = hands.follow(Ts, q_start)
+    assert stuck is None
+    assert max(hands.strays(followed, Ts)) < 1e-7
+    q = hands.solve(Ts[20], followed[15])
+    assert max(hands.strays(q[None], Ts[20][None])) < 1e-8
+    assert hands.solve(pose(np.eye(3), (3.0, 0.0, 0.0)), q_start) is None
+    swung = hands.solve(START, q_start + hands.elbow_swing(q_start, np.array([0.3, -0.3])))
+    assert np.abs(swung - q_start).max() > 0.1
+    assert max(hands.strays(swung[None], START[None])) < 1e-8
+
+
+def test_joints_are_pushed_off_their_limits_only_near_them():
+    assert not off_limits(HOME).any()
+    near = HOME.copy()
+    near[0], near[5] = Q_LOWER[0] + 0.05, Q_UPPER[5] - 0.05
+    push = off_limits(near)
+    assert push[0] > 0.0 > push[5]
+    assert np.count_nonzero(push) == 2
+
+
+def test_search_and_shortening_stay_free(planner, q_start):
+    problem = query(q_start, obstacles=(WALL,))
+    hands = HandsIK(*GRASPS, Kinematics())
+    q_goal = planner.plan(problem).q[-1]
+    checker = EdgeChecker(planner.engines(problem.scene).mujoco, 0.005, (q_start, q_goal), 0.03)
+    space = HeldSpace(hands, ObjectChart(START[:3, :3]), checker)
+    start, goal = space.point(START, q_start), space.point(GOAL, q_goal)
+    assert not space.edge_free(start, goal)
+    rng = np.random.default_rng(5)
+    path = search_object(
+        space, start, [goal], rng, checks_max=20_000, deadline=time.perf_counter() + 60.0, any_posture=False
+    )
+    assert path is not None
+    assert np.array_equal(path[0], start)
+    assert np.array_equal(path[-1], goal)
+
+    def length(points):
+        return sum(float(space.distance(a, b[None])[0]) for a, b in itertools.pairwise(points))
+
+    short = shorten(space, path, rng, 20)
+    assert length(short) <= length(path) + 1e-9
+    for a, b in itertools.pairwise(short):
+        assert space.edge_free(a, b)
+    for z in short:
+        assert max(hands.strays(z[Q][None], space.chart.pose(z[X])[None])) < 1e-7
+    refused = search_object(space, start, [goal], rng, checks_max=5, deadline=time.perf_counter() + 60.0)
+    assert refused is None
+
+
+def test_bad_queries_are_named_with_numbers(planner, q_start):
+    off = q_start.copy()
+    off[6] += 0.05
+    with pytest.raises(ClosedChainError, match=r"right hand is \d+\.\d+ mm and 0\.05\d+ rad off its grasp"):
+        planner.plan(query(off))
+    far = pose(np.eye(3), (1.4, 0.0, 0.3))
+    with pytest.raises(IKUnreachableError, match=r"hand cannot reach .*mm and \d+\.\d+ rad away"):
+        planner.plan(query(q_start, far))
+    inside = Box("block", tuple(GOAL[:3, 3]), size_m=(0.1, 0.1, 0.1))
+    with pytest.raises(GoalInCollisionError, match="block and rod penetrate by"):
+        planner.plan(query(q_start, obstacles=(inside,)))
+    here = Box("block", tuple(START[:3, 3]), size_m=(0.1, 0.1, 0.1))
+    with pytest.raises(StartInCollisionError, match="block and rod penetrate by"):
+        planner.plan(query(q_start, obstacles=(here,)))
+    with pytest.raises(UsageError, match="the goal of the object holds a value that is not finite"):
+        planner.plan(query(q_start, GOAL * np.nan))
+    with pytest.raises(UsageError, match="budget_s = 0"):
+        planner.plan(query(q_start), budget_s=0.0)
+    with pytest.raises(NoPathInTimeError, match=r"the straight way: it is blocked: .*wall"):
+        planner.plan(query(q_start, obstacles=(WALL,)), budget_s=1e-6)
+
+
+@pytest.fixture(scope="module")
+def outcomes(planner):
+    generator, kinematics = HeldMoveGenerator(1), Kinematics()
+    return [plan_move(planner, generator.move(i), kinematics) for i in range(4)]
+
+
+def test_moves_are_what_they_say(outcomes):
+    again = HeldMoveGenerator(1).move(1)
+    assert np.array_equal(again.query.T_world_goal, outcomes[1].move.query.T_world_goal)
+    assert np.array_equal(again.witness, outcomes[1].move.witness)
+    other = HeldMoveGenerator(2).move(1)
+    assert not np.array_equal(again.query.T_world_goal, other.query.T_world_goal)
+    for outcome in outcomes:
+        move = outcome.move
+        assert 0.05 <= move.distance_m <= 0.5
+        assert move.turn_rad <= np.pi / 2 + 1e-9
+        assert move.with_obstacles == (move.index % 2 == 1)
+        assert len(move.query.scene.obstacles) == (4 if move.with_obstacles else 1)
+        assert move.blocked or not move.with_obstacles
+        hands = HandsIK(*GRASPS, Kinematics())
+        assert max(hands.strays(move.query.q_start[None], move.T_world_start[None])) < 1e-6
+        assert np.abs(move.witness[0, Q] - move.query.q_start).max() < 1e-9
+        assert outcome.ok
+        assert outcome.residual_m < 1e-4
+
+
+def test_a_witness_that_passes_through_things_is_refused(planner, q_start):
+    """Negative control of the rule that a move counts only with a proven witness."""
+    hands = HandsIK(*GRASPS, Kinematics())
+    path = ObjectPath([START, GOAL])
+    followed, _ = hands.follow(path.poses(np.linspace(0.0, path.length, 60)), q_start)
+    chart = ObjectChart(START[:3, :3])
+    points = np.array(
+        [np.concatenate([chart.coordinates(T), q]) for T, q in ((START, q_start), (GOAL, followed[-1]))]
+    )
+    assert planner.prove(query(q_start), points).verification.ok
+    with pytest.raises(ClosedChainError, match=r"not free: .*wall"):
+        planner.prove(query(q_start, obstacles=(WALL,)), points)
+
+
+@pytest.fixture(scope="module")
+def driven():
+    scene = SceneConfig()
+    generator = HeldMoveGenerator(5, scene.rod, from_table=True)
+    planner, world = HeldPlanner(), World(scene)
+    plans = [planner.plan(generator.move(i).query) for i in (0, 1)]
+    return scene, plans, [execute(plan, scene, world=world) for plan in plans]
+
+
+def test_the_rod_follows_the_plan_within_2_mm_and_1_degree(driven):
+    _, plans, executions = driven
+    turned = [deviation(p.Ts_world_object[-1], p.Ts_world_object[0])[1] for p in plans]
+    assert max(turned) > 0.5  # one of them turns the rod by more than 30 degrees
+    for plan, execution in zip(plans, executions, strict=True):
+        assert execution.error_max_m < 0.002
+        assert execution.error_max_rad < np.deg2rad(1.0)
+        assert execution.error_max_m >= execution.end_error_m > 0.0
+        assert execution.at_m_s <= plan.duration_s + 0.6
+        assert execution.pinch_min_n > 20.0
+
+
+def test_an_execution_that_strays_is_seen(driven):
+    """Negative control: a plan whose object is said to be elsewhere, and hands that never closed."""
+    scene, plans, _ = driven
+    elsewhere = plans[0].Ts_world_object.copy()
+    elsewhere[200:, 0, 3] += 0.003
+    assert execute(dataclasses.replace(plans[0], Ts_world_object=elsewhere), scene).error_max_m > 0.0025
+    dropped = execute(plans[0], scene, close_s=0.0)
+    assert dropped.error_max_m > 0.002
+    tilted = plans[0].Ts_world_object.copy()
+    tilted[0, :3, :3] = rot_x(0.2)
+    with pytest.raises(ValueError, match="must lie level"):
+        execute(dataclasses.replace(plans[0], Ts_world_object=tilted), scene)
+
+
+def test_every_check_can_fail(outcomes, driven):
+    config = PlanConfig(held=HeldMovesConfig(time_median_max_s=10.0))
+    executions = driven[2]
+
+    def names(first=None, second=None, runs=None, config=config):
+        sets = {"first": first or outcomes, "second": second or outcomes}
+        return failing(held_checks(HeldResults(sets, runs or executions), config))
+
+    assert names() == set()
+    failed = dataclasses.replace(outcomes[0], plan=None, residual_m=np.nan, residual_rad=np.nan)
+    assert names(first=[failed, *outcomes[1:]]) == {"closed_chain.success_rate"}
+    assert names(second=[failed, *outcomes[1:]]) == {"closed_chain.second_seed_success_rate"}
+    stray = dataclasses.replace(outcomes[0], residual_m=2e-4, residual_rad=1e-3)
+    assert names(second=[stray]) == {"closed_chain.residual_max_m", "closed_chain.residual_max_rad"}
+    unmeasured = dataclasses.replace(outcomes[0], residual_m=np.nan)
+    assert names(first=[unmeasured, *outcomes[1:]]) == {"closed_chain.residual_max_m"}
+    slow = [dataclasses.replace(o, time_s=11.0) for o in outcomes]
+    assert names(first=slow) == {"closed_chain.time_median_s"}
+    unlimited = PlanConfig(held=HeldMovesConfig(time_median_max_s=None))
+    assert names(first=slow, config=unlimited) == set()
+    far = dataclasses.replace(executions[0], error_max_m=0.0021, error_max_rad=0.018)
+    assert names(runs=[far]) == {"closed_chain.executed_error_max_m", "closed_chain.executed_error_max_rad"}
+    lost = dataclasses.replace(executions[0], error_max_m=float("nan"))
+    assert names(runs=[lost, executions[1]]) == {"closed_chain.executed_error_max_m"}
+    nothing = [failed]
+    assert names(first=nothing, second=nothing) >= {
+        "closed_chain.residual_max_m",
+        "closed_chain.success_rate",
+    }
