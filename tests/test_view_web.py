@@ -17,7 +17,8 @@ from minidual.config.root import Config
 from minidual.config.view import ViewConfig
 from minidual.evaluation.methods import MethodInputs
 from minidual.evaluation.trials import run_trials
-from minidual.sim.watch import Narration, Watcher, overlay, visual_model, watched
+from minidual.robot.constants import HOME
+from minidual.sim.watch import Narration, Watcher, overlay, play, visual_model, watched
 from minidual.sim.world import World
 from minidual.tasks.rod_carry import sample_trial
 from minidual.view import Arrow, Overlay, PathLine, Preview, Slider, make_view
@@ -136,6 +137,7 @@ def test_forces_and_plans_are_drawn_and_taken_away(view: WebView) -> None:
     assert scene is not None
     line = PathLine("left", np.array([[0.0, 0, 0], [0.1, 0, 0], [0.2, 0, 0.1]]), (1, 2, 3))
     ghost = world.data.qpos.copy()
+    ghost[model.joint("left_panda_joint6").qposadr[0]] += 0.5
     preview = Preview((line,), (ghost,))
     arrows = (
         Arrow(np.zeros(3), np.array([0.0, 40.0, 0.0]), (1, 2, 3)),
@@ -248,3 +250,26 @@ def test_the_overlay_says_what_the_world_says() -> None:
     assert words.pinch_n == tuple(world.pinch_forces())
     assert words.internal_n == world.internal_force()
     assert (words.title, words.mode, words.source, words.state) == ("a title", "moveit", "moveit", "active")
+
+
+def test_a_film_goes_from_the_first_posture_to_the_last_in_real_time(view: WebView) -> None:
+    times = np.linspace(0.0, 0.5, 6)
+    qs = np.tile(HOME, (6, 1))
+    qs[:, 0] = np.linspace(0.0, 0.4, 6)
+    shown: list[tuple[float, float]] = []
+    view._metronome = Metronome(1000.0)
+    address = int(visual_model(CONFIG.scene).joint("left_panda_joint1").qposadr[0])
+
+    def keep(data: mujoco.MjData, words: Overlay) -> None:
+        shown.append((words.time_s, float(data.qpos[address])))
+
+    view.update = keep  # type: ignore[method-assign]
+    began = time.monotonic()
+    play(view, CONFIG.scene, times, qs, Narration("film"))
+    assert time.monotonic() - began >= 0.5
+    assert shown[-1] == (0.5, 0.4)
+    assert all(q == pytest.approx(0.8 * t) for t, q in shown)
+    view.close()
+    count = len(shown)
+    play(view, CONFIG.scene, times, qs, Narration("film"))  # nobody can see it: no time is spent
+    assert len(shown) == count

@@ -22,6 +22,8 @@ from minidual.view.protocol import View
 _ASIDE_M = np.array([0.05, 0.0, 0.0])
 """Forces are drawn this far in front of the hands: where they act, the object would hide them."""
 _BRAKE_EVERY_S = 0.01
+_LOOK_S = 0.7
+"""A film stands still this long at its end."""
 
 
 @dataclass(frozen=True)
@@ -118,12 +120,14 @@ def play(
         world.data.qpos[world.joints.qpos] = [np.interp(t, times, column) for column in qs.T]
         world.data.time = t
         mujoco.mj_kinematics(world.model, world.data)
-        if view.due():
+        ended = t >= times[-1]
+        if ended or view.due():
             words = Overlay(
                 time_s=t, title=narration.title, mode=narration.mode, source=narration.source,
                 state=narration.state, status=narration.status, preview=narration.preview,
             )  # fmt: skip
             view.update(world.data, words)
-        if t >= times[-1]:
+        if ended:
+            time.sleep(_LOOK_S)
             return
         time.sleep(0.005)

@@ -18,7 +18,7 @@ _MOVED = 1e-5
 """Least change of a position [m] or quaternion entry that is sent; the screen shows 1 mm at best."""
 _FLAT_M = 0.002
 """A mesh thinner than this, such as a mark on the table, would only cast a blurred shadow on itself."""
-_GHOSTS_MAX = 4
+_GHOSTS_MAX, _GHOST_MOVED = 4, 1e-3
 _GHOST_RGB = (70, 160, 255)
 _BACKGROUND_RGB = (255, 255, 255)
 _CAMERA, _TARGET, _FOV_RAD = (1.85, -0.85, 0.95), (0.30, 0.10, 0.17), 0.70
@@ -164,11 +164,14 @@ class WebScene:
         mujoco.mj_kinematics(self._model, data)
         root = self._server.scene.add_frame(f"/plan/ghost{index}", show_axes=False)
         self._preview_nodes.append(root)
-        for body in self._moving:
+        poses = {body: np.concatenate([data.xpos[body], data.xquat[body]]) for body in self._moving}
+        # What stays where it is, such as the object on the table, would only be drawn twice.
+        elsewhere = {b for b, pose in poses.items() if np.abs(pose - self._sent[b]).max() > _GHOST_MOVED}
+        for body in elsewhere:
             frame = self._add_frame(f"/plan/ghost{index}/{_name(self._model, body)}")
             frame.position, frame.wxyz = data.xpos[body].copy(), data.xquat[body].copy()
         for number, mesh in enumerate(self._meshes):
-            if mesh.body in self._sent:
+            if mesh.body in elsewhere:
                 name = f"/plan/ghost{index}/{_name(self._model, mesh.body)}/mesh{number}"
                 self._add_mesh(name, mesh, ghost=True)
 
