@@ -8,7 +8,8 @@ import pytest
 
 from minidual.errors import UsageError
 from minidual.planning import acm as acm_module
-from minidual.planning.acm import AllowedCollisions, acm_report, build_acm, default_acm
+from minidual.planning.acm import acm_report, build_acm, default_acm
+from minidual.planning.allowed import AllowedCollisions
 from minidual.planning.links import LINKS, arm_of, joints_before
 from minidual.planning.mujoco_engine import MujocoEngine
 from minidual.planning.scene import TABLE, Attached, PlanningScene

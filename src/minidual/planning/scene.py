@@ -13,7 +13,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from minidual.errors import UsageError, unknown_name
-from minidual.planning.acm import AllowedCollisions, default_acm
+from minidual.planning.acm import default_acm
+from minidual.planning.allowed import AllowedCollisions
 from minidual.planning.links import LINKS, arm_of, joints_before
 from minidual.planning.shapes import Box, Shape, grown
 
