@@ -24,7 +24,7 @@ class PlannerConfig(StrictModel):
     """Distance that the search keeps; it relaxes near a start or goal that is nearer than that."""
     fallback_planners: tuple[PlannerName, ...] = ("rrtconnect", "kpiece")
     """Planners that take turns after two searches of `planner` that found nothing."""
-    search_checks_n: int = Field(default=12_000, ge=100, le=100_000_000)
+    search_checks_n: int = Field(default=4_000, ge=100, le=100_000_000)
     """State checks after which one search gives up; every further attempt has twice as many."""
     shortcut_rounds_n: int = Field(default=10, ge=0, le=10_000)
     blend_radius_rad: float = Field(default=0.3, gt=0.001, le=2.0)
