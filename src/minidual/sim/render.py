@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
@@ -22,6 +23,22 @@ import mujoco
 from minidual.sim.model import GROUP_COLLISION
 
 Image = npt.NDArray[np.uint8]
+
+
+_SHADOW_CLIP, _SHADOW_SIZE = 2.0, 2048
+"""Reach of the shadow map over the model's extent, and its size. With MuJoCo's own reach of 1 the floor beyond the
+table lies at its edge and is speckled with shadows that nothing casts."""
+
+
+@contextlib.contextmanager
+def _shadow_settings(model: mujoco.MjModel) -> Iterator[None]:
+    """Let an OpenGL context made inside the block have shadows that reach over the floor; the model stays as it was."""
+    before = float(model.vis.map.shadowclip), int(model.vis.quality.shadowsize)
+    model.vis.map.shadowclip, model.vis.quality.shadowsize = _SHADOW_CLIP, _SHADOW_SIZE
+    try:
+        yield
+    finally:
+        model.vis.map.shadowclip, model.vis.quality.shadowsize = before
 
 
 class Camera:
@@ -46,7 +63,8 @@ class Camera:
     ) -> None:
         self._supersample = supersample
         try:
-            self._renderer = mujoco.Renderer(model, height_px * supersample, width_px * supersample)
+            with _shadow_settings(model) if shadows else contextlib.nullcontext():
+                self._renderer = mujoco.Renderer(model, height_px * supersample, width_px * supersample)
         except Exception as error:  # the GL backends raise whatever they like
             raise EnvironmentMissingError(
                 f"cannot create an off-screen OpenGL context (MUJOCO_GL={os.environ['MUJOCO_GL']}): {error}",
