@@ -23,9 +23,9 @@ class PlannerConfig(StrictModel):
     padding_m: float = Field(default=0.008, ge=0.0, le=0.1)
     """Distance that the search keeps; it relaxes near a start or goal that is nearer than that."""
     fallback_planners: tuple[PlannerName, ...] = ("rrtconnect", "kpiece")
-    """Planners that take turns after two searches of `planner` that found nothing."""
-    search_checks_n: int = Field(default=4_000, ge=100, le=100_000_000)
-    """State checks after which one search gives up; every further attempt has twice as many."""
+    """Planners that take turns after four searches of `planner` that found nothing."""
+    search_checks_n: int = Field(default=2_500, ge=100, le=100_000_000)
+    """State checks after which one search gives up; every further attempt has half as many again."""
     shortcut_rounds_n: int = Field(default=10, ge=0, le=10_000)
     blend_radius_rad: float = Field(default=0.3, gt=0.001, le=2.0)
     """Largest half length of a rounded corner."""

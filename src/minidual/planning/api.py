@@ -26,7 +26,9 @@ from minidual.robot.kinematics import Kinematics
 
 _SCENES_KEPT = 8
 _SAME_RAD = 1e-9
-_TRIES_OF_FIRST = 2
+_TRIES_OF_FIRST = 4
+_PATIENCE = 1.5
+"""Times are heavy-tailed: several short searches beat one long one."""
 
 
 @dataclass(frozen=True)
@@ -41,11 +43,14 @@ class _Effort:
     def after_no_path(self) -> _Effort:
         """Return more patience and less padding: the way may be narrow."""
         return replace(
-            self, padding_m=0.5 * self.padding_m, checks_n=2 * self.checks_n, fruitless_n=self.fruitless_n + 1
+            self,
+            padding_m=0.5 * self.padding_m,
+            checks_n=int(_PATIENCE * self.checks_n),
+            fruitless_n=self.fruitless_n + 1,
         )
 
     def planner(self, first: str, fallbacks: Sequence[str]) -> str:
-        """Return whose turn it is: the first planner's twice, then the fallbacks' one after the other."""
+        """Return whose turn it is: the first planner's four times, then the fallbacks' one after the other."""
         turn = self.fruitless_n - _TRIES_OF_FIRST
         return fallbacks[turn % len(fallbacks)] if turn >= 0 and fallbacks else first
 
