@@ -276,7 +276,7 @@ def test_an_execution_that_strays_is_seen(driven):
 
 
 def test_every_check_can_fail(outcomes, driven):
-    config = PlanConfig(held=HeldMovesConfig(time_median_max_s=10.0))
+    config = PlanConfig(held=HeldMovesConfig(cpu_time_median_max_s=10.0))
     executions = driven[2]
 
     def names(first=None, second=None, runs=None, config=config):
@@ -291,9 +291,9 @@ def test_every_check_can_fail(outcomes, driven):
     assert names(second=[stray]) == {"closed_chain.residual_max_m", "closed_chain.residual_max_rad"}
     unmeasured = dataclasses.replace(outcomes[0], residual_m=np.nan)
     assert names(first=[unmeasured, *outcomes[1:]]) == {"closed_chain.residual_max_m"}
-    slow = [dataclasses.replace(o, time_s=11.0) for o in outcomes]
-    assert names(first=slow) == {"closed_chain.time_median_s"}
-    unlimited = PlanConfig(held=HeldMovesConfig(time_median_max_s=None))
+    slow = [dataclasses.replace(o, cpu_s=11.0) for o in outcomes]
+    assert names(first=slow) == {"closed_chain.cpu_time_median_s"}
+    unlimited = PlanConfig(held=HeldMovesConfig(cpu_time_median_max_s=None))
     assert names(first=slow, config=unlimited) == set()
     far = dataclasses.replace(executions[0], error_max_m=0.0021, error_max_rad=0.018)
     assert names(runs=[far]) == {"closed_chain.executed_error_max_m", "closed_chain.executed_error_max_rad"}

@@ -33,7 +33,7 @@ CONFIG = Config(
         queries_n=2,
         second_queries_n=1,
         agreement_states_n=200,
-        held=HeldMovesConfig(moves_n=2, executed_n=1, time_median_max_s=None),
+        held=HeldMovesConfig(moves_n=2, executed_n=1, cpu_time_median_max_s=None),
     )
 )
 

@@ -14,8 +14,8 @@ class HeldMovesConfig(StrictModel):
     """Moves of each of the two generator seeds."""
     executed_n: int = Field(default=6, ge=1, le=1000)
     """Plans that are driven in the simulated world."""
-    time_median_max_s: float | None = Field(default=0.05, gt=0.0, le=3600.0)
-    """Median time from query to proven trajectory; null reports it without a limit."""
+    cpu_time_median_max_s: float | None = Field(default=0.05, gt=0.0, le=3600.0)
+    """Median processor time from query to proven trajectory; null reports it without a limit."""
     executed_error_max_m: float = Field(default=0.002, gt=0.0, le=0.002)
     executed_error_max_rad: float = Field(default=0.01745, gt=0.0, le=0.01745)
     """One degree."""
