@@ -197,7 +197,7 @@ def _summary(outcomes: Mapping[str, Sequence[Outcome]], carries: CarryPlans) -> 
 def _groups(outcomes: Mapping[str, Sequence[Outcome]]) -> dict[str, Any]:
     import numpy as np
 
-    groups = {}
+    groups: dict[str, Any] = {}
     for group, done in outcomes.items():
         if not done:
             continue
