@@ -60,7 +60,7 @@ class PlanConfig(StrictModel):
     queries_n: int = Field(default=20, ge=1, le=10000)
     """Queries per planning group."""
     second_seed: int = Field(default=20261, ge=0, lt=2**63)
-    """Seed of a second query set, so that the first one cannot have been tuned to."""
+    """Seed of a second query set, so that success does not rest on one set."""
     second_queries_n: int = Field(default=0, ge=0, le=10000)
     """Queries per planning group of the second set."""
     obstacles_n: int = Field(default=5, ge=0, le=50)
