@@ -41,8 +41,19 @@ def move(a: Array, b: Array, duration_s: float, group: str = "both_arms") -> Tra
     )
 
 
-def stack_on(plant: Any, **options: Any) -> ControlStack:
-    return ControlStack(plant, Kinematics(), **options)
+class Attended(ControlStack):
+    """A stack whose driving source says all the time that it is there, until it dies."""
+
+    dead = False
+
+    def step(self) -> None:
+        if self.source is not None and not self.dead:
+            self.affirm(self.source)
+        super().step()
+
+
+def stack_on(plant: Any, **options: Any) -> Attended:
+    return Attended(plant, Kinematics(), **options)
 
 
 def hand_over(stack: ControlStack, mode: str, controllers: Any = None) -> None:
@@ -178,6 +189,74 @@ def test_a_source_that_falls_silent_in_motion_is_held_and_brought_to_rest(plant:
     np.testing.assert_allclose(plant.q, HOME + 0.6, atol=1e-3)
 
 
+@pytest.mark.parametrize("dies_at", [0, 1, 137, 300])
+def test_a_trajectory_stops_on_its_path_when_its_source_dies(plant: ArmsPlant, dies_at: int) -> None:
+    stack = stack_on(plant)
+    hand_over(stack, "moveit")
+    goal = HOME + np.linspace(-0.65, 0.75, 14)
+    stack.propose("moveit", trajectory(stack, move(HOME, goal, 0.9)))
+    for _ in range(dies_at):
+        stack.step()
+    died, stack.dead = plant.time, True
+    states, references = [], [stack.reference]
+    while stack.executing:
+        stack.step()
+        states.append(stack.state)
+        references.append(stack.reference)
+    stale = states.index(ArbiterState.STALE)
+    assert stale <= 141, "0.1 s, and the ticks that hear the last sign and notice the silence"
+    assert set(states[stale:]) == {ArbiterState.STALE}
+    assert stack.output.active_source is None
+    assert plant.time - died < 0.65
+    path = np.array(references)
+    share = (path - HOME) / (goal - HOME)
+    assert np.ptp(share, axis=1).max() < 1e-6, "it left the path"
+    assert share[-1].max() < 0.9, "it ran to its end"
+    v = np.diff(path, axis=0) / plant.dt
+    assert np.abs(np.diff(v, axis=0) / plant.dt / A_MAX).max() < 1.3
+    for _ in range(50):
+        stack.step()
+    assert np.abs(plant.v).max() < 0.05
+    # Alive again, the source may go on from there, but the old trajectory does not resume.
+    assert stack.state == ArbiterState.STALE
+    stack.dead = False
+    rest = stack.reference
+    for _ in range(60):
+        stack.step()
+    np.testing.assert_array_equal(stack.reference, rest)
+    stack.propose("moveit", trajectory(stack, move(rest, HOME, 0.9), 2))
+    while stack.executing:
+        stack.step()
+    assert stack.refusals == []
+    np.testing.assert_allclose(plant.q, HOME, atol=3e-3)
+
+
+def test_a_source_that_stays_dead_loses_its_turn(plant: ArmsPlant) -> None:
+    stack = stack_on(plant)
+    hand_over(stack, "moveit")
+    stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.3, 0.9)))
+    stack.step()
+    stack.dead = True
+    for _ in range(1150):
+        stack.step()
+    assert stack.state == ArbiterState.STOPPED
+    assert stack.source is None
+
+
+def test_another_source_cannot_keep_a_dead_one_alive(plant: ArmsPlant) -> None:
+    stack = stack_on(plant)
+    hand_over(stack, "moveit")
+    stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.3, 0.9)))
+    stack.dead = True
+    for k in range(150):
+        stack.affirm("teleop")
+        stack.propose("policy", JointCommand(HOME, OPEN, plant.time, k))
+        stack.step()
+    assert stack.state == ArbiterState.STALE
+    with pytest.raises(UsageError, match="no command source 'planner'"):
+        stack.affirm("planner")
+
+
 # B ----------------------------------------------------------------------------------------------------------
 
 
@@ -225,7 +304,7 @@ def test_object_impedance_lifts_the_rod_and_hands_it_back(
     scene: SceneConfig, world: World, kinematics: Kinematics
 ) -> None:
     pinch_rod(JointLoop(world, kinematics), scene, kinematics)
-    stack = ControlStack(world, kinematics)
+    stack = stack_on(world)
     for _ in range(2):  # the hands are closed; the stack must not open them
         stack.grippers.step(np.zeros(2))
     hand_over(stack, "moveit")
@@ -473,7 +552,11 @@ class _Guard:
         self.seen: list[tuple[float, Array, Array, Array]] = []
         self.trip = False
 
-    def guard(self, time_s: float, q: Array, v: Array, tau: Array) -> Array:
+    def reset(self) -> None: ...
+
+    def heard(self, time_s: float) -> None: ...
+
+    def guard(self, time_s: float, q: Array, v: Array, tau: Array, a_ref: Array | None = None) -> Array:
         self.seen.append((time_s, q, v, tau))
         if self.trip:
             self.trip = False
@@ -525,6 +608,41 @@ def test_the_real_supervisor_stops_the_arms_and_lets_them_go_on(scene: SceneConf
     while stack.executing:
         stack.step()
     np.testing.assert_allclose(world.q, HOME, atol=5e-3)
+
+
+def _run_out(stack: ControlStack) -> None:
+    while stack.executing:
+        stack.step()
+
+
+def test_the_supervisor_hears_the_arbiter_and_sees_the_commanded_acceleration(
+    scene: SceneConfig, world: World
+) -> None:
+    from minidual.control.reflexes import ReflexError
+    from minidual.control.supervisor import Supervisor
+
+    world.reset()
+    stack = stack_on(world, supervisor=Supervisor(dt_s=world.dt))
+    hand_over(stack, "moveit")
+    legal = move(HOME, HOME + 0.3, 0.9)
+    stack.propose("moveit", trajectory(stack, legal))
+    while stack.executing:
+        stack.step()
+    # Fast enough is not enough: this one is within the joints' velocities, and beyond their accelerations.
+    hard = move(stack.reference, stack.reference - 0.12, 0.2)
+    assert np.abs(hard.v).max() < V_MAX.min()
+    assert (np.abs(hard.a).max(axis=0) > A_MAX).any()
+    stack.propose("moveit", trajectory(stack, hard, 2))
+    with pytest.raises(ReflexError, match="reference_acceleration"):
+        _run_out(stack)
+
+    world.reset()
+    stack.reset()
+    stack.arbitrate()
+    for _ in range(100):  # the arbiter has died: nobody calls it any more
+        stack.advance()
+    with pytest.raises(ReflexError, match="stale_command"):
+        stack.advance()
 
 
 def test_a_rate_that_does_not_divide_the_control_rate_is_refused(plant: ArmsPlant) -> None:

@@ -15,12 +15,12 @@ import pytest
 from control_plant import ArmsPlant, HandsObject
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_control_controllers import move
 
 from minidual.config.arbiter import ArbiterConfig
 from minidual.config.scene import SceneConfig
 from minidual.control import controllers as controllers_module
 from minidual.control import underway
+from minidual.control.arbiter import CommandArbiter
 from minidual.control.commands import (
     HOLD,
     SOURCES,
@@ -35,6 +35,7 @@ from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.control.stack import ControlStack
 from minidual.robot.constants import GROUPS, HOME, V_MAX, Array
 from minidual.robot.kinematics import Kinematics
+from test_control_controllers import move
 
 Event = tuple[Any, ...]
 CONFIG = ArbiterConfig()
@@ -59,6 +60,7 @@ class Witness:
         self.taken: dict[int, str] = {}
         self._kept: list[Any] = []
         self.turn: str | None = None
+        self._alive_s = self._offered_s = 0.0
         self.seen: Counter[Any] = Counter()
         self._updates: Counter[int] = Counter()
         self._last: Array | None = None
@@ -105,6 +107,7 @@ class Witness:
 
     def _offer(self, source: str, command: Any) -> None:
         if self.stack.propose(source, command) is None:
+            self._offered_s = self.plant.time
             self.taken[id(command)] = source
             self._kept.append(command)  # so that no other command gets its id
 
@@ -139,8 +142,15 @@ class Witness:
         path = ObjectPath(Waypoint((x, y, z), 0.0, 0.0), [Waypoint((x, y, z + dz), 0.0, seconds)])
         self._offer(source, ObjectCommand(path, lambda t: 0.0, np.ones(2), self.plant.time, self.sequence))
 
-    def run(self, steps: int) -> None:
+    def silence(self, steps: int) -> None:
+        """Control steps in which no source gives a sign of life."""
+        self.run(steps, alive=False)
+
+    def run(self, steps: int, *, alive: bool = True) -> None:
         for _ in range(steps):
+            if alive and self.turn is not None:
+                self.stack.affirm(self.turn)
+                self._alive_s = self.plant.time
             n = len(self.plant.torques)
             self._updates.clear()
             self.stack.step()
@@ -159,6 +169,10 @@ class Witness:
         for execution in out.executions:
             source = self.taken.get(id(execution.command))
             assert execution.braking or source == self.turn, "a command of another turn runs"
+            # The last sign is heard at the next tick, and the silence noticed at one.
+            silent_s = self.plant.time - max(self._alive_s, self._offered_s)
+            assert execution.braking or silent_s <= CONFIG.stale_s + 0.045, "it runs on without its source"
+            self.seen["braked"] += execution.braking and stack.state == ArbiterState.STALE
             self.seen[type(execution.command)] += 1
         assert out.active_source in (None, self.turn), "driven by a source whose turn it is not"
         self.seen[stack.state] += 1
@@ -192,6 +206,7 @@ events = st.one_of(
     ),
     st.tuples(st.just("object"), source, st.sampled_from([0.05, -0.03]), st.just(0.4)),
     st.tuples(st.just("run"), st.sampled_from([1, 7, 20, 90])),
+    st.tuples(st.just("silence"), st.sampled_from([7, 90, 160])),
 )  # fmt: skip
 
 
@@ -203,6 +218,7 @@ scripts = st.sampled_from([
     [*turn("moveit"), ("trajectory", "moveit", "both_arms", 0.0, 0.2, 0.3, 0.0), ("run", 90)],
     [*turn("moveit", B), ("trajectory", "moveit", "left_arm", 0.0, 0.2, 0.3, 0.0), ("run", 20),
      ("trajectory", "moveit", "right_arm", 0.0, -0.2, 0.3, 0.0), ("run", 90)],
+    [*turn("moveit"), ("trajectory", "moveit", "both_arms", 0.0, 0.2, 0.6, 0.0), ("silence", 160), ("run", 30)],
     [*turn("moveit", C), ("object", "moveit", 0.05, 0.4), ("run", 90)],
     [*turn("teleop"), ("stream", "teleop", "both_arms", 0.05, 0.0, "", 4)],
     [*turn("teleop"), ("stream", "teleop", "left_arm", 0.0, 0.0, "", 2), ("run", 1150)],
@@ -234,9 +250,9 @@ def test_random_histories_reach_all_that_there_is() -> None:
     collect()
     wanted = {
         *ArbiterState, A, B, C, TrajectoryCommand, ObjectCommand,
-        "unclaimed", "doubly_claimed", "wrong_controller", "far_start", "busy", "not_finite", "all_zero",
+        "braked", "unclaimed", "doubly_claimed", "wrong_controller", "far_start", "busy", "not_finite", "all_zero",
     }  # fmt: skip
-    assert wanted <= set(seen), f"never reached: {wanted - set(seen)}"
+    assert wanted <= {key for key, n in seen.items() if n}, f"never reached: {wanted - set(seen)}"
 
 
 @settings(max_examples=15, deadline=None)
@@ -288,6 +304,16 @@ def test_the_witness_sees_an_old_trajectory_after_a_switch(monkeypatch: pytest.M
         Witness().play([
             ("run", 1), ("trajectory", "moveit", "both_arms", 0.0, 0.2, 0.6, 0.0), ("request", "moveit", None), ("run", 60),
         ])  # fmt: skip
+
+
+def test_the_witness_sees_a_trajectory_without_its_source(monkeypatch: pytest.MonkeyPatch) -> None:
+    history: list[Event] = [
+        ("run", 1), *turn("moveit"), ("trajectory", "moveit", "both_arms", 0.0, 0.2, 0.6, 0.0), ("silence", 300),
+    ]  # fmt: skip
+    Witness().play(history)
+    monkeypatch.setattr(CommandArbiter, "_is_gone", lambda self, now_s: False)
+    with pytest.raises(AssertionError, match="without its source"):
+        Witness().play(history)
 
 
 def test_the_witness_sees_silence(monkeypatch: pytest.MonkeyPatch) -> None:

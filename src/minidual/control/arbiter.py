@@ -13,8 +13,9 @@ posture. Every tick yields a target: where no source drives, a posture is held.
                                         silent for stop_after_s
 
 Streamed targets go through bounded step by step. A timed command (trajectory, object path) is taken once, if it
-starts where the arms are, and then runs at the control rate; the source waits, active, until it ends. A switch
-brakes it along its path and moving arms at a bounded deceleration: nothing is stopped by a jump.
+starts where the arms are, and then runs at the control rate; the source waits, active, until it ends, and affirms
+meanwhile that it is there. A switch, or a source that is not there any more, brakes it along its path; moving arms are
+stopped at a bounded deceleration: nothing is stopped by a jump.
 
 Time is what `tick` is told; nothing here reads a clock, so a run under simulated time repeats exactly.
 """
@@ -101,6 +102,8 @@ class CommandArbiter:
         self._gripper = np.ones(2) if gripper is None else np.array(gripper, dtype=float)
         self._last_tick_s: float | None = None
         self._heard_s = 0.0
+        self._affirmed: set[str] = set()
+        self._alive_s = 0.0
 
     @property
     def state(self) -> ArbiterState:
@@ -142,6 +145,19 @@ class CommandArbiter:
             self._refusals.append(refusal)
         return refusal
 
+    def affirm(self, source: str) -> None:
+        """Say that a source is still there. A timed command runs on only while its source says so.
+
+        It counts from the next tick on; whoever is silent for longer than `stale_s` has its timed commands braked
+        along their paths, and must propose again. Commands that are taken count too.
+
+        Raises:
+            UsageError: There is no such source.
+        """
+        if source not in self._mailboxes:
+            raise unknown_name("command source", source, SOURCES)
+        self._affirmed.add(source)
+
     def request(self, mode: str) -> None:
         """Ask for a source to drive, or for "hold". It takes effect at the next tick; the last request counts.
 
@@ -166,7 +182,10 @@ class CommandArbiter:
         dt = self._elapsed(now_s)
         posture = self._posture(q_measured)
         speed = float(np.max(np.abs(v_measured)))  # NaN compares as not still
-        ended = False
+        if self._source in self._affirmed:
+            self._alive_s = now_s
+        self._affirmed.clear()
+        ended, cut = False, self._underway.braking
         if self._underway.executions:
             self._target, ended = self._underway.follow(self._held())
         self._begin_requested(now_s, posture, v_measured)
@@ -175,7 +194,7 @@ class CommandArbiter:
             switched_to = self._settle(self._switch, now_s, speed, posture)
         driven: dict[int, Command] = {}
         if self._source is not None:
-            if ended:
+            if ended and not (cut and self._is_gone(now_s)):
                 self._state, self._heard_s = ArbiterState.WAITING, now_s
             self._begin_timed(self._source, now_s, posture)
             driven = self._drive(self._source, now_s, dt)
@@ -275,6 +294,7 @@ class CommandArbiter:
             if fault is not None:
                 self._refuse(source, *fault)
                 continue
+            self._alive_s = max(self._alive_s, min(now_s, command.stamp_s))
             for arm in command.arms:
                 self._gripper[arm] = command.gripper[arm]
 
@@ -298,15 +318,17 @@ class CommandArbiter:
         """Move the target to what the source asks for; return the commands that went through, by arm."""
         fresh = self._fresh(source, now_s)
         was_aligning = self._state == ArbiterState.ALIGNING
-        driven: dict[int, Command] = {arm: e.command for e in self._underway.executions for arm in e.arms}
-        if driven:
-            self._heard_s = now_s
-            self._state = ArbiterState.ACTIVE
+        if fresh:
+            newest_s = max(c.stamp_s for c in fresh.values())
+            self._heard_s, self._alive_s = (
+                max(self._heard_s, newest_s),
+                max(self._alive_s, min(now_s, newest_s)),
+            )
+        driven = self._run_timed(now_s)
         if not fresh:
             if not driven:
                 self._go_quiet(now_s)
             return driven
-        self._heard_s = max(self._heard_s, max(c.stamp_s for c in fresh.values()))
         wanted = self._held().copy()
         for arm, command in fresh.items():
             joints = slice(arm * DOF_PER_ARM, (arm + 1) * DOF_PER_ARM)
@@ -327,6 +349,24 @@ class CommandArbiter:
         self._target = wanted
         self._state = ArbiterState.ALIGNING if aligning else ArbiterState.ACTIVE
         return {**driven, **fresh}
+
+    def _run_timed(self, now_s: float) -> dict[int, Command]:
+        """Let the timed commands run on while their source is there, or brake them; return who drives which arm."""
+        executions = self._underway.executions
+        if not executions:
+            return {}
+        if self._is_gone(now_s):
+            self._underway.brake()
+        if self._underway.braking:
+            self._state = ArbiterState.STALE
+            return {}
+        self._heard_s = now_s
+        self._state = ArbiterState.ACTIVE
+        return {arm: e.command for e in executions for arm in e.arms}
+
+    def _is_gone(self, now_s: float) -> bool:
+        """Return whether the source has been silent for longer than a command lives."""
+        return now_s - self._alive_s > self.config.stale_s + 1e-9
 
     def _go_quiet(self, now_s: float) -> None:
         """Hold while the source is silent, and take its turn away when it stays so."""

@@ -147,6 +147,21 @@ class ControllerManager:
                 self._reference[joints] = controller.reference[joints]
         return self._reference.copy()
 
+    @property
+    def acceleration(self) -> Array | None:
+        """Acceleration (14,) [rad/s^2] of the commanded reference in the last step, or None where there is none."""
+        if self._whole is not None:
+            return self._whole.acceleration
+        whole = np.empty(DOF)
+        for controller in self._active:
+            part = controller.acceleration
+            if part is None:
+                return None
+            for arm in controller.arms:
+                joints = slice(arm * DOF_PER_ARM, (arm + 1) * DOF_PER_ARM)
+                whole[joints] = part[joints]
+        return whole
+
     def _faded(self, tau: Array) -> Array:
         if not self._fading:
             self._offset = self.tau - tau

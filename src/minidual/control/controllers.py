@@ -73,6 +73,11 @@ class Controller(Protocol):
         """Joint reference (14,) [rad] of the last step; where there is none, the measured joints."""
         ...
 
+    @property
+    def acceleration(self) -> Array | None:
+        """Acceleration (14,) [rad/s^2] of the commanded reference in the last step, or None where there is none."""
+        ...
+
 
 class JointTrajectoryController:
     """Follows streamed targets through the reference filter, and timed trajectories as they are.
@@ -104,6 +109,8 @@ class JointTrajectoryController:
         self._executions: dict[TrajectoryExecution, tuple[Array, int]] = {}
         self._q, self._v, self._a = np.zeros(DOF), np.zeros(DOF), np.zeros(DOF)
         self._last_q, self._last_v = self._q, self._v
+        self._last_a: Array | None = None
+        self._a_asked = np.zeros(DOF)
 
     def find_fault(self, command: Command) -> Fault | None:
         """Take joint targets and joint trajectories."""
@@ -121,6 +128,7 @@ class JointTrajectoryController:
         self._target = np.array(q, dtype=float)
         self._executions.clear()
         self._last_q, self._last_v = np.array(q, dtype=float), np.array(v, dtype=float)
+        self._last_a = None
 
     def follow(self, output: ArbiterOutput) -> None:
         """Take the target, and what trajectories of its arms have begun."""
@@ -134,9 +142,12 @@ class JointTrajectoryController:
     def update(self, q: Array, v: Array) -> Array:
         """Run one control step."""
         if self._executions:
+            braking = any(execution.braking for execution in self._executions)
             q_ref, v_ref, a_ref = self._trajectory_reference()
+            self._last_a = None if braking else self._a_asked
         else:
             q_ref, v_ref, a_ref = self._filter.step(self._target)
+            self._last_a = a_ref
         self._last_q, self._last_v = q_ref, v_ref
         return self._servo.torque(q, v, q_ref, v_ref, a_ref)
 
@@ -145,15 +156,22 @@ class JointTrajectoryController:
         """Joint reference (14,) [rad] of the last step."""
         return self._last_q
 
+    @property
+    def acceleration(self) -> Array | None:
+        """Acceleration (14,) [rad/s^2] as its source commanded it, without what fades at a start; None while braked."""
+        return self._last_a
+
     def _trajectory_reference(self) -> tuple[Array, Array, Array]:
         """Return the reference with the driven joints on their trajectories, the others on the filter."""
         driven = {arm for execution in self._executions for arm in execution.arms}
         if not driven.issuperset(self.arms):
             self._q[:], self._v[:], self._a[:] = self._filter.step(self._target)
+        self._a_asked[:] = self._a
         ended = False
         for execution, (offset, k) in list(self._executions.items()):
             joints = execution.joints
             self._q[joints], self._v[joints], self._a[joints] = execution.q, execution.v, execution.a
+            self._a_asked[joints] = execution.a
             if k >= 0:
                 s, ds, dds = minimum_jerk(k * self._dt / _BLEND_S)
                 self._q[joints] += offset * (1.0 - s)
@@ -263,6 +281,11 @@ class ObjectImpedanceController:
     def reference(self) -> Array:
         """Measured joints (14,) [rad]: an impedance has no joint reference."""
         return self._reference
+
+    @property
+    def acceleration(self) -> Array | None:
+        """None: an impedance has no joint reference."""
+        return None
 
     def _ready_law(self) -> ObjectImpedance:
         if self._law is None:

@@ -6,6 +6,7 @@
         stack.step()
     stack.propose("moveit", TrajectoryCommand(trajectory, np.ones(2), world.time, 1))
     while stack.executing:
+        stack.affirm("moveit")
         stack.step()
 
 One `step` is one tick of 1 kHz: the state is read once, the arbiter runs when it is due (at its own rate, and at once
@@ -51,8 +52,16 @@ DEFAULT_CONTROLLERS: tuple[str, ...] = ("both_arms",)
 class Guard(Protocol):
     """A supervisor: the last look at the torques before the motors."""
 
-    def guard(self, time_s: float, q: Array, v: Array, tau: Array) -> Array:
+    def guard(self, time_s: float, q: Array, v: Array, tau: Array, a_ref: Array | None = None) -> Array:
         """Return the torques (14,) [Nm] to apply; raise a named error, once, to stop the arms."""
+        ...
+
+    def heard(self, time_s: float) -> None:
+        """Note that the arbiter is alive."""
+        ...
+
+    def reset(self) -> None:
+        """Forget everything."""
         ...
 
 
@@ -159,6 +168,14 @@ class ControlStack:
             self._due = self._pending = True
         return refusal
 
+    def affirm(self, source: str) -> None:
+        """Say that a source is still there; call it at the arbiter's rate while a timed command of its runs.
+
+        Raises:
+            UsageError: There is no such source.
+        """
+        self.arbiter.affirm(source)
+
     def request(self, mode: str, controllers: Sequence[str] | None = None) -> None:
         """Ask for a source to drive, or for "hold".
 
@@ -263,6 +280,10 @@ class ControlStack:
         world = self.world
         output = self.arbiter.tick(world.time, world.q, world.v)
         self.output = output
+        if (
+            self.supervisor is not None
+        ):  # should the arbiter fall silent itself, the supervisor stops the arms
+            self.supervisor.heard(world.time)
         if output.refusals:
             self.refusals.extend(output.refusals)
         self._due = self._pending = False
@@ -281,7 +302,7 @@ class ControlStack:
         stopped: MinidualError | None = None
         if self.supervisor is not None:
             try:
-                tau = self.supervisor.guard(world.time, q, v, tau)
+                tau = self.supervisor.guard(world.time, q, v, tau, self.manager.acceleration)
             except MinidualError as error:
                 stopped = error
                 tau = self._stop(error)
@@ -301,9 +322,8 @@ class ControlStack:
         return tau
 
     def _reset_supervisor(self) -> None:
-        reset = getattr(self.supervisor, "reset", None)
-        if reset is not None:
-            reset()
+        if self.supervisor is not None:
+            self.supervisor.reset()
 
     def _flushed(self, mode: str) -> None:
         for listener in self._flush_listeners:

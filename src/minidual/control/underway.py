@@ -55,6 +55,11 @@ class Underway:
                 return "busy", f"a {kind} is under way on {' and '.join(shared)}; wait for its end, or hold"
         return None
 
+    @property
+    def braking(self) -> bool:
+        """Whether something is coming to rest before its end."""
+        return any(execution.braking for execution in self.executions)
+
     def follow(self, target: Array) -> tuple[Array, bool]:
         """Return the target (14,) with each driven joint where its trajectory is, and whether anything ended."""
         target = target.copy()

@@ -11,21 +11,29 @@ from minidual.tasks.rod_carry import RodTrial
 def impedance(inputs: MethodInputs) -> Factory:
     """Object impedance."""
     from minidual.tasks.impedance_carry import ImpedanceCarry
+    from minidual.tasks.supervised import trial_supervisor
 
-    config = inputs.config.carry
-    return lambda world, kinematics, trial: ImpedanceCarry(world, kinematics, config, trial, seed=inputs.seed)
+    config = inputs.config
+    supervisor = trial_supervisor(config.supervisor, config.scene.physics.timestep_s)
+    return lambda world, kinematics, trial: ImpedanceCarry(
+        world, kinematics, config.carry, trial, seed=inputs.seed, supervisor=supervisor
+    )
 
 
 def planned(inputs: MethodInputs) -> Factory:
     """Plan with OMPL and toppra, execute with joint trajectory control."""
     from minidual.tasks.planned_carry import PlannedCarry, make_planners
+    from minidual.tasks.supervised import trial_supervisor
 
-    planner, carrier = make_planners(inputs.config.plan.planner)
+    config = inputs.config
+    supervisor = trial_supervisor(config.supervisor, config.scene.physics.timestep_s)
+    planner, carrier = make_planners(config.plan.planner)
 
     def make(world: World, kinematics: Kinematics, trial: RodTrial) -> PlannedCarry:
         return PlannedCarry(
-            world, kinematics, planner, carrier, trial, inputs.seed + trial.index, inputs.config.arbiter
-        )
+            world, kinematics, planner, carrier, trial, inputs.seed + trial.index, config.arbiter,
+            supervisor=supervisor,
+        )  # fmt: skip
 
     return make
 
@@ -35,11 +43,13 @@ def policy(inputs: MethodInputs) -> Factory:
     from minidual.errors import UsageError
     from minidual.learning.pilot import PolicyPilot, load_runtime
     from minidual.sim.render import Camera
+    from minidual.tasks.supervised import trial_supervisor
 
     if inputs.checkpoint is None:
         raise UsageError("method 'act' needs a checkpoint", remedy="minidual train-act")
     config = inputs.config
     runtime = load_runtime(inputs.checkpoint, config.deploy)
+    supervisor = trial_supervisor(config.supervisor, config.scene.physics.timestep_s)
     cameras: dict[int, Camera] = {}  # one a model, not one a trial: an OpenGL context is slow to make
 
     def make(world: World, kinematics: Kinematics, trial: RodTrial) -> PolicyPilot:
@@ -48,7 +58,7 @@ def policy(inputs: MethodInputs) -> Factory:
             camera = cameras[id(world.model)] = Camera.recorded(world.model, config.scene.camera)
         return PolicyPilot(
             world, kinematics, runtime, lambda name: camera.picture(world.data, name),
-            config.arbiter, config.teleop.rate_hz,
+            config.arbiter, config.teleop.rate_hz, supervisor=supervisor,
         )  # fmt: skip
 
     return make

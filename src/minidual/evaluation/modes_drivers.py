@@ -93,7 +93,8 @@ class MoveitDriver:
         self._next()
 
     def tick(self) -> None:
-        """Propose the next trajectory when one has ended."""
+        """Say that the planner is there, and propose the next trajectory when one has ended."""
+        self.stack.affirm("moveit")
         if self._groups and not self.stack.executing:
             self._next()
 

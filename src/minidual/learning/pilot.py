@@ -11,7 +11,8 @@ import numpy as np
 from minidual.config.arbiter import ArbiterConfig
 from minidual.config.learning import DeployConfig
 from minidual.control.commands import ArbiterState, JointCommand
-from minidual.control.stack import ControlStack
+from minidual.control.reflexes import ReflexError
+from minidual.control.stack import ControlStack, Guard
 from minidual.errors import DataError
 from minidual.learning.policy import Image, PolicyRuntime
 from minidual.robot.constants import Q_LOWER, Q_UPPER
@@ -47,6 +48,7 @@ class PolicyPilot:
         picture: Returns the (H, W, 3) image of a named camera as the world stands.
         arbiter: Configuration of the arbiter.
         rate_hz: Rate of policy and arbiter, the one at which the demonstrations were recorded.
+        supervisor: Guards the motors; its reflex ends the trial.
     """
 
     def __init__(
@@ -57,11 +59,13 @@ class PolicyPilot:
         picture: Callable[[str], Image],
         arbiter: ArbiterConfig,
         rate_hz: float,
+        *,
+        supervisor: Guard | None = None,
     ) -> None:
         self.world = world
         self.aborted: str | None = None
         self._runtime, self._picture = runtime, picture
-        self.stack = ControlStack(world, kinematics, arbiter, rate_hz=rate_hz)
+        self.stack = ControlStack(world, kinematics, arbiter, rate_hz=rate_hz, supervisor=supervisor)
         # A switch must drop the chunk that is under way, or it would run on after the switch.
         self.stack.on_flush(lambda mode: runtime.flush())
         runtime.reset()
@@ -87,7 +91,10 @@ class PolicyPilot:
         if self._step % self._steps_per_tick == 0:
             self._tick()
         self._step += 1
-        self.stack.advance()
+        try:
+            self.stack.advance()
+        except ReflexError as error:
+            self.aborted = error.message
 
     def _tick(self) -> None:
         world = self.world

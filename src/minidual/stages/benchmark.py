@@ -72,6 +72,7 @@ class BenchmarkStage:
             "deploy": config.deploy,
             "scene": config.scene,
             "arbiter": config.arbiter,
+            "supervisor": config.supervisor,
         }
 
     def validate(self, config: Config) -> None:

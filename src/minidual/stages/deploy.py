@@ -61,6 +61,7 @@ class DeployStage:
             "deploy": config.deploy,
             "scene": config.scene,
             "arbiter": config.arbiter,
+            "supervisor": config.supervisor,
             "rate_hz": config.teleop.rate_hz,
         }
 

@@ -98,7 +98,12 @@ class TeleopRecordStage:
 
     def parameters(self, config: Config) -> dict[str, Any]:
         """Return what the result depends on."""
-        return {"teleop": config.teleop, "scene": config.scene, "arbiter": config.arbiter}
+        return {
+            "teleop": config.teleop,
+            "scene": config.scene,
+            "arbiter": config.arbiter,
+            "supervisor": config.supervisor,
+        }
 
     def validate(self, config: Config) -> None:
         """Refuse a leader that does not exist."""
@@ -114,7 +119,9 @@ class TeleopRecordStage:
         from minidual.stages.teleop_rig import Job, film
 
         config = context.config
-        job = Job(context.folder, config.scene, config.teleop, config.arbiter, context.seed)
+        job = Job(
+            context.folder, config.scene, config.teleop, config.arbiter, context.seed, config.supervisor
+        )  # fmt: skip
         if config.teleop.leader == "keyboard":
             from minidual.teleop.keyboard import HELP
 

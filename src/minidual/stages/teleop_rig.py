@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from minidual.config.arbiter import ArbiterConfig
 from minidual.config.scene import SceneConfig
+from minidual.config.supervisor import SupervisorConfig
 from minidual.config.teleop import TeleopConfig
 from minidual.data import durable
 from minidual.data.episode import EpisodeWriter, read_episode
@@ -23,6 +24,7 @@ from minidual.sim.render import Camera, Image, write_video
 from minidual.sim.world import SimulationDivergedError, World
 from minidual.tasks.operator import ScriptedOperator
 from minidual.tasks.rod_carry import RodTrial, sample_trial
+from minidual.tasks.supervised import trial_supervisor
 from minidual.teleop.leader import LeaderSetup, make_leader
 from minidual.teleop.observation import Observer
 from minidual.teleop.session import SessionResult, TeleopSession, Tick
@@ -43,6 +45,7 @@ class Job:
     teleop: TeleopConfig
     arbiter: ArbiterConfig
     seed: int
+    supervisor: SupervisorConfig = field(default_factory=SupervisorConfig)
 
     def trial(self, index: int) -> RodTrial:
         """Return trial `index` of the demonstrations."""
@@ -92,7 +95,10 @@ class Rig:
         self.kinematics = kinematics = Kinematics()
         self.world = World(job.scene, visuals=True)
         self.observer = Observer(self.world, cameras)
-        self.session = TeleopSession(self.world, kinematics, self.observer, job.teleop, job.arbiter)
+        self.session = TeleopSession(
+            self.world, kinematics, self.observer, job.teleop, job.arbiter,
+            supervisor=trial_supervisor(job.supervisor, self.world.dt),
+        )  # fmt: skip
         operator = ScriptedOperator(job.scene, job.teleop.operator)
         self._setup = LeaderSetup(job.scene, job.teleop, job.seed, operator)
 

@@ -36,6 +36,7 @@ FAULTS: dict[str, FaultKind] = {
     ),
     "tilted": FaultKind("the estimated tilt of the object", False),
     "lost_arm": FaultKind("the motors of an arm do not give the torque they were told", True),
+    "reflex": FaultKind("a bound of the supervisor does not hold; its own soft stop acts at once", False),
     "unreachable": FaultKind("no posture for the goal, found before the object is lifted", True),
 }
 

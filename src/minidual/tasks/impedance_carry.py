@@ -17,7 +17,9 @@ from minidual.control.joint_control import ComputedTorque
 from minidual.control.object_estimate import HeldEstimate, RestingEstimate
 from minidual.control.object_impedance import HeldObject, ImpedanceGains, ObjectImpedance, ObjectState
 from minidual.control.object_path import ObjectPath, Waypoint
+from minidual.control.reflexes import Reflex, ReflexError
 from minidual.control.soft_stop import SoftStop, TorqueRate
+from minidual.control.stack import Guard
 from minidual.robot.constants import ARMS, DOF_PER_ARM, FINGER_TRAVEL_M, Array
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse
@@ -73,13 +75,14 @@ class ImpedanceCarry:
         trial: Start and goal. The start is not read: the object is found by its sensor.
         sensors: What senses the object; by default, the configured sensors on the trial's own stream of `seed`.
         seed: The run's seed.
+        supervisor: Guards the motors; its reflex is a fault.
     """
 
     name = "impedance"
 
     def __init__(
         self, world: World, kinematics: Kinematics, config: CarryConfig, trial: RodTrial, *,
-        sensors: Sensors | None = None, seed: int = 0,
+        sensors: Sensors | None = None, seed: int = 0, supervisor: Guard | None = None,
     ) -> None:  # fmt: skip
         self.world, self._config, self._trial = world, config, trial
         self._kinematics, self._scene = kinematics, world.scene
@@ -102,6 +105,10 @@ class ImpedanceCarry:
         self._q_over, _ = approach_postures(world.scene, level_part(self._resting.T_world_object))
         self._motion: Quintic | SoftStop = self._travel(world.q, self._q_over)
         self._rate = TorqueRate(kinematics.gravity(world.q), world.dt)
+        self._supervisor = supervisor
+        if supervisor is not None:
+            supervisor.reset()
+        self._reflex: Reflex | None = None
         self._told: Array | None = None
         self._dead: Array | None = None
         self._stop_opens = False
@@ -146,6 +153,8 @@ class ImpedanceCarry:
         """Run one control and physics step."""
         world = self.world
         self._sense()
+        if self._reflex is not None:
+            self._heed(("reflex", self._reflex.text))
         if self.fault is None and self._told is not None:
             self._heed(self._monitor.motors(self._told, world.tau))
         getattr(self, f"_{self._phase.name}")(world.time - self._phase.began_s)
@@ -166,11 +175,23 @@ class ImpedanceCarry:
             self._heed(self._monitor.resting(self._resting.innovation))
 
     def _command(self, tau: Array, opening: Array) -> None:
-        """Send torques, their change bounded, and finger targets."""
+        """Send torques, their change bounded and guarded by the supervisor, and finger targets."""
         if self._dead is not None:
             tau = np.where(self._dead, 0.0, tau)
-        self._told = self._rate.limit(tau)  # between torques within the motors' limits, so within them too
+        tau = self._rate.limit(tau)  # between torques within the motors' limits, so within them too
+        self._told = self._guarded(tau)
         self.world.command(self._told, self._grippers.step(opening))
+
+    def _guarded(self, tau: Array) -> Array:
+        """Return what the supervisor lets through; what it stops the arms for is heeded from the next step on."""
+        if self._supervisor is None:
+            return tau
+        world = self.world
+        try:
+            allowed = self._supervisor.guard(world.time, world.q, world.v, tau)
+        except ReflexError as error:
+            self._reflex, allowed = error.reflex, error.tau
+        return allowed if self._dead is None else np.where(self._dead, tau, allowed)
 
     def _enter(self, name: str) -> None:
         self._phase = _Phase(name, self.world.time)

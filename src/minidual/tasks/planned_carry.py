@@ -15,7 +15,9 @@ import numpy as np
 from minidual.config.arbiter import ArbiterConfig
 from minidual.config.planning import PlannerConfig
 from minidual.control.commands import ArbiterState, TrajectoryCommand
+from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
+from minidual.control.supervisor import Supervisor
 from minidual.planning.api import Planner
 from minidual.planning.closed_chain import CarriedPlanner, ObjectLimits
 from minidual.planning.errors import PlanningError
@@ -24,12 +26,15 @@ from minidual.robot.constants import ARMS, Array
 from minidual.robot.kinematics import Kinematics
 from minidual.sim.world import World
 from minidual.tasks.rod_carry import RodTrial, grasp_offsets, level_part, level_pose
+from minidual.tasks.supervised import arm_distance
 
 SOURCE = "moveit"
 
 _HOVER_M = 0.08
 _RETREAT_M = 0.10
 _CLOSE_S, _OPEN_S, _SETTLE_S = 0.75, 0.55, 0.2
+_GAP_MARGIN_M, _GAP_STEP_S = 0.005, 0.005
+_ATTEMPTS, _NEXT_SEED = 5, 1_000_003
 _CARRY_LIMITS = ObjectLimits(speed_m_per_s=0.35, acceleration_m_per_s2=1.0)
 _STRAIGHT_LIMITS = ObjectLimits(speed_m_per_s=0.15, acceleration_m_per_s2=0.6)
 
@@ -45,6 +50,8 @@ class PlannedCarry:
         trial: Goal.
         seed: Of the planner.
         arbiter: Bounds of the arbiter.
+        supervisor: Guards the motors; its reflex ends the trial. The plan keeps the distance between the arms that it
+            watches, with a margin.
     """
 
     def __init__(
@@ -56,18 +63,48 @@ class PlannedCarry:
         trial: RodTrial,
         seed: int,
         arbiter: ArbiterConfig | None = None,
+        *,
+        supervisor: Supervisor | None = None,
     ) -> None:
         self.world = world
         self.aborted: str | None = None
-        self.stack = ControlStack(world, kinematics, arbiter)
+        self.stack = ControlStack(world, kinematics, arbiter, supervisor=supervisor)
         self._segments: list[tuple[str, Trajectory, float]] = []
         self._proposed = 0
         try:
-            self._segments = self._plan(planner, carrier, trial, seed)
+            self._segments = self._plan_apart(planner, carrier, trial, seed, supervisor)
         except PlanningError as error:
             self.aborted = error.message
         else:
             self.stack.request(SOURCE)
+
+    def _plan_apart(
+        self,
+        planner: Planner,
+        carrier: CarriedPlanner,
+        trial: RodTrial,
+        seed: int,
+        supervisor: Supervisor | None,
+    ) -> list[tuple[str, Trajectory, float]]:
+        """Return a cycle on which the arms keep the supervisor's distance.
+
+        A plan is proven free of collisions, and may bring the elbows closer to each other than the supervisor lets
+        them come: then another posture over the rod is looked for.
+        """
+        if supervisor is None:
+            return self._plan(planner, carrier, trial, seed)
+        bound = supervisor.config.self_collision_min_m + _GAP_MARGIN_M
+        nearest: list[tuple[float, str]] = []
+        for attempt in range(_ATTEMPTS):
+            segments = self._plan(planner, carrier, trial, seed + attempt * _NEXT_SEED)
+            nearest.append(_nearest(segments))
+            if nearest[-1][0] >= bound:
+                return segments
+        gap, pair = max(nearest)
+        raise PlanningError(
+            f"no plan in {_ATTEMPTS} keeps {1e3 * bound:.0f} mm between the arms: {pair} at {1e3 * gap:.1f} mm at best",
+            remedy="lower supervisor.self_collision_min_m, or place the rod elsewhere",
+        )
 
     def _plan(
         self, planner: Planner, carrier: CarriedPlanner, trial: RodTrial, seed: int
@@ -112,7 +149,13 @@ class PlannedCarry:
         stack = self.stack
         if self._segments and not stack.executing and stack.source == SOURCE:
             self._propose_next()
-        stack.step()
+        if self._segments:
+            stack.affirm(SOURCE)
+        try:
+            stack.step()
+        except ReflexError as error:
+            self.aborted = f"phase '{self.phase}': {error.message}"
+            self._segments = []
         if self._segments and stack.state == ArbiterState.STOPPED:
             self._abort("the arms were not handed over")
 
@@ -134,6 +177,17 @@ class PlannedCarry:
     def _abort(self, reason: str) -> None:
         self.aborted = f"the arbiter stopped phase '{self.phase}' ({reason})"
         self._segments = []
+
+
+def _nearest(segments: Sequence[tuple[str, Trajectory, float]]) -> tuple[float, str]:
+    """Return the least distance between the arms [m] on a cycle, and between what."""
+    distance = arm_distance()
+    found = []
+    for _, motion, _ in segments:
+        for q in motion.sample_many(np.arange(0.0, motion.duration_s + _GAP_STEP_S, _GAP_STEP_S))[0]:
+            pair, gap = distance(q)
+            found.append((gap, pair))
+    return min(found)
 
 
 def _stay(after: Trajectory, duration_s: float) -> Trajectory:

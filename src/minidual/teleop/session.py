@@ -15,7 +15,8 @@ import numpy as np
 from minidual.config.arbiter import ArbiterConfig
 from minidual.config.teleop import TeleopConfig
 from minidual.control.commands import ArbiterOutput, ArbiterState, JointCommand, Refusal
-from minidual.control.stack import ControlStack
+from minidual.control.reflexes import ReflexError
+from minidual.control.stack import ControlStack, Guard
 from minidual.errors import MinidualError, UsageError
 from minidual.robot.constants import Array
 from minidual.robot.kinematics import Kinematics
@@ -59,7 +60,8 @@ class SessionResult:
         latencies_s: Wall-clock time of each tick from reading the leader to the first torque and its physics
             step [s]; a property of the machine, never stored in an episode.
         refusals: What the arbiter refused.
-        ended_by: `leader`, `time_limit` or `stopped` (the leader fell silent).
+        ended_by: `leader`, `time_limit`, `stopped` (the leader fell silent) or `reflex`.
+        reflex: What the supervisor stopped the arms for, or an empty string.
     """
 
     q: Array
@@ -67,10 +69,13 @@ class SessionResult:
     latencies_s: Array
     refusals: list[Refusal] = field(default_factory=list)
     ended_by: str = "leader"
+    reflex: str = ""
 
     @property
     def reason(self) -> str:
         """Why the episode is no demonstration, or an empty string."""
+        if self.reflex:
+            return self.reflex
         if self.ended_by == "stopped":
             return "the leader fell silent"
         if self.refusals:
@@ -89,6 +94,7 @@ class TeleopSession:
         config: Rate and mirror.
         arbiter: Bounds of the arbiter.
         mirror: Offsets; none by default.
+        supervisor: Guards the motors; its reflex ends the episode.
     """
 
     def __init__(
@@ -100,6 +106,7 @@ class TeleopSession:
         arbiter: ArbiterConfig,
         *,
         mirror: Mirror | None = None,
+        supervisor: Guard | None = None,
     ) -> None:
         self.world, self.observer, self.config = world, observer, config
         self.mirror = Mirror(config.mirror) if mirror is None else mirror
@@ -110,7 +117,7 @@ class TeleopSession:
                 f"teleop.rate_hz {config.rate_hz} does not divide the control rate of {1.0 / world.dt:g} Hz",
                 remedy="take a divisor of it, such as 50 or 100",
             )
-        self.stack = ControlStack(world, kinematics, arbiter, rate_hz=config.rate_hz)
+        self.stack = ControlStack(world, kinematics, arbiter, rate_hz=config.rate_hz, supervisor=supervisor)
 
     def run(
         self, trial: RodTrial, leader: Leader, *, on_tick: Callable[[int, Tick], None] | None = None
@@ -145,7 +152,9 @@ class TeleopSession:
                 return
             if out.state == ArbiterState.STOPPED:
                 raise HandoverError(f"the arbiter did not hand over: {out.refusals[-1].detail}")
-            self._move(judge)
+            reflex = self._move(judge)
+            if reflex:
+                raise HandoverError(f"the arbiter did not hand over: {reflex}")
 
     def _follow(
         self,
@@ -158,7 +167,7 @@ class TeleopSession:
         measured: list[Array] = []
         latencies: list[float] = []
         refusals: list[Refusal] = []
-        ended_by, began = "time_limit", time.monotonic()
+        ended_by, reflex, began = "time_limit", "", time.monotonic()
         for k in range(limit):
             elapsed = k * period
             if leader.finished(elapsed):
@@ -170,9 +179,8 @@ class TeleopSession:
             before = time.perf_counter()
             out = self._ask(leader, k, elapsed, observation)
             tick = Tick(observation, out.q_target, out.gripper)
-            self.stack.advance()
+            reflex = self._advance(judge)
             latencies.append(time.perf_counter() - before)
-            judge.observe(world)
             refusals.extend(out.refusals)
             measured.append(observation.q)
             if on_tick is not None:
@@ -180,9 +188,12 @@ class TeleopSession:
             if out.state == ArbiterState.STOPPED:
                 ended_by = "stopped"
                 break
-            self._move(judge, self._steps - 1)
+            reflex = reflex or self._move(judge, self._steps - 1)
+            if reflex:
+                ended_by = "reflex"
+                break
         return SessionResult(
-            np.array(measured), judge.outcome(world), np.array(latencies), refusals, ended_by
+            np.array(measured), judge.outcome(world), np.array(latencies), refusals, ended_by, reflex
         )
 
     def _ask(self, leader: Leader, k: int, elapsed_s: float, now: Observation) -> ArbiterOutput:
@@ -193,10 +204,23 @@ class TeleopSession:
             self.stack.propose(SOURCE, command)
         return self.stack.arbitrate()
 
-    def _move(self, judge: RodCarryJudge, steps: int | None = None) -> None:
+    def _move(self, judge: RodCarryJudge, steps: int | None = None) -> str:
+        """Run a tick's control steps; return the reflex that ended them, or an empty string."""
         for _ in range(self._steps if steps is None else steps):
+            reflex = self._advance(judge)
+            if reflex:
+                return reflex
+        return ""
+
+    def _advance(self, judge: RodCarryJudge) -> str:
+        """Run one control step; return the reflex that it raised, or an empty string."""
+        reflex = ""
+        try:
             self.stack.advance()
-            judge.observe(self.world)
+        except ReflexError as error:
+            reflex = error.message
+        judge.observe(self.world)
+        return reflex
 
     def _time_limit_s(self, leader: Leader) -> float:
         """People need longer than the task's limit allows a method; the judge still says so."""

@@ -1,0 +1,171 @@
+"""Every trial has the supervisor between its controllers and the motors: a reflex ends the trial by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from minidual.config.arbiter import ArbiterConfig
+from minidual.config.root import Config
+from minidual.config.supervisor import SupervisorConfig
+from minidual.config.teleop import TeleopConfig
+from minidual.control.stack import ControlStack
+from minidual.control.supervisor import Supervisor
+from minidual.evaluation.methods import MethodInputs
+from minidual.evaluation.trials import Bench
+from minidual.learning.pilot import PolicyPilot
+from minidual.robot.constants import HOME, Array
+from minidual.robot.kinematics import Kinematics
+from minidual.sim.world import World
+from minidual.tasks import planned_carry
+from minidual.tasks.operator import ScriptedOperator
+from minidual.tasks.planned_carry import PlannedCarry, make_planners
+from minidual.tasks.rod_carry import RodTrial, sample_trial
+from minidual.tasks.supervised import arm_distance, trial_supervisor
+from minidual.teleop.leader import ScriptedLeader
+from minidual.teleop.observation import Observer
+from minidual.teleop.session import TeleopSession
+
+SEED = 7
+FRAIL = SupervisorConfig(velocity_scale=0.05)
+"""Stops at 5 % of the joints' speed limits: any motion is too fast."""
+
+
+class Still:
+    """A policy that asks for one posture."""
+
+    inference_hz = 100.0
+
+    def __init__(self, away_rad: float) -> None:
+        self.cameras: dict[str, tuple[int, int]] = {}
+        self._action = np.r_[HOME + away_rad, 1.0, 1.0]
+
+    def reset(self) -> None: ...
+
+    def flush(self) -> None: ...
+
+    def act(self, images: Any, state: Array) -> Array:
+        return self._action
+
+
+@pytest.fixture
+def trial(world: World) -> RodTrial:
+    trial = sample_trial(world.scene, SEED, "benchmark", 0)
+    world.reset(rod_xy_yaw=trial.start)
+    return trial
+
+
+def _steps(method: Any, limit: int) -> int:
+    for step in range(limit):
+        method.step()
+        if method.done:
+            return step + 1
+    return limit
+
+
+@pytest.mark.parametrize(("config", "reflex"), [(FRAIL, "joint_velocity"), (SupervisorConfig(), "")])
+def test_a_reflex_ends_the_trial_of_a_policy(
+    world: World, trial: RodTrial, config: SupervisorConfig, reflex: str
+) -> None:
+    runtime: Any = Still(0.3)
+    supervisor = trial_supervisor(config, world.dt)
+    pilot = PolicyPilot(
+        world, Kinematics(), runtime, lambda name: np.zeros((1, 1, 3), np.uint8), ArbiterConfig(), 50.0,
+        supervisor=supervisor,
+    )  # fmt: skip
+    _steps(pilot, 400)
+    assert (pilot.aborted is not None) == bool(reflex)
+    if reflex:
+        assert f"reflex {reflex}" in (pilot.aborted or "")
+        for _ in range(600):  # the supervisor holds the arms from then on
+            pilot.step()
+        assert np.abs(world.v).max() < 0.01
+
+
+def test_a_reflex_ends_a_planned_trial(world: World, trial: RodTrial) -> None:
+    planner, carrier = make_planners(Config().plan.planner)
+    carry = PlannedCarry(
+        world, Kinematics(), planner, carrier, trial, SEED, supervisor=trial_supervisor(FRAIL, world.dt)
+    )
+    assert _steps(carry, 2000) < 2000
+    assert "phase 'approach': reflex joint_velocity" in (carry.aborted or "")
+
+
+def test_a_planned_trial_keeps_the_distance_that_the_supervisor_watches(
+    world: World, trial: RodTrial, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    planner, carrier = make_planners(Config().plan.planner)
+    supervisor = trial_supervisor(SupervisorConfig(), world.dt)
+    seeds, told = [], iter([(0.002, "elbow with elbow"), (0.014, "elbow with elbow"), (0.016, "none")])
+    plan = PlannedCarry._plan
+
+    def noted(self: PlannedCarry, *args: Any) -> Any:
+        seeds.append(args[-1])
+        return plan(self, *args)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(PlannedCarry, "_plan", noted)
+        patch.setattr(planned_carry, "_nearest", lambda segments: next(told))
+        carry = PlannedCarry(world, Kinematics(), planner, carrier, trial, SEED, supervisor=supervisor)
+    assert carry.aborted is None
+    assert len(set(seeds)) == 3, "10 mm and a margin of 5 mm: the third plan is the first that keeps them"
+    distance = arm_distance()
+    gaps = [distance(q) for _, motion, _ in carry._segments for q in motion.q]
+    assert planned_carry._nearest(carry._segments)[0] == pytest.approx(min(g for _, g in gaps), abs=1e-3)
+
+    # What no plan keeps is said, and nothing moves.
+    world.reset(rod_xy_yaw=trial.start)
+    wide = trial_supervisor(SupervisorConfig(self_collision_min_m=0.14), world.dt)
+    carry = PlannedCarry(world, Kinematics(), planner, carrier, trial, SEED, supervisor=wide)
+    assert carry.done
+    assert "no plan in 5 keeps 145 mm between the arms" in (carry.aborted or "")
+
+
+@pytest.mark.parametrize(("config", "ended_by"), [(FRAIL, "reflex"), (SupervisorConfig(), "leader")])
+def test_a_reflex_ends_a_demonstration(world: World, config: SupervisorConfig, ended_by: str) -> None:
+    trial = sample_trial(world.scene, SEED, "demonstrations", 0)
+    session = TeleopSession(
+        world, Kinematics(), Observer(world), TeleopConfig(), ArbiterConfig(),
+        supervisor=trial_supervisor(config, world.dt),
+    )  # fmt: skip
+    result = session.run(trial, ScriptedLeader(ScriptedOperator(world.scene).plan(trial, seed=SEED)))
+    assert result.ended_by == ended_by
+    assert result.reason.startswith("reflex joint_velocity" if ended_by == "reflex" else "")
+    assert result.outcome.success == (ended_by == "leader")
+
+
+def test_a_reflex_is_a_fault_of_a_carry_and_the_supervisor_stops_the_arms(world: World) -> None:
+    config = Config().model_copy(update={"supervisor": SupervisorConfig(velocity_scale=0.3)})
+    bench = Bench("impedance", MethodInputs(config, SEED))
+    result, log = bench.run(sample_trial(config.scene, SEED, "benchmark", 0))
+    assert not result.success
+    assert "reflex" in result.aborted
+    assert "joint_velocity" in result.aborted
+    assert "stop" in log.phase
+    assert np.abs(bench.world.v).max() < 0.01
+
+
+@pytest.mark.parametrize("method", ["moveit", "impedance"])
+def test_every_method_is_built_with_a_supervisor(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[Callable[..., Any]] = []
+    guard = Supervisor.guard
+
+    def counted(self: Supervisor, *args: Any) -> Array:
+        calls.append(guard)
+        return guard(self, *args)
+
+    monkeypatch.setattr(Supervisor, "guard", counted)
+    config = Config()
+    bench = Bench(method, MethodInputs(config, SEED))
+    world = bench.world
+    trial = sample_trial(config.scene, SEED, "benchmark", 1)
+    world.reset(rod_xy_yaw=trial.start)
+    run = bench.factory(world, bench.kinematics, trial)
+    for _ in range(30):
+        run.step()
+    assert len(calls) == 30, "a step of control without the supervisor"
+    if method == "moveit":
+        assert isinstance(run.stack, ControlStack)  # type: ignore[attr-defined]
