@@ -340,6 +340,7 @@ HEAVY = (
     "scipy",
     "h5py",
     "cv2",
+    "numba",
 )
 
 

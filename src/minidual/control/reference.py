@@ -16,7 +16,6 @@ otherwise a policy would be trained on one plant and run on another.
 from __future__ import annotations
 
 import numpy as np
-from numpy import absolute, divide, maximum, minimum, multiply, sqrt, subtract
 
 from minidual.robot.constants import A_MAX, DOF, Q_LOWER, Q_UPPER, V_MAX, Array
 
@@ -36,21 +35,13 @@ class ReferenceFilter:
     def __init__(
         self, dt_s: float, *, bandwidth_rad_s: float = 30.0, acceleration_scale: float = 0.8
     ) -> None:
-        w, dt = bandwidth_rad_s, dt_s
-        self._a_max = acceleration_scale * A_MAX
-        self._v_max = 0.95 * V_MAX
-        self._a_min, self._v_min = -self._a_max, -self._v_max
-        self._near = 4.0 * _BRAKE_SHARE * self._a_max / w**2
-        # One block of rows, so that each of three sums over them is one product: the bent error, v, a, q, v afterwards.
-        rows = np.zeros((5, DOF))
-        self._bent, self._v, self._a, self._q, self._v_after = rows
-        self._pull, self._push, self._motion = rows[0:2], rows[1:3], rows[1:5]
-        self._spring = np.array([w**2, -2.0 * w])
-        self._advance = np.array([1.0, dt])
-        self._integrate = np.array([[0.0, 0.0, 1.0, dt], [-1.0 / dt, 0.0, 0.0, 1.0 / dt]])  # of q and a
-        self._error, self._far = np.zeros((2, DOF))
-        self._two = np.full(DOF, 2.0)
-        self._asked, self._goal = b"", np.zeros(DOF)
+        from minidual.control.kernels import follow_target  # compiled: importing it is not free
+
+        self._follow, self._w, self._dt = follow_target, bandwidth_rad_s, dt_s
+        a_max = acceleration_scale * A_MAX
+        near = 4.0 * _BRAKE_SHARE * a_max / bandwidth_rad_s**2
+        self._bounds = np.array([a_max, 0.95 * V_MAX, near, Q_LOWER, Q_UPPER])
+        self._target = np.zeros(DOF)
         self.q, self.v, self.a = np.zeros((3, DOF))
 
     def reset(self, q: Array, v: Array | None = None, a: Array | None = None) -> None:
@@ -70,29 +61,10 @@ class ReferenceFilter:
         """Advance one step towards target (14,) [rad]; return (q_ref, v_ref, a_ref).
 
         With s = min(1, d / |e|) both pieces of v_want are w/2 e sqrt(s (2 - s)), so that
-        a = w^2 e sqrt(s (2 - s)) - 2 w v. Buffers are reused: the arrays that ufuncs would return cost more than
-        their sums.
+        a = w^2 e sqrt(s (2 - s)) - 2 w v. The arrays returned are new ones.
         """
-        error, far, bent = self._error, self._far, self._bent
-        asked = target.tobytes()
-        if asked != self._asked:  # a target stands for many steps
-            self._asked, self._goal = asked, maximum(minimum(target, Q_UPPER), Q_LOWER)
-        subtract(self._goal, self.q, error)
-        absolute(error, far)
-        maximum(far, self._near, far)
-        divide(self._near, far, bent)  # s
-        subtract(self._two, bent, far)
-        multiply(bent, far, bent)
-        sqrt(bent, bent)
-        multiply(bent, error, bent)
-        self._v[:], self._q[:] = self.v, self.q
-        a = self._spring.dot(self._pull)
-        minimum(a, self._a_max, a)
-        maximum(a, self._a_min, self._a)
-        v = self._advance.dot(self._push)
-        minimum(v, self._v_max, v)
-        maximum(v, self._v_min, v)
-        self._v_after[:] = v
-        moved = self._integrate.dot(self._motion)
-        self.q, self.v, self.a = moved[0], v, moved[1]  # a anew: the bound on the speed may have cut it
-        return self.q, v, self.a
+        self._target[:] = target
+        after = np.empty((3, DOF))
+        self._follow(self._target, self.q, self.v, self._bounds, self._w, self._dt, after)
+        self.q, self.v, self.a = after
+        return self.q, self.v, self.a

@@ -245,6 +245,8 @@ def run_trials(
         return
     import joblib
 
+    import minidual.control.kernels  # noqa: F401 - compiled once here, or every process would compile for itself
+
     # One numeric thread a process: on a busy machine more of them only wait for each other.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"

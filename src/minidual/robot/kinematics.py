@@ -107,7 +107,9 @@ class HandMotion:
         acceleration: (12,) of the hands under the joint acceleration that `update` was given, J a + Jdot v.
     """
 
-    def __init__(self, kinematics: Kinematics, J: Array | None = None) -> None:
+    def __init__(
+        self, kinematics: Kinematics, J: Array | None = None, acceleration: Array | None = None
+    ) -> None:
         self._model, self._data = kinematics.model, kinematics.data
         self._left, self._right = kinematics.tcp_ids
         frames = [self._data.oMf[i] for i in kinematics.tcp_ids]
@@ -115,7 +117,7 @@ class HandMotion:
         self.p: tuple[Array, Array] = tuple(frame.translation for frame in frames)  # type: ignore[assignment]
         self.R: tuple[Array, Array] = tuple(frame.rotation for frame in frames)  # type: ignore[assignment]
         self.J = np.zeros((12, DOF)) if J is None else J
-        self.acceleration = np.zeros(12)
+        self.acceleration = np.zeros(12) if acceleration is None else acceleration
         self._J_left, self._J_right = self.J[:6], self.J[6:]
         self._a_left, self._a_right = self.acceleration[:6], self.acceleration[6:]
 
