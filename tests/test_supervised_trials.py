@@ -145,6 +145,7 @@ def test_a_reflex_is_a_fault_of_a_carry_and_the_supervisor_stops_the_arms(world:
     assert "reflex" in result.aborted
     assert "joint_velocity" in result.aborted
     assert "stop" in log.phase
+    assert bench.world.gripper.min() > 0.9, "a hand that had nothing to do with it closed"
     assert np.abs(bench.world.v).max() < 0.01
 
 

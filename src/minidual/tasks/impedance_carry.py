@@ -109,6 +109,7 @@ class ImpedanceCarry:
         if supervisor is not None:
             supervisor.reset()
         self._reflex: Reflex | None = None
+        self._opening = _OPEN
         self._told: Array | None = None
         self._dead: Array | None = None
         self._stop_opens = False
@@ -179,7 +180,7 @@ class ImpedanceCarry:
         if self._dead is not None:
             tau = np.where(self._dead, 0.0, tau)
         tau = self._rate.limit(tau)  # between torques within the motors' limits, so within them too
-        self._told = self._guarded(tau)
+        self._told, self._opening = self._guarded(tau), opening
         self.world.command(self._told, self._grippers.step(opening))
 
     def _guarded(self, tau: Array) -> Array:
@@ -205,7 +206,8 @@ class ImpedanceCarry:
         self.fault = CarryFault(name, world.time, detail)
         if name == "lost_arm":  # a drive that comes back must not find a torque waiting
             self._dead = np.repeat([detail.startswith(arm) for arm in ARMS], DOF_PER_ARM)
-        self._stop_opens = FAULTS[name].opens_hands
+        # A reflex is not about the object: the hands stay as they are commanded.
+        self._stop_opens = FAULTS[name].opens_hands if name != "reflex" else self._opening is _OPEN
         # Two hands that still hold one object must not fight each other over it: a soft hold.
         self._joint = ComputedTorque(self._kinematics, natural_frequency_rad_s=_STOP_FREQUENCY_RAD_S)
         self._motion = SoftStop(world.q, world.v, deceleration_share=self._config.faults.deceleration_share)
