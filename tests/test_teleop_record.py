@@ -218,7 +218,7 @@ def test_an_unknown_leader_is_refused_before_anything_is_built(tmp_path: Path) -
 
 def test_the_stage_stands_in_the_table_and_names_what_it_depends_on() -> None:
     assert STAGES["teleop-record"].requires == STAGE.requires
-    assert {"teleop", "scene", "arbiter"} == set(STAGE.parameters(CONFIG))
+    assert {"teleop", "scene", "arbiter", "supervisor"} == set(STAGE.parameters(CONFIG))
 
 
 _SCRIPT = """
