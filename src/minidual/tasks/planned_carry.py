@@ -182,7 +182,7 @@ class PlannedCarry:
 def _nearest(segments: Sequence[tuple[str, Trajectory, float]]) -> tuple[float, str]:
     """Return the least distance between the arms [m] on a cycle, and between what."""
     distance = arm_distance()
-    found = []
+    found: list[tuple[float, str]] = []
     for _, motion, _ in segments:
         for q in motion.sample_many(np.arange(0.0, motion.duration_s + _GAP_STEP_S, _GAP_STEP_S))[0]:
             pair, gap = distance(q)
