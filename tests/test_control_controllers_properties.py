@@ -15,6 +15,7 @@ import pytest
 from control_plant import ArmsPlant, HandsObject
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from test_control_controllers import move
 
 from minidual.config.arbiter import ArbiterConfig
 from minidual.config.scene import SceneConfig
@@ -35,7 +36,6 @@ from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.control.stack import ControlStack
 from minidual.robot.constants import GROUPS, HOME, V_MAX, Array
 from minidual.robot.kinematics import Kinematics
-from test_control_controllers import move
 
 Event = tuple[Any, ...]
 CONFIG = ArbiterConfig()

@@ -53,7 +53,7 @@ def test_every_data_file_of_the_package_is_in_the_wheel(wheel: Path) -> None:
     data = [
         path.relative_to(SOURCES.parent).as_posix()
         for path in SOURCES.rglob("*")
-        if path.is_file() and path.suffix not in {".py", ".pyc"}
+        if path.is_file() and path.suffix != ".py" and path.parent.name != "__pycache__"
     ]
     assert any(name.startswith("minidual/configs/") for name in data)
     assert any(name.startswith("minidual/report/templates/") for name in data)

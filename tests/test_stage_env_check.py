@@ -335,7 +335,7 @@ class TestLatency:
     def test_a_controller_that_lags_a_step_is_seen(self, rig):
         guard, late = rig.supervisor.guard, []
 
-        def lagging(t, q, v, tau):
+        def lagging(t, q, v, tau, a_ref=None):
             late.append(tau.copy())
             return guard(t, q, v, late[max(0, len(late) - 3)])
 

@@ -30,6 +30,9 @@ FAULTS: dict[str, str] = {
     "at_rest": "not at rest",
     "on_time": "too late",
     "squeezed": "internal force lost",
+    "whole": "the object broke",
+    "clear": "touched the obstacle",
+    "turned": "pointed the wrong way at the goal",
 }
 """The conditions of the success test, as words for what it means when one does not hold."""
 
