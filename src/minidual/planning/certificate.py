@@ -3,12 +3,14 @@
 Two parts that are d_a apart at one time and d_b at a later one cannot touch in between if they can approach by less
 than d_a + d_b in all. How far each joint travels in between is bounded exactly (the trajectory is a cubic between
 its milliseconds), what that moves is bounded by `minidual.planning.motion_bound`, and distances are measured up to
-`_MARGIN_M`. A stretch that this does not settle is divided, by how much is missing, until everything is settled or a
-stretch is too short to go on.
+`CLEARANCE_MAX_M`. A stretch that this does not settle is divided, by how much is missing, until everything is
+settled or a stretch is too short to go on.
 
 MuJoCo chooses the samples. coal then gets the same samples with the distance that the proof needs of each pair,
 and must find every pair farther apart than that by its own geometry; where it does not, its own exact distances
 decide, and the stretch is divided again. So each engine alone proves the whole motion.
+
+Every comparison is written so that a distance that is no number refuses the motion: NaN compares false with all.
 """
 
 from __future__ import annotations
@@ -19,12 +21,14 @@ import numpy as np
 
 from minidual.planning.coal_engine import CoalEngine
 from minidual.planning.motion_bound import MotionBound
-from minidual.planning.mujoco_engine import MujocoEngine
+from minidual.planning.mujoco_engine import SURE, ContactsFullError, MujocoEngine
 from minidual.planning.trajectory import Trajectory
 from minidual.robot.constants import ARMS, GROUPS, Array
 
 _MARGIN_M = 0.05
-"""Distances are measured up to here: farther pairs count as this far apart."""
+"""Contacts are asked for up to here."""
+CLEARANCE_MAX_M = SURE * _MARGIN_M
+"""Pairs farther apart than this count as this far apart."""
 _SLACK_M = 2e-5
 """Taken off every distance: what the engines' iterations may leave open (they stop at 1e-6)."""
 _FIRST_M = 0.4
@@ -45,7 +49,8 @@ class Certificate:
     samples_n: States at which distances were measured.
     unproven_n: Stretches that stay open.
     disagreements_n: States that one engine sees colliding and the other free.
-    clearance_m: Smallest distance measured, at most `_MARGIN_M`.
+    clearance_m: Smallest distance that is sure, at most `CLEARANCE_MAX_M`: exact where the proof needed it, elsewhere
+        possibly four fifths of the distance. 0 where nothing could be measured.
     """
 
     ok: bool
@@ -114,6 +119,12 @@ class Certifier:
 
     def certify(self, trajectory: Trajectory) -> Certificate:
         """Return what can be proven about a trajectory; it never raises for a bad one."""
+        try:
+            return self._certify(trajectory)
+        except ContactsFullError as error:
+            return Certificate(False, f"not provable: {error}", 0, 1, 0, 0.0)
+
+    def _certify(self, trajectory: Trajectory) -> Certificate:
         motion = _Motion(trajectory)
         arms = [arm for arm in ARMS if motion.travelled[-1, GROUPS[f"{arm}_arm"]].max() > 0.0]
         # What does not move is looked at once; from there on only what does.
@@ -121,8 +132,8 @@ class Certifier:
         with self._primary.moving(arms):
             samples, unproven = self._settle(motion)
         samples.distances[0] = np.minimum(samples.distances[0], still)
-        clearance = float(samples.distances.min(initial=_MARGIN_M)) + _SLACK_M
-        if clearance <= 0.0:
+        clearance = float(samples.distances.min(initial=CLEARANCE_MAX_M - _SLACK_M)) + _SLACK_M
+        if not clearance > 0.0:
             return self._collision(samples, clearance)
         if unproven:
             reason = f"{unproven} stretches of the motion could not be proven free"
@@ -144,18 +155,18 @@ class Certifier:
         samples = self._measure(motion, times, _widths(times))
         shortest = _SHORTEST * motion.trajectory.dt_s
         for _ in range(_ROUNDS_MAX):
-            if samples.distances.min(initial=1.0) <= -_SLACK_M:
+            if not samples.distances.min(initial=1.0) > -_SLACK_M:
                 return samples, 0
             lack = self._lack(samples)
-            open_ones = np.flatnonzero(lack >= 1.0)
+            open_ones = np.flatnonzero(_open(lack))
             if len(open_ones) == 0:
                 return samples, 0
             widths = np.diff(samples.times)
-            if (widths[open_ones] <= shortest).any():
+            if np.isnan(lack).any() or (widths[open_ones] <= shortest).any():
                 break
             new, between = _divided(samples.times, open_ones, lack)
             samples = samples.merged(self._measure(motion, new, between))
-        return samples, int(np.sum(self._lack(samples) >= 1.0))
+        return samples, int(np.sum(_open(self._lack(samples))))
 
     def _first_times(self, motion: _Motion) -> Array:
         """Return times between which the arms go about equally far."""
@@ -176,22 +187,23 @@ class Certifier:
 
     def _collision(self, samples: _Samples, clearance: float) -> Certificate:
         depths = samples.distances.min(axis=1)
-        hits = depths <= -_SLACK_M
+        hits = ~(depths > -_SLACK_M)
         k = int(np.argmax(hits))
         a, b = sorted(self._primary.pairs[int(np.argmin(samples.distances[k]))])
         second = self._second.collisions(samples.q)
-        reason = (
-            f"collision at {samples.times[k]:.3f} s: {a} and {b} penetrate by "
-            f"{-(depths[k] + _SLACK_M) * 1e3:.1f} mm"
-        )
+        if np.isnan(depths[k]):
+            reason = f"at {samples.times[k]:.3f} s the distance of {a} and {b} is not a number"
+        else:
+            deep_mm = -(depths[k] + _SLACK_M) * 1e3
+            reason = f"collision at {samples.times[k]:.3f} s: {a} and {b} penetrate by {deep_mm:.1f} mm"
         return Certificate(False, reason, len(samples.times), 0, int(np.sum(hits != second)), clearance)
 
     def _second_opinion(self, motion: _Motion, samples: _Samples, clearance: float) -> Certificate:
         approach = self._approach(samples)
         room = samples.distances[:-1] + samples.distances[1:]
         # Each end answers for the share of the approach that its distance has in the room; the ends of the path
-        # have one neighbour, all others two.
-        share = approach / room
+        # have one neighbour, all others two. Where there is no room, what is settled does not approach either.
+        share = np.divide(approach, room, out=np.zeros_like(approach), where=room > 0.0)
         needed = np.zeros_like(samples.distances)
         needed[:-1] = share * samples.distances[:-1]
         needed[1:] = np.maximum(needed[1:], share * samples.distances[1:])
@@ -221,14 +233,11 @@ class Certifier:
         """
         margins = np.minimum(needed.max(axis=0), 0.9 * samples.distances.min(axis=0))
         refused = self._second.nearer_than(samples.q, margins)
-        more = needed > margins
+        more = ~(needed <= margins)
         for k in np.flatnonzero(more.any(axis=1)):
             pairs = np.flatnonzero(more[k])
-            refused[k] |= bool(
-                (
-                    np.array(self._second.pair_distances(samples.q[k], pairs.tolist())) <= needed[k, pairs]
-                ).any()
-            )
+            exact = np.array(self._second.pair_distances(samples.q[k], pairs.tolist()))
+            refused[k] |= not (exact > needed[k, pairs]).all()
         return refused
 
     def _by_second(self, motion: _Motion, begin: float, end: float) -> tuple[bool, int, int]:
@@ -238,16 +247,19 @@ class Certifier:
         distances = self._second.distances(motion.states(times)) - _SLACK_M
         shortest = _SHORTEST * motion.trajectory.dt_s
         while True:
+            if np.isnan(distances).any():
+                return False, 0, asked
             touching = int(np.sum(distances.min(axis=1, initial=np.inf) <= -_SLACK_M))
             if touching:
                 return False, touching, asked
             room = distances[:-1] + distances[1:]
             approach = self._bound.approach(np.diff(motion.travel(times), axis=0))
             lack = (approach / np.maximum(room, 1e-12)).max(axis=1, initial=0.0)
-            open_ones = np.flatnonzero(lack >= 1.0)
+            open_ones = np.flatnonzero(_open(lack))
             if len(open_ones) == 0:
                 return True, 0, asked
-            if (np.diff(times)[open_ones] <= shortest).any() or asked > 2000:
+            short = (np.diff(times)[open_ones] <= shortest).any()
+            if np.isnan(lack).any() or short or asked > 2000:
                 return False, 0, asked
             new, _ = _divided(times, open_ones, lack)
             asked += len(new)
@@ -255,6 +267,11 @@ class Certifier:
             measured = self._second.distances(motion.states(new)) - _SLACK_M
             times = np.concatenate([times, new])[order]
             distances = np.concatenate([distances, measured])[order]
+
+
+def _open(lack: Array) -> np.ndarray:
+    """Return (n,): which stretches are not settled; a lack that is no number settles nothing."""
+    return ~(lack < 1.0)
 
 
 def _widths(times: Array) -> Array:

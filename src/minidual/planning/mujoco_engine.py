@@ -26,10 +26,14 @@ _COMPILER = (
     '<mujoco><compiler fusestatic="false" discardvisual="true" strippath="false"/></mujoco><link name="world"'
 )
 _CLOSEST_WITHIN_M = 0.1
-_SURE = 0.8
+SURE = 0.8
 """Fraction of the distance of a contact that is surely there: it was up to 4 % larger than that of coal and of
 mj_geomDistance, which agree to 1e-8 m."""
 _CONTACTS_FULL = int(mujoco.mjtWarning.mjWARN_CONTACTFULL)
+
+
+class ContactsFullError(RuntimeError):
+    """MuJoCo ran out of room for contacts, so that distances are missing."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +53,7 @@ class PairDistance:
 class Measured:
     """Distances and levers of n postures.
 
-    distances: (n, p) [m], of each checked pair, at most `_SURE` of the margin that was asked for.
+    distances: (n, p) [m], of each checked pair, at most `SURE` of the margin that was asked for.
     levers: (n, m, 7) [m], of each moving part from each joint of its arm.
     """
 
@@ -163,7 +167,7 @@ class MujocoEngine:
             enough_m: (n, p), distances from which on a lower bound is good enough; without it all are exact.
 
         Raises:
-            RuntimeError: MuJoCo ran out of room for contacts, so that distances are missing.
+            ContactsFullError: MuJoCo ran out of room for contacts, so that distances are missing.
         """
         self.set_margin(margin_m)
         model, data, count = self.model, self.data, len(Q)
@@ -181,11 +185,11 @@ class MujocoEngine:
                 found.append(contact.dist.copy())
             centres[k], anchors[k], axes[k] = data.geom_xpos, data.xanchor, data.xaxis
         if data.warning[_CONTACTS_FULL].number > full_before:
-            raise RuntimeError(
+            raise ContactsFullError(
                 f"MuJoCo has no room for all contacts within {margin_m} m; distances are missing"
             )
         # A pair just outside the margin may go unnamed, because the distances of contacts are not exact.
-        distances = np.full((count, len(self.pairs)), _SURE * margin_m)
+        distances = np.full((count, len(self.pairs)), SURE * margin_m)
         if rows:
             at = np.repeat(rows, [len(d) for d in found])
             self._nearest(Q, at, np.concatenate(geoms), np.concatenate(found), enough_m, distances)
@@ -196,7 +200,7 @@ class MujocoEngine:
     ) -> None:
         """Lower the distances `out` (n, p) by contacts found at rows `at` of Q; exact ones where it matters."""
         columns = self._pair_of_geoms[geoms[:, 0], geoms[:, 1]]
-        sure = _SURE * found
+        sure = SURE * found
         unsure = np.arange(len(at))
         if enough_m is not None:
             unsure = np.flatnonzero((sure < enough_m[at, columns]) | (sure <= 0.0))

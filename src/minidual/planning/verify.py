@@ -36,7 +36,7 @@ class Verification:
     samples_n: States at which distances were measured.
     disagreements_n: Of these, the states that one engine sees colliding and the other free.
     unproven_n: Stretches of the motion that could not be proven free.
-    clearance_m: Smallest distance measured, at most 4 cm (pairs farther apart are not measured).
+    clearance_m: Smallest distance that is sure, at most 4 cm (`certificate.CLEARANCE_MAX_M`).
     velocity_ratio, acceleration_ratio, jerk_ratio, torque_ratio: Largest fraction of the robot's limits used.
     limit_margin_rad: Smallest distance of a joint from its position limit.
     """
