@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from minidual.config.planning import PlannerConfig
 from minidual.config.semantics import (
     ChainConfig,
     EndEffectorConfig,
@@ -19,11 +20,13 @@ from minidual.planning.errors import IKUnreachableError, LinearMoveError, OutOfL
 from minidual.planning.goal_file import goal_of, load_goal
 from minidual.planning.goal_plan import GoalPlanner
 from minidual.planning.goal_types import JointGoal, PoseGoal, RelativeGoal, StateGoal, TipOffset, TipPose
-from minidual.planning.linear import Line
+from minidual.planning.linear import Line, LinearPlanner
 from minidual.planning.mujoco_engine import MujocoEngine
 from minidual.planning.scene import PlanningScene
 from minidual.planning.semantics import Semantics
 from minidual.planning.shapes import Box
+from minidual.planning.timing import MotionLimits
+from minidual.planning.verify import Verifier
 from minidual.robot.constants import GROUPS, HOME, JOINT_NAMES, Q_LOWER, Q_UPPER
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import pose, rot_x
@@ -249,6 +252,38 @@ def test_a_straight_move_tells_how_far_it_goes_and_why(planner, ready):
         planner.plan("left_arm", ready, RelativeGoal({"left": TipOffset((1.0, 0, 0))}, linear=True))
     stay = planner.plan("left_arm", ready, RelativeGoal({"left": TipOffset()}, linear=True))
     assert len(stay.trajectory.times) == 2
+
+
+def test_a_straight_move_keeps_the_jerk_of_the_configuration(ready):
+    """The share of the jerk limit is used where it binds, and a smaller one takes longer."""
+    turn = RelativeGoal({"left": TipOffset((0, 0, -0.02), (0, 0, 1.2))}, linear=True)
+    found = {}
+    for scale in (0.95, 0.004):
+        planner = GoalPlanner(Planner(config=PlannerConfig(jerk_scale=scale)))
+        plan = planner.plan("left_arm", ready, turn)
+        assert plan.verification.jerk_ratio <= scale * 1.0001
+        found[scale] = plan.trajectory.duration_s, plan.verification.jerk_ratio
+    assert found[0.95][0] < found[0.004][0]
+    assert found[0.95][1] > 2.0 * found[0.004][1]
+
+
+def test_limits_are_given_by_name():
+    with pytest.raises(TypeError):
+        MotionLimits(0.95, 0.9, 0.95, 0.04)
+
+
+def test_a_straight_move_of_no_length_is_proven_too(planner, ready):
+    """Where one engine sees a box in the hand and the other does not, staying there is no plan."""
+    hand = tuple(tips(ready)["left"][:3, 3])
+    seen, far = (
+        Planner(PlanningScene().with_obstacles(Box("box", at, size_m=(0.1, 0.1, 0.1)))).engines()
+        for at in (hand, (3.0, 0.0, 0.0))
+    )
+    targets = {"left": tips(ready)["left"]}
+    assert LinearPlanner().plan("left_arm", ready, targets, far).verification.ok
+    far.verifier = Verifier(far.mujoco, seen.coal, far.verifier._certifier._bound)
+    with pytest.raises(LinearMoveError, match="staying there is not proven: coal sees a collision"):
+        LinearPlanner().plan("left_arm", ready, targets, far)
 
 
 def test_example_goal_files(planner, ready):

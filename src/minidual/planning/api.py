@@ -81,16 +81,19 @@ class Planner:
         self._goals = PoseGoals()
         self._engines: OrderedDict[PlanningScene, SceneEngines] = OrderedDict()
         config = self.config
-        self._limits = MotionLimits(
-            config.velocity_scale, config.acceleration_scale, config.torque_scale, config.jerk_scale,
-            config.smoothing_s,
-        )  # fmt: skip
+        self.limits = MotionLimits(
+            velocity_scale=config.velocity_scale,
+            acceleration_scale=config.acceleration_scale,
+            torque_scale=config.torque_scale,
+            jerk_scale=config.jerk_scale,
+            smoothing_s=config.smoothing_s,
+        )
 
     def engines(self, scene: PlanningScene | None = None) -> SceneEngines:
         """Return both engines and the verifier of a scene, from the last few scenes or newly built."""
         scene = scene or self.scene
         if scene not in self._engines:
-            self._engines[scene] = SceneEngines(scene, self._kinematics, self.config.verify_step_rad)
+            self._engines[scene] = SceneEngines(scene, self.config.verify_step_rad)
             while len(self._engines) > _SCENES_KEPT:
                 self._engines.popitem(last=False)
         self._engines.move_to_end(scene)
@@ -255,7 +258,7 @@ class Planner:
         if curve is None:
             raise TimingError("a corner of the path stays blocked however small it is rounded")
         with times.phase("timing"):
-            return time_path(curve, group, self._limits, self._kinematics), path
+            return time_path(curve, group, self.limits, self._kinematics), path
 
 
 def _rest(q: Array, group: str) -> Trajectory:

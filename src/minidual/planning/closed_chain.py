@@ -1,9 +1,9 @@
 """Move an object that both hands hold: one path of 14 joints on which neither grasp slips.
 
 The object leads: its path is known, so each hand's pose follows from its grasp, and inverse kinematics continues
-from one point of the path to the next (both arms move as little as they can). A spline through those points is
-timed by toppra with the joints' limits and the object's own speed and acceleration, and what the hands really do on
-the timed path is measured again, between the points too.
+from one point of the path to the next (both arms move as little as they can). What the hands do on a spline through
+those points is measured between them too, and the points are set closer until it is less than half of what is allowed;
+then toppra times the spline with the joints' limits and the object's own speed and acceleration.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ class CarriedPlanner:
 
         Raises:
             ClosedChainError: The start is off the grasps, a hand cannot follow, the arms would have to jump, the
-                residual stays over 0.1 mm or 1 mrad, or the proof fails; each with its numbers.
+                residual stays over half of 0.1 mm or of 0.05 degrees, or the proof fails; each with its numbers.
             OutOfLimitsError, UsageError: A bad start or pose.
         """
         q_start = check_joints(q_start, "start")
@@ -131,7 +131,7 @@ class CarriedPlanner:
         )  # fmt: skip
 
     def _prove(self, trajectory: Trajectory, scene: PlanningScene) -> Verification:
-        report = SceneEngines(scene, self._kinematics).verifier.verify(trajectory)
+        report = SceneEngines(scene).verifier.verify(trajectory)
         if not report.ok:
             raise ClosedChainError(f"the carried path is not free: {report.reason}")
         return report

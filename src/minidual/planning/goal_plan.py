@@ -28,7 +28,6 @@ from minidual.planning.links import LINKS
 from minidual.planning.result import PHASES, PlanResult
 from minidual.planning.scene import PlanningScene
 from minidual.planning.semantics import Semantics, link_names
-from minidual.planning.timing import MotionLimits
 from minidual.robot.constants import ARMS, JOINT_NAMES, Array
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import pose, rotation_from_quat
@@ -62,12 +61,7 @@ class GoalPlanner:
     def __init__(self, planner: Planner | None = None, semantics: Semantics | None = None) -> None:
         self.planner = planner or Planner()
         self.semantics = semantics or Semantics()
-        config = self.planner.config
-        self._linear = LinearPlanner(
-            MotionLimits(
-                config.velocity_scale, config.acceleration_scale, config.torque_scale, config.smoothing_s
-            )
-        )
+        self._linear = LinearPlanner(self.planner.limits)
         self._kinematics = Kinematics()
         self._poses = PoseGoals()
 
@@ -132,7 +126,8 @@ class GoalPlanner:
     ) -> PlanResult:
         """Plan to a goal of any kind; see `Planner.plan_to_joints` for the rest.
 
-        A straight move that covers at least its fraction_min is a plan; `linear_move` tells how far it goes.
+        A straight move that covers at least its fraction_min is a plan; `linear_move` tells how far it goes. It follows
+        its line and searches nothing, so neither `seed` nor `budget_s` changes anything there.
 
         Raises:
             LinearMoveError: A straight line ends too early.

@@ -54,7 +54,7 @@ class HeldPlanner:
     def engines(self, scene: PlanningScene) -> SceneEngines:
         """Return the engines of a scene, from the last few scenes or newly built."""
         if scene not in self._engines:
-            self._engines[scene] = SceneEngines(scene, self._kinematics)
+            self._engines[scene] = SceneEngines(scene)
             while len(self._engines) > _SCENES_KEPT:
                 self._engines.popitem(last=False)
         self._engines.move_to_end(scene)

@@ -139,7 +139,8 @@ class LinearPlanner:
             fraction_min: Less than this is an error.
 
         Raises:
-            LinearMoveError: The move ends before fraction_min; with the fraction and the reason.
+            LinearMoveError: The move ends before fraction_min, strays, or stays where it is without a proof; with
+                numbers and the reason.
             UsageError, OutOfLimitsError, StartInCollisionError: A bad query.
         """
         arms = group_arms(group)
@@ -169,7 +170,14 @@ class LinearPlanner:
         if length < _STILL_M:
             rest = np.zeros((2, DOF))
             still = Trajectory(np.array([0.0, DT_S]), np.tile(q_start, (2, 1)), rest, rest.copy(), group)
-            return LinearMove(still, 1.0, "", verification=engines.verifier.verify(still))
+            proof = engines.verifier.verify(still)
+            if not proof.ok:
+                raise LinearMoveError(
+                    f"the hands are where the straight move of {group} ends, but staying there is not proven: "
+                    f"{proof.reason}",
+                    remedy="start from another posture",
+                )
+            return LinearMove(still, 1.0, "", verification=proof)
         step = _STEP_M
         for _ in range(_REFINEMENTS):
             marks, Q, reason = self._follow(q_start, lines, engines, length, step)

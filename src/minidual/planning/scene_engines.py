@@ -7,15 +7,12 @@ from minidual.planning.motion_bound import MotionBound
 from minidual.planning.mujoco_engine import MujocoEngine
 from minidual.planning.scene import PlanningScene
 from minidual.planning.verify import STEP_RAD, Verifier
-from minidual.robot.kinematics import Kinematics
 
 
 class SceneEngines:
     """What planning in one scene needs (about 40 ms to build)."""
 
-    def __init__(
-        self, scene: PlanningScene, _kinematics: Kinematics | None = None, verify_step_rad: float = STEP_RAD
-    ) -> None:
+    def __init__(self, scene: PlanningScene, verify_step_rad: float = STEP_RAD) -> None:
         self.scene = scene
         self.mujoco = MujocoEngine(scene)
         self.coal = CoalEngine(scene)

@@ -31,7 +31,7 @@ _ROUNDING_TRIES = 20
 _ROUNDING_GIVES = 1.0 - 5e-5
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class MotionLimits:
     """Limits that a plan must keep, as fractions of the robot's own."""
 
