@@ -1,19 +1,24 @@
 """The proof says no: to collisions, to speed, to torque, to what hides between samples."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
 
-from minidual.planning import certificate
+from minidual.config.planning import PlannerConfig
+from minidual.planning import certificate, limits
 from minidual.planning.api import Planner
 from minidual.planning.certificate import Certifier, _Motion
 from minidual.planning.dynamics import torques
+from minidual.planning.evaluate import plan_query
+from minidual.planning.mujoco_engine import ContactsFullError
+from minidual.planning.queries import QueryGenerator
 from minidual.planning.scene import PlanningScene
 from minidual.planning.shapes import Box, Sphere
 from minidual.planning.trajectory import Trajectory
 from minidual.planning.verify import STEP_RAD, collision_samples
-from minidual.robot.constants import HOME, Q_UPPER
+from minidual.robot.constants import A_MAX, HOME, Q_UPPER
 from minidual.robot.kinematics import Kinematics
 
 
@@ -257,3 +262,116 @@ def test_torques_in_one_call_are_those_of_the_states(good):
     for k in range(0, len(good.times), 50):
         assert np.abs(tau[k] - kinematics.rnea(good.q[k], good.v[k], good.a[k])).max() < 1e-12
     assert torques(good.q[:0], good.v[:0], good.a[:0]).shape == (0, 14)
+
+
+@pytest.mark.parametrize("where", ["start", "on the way"])
+def test_a_distance_that_is_no_number_refuses_the_motion(good, monkeypatch, where):
+    """NaN compares false with everything, so it must not be what lets a motion pass."""
+    engines = Planner().engines()
+    assert engines.verifier.verify(good).ok
+    real = engines.mujoco.measure
+
+    def spoiled(Q, *args):
+        found = real(Q, *args)
+        if (len(Q) == 1) == (where == "start"):
+            found.distances[len(Q) // 2, 3] = np.nan
+        return found
+
+    monkeypatch.setattr(engines.mujoco, "measure", spoiled)
+    report = engines.verifier.verify(good)
+    assert not report.ok
+    a, b = sorted(engines.mujoco.pairs[3])
+    assert f"the distance of {a} and {b} is not a number" in report.reason
+
+
+def test_a_lever_that_is_no_number_leaves_the_motion_unproven(good, monkeypatch):
+    engines = Planner().engines()
+    real = engines.mujoco.measure
+
+    def spoiled(Q, *args):
+        found = real(Q, *args)
+        found.levers[len(Q) // 2] = np.nan
+        return found
+
+    monkeypatch.setattr(engines.mujoco, "measure", spoiled)
+    report = engines.verifier.verify(good)
+    assert not report.ok
+    assert report.unproven_n > 0
+    assert "could not be proven free" in report.reason
+
+
+def test_a_distance_of_coal_that_is_no_number_refuses_the_motion(good, monkeypatch):
+    """One NaN among coal's exact distances, where its margins do not confirm a stretch at once."""
+    n = len(good.q) // 6
+    part = Trajectory(good.times[:n], good.q[:n], good.v[:n], good.a[:n], good.group)
+    engines = Planner().engines()
+    certifier, real = engines.verifier._certifier, engines.coal.distances
+    monkeypatch.setattr(engines.coal, "nearer_than", lambda Q, margins: np.ones(len(Q), dtype=bool))
+    assert certifier.certify(part).ok
+
+    def spoiled(Q):
+        distances = real(Q)
+        distances[0, 3] = np.nan
+        return distances
+
+    monkeypatch.setattr(engines.coal, "distances", spoiled)
+    assert "coal leaves" in certifier.certify(part).reason
+
+
+def test_an_exact_distance_of_coal_that_is_no_number_is_not_enough(good, monkeypatch):
+    """A pair that needs more than the margin that all samples share is asked for alone: NaN there is a refusal."""
+    engines = Planner().engines()
+    certifier = engines.verifier._certifier
+    samples, unproven = certifier._settle(_Motion(good))
+    assert unproven == 0
+    needed = np.zeros_like(samples.distances)
+    k, pair = np.unravel_index(int(np.argmin(samples.distances)), needed.shape)
+    needed[k, pair] = 0.95 * samples.distances[k, pair]
+    assert not certifier._refused(samples, needed).any()
+    monkeypatch.setattr(engines.coal, "pair_distances", lambda _q, pairs: [np.nan] * len(pairs))
+    assert np.flatnonzero(certifier._refused(samples, needed)).tolist() == [k]
+
+
+def test_no_room_for_contacts_is_a_refusal_not_a_crash(good, monkeypatch):
+    engines = Planner().engines()
+
+    def full(*_):
+        raise ContactsFullError("MuJoCo has no room for all contacts within 0.05 m; distances are missing")
+
+    monkeypatch.setattr(engines.mujoco, "measure", full)
+    report = engines.verifier.verify(good)
+    assert not report.ok
+    assert report.reason.startswith("not provable: MuJoCo has no room")
+    assert (report.unproven_n, report.clearance_m) == (1, 0.0)
+
+
+def test_what_a_trajectory_says_of_its_acceleration_and_velocity_must_be_true(planner, good):
+    """Accelerations of zero would keep every limit of acceleration, jerk and torque."""
+    verifier = planner.engines().verifier
+    still = np.zeros_like(good.v)
+    lied = verifier.verify(dataclasses.replace(good, a=still))
+    assert lied.acceleration_ratio == 0.0
+    assert re.search(
+        r"the acceleration of \w+ is not that of its velocity: \d+\.\d\d rad/s\^2 off", lied.reason
+    )
+    halved = verifier.verify(dataclasses.replace(good, a=0.5 * good.a))
+    assert "is not that of its velocity" in halved.reason
+    # A motion slow enough that even stopping and starting every millisecond breaks no limit of speed.
+    slow = minimum_jerk(HOME, good.q[-1], 8.0)
+    assert verifier.verify(slow).ok
+    report = verifier.verify(
+        dataclasses.replace(slow, v=still[:1].repeat(len(slow.v), axis=0), a=0.0 * slow.a)
+    )
+    assert "the velocity of" in report.reason
+    assert "is not that of its positions" in report.reason
+
+
+@pytest.mark.parametrize("smoothing_s", [0.0, 0.04])
+def test_honest_trajectories_are_far_from_contradicting_themselves(smoothing_s):
+    """The tolerance is no limit of what is planned: measured, with margin, on plans with and without smoothing."""
+    planner = Planner(config=PlannerConfig(smoothing_s=smoothing_s))
+    generator = QueryGenerator(5)
+    for group in ("left_arm", "both_arms"):
+        trajectory = plan_query(planner, generator.query(group, 0)).result.trajectory
+        for misfit in (limits._acceleration_misfit, limits._velocity_misfit):
+            assert np.max(misfit(trajectory) / A_MAX) < 0.5 * limits._MISFIT

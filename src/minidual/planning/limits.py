@@ -2,7 +2,8 @@
 
 Position, velocity and acceleration are looked at every half millisecond (toppra's grid has about a hundred points
 a path, ten to twenty times fewer), torque every millisecond. The acceleration of a trajectory is linear between its
-samples, so its jerk is constant there and the differences of the samples give it exactly.
+samples, so its jerk is constant there and the differences of the samples give it exactly. What a trajectory says about
+its velocity and acceleration counts only because both are held to what its positions and velocities do.
 """
 
 from __future__ import annotations
@@ -13,10 +14,12 @@ import numpy as np
 
 from minidual.planning.dynamics import torques
 from minidual.planning.trajectory import Trajectory
-from minidual.robot.constants import A_MAX, JERK_MAX, JOINT_NAMES, Q_LOWER, Q_UPPER, TAU_MAX, V_MAX
+from minidual.robot.constants import A_MAX, JERK_MAX, JOINT_NAMES, Q_LOWER, Q_UPPER, TAU_MAX, V_MAX, Array
 
 _ROUNDING = 1e-9
 _REST_RAD_S = 1e-6
+_MISFIT = 0.05
+"""By what part of the acceleration limit samples may contradict each other, beside what the acceleration changes by."""
 
 
 @dataclass(frozen=True)
@@ -62,4 +65,39 @@ def limit_use(trajectory: Trajectory) -> tuple[LimitUse, str]:
     jump = float(np.abs(np.diff(trajectory.q, axis=0)).max()) / trajectory.dt_s
     if not jump <= float(V_MAX.max()) * (1.0 + 1e-6):
         return use, f"positions jump: {jump:.2f} rad/s between two samples"
+    for what, of, misfit in (
+        ("velocity", "positions", _velocity_misfit),
+        ("acceleration", "velocity", _acceleration_misfit),
+    ):
+        off = misfit(trajectory) / A_MAX
+        sample, joint = np.unravel_index(int(np.argmax(off)), off.shape)
+        if not off[sample, joint] <= _MISFIT:
+            return use, (
+                f"the {what} of {JOINT_NAMES[joint]} is not that of its {of}: {off[sample, joint] * A_MAX[joint]:.2f} "
+                f"rad/s^2 off after {trajectory.times[sample]:.3f} s"
+            )
     return use, ""
+
+
+def _acceleration_misfit(trajectory: Trajectory) -> Array:
+    """Return (n - 1, 14) [rad/s^2]: how far the accelerations are from the change of velocity between two samples.
+
+    Half of what they differ by is taken off, because an acceleration that jumps may do so anywhere in between.
+    """
+    v, a = trajectory.v, trajectory.a
+    return np.abs(np.diff(v, axis=0) / trajectory.dt_s - 0.5 * (a[1:] + a[:-1])) - 0.5 * _change(a)
+
+
+def _velocity_misfit(trajectory: Trajectory) -> Array:
+    """Return (n - 1, 14) [rad/s^2]: what the cubic between two samples accelerates more than the samples say.
+
+    A cubic whose mean speed is not the mean of the speeds at its ends speeds up and slows down by six times the
+    difference over the step; an acceleration that changes explains as much as it changes by.
+    """
+    v, h = trajectory.v, trajectory.dt_s
+    off = np.diff(trajectory.q, axis=0) / h - 0.5 * (v[1:] + v[:-1])
+    return np.abs(6.0 * off / h) - _change(trajectory.a)
+
+
+def _change(a: Array) -> Array:
+    return np.abs(np.diff(a, axis=0))
