@@ -1,19 +1,24 @@
 """`minidual plan --to` and `--acm`: one motion, ungated; right exit codes, whole files, no verdict."""
 
 import csv
+import errno
 import json
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from minidual.cli import run_command_line
+from minidual.planning.api import Planner
+from minidual.planning.certificate import CLEARANCE_MAX_M
 from minidual.planning.scene import PlanningScene
 from minidual.planning.shapes import Box, Capsule, Cylinder, Mesh, Sphere
 from minidual.planning.show import Poser, plan_preview, play, scene_model, tcp_paths
 from minidual.planning.trajectory import Trajectory
 from minidual.robot.constants import HOME, JOINT_NAMES
 from minidual.robot.kinematics import Kinematics
+from minidual.stages.plan_once import _clearance
 from minidual.stages.registry import STAGES
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -80,6 +85,40 @@ def test_what_is_typed_wrongly_ends_with_2(run, words, says):
     assert code == 2
     assert out == ""
     assert says in err
+
+
+def test_files_that_cannot_be_written_end_with_2(run, tmp_path, monkeypatch):
+    """Before anything is planned where that can be seen; a disk that fills up afterwards is told, too."""
+    folder = tmp_path / "folder.json"
+    folder.mkdir()
+    code, out, err = run("--to", "ready", "--out", folder)
+    assert (code, out) == (2, "")
+    assert "folder.json is a folder" in err
+    if os.geteuid() != 0:  # nothing is forbidden to root
+        locked = tmp_path / "locked.json"
+        locked.touch(mode=0o400)
+        code, out, err = run("--to", "ready", "--out", locked)
+        assert (code, out) == (2, "")
+        assert "locked.json cannot be written: no permission" in err
+
+    def full(*_args, **_more):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Trajectory, "write_csv", full)
+    code, _, err = run("--to", "ready", "--csv", tmp_path / "t.csv")
+    assert code == 2
+    assert "t.csv cannot be written: No space left on device" in err
+
+
+def test_a_plan_far_from_everything_has_at_least_the_largest_clearance():
+    assert _clearance(CLEARANCE_MAX_M, 0.0) == "at least 40.0 mm"
+    assert _clearance(CLEARANCE_MAX_M - 2e-5 + 2e-5, 0.0) == "at least 40.0 mm"
+    assert _clearance(0.0312, 0.0) == "31.2 mm"
+    arms_only = Planner(PlanningScene(obstacles=()))
+    goal = HOME.copy()
+    goal[6] += 0.01
+    proof = arms_only.plan_to_joints("left_arm", HOME, goal).verification
+    assert proof.clearance_m <= CLEARANCE_MAX_M + 1e-12
 
 
 def test_bad_queries_end_with_2_and_no_way_with_1(run, tmp_path):

@@ -28,7 +28,8 @@ from minidual.planning.places import PlaceFields
 from minidual.planning.scene import MIN_DISTANCE_MAX_M, TABLE, Attached, PlanningScene
 from minidual.planning.shapes import Box, Capsule, Cylinder, Shape, Sphere
 
-Length = Annotated[float, Field(gt=0.0, le=10.0)]
+Length = Annotated[float, Field(ge=1e-4, le=10.0)]
+"""The least is that of a mesh: MuJoCo is given boxes as meshes of their corners, and a hull needs a volume."""
 
 
 class _Held(StrictModel):

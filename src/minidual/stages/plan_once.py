@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +21,6 @@ if TYPE_CHECKING:
 
 _ENDINGS = {"out": ".json", "csv": ".csv", "picture": ".png"}
 _BUDGET_MAX_S = 600.0
-_MEASURED_M = 0.05
 
 
 def plan_once(context: ToolContext) -> ToolResult:
@@ -103,9 +105,26 @@ def _target(name: str, text: str | None, ending: str) -> Path | None:
     path = Path(text)
     if path.suffix != ending:
         raise UsageError(f"--{name} {path} must end in {ending}")
-    if not path.absolute().parent.is_dir():
+    folder = path.absolute().parent
+    if not folder.is_dir():
         raise UsageError(f"there is no folder {path.parent}", remedy="make it first")
+    if path.is_dir():
+        raise UsageError(f"--{name} {path} is a folder", remedy="name a file")
+    if not os.access(path if path.exists() else folder, os.W_OK):
+        raise UsageError(f"--{name} {path} cannot be written: no permission", remedy="name another file")
     return path
+
+
+@contextmanager
+def _writing(path: Path) -> Iterator[Path]:
+    """Turn what the disk says while a file is written into a message."""
+    try:
+        yield path
+    except OSError as error:
+        raise UsageError(
+            f"{path} cannot be written: {error.strerror or error}",
+            remedy="free some space, or name another file",
+        ) from error
 
 
 def _write(
@@ -117,16 +136,19 @@ def _write(
 ) -> list[str]:
     notes = [*result.rejections]
     if targets["out"] is not None:
-        result.trajectory.write_json(targets["out"])
-        notes.append(f"trajectory: {targets['out']}")
+        with _writing(targets["out"]) as path:
+            result.trajectory.write_json(path)
+        notes.append(f"trajectory: {path}")
     if targets["csv"] is not None:
-        result.trajectory.write_csv(targets["csv"])
-        notes.append(f"trajectory: {targets['csv']}")
+        with _writing(targets["csv"]) as path:
+            result.trajectory.write_csv(path)
+        notes.append(f"trajectory: {path}")
     if targets["picture"] is not None:
         from minidual.planning.show import write_picture
 
-        write_picture(targets["picture"], context.config.scene, scene, result.trajectory, title)
-        notes.append(f"picture: {targets['picture']}")
+        with _writing(targets["picture"]) as path:
+            write_picture(path, context.config.scene, scene, result.trajectory, title)
+        notes.append(f"picture: {path}")
     return notes
 
 
@@ -162,8 +184,11 @@ def _lines(title: str, result: PlanResult, min_distance_m: float) -> list[str]:
 
 def _clearance(clearance_m: float, min_distance_m: float) -> str:
     """Return the smallest distance along the plan in words; the proof measures a few centimetres at most."""
-    far = clearance_m >= _MEASURED_M
-    text = f"{'at least ' if far else ''}{min(clearance_m, _MEASURED_M) * 1e3:.1f} mm"
+    from minidual.planning.certificate import CLEARANCE_MAX_M
+
+    # The proof takes its slack off every distance and adds it to the smallest: that rounds.
+    far = clearance_m > CLEARANCE_MAX_M - 1e-9
+    text = f"{'at least ' if far else ''}{clearance_m * 1e3:.1f} mm"
     return (
         text
         if min_distance_m == 0.0
