@@ -19,7 +19,13 @@ from minidual.stages.registry import STAGES
 
 CHECKS = {
     "env-check": ["joints.count", "tracking.sine_rms_rad"],
-    "plan": ["left_arm.success_rate", "right_arm.time_max_s", "both_arms.success_rate", "engines.agreement"],
+    "plan": [
+        "left_arm.success_rate",
+        "right_arm.time_max_s",
+        "second_seed.right_arm.time_p99_s",
+        "both_arms.success_rate",
+        "engines.agreement",
+    ],
     "carry": ["success_rate", "tilt_max_rad"],
     "teleop-record": ["latency_p99_s", "episodes_per_min", "schema_ok", "jerk_rms_max"],
     "train-act": ["loss_ratio"],

@@ -48,7 +48,7 @@ def plant(monkeypatch):
 def test_the_least_force_that_holds_is_found_and_scaled(plant):
     found = Tuner(Config(), 3).run()
     assert NEEDED_N + 2.0 < found.least_force_n < NEEDED_N + 3.0
-    assert found.force_n == pytest.approx(FORCE_FACTOR * found.least_force_n)
+    assert found.force_n == pytest.approx(FORCE_FACTOR * found.least_force_n, abs=0.05)
     assert found.final.holds
     assert found.stiffness_n_per_m == STIFFNESSES_N_PER_M[-1]
 
@@ -57,7 +57,7 @@ def test_the_stiffness_stays_clear_of_oscillation(plant):
     plant["oscillates"] = 400.0
     found = Tuner(Config(), 3).run()
     assert 370.0 < found.last_stiffness_n_per_m <= 400.0
-    assert found.stiffness_n_per_m == pytest.approx(0.8 * found.last_stiffness_n_per_m)
+    assert found.stiffness_n_per_m == pytest.approx(0.8 * found.last_stiffness_n_per_m, abs=0.5)
 
 
 def test_forces_that_do_not_hold_are_shown_as_such(plant):
@@ -93,6 +93,20 @@ def test_the_profile_that_is_written_loads(plant, tmp_path):
     )
     assert (tmp_path / "carry-tune" / "tuning.png").stat().st_size > 10_000
     assert (tmp_path / "carry-tune" / "tuning.csv").read_text().startswith("phase,")
+
+
+def test_the_profile_holds_for_what_was_tuned(plant, tmp_path):
+    """Gains of a glass, or of a softer pinch, must not end in a profile that carries something else."""
+    config = load_config(
+        "standard", ["carry.object=glass", "carry.impedance.pinch_n=33", "scene.rod.friction=0.45"]
+    ).config
+    context = ToolContext(config, 3, 1, "standard", tmp_path, _name="carry-tune")
+    tune(context)
+    context.publish()
+    loaded = load_config(str(tmp_path / "carry-tune" / "tuned.yaml")).config
+    assert loaded.carry.object == "glass"
+    assert loaded.carry.impedance.pinch_n == 33.0
+    assert loaded.scene.rod.friction == 0.45
 
 
 def test_what_was_tried_stays_when_nothing_was_found(plant, tmp_path):

@@ -198,6 +198,10 @@ def test_sliders_give_their_values(view: WebView) -> None:
     assert view.slider_values().tolist() == [0.25, 1.0]
     view._panel._sliders[0].value = -0.5
     assert view.slider_values().tolist() == [-0.5, 1.0]
+    for sent, kept in ((float("nan"), -0.5), (float("inf"), -0.5), (1e9, None)):  # anybody can send anything
+        view._panel._sliders[0].value = sent
+        value = view.slider_values()[0]
+        assert value == kept if kept is not None else value <= 10.0
 
 
 def test_no_one_can_open_a_public_tunnel(view: WebView) -> None:

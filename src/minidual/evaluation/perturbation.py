@@ -23,6 +23,7 @@ from minidual.view.protocol import View
 
 DROP_MAX = 0.15
 """A condition may cost less than this share of the clean success rate."""
+_ROUNDING = 1e-9
 PURPOSE = "perturb"
 """Random stream of the starts; every condition has the same ones, and no other stage sees them."""
 
@@ -35,6 +36,8 @@ class Robustness:
         condition: Row of the table of conditions.
         summary: Its trials.
         drop: Success rate lost against the clean condition; negative if gained.
+        rate_min: Success rate that the clean condition must reach itself; None for the others. Without it a method
+            that never succeeds would lose nothing to any disturbance.
         example: What happened to the first trial that failed, or an empty string.
     """
 
@@ -42,11 +45,13 @@ class Robustness:
     summary: MethodSummary
     drop: float
     example: str
+    rate_min: float | None = None
 
     @property
     def holds(self) -> bool:
-        """Whether the loss stays under the limit; a NaN does not."""
-        return self.drop < DROP_MAX
+        """Whether the loss stays under the limit, and the clean rate reaches its own; a NaN does neither."""
+        reached = self.rate_min is None or self.summary.success_rate >= self.rate_min
+        return reached and self.drop < DROP_MAX - _ROUNDING
 
     def row(self) -> dict[str, Any]:
         """Return the line of the table."""
@@ -92,7 +97,8 @@ def run_perturbations(
         if name == CLEAN:
             clean_rate = summary.success_rate
         example = next((f"trial {r.metrics.index}: {r.text}" for r in results if not r.success), "")
-        found.append(Robustness(condition, summary, clean_rate - summary.success_rate, example))
+        rate_min = inputs.config.carry.limits.success_rate_min if name == CLEAN else None
+        found.append(Robustness(condition, summary, clean_rate - summary.success_rate, example, rate_min))
         everything += metrics
     return found, everything
 

@@ -177,9 +177,10 @@ class Tuner:
             )
         start_n_per_m = self._config.carry.impedance.stiffness_n_per_m
         least = self._least_force(start_n_per_m)
-        force = min(FORCE_FACTOR * least, FORCE_CEILING_N)
+        # Rounded before they are tried: what is written into the profile is what was carried with.
+        force = round(min(FORCE_FACTOR * least, FORCE_CEILING_N), 1)
         last = self._last_stiffness(force)
-        stiffness = last if last == stiff else STIFFNESS_FACTOR * last
+        stiffness = last if last == stiff else float(round(STIFFNESS_FACTOR * last))
         final = self.step("final", force, stiffness)
         if not (final.holds and final.worst("tracking_max_m") < TRACKING_MAX_M):
             row = final.row()

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
 from minidual.errors import ExitCode
 from minidual.pipeline.tool import ToolContext, ToolResult
+
+if TYPE_CHECKING:
+    from minidual.config.root import Config
 
 PERTURB_TRIALS_N = 20
 
@@ -30,7 +35,8 @@ def perturb(context: ToolContext) -> ToolResult:
     write_perturbations(context.output, found, trials)
     failed = [r for r in found if not r.holds]
     notes = [
-        f"{r.condition.name} costs {100 * r.drop:.0f} points of success, limit {100 * DROP_MAX:.0f}: {r.example}"
+        f"{r.condition.name}: {r.summary.successes_n} of {r.summary.trials_n}, {100 * r.drop:.0f} points fewer than clean "
+        f"(limit {100 * DROP_MAX:.0f}): {r.example}"
         for r in failed
     ]
     return ToolResult(
@@ -62,8 +68,10 @@ def tune(context: ToolContext) -> ToolResult:
             write_text(context.output / "tuning.csv", write_rows(tuner.steps))
             context.publish()  # what was tried is what tells why nothing was found
             raise
-    impedance = {path.rsplit(".", 1)[1]: round(value, 2) for path, value in tuning.settings.items()}
-    profile = {"extends": _base(context.profile), "carry": {"impedance": impedance}}
+    profile = {"extends": _base(context.profile), **_as_typed(context.config)}
+    profile["carry"] |= {"object": config.carry.object, "motion": config.carry.motion}
+    impedance = {path.rsplit(".", 1)[1]: value for path, value in tuning.settings.items()}
+    profile["carry"]["impedance"] = {**profile["carry"].get("impedance", {}), **impedance}
     head = (
         f"# Found by `minidual carry --tune`, seed {context.seed}: {tuning.least_force_n:.1f} N is the least squeeze that\n"
         f"# held {CARRIES_N} of {CARRIES_N} carries; see tuning.csv and tuning.png beside this file.\n"
@@ -86,6 +94,14 @@ def tune(context: ToolContext) -> ToolResult:
             "steps": [s.row() for s in tuning.steps],
         },
     )  # fmt: skip
+
+
+def _as_typed(config: Config) -> dict[str, Any]:
+    """Return what profile and command line have set of the object, its scene and the carry: the gains hold for that."""
+    sections = {
+        name: getattr(config, name).model_dump(mode="json", exclude_unset=True) for name in ("scene", "carry")
+    }
+    return {"carry": {}, **{name: values for name, values in sections.items() if values}}
 
 
 def _base(profile: str) -> str:

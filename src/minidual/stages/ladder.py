@@ -49,7 +49,7 @@ LADDER: tuple[Level, ...] = (
     ),
     Level(
         1, "one arm", "Does one arm find its way alone?",
-        (Proof("plan", ("left_arm.*", "right_arm.*")),),
+        (Proof("plan", ("left_arm.*", "right_arm.*", "second_seed.left_arm.*", "second_seed.right_arm.*")),),
     ),
     Level(
         2, "both arms", "Do both arms move together, and carry an object between them?",

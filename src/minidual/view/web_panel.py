@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import math
 from collections import deque
 from collections.abc import Sequence
 from typing import Any
@@ -117,6 +118,8 @@ class WebPanel:
             )  # fmt: skip
         self._history: deque[tuple[float, float, float, float]] = deque(maxlen=_HISTORY)
         self._sliders: list[Any] = []
+        self._offered: list[Slider] = []
+        self._values: list[float] = []
 
     def show(self, overlay: Overlay, speed: float | None) -> None:
         """Show the state of one instant."""
@@ -137,6 +140,8 @@ class WebPanel:
 
     def offer(self, sliders: Sequence[Slider]) -> None:
         """Add sliders, those of one group in one folder."""
+        self._offered += sliders
+        self._values += [slider.value for slider in sliders]
         folders: dict[str, Any] = {}
         for slider in sliders:
             if slider.group not in folders:
@@ -150,5 +155,13 @@ class WebPanel:
                 )  # fmt: skip
 
     def values(self) -> Array:
-        """Return the values (n,) of the sliders."""
-        return np.array([float(handle.value) for handle in self._sliders])
+        """Return the values (n,) of the sliders, each inside its bounds.
+
+        What arrives was sent by whoever reached the port, not only by a browser that shows these sliders: a value
+        that is no number leaves the last one standing.
+        """
+        for k, (handle, slider) in enumerate(zip(self._sliders, self._offered, strict=True)):
+            value = float(handle.value)
+            if math.isfinite(value):
+                self._values[k] = min(slider.upper, max(slider.lower, value))
+        return np.array(self._values)
