@@ -11,13 +11,15 @@ import pytest
 
 from minidual.config.control import CarryConfig, CarryFaultConfig
 from minidual.config.scene import SceneConfig
+from minidual.control.object_impedance import ObjectImpedance, SingularPostureError
 from minidual.control.soft_stop import SoftStop, TorqueRate
 from minidual.robot.constants import A_MAX, DOF, HOME, TAU_MAX, TAU_RATE_MAX
 from minidual.robot.kinematics import Kinematics
 from minidual.sim.world import World
 from minidual.tasks.faults import FAULTS, FaultMonitor
 from minidual.tasks.impedance_carry import ImpedanceCarry
-from minidual.tasks.rod_carry import sample_trial
+from minidual.tasks.reach import GraspUnreachableError
+from minidual.tasks.rod_carry import RodTrial, sample_trial
 
 DETECTED_S = 0.05
 
@@ -155,6 +157,43 @@ def test_a_fault_is_told_in_time_by_name_and_stopped_softly(world: World, scenar
         assert np.abs(found.speeds[-1]).max() < 0.05
 
 
+def drives_off(*arms: str) -> Callable[[World], None]:
+    def disturb(world: World) -> None:
+        for arm in arms:
+            motors_off(arm)(world)
+
+    return disturb
+
+
+def test_when_both_arms_are_lost_no_torque_waits_for_either(world: World) -> None:
+    found = run(world, "carry", 0.8, drives_off("left", "right"))
+    assert found.carry.fault is not None
+    assert found.carry.fault.name == "lost_arm"
+    assert found.latency_s <= DETECTED_S
+    assert np.all(world.data.ctrl[world.joints.ctrl] == 0.0)
+
+
+def test_the_other_arm_may_be_lost_while_the_first_one_stops(world: World) -> None:
+    first = None
+
+    def disturb(world: World) -> None:
+        nonlocal first
+        motors_off("right")(world)
+        first = world.time
+
+    def later(world: World) -> bool:
+        if first is None or world.time < first + 0.1:
+            return False
+        motors_off("left")(world)
+        return True
+
+    found = run(world, "carry", 0.8, disturb, onset=later)
+    assert found.carry.fault is not None
+    assert found.carry.fault.detail.startswith("right arm")
+    assert "left arm" not in found.carry.fault.detail
+    assert np.all(world.data.ctrl[world.joints.ctrl] == 0.0)
+
+
 def _other(arm: slice) -> slice:
     return slice(0, 7) if arm.start == 7 else slice(7, DOF)
 
@@ -213,10 +252,34 @@ def test_every_row_of_the_table_can_be_told(monitor: FaultMonitor) -> None:
     for name, (said, calls) in told.items():
         assert said == name
         assert calls <= 5
-    assert set(told) | {"unreachable", "reflex"} == set(FAULTS)
+    assert set(told) | {"unreachable", "singular", "reflex"} == set(FAULTS)
     assert _until_told(lambda: monitor.held_pose((0.0, 0.1)))[0] == "slip"
     assert _until_told(lambda: monitor.holding(**{**holds, "spread_m": 0.25}))[0] == "slip"
     assert monitor.closing(gaps, np.array([60.0, 3.0]), 1.6) is not None  # a finger that stands on the object
+
+
+def test_a_reading_that_is_no_number_is_a_fault_and_no_good_reading(monitor: FaultMonitor) -> None:
+    nan, fine, gaps = float("nan"), np.full(2, 60.0), np.full(2, 0.02)
+    holds = {"pinch_n": fine, "gap_m": gaps, "spread_m": 0.24, "tilt_rad": 0.0}
+    assert monitor.holding(**holds) is None
+    blind: dict[str, dict[str, object]] = {
+        "object_lost": {"pinch_n": np.array([60.0, nan])},
+        "tilted": {"tilt_rad": nan},
+        "slip": {"spread_m": nan},
+    }
+    for name, reading in blind.items():
+        assert _until_told(lambda reading=reading: monitor.holding(**{**holds, **reading}))[0] == name
+        assert monitor.holding(**holds) is None
+    assert (
+        _until_told(lambda: monitor.holding(**{**holds, "gap_m": np.array([nan, 0.02])}))[0] == "object_lost"
+    )
+    assert _until_told(lambda: monitor.closing(np.array([nan, 0.02]), fine, 0.1))[0] == "missed_grasp"
+    assert _until_told(lambda: monitor.squeezing(40.0, nan))[0] == "slip"
+    dead = np.r_[np.zeros(9), nan, np.zeros(4)]
+    assert _until_told(lambda: monitor.motors(np.zeros(DOF), dead))[0] == "lost_arm"
+    for innovation in ((nan, 0.0), (0.0, nan)):
+        assert _until_told(lambda innovation=innovation: monitor.resting(innovation))[0] == "knocked_away"
+        assert _until_told(lambda innovation=innovation: monitor.held_pose(innovation))[0] == "slip"
 
 
 def test_a_single_bad_reading_is_not_a_fault(monitor: FaultMonitor) -> None:
@@ -264,3 +327,47 @@ def test_an_unreachable_goal_is_told_before_the_object_is_lifted(scene: SceneCon
     assert carry.fault is not None
     assert carry.fault.name == "unreachable"
     assert highest < far.rod.radius_m + 0.002
+
+
+def test_a_rod_out_of_reach_is_a_fault_before_the_arms_move(world: World) -> None:
+    trial = RodTrial("faults", 0, (0.95, 0.6, 0.0), (0.5, 0.0, 0.0))
+    world.reset(rod_xy_yaw=trial.start)
+    carry = ImpedanceCarry(world, Kinematics(), CarryConfig(), trial, seed=5)
+    q = world.q
+    while not carry.done:
+        carry.step()
+    assert carry.fault is not None
+    assert (carry.fault.name, carry.fault.at_s) == ("unreachable", 0.0)
+    assert "misses its grasp" in carry.fault.detail
+    assert np.abs(world.q - q).max() < 0.01
+
+
+@pytest.mark.parametrize("phase", ["approach", "open"])
+def test_a_grasp_that_is_lost_on_the_way_is_a_fault(
+    world: World, phase: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def none(*_args: object, **_options: object) -> None:
+        raise GraspUnreachableError("the left hand misses its grasp")
+
+    def disturb(_world: World) -> None:
+        monkeypatch.setattr("minidual.tasks.impedance_carry.grasp_posture", none)
+
+    fault = run(world, phase, 0.0, disturb).carry.fault
+    assert fault is not None
+    assert (fault.name, fault.detail) == ("unreachable", "the left hand misses its grasp")
+
+
+def test_a_singular_posture_stops_the_arms_softly_with_the_object_held(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def singular(*_args: object, **_options: object) -> None:
+        raise SingularPostureError("a hand has lost a direction of motion")
+
+    found = run(world, "carry", 1.0, lambda _world: monkeypatch.setattr(ObjectImpedance, "torque", singular))
+    assert found.carry.fault is not None
+    assert found.carry.fault.name == "singular"
+    assert found.latency_s <= 0.001 + 1e-9
+    assert found.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
+    assert np.abs(found.speeds[-1]).max() < 0.05
+    assert world.pinch_forces().min() > 20.0
+    assert not world.rod_on_table()

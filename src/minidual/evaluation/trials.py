@@ -8,9 +8,12 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from minidual.config.seeds import stream
+from minidual.control.object_impedance import SingularPostureError
+from minidual.errors import MinidualError
 from minidual.evaluation.conditions import CLEAN
 from minidual.evaluation.conditions import condition as named_condition
 from minidual.evaluation.methods import Factory, Method, MethodInputs, load_factory, method_spec
@@ -19,9 +22,9 @@ from minidual.evaluation.watch import TrialWatch
 from minidual.robot.constants import TAU_MAX, Array
 from minidual.robot.kinematics import Kinematics
 from minidual.sim.model import build_model
-from minidual.sim.world import World
+from minidual.sim.world import SimulationDivergedError, World
 from minidual.tasks.rod_carry import RodTrial, tilt_rad
-from minidual.tasks.success import RodCarryJudge
+from minidual.tasks.success import Fault, Outcome, RodCarryJudge
 from minidual.view.protocol import View
 
 LOG_RATE_HZ = 250
@@ -29,6 +32,12 @@ _SATURATED = 0.999
 """Share of its limit from which a motor counts as saturated; controllers clip at the limit itself."""
 SETTLED_S = 0.5
 """A trial ends this long after its rod lies finished; methods without an end of their own would go on."""
+_STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+_BROKEN: dict[type[MinidualError], str] = {
+    SimulationDivergedError: "diverged",
+    SingularPostureError: "singular",
+}
+"""What may end a trial from below its method, and the name under which it fails then."""
 
 
 @dataclass
@@ -103,7 +112,10 @@ def run_trial(
     condition: str = CLEAN,
     on_step: Callable[[World, Method], None] | None = None,
 ) -> tuple[TrialResult, TrialLog]:
-    """Reset the world, run one trial to its end or its time limit, and judge it."""
+    """Reset the world, run one trial to its end or its time limit, and judge it.
+
+    A trial that breaks (_BROKEN) has failed and is judged as it stood after its last whole step; others go on.
+    """
     scene = world.scene
     began = time.perf_counter()
     world.reset(rod_xy_yaw=trial.start)
@@ -114,9 +126,20 @@ def run_trial(
     peak = np.zeros(len(TAU_MAX))
     saturated, longest, longest_now = np.zeros(len(TAU_MAX), dtype=int), 0, 0
     steps = round(scene.task.time_limit_s / world.dt)
-    finished_s = 0.0
+    finished_s, broken = 0.0, None
+    last = np.empty(mujoco.mj_stateSize(world.model, _STATE))
+    mujoco.mj_getState(world.model, world.data, last, _STATE)
     for step in range(steps):
-        method.step()
+        try:
+            method.step()
+        except tuple(_BROKEN) as error:
+            mujoco.mj_setState(world.model, world.data, last, _STATE)  # one that diverged has been reset
+            mujoco.mj_forward(world.model, world.data)
+            broken = Fault(_BROKEN[type(error)], world.time, error.message)
+            if not columns:
+                columns.append(_sample(world, kinematics, method.phase))
+            break
+        mujoco.mj_getState(world.model, world.data, last, _STATE)
         judge.observe(world)
         ratio = np.abs(world.tau) / TAU_MAX
         np.maximum(peak, ratio, out=peak)
@@ -132,7 +155,7 @@ def run_trial(
         if method.done or finished_s > SETTLED_S:
             break
     log = _collect(columns)
-    outcome = judge.outcome(world)
+    outcome = _with_fault(judge.outcome(world), broken)
     metrics = trial_metrics(
         method_name, trial.index, outcome,
         q=log.q, tau=log.tau, tcp_positions=log.tcp, rate_hz=LOG_RATE_HZ, condition=condition,
@@ -148,6 +171,13 @@ def run_trial(
         saturated_max_s=longest * world.dt,
     )
     return result, log
+
+
+def _with_fault(outcome: Outcome, broken: Fault | None) -> Outcome:
+    """Return the verdict on a trial that broke; its fault stands before those that only follow from it."""
+    if broken is None:
+        return outcome
+    return replace(outcome, success=False, faults=(broken, *outcome.faults))
 
 
 def _sample(world: World, kinematics: Kinematics, phase: str) -> tuple[Any, ...]:

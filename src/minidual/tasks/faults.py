@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from minidual.config.control import CarryFaultConfig
 from minidual.robot.constants import ARMS, DOF_PER_ARM, Array
@@ -37,7 +38,8 @@ FAULTS: dict[str, FaultKind] = {
     "tilted": FaultKind("the estimated tilt of the object", False),
     "lost_arm": FaultKind("the motors of an arm do not give the torque they were told", True),
     "reflex": FaultKind("a bound of the supervisor does not hold; its own soft stop acts at once", False),
-    "unreachable": FaultKind("no posture for the goal, found before the object is lifted", True),
+    "unreachable": FaultKind("no posture for a grasp or along the path: the hands do not begin it", True),
+    "singular": FaultKind("a hand that holds the object has lost a direction of motion", False),
 }
 
 
@@ -95,6 +97,8 @@ class _Scatter:
 class FaultMonitor:
     """Looks for faults; each method is called once a control step in the phases where it applies.
 
+    A reading that is not a number lies within no limit, so every comparison asks whether all is well.
+
     Args:
         config: Limits.
         dt_s: Control step.
@@ -108,11 +112,13 @@ class FaultMonitor:
         self._counts: dict[str, int] = {}
         self._spread_m: float | None = None
         self._motors_missing = False
+        self.lost: npt.NDArray[np.bool_] = np.zeros(len(ARMS), dtype=bool)
+        """(2,) arms whose motors were found not to give what they were told; once lost, an arm stays lost."""
         self._away_m, self._away_rad = _Scatter(config.displaced_m), _Scatter(config.displaced_rad)
 
     def _is_away(self, innovation: tuple[float, float]) -> bool:
         """Return whether a pose sample is farther from where the object should be than its sensor's scatter."""
-        return innovation[0] > self._away_m.limit or innovation[1] > self._away_rad.limit
+        return not (innovation[0] <= self._away_m.limit and innovation[1] <= self._away_rad.limit)
 
     def _lasts(self, key: str, now: bool, needed: int | None = None) -> bool:
         """Return whether `now` has held for as many calls in a row as needed."""
@@ -123,20 +129,19 @@ class FaultMonitor:
         return count >= (self._needed if needed is None else needed)
 
     def motors(self, commanded: Array, applied: Array) -> Finding:
-        """Compare torques (14,) told and given in the last step."""
+        """Compare torques (14,) told and given in the last step; `lost` says which arms are gone."""
         difference = commanded - applied
         np.abs(difference, difference)
         if difference.max() <= self._config.motor_torque_n_m and not self._motors_missing:
             return None
         missing = difference.reshape(2, DOF_PER_ARM).max(axis=1)
-        self._motors_missing = bool((missing > self._config.motor_torque_n_m).any())
-        for arm, name in enumerate(ARMS):
-            if self._lasts(f"motor {name}", bool(missing[arm] > self._config.motor_torque_n_m)):
-                return (
-                    "lost_arm",
-                    f"{name} arm: a motor gives {missing[arm]:.1f} Nm less than it was told",
-                )
-        return None
+        self._motors_missing = not bool((missing <= self._config.motor_torque_n_m).all())
+        found: list[str] = []
+        for arm, name in enumerate(ARMS):  # both: drives that share a supply go together
+            if self._lasts(f"motor {name}", not missing[arm] <= self._config.motor_torque_n_m):
+                self.lost[arm] = True
+                found.append(f"{name} arm: a motor gives {missing[arm]:.1f} Nm less than it was told")
+        return ("lost_arm", "; ".join(found)) if found else None
 
     def resting(self, innovation: tuple[float, float]) -> Finding:
         """Judge one fresh pose sample of an object that nobody has touched."""
@@ -151,7 +156,7 @@ class FaultMonitor:
     def closing(self, gap_m: Array, pinch_n: Array, t_s: float) -> Finding:
         """Judge closing hands by the gap between their fingers (2,), the pinch (2,) and the time since they began."""
         for arm, name in enumerate(ARMS):
-            through = float(gap_m[arm]) < self._width - self._config.gap_margin_m
+            through = not float(gap_m[arm]) >= self._width - self._config.gap_margin_m
             if self._lasts(f"gap {name}", through, 3):
                 return "missed_grasp", (
                     f"the {name} hand has closed to {1e3 * float(gap_m[arm]):.0f} mm, the object is "
@@ -167,16 +172,16 @@ class FaultMonitor:
         config = self._config
         least_n, least_m = config.lost_pinch_share * self._pinch, self._width - config.gap_margin_m
         for name, pinch, gap in zip(ARMS, pinch_n.tolist(), gap_m.tolist(), strict=True):
-            if self._lasts(f"pinch {name}", pinch < least_n):
+            if self._lasts(f"pinch {name}", not pinch >= least_n):
                 return "object_lost", f"the {name} hand pinches {pinch:.1f} of {self._pinch:.0f} N"
-            if self._lasts(f"held gap {name}", gap < least_m, 3):
+            if self._lasts(f"held gap {name}", not gap >= least_m, 3):
                 return "object_lost", f"the {name} hand has closed to {1e3 * gap:.0f} mm"
         if self._spread_m is None:
             self._spread_m = spread_m
         crept = abs(spread_m - self._spread_m)
-        if self._lasts("spread", crept > config.displaced_m):
+        if self._lasts("spread", not crept <= config.displaced_m):
             return "slip", f"the hands have moved {1e3 * crept:.1f} mm along the object"
-        if self._lasts("tilt", tilt_rad > config.tilt_rad):
+        if self._lasts("tilt", not tilt_rad <= config.tilt_rad):
             return "tilted", f"the object is tilted by {np.degrees(tilt_rad):.0f} deg"
         return None
 
@@ -192,6 +197,6 @@ class FaultMonitor:
 
     def squeezing(self, wanted_n: float, felt_n: float) -> Finding:
         """Compare the squeeze that is wanted, once it is steady, with the one that is felt."""
-        if self._lasts("squeeze", felt_n < self._config.squeeze_share * wanted_n):
+        if self._lasts("squeeze", not felt_n >= self._config.squeeze_share * wanted_n):
             return "slip", f"internal force {felt_n:.1f} of {wanted_n:.0f} N"
         return None

@@ -15,12 +15,18 @@ from minidual.config.seeds import stream
 from minidual.control.gripper import Grippers
 from minidual.control.joint_control import ComputedTorque
 from minidual.control.object_estimate import HeldEstimate, RestingEstimate
-from minidual.control.object_impedance import HeldObject, ImpedanceGains, ObjectImpedance, ObjectState
+from minidual.control.object_impedance import (
+    HeldObject,
+    ImpedanceGains,
+    ObjectImpedance,
+    ObjectState,
+    SingularPostureError,
+)
 from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.control.reflexes import Reflex, ReflexError
 from minidual.control.soft_stop import SoftStop, TorqueRate
 from minidual.control.stack import Guard
-from minidual.robot.constants import ARMS, DOF_PER_ARM, FINGER_TRAVEL_M, Array
+from minidual.robot.constants import DOF_PER_ARM, FINGER_TRAVEL_M, Array
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse
 from minidual.sim.sensing import Reading, Sensors
@@ -102,7 +108,11 @@ class ImpedanceCarry:
         self._forces, self._pinch = self._reading.hand_forces.copy(), self._reading.pinch.copy()
         self._filter_share = world.dt / (config.sensing.force_filter_s + world.dt)
         self._resting = RestingEstimate(self._reading.pose.T_world_object)
-        self._q_over, _ = approach_postures(world.scene, level_part(self._resting.T_world_object))
+        self._q_over, unreachable = world.q, ""
+        try:
+            self._q_over, _ = approach_postures(world.scene, level_part(self._resting.T_world_object))
+        except GraspUnreachableError as error:
+            unreachable = error.message
         self._motion: Quintic | SoftStop = self._travel(world.q, self._q_over)
         self._rate = TorqueRate(kinematics.gravity(world.q), world.dt)
         self._supervisor = supervisor
@@ -119,6 +129,8 @@ class ImpedanceCarry:
         self._hold: _Hold | None = None
         self._desired: ObjectState | None = None
         self.fault: CarryFault | None = None
+        if unreachable:
+            self._heed(("unreachable", unreachable))
 
     @property
     def phase(self) -> str:
@@ -156,8 +168,8 @@ class ImpedanceCarry:
         self._sense()
         if self._reflex is not None:
             self._heed(("reflex", self._reflex.text))
-        if self.fault is None and self._told is not None:
-            self._heed(self._monitor.motors(self._told, world.tau))
+        if self._told is not None and (self.fault is None or self.fault.name == "lost_arm"):
+            self._heed_motors(self._monitor.motors(self._told, world.tau))
         getattr(self, f"_{self._phase.name}")(world.time - self._phase.began_s)
         world.step()
 
@@ -204,8 +216,6 @@ class ImpedanceCarry:
         name, detail = finding
         world = self.world
         self.fault = CarryFault(name, world.time, detail)
-        if name == "lost_arm":  # a drive that comes back must not find a torque waiting
-            self._dead = np.repeat([detail.startswith(arm) for arm in ARMS], DOF_PER_ARM)
         # A reflex is not about the object: the hands stay as they are commanded.
         self._stop_opens = FAULTS[name].opens_hands if name != "reflex" else self._opening is _OPEN
         # Two hands that still hold one object must not fight each other over it: a soft hold.
@@ -213,6 +223,14 @@ class ImpedanceCarry:
         self._motion = SoftStop(world.q, world.v, deceleration_share=self._config.faults.deceleration_share)
         self._hold = None
         self._enter("stop")
+
+    def _heed_motors(self, finding: Finding) -> None:
+        """Stop for motors that are gone, and tell them nothing more; the other arm may be lost while this one stops."""
+        if finding is None:
+            return
+        self._heed(finding)
+        # A drive that comes back must not find a torque waiting.
+        self._dead = np.repeat(self._monitor.lost, DOF_PER_ARM)
 
     def _travel(self, q0: Array, q1: Array) -> Quintic:
         return Quintic(q0, q1, joint_duration_s(q0, q1, self._config.pace))
@@ -227,9 +245,19 @@ class ImpedanceCarry:
     def _approach(self, t: float) -> None:
         if self._joints(t, _OPEN):
             # By now the object has been seen a hundred times: the grasp is placed by the mean.
-            q_grasp = grasp_posture(self._scene, level_part(self._resting.T_world_object), self._q_over)
-            self._motion = self._travel(self._q_over, q_grasp)
-            self._enter("descend")
+            q_grasp = self._grasp(self._q_over)
+            if q_grasp is not None:
+                self._motion = self._travel(self._q_over, q_grasp)
+                self._enter("descend")
+
+    def _grasp(self, q_near: Array, *, above_m: float = 0.0) -> Array | None:
+        """Return the posture (14,) with the hands at or over their grasps; None, and a soft stop, where there is none."""
+        level = level_part(self._resting.T_world_object)
+        try:
+            return grasp_posture(self._scene, level, q_near, above_m=above_m)
+        except GraspUnreachableError as error:
+            self._heed(("unreachable", error.message))
+            return None
 
     def _descend(self, t: float) -> None:
         if self._joints(t, _OPEN):
@@ -247,9 +275,10 @@ class ImpedanceCarry:
     def _open(self, t: float) -> None:
         if self._joints(t, _OPEN):
             q = self.world.q
-            level = level_part(self._resting.T_world_object)
-            self._motion = self._travel(q, grasp_posture(self._scene, level, q, above_m=_RETREAT_M))
-            self._enter("retreat")
+            q_above = self._grasp(q, above_m=_RETREAT_M)
+            if q_above is not None:
+                self._motion = self._travel(q, q_above)
+                self._enter("retreat")
 
     def _retreat(self, t: float) -> None:
         if self._joints(t, _OPEN):
@@ -339,10 +368,15 @@ class ImpedanceCarry:
         axis = state.T_world_object[:3, 1]
         felt = min(-float(axis @ self._forces[0]), float(axis @ self._forces[1]))
         self._desired = hold.desired(t_path)
-        tau = hold.law.torque(
-            world.q, world.v, state, self._desired,
-            internal_force_n=squeeze_n, measured_internal_force_n=felt,
-        )  # fmt: skip
+        try:
+            tau = hold.law.torque(
+                world.q, world.v, state, self._desired,
+                internal_force_n=squeeze_n, measured_internal_force_n=felt,
+            )  # fmt: skip
+        except SingularPostureError as error:
+            self._heed(("singular", error.message))
+            self._stop(0.0)  # the motors need a command in this step too
+            return False
         self._command(tau, _CLOSED)
         if self._phase.name != "unload":
             self._watch(state, squeeze_n, felt, fresh=sample is not None, steady=steady)

@@ -1,0 +1,93 @@
+"""A trial that breaks has failed, with a name and true numbers; the trials after it are none the worse."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from minidual.control.object_impedance import SingularPostureError
+from minidual.evaluation.trials import run_trial
+from minidual.robot.kinematics import Kinematics
+from minidual.sim.world import World
+from minidual.tasks.rod_carry import RodTrial, sample_trial
+
+
+class Stands:
+    """A method that holds the arms where they are and ends, or breaks, after so many steps."""
+
+    aborted: str | None = None
+    phase = "standing"
+
+    def __init__(self, world: World, kinematics: Kinematics, *, steps: int, breaks: str = "") -> None:
+        self.world, self._gravity = world, kinematics.gravity(world.q)
+        self._left, self._breaks = steps, breaks
+
+    @property
+    def done(self) -> bool:
+        return self._left <= 0
+
+    def step(self) -> None:
+        tau = self._gravity.copy()
+        self._left -= 1
+        if self._left <= 0 and self._breaks == "singular":
+            raise SingularPostureError("a hand has lost a direction of motion")
+        if self._left <= 0 and self._breaks == "diverged":
+            tau[9] = math.nan
+        if self._left <= 0 and self._breaks == "exploded":
+            self.world.data.qvel[self.world.joints.qvel[2]] = 1e12
+        self.world.command(tau, np.full(2, 0.04))
+        self.world.step()
+
+
+@pytest.fixture
+def trial(world: World) -> RodTrial:
+    return sample_trial(world.scene, 5, "broken", 0)
+
+
+def _run(world: World, trial: RodTrial, **how: object):
+    return run_trial("impedance", lambda w, k, _trial: Stands(w, k, **how), world, Kinematics(), trial)
+
+
+@pytest.mark.parametrize("breaks", ["diverged", "exploded", "singular"])
+def test_a_trial_that_breaks_is_judged_as_it_stood(
+    world: World, trial: RodTrial, breaks: str, quiet_mujoco: None
+) -> None:
+    whole, whole_log = _run(world, trial, steps=999)
+    broken, log = _run(world, trial, steps=1000, breaks=breaks)
+    assert not broken.success
+    metrics = broken.metrics
+    assert metrics.failure == ("singular" if breaks == "singular" else "diverged")
+    assert metrics.failed_at_s == pytest.approx(0.999)
+    assert ("direction of motion" if breaks == "singular" else "not finite") in metrics.reason
+    # All that was measured is that of the same trial without its last step.
+    assert np.array_equal(log.q, whole_log.q)
+    assert np.array_equal(log.tau, whole_log.tau)
+    for name in ("torque_ratio_max", "jerk_rms", "tilt_max_rad", "path_length_m"):
+        assert getattr(metrics, name) == getattr(whole.metrics, name)
+        assert math.isfinite(getattr(metrics, name))
+    assert metrics.goal_error_m == pytest.approx(math.dist(trial.start[:2], trial.goal[:2]), abs=2e-3)
+    assert math.isnan(metrics.duration_s)
+
+
+@pytest.mark.parametrize("breaks", ["diverged", "exploded", "singular"])
+def test_a_trial_that_breaks_at_its_first_step_has_a_log_too(
+    world: World, trial: RodTrial, breaks: str, quiet_mujoco: None
+) -> None:
+    result, log = _run(world, trial, steps=1, breaks=breaks)
+    assert result.metrics.failed_at_s == 0.0
+    assert result.metrics.failure in ("diverged", "singular")
+    assert len(log.t) == 1
+    assert np.isfinite(log.q).all()
+
+
+def test_the_next_trial_is_the_same_as_without_a_broken_one(
+    world: World, trial: RodTrial, quiet_mujoco: None
+) -> None:
+    before, before_log = _run(world, trial, steps=400)
+    _run(world, trial, steps=300, breaks="exploded")
+    after, after_log = _run(world, trial, steps=400)
+    assert after.metrics.to_row() == before.metrics.to_row()
+    assert np.array_equal(after_log.tau, before_log.tau)
+    assert before.metrics.failure != "diverged"  # the control: a trial that only ends has another name
