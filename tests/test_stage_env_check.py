@@ -362,6 +362,12 @@ class TestLatency:
         assert 0.05 < stop.rest_s < 0.5
         assert stop.torque_step_nm <= 1.0 + 1e-9
 
+    def test_another_reflex_is_no_emergency_stop(self, world, kinematics, monkeypatch):
+        slow = SupervisorConfig(velocity_scale=0.2)
+        assert emergency_stop(world, kinematics, slow).ticks == 0  # stopped before it was pressed
+        monkeypatch.setattr(Supervisor, "estop", lambda self, *_: setattr(self, "_deadline_s", -1.0))
+        assert emergency_stop(world, kinematics, SupervisorConfig()).ticks == 0  # in the tick of the call
+
     def test_a_supervisor_that_ignores_the_button_is_seen(self, world, kinematics, monkeypatch):
         monkeypatch.setattr(Supervisor, "estop", lambda *_: None)
         stop = emergency_stop(world, kinematics, SupervisorConfig())

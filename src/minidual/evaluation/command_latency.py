@@ -168,7 +168,7 @@ class StopResponse:
     """What an emergency stop does to moving arms.
 
     Attributes:
-        ticks: Control steps from the call to the reflex; 1 is the next.
+        ticks: Control steps from the call to the reflex `emergency_stop`; 1 is the next, 0 if it did not come.
         rest_s: Simulated time until no joint is faster than 0.01 rad/s; NaN if they do not come to rest in 2 s.
         speed_rad_s: Fastest joint when it was called.
         torque_step_nm: Largest change of a torque in one tick of the stop.
@@ -200,7 +200,8 @@ def emergency_stop(world: World, kinematics: Kinematics, config: SupervisorConfi
             tau = supervisor.guard(t, q, v, tau)
         except ReflexError as error:
             tau = error.tau
-            ticks = k + 1 - (k if pressed is None else pressed)
+            if error.reflex.name == "emergency_stop" and pressed is not None:
+                ticks = k + 1 - pressed
         if supervisor.reflex is not None:
             change = max(change, float(np.max(np.abs(tau - applied))))
         applied = tau
