@@ -139,6 +139,23 @@ class TestOracle:
         ):
             assert np.abs(changed - before).max() > 1e-3
 
+    @pytest.mark.parametrize(("wanted", "felt"), [(np.nan, 40.0), (40.0, np.nan)])
+    def test_a_squeeze_that_is_no_number_reaches_the_torques(
+        self, kinematics: Kinematics, wanted: float, felt: float
+    ) -> None:
+        law = ObjectImpedance(kinematics, draw(np.random.default_rng(1), kinematics).held, ImpedanceGains())
+        law.engage(HOME)
+        T_left, T_right = kinematics.tcp_poses(HOME)
+        state = ObjectState(pose(np.eye(3), 0.5 * (T_left[:3, 3] + T_right[:3, 3])))
+
+        def torque(wanted_n: float, felt_n: float) -> np.ndarray:
+            return law.torque(
+                HOME, np.zeros(DOF), state, state, internal_force_n=wanted_n, measured_internal_force_n=felt_n
+            )
+
+        assert np.isfinite(torque(40.0, 40.0)).all()
+        assert np.isnan(torque(wanted, felt)).any()
+
     def test_a_lost_direction_is_named(self, kinematics: Kinematics) -> None:
         law = ObjectImpedance(kinematics, draw(np.random.default_rng(1), kinematics).held, ImpedanceGains())
         law.engage(HOME)

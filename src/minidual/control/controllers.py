@@ -24,7 +24,13 @@ from minidual.control.commands import (
 )
 from minidual.control.execution import ObjectExecution, TrajectoryExecution
 from minidual.control.joint_control import ComputedTorque
-from minidual.control.object_impedance import HeldObject, ImpedanceGains, ObjectImpedance, ObjectState
+from minidual.control.object_impedance import (
+    HeldObject,
+    ImpedanceGains,
+    ObjectImpedance,
+    ObjectState,
+    bounded,
+)
 from minidual.control.object_path import minimum_jerk
 from minidual.control.reference import ReferenceFilter
 from minidual.errors import UsageError
@@ -269,7 +275,7 @@ class ObjectImpedanceController:
             if self._execution.finished:
                 self._execution = None
         step = self._squeeze_wanted - self._squeeze
-        self._squeeze += min(self._squeeze_step, max(-self._squeeze_step, step))
+        self._squeeze += bounded(step, -self._squeeze_step, self._squeeze_step)
         measured, internal_force = self._sensor.read()
         self._reference = q
         return law.torque(

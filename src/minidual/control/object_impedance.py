@@ -31,6 +31,11 @@ GRAVITY = np.array([0.0, 0.0, -9.81])
 _ARMS = (GROUPS["left_arm"], GROUPS["right_arm"])
 
 
+def bounded(value: float, low: float, high: float) -> float:
+    """Return the value within its bounds; NaN stays NaN, so that whoever looks at the torques finds it."""
+    return high if value > high else low if value < low else value
+
+
 class SingularPostureError(MinidualError):
     """An arm is stretched so far that its hand cannot be accelerated in every direction."""
 
@@ -168,5 +173,5 @@ class ObjectImpedance:
     def _squeeze(self, wanted_n: float, measured_n: float) -> float:
         """Return F: the wanted squeeze, corrected within its bounds, never a pull and never over the ceiling."""
         limit = self.gains.force_correction_max_n
-        correction = min(limit, max(-limit, self.gains.force_gain * (wanted_n - measured_n)))
-        return min(self.gains.force_ceiling_n, max(0.0, wanted_n + correction))
+        correction = bounded(self.gains.force_gain * (wanted_n - measured_n), -limit, limit)
+        return bounded(wanted_n + correction, 0.0, self.gains.force_ceiling_n)
