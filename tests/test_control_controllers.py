@@ -13,7 +13,7 @@ from minidual.config.scene import SceneConfig
 from minidual.control.commands import ArbiterState, JointCommand, ObjectCommand, TrajectoryCommand
 from minidual.control.controller_manager import ControllerSwitchError
 from minidual.control.loop import JointLoop
-from minidual.control.object_impedance import HeldObject
+from minidual.control.object_impedance import HeldObject, ObjectState, SingularPostureError
 from minidual.control.object_path import ObjectPath, Waypoint, minimum_jerk
 from minidual.control.stack import ControlStack
 from minidual.errors import MinidualError, UsageError
@@ -540,6 +540,104 @@ def test_an_object_command_is_held_to_its_bounds(plant: ArmsPlant) -> None:
     assert stack.propose("moveit", command(0.05, 1.0, 0.0, 4)) is None
     stack.step()
     assert stack.refusals[-1].name == "wrong_controller", "a joint controller takes no object path"
+
+
+def test_a_mode_that_drives_changes_to_the_controllers_it_names(plant: ArmsPlant) -> None:
+    stack = stack_on(plant)
+    hand_over(stack, "moveit")
+    stack.request("moveit", PAIR)
+    stack.step()
+    assert stack.source == "moveit"
+    assert stack.manager.active == PAIR
+    stack.request("moveit")  # none named: those that drive stay
+    stack.step()
+    assert stack.manager.active == PAIR
+    stack.propose("moveit", trajectory(stack, move(plant.q, HOME + 0.1, 0.3)))
+    stack.step()
+    stack.request("moveit", PAIR)  # nothing would change
+    with pytest.raises(ControllerSwitchError, match="under_way"):
+        stack.request("moveit", ("both_arms",))
+    assert stack.manager.active == PAIR
+
+
+# A controller that fails ------------------------------------------------------------------------------------
+
+
+def _break(stack: ControlStack) -> None:
+    def update(q: Array, v: Array) -> Array:
+        raise SingularPostureError("a hand has lost a direction of motion")
+
+    stack.manager["left_arm"].update = update  # type: ignore[method-assign]
+
+
+def test_without_a_supervisor_the_joint_controllers_take_over_from_one_that_fails(plant: ArmsPlant) -> None:
+    stack = stack_on(plant)
+    hand_over(stack, "moveit", PAIR)
+    _break(stack)
+    n, q = len(plant.torques), plant.q
+    with pytest.raises(SingularPostureError):
+        stack.step()
+    assert len(plant.torques) == n + 1, "the tick of the failure moves the plant too"
+    for _ in range(300):  # once
+        stack.step()
+    assert stack.source is None
+    assert stack.manager.active == ("both_arms",)
+    assert np.isfinite(plant.torques).all()
+    np.testing.assert_allclose(plant.q, q, atol=1e-3)
+
+
+def test_the_supervisor_stops_the_arms_of_a_controller_that_fails(world: World) -> None:
+    from minidual.control.reflexes import ReflexError
+    from minidual.control.supervisor import Supervisor
+
+    world.reset()
+    stack = stack_on(world, supervisor=Supervisor(dt_s=world.dt))
+    hand_over(stack, "moveit", PAIR)
+    _break(stack)
+    now_s = world.time
+    with pytest.raises(ReflexError, match=r"controller_failed.*lost a direction") as caught:
+        stack.step()
+    assert isinstance(caught.value.__cause__, SingularPostureError)
+    assert stack.reflex is caught.value
+    assert world.time > now_s, "the tick of the reflex moves the plant too"
+    for _ in range(300):  # once; the controller goes on failing
+        stack.step()
+    assert np.abs(world.v).max() < 0.01
+    stack.switch_controllers(("both_arms",))
+    stack.recover()
+    hand_over(stack, "moveit")
+
+
+class _Deaf:
+    """An object at rest whose force sensor gives no number."""
+
+    def __init__(self, world: World) -> None:
+        self.force_n, self._T = 40.0, world.T_world_rod
+
+    def read(self) -> tuple[ObjectState, float]:
+        return ObjectState(self._T), self.force_n
+
+
+@pytest.mark.parametrize("when", ["before", "after"])
+def test_a_squeeze_that_is_no_number_is_a_reflex(
+    scene: SceneConfig, world: World, kinematics: Kinematics, when: str
+) -> None:
+    from minidual.control.reflexes import ReflexError
+    from minidual.control.supervisor import Supervisor
+
+    pinch_rod(JointLoop(world, kinematics), scene, kinematics)
+    sensor = _Deaf(world)
+    stack = stack_on(world, sensor=sensor, supervisor=Supervisor(dt_s=world.dt))
+    hand_over(stack, "moveit")
+    stack.impedance.configure(_grasped(world, kinematics))
+    if when == "before":
+        sensor.force_n = float("nan")
+    stack.switch_controllers(("object_impedance",))
+    if when == "after":
+        stack.step()
+        sensor.force_n = float("nan")
+    with pytest.raises(ReflexError, match="not_finite"):
+        stack.step()
 
 
 # The supervisor ---------------------------------------------------------------------------------------------

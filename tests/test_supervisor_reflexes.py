@@ -178,6 +178,16 @@ class TestReflexes:
         must_trip(set_up.run(0.01, torque=lambda t, tau: tau * np.nan), "not_finite")
         assert set_up.error.tau == pytest.approx(gravity, abs=1.01)
 
+    def test_controller_failed(self, arms):
+        set_up = arms()
+        set_up.run(0.05)
+        world, supervisor = set_up.world, set_up.supervisor
+        with pytest.raises(ReflexError) as caught:
+            supervisor.fail(world.time, world.q, world.v, "the law is singular")
+        must_trip(caught.value, "controller_failed", "the law is singular")
+        tau = supervisor.fail(world.time + 0.001, world.q, world.v, "again")  # once: then the soft stop
+        assert np.abs(tau - caught.value.tau).max() <= TAU_RATE_MAX * 1e-3 + 1e-9
+
     def test_stale_command(self, arms):
         set_up = arms()
 
@@ -230,6 +240,42 @@ class TestStop:
         error = set_up.run(0.1)
         assert seen == [error.reflex]
         assert "minidual replay last-second.npz" in str(error)
+
+    def test_an_emergency_stop_under_another_reflex_outlives_the_reset(self, arms):
+        set_up = arms()
+        must_trip(set_up.run(1.0, accelerate(6, 12.0)), "joint_velocity")
+        set_up.supervisor.estop("red button")
+        set_up.go_on(0.5)
+        set_up.supervisor.reset()
+        error, set_up.error = set_up.error, None
+        rest = set_up.world.q
+        must_trip(set_up.run(0.1, lambda t: (rest, np.zeros(DOF), np.zeros(DOF))), "emergency_stop", "red")
+        assert set_up.error is not error
+        set_up.supervisor.reset()  # now it is the one that was reported
+        set_up.error = None
+        assert set_up.run(0.1, lambda t: (rest, np.zeros(DOF), np.zeros(DOF))) is None
+
+    def test_an_emergency_stop_between_two_trials_stops_the_next_at_once(self, arms):
+        set_up = arms()
+        assert set_up.run(0.1) is None
+        set_up.supervisor.estop()
+        set_up.world.reset()
+        set_up.supervisor.reset()
+        assert must_trip(set_up.run(0.1), "emergency_stop").time_s == 0.0
+
+    def test_a_callback_that_breaks_does_not_take_the_torque_away(self, arms):
+        def broken(reflex):
+            raise RuntimeError("no room")
+
+        set_up = arms(on_reflex=broken)
+        set_up.supervisor.estop()
+        error = set_up.run(0.1)
+        must_trip(error, "emergency_stop")
+        assert error.dump is None
+        assert isinstance(error.__cause__, RuntimeError)
+        assert "the last second was not written: RuntimeError: no room" in str(error)
+        set_up.go_on(0.1)
+        assert np.isfinite(set_up.applied).all()
 
     def test_the_error_crosses_processes(self, arms):
         set_up = arms()

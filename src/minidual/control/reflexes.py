@@ -86,6 +86,10 @@ _KINDS = (
         "look at the controller's inputs: minidual replay FILE says what stopped being finite first", "",
     ),
     ReflexKind(
+        "controller_failed", "", "a controller gives no torque",
+        "remove what it names, or recover with controllers that need less, such as both_arms", "",
+    ),
+    ReflexKind(
         "stale_command", "communication_constraints_violation", "nobody has given a command for too long",
         "see that the source runs and keeps its rate; supervisor.stale_s is how long it may be silent", "s",
     ),
@@ -133,14 +137,17 @@ class ReflexError(MinidualError):
         reflex: What happened.
         tau: (14,) [Nm] torque to apply in this tick, the first of the soft stop: always finite, within the limits.
         dump: File with the last second before, for `minidual replay`, if one was written.
+        no_dump: Why the file could not be written; empty if nothing went wrong.
     """
 
-    def __init__(self, reflex: Reflex, tau: Array, dump: Path | None = None) -> None:
+    def __init__(self, reflex: Reflex, tau: Array, dump: Path | None = None, no_dump: str = "") -> None:
         look = f"; minidual replay {dump} shows the last second" if dump is not None else ""
+        look += f"; the last second was not written: {no_dump}" if no_dump else ""
         super().__init__(reflex.text, remedy=reflex.kind.remedy + look)
         self.reflex = reflex
         self.tau = tau
         self.dump = dump
+        self.no_dump = no_dump
 
     def __reduce__(self) -> tuple[object, ...]:
-        return (type(self), (self.reflex, self.tau, self.dump))
+        return (type(self), (self.reflex, self.tau, self.dump, self.no_dump))

@@ -56,6 +56,10 @@ class Guard(Protocol):
         """Return the torques (14,) [Nm] to apply; raise a named error, once, to stop the arms."""
         ...
 
+    def fail(self, time_s: float, q: Array, v: Array, why: str) -> Array:
+        """Stop the arms, as `guard` does, in a tick in which the controllers give no torque."""
+        ...
+
     def heard(self, time_s: float) -> None:
         """Note that the arbiter is alive."""
         ...
@@ -182,12 +186,15 @@ class ControlStack:
         Args:
             mode: One of the sources, or "hold".
             controllers: The set to drive with from the moment the switch is confirmed; `both_arms` by default,
-                and for "hold" those that are active.
+                and for "hold" those that are active. A mode that drives already changes to a named set at once, as
+                by `switch_controllers`, and keeps the active one if none is named.
 
         Raises:
             UsageError: There is no such mode or controller.
-            ControllerSwitchError: The set would not claim every joint exactly once, or is not ready.
+            ControllerSwitchError: The set would not claim every joint exactly once, or is not ready; or the mode
+                drives already and a timed command is under way.
         """
+        named = controllers is not None
         if controllers is None:
             controllers = self.manager.active if mode == HOLD else DEFAULT_CONTROLLERS
         self.manager.check(controllers)
@@ -196,6 +203,10 @@ class ControlStack:
                 f"'{mode}' may not drive: the supervisor stopped the arms ({self.reflex.message})",
                 remedy="find the cause, then recover()",
             )
+        if mode == self.source:  # no switch will come that could bring the set
+            if named and tuple(controllers) != self.manager.active:
+                self.switch_controllers(controllers)
+            controllers = self.manager.active
         self.arbiter.request(mode)
         self._wanted[mode] = tuple(controllers)
         self._due = True
@@ -291,26 +302,42 @@ class ControlStack:
         return output
 
     def advance(self) -> None:
-        """Run one control and physics step on what the arbiter let through last."""
+        """Run one control and physics step on what the arbiter let through last.
+
+        Raises:
+            The named error of the supervisor, or without one that of a controller, once and after the step.
+        """
         world, output = self.world, self.output
         for execution in output.executions:
             execution.step()
             if execution.finished:
                 self._due = True
         q, v = world.q, world.v
-        tau = self.manager.update(q, v)
-        stopped: MinidualError | None = None
-        if self.supervisor is not None:
-            try:
-                tau = self.supervisor.guard(world.time, q, v, tau, self.manager.acceleration)
-            except MinidualError as error:
-                stopped = error
-                tau = self._stop(error)
+        tau, stopped = self._torque(q, v)
         self.applied = tau
         world.command(tau, self.grippers.step(output.gripper))
         world.step()
         if stopped is not None:
             raise stopped
+
+    def _torque(self, q: Array, v: Array) -> tuple[Array, MinidualError | None]:
+        """Return the torques (14,) [Nm] of this tick, and the error that stopped the arms in it, if one did."""
+        failed: MinidualError | None = None
+        tau = self.applied
+        try:
+            tau = self.manager.update(q, v)
+        except MinidualError as error:
+            failed = error
+        if self.supervisor is None:
+            return (tau, None) if failed is None else (self._fall_back(failed, q, v), failed)
+        try:
+            if failed is not None:
+                return self.supervisor.fail(self.world.time, q, v, failed.message), None
+            return self.supervisor.guard(self.world.time, q, v, tau, self.manager.acceleration), None
+        except MinidualError as error:
+            if failed is not None:
+                error.__cause__ = failed
+            return self._stop(error), error
 
     def _stop(self, error: MinidualError) -> Array:
         """Take the arms from everybody; return the torque that the supervisor's error carries for this tick."""
@@ -320,6 +347,14 @@ class ControlStack:
         self.reflex = error
         self.request(HOLD)
         return tau
+
+    def _fall_back(self, error: MinidualError, q: Array, v: Array) -> Array:
+        """Let the joint controllers hold the arms where they are; return their torque (14,) [Nm] of this tick."""
+        if self.manager.active == DEFAULT_CONTROLLERS:  # nothing is left that could hold them
+            raise error
+        self.manager.switch(DEFAULT_CONTROLLERS, q, v)
+        self.request(HOLD)
+        return self.manager.update(q, v)
 
     def _reset_supervisor(self) -> None:
         if self.supervisor is not None:

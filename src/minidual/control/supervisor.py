@@ -63,14 +63,21 @@ class Supervisor:
         self._rows = np.zeros((len(limits.ROWS), DOF))
         self._ratio = np.zeros_like(self._rows)
         self._jerk_ticks = 0
+        self._reflex: Reflex | None = None
+        self._estop: str | None = None
         self.reset()
 
     # What is asked of it -------------------------------------------------------------------------------------
 
     def reset(self) -> None:
-        """Forget everything: the latched reflex, a pressed emergency stop, the last torque, the clock."""
-        self._reflex: Reflex | None = None
-        self._estop: str | None = None
+        """Forget the latched reflex, the last torque and the clock.
+
+        A pressed emergency stop is forgotten only if it is the reflex that was reported: one that was pressed while
+        another reflex held the arms, or between two trials, stops them in the first tick that follows.
+        """
+        if self._reflex is not None and self._reflex.name == "emergency_stop":
+            self._estop = None
+        self._reflex = None
         self._deadline_s = math.inf
         self._time_s = -math.inf
         self._tick = 0
@@ -99,6 +106,19 @@ class Supervisor:
     def estop(self, reason: str = "pressed") -> None:
         """Stop the arms in the next tick. May be called at any time, from any thread."""
         self._estop = reason  # one assignment: atomic, nothing to lock
+
+    def fail(self, time_s: float, q: Array, v: Array, why: str) -> Array:
+        """Stop the arms because the controllers give no torque; `why` is what they say. Takes the place of `guard`.
+
+        While a reflex holds the arms it returns the torques (14,) [Nm] of the soft stop, as `guard` does.
+
+        Raises:
+            ReflexError: Once, `controller_failed`; its `tau` is to be applied.
+        """
+        if self._reflex is None:
+            self._rows[0], self._rows[1] = q, v
+            self._trip("controller_failed", time_s, why, 1.0, None)
+        return self._stop.torque(q, v)
 
     def heard(self, time_s: float) -> None:
         """Report that a command came in. From the first report on, silence for `stale_s` is a reflex."""
@@ -290,5 +310,12 @@ class Supervisor:
         self._stop.begin(q, v, self._before_control(q) if self._applied is None else self._applied)
         self._reflex = reflex
         tau = self._stop.torque(self._rows[0], self._rows[1])
-        dump = self._on_reflex(reflex) if self._on_reflex is not None else None
-        raise ReflexError(reflex, tau, dump)
+        dump, failure = None, None
+        if self._on_reflex is not None:
+            try:
+                dump = self._on_reflex(reflex)
+            except Exception as error:  # whatever it is, it must not stand in the way of this tick's torque
+                failure = error
+        raise ReflexError(
+            reflex, tau, dump, "" if failure is None else f"{type(failure).__name__}: {failure}"
+        ) from failure
