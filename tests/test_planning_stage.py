@@ -10,13 +10,13 @@ import pytest
 from minidual.config.held_moves import HeldMovesConfig
 from minidual.config.planning import GroupTimes, PlanConfig, PlannerConfig
 from minidual.config.root import Config
-from minidual.errors import DataError
+from minidual.errors import ConfigError, DataError
 from minidual.pipeline.stage import StageContext
 from minidual.planning import queries, query_set
 from minidual.planning.api import Planner
 from minidual.planning.coal_engine import CoalEngine
 from minidual.planning.errors import PlanningError
-from minidual.planning.evaluate import engine_agreement, plan_query, query_source, repeats
+from minidual.planning.evaluate import engine_agreement, plan_query, query_source, repeats, run_queries
 from minidual.planning.evaluate_carries import CarryPlans
 from minidual.planning.mujoco_engine import MujocoEngine
 from minidual.planning.queries import QueryGenerator
@@ -26,6 +26,7 @@ from minidual.planning.verify import Audit
 from minidual.robot.constants import GROUPS
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import pose
+from minidual.stages import plan
 from minidual.stages.plan import STAGE, audit_checks, common_checks, group_checks
 
 CONFIG = Config(
@@ -120,7 +121,39 @@ def test_audit_checks_can_fail(outcomes):
     assert names() == set()
     assert names(collisions_n=1) == {"proof.audit_collisions"}
     assert names(disagreements_n=1) == {"proof.audit_disagreements"}
-    assert failing(audit_checks([outcomes[0]])) == {"proof.audit_states"}  # nothing was audited
+    assert failing(audit_checks([outcomes[0]])) == {
+        "proof.audited_n",
+        "proof.audit_states",
+    }  # nothing was audited
+    audit = Audit(samples_n=900, step_max_rad=0.002, collisions_n=0, disagreements_n=0)
+    one = dataclasses.replace(outcomes[0], audit=audit)
+    assert failing(audit_checks([one, outcomes[1]])) == {"proof.audited_n"}
+    failed = dataclasses.replace(outcomes[1], result=None, reason="no_path_in_time", message="none")
+    assert failing(audit_checks([one, failed])) == set()
+
+
+def test_a_second_set_that_is_the_first_is_refused():
+    with pytest.raises(ConfigError, match=r"seed and plan\.second_seed are both 20261") as caught:
+        STAGE.validate(Config(seed=20261, plan=PlanConfig(second_queries_n=1)))
+    assert "plan.second_seed=20262" in caught.value.remedy
+    STAGE.validate(Config(seed=20261, plan=PlanConfig(second_queries_n=0)))
+    STAGE.validate(Config(seed=20260, plan=PlanConfig(second_queries_n=1)))
+
+
+def test_notes_tell_of_both_seeds(outcomes):
+    failed = dataclasses.replace(outcomes[1], result=None, reason="no_path_in_time", message="none")
+    slow = dataclasses.replace(outcomes[0], total_s=1.0)
+    notes = plan._notes(first={"left_arm": [slow]}, second={"left_arm": [slow, failed]})
+    assert "left_arm query 1 of the second seed failed: none" in notes
+    assert sum("goal missed" in note for note in notes) == 2
+    assert any("left_arm (second seed)" in note for note in notes)
+
+
+def test_a_warm_up_that_is_not_solved_does_not_end_the_set():
+    """No budget solves nothing; every query then says so itself."""
+    config = PlanConfig(planner=PlannerConfig(budget_s=1e-6))
+    outcomes = run_queries(config, 3, queries_n=1)
+    assert [o.reason for done in outcomes.values() for o in done] == ["no_path_in_time"] * 3
 
 
 def test_common_checks_can_fail():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from time import perf_counter, process_time
 
@@ -118,8 +119,9 @@ def run_moves(
     planner, kinematics, generator = (
         HeldPlanner(config=config.planner), Kinematics(), HeldMoveGenerator(seed, rod),
     )  # fmt: skip
-    # Import and compile what the first move would otherwise pay for.
-    planner.plan(HeldMoveGenerator(seed + 1, rod).move(0).query)
+    # Import and compile what the first move would otherwise pay for; whether this one is solved does not matter.
+    with suppress(PlanningError):
+        planner.plan(HeldMoveGenerator(seed + 1, rod).move(0).query)
     outcomes = []
     for index in range(config.held.moves_n):
         outcomes.append(plan_move(planner, generator.move(index), kinematics))
@@ -128,14 +130,25 @@ def run_moves(
     return outcomes
 
 
-def table_plans(config: PlanConfig, rod: RodConfig, count: int, seed: int) -> list[CarriedTrajectory]:
-    """Return plans that lift the rod off the table and move it, for driving them in the simulator.
+@dataclass(frozen=True, eq=False)
+class TablePlans:
+    """Plans for driving, and one line for each that could not be made."""
 
-    Raises:
-        PlanningError: One cannot be planned.
-    """
+    plans: tuple[CarriedTrajectory, ...]
+    failures: tuple[str, ...]
+
+
+def table_plans(config: PlanConfig, rod: RodConfig, count: int, seed: int) -> TablePlans:
+    """Return `count` plans that lift the rod off the table and move it, for driving them in the simulator."""
     planner, generator = HeldPlanner(config=config.planner), HeldMoveGenerator(seed, rod, from_table=True)
-    return [planner.plan(generator.move(index).query) for index in range(count)]
+    plans: list[CarriedTrajectory] = []
+    failures: list[str] = []
+    for index in range(count):
+        try:
+            plans.append(planner.plan(generator.move(index).query))
+        except PlanningError as error:
+            failures.append(f"held move {index} off the table cannot be driven: {error.message}")
+    return TablePlans(tuple(plans), tuple(failures))
 
 
 @dataclass(frozen=True)
