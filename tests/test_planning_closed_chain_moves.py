@@ -12,15 +12,17 @@ from minidual.config.planning import PlanConfig
 from minidual.config.scene import RodConfig, SceneConfig
 from minidual.errors import UsageError
 from minidual.planning.closed_chain import scene_holding
+from minidual.planning.constrained_search import search_manifold
 from minidual.planning.edges import EdgeChecker
 from minidual.planning.errors import (
     ClosedChainError,
     GoalInCollisionError,
     IKUnreachableError,
     NoPathInTimeError,
+    PlanningError,
     StartInCollisionError,
 )
-from minidual.planning.evaluate_carries import plan_move, timed_residual
+from minidual.planning.evaluate_carries import plan_move, run_moves, table_plans, timed_residual
 from minidual.planning.grasp_constraint import GraspConstraint
 from minidual.planning.hands_ik import HandsIK, off_limits
 from minidual.planning.held_moves import HeldMoveGenerator, rod_grasps, rod_shape
@@ -35,7 +37,7 @@ from minidual.robot.constants import HOME, Q_LOWER, Q_UPPER
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse, pose, rot_x, rot_z
 from minidual.sim.world import World
-from minidual.stages.plan_held import HeldResults, held_checks
+from minidual.stages.plan_held import HeldResults, held_checks, held_notes
 from minidual.tasks.held_execution import deviation, execute
 
 GRASPS = rod_grasps(RodConfig())
@@ -276,12 +278,12 @@ def test_an_execution_that_strays_is_seen(driven):
 
 
 def test_every_check_can_fail(outcomes, driven):
-    config = PlanConfig(held=HeldMovesConfig(cpu_time_median_max_s=10.0))
+    config = PlanConfig(held=HeldMovesConfig(cpu_time_median_max_s=10.0, executed_n=2))
     executions = driven[2]
 
     def names(first=None, second=None, runs=None, config=config):
         sets = {"first": first or outcomes, "second": second or outcomes}
-        return failing(held_checks(HeldResults(sets, runs or executions), config))
+        return failing(held_checks(HeldResults(sets, executions if runs is None else runs), config))
 
     assert names() == set()
     failed = dataclasses.replace(outcomes[0], plan=None, residual_m=np.nan, residual_rad=np.nan)
@@ -293,14 +295,78 @@ def test_every_check_can_fail(outcomes, driven):
     assert names(first=[unmeasured, *outcomes[1:]]) == {"closed_chain.residual_max_m"}
     slow = [dataclasses.replace(o, cpu_s=11.0) for o in outcomes]
     assert names(first=slow) == {"closed_chain.cpu_time_median_s"}
-    unlimited = PlanConfig(held=HeldMovesConfig(cpu_time_median_max_s=None))
+    unlimited = PlanConfig(held=HeldMovesConfig(cpu_time_median_max_s=None, executed_n=2))
     assert names(first=slow, config=unlimited) == set()
     far = dataclasses.replace(executions[0], error_max_m=0.0021, error_max_rad=0.018)
-    assert names(runs=[far]) == {"closed_chain.executed_error_max_m", "closed_chain.executed_error_max_rad"}
+    assert names(runs=[far, executions[1]]) == {
+        "closed_chain.executed_error_max_m",
+        "closed_chain.executed_error_max_rad",
+    }
     lost = dataclasses.replace(executions[0], error_max_m=float("nan"))
     assert names(runs=[lost, executions[1]]) == {"closed_chain.executed_error_max_m"}
+    assert names(runs=executions[:1]) == {"closed_chain.driven_n"}
+    assert names(runs=[]) == {
+        "closed_chain.driven_n", "closed_chain.executed_error_max_m", "closed_chain.executed_error_max_rad"
+    }  # fmt: skip
     nothing = [failed]
     assert names(first=nothing, second=nothing) >= {
         "closed_chain.residual_max_m",
         "closed_chain.success_rate",
     }
+
+
+def test_moves_that_cannot_be_made_are_told_and_do_not_end_the_stage(monkeypatch):
+    """Of two moves off the table one cannot be drawn; and a warm-up that cannot be is passed over."""
+    real = HeldMoveGenerator.move
+
+    def move(self, index):
+        if index == 1 or self._seed == 6:
+            raise PlanningError("no such move")
+        return real(self, index)
+
+    monkeypatch.setattr(HeldMoveGenerator, "move", move)
+    driven = table_plans(PlanConfig(), RodConfig(), 2, 5)
+    assert len(driven.plans) == 1
+    assert driven.failures == ("held move 1 off the table cannot be driven: no such move",)
+    assert held_notes(HeldResults({}, [], driven.failures)) == list(driven.failures)
+    config = PlanConfig(held=HeldMovesConfig(moves_n=2))
+    monkeypatch.setattr(HeldMoveGenerator, "move", lambda self, i: move(self, 0 if self._seed == 5 else i))
+    assert [o.ok for o in run_moves(config, RodConfig(), 5)] == [True, True]
+
+
+def test_one_bad_goal_does_not_stop_the_search_of_the_others(planner, q_start, monkeypatch):
+    """A goal that cannot be put on the manifold is left out; a look for more goals that fails keeps the known ones."""
+    constraint = GraspConstraint.from_grasps(*GRASPS)
+    asked = query(q_start)
+    end = planner.plan(asked).q[-1]
+    checker = EdgeChecker(planner.engines(asked.scene).mujoco, 0.0, (q_start, end), 0.05)
+    given = {
+        "space": "projected",
+        "box_rad": 0.7,
+        "seed": 1,
+        "checks_max": 4000,
+        "deadline": time.perf_counter() + 20,
+    }
+    draws = np.random.default_rng(0).uniform(Q_LOWER, Q_UPPER, (500, 14))
+    bad = next(q for q in draws if constraint.project(q) is None)
+    assert search_manifold(constraint, checker, q_start, [bad], **given) is None
+    path = search_manifold(constraint, checker, q_start, [bad, end], **given)
+    assert np.abs(path[-1] - end).max() < 1e-3
+
+    def nothing(*_):
+        raise GoalInCollisionError("none of them is free")
+
+    work = planner._work(asked, 1.0)
+    monkeypatch.setattr(work, "_goal_postures", nothing)
+    assert work._more_goals([end], None, 1)[0] is end
+    assert "none of them is free" in work._rejections[-1]
+    monkeypatch.undo()
+    work = planner._work(query(q_start, obstacles=(WALL,)), 2.0)
+
+    def off(*_):
+        time.sleep(0.01)
+        raise ClosedChainError("the goal cannot keep the relative pose")
+
+    monkeypatch.setattr(work, "_search", off)
+    with pytest.raises(NoPathInTimeError, match=r"the last one: .*cannot keep the relative pose"):
+        work.run()

@@ -73,12 +73,16 @@ def search_manifold(
         constraint: The grasp.
         checker: Collision checks.
         q_start: Start (14,), on the manifold.
-        q_goals: Goals (14,), on the manifold; tried one after the other.
+        q_goals: Goals (14,), on the manifold; tried one after the other, those that cannot be put on it left out.
         space: A name of `SPACES`.
         box_rad: How far beyond the two ends every joint may go.
         seed: Seed of OMPL's random numbers.
         checks_max: State checks of one goal.
         deadline: time.perf_counter() at which to give up whatever the count.
+
+    Raises:
+        UsageError: No such space.
+        ClosedChainError: The start cannot keep the relative pose.
     """
     if space not in SPACES:
         raise unknown_name("constrained space", space, SPACES)
@@ -88,7 +92,9 @@ def search_manifold(
     for q_goal in q_goals:
         if time.perf_counter() > deadline:
             return None
-        goal = constraint.require(q_goal, "goal")
+        goal = constraint.project(q_goal)
+        if goal is None:
+            continue  # another posture may do
         path = _search(constraint, checker, q_start, goal, space, box_rad, checks_max, deadline)
         if path is not None:
             return path

@@ -96,7 +96,10 @@ def rod_shape(rod: RodConfig) -> Capsule:
 
 
 class HeldMoveGenerator:
-    """Makes the moves of a seed; the same seed and index always give the same move.
+    """Makes the moves of a seed; the same seed and index give the same move.
+
+    That holds on every machine that makes the 10 000 state checks of a search for a witness within a minute: a search
+    that takes longer is given up, and the draw counts as one without a witness.
 
     Args:
         seed: Seed of the set.

@@ -128,13 +128,13 @@ class HeldWork:
             if time.perf_counter() > self._deadline:
                 break
             if attempt in _MORE_GOALS:
-                goals = self._goal_postures(straight, _GOALS_N, _MORE_GOALS[attempt])
-            points = self._search(method, goals, effort, attempt)
-            if points is None:
-                self._rejections.append(f"{method} found no path")
-                effort = effort.after_no_path()
-                continue
+                goals = self._more_goals(goals, straight, _MORE_GOALS[attempt])
             try:
+                points = self._search(method, goals, effort, attempt)
+                if points is None:
+                    self._rejections.append(f"{method} found no path")
+                    effort = effort.after_no_path()
+                    continue
                 return self._finish(points, method, effort, attempt)
             except (_NotFreeError, TimingError) as error:
                 self._rejections.append(f"{method}: {error.message}")
@@ -232,6 +232,14 @@ class HeldWork:
                 remedy="move the goal nearer to the middle, or choose another grasp",
             )
         return found
+
+    def _more_goals(self, known: list[Array], end: Array | None, restarts_scale: int) -> list[Array]:
+        """Return more postures at the goal, or those that are known where a closer look finds none."""
+        try:
+            return self._goal_postures(end, _GOALS_N, restarts_scale)
+        except PlanningError as error:
+            self._rejections.append(f"no more postures at the goal: {error.message}")
+            return known
 
     def _space(self, goals: Sequence[Array], effort: _Effort) -> HeldSpace:
         checker = self._checker(goals[0], effort.padding_m)
