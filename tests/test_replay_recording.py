@@ -75,7 +75,7 @@ class TestRepeating:
         found = replay(recorded, on_step=lambda world: ends.append((world.q, world.T_world_rod)))
         assert found.exact
         assert found.largest == 0.0
-        assert found.compared == len(recorded.keyframes) == STEPS // 100
+        assert found.compared == len(recorded.keyframes) - 1 == STEPS // 100  # the start agrees by itself
         assert found.signs == ()
         assert (found.from_s, found.to_s) == (0.0, pytest.approx(0.7))
         assert (ends[-1][0] == q_end).all()
@@ -109,6 +109,38 @@ class TestRepeating:
         assert found.deviates[0] == pytest.approx(0.5)
         assert "panda_joint" in found.deviates[1]
         assert 0.0 < found.largest < 1e-3
+
+    def test_a_change_in_the_last_step_is_seen(self, trial):
+        recorded = read_recording(trial[0])
+        assert recorded.keyframe_steps[-1] == STEPS
+        controls = recorded.controls.copy()
+        controls[-1, 4] += 1e-3
+        found = replay(module.Recording(**{**vars(recorded), "controls": controls}))
+        assert not found.exact
+        assert found.deviates[0] == pytest.approx(0.7)
+        assert "left_panda_joint5" in found.deviates[1]
+
+    def test_a_file_without_a_last_state_is_read_and_its_end_is_not_claimed(self, trial, tmp_path):
+        recorded = read_recording(trial[0])
+        before = {"keyframe_steps": recorded.keyframe_steps[:-1], "keyframes": recorded.keyframes[:-1]}
+        path = write_recording(tmp_path / "old.npz", module.Recording(**{**vars(recorded), **before}))
+        found = replay(read_recording(path))
+        assert found.exact
+        assert found.compared == STEPS // 100 - 1
+        assert replay(read_recording(path), from_s=0.65).compared == 0
+
+    def test_where_nothing_was_compared_nothing_is_exact(self, trial):
+        found = replay(read_recording(trial[0]), from_s=0.31, to_s=0.39)
+        assert found.compared == 0
+        assert found.deviates is None
+        assert not found.exact
+
+    def test_a_world_that_was_reset_leaves_no_last_state(self, world, kinematics):
+        recorder = move(world, kinematics, 150)
+        world.reset()
+        recorded = recorder.recording("after the reset")
+        assert recorded.keyframe_steps.tolist() == [0, 100]
+        assert replay(recorded).exact
 
     def test_a_state_that_was_written_between_steps_is_found(self, world, kinematics):
         recorder = move(world, kinematics, 150)
@@ -336,6 +368,12 @@ class TestCommand:
         assert "nothing went out of bounds" in out
         assert "mujoco 4." in out
         assert list(tmp_path.iterdir()) == []  # it looks, it does not write
+
+    def test_it_says_that_nothing_was_compared(self, run, trial):
+        code, out, _ = run(trial[0], "--from-s", "0.31", "--to-s", "0.39")
+        assert code == 0
+        assert "repeats   nothing compared" in out
+        assert "to the bit" not in out
 
     def test_json_is_one_document(self, run, trial):
         code, out, _ = run(trial[0], "--from-s", "0.2", "--json")

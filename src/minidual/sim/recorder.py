@@ -97,14 +97,21 @@ class Recorder:
         count = self._count
         self._controls[count] = self._ctrl
         if not count % self._every:
-            state = np.empty(self._state_size)
-            mujoco.mj_getState(self._model, self._data, state, STATE)
-            self._keyframes.append((count, state))
+            self._keyframes.append((count, self._state()))
         push = self._xfrc.tobytes()
         if push != self._pushed:
             self._pushed = push
             self._pushes.append((count, self._xfrc.copy()))
         self._count = count + 1
+
+    def _state(self) -> Array:
+        state = np.empty(self._state_size)
+        mujoco.mj_getState(self._model, self._data, state, STATE)
+        return state
+
+    def _ended_whole(self) -> bool:
+        """Return whether the world stands where its last step left it: neither reset nor diverged since."""
+        return self._count > 0 and 0.0 < self._data.time - self._last_s < self._time_tolerance_s
 
     def _make_room(self) -> None:
         """Drop what is older than the window, or double the space."""
@@ -133,6 +140,8 @@ class Recorder:
         if before:
             pushes.insert(0, (0, before[-1]))
         frames = [(step - first, state) for step, state in self._keyframes if step >= first]
+        if self._ended_whole():
+            frames.append((self._count - first, self._state()))
         none = np.zeros((0, *self._xfrc.shape))
         return Recording(
             kind, reason, self._world.scene, self._controls[first : self._count].copy(),

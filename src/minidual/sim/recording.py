@@ -4,7 +4,7 @@ A recording is an npz file (no pickle) of
 
     header      JSON as bytes: format, version, kind, reason, scene, seed, libraries, details
     controls    (T, nu) `ctrl` of every physics step, lossless
-    keyframes   (K, n) lossless, full integration state of MuJoCo before step keyframe_steps[k]
+    keyframes   (K, n) lossless, full integration state of MuJoCo before step keyframe_steps[k], and after the last step
     push_steps, pushes   external wrenches (nbody, 6), noted whenever they change
     model.*     physical fields of the model as it ran, where a condition may have changed them
 
@@ -65,7 +65,8 @@ class Recording:
         reason: Why it was written, in one line.
         scene: Of the world.
         controls: (T, nu), applied at steps 0..T-1.
-        keyframe_steps: (K,) step before which each keyframe was taken; the first is 0.
+        keyframe_steps: (K,) step before which each keyframe was taken; the first is 0, the last the number of steps
+            (the state after them all; files of earlier versions end before it).
         keyframes: (K, n) states.
         push_steps: (P,) steps from which each entry of `pushes` acts.
         pushes: (P, nbody, 6) external wrenches.

@@ -50,7 +50,7 @@ class Replayed:
     Attributes:
         from_s, to_s: Simulated time that was run [s].
         steps: Number of steps.
-        compared: Number of keyframes compared.
+        compared: Number of keyframes compared; the one that the replay starts from is none of them.
         largest: Largest deviation from a keyframe, in the unit of `largest_at`; 0.0 is equality to the bit.
         deviates: First keyframe that differs: (time [s], quantity, deviation), or None.
         changed: Fields of the model that differ from the scene's, by a condition or another version of the robot.
@@ -72,8 +72,8 @@ class Replayed:
 
     @property
     def exact(self) -> bool:
-        """Whether every keyframe was met to the bit."""
-        return self.deviates is None
+        """Whether keyframes were compared and every one was met to the bit."""
+        return self.compared > 0 and self.deviates is None
 
 
 def replay(
@@ -115,14 +115,16 @@ def replay(
     with _quiet():
         if on_step is not None:
             on_step(world)
-        for step in range(first, last):
-            if step in frames:
+        for step in range(first, last + 1):
+            if step > first and step in frames:
                 compared += 1
                 mujoco.mj_setState(model, scratch, frames[step], STATE)
                 size, name = _deviation(world.data, scratch, names)
                 largest = max(largest, size) if size == size else size
                 if size != 0.0 and deviates is None:
                     deviates = (float(world.data.time), name, size)
+            if step == last:
+                break
             controls = recording.controls[step]
             world.data.ctrl[:] = controls
             push = int(np.searchsorted(recording.push_steps, step, side="right")) - 1

@@ -41,7 +41,7 @@ def replay_tool(context: ToolContext) -> ToolResult:
     postures = Postures(max(recording.dt_s, step_s)) if video or picture else None
     found = replay(recording, from_s=options.get("from-s"), to_s=options.get("to-s"), on_step=postures)
     notes = _draw(recording, postures, video, picture, camera, frames)
-    broken = not found.exact and not found.libraries
+    broken = found.deviates is not None and not found.libraries
     return ToolResult(
         lines=_lines(path, recording, found),
         notes=notes,
@@ -105,6 +105,8 @@ def _lines(path: Path, recording: Recording, found: Replayed) -> list[str]:
 
 
 def _repeats(found: Replayed) -> str:
+    if found.compared == 0:
+        return "nothing compared: no check point lies in this stretch"
     if found.deviates is None:
         return f"to the bit, at {found.compared} of {found.compared} check points"
     time_s, what, size = found.deviates
