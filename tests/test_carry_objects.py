@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from minidual.config.root import Config
+from minidual.config.scene import ObstacleConfig, TaskConfig
 from minidual.errors import UsageError
 from minidual.robot.constants import FINGER_TRAVEL_M
 from minidual.robot.kinematics import Kinematics
@@ -16,7 +17,7 @@ from minidual.sim.model import OBSTACLE
 from minidual.sim.world import World
 from minidual.tasks.impedance_carry import ImpedanceCarry
 from minidual.tasks.motions import MOTIONS, carry_config
-from minidual.tasks.objects import OBJECTS
+from minidual.tasks.objects import OBJECTS, filled
 from minidual.tasks.rod_carry import sample_trial
 from minidual.tasks.success import Outcome, RodCarryJudge
 
@@ -94,6 +95,27 @@ def test_what_somebody_has_set_stays_and_a_second_call_changes_nothing() -> None
     assert once.scene.rod.mass_kg == 1.4
     assert once.scene.rod.length_m == 0.40
     assert carry_config(once) == once
+
+
+def test_an_obstacle_that_somebody_has_set_stays_where_it_was_set() -> None:
+    scene = {"task": {"obstacle": {"xy_m": [0.5, 0.08]}}}
+    once = carry_config(Config.model_validate({"carry": {"motion": "over"}, "scene": scene}))
+    default = configured(motion="over").scene.task.obstacle
+    assert default is not None
+    assert once.scene.task.obstacle is not None
+    assert once.scene.task.obstacle.xy_m == (0.5, 0.08) != default.xy_m
+    assert once.scene.task.obstacle.size_m == default.size_m
+    assert once.scene.task.lift_height_m == 0.17
+    assert carry_config(once) == once
+
+
+def test_a_part_that_is_set_is_filled_where_it_is_open() -> None:
+    section = TaskConfig.model_validate({"obstacle": {"xy_m": [0.5, 0.08]}})
+    table = ObstacleConfig.model_validate({"xy_m": [0.4, 0.0], "size_m": [0.1, 0.1, 0.1]})
+    obstacle = filled(section, obstacle=table).obstacle
+    assert obstacle is not None
+    assert (obstacle.xy_m, obstacle.size_m) == ((0.5, 0.08), (0.1, 0.1, 0.1))
+    assert filled(TaskConfig(), obstacle=table).obstacle == table
 
 
 @pytest.mark.parametrize(

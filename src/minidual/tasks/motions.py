@@ -10,7 +10,7 @@ from typing import Any
 from minidual.config.root import Config
 from minidual.config.scene import ObstacleConfig
 from minidual.errors import unknown_name
-from minidual.tasks.objects import filled, with_object
+from minidual.tasks.objects import filled, replaced, with_object
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,8 @@ def motion_spec(name: str) -> CarryMotion:
 def with_motion(config: Config) -> Config:
     """Return the configuration for the motion that `carry.motion` names; what somebody has set stays as it was set."""
     spec = motion_spec(config.carry.motion)
-    return filled(config, scene=filled(config.scene, task=filled(config.scene.task, **spec.task)))
+    task = filled(config.scene.task, **spec.task)
+    return replaced(config, scene=replaced(config.scene, task=task))
 
 
 def carry_config(config: Config) -> Config:

@@ -107,29 +107,33 @@ def with_object(config: Config) -> Config:
     scene, carry = config.scene, config.carry
     task = scene.task
     least = min(task.internal_force_min_n, spec.squeeze_range_n[0])
-    scene = filled(
+    scene = replaced(
         scene,
         rod=filled(scene.rod, **spec.rod),
         physics=filled(scene.physics, **spec.physics),
-        task=task if least == task.internal_force_min_n else _replaced(task, internal_force_min_n=least),
+        task=task if least == task.internal_force_min_n else replaced(task, internal_force_min_n=least),
     )
     impedance, pace = filled(carry.impedance, **spec.impedance), filled(carry.pace, **spec.pace)
-    return _replaced(config, scene=scene, carry=_replaced(carry, impedance=impedance, pace=pace))
+    return replaced(config, scene=scene, carry=replaced(carry, impedance=impedance, pace=pace))
 
 
 def filled[M: BaseModel](section: M, **values: Any) -> M:
-    """Return a section with values where nobody has set another; sections themselves are replaced.
+    """Return a section with values where nobody has set another; in a part that is set, what it leaves open is filled.
 
     Raises:
         pydantic.ValidationError: The values do not go together.
     """
-    wanted = {
-        k: v for k, v in values.items() if isinstance(v, BaseModel) or k not in section.model_fields_set
-    }
-    return _replaced(section, **wanted)
+    wanted: dict[str, Any] = {}
+    for name, value in values.items():
+        now = getattr(section, name)
+        if name not in section.model_fields_set:
+            wanted[name] = value
+        elif isinstance(now, BaseModel) and isinstance(value, BaseModel):
+            wanted[name] = filled(now, **{k: getattr(value, k) for k in value.model_fields_set})
+    return replaced(section, **wanted)
 
 
-def _replaced[M: BaseModel](section: M, **values: Any) -> M:
-    """Return a validated copy; fields that nobody set stay unset."""
+def replaced[M: BaseModel](section: M, **values: Any) -> M:
+    """Return a validated copy with these values; fields that nobody set stay unset."""
     known = {name: getattr(section, name) for name in section.model_fields_set}
     return type(section).model_validate({**known, **values})
