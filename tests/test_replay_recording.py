@@ -369,6 +369,23 @@ class TestCommand:
         assert "mujoco 4." in out
         assert list(tmp_path.iterdir()) == []  # it looks, it does not write
 
+    def test_it_shows_the_tick_of_the_reflex_though_the_motors_never_saw_it(
+        self, run, world, kinematics, tmp_path
+    ):
+        recorder = move(world, kinematics, 150, folder=tmp_path / "dumps")
+        supervisor = Supervisor(SupervisorConfig(), on_reflex=recorder.on_reflex)
+        tau = np.full(14, 0.25)
+        tau[4] = np.nan
+        with pytest.raises(ReflexError) as caught:
+            supervisor.guard(world.time, world.q, world.v, tau)
+        assert "FILE" not in caught.value.remedy
+        assert str(caught.value.dump) in caught.value.remedy
+        code, out, _ = run(caught.value.dump)
+        assert code == 0
+        assert "nothing went out of bounds" in out
+        assert f"asked_torque_nm: {'0.25 ' * 4}nan{' 0.25' * 9}\n" in out
+        assert read_recording(caught.value.dump).details["measured_position_rad"] == world.q.tolist()
+
     def test_it_says_that_nothing_was_compared(self, run, trial):
         code, out, _ = run(trial[0], "--from-s", "0.31", "--to-s", "0.39")
         assert code == 0

@@ -6,8 +6,10 @@ that carries the torque to apply in that very tick; afterwards the supervisor ho
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from minidual.errors import MinidualError
 from minidual.robot.constants import Array
@@ -83,7 +85,7 @@ _KINDS = (
     ),
     ReflexKind(
         "not_finite", "", "a measurement or a torque is not a finite number",
-        "look at the controller's inputs: minidual replay FILE says what stopped being finite first", "",
+        "look at the sensors and at the controller's inputs: the first that is no number is the cause", "",
     ),
     ReflexKind(
         "controller_failed", "", "a controller gives no torque",
@@ -109,6 +111,7 @@ class Reflex:
         where: Joint, hand, pair of parts, or what was not finite.
         value: What was measured or asked for; NaN is possible for `not_finite`.
         bound: What it may be; None where there is no number.
+        details: What was measured and asked for in that tick, for the file with the last second; JSON types.
     """
 
     name: str
@@ -116,6 +119,7 @@ class Reflex:
     where: str
     value: float
     bound: float | None
+    details: Mapping[str, Any] = field(default_factory=dict, compare=False)
 
     @property
     def kind(self) -> ReflexKind:

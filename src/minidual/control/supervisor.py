@@ -29,6 +29,8 @@ Distance = Callable[[Array], tuple[str, float]]
 OnReflex = Callable[[Reflex], Path | None]
 """Called once when a reflex comes; may return the file with the replayable state that it wrote."""
 
+SEEN = ("measured_position_rad", "measured_velocity_rad_per_s", "asked_torque_nm")
+"""What a reflex keeps of its tick, 14 numbers each; those that are not finite are written as text."""
 _ZERO = np.zeros(DOF)
 
 
@@ -303,7 +305,12 @@ class Supervisor:
 
     def _trip(self, name: str, time_s: float, where: str, value: float, bound: float | None) -> None:
         """Latch a reflex and raise it."""
-        reflex = Reflex(name, time_s, where, value, bound)
+        details = {
+            key: [x if math.isfinite(x) else str(x) for x in values.tolist()]  # JSON knows no NaN
+            for key, values in zip(SEEN, self._rows[:3], strict=True)
+            if not (name == "controller_failed" and key == "asked_torque_nm")  # nothing was asked for
+        }
+        reflex = Reflex(name, time_s, where, value, bound, details)
         q, v = self._rows[0].copy(), self._rows[1].copy()
         if not (np.isfinite(q).all() and np.isfinite(v).all()):
             q, v = (np.zeros(DOF), _ZERO) if self._q_good is None else (self._q_good, self._v_good)

@@ -34,6 +34,11 @@ class Cause(Protocol):
         """One line for people."""
         ...
 
+    @property
+    def details(self) -> Mapping[str, Any]:
+        """What the controls and states of the world do not tell, such as a torque that was asked for in vain."""
+        ...
+
 
 class Recorder:
     """Records one world: set `world.recorder = Recorder(world)` and every step is kept.
@@ -173,4 +178,4 @@ class Recorder:
 
     def on_reflex(self, cause: Cause) -> Path | None:
         """Dump the window for a reflex: give it to the supervisor as `on_reflex=recorder.on_reflex`."""
-        return self.dump(cause.name, cause.text)
+        return self.dump(cause.name, cause.text, details=cause.details)

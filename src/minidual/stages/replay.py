@@ -99,9 +99,17 @@ def _lines(path: Path, recording: Recording, found: Replayed) -> list[str]:
     lines += [f"  first     {sign.text}" for sign in found.signs] or [
         "  first     nothing went out of bounds"
     ]
+    if recording.kind == "dump":  # the tick of the reflex, which the motors never saw
+        lines += [f"  {name}: {_row(values)}" for name, values in recording.details.items()]
     if found.ended is not None:
         lines.append(f"  ended     {found.ended}")
     return lines
+
+
+def _row(values: object) -> str:
+    if not isinstance(values, list):
+        return str(values)
+    return " ".join(f"{x:.4g}" if isinstance(x, float) else str(x) for x in values)
 
 
 def _repeats(found: Replayed) -> str:
