@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import pytest
 
 from minidual.config.arbiter import ArbiterConfig
 from minidual.config.root import Config
+from minidual.control.commands import Refusal, TrajectoryCommand
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.errors import ExitCode, GateClosedError, UsageError
@@ -221,3 +223,54 @@ def test_without_a_policy_nothing_is_put_in_its_place(tmp_path: Path) -> None:
     folder.mkdir(parents=True)
     (folder / "config.json").write_text("{}")
     assert find_checkpoint(_context(tmp_path)) == folder
+
+
+def _refuse(
+    monkeypatch: pytest.MonkeyPatch, *, sequence: int, change: Callable[[Any], Any] | None = None
+) -> None:
+    """Let the planner's trajectory of that number be refused: at once, or changed so that the next tick refuses it."""
+    propose = ControlStack.propose
+
+    def proposed(self: ControlStack, source: str, command: Any) -> Refusal | None:
+        if source != "moveit" or command.sequence != sequence:
+            return propose(self, source, command)
+        if change is None:
+            return Refusal(source, "stale", "it is too old")
+        return propose(self, source, change(command))
+
+    monkeypatch.setattr(ControlStack, "propose", proposed)
+
+
+def _elsewhere(command: Any) -> TrajectoryCommand:
+    """Return the command from another start than where the arms are."""
+    return replace(command, motion=replace(command.motion, q=command.motion.q + 0.3))
+
+
+@pytest.mark.parametrize("change", [None, _elsewhere])
+def test_a_refused_second_motion_of_the_planner_is_no_success(
+    world: World, monkeypatch: pytest.MonkeyPatch, change: Callable[[Any], Any] | None
+) -> None:
+    stage = Stage(world)
+    _refuse(monkeypatch, sequence=2, change=change)
+    with pytest.raises(
+        SwitchError, match=r"trajectory 2 of mode 'moveit' was refused at \d+\.\d+ s"
+    ) as caught:
+        stage.run(("moveit", stage.moveit(home=True)))
+    assert caught.value.exit_code == ExitCode.ACCEPTANCE_FAILED
+
+
+def test_a_demonstration_that_ends_early_leaves_its_log_and_exits_1(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _refuse(monkeypatch, sequence=1)
+    context = _context(tmp_path, modes="moveit,teleop")
+    result = modes(context)
+    assert result.exit_code == ExitCode.ACCEPTANCE_FAILED
+    assert any(note.startswith("ENDED TOO EARLY: trajectory 1 of mode 'moveit'") for note in result.notes)
+    assert "every step at every switch within its bound" not in result.notes
+    document = json.loads((context.output / "modes.json").read_text())
+    assert "it is too old" in document["ended"]
+    assert [s["mode"] for s in document["switches"]] == ["moveit"]
+    with (context.output / "modes.csv").open() as file:
+        assert len(list(csv.DictReader(file))) > 1
+    assert (context.output / "modes.mp4").stat().st_size > 0

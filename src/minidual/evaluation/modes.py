@@ -9,15 +9,11 @@ from typing import Any
 from minidual.config.arbiter import ArbiterConfig
 from minidual.control.commands import SOURCES, ArbiterState
 from minidual.control.stack import ControlStack
-from minidual.errors import MinidualError, UsageError, unknown_name
-from minidual.evaluation.modes_drivers import Driver
+from minidual.errors import UsageError, unknown_name
+from minidual.evaluation.modes_drivers import Driver, SwitchError
 from minidual.evaluation.modes_record import Recorder, Switch
 
 DEFAULT_MODES: tuple[str, ...] = ("moveit", "teleop", "policy", "moveit")
-
-
-class SwitchError(MinidualError):
-    """A mode did not get the arms."""
 
 
 def parse_modes(text: str) -> tuple[str, ...]:
@@ -47,6 +43,7 @@ class ModesResult:
         faults: Bounds that did not hold; empty is good.
         refusals: (source, name, detail) of everything that the arbiter refused.
         duration_s: Simulated time.
+        ended: Why it ended before its last turn did, or an empty string.
     """
 
     switches: tuple[Switch, ...]
@@ -54,6 +51,12 @@ class ModesResult:
     faults: tuple[str, ...]
     refusals: tuple[tuple[str, str, str], ...]
     duration_s: float
+    ended: str = ""
+
+    @property
+    def passed(self) -> bool:
+        """Whether every turn came to its end and every bound held."""
+        return not self.faults and not self.ended
 
     def to_json(self) -> dict[str, Any]:
         """Return it as plain data."""
@@ -63,6 +66,7 @@ class ModesResult:
             "faults": list(self.faults),
             "refusals": [list(r) for r in self.refusals],
             "duration_s": self.duration_s,
+            "ended": self.ended or None,
         }
 
 
@@ -86,7 +90,7 @@ class ModesDemo:
         """Run; yield the mode asked for and what it does, after every control step.
 
         Raises:
-            SwitchError: The arbiter did not give a mode its turn, or took it away.
+            SwitchError: The arbiter did not give a mode its turn, took it away, or refused what the planner proposed.
             ReflexError: The supervisor stopped the arms.
         """
         stack = self.stack
@@ -116,8 +120,8 @@ class ModesDemo:
             last = stack.refusals[-1].detail if stack.refusals else "no command came"
             raise SwitchError(f"mode '{mode}' lost its turn at {stack.world.time:.2f} s: {last}")
 
-    def result(self, arbiter: ArbiterConfig) -> ModesResult:
-        """Return what was measured, held to its bounds."""
+    def result(self, arbiter: ArbiterConfig, *, ended: str = "") -> ModesResult:
+        """Return what was measured, held to its bounds; `ended` says what ended it too early."""
         stack, switches = self.stack, tuple(self.recorder.switches)
         return ModesResult(
             switches,
@@ -125,4 +129,5 @@ class ModesDemo:
             tuple(text for s in switches for text in s.faults(arbiter, stack.world.dt)),
             tuple((r.source, r.name, r.detail) for r in stack.refusals),
             stack.world.time,
+            ended,
         )

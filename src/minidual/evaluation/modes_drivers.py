@@ -10,13 +10,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, NoReturn, Protocol
 
 import numpy as np
 
-from minidual.control.commands import JointCommand, TrajectoryCommand
+from minidual.control.commands import JointCommand, Refusal, TrajectoryCommand
 from minidual.control.object_path import minimum_jerk
 from minidual.control.stack import DEFAULT_CONTROLLERS, ControlStack
+from minidual.errors import ExitCode, MinidualError
 from minidual.planning.api import Planner
 from minidual.robot.constants import ARMS, GROUPS, HOME, Array
 from minidual.sim.world import World
@@ -31,6 +32,12 @@ _HOVER_M = 0.08
 _JOIN_SPEED_RAD_S = 0.7
 _JOIN_MIN_S = 1.0
 _QUIET_S = 0.5
+
+
+class SwitchError(MinidualError):
+    """A mode did not get the arms, or may not do with them what its turn is for."""
+
+    exit_code = ExitCode.ACCEPTANCE_FAILED
 
 
 class Driver(Protocol):
@@ -86,9 +93,15 @@ class MoveitDriver:
         self._sequence = 0
         self._began_s = self._planned_s = 0.0
         self._motion_s: list[float] = []
+        self._refusals_before = 0
 
     def begin(self) -> None:
-        """Plan and propose the first trajectory."""
+        """Plan and propose the first trajectory.
+
+        Raises:
+            SwitchError: It is refused; so do `tick` and `watch`.
+        """
+        self._refusals_before = len(self.stack.refusals)
         self._began_s = self.stack.world.time
         self._next()
 
@@ -99,7 +112,10 @@ class MoveitDriver:
             self._next()
 
     def watch(self) -> None:
-        """Nothing need be watched."""
+        """Look for what is refused only when it is taken."""
+        for refusal in self.stack.refusals[self._refusals_before :]:
+            if refusal.source == "moveit":
+                self._fail(refusal)
 
     @property
     def done(self) -> bool:
@@ -134,7 +150,15 @@ class MoveitDriver:
         self._motion_s.append(result.trajectory.duration_s)
         self._sequence += 1
         command = TrajectoryCommand(result.trajectory, np.ones(2), world.time, self._sequence, group)
-        self.stack.propose("moveit", command)
+        refusal = self.stack.propose("moveit", command)
+        if refusal is not None:
+            self._fail(refusal)
+
+    def _fail(self, refusal: Refusal) -> NoReturn:
+        raise SwitchError(
+            f"trajectory {self._sequence} of mode 'moveit' was refused at {self.stack.world.time:.2f} s "
+            f"({refusal.name}): {refusal.detail}"
+        )
 
 
 @dataclass(frozen=True)

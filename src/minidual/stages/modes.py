@@ -21,7 +21,7 @@ _INTERRUPT_SHARE = 0.55
 
 
 def modes(context: ToolContext) -> ToolResult:
-    """Run the demonstration, write film and log, and hold every switch to its bounds."""
+    """Run the demonstration, write film and log, and hold every switch to its bounds; exit 1 where it ends early."""
     from minidual.evaluation.modes import DEFAULT_MODES, parse_modes
 
     named = context.options.get("modes")
@@ -32,7 +32,7 @@ def modes(context: ToolContext) -> ToolResult:
         lines=[str(context.folder / "modes.json"), str(context.folder / "modes.mp4")],
         notes=_notes(result, context),
         data=result.to_json(),
-        exit_code=ExitCode.ACCEPTANCE_FAILED if result.faults else ExitCode.PASS,
+        exit_code=ExitCode.PASS if result.passed else ExitCode.ACCEPTANCE_FAILED,
     )
 
 
@@ -88,6 +88,7 @@ def _run(context: ToolContext, wanted: tuple[str, ...], checkpoint: Path | None)
     with Camera.recorded(world.model, config.scene.camera) as eyes:
         turns = _turns(context, stack, trial, checkpoint, wanted, lambda name: eyes.picture(world.data, name))
         demo = ModesDemo(stack, turns)
+        stopped: list[str] = []
 
         def tell() -> Narration:
             source = stack.output.active_source or ""
@@ -98,9 +99,9 @@ def _run(context: ToolContext, wanted: tuple[str, ...], checkpoint: Path | None)
             watched(context.view, world, tell, speed_max=config.view.speed_max),
             context.progress.task("modes", len(wanted)) as task,
         ):
-            pictures = filmed(_counted(demo.steps(), task), stack, camera)
+            pictures = filmed(_counted(_until_stopped(demo.steps(), stopped), task), stack, camera)
             write_video(context.output / "modes.mp4", pictures, fps=FILM_FPS)
-    result = demo.result(config.arbiter)
+    result = demo.result(config.arbiter, ended="; ".join(stopped))
     demo.recorder.write_csv(context.output / "modes.csv")
     document = {
         "modes": list(wanted),
@@ -153,6 +154,17 @@ def _turns(
     return [(mode, lambda mode=mode, k=k: make(mode, k == final)) for k, mode in enumerate(wanted)]
 
 
+def _until_stopped(steps: Iterator[tuple[str, str]], stopped: list[str]) -> Iterator[tuple[str, str]]:
+    """Pass the steps on until the arms are stopped or a mode fails; say why in `stopped`: log and film are kept."""
+    from minidual.control.reflexes import ReflexError
+    from minidual.evaluation.modes import SwitchError
+
+    try:
+        yield from steps
+    except (SwitchError, ReflexError) as error:
+        stopped.append(str(error))
+
+
 def _counted(steps: Iterator[tuple[str, str]], task: Task) -> Iterator[tuple[str, str]]:
     """Pass the steps on, counting the turns that have ended."""
     before: tuple[str, str] | None = None
@@ -183,7 +195,9 @@ def _notes(result: ModesResult, context: ToolContext) -> list[str]:
     for name in sorted({r[1] for r in result.refusals}):
         notes.append(f"refused as {name}: {sum(r[1] == name for r in result.refusals)}")
     notes += [f"OVER ITS BOUND: {fault}" for fault in result.faults]
-    if not result.faults:
+    if result.ended:
+        notes.append(f"ENDED TOO EARLY: {result.ended}")
+    if result.passed:
         notes.append("every step at every switch within its bound")
     notes.append(f"log, film: {context.folder}")
     return notes
