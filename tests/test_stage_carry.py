@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -13,7 +15,8 @@ from minidual.evaluation.methods import MethodInputs
 from minidual.evaluation.trial_records import TrialRecords
 from minidual.evaluation.trials import run_trials
 from minidual.pipeline.canonical import digest
-from minidual.stages.carry import STAGE
+from minidual.pipeline.progress import SilentProgress
+from minidual.stages.carry import STAGE, CarryStage
 from minidual.tasks.rod_carry import sample_trial
 
 
@@ -57,3 +60,28 @@ def test_results_do_not_depend_on_the_processes_and_a_recording_is_the_same_tria
     again = TrialRecords("impedance", inputs).write(trials[1], tmp_path / "trial.npz")
     assert repr(again.metrics) == repr(alone[1])
     assert (tmp_path / "trial.npz").stat().st_size > 10_000
+
+
+def test_a_trial_that_is_both_median_and_worst_is_recorded_as_both(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written: list[tuple[int, str]] = []
+    success = SimpleNamespace(text="success", success=True)
+    failure = SimpleNamespace(text="held at 2.00 s", success=False)
+    results: list[Any] = [success, failure, failure]
+
+    class Records:
+        def __init__(self, *_args: object) -> None: ...
+
+        def write(self, trial: Any, path: Path) -> Any:
+            written.append((trial, path.name))
+            return results[trial]
+
+    monkeypatch.setattr("minidual.evaluation.trial_records.TrialRecords", Records)
+    context: Any = SimpleNamespace(folder=tmp_path, progress=SilentProgress())
+    trials: list[Any] = [0, 1, 2]
+    CarryStage()._record(context, None, trials, results, {"median": 0, "worst": 0})  # type: ignore[arg-type]
+    assert written == [(1, "trial001.npz"), (2, "trial002.npz"), (0, "median.npz"), (0, "worst.npz")]
+    written.clear()
+    CarryStage()._record(context, None, trials, results, {"median": 1, "worst": 2})  # type: ignore[arg-type]
+    assert written == [(1, "median.npz"), (2, "worst.npz")]

@@ -17,6 +17,7 @@ from minidual.control.supervisor import Supervisor
 from minidual.evaluation.methods import MethodInputs
 from minidual.evaluation.trials import Bench
 from minidual.learning.pilot import PolicyPilot
+from minidual.planning.errors import PlanningError
 from minidual.robot.constants import HOME, Array
 from minidual.robot.kinematics import Kinematics
 from minidual.sim.world import World
@@ -115,6 +116,23 @@ def test_a_planned_trial_keeps_the_distance_that_the_supervisor_watches(
     distance = arm_distance()
     gaps = [distance(q) for _, motion, _ in carry._segments for q in motion.q]
     assert planned_carry._nearest(carry._segments)[0] == pytest.approx(min(g for _, g in gaps), abs=1e-3)
+
+    # A seed under which nothing is found is passed over; a planner that finds nothing at first has failed.
+    segments = list(carry._segments)
+    for failing, aborted in ((2, None), (1, "no path")):
+        calls, told = iter(range(1, 9)), iter([(0.002, "elbow with elbow"), (0.016, "none")])
+
+        def fails(self: PlannedCarry, *args: Any, calls: Any = calls, failing: int = failing) -> Any:
+            if next(calls) == failing:
+                raise PlanningError("no path")
+            return segments
+
+        world.reset(rod_xy_yaw=trial.start)
+        with monkeypatch.context() as patch:
+            patch.setattr(PlannedCarry, "_plan", fails)
+            patch.setattr(planned_carry, "_nearest", lambda segments, told=told: next(told))
+            carry = PlannedCarry(world, Kinematics(), planner, carrier, trial, SEED, supervisor=supervisor)
+        assert carry.aborted == aborted
 
     # What no plan keeps is said, and nothing moves.
     world.reset(rod_xy_yaw=trial.start)

@@ -193,11 +193,11 @@ class CarryStage:
         from minidual.evaluation.trial_records import TrialRecords
 
         failed = [i for i, result in enumerate(results) if not result.success]
-        named = {i: f"trial{i:03d}" for i in failed[:RECORDED_FAILURES_MAX]}
-        named |= {i: label for label, i in shown.items()}
+        named = [(i, f"trial{i:03d}") for i in failed[:RECORDED_FAILURES_MAX] if i not in shown.values()]
+        named += [(i, label) for label, i in shown.items()]  # one trial may be both
         records = TrialRecords("impedance", inputs)
         with context.progress.task("recordings", len(named)) as task:
-            for i, label in named.items():
+            for i, label in named:
                 again = records.write(trials[i], context.folder / f"{label}.npz")
                 if again.text != results[i].text:
                     raise DataError(

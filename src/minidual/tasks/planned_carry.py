@@ -89,14 +89,20 @@ class PlannedCarry:
         """Return a cycle on which the arms keep the supervisor's distance.
 
         A plan is proven free of collisions, and may bring the elbows closer to each other than the supervisor lets
-        them come: then another posture over the rod is looked for.
+        them come: then another posture over the rod is looked for, and a seed under which none is found is passed over.
+        A planner that finds nothing at once has failed: that is not tried again.
         """
         if supervisor is None:
             return self._plan(planner, carrier, trial, seed)
         bound = supervisor.config.self_collision_min_m + _GAP_MARGIN_M
         nearest: list[tuple[float, str]] = []
         for attempt in range(_ATTEMPTS):
-            segments = self._plan(planner, carrier, trial, seed + attempt * _NEXT_SEED)
+            try:
+                segments = self._plan(planner, carrier, trial, seed + attempt * _NEXT_SEED)
+            except PlanningError:
+                if attempt == 0:
+                    raise
+                continue
             nearest.append(_nearest(segments))
             if nearest[-1][0] >= bound:
                 return segments
