@@ -55,7 +55,7 @@ def draw_trial(log: TrialLog, scene: SceneConfig, path: Path, *, title: str) -> 
     for joint in range(7):
         torque.plot(log.t, np.maximum(ratio[:, joint], ratio[:, joint + 7]), lw=1, label=f"joint {joint + 1}")
     torque.axhline(1.0, color=_LIMIT, lw=1, ls="--")
-    torque.set(title="Motor torque / limit, larger of both arms", xlabel="s", ylim=(0, 1.08))
+    torque.set(title="Motor torque / limit, larger of both arms", xlabel="s", ylim=(0, 1.25))
     torque.legend(ncols=4, frameon=False, fontsize=8)
     for axis in axes.flat:
         axis.grid(alpha=0.25)
