@@ -6,12 +6,27 @@ import pytest
 
 from minidual.config.root import Config
 from minidual.errors import UsageError
-from minidual.evaluation.conditions import CLEAN, CONDITIONS, Push, _Pusher, condition
+from minidual.evaluation.conditions import (
+    CLEAN,
+    CONDITIONS,
+    SENSES,
+    Push,
+    _Pusher,
+    condition,
+    parse_conditions,
+)
 from minidual.sim.model import build_model
 from minidual.sim.world import World
 
 FIELDS = ("body_mass", "body_subtreemass", "body_inertia", "body_invweight0", "dof_invweight0", "geom_friction",
-          "dof_damping", "dof_frictionloss", "dof_M0", "tendon_invweight0", "actuator_acc0")  # fmt: skip
+          "dof_damping", "dof_frictionloss", "dof_M0", "tendon_invweight0", "actuator_acc0", "light_diffuse",
+          "light_specular")  # fmt: skip
+
+
+def fields(model):
+    """Return what conditions may change, and what MuJoCo derives from it."""
+    found = {f: np.array(getattr(model, f)) for f in FIELDS}
+    return found | {f: np.array(getattr(model.vis.headlight, f)) for f in ("ambient", "diffuse", "specular")}
 
 
 @pytest.fixture(scope="module")
@@ -21,12 +36,14 @@ def model():
 
 @pytest.mark.parametrize("name", CONDITIONS)
 def test_the_model_is_as_before_afterwards(model, name):
-    before = {f: np.array(getattr(model, f)) for f in FIELDS}
+    before = fields(model)
     with condition(name).applied(model, 3):
-        changed = any(not np.array_equal(before[f], getattr(model, f)) for f in FIELDS)
-        assert changed == condition(name).changes_the_plant
-    for f in FIELDS:
-        np.testing.assert_array_equal(before[f], getattr(model, f), err_msg=f)
+        changed = {f for f, value in fields(model).items() if not np.array_equal(before[f], value)}
+        lights = {f for f in changed if "light" in f or f in ("ambient", "diffuse", "specular")}
+        assert bool(changed) == condition(name).changes_the_model
+        assert bool(changed - lights) == condition(name).changes_the_plant
+    for f, value in fields(model).items():
+        np.testing.assert_array_equal(before[f], value, err_msg=f)
 
 
 def test_mass_and_inertia_scale_together(model):
@@ -78,9 +95,66 @@ def test_an_object_on_the_table_is_not_pushed(model):
         assert not world.data.xfrc_applied.any()
 
 
+def test_an_object_is_moved_once_and_lies_still_afterwards(model):
+    world = World(Config().scene, model=model)
+    world.reset()
+    before = world.T_world_rod
+    act = condition("moved 20 mm").disturbance(np.random.default_rng(1))
+    for _ in range(450):
+        world.step()
+        act(world)
+    np.testing.assert_allclose(world.T_world_rod, before, atol=1e-4)
+    for _ in range(300):
+        world.step()
+        act(world)
+    moved = world.T_world_rod[:3, 3] - before[:3, 3]
+    assert np.linalg.norm(moved[:2]) == pytest.approx(0.020, abs=2e-4)
+    assert abs(moved[2]) < 1e-4
+    np.testing.assert_allclose(world.T_world_rod[:3, :3], before[:3, :3], atol=1e-2)
+
+
 def test_the_first_condition_is_clean_and_names_are_checked():
     assert next(iter(CONDITIONS)) == CLEAN
     assert not CONDITIONS[CLEAN].changes_the_plant
     assert CONDITIONS[CLEAN].disturbance(np.random.default_rng(0)) is None
-    with pytest.raises(UsageError, match="mass"):
-        condition("mass +50%")
+    for typed in ("mass +50 %", "mass_+50_%", "mass+50%"):
+        assert condition(typed) is CONDITIONS["mass +50 %"]
+    with pytest.raises(UsageError, match=r"no condition 'fricton 0\.3'") as refused:
+        condition("fricton 0.3")
+    assert refused.value.remedy == "did you mean 'friction 0.3'?"
+
+
+def test_a_list_of_conditions_begins_with_the_clean_one():
+    assert parse_conditions("push_+x, clean,friction0.3") == (CLEAN, "push +x", "friction 0.3")
+    assert parse_conditions(["all"]) == tuple(CONDITIONS)
+    for typed, says in (
+        ("push +x", "lack 'clean'"),
+        ("", "lack 'clean'"),
+        ("clean,push +x,push_+x", "named twice"),
+        ("all,clean", "stands for every condition"),
+        ("clean,pusch +x", "no condition"),
+    ):
+        with pytest.raises(UsageError, match=says):
+            parse_conditions(typed)
+
+
+def test_what_changes_a_sense_alone_does_not_touch_who_lacks_it():
+    noise = CONDITIONS["pose noise x3"]
+    assert noise.why_not("act", {"picture"}) == "act reads no sensed pose of the object"
+    assert noise.why_not("impedance", {"pose", "feedback"}) == ""
+    assert CONDITIONS["mass +50 %"].why_not("act", ()) == "", "nobody escapes the plant"
+    assert {c.sense for c in CONDITIONS.values() if c.sense} == set(SENSES)
+    for c in CONDITIONS.values():
+        assert not (c.sense and (c.changes_the_plant or c.push)), "a change of the plant touches every method"
+
+
+def test_a_darker_room_gives_darker_pictures(visual_model):
+    from minidual.sim.render import Camera
+
+    world = World(Config().scene, model=visual_model)
+    camera = Camera.recorded(visual_model, Config().scene.camera)
+    bright = camera.picture(world.data, "high")
+    with condition("light -30 %").applied(visual_model, 0):
+        dark = camera.picture(world.data, "high")
+    assert 0.6 < dark.mean() / bright.mean() < 0.9
+    np.testing.assert_array_equal(camera.picture(world.data, "high"), bright)

@@ -1,27 +1,37 @@
 """What the world does to a trial: pushes, another mass, another friction, worse sensing. One table, the clean one first.
 
 A condition changes the plant and the sensors; the method is told nothing of it. The rod that is 50 % heavier is still
-the 0.2 kg rod to whoever carries it.
+the 0.2 kg rod to whoever carries it. What changes the plant touches every method; what changes a sensor touches those
+that read it, and a method that does not is not run under it: the trials would be the clean ones under another name.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Collection, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
 
-from minidual.errors import unknown_name
+from minidual.errors import UsageError, unknown_name
 from minidual.robot.constants import DOF, JOINT_NAMES, Array
 from minidual.sim.world import World
 
 CLEAN = "clean"
+ALL = "all"
+SENSES: dict[str, str] = {
+    "pose": "sensed pose of the object",
+    "feedback": "pose or contact force during the motion",
+    "picture": "picture",
+}
+"""What a method may read of the object, and what it is called in a sentence; joints are read by all."""
 _RISEN_M = 0.05
 """A push comes while the object is in the air: it waits until the object has risen this far ..."""
 _DELAY_S = (0.2, 1.2)
 """... and then for a time drawn from this range."""
+_MOVED_AT_S = 0.5
+"""An object is moved while the hands approach: they have set out, and none is near it yet."""
 
 
 @dataclass(frozen=True)
@@ -51,38 +61,64 @@ class Condition:
         name: As in tables and trials.
         summary: One line for people.
         push: Force while the object is in the air.
+        move_m: How far somebody moves the object along the table, in a direction of each trial's own.
         mass_factor: Of the object's mass and inertia.
         friction: Of object, pads and table, in place of the configured one.
         joint_friction_factor: Viscous and Coulomb friction of one joint, another one each trial.
+        light_factor: Of every light, as the cameras see it.
         settings: Configuration values {dotted path: value} under which the trial runs, for the sensors.
+        sense: Row of SENSES that it changes and nothing else does; empty if it changes the plant, which no method
+            escapes.
+        promised: Whether a carry must hold it. One that is not is compared, and measured by no limit.
     """
 
     name: str
     summary: str
     push: Push | None = None
+    move_m: float = 0.0
     mass_factor: float = 1.0
     friction: float | None = None
     joint_friction_factor: float = 1.0
+    light_factor: float = 1.0
     settings: Mapping[str, float] = field(default_factory=dict)
+    sense: str = ""
+    promised: bool = True
+
+    @property
+    def key(self) -> str:
+        """The name without blanks, for checks and files."""
+        return self.name.replace(" ", "_")
+
+    def why_not(self, method: str, senses: Collection[str]) -> str:
+        """Return why it cannot touch a method that reads `senses` (rows of SENSES), or an empty string if it can."""
+        return "" if not self.sense or self.sense in senses else f"{method} reads no {SENSES[self.sense]}"
 
     @property
     def changes_the_plant(self) -> bool:
         """Whether the compiled model differs from the clean one."""
         return self.mass_factor != 1.0 or self.friction is not None or self.joint_friction_factor != 1.0
 
+    @property
+    def changes_the_model(self) -> bool:
+        """Whether anything in the compiled model differs, light included."""
+        return self.changes_the_plant or self.light_factor != 1.0
+
     @contextmanager
     def applied(self, model: mujoco.MjModel, index: int) -> Generator[None]:
         """Change a compiled model for trial `index`, and change it back; nothing else may hold it meanwhile."""
-        if not self.changes_the_plant:
+        if not self.changes_the_model:
             yield
             return
         kept = {name: np.array(getattr(model, name)) for name in _CHANGED}
+        lamp = {name: np.array(getattr(model.vis.headlight, name)) for name in _LAMP}
         self._change(model, index)
         try:
             yield
         finally:
             for name, values in kept.items():
                 getattr(model, name)[:] = values
+            for name, values in lamp.items():
+                getattr(model.vis.headlight, name)[:] = values
             _derive(model)
 
     def _change(self, model: mujoco.MjModel, index: int) -> None:
@@ -98,14 +134,23 @@ class Condition:
         joint = model.joint(JOINT_NAMES[index % DOF])
         joint.damping[0] *= self.joint_friction_factor
         joint.frictionloss[0] *= self.joint_friction_factor
+        model.light_diffuse *= self.light_factor
+        model.light_specular *= self.light_factor
+        for name in _LAMP:
+            getattr(model.vis.headlight, name)[:] *= self.light_factor
         _derive(model)
 
     def disturbance(self, rng: np.random.Generator) -> Callable[[World], None] | None:
         """Return what acts on the world after every step of a trial, or None if nothing does."""
+        if self.move_m:
+            return _Mover(self.move_m, float(rng.uniform(0.0, 2.0 * np.pi)))
         return None if self.push is None else _Pusher(self.push, float(rng.uniform(*_DELAY_S)))
 
 
-_CHANGED = ("body_mass", "body_inertia", "geom_friction", "dof_damping", "dof_frictionloss")
+_CHANGED = (
+    "body_mass", "body_inertia", "geom_friction", "dof_damping", "dof_frictionloss", "light_diffuse", "light_specular",
+)  # fmt: skip
+_LAMP = ("ambient", "diffuse", "specular")
 
 
 def _derive(model: mujoco.MjModel) -> None:
@@ -134,6 +179,21 @@ class _Pusher:
         world.data.xfrc_applied[body, :3] = self._push.at(since)
 
 
+class _Mover:
+    """Moves the object once: it lies elsewhere from one step to the next, at rest, as high and turned as before."""
+
+    def __init__(self, distance_m: float, direction_rad: float) -> None:
+        self._by = distance_m * np.array([np.cos(direction_rad), np.sin(direction_rad)])
+        self._moved = False
+
+    def __call__(self, world: World) -> None:
+        if self._moved or world.time < _MOVED_AT_S:
+            return
+        address = int(world.model.joint("rod_free").qposadr[0])
+        world.data.qpos[address : address + 2] += self._by
+        self._moved = True
+
+
 _PUSH_N = 20.0
 _AXES = {
     "+x": (1, 0, 0),
@@ -156,6 +216,12 @@ CONDITIONS: dict[str, Condition] = {
             )
             for axis, (x, y, z) in _AXES.items()
         ),
+        Condition(
+            "moved 20 mm",
+            "somebody moves the object 20 mm along the table while the hands approach",
+            move_m=0.020,
+            promised=False,
+        ),
         Condition("mass -50 %", "an object of half the mass that is expected", mass_factor=0.5),
         Condition(
             "mass +50 %", "an object of one and a half times the mass that is expected", mass_factor=1.5
@@ -166,10 +232,15 @@ CONDITIONS: dict[str, Condition] = {
             "pose noise x3",
             "the camera sees the object three times as badly",
             settings={"carry.sensing.pose_noise_m": 0.0015, "carry.sensing.pose_noise_rad": 0.0157},
+            sense="pose",
         ),
         Condition(
-            "delay 20 ms", "pose and forces arrive twice as late", settings={"carry.sensing.delay_s": 0.020}
+            "delay 20 ms",
+            "pose and forces arrive twice as late",
+            settings={"carry.sensing.delay_s": 0.020},
+            sense="feedback",
         ),
+        Condition("light -30 %", "the cameras look at a darker room", light_factor=0.7, sense="picture"),
         Condition(
             "joint friction x2",
             "one joint, another each trial, with doubled friction",
@@ -179,8 +250,39 @@ CONDITIONS: dict[str, Condition] = {
 }
 
 
+_COMPACT = {name.replace(" ", ""): name for name in CONDITIONS}
+
+
 def condition(name: str) -> Condition:
-    """Return a condition by name, or say which exist."""
-    if name not in CONDITIONS:
+    """Return a condition by name, or say which exist; blanks may be underscores or be left out: mass_+50_%."""
+    known = _COMPACT.get(name.replace(" ", "").replace("_", ""))
+    if known is None:
         raise unknown_name("condition", name, CONDITIONS)
-    return CONDITIONS[name]
+    return CONDITIONS[known]
+
+
+def parse_conditions(text: str | Sequence[str]) -> tuple[str, ...]:
+    """Return the conditions named in `clean,push +x,friction 0.3`, each once, the clean one first; `all` names all.
+
+    Raises:
+        UsageError: An unknown or repeated name, or `clean` is not among them: what a disturbance costs is counted from
+            there.
+    """
+    typed = [n.strip() for n in (text.split(",") if isinstance(text, str) else text)]
+    typed = [n for n in typed if n]
+    if ALL in typed:
+        if len(typed) > 1:
+            raise UsageError(
+                f"'{ALL}' stands for every condition, beside it stands {', '.join(n for n in typed if n != ALL)}"
+            )
+        return tuple(CONDITIONS)
+    names = [condition(n).name for n in typed]
+    for name in names:
+        if names.count(name) > 1:
+            raise UsageError(f"condition '{name}' is named twice in {', '.join(typed)}")
+    if CLEAN not in names:
+        raise UsageError(
+            f"the conditions {', '.join(typed) or '(none)'} lack '{CLEAN}': the limits hold there, and every loss is counted from it",
+            remedy="--conditions " + ",".join([CLEAN, *(CONDITIONS[n].key for n in names)]),
+        )
+    return (CLEAN, *(n for n in names if n != CLEAN))

@@ -21,7 +21,9 @@ def impedance(inputs: MethodInputs) -> Factory:
 
 
 def planned(inputs: MethodInputs) -> Factory:
-    """Plan with OMPL and toppra, execute with joint trajectory control."""
+    """Plan with OMPL and toppra from one reading of the pose sensor, execute with joint trajectory control."""
+    from minidual.config.seeds import stream
+    from minidual.sim.sensing import Sensors
     from minidual.tasks.planned_carry import PlannedCarry, make_planners
     from minidual.tasks.supervised import trial_supervisor
 
@@ -30,9 +32,14 @@ def planned(inputs: MethodInputs) -> Factory:
     planner, carrier = make_planners(config.plan.planner)
 
     def make(world: World, kinematics: Kinematics, trial: RodTrial) -> PlannedCarry:
+        # The sensor and the noise that object impedance has, on the same stream: both begin from the same reading.
+        rng = stream(inputs.seed, f"sensing/{trial.purpose}", trial.index)
+        seen = Sensors(world, config.carry.sensing, rng).sense().pose
+        if seen is None:
+            raise RuntimeError("the first reading of the sensors holds a pose")
         return PlannedCarry(
             world, kinematics, planner, carrier, trial, inputs.seed + trial.index, config.arbiter,
-            supervisor=supervisor,
+            T_world_object=seen.T_world_object, supervisor=supervisor,
         )  # fmt: skip
 
     return make

@@ -14,6 +14,7 @@ from typing import Any, Protocol
 
 from minidual.config.root import Config
 from minidual.errors import UsageError, unknown_name
+from minidual.evaluation.conditions import SENSES
 from minidual.robot.kinematics import Kinematics
 from minidual.sim.world import World
 from minidual.tasks.rod_carry import RodTrial
@@ -65,25 +66,33 @@ class MethodSpec:
         summary: One line for people.
         needs_images: The world must be compiled with visual meshes.
         demands_internal_force: The judge also scores the squeeze.
+        senses: Rows of `conditions.SENSES`: what it reads of the object. Disturbances of other senses do not apply.
     """
 
     target: str
     summary: str
     needs_images: bool = False
     demands_internal_force: bool = False
+    senses: frozenset[str] = frozenset(SENSES)
 
 
 METHODS: dict[str, MethodSpec] = {
     "moveit": MethodSpec(
-        "minidual.evaluation.drivers:planned", "OMPL and toppra in MoveIt 2's role, joint trajectory control"
+        "minidual.evaluation.drivers:planned",
+        "OMPL and toppra in MoveIt 2's role, joint trajectory control",
+        senses=frozenset({"pose"}),
     ),
     "impedance": MethodSpec(
         "minidual.evaluation.drivers:impedance",
         "object impedance with internal force control",
         demands_internal_force=True,
+        senses=frozenset({"pose", "feedback"}),
     ),
     "act": MethodSpec(
-        "minidual.evaluation.drivers:policy", "ACT policy from camera and joints", needs_images=True
+        "minidual.evaluation.drivers:policy",
+        "ACT policy from camera and joints",
+        needs_images=True,
+        senses=frozenset({"picture"}),
     ),
 }
 

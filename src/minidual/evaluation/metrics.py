@@ -75,6 +75,10 @@ class TrialMetrics:
         return {f.name: _said(getattr(self, f.name), words.get(f.name, NOT_MEASURED)) for f in fields(self)}
 
 
+_OVER_ALL = ("torque_", "jerk_", "tilt_", "goal_")
+"""How the names of indicators begin that are taken over all trials, failed ones too."""
+
+
 @dataclass(frozen=True)
 class MethodSummary:
     """All trials of one method under one condition.
@@ -91,10 +95,19 @@ class MethodSummary:
         duration_low_s: Lower end of its 95 % bootstrap interval.
         duration_high_s: Upper end.
         torque_ratio_max: Largest over all trials.
+        torque_ratio_median: Median over all trials of each trial's largest.
+        torque_ratio_low: Lower end of its 95 % bootstrap interval.
+        torque_ratio_high: Upper end.
         jerk_rms_median: Median over all trials long enough to measure, rad/s^3.
+        jerk_rms_low: Lower end of its 95 % bootstrap interval.
+        jerk_rms_high: Upper end.
         tilt_max_rad: Largest over all trials, failed ones included.
         tilt_median_rad: Median over all trials of each trial's largest.
+        tilt_low_rad: Lower end of its 95 % bootstrap interval.
+        tilt_high_rad: Upper end.
         path_length_m: Median over the successful trials; NaN without any.
+        path_length_low_m: Lower end of its 95 % bootstrap interval.
+        path_length_high_m: Upper end.
         internal_force_min_n: Least over the successful trials.
         pinch_force_min_n: Least over the successful trials.
         goal_error_median_m: Median over all trials.
@@ -112,10 +125,19 @@ class MethodSummary:
     duration_low_s: float
     duration_high_s: float
     torque_ratio_max: float
+    torque_ratio_median: float
+    torque_ratio_low: float
+    torque_ratio_high: float
     jerk_rms_median: float
+    jerk_rms_low: float
+    jerk_rms_high: float
     tilt_max_rad: float
     tilt_median_rad: float
+    tilt_low_rad: float
+    tilt_high_rad: float
     path_length_m: float
+    path_length_low_m: float
+    path_length_high_m: float
     internal_force_min_n: float
     pinch_force_min_n: float
     goal_error_median_m: float
@@ -124,20 +146,13 @@ class MethodSummary:
     def to_row(self) -> dict[str, Cell]:
         """Return the summary for CSV or JSON, with words where a number does not exist."""
         missing = NO_SUCCESS if self.successes_n == 0 else NOT_MEASURED
-        over_all = {
-            "torque_ratio_max",
-            "jerk_rms_median",
-            "tilt_max_rad",
-            "tilt_median_rad",
-            "goal_error_median_m",
-        }
         row: dict[str, Cell] = {}
         for f in fields(self):
             value = getattr(self, f.name)
             if f.name == "failures":
                 row["failures"] = "; ".join(f"{name} {count}" for name, count in value) or "none"
             else:
-                row[f.name] = _said(value, NOT_MEASURED if f.name in over_all else missing)
+                row[f.name] = _said(value, NOT_MEASURED if f.name.startswith(_OVER_ALL) else missing)
         return row
 
 
@@ -237,7 +252,15 @@ def summarise(trials: Sequence[TrialMetrics], rng: np.random.Generator) -> Metho
     won = [trial for trial in trials if trial.success]
     low, high = wilson_interval(len(won), len(trials))
     durations = [trial.duration_s for trial in won]
-    duration_low, duration_high = bootstrap_median_interval(durations, rng) if won else (math.nan, math.nan)
+    duration_low, duration_high = _interval(durations, rng)
+    torques = [trial.torque_ratio_max for trial in trials]
+    torque_low, torque_high = _interval(torques, rng)
+    jerks = [trial.jerk_rms for trial in trials if math.isfinite(trial.jerk_rms)]
+    jerk_low, jerk_high = _interval(jerks, rng)
+    tilts = [trial.tilt_max_rad for trial in trials]
+    tilt_low, tilt_high = _interval(tilts, rng)
+    paths = [trial.path_length_m for trial in won]
+    path_low, path_high = _interval(paths, rng)
     counts = Counter(trial.failure for trial in trials if not trial.success)
     return MethodSummary(
         method=trials[0].method,
@@ -250,13 +273,20 @@ def summarise(trials: Sequence[TrialMetrics], rng: np.random.Generator) -> Metho
         duration_median_s=_median(durations),
         duration_low_s=duration_low,
         duration_high_s=duration_high,
-        torque_ratio_max=float(
-            np.max([trial.torque_ratio_max for trial in trials])
-        ),  # np.max passes a NaN on
-        jerk_rms_median=_median([t.jerk_rms for t in trials if math.isfinite(t.jerk_rms)]),
-        tilt_max_rad=float(np.max([trial.tilt_max_rad for trial in trials])),
-        tilt_median_rad=_median([trial.tilt_max_rad for trial in trials]),
-        path_length_m=_median([trial.path_length_m for trial in won]),
+        torque_ratio_max=float(np.max(torques)),  # np.max passes a NaN on
+        torque_ratio_median=_median(torques),
+        torque_ratio_low=torque_low,
+        torque_ratio_high=torque_high,
+        jerk_rms_median=_median(jerks),
+        jerk_rms_low=jerk_low,
+        jerk_rms_high=jerk_high,
+        tilt_max_rad=float(np.max(tilts)),
+        tilt_median_rad=_median(tilts),
+        tilt_low_rad=tilt_low,
+        tilt_high_rad=tilt_high,
+        path_length_m=_median(paths),
+        path_length_low_m=path_low,
+        path_length_high_m=path_high,
         internal_force_min_n=min((trial.internal_force_min_n for trial in won), default=math.nan),
         pinch_force_min_n=min((trial.pinch_force_min_n for trial in won), default=math.nan),
         goal_error_median_m=_median([trial.goal_error_m for trial in trials]),
@@ -267,6 +297,13 @@ def summarise(trials: Sequence[TrialMetrics], rng: np.random.Generator) -> Metho
 def _median(values: Sequence[float]) -> float:
     """Return the median, or NaN of nothing."""
     return float(np.median(values)) if len(values) else math.nan
+
+
+def _interval(values: Sequence[float], rng: np.random.Generator) -> tuple[float, float]:
+    """Return the interval of the median; NaN of nothing, and of anything that is not finite."""
+    if not values or not np.all(np.isfinite(values)):
+        return math.nan, math.nan
+    return bootstrap_median_interval(values, rng)
 
 
 def _said(value: Cell, words: str) -> Cell:

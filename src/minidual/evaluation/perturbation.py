@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ import numpy as np
 from minidual.config.change import changed
 from minidual.config.seeds import stream
 from minidual.evaluation.conditions import CLEAN, CONDITIONS, Condition
-from minidual.evaluation.methods import MethodInputs
+from minidual.evaluation.methods import MethodInputs, method_spec
 from minidual.evaluation.metrics import MethodSummary, TrialMetrics, summarise
 from minidual.evaluation.tables import write_csv, write_text
 from minidual.evaluation.trials import TrialResult, run_trials
@@ -69,6 +69,31 @@ class Robustness:
         }
 
 
+def run_under(
+    method: str,
+    inputs: MethodInputs,
+    condition: Condition,
+    purpose: str,
+    trials_n: int,
+    *,
+    workers: int,
+    view: View | None = None,
+) -> Iterator[TrialResult]:
+    """Run the first trials of a purpose under a condition: its starts are those of every other condition and method."""
+    config = changed(inputs.config, condition.settings)
+    trials = [sample_trial(config.scene, inputs.seed, purpose, i) for i in range(trials_n)]
+    for result, _ in run_trials(
+        method, replace(inputs, config=config), trials, workers=workers, condition=condition.name, view=view
+    ):
+        yield result
+
+
+def touching(method: str) -> dict[str, Condition]:
+    """Return the conditions that a carry must hold and that can touch a method, the clean one first."""
+    senses = method_spec(method).senses
+    return {name: c for name, c in CONDITIONS.items() if c.promised and not c.why_not(method, senses)}
+
+
 def run_perturbations(
     method: str,
     inputs: MethodInputs,
@@ -78,17 +103,13 @@ def run_perturbations(
     on_trial: Callable[[str, TrialResult], None] | None = None,
     view: View | None = None,
 ) -> tuple[list[Robustness], list[TrialMetrics]]:
-    """Run the same trials under every condition; results do not depend on `workers`."""
+    """Run the same trials under every condition that touches the method; results do not depend on `workers`."""
     found: list[Robustness] = []
     everything: list[TrialMetrics] = []
     clean_rate = float("nan")
-    for name, condition in CONDITIONS.items():
-        config = changed(inputs.config, condition.settings)
-        trials = [sample_trial(config.scene, inputs.seed, PURPOSE, i) for i in range(trials_n)]
+    for name, condition in touching(method).items():
         results: list[TrialResult] = []
-        for result, _ in run_trials(
-            method, replace(inputs, config=config), trials, workers=workers, condition=name, view=view
-        ):
+        for result in run_under(method, inputs, condition, PURPOSE, trials_n, workers=workers, view=view):
             results.append(result)
             if on_trial is not None:
                 on_trial(name, result)

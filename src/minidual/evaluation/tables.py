@@ -12,17 +12,20 @@ from typing import Any
 from minidual.data import durable
 from minidual.data.smoothness import JERK_FILTER
 from minidual.errors import DataError, NothingEvaluatedError, UsageError
-from minidual.evaluation.metrics import Cell, MethodSummary, TrialMetrics
-from minidual.evaluation.statistics import CONFIDENCE, PairedComparison, compare_paired
+from minidual.evaluation.comparisons import compare_all, compare_with_clean
+from minidual.evaluation.metrics import MethodSummary, TrialMetrics
+from minidual.evaluation.statistics import CONFIDENCE
 
 #: What every number in the tables means, where its name does not say it.
 DEFINITIONS: dict[str, str] = {
     "jerk_filter": JERK_FILTER,
     "success_interval": f"Wilson score, {CONFIDENCE:.0%}",
-    "duration_interval": f"percentile bootstrap of the median, {CONFIDENCE:.0%}",
+    "median_interval": f"percentile bootstrap of the median over trials, {CONFIDENCE:.0%}: *_low and *_high",
     "over_successful_trials": "duration, path length, least internal force, least pinch force",
     "over_all_trials": "torque, jerk, tilt, goal error",
-    "paired_test": "McNemar, exact, two-sided, on shared trials",
+    "paired_test": "McNemar, exact, two-sided, on shared starts",
+    "paired_rate_interval": f"Newcombe's score interval of paired proportions (1998, method 10), {CONFIDENCE:.0%}",
+    "paired_duration_interval": "percentile bootstrap of the median difference over starts that both completed",
 }
 
 
@@ -43,6 +46,8 @@ def write_json(
     summaries: Sequence[MethodSummary],
     trials: Sequence[TrialMetrics],
     extra: Mapping[str, Any] | None = None,
+    *,
+    seed: int = 0,
 ) -> Path:
     """Write definitions, summaries, paired comparisons of all methods, and trials as one document.
 
@@ -51,6 +56,7 @@ def write_json(
         summaries: One a method and condition.
         trials: All trials.
         extra: Further entries at the top level; they may not replace one of these.
+        seed: Of the bootstraps in the comparisons.
 
     Raises:
         NothingEvaluatedError: no trials.
@@ -62,7 +68,8 @@ def write_json(
     document: dict[str, Any] = {
         "definitions": DEFINITIONS,
         "methods": [_with_failures(summary) for summary in summaries],
-        "comparisons": compare_all(trials),
+        "comparisons": compare_all(trials, seed),
+        "losses": compare_with_clean(trials, seed),
         "trials": [trial.to_row() for trial in trials],
     }
     clash = set(document) & set(extra or {})
@@ -73,37 +80,6 @@ def write_json(
     except ValueError as error:
         raise DataError(f"{path}: {error}") from error
     return write_text(Path(path), text + "\n")
-
-
-def compare_all(trials: Sequence[TrialMetrics]) -> list[dict[str, Cell]]:
-    """Return McNemar comparisons of each pair of methods on the trials they share, condition by condition."""
-    results: dict[tuple[str, str], dict[int, bool]] = {}
-    for trial in trials:
-        results.setdefault((trial.condition, trial.method), {})[trial.index] = trial.success
-    rows: list[dict[str, Cell]] = []
-    keys = list(results)
-    for i, (condition, first) in enumerate(keys):
-        for other, second in keys[i + 1 :]:
-            if other != condition:
-                continue
-            one, two = results[condition, first], results[other, second]
-            shared = sorted(one.keys() & two.keys())
-            if shared:
-                paired = compare_paired([one[index] for index in shared], [two[index] for index in shared])
-                rows.append({"condition": condition, "first": first, "second": second, **_paired_row(paired)})
-    return rows
-
-
-def _paired_row(paired: PairedComparison) -> dict[str, Cell]:
-    return {
-        "trials_n": paired.trials_n,
-        "both_n": paired.both_n,
-        "only_first_n": paired.only_first_n,
-        "only_second_n": paired.only_second_n,
-        "neither_n": paired.neither_n,
-        "rate_difference": paired.rate_difference,
-        "p_value": paired.p_value,
-    }
 
 
 def _with_failures(summary: MethodSummary) -> dict[str, Any]:

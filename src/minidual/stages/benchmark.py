@@ -1,8 +1,7 @@
-"""`minidual benchmark`: the same task, the same starts and the same success test for every method."""
+"""`minidual benchmark`: the same task, starts and success test for every method, undisturbed and disturbed."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -13,22 +12,20 @@ from minidual.pipeline.stage import StageContext, StageResult
 if TYPE_CHECKING:
     from minidual.config.evaluation import BenchmarkConfig
     from minidual.config.root import Config
+    from minidual.evaluation.benchmark import BenchmarkCell
     from minidual.evaluation.metrics import MethodSummary
-
-PURPOSE = "benchmark"
-"""Random stream of the trials: all methods get the same ones, and no stage before has seen them."""
 
 _UNITS = {
     "duration_median_s": ("s", "median over successful trials, start to released at rest"),
     "torque_ratio_max": ("", "largest motor torque over its limit, all trials"),
     "jerk_rms_median": ("rad/s^3", JERK_FILTER),
     "tilt_max_rad": ("rad", "largest tilt of the rod, all trials, failed ones too"),
-    "path_length_m": ("m", "median path of both hands together over successful trials"),
+    "path_length_m": ("m", "median path of a hand, mean of the two, over successful trials"),
 }
 
 
 def benchmark_checks(summaries: Sequence[MethodSummary], config: BenchmarkConfig) -> list[Check]:
-    """Return the checks of the stage.
+    """Return the checks of the trials that nothing disturbs.
 
     Every method must have run and reached its least success rate (none is asked in profiles that do not judge
     learned success). The other indicators are reported: they compare, they do not gate.
@@ -39,9 +36,7 @@ def benchmark_checks(summaries: Sequence[MethodSummary], config: BenchmarkConfig
         checks.append(
             Check(
                 f"{summary.method}.success_rate", summary.success_rate, None if limit is None else ">", limit, "",
-                f"{summary.successes_n} of {summary.trials_n} trials, 95 % Wilson interval "
-                f"{summary.success_low:.3f} to {summary.success_high:.3f}",
-                "benchmark.csv names what failed first in each trial",
+                _interval(summary), "benchmark.csv names what failed first in each trial",
             )
         )  # fmt: skip
         for name, (unit, why) in _UNITS.items():
@@ -56,12 +51,51 @@ def benchmark_checks(summaries: Sequence[MethodSummary], config: BenchmarkConfig
     return checks
 
 
+def condition_checks(
+    cells: Sequence[BenchmarkCell], methods: Sequence[str], conditions: Sequence[str]
+) -> list[Check]:
+    """Return the checks of the table of methods by conditions: it is whole, and its numbers are numbers.
+
+    Success under a disturbance is reported with its interval. No limit is set for it.
+    """
+    settled = {(c.method, c.condition) for c in cells if c.settled}
+    asked = [(m, c) for m in methods for c in conditions]
+    open_cells = [f"{m} under {c}" for m, c in asked if (m, c) not in settled]
+    holes = [f"{c.method} under {c.condition}: {name}" for c in cells for name in c.not_finite()]
+    checks = [
+        Check(
+            "cells_settled", len(asked) - len(open_cells), "==", len(asked), "",
+            "every method has all its trials under every condition, or a reason why that cannot touch it"
+            + (f"; open: {', '.join(open_cells[:6])}" if open_cells else ""),
+            "minidual benchmark --force",
+        ),
+        Check(
+            "cells_not_finite", len(holes), "==", 0, "",
+            "numbers that the trials should have given, and that do not exist"
+            + (f": {', '.join(holes[:6])}" if holes else ""),
+            "benchmark.csv names what failed first in each trial",
+        ),
+    ]  # fmt: skip
+    for cell in cells:
+        if cell.summary is not None and cell.condition != conditions[0]:
+            name = f"{cell.method}.{cell.condition.replace(' ', '_')}.success_rate"
+            checks.append(Check(name, cell.summary.success_rate, why=_interval(cell.summary)))
+    return checks
+
+
+def _interval(summary: MethodSummary) -> str:
+    return (
+        f"{summary.successes_n} of {summary.trials_n} trials, 95 % Wilson interval "
+        f"{summary.success_low:.3f} to {summary.success_high:.3f}"
+    )
+
+
 class BenchmarkStage:
     """See the module."""
 
     name = "benchmark"
     requires = ("carry", "deploy")
-    summary = "Compare planning, object impedance and the policy on one task"
+    summary = "Compare planning, object impedance and the policy on one task, undisturbed and disturbed"
 
     def parameters(self, config: Config) -> dict[str, Any]:
         """Return what the result depends on."""
@@ -76,56 +110,63 @@ class BenchmarkStage:
         }
 
     def validate(self, config: Config) -> None:
-        """Refuse unknown and repeated methods, and limits for methods that do not exist."""
+        """Refuse unknown and repeated methods and conditions, and limits for methods that do not exist."""
+        from minidual.evaluation.conditions import parse_conditions
         from minidual.evaluation.methods import method_spec, parse_methods
 
         parse_methods(config.benchmark.methods)
+        parse_conditions(config.benchmark.conditions)
         for name in config.benchmark.success_rate_min:
             method_spec(name)
 
     def run(self, context: StageContext) -> StageResult:
-        """Run all trials of all methods and write the tables."""
-        from minidual.config.seeds import stream
-        from minidual.evaluation.methods import MethodInputs, parse_methods
-        from minidual.evaluation.metrics import summarise
-        from minidual.evaluation.tables import write_csv, write_json
-        from minidual.evaluation.trials import run_trials
-        from minidual.tasks.rod_carry import sample_trial
-
-        config = context.config
-        methods = parse_methods(config.benchmark.methods)
-        inputs = MethodInputs(config, context.seed, context.upstream["train-act"] / "checkpoint")
-        trials = [
-            sample_trial(config.scene, context.seed, PURPOSE, i) for i in range(config.benchmark.trials_n)
-        ]
-        metrics, summaries = [], []
-        rng = stream(context.seed, "bootstrap/benchmark")
-        with context.progress.task("benchmark trials", len(methods) * len(trials)) as task:
-            for method in methods:
-                rows = []
-                for result, _ in run_trials(
-                    method, inputs, trials, workers=context.workers, view=context.view
-                ):
-                    rows.append(result.metrics)
-                    task.advance(note=f"{method} {sum(r.success for r in rows)}/{len(rows)}")
-                metrics += rows
-                summaries.append(summarise(rows, rng))
-        write_csv(context.folder / "benchmark.csv", metrics)
-        write_csv(context.folder / "methods.csv", summaries)
-        write_json(context.folder / "benchmark.json", summaries, metrics, {"seed": context.seed})
-        return StageResult(
-            checks=benchmark_checks(summaries, config.benchmark),
-            data={"methods": {s.method: _finite(s) for s in summaries}, "jerk_filter": JERK_FILTER},
+        """Run all trials of all methods under all conditions and write the tables."""
+        from minidual.evaluation.benchmark import (
+            conditions_data,
+            count_trials,
+            run_benchmark,
+            summaries,
+            write_cells,
         )
+        from minidual.evaluation.comparisons import compare_all, compare_with_clean
+        from minidual.evaluation.conditions import CLEAN, parse_conditions
+        from minidual.evaluation.methods import MethodInputs, parse_methods
+        from minidual.evaluation.tables import write_csv, write_json
+        from minidual.evaluation.trials import TrialResult
 
+        config, seed, folder = context.config.benchmark, context.seed, context.folder
+        methods, conditions = parse_methods(config.methods), parse_conditions(config.conditions)
+        inputs = MethodInputs(context.config, seed, context.upstream["train-act"] / "checkpoint")
+        trials_n = {
+            name: config.trials_n if name == CLEAN else config.perturbed_trials_n for name in conditions
+        }
+        with context.progress.task("benchmark trials", count_trials(methods, trials_n)) as task:
 
-def _finite(summary: MethodSummary) -> dict[str, Any]:
-    """Return a summary for the report: a number that does not exist becomes the word nan."""
-    values = {
-        k: v for k, v in summary.__dict__.items() if k not in ("method", "condition", "trials_n", "failures")
-    }
-    plain = {k: "nan" if isinstance(v, float) and math.isnan(v) else v for k, v in values.items()}
-    return {"trials": summary.trials_n, **plain, "failures": dict(summary.failures)}
+            def on_trial(result: TrialResult) -> None:
+                task.advance(note=f"{result.metrics.method}, {result.metrics.condition}")
+
+            cells, trials = run_benchmark(
+                methods, trials_n, inputs, workers=context.workers, on_trial=on_trial, view=context.view
+            )
+        clean = summaries(cells)
+        table = conditions_data(cells)
+        write_csv(folder / "benchmark.csv", trials)
+        write_csv(folder / "methods.csv", clean)
+        write_cells(folder / "conditions.csv", cells)
+        write_json(
+            folder / "benchmark.json", [c.summary for c in cells if c.summary is not None], trials,
+            {"seed": seed, "conditions": table}, seed=seed,
+        )  # fmt: skip
+        return StageResult(
+            checks=benchmark_checks(clean, config) + condition_checks(cells, methods, conditions),
+            data={
+                "methods": {c.method: c.record() for c in cells if c.condition == CLEAN},
+                "conditions": table,
+                "comparisons": compare_all(trials, seed),
+                "losses": compare_with_clean(trials, seed),
+                "jerk_filter": JERK_FILTER,
+            },
+        )
 
 
 STAGE = BenchmarkStage()

@@ -15,19 +15,19 @@ PERTURB_TRIALS_N = 20
 
 def perturb(context: ToolContext) -> ToolResult:
     """Run the carry under every condition and compare its success with the clean one."""
-    from minidual.evaluation.conditions import CONDITIONS
     from minidual.evaluation.methods import MethodInputs
     from minidual.evaluation.perturbation import (
         DROP_MAX,
         run_perturbations,
         table_lines,
+        touching,
         write_perturbations,
     )
     from minidual.tasks.motions import carry_config
 
     trials_n = int(context.options.get("trials", PERTURB_TRIALS_N))
     inputs = MethodInputs(carry_config(context.config), context.seed)
-    with context.progress.task("disturbed carries", len(CONDITIONS) * trials_n) as task:
+    with context.progress.task("disturbed carries", len(touching("impedance")) * trials_n) as task:
         found, trials = run_perturbations(
             "impedance", inputs, trials_n, workers=context.workers,
             on_trial=lambda name, result: task.advance(note=name), view=context.view,

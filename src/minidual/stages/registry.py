@@ -131,12 +131,19 @@ STAGES = StageTable(
             "benchmark",
             "minidual.stages.benchmark:STAGE",
             ("carry", "deploy"),
-            "Compare the methods on the same task, seeds and success test",
+            "Compare the methods on the same task, seeds and success test, undisturbed and disturbed",
             (
                 StageOption(
                     "methods",
                     "benchmark.methods",
                     "Methods to compare, separated by commas: moveit,impedance,act.",
+                    kind=str,
+                    split=True,
+                ),
+                StageOption(
+                    "conditions",
+                    "benchmark.conditions",
+                    "Disturbances, separated by commas: clean,push_+x,friction_0.3; or all.",
                     kind=str,
                     split=True,
                 ),

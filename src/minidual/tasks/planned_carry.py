@@ -50,6 +50,8 @@ class PlannedCarry:
         trial: Goal.
         seed: Of the planner.
         arbiter: Bounds of the arbiter.
+        T_world_object: Pose (4, 4) at which the object is believed to lie, as it was sensed before the motion; where it
+            truly lies by default.
         supervisor: Guards the motors; its reflex ends the trial. The plan keeps the distance between the arms that it
             watches, with a margin.
     """
@@ -64,10 +66,12 @@ class PlannedCarry:
         seed: int,
         arbiter: ArbiterConfig | None = None,
         *,
+        T_world_object: Array | None = None,
         supervisor: Supervisor | None = None,
     ) -> None:
         self.world = world
         self.aborted: str | None = None
+        self._T_world_object = world.T_world_rod if T_world_object is None else T_world_object
         self.stack = ControlStack(world, kinematics, arbiter, supervisor=supervisor)
         self._segments: list[tuple[str, Trajectory, float]] = []
         self._proposed = 0
@@ -118,7 +122,7 @@ class PlannedCarry:
         """Return (phase, trajectory, gripper opening) of the whole cycle."""
         scene = self.world.scene
         grasps = grasp_offsets(scene)
-        start = level_part(self.world.T_world_rod)
+        start = level_part(self._T_world_object)
         goal = level_pose(trial.goal[0], trial.goal[1], scene.rod.rest_height_m, trial.goal[2])
         lift = scene.task.lift_height_m
         targets = {arm: _raised(start, _HOVER_M) @ grasp for arm, grasp in zip(ARMS, grasps, strict=True)}

@@ -1,0 +1,233 @@
+"""Methods by conditions: the same starts for all, cells that depend on nothing else, and blanks that are true."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from minidual.config.change import changed
+from minidual.config.evaluation import BenchmarkConfig
+from minidual.config.root import Config
+from minidual.errors import UsageError
+from minidual.evaluation import perturbation
+from minidual.evaluation.benchmark import (
+    BenchmarkCell,
+    conditions_data,
+    count_trials,
+    run_benchmark,
+    summaries,
+    write_cells,
+)
+from minidual.evaluation.conditions import CLEAN, CONDITIONS
+from minidual.evaluation.methods import METHODS, MethodInputs
+from minidual.evaluation.metrics import TrialMetrics
+from minidual.evaluation.trials import Bench, TrialResult, run_trials
+from minidual.stages.benchmark import STAGE, benchmark_checks, condition_checks
+from minidual.tasks.rod_carry import sample_trial
+
+SEED = 7
+ASKED = {CLEAN: 6, "push +x": 4, "pose noise x3": 4, "delay 20 ms": 4, "light -30 %": 4}
+BLANK = {("act", "pose noise x3"), ("act", "delay 20 ms"), ("moveit", "delay 20 ms"), ("moveit", "light -30 %"),
+         ("impedance", "light -30 %")}  # fmt: skip
+
+
+def outcome(method: str, index: int, condition: str, *, success: bool = True) -> TrialResult:
+    """Return a trial whose numbers depend on its name alone."""
+    number = np.random.default_rng([index, *method.encode(), *condition.encode()]).uniform()
+    metrics = TrialMetrics(
+        method, index, condition, success, "" if success else "held", "" if success else "lost it",
+        math.nan if success else 3.0, 6.0 + number if success else math.nan, 0.7 + 0.1 * number, 20.0 + number,
+        0.001 * number, 1.4, 39.0, 60.0, 0.001,
+    )  # fmt: skip
+    return TrialResult(metrics, (), "", lifted=True, wall_s=1.0)
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, list[Any], Config]]:
+    """Made-up trials; what they were asked to run."""
+    calls: list[tuple[str, str, list[Any], Config]] = []
+
+    def run_trials(
+        method: str,
+        inputs: MethodInputs,
+        trials: list[Any],
+        *,
+        workers: int,
+        condition: str,
+        view: Any = None,
+    ) -> Iterator[tuple[TrialResult, None]]:
+        calls.append((method, condition, [t.start for t in trials], inputs.config))
+        for trial in trials:
+            yield outcome(method, trial.index, condition, success=(trial.index, method) != (1, "act")), None
+
+    monkeypatch.setattr(perturbation, "run_trials", run_trials)
+    return calls
+
+
+def table(methods: tuple[str, ...] = tuple(METHODS), **other: Any) -> dict[tuple[str, str], BenchmarkCell]:
+    cells, _ = run_benchmark(methods, other.get("trials_n", ASKED), MethodInputs(Config(), SEED), workers=1)
+    return {(c.method, c.condition): c for c in cells}
+
+
+def failing(cells: Any, conditions: tuple[str, ...] = tuple(ASKED)) -> set[str]:
+    checks = condition_checks(list(cells), tuple(METHODS), conditions)
+    return {check.name for check in checks if check.passed is False}
+
+
+def test_all_methods_and_conditions_have_the_same_starts(asked: list[Any]) -> None:
+    table()
+    longest = max((starts for _, _, starts, _ in asked), key=len)
+    assert all(starts == longest[: len(starts)] for _, _, starts, _ in asked)
+    assert {(m, c) for m, c, _, _ in asked} == {(m, c) for m in METHODS for c in ASKED} - BLANK
+    for _, name, _, config in asked:
+        assert config == changed(Config(), CONDITIONS[name].settings), "a sensor's setting was lost or stayed"
+
+
+def test_what_does_not_apply_is_not_run_and_says_why(asked: list[Any]) -> None:
+    cells = table()
+    assert {key for key, cell in cells.items() if cell.summary is None} == BLANK
+    assert cells["act", "delay 20 ms"].why_not == "act reads no pose or contact force during the motion"
+    assert cells["moveit", "light -30 %"].record() == {"applies": False, "why": "moveit reads no picture"}
+    assert count_trials(tuple(METHODS), ASKED) == sum(len(starts) for _, _, starts, _ in asked)
+
+
+def test_a_cell_depends_on_neither_the_order_nor_the_company(asked: list[Any]) -> None:
+    everything = table()
+    backwards = table(tuple(METHODS)[::-1], trials_n=dict(reversed(ASKED.items())))
+    alone = table(("act",), trials_n={"push +x": 4})
+    assert list(everything) == list(backwards)[::-1]
+    assert all(everything[key] == backwards[key] for key in everything)
+    assert alone["act", "push +x"] == everything["act", "push +x"]
+
+
+def test_good_cells_pass_and_success_under_a_disturbance_is_reported(asked: list[Any]) -> None:
+    cells = table().values()
+    assert failing(cells) == set()
+    checks = {c.name: c for c in condition_checks(list(cells), tuple(METHODS), tuple(ASKED))}
+    push = checks["act.push_+x.success_rate"]
+    assert (push.observed, push.limited) == (0.75, False)
+    assert "3 of 4 trials, 95 % Wilson interval 0.301 to 0.954" in push.why
+    assert len(checks) == 2 + 3 * 4 - len(BLANK)
+
+
+def test_a_cell_with_too_few_trials_or_none_or_without_a_reason_fails(asked: list[Any]) -> None:
+    cells = table()
+    key = ("moveit", "push +x")
+    assert failing([c for k, c in cells.items() if k != key]) == {"cells_settled"}
+    assert failing({**cells, key: dataclasses.replace(cells[key], asked_n=5)}.values()) == {"cells_settled"}
+    for empty in (
+        dataclasses.replace(cells[key], summary=None),
+        dataclasses.replace(cells[key], why_not="tired"),
+    ):
+        assert failing({**cells, key: empty}.values()) == {"cells_settled"}
+    assert failing([]) == {"cells_settled"}
+
+
+@pytest.mark.parametrize("name", ["torque_ratio_max", "jerk_rms_median", "tilt_low_rad", "duration_median_s"])
+def test_a_number_that_is_none_fails(asked: list[Any], name: str) -> None:
+    cells = table()
+    key = ("impedance", "push +x")
+    bad = dataclasses.replace(cells[key].summary, **{name: math.nan})  # type: ignore[type-var]
+    broken = {**cells, key: dataclasses.replace(cells[key], summary=bad)}
+    assert failing(broken.values()) == {"cells_not_finite"}
+    (check,) = [c for c in condition_checks(list(broken.values()), tuple(METHODS), tuple(ASKED)) if not c.passed
+                and c.limited]  # fmt: skip
+    assert f"impedance under push +x: {name}" in check.why
+
+
+def test_who_never_succeeds_has_no_time_and_that_is_no_hole(asked: list[Any]) -> None:
+    cells = table()
+    key = ("act", "push +x")
+    none: dict[str, Any] = {f.name: math.nan for f in dataclasses.fields(cells[key].summary)  # type: ignore[arg-type]
+                            if f.name.startswith(("duration", "path", "internal", "pinch"))}  # fmt: skip
+    lost = dataclasses.replace(cells[key].summary, successes_n=0, success_rate=0.0, **none)  # type: ignore[type-var]
+    cell = dataclasses.replace(cells[key], summary=lost)
+    assert failing({**cells, key: cell}.values()) == set()
+    assert cell.record()["duration_median_s"] == "nan"
+
+
+def test_limits_hold_on_clean_trials_alone(asked: list[Any]) -> None:
+    clean = summaries(list(table().values()))
+    assert [(s.method, s.condition, s.trials_n) for s in clean] == [(m, CLEAN, 6) for m in METHODS]
+    checks = benchmark_checks(clean, BenchmarkConfig(trials_n=6))
+    assert {c.name for c in checks if c.limited} == {
+        *(f"{m}.success_rate" for m in METHODS),
+        "trials_per_method",
+    }
+
+
+def test_the_files_hold_every_cell(asked: list[Any], tmp_path: Path) -> None:
+    cells = list(table().values())
+    with write_cells(tmp_path / "conditions.csv", cells).open(newline="") as stream:
+        rows = {(r["method"], r["condition"]): r for r in csv.DictReader(stream)}
+    assert set(rows) == {(m, c) for m in METHODS for c in ASKED}
+    assert rows["moveit", "light -30 %"]["applies"] == "no: moveit reads no picture"
+    assert rows["moveit", "light -30 %"]["success_rate"] == "does not apply"
+    assert rows["act", "push +x"]["success_rate"] == "0.75"
+    data = conditions_data(cells)
+    assert list(data) == [name for name in ASKED if name != CLEAN]
+    assert data["push +x"]["methods"]["act"]["success_rate"] == 0.75
+    assert data["push +x"]["trials_n"] == 4
+
+
+def test_the_stage_refuses_unknown_conditions_before_anything_runs() -> None:
+    STAGE.validate(Config.model_validate({"benchmark": {"conditions": ["all"]}}))
+    for names, says in ((["clean", "storm"], "no condition 'storm'"), (["push +x"], "lack 'clean'")):
+        with pytest.raises(UsageError, match=says):
+            STAGE.validate(Config.model_validate({"benchmark": {"conditions": names}}))
+    one, other = Config(), Config.model_validate({"benchmark": {"conditions": ["clean", "push +x"]}})
+    assert STAGE.parameters(one) != STAGE.parameters(other)
+
+
+def carried(method: str, condition: str, steps: int) -> np.ndarray:
+    """Return the joints after the first steps of a real trial under a condition."""
+    config = changed(Config(), CONDITIONS[condition].settings)
+    bench = Bench(method, MethodInputs(config, SEED))
+    trial = sample_trial(config.scene, SEED, "benchmark", 0)
+    with CONDITIONS[condition].applied(bench.world.model, 0):
+        bench.world.reset(rod_xy_yaw=trial.start)
+        run = bench.factory(bench.world, bench.kinematics, trial)
+        for _ in range(steps):
+            run.step()
+    return bench.world.q
+
+
+@pytest.mark.parametrize(
+    ("method", "steps", "touched", "spared"),
+    [
+        ("moveit", 600, ("pose noise x3", "joint friction x2"), ("delay 20 ms", "light -30 %")),
+        ("impedance", 3000, ("pose noise x3", "delay 20 ms", "joint friction x2"), ("light -30 %",)),
+    ],
+)
+def test_a_condition_touches_a_method_exactly_if_the_table_says_so(
+    method: str, steps: int, touched: tuple[str, ...], spared: tuple[str, ...]
+) -> None:
+    clean = carried(method, CLEAN, steps)
+    for name in spared:
+        assert CONDITIONS[name].why_not(method, METHODS[method].senses)
+        np.testing.assert_array_equal(carried(method, name, steps), clean, err_msg=name)
+    for name in touched:
+        assert not CONDITIONS[name].why_not(method, METHODS[method].senses)
+        assert np.abs(carried(method, name, steps) - clean).max() > 0.0, name
+
+
+def test_trials_under_a_condition_do_not_depend_on_workers() -> None:
+    config = Config()
+    trials = [sample_trial(config.scene, SEED, "benchmark", i) for i in range(2)]
+    inputs = MethodInputs(config, SEED)
+    one, two = (
+        [
+            r.metrics.to_row()
+            for r, _ in run_trials("impedance", inputs, trials, workers=n, condition="push +y")
+        ]
+        for n in (1, 2)
+    )
+    assert one == two
+    assert one[0]["condition"] == "push +y"
