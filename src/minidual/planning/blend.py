@@ -8,38 +8,15 @@ triangle that the corner cuts off.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-from scipy.interpolate import PPoly
 
 from minidual.planning.edges import EdgeChecker
+from minidual.planning.smooth_path import SmoothPath
 from minidual.robot.constants import Array
 
 _SHRINK = 0.5
 _D_MIN_RAD = 1e-3
 _OF_SEGMENT = 0.45
-
-
-@dataclass(frozen=True, eq=False)
-class SmoothPath:
-    """A curve q(s), (14,) [rad], s in [0, length]; `knots` are where its polynomial pieces meet."""
-
-    curve: PPoly
-
-    @property
-    def length(self) -> float:
-        """Length of the parameter interval [rad]."""
-        return float(self.curve.x[-1])
-
-    @property
-    def knots(self) -> Array:
-        """Breakpoints (k,) of the pieces."""
-        return self.curve.x
-
-    def at(self, s: Array, order: int = 0) -> Array:
-        """Return q or a derivative by s at (n,) parameters, (n, 14)."""
-        return self.curve(s, order)
 
 
 def blended_path(path: Array, checker: EdgeChecker, radius_rad: float, step_rad: float) -> SmoothPath | None:
@@ -60,7 +37,7 @@ def blended_path(path: Array, checker: EdgeChecker, radius_rad: float, step_rad:
             halves[i] *= _SHRINK
             if halves[i] < _D_MIN_RAD:
                 return None
-    return SmoothPath(_assemble(path, lengths, directions, halves))
+    return _assemble(path, lengths, directions, halves)
 
 
 def rounded(path: Array, radius: float) -> SmoothPath:
@@ -68,7 +45,7 @@ def rounded(path: Array, radius: float) -> SmoothPath:
     steps = np.diff(path, axis=0)
     lengths = np.linalg.norm(steps, axis=1)
     halves = np.minimum(radius, _OF_SEGMENT * np.minimum(lengths[:-1], lengths[1:]))
-    return SmoothPath(_assemble(path, lengths, steps / lengths[:, None], halves))
+    return _assemble(path, lengths, steps / lengths[:, None], halves)
 
 
 def _corner_free(
@@ -80,7 +57,7 @@ def _corner_free(
     return checker.all_free(Q)
 
 
-def _assemble(path: Array, lengths: Array, directions: Array, halves: Array) -> PPoly:
+def _assemble(path: Array, lengths: Array, directions: Array, halves: Array) -> SmoothPath:
     """Build the piecewise polynomial: straight, corner, straight, ..., straight."""
     pieces: list[Array] = []
     breaks = [0.0]
@@ -101,4 +78,4 @@ def _assemble(path: Array, lengths: Array, directions: Array, halves: Array) -> 
             # q' = u + turn (3 x^2 - 2 x^3), x = t / 2d, integrated over t
             zero = np.zeros_like(u)
             add(2.0 * d, [path[i + 1] - d * u, u, zero, turn / (4.0 * d**2), -turn / (16.0 * d**3)])
-    return PPoly(np.stack(pieces, axis=1), np.array(breaks))
+    return SmoothPath(np.stack(pieces, axis=1), np.array(breaks))

@@ -5,39 +5,33 @@ from __future__ import annotations
 import functools
 
 import numpy as np
-import pinocchio as pin
 
-from minidual.robot.constants import ARMS, GROUPS, JOINT_NAMES, Array
+from minidual.planning.rnea import arm_torques, link_table
+from minidual.robot.constants import ARMS, GROUPS, Array
 from minidual.robot.kinematics import Kinematics
 
 
 @functools.cache
-def _pool(arm: str) -> pin.ModelPool:
-    """Return the workspace of one arm alone: the two share no moving part, so each has its own dynamics."""
-    full = Kinematics().model
-    others = [full.getJointId(name) for name in JOINT_NAMES if not name.startswith(f"{arm}_")]
-    model = pin.buildReducedModel(full, others, pin.neutral(full))
-    model.armature = full.armature[GROUPS[f"{arm}_arm"]].copy()
-    return pin.ModelPool(model, 1)
+def _arm(arm: str) -> tuple[Array, float]:
+    """Return the links of one arm and gravity [m/s^2]: the two arms share no moving part, so each is computed alone."""
+    model = Kinematics().model
+    gravity = model.gravity.linear
+    if gravity[0] != 0.0 or gravity[1] != 0.0:
+        raise ValueError(f"gravity is {gravity}; it must point along the world's z axis")
+    return link_table(model, GROUPS[f"{arm}_arm"]), -float(gravity[2])
 
 
 def torques(q: Array, v: Array, a: Array) -> Array:
-    """Return the torques (n, 14) [Nm] for n states; the same numbers as `Kinematics.rnea` state by state.
-
-    An arm that is held throughout is computed once.
+    """Return the torques (n, 14) [Nm] for n states; those of `Kinematics.rnea` state by state, up to rounding.
 
     Args:
         q: (n, 14) [rad].
         v: (n, 14) [rad/s].
         a: (n, 14) [rad/s^2].
     """
+    q, v, a = (np.ascontiguousarray(x, dtype=float) for x in (q, v, a))
     out = np.empty_like(q)
     for arm in ARMS:
-        joints = GROUPS[f"{arm}_arm"]
-        states = q[:, joints], v[:, joints], a[:, joints]
-        if len(q) > 1 and not (states[1].any() or states[2].any() or np.ptp(states[0], axis=0).any()):
-            states = tuple(x[:1] for x in states)
-        if len(q):
-            columns = (np.asfortranarray(x.T) for x in states)
-            out[:, joints] = np.asarray(pin.rneaInParallel(1, _pool(arm), *columns)).T
+        links, gravity = _arm(arm)
+        arm_torques(links, gravity, q, v, a, GROUPS[f"{arm}_arm"].start, out)
     return out

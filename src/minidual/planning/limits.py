@@ -13,6 +13,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from minidual.planning.dynamics import torques
+from minidual.planning.extremes import (
+    ACCELERATION,
+    CHANGE,
+    JUMP,
+    OFF_ACCELERATION,
+    OFF_VELOCITY,
+    Q_MAX,
+    Q_MIN,
+    SPEED,
+    extremes,
+    largest,
+)
 from minidual.planning.trajectory import Trajectory
 from minidual.robot.constants import A_MAX, JERK_MAX, JOINT_NAMES, Q_LOWER, Q_UPPER, TAU_MAX, V_MAX, Array
 
@@ -40,15 +52,16 @@ class LimitUse:
 
 def limit_use(trajectory: Trajectory) -> tuple[LimitUse, str]:
     """Return what the trajectory uses, and the first broken limit ("" if none) with joint and numbers."""
-    times = np.arange(2 * len(trajectory.times) - 1) * (0.5 * trajectory.dt_s)
-    q, v, a = trajectory.sample_many(times)
+    h = trajectory.dt_s
+    q, v, a = (np.ascontiguousarray(x, dtype=float) for x in (trajectory.q, trajectory.v, trajectory.a))
+    found = extremes(q, v, a, h)
     worst = {
-        "velocity": np.abs(v).max(axis=0) / V_MAX,
-        "acceleration": np.abs(a).max(axis=0) / A_MAX,
-        "jerk": np.abs(np.diff(trajectory.a, axis=0)).max(axis=0) / trajectory.dt_s / JERK_MAX,
-        "torque": np.abs(torques(trajectory.q, trajectory.v, trajectory.a)).max(axis=0) / TAU_MAX,
+        "velocity": found[SPEED] / V_MAX,
+        "acceleration": found[ACCELERATION] / A_MAX,
+        "jerk": found[CHANGE] / h / JERK_MAX,
+        "torque": largest(torques(q, v, a)) / TAU_MAX,
     }
-    margin = np.minimum(q.min(axis=0) - Q_LOWER, Q_UPPER - q.max(axis=0))
+    margin = np.minimum(found[Q_MIN] - Q_LOWER, Q_UPPER - found[Q_MAX])
     use = LimitUse(
         *(float(worst[what].max()) for what in ("velocity", "acceleration", "jerk", "torque")),
         limit_margin_rad=float(margin.min()),
@@ -63,20 +76,21 @@ def limit_use(trajectory: Trajectory) -> tuple[LimitUse, str]:
     at_ends = float(np.abs(trajectory.v[[0, -1]]).max())
     if not at_ends <= _REST_RAD_S:
         return use, f"the arms still move at {at_ends:.4f} rad/s at an end"
-    jump = float(np.abs(np.diff(trajectory.q, axis=0)).max()) / trajectory.dt_s
+    jump = float(found[JUMP].max()) / h
     if not jump <= float(V_MAX.max()) * (1.0 + 1e-6):
         return use, f"positions jump: {jump:.2f} rad/s between two samples"
-    for what, of, misfit in (
-        ("velocity", "positions", _velocity_misfit),
-        ("acceleration", "velocity", _acceleration_misfit),
+    for what, of, row, misfit in (
+        ("velocity", "positions", OFF_VELOCITY, _velocity_misfit),
+        ("acceleration", "velocity", OFF_ACCELERATION, _acceleration_misfit),
     ):
-        off = misfit(trajectory) / A_MAX
+        if (found[row] / A_MAX).max() <= _MISFIT:
+            continue
+        off = misfit(trajectory) / A_MAX  # again, sample by sample
         sample, joint = np.unravel_index(int(np.argmax(off)), off.shape)
-        if not off[sample, joint] <= _MISFIT:
-            return use, (
-                f"the {what} of {JOINT_NAMES[joint]} is not that of its {of}: {off[sample, joint] * A_MAX[joint]:.2f} "
-                f"rad/s^2 off after {trajectory.times[sample]:.3f} s"
-            )
+        return use, (
+            f"the {what} of {JOINT_NAMES[joint]} is not that of its {of}: {off[sample, joint] * A_MAX[joint]:.2f} "
+            f"rad/s^2 off after {trajectory.times[sample]:.3f} s"
+        )
     return use, ""
 
 

@@ -13,6 +13,7 @@ limit is slowed down like the rest (a motion k times slower has 1/k^3 of the jer
 from __future__ import annotations
 
 import functools
+import math
 import warnings
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -21,6 +22,9 @@ import numpy as np
 
 from minidual.planning.dynamics import torques
 from minidual.planning.errors import TimingError
+from minidual.planning.extremes import largest
+from minidual.planning.smooth_path import SmoothPath
+from minidual.planning.time_samples import time_samples
 from minidual.planning.trajectory import Trajectory
 from minidual.robot.constants import A_MAX, GROUPS, JERK_MAX, TAU_MAX, V_MAX, Array
 from minidual.robot.kinematics import Kinematics
@@ -84,34 +88,38 @@ def drive(
     """
     factor = 1.0
     for _ in range(_SLOWDOWNS_MAX):
-        times, position, speed, acceleration = sample_parameters(s, sd, limits.smoothing_s)
-        trajectory = _along(path, times, position, speed, acceleration, group)
-        factor = _slowdown_needed(trajectory, limits)
-        if factor <= 1.0:
-            return trajectory, position
+        times, *law = sample_parameters(s, sd, limits.smoothing_s)
+        q, v, a = _driven(path, *law)
+        factor = _slowdown_needed(q, v, a, limits)
+        if not factor > 1.0:  # a trajectory refuses NaN
+            return Trajectory(times, q, v, a, group), law[0]
         sd = sd / (factor * 1.001)
     raise TimingError(
         f"the path still needs to be {factor:.3f} times slower after {_SLOWDOWNS_MAX} slow-downs"
     )
 
 
-def _slowdown_needed(trajectory: Trajectory, limits: MotionLimits) -> float:
-    velocity = float(np.max(np.abs(trajectory.v) / (limits.velocity_scale * V_MAX)))
-    acceleration = float(np.max(np.abs(trajectory.a) / (limits.acceleration_scale * A_MAX)))
-    jerk = float(np.max(np.abs(np.diff(trajectory.a, axis=0)) / (limits.jerk_scale * JERK_MAX)))
-    factor = max(velocity, np.sqrt(acceleration), np.cbrt(jerk / trajectory.dt_s))
-    if factor > 1.0 + 1e-9:
-        return float(factor)
+def _slowdown_needed(q: Array, v: Array, a: Array, limits: MotionLimits) -> float:
+    """Return by what factor samples (n, 14) every DT_S are too fast, 1 if they are not, NaN if one is NaN."""
+    velocity = np.max(largest(v) / (limits.velocity_scale * V_MAX))
+    acceleration = np.max(largest(a) / (limits.acceleration_scale * A_MAX))
+    jerk = np.max(largest(np.diff(a, axis=0)) / (limits.jerk_scale * JERK_MAX)) / DT_S
+    factor = float(np.max([velocity, np.sqrt(acceleration), np.cbrt(jerk)]))
+    if not factor <= 1.0 + 1e-9:
+        return factor
     # Torque has a part that does not shrink with speed (gravity), so it is lowered step by step.
-    torque = torque_ratio(trajectory, every=8) / limits.torque_scale
-    return 1.0 if torque <= 1.0 else 1.0 + 0.25 * min(1.0, torque - 1.0) + 0.02
+    torque = _torque_ratio(q, v, a, 8) / limits.torque_scale
+    return 1.0 if torque <= 1.0 else float(1.0 + 0.25 * np.minimum(1.0, torque - 1.0) + 0.02)
 
 
 def torque_ratio(trajectory: Trajectory, every: int = 1) -> float:
     """Return the largest |torque| / limit along the trajectory, at one of `every` samples and the last one."""
-    rows = np.append(np.arange(0, len(trajectory.times), every), len(trajectory.times) - 1)
-    tau = torques(trajectory.q[rows], trajectory.v[rows], trajectory.a[rows])
-    return float(np.max(np.abs(tau) / TAU_MAX))
+    return _torque_ratio(trajectory.q, trajectory.v, trajectory.a, every)
+
+
+def _torque_ratio(q: Array, v: Array, a: Array, every: int) -> float:
+    rows = np.append(np.arange(0, len(q), every), len(q) - 1)
+    return float(np.max(largest(torques(q[rows], v[rows], a[rows])) / TAU_MAX))
 
 
 def fastest_profile(path: Curve, columns: Array, v_max: Array, a_max: Array) -> tuple[Array, Array]:
@@ -127,37 +135,30 @@ def fastest_profile(path: Curve, columns: Array, v_max: Array, a_max: Array) -> 
         TimingError: toppra finds no profile.
     """
     grid = _grid(path)
-    solver = _solver(path, grid, columns, v_max, a_max)
-    n = len(grid)
+    solve = _solver(path, grid, columns, v_max, a_max).solve_stagewise_optim
+    n, steps = len(grid), np.diff(grid)
     # Rest is always possible (x = 0, u = 0), so the controllable speeds begin at 0 and only their end is sought:
     # from behind, the largest x = sd^2 from which the next interval can be reached; then forwards, as fast as that
     # allows. The tiny weight on u breaks ties.
-    most = np.zeros(n)
+    most = [0.0] * n
     fastest = np.array([1e-9, -1.0])
-    nan = float("nan")
-    solver.setup_solver()
+    nan = math.nan
     for i in range(n - 2, -1, -1):
-        most[i] = solver.solve_stagewise_optim(i, None, fastest, nan, nan, 0.0, most[i + 1])[1]
-    x = np.zeros(n)
-    for i, delta in enumerate(np.diff(grid)):
-        u = _largest_u(solver, i, float(delta), x, most)
-        x[i + 1] = min(max(0.0, x[i] + 2.0 * delta * u), most[i + 1])
-    solver.close_solver()
+        most[i] = solve(i, None, fastest, nan, nan, 0.0, most[i + 1])[1]
+    x = [0.0] * n
+    goals = np.column_stack([-2.0 * steps, np.full(n - 1, -1.0)])
+    for i, (step, goal) in enumerate(zip(steps.tolist(), goals, strict=True)):
+        u = solve(i, None, goal, x[i], x[i], 0.0, most[i + 1])[0]
+        tries = _ROUNDING_TRIES
+        while not math.isfinite(u) and tries > 1:  # x gives way by up to a thousandth to rounding
+            x[i] *= _ROUNDING_GIVES
+            u = solve(i, None, goal, x[i], x[i], 0.0, most[i + 1])[0]
+            tries -= 1
+        x[i + 1] = min(max(0.0, x[i] + 2.0 * step * u), most[i + 1])
     sd = np.sqrt(x)
     if not np.isfinite(sd).all() or (sd[1:-1] <= 0.0).any():
         raise TimingError("toppra found no time law for the path; it may be degenerate")
     return grid, sd
-
-
-def _largest_u(solver: Any, i: int, delta: float, x: Array, most: Array) -> float:
-    """Return the largest path acceleration from x[i]; x[i] gives way by up to a thousandth to rounding."""
-    goal = np.array([-2.0 * delta, -1.0])
-    for _ in range(_ROUNDING_TRIES):
-        u = solver.solve_stagewise_optim(i, None, goal, x[i], x[i], 0.0, most[i + 1])[0]
-        if np.isfinite(u):
-            return float(u)
-        x[i] *= _ROUNDING_GIVES
-    return float("nan")
 
 
 def _solver(path: Curve, grid: Array, columns: Array, v_max: Array, a_max: Array) -> Any:
@@ -165,7 +166,19 @@ def _solver(path: Curve, grid: Array, columns: Array, v_max: Array, a_max: Array
     constraints = _constraints(tuple(v_max.tolist()), tuple(a_max.tolist()))
     from toppra.solverwrapper.cy_seidel_solverwrapper import seidelWrapper
 
-    return seidelWrapper(list(constraints), _adapter(path, columns), grid, True)
+    first, second = (path.at(grid, order)[:, columns] for order in (1, 2))
+    return seidelWrapper(list(constraints), _OnGrid(first, second), grid, True)
+
+
+class _OnGrid:
+    """What toppra asks of a path: its derivatives on the grid, each computed once for all constraints."""
+
+    def __init__(self, first: Array, second: Array) -> None:
+        self._derivatives = {1: first, 2: second}
+        self.dof = first.shape[1]
+
+    def __call__(self, _grid: Array, order: int) -> Array:
+        return self._derivatives[order]
 
 
 @functools.lru_cache(maxsize=64)
@@ -195,29 +208,6 @@ def _grid(path: Curve) -> Array:
     return np.append(np.concatenate(parts), path.length)
 
 
-def _adapter(path: Curve, columns: Array) -> Any:
-    from toppra.interpolator import AbstractGeometricPath
-
-    class Adapter(AbstractGeometricPath):
-        def __call__(self, s: Any, order: int = 0) -> Array:
-            out = path.at(np.atleast_1d(s), order)[:, columns]
-            return out if np.ndim(s) else out[0]
-
-        @property
-        def dof(self) -> int:
-            return len(columns)
-
-        @property
-        def path_interval(self) -> Array:
-            return np.array([0.0, path.length])
-
-        @property
-        def waypoints(self) -> None:
-            return None
-
-    return Adapter()
-
-
 def profile_times(s: Array, sd: Array) -> Array:
     """Return the time (n,) [s] at which each grid point is passed: the path acceleration is constant between."""
     return np.concatenate([[0.0], np.cumsum(2.0 * np.diff(s) / (sd[1:] + sd[:-1]))])
@@ -233,39 +223,16 @@ def sample_parameters(
     """
     at_grid = profile_times(s, sd)
     n = max(1, int(np.ceil(at_grid[-1] / dt_s - 1e-9)))
-    stretch = n * dt_s / at_grid[-1]
-    t = np.arange(n + 1) * dt_s / stretch
-    i = np.clip(np.searchsorted(at_grid, t, side="right") - 1, 0, len(s) - 2)
-    u = (sd[i + 1] ** 2 - sd[i] ** 2) / (2.0 * (s[i + 1] - s[i]))
-    x = t - at_grid[i]
-    position = np.clip(s[i] + sd[i] * x + 0.5 * u * x**2, 0.0, s[-1])
-    speed = np.maximum(0.0, sd[i] + u * x) / stretch
-    acceleration = u / stretch**2
-    position[-1], speed[-1] = s[-1], 0.0
     copies = max(1, round(smoothing_s / dt_s))
-    if copies > 1:
-        acceleration[-1] = 0.0  # at rest from here on
-        position = _mean_of_copies(position, copies, s[-1])
-        speed = _mean_of_copies(speed, copies, 0.0)
-        acceleration = _mean_of_copies(acceleration, copies, 0.0)
+    s, sd = (np.ascontiguousarray(x, dtype=float) for x in (s, sd))
+    position, speed, acceleration = time_samples(s, sd, at_grid, n, dt_s, copies)
     return np.arange(len(position)) * dt_s, position, speed, acceleration
 
 
-def _mean_of_copies(values: Array, copies: int, at_end: float) -> Array:
-    """Return the mean of the signal and its copies delayed by 1, 2, ... samples; before the start it is 0."""
-    padded = np.concatenate([np.zeros(copies), values, np.full(copies - 1, at_end)])
-    total = np.concatenate([[0.0], np.cumsum(padded)])
-    means = (total[copies + 1 :] - total[1:-copies]) / copies
-    means[-1] = at_end
-    return means
-
-
-def _along(
-    path: Curve, times: Array, position: Array, speed: Array, acceleration: Array, group: str
-) -> Trajectory:
-    """Return the trajectory of the first 14 columns of a curve, passed at the given parameters (m,)."""
-    first, second = path.at(position, 1)[:, :14], path.at(position, 2)[:, :14]
-    q = path.at(position)[:, :14]
+def _driven(path: Curve, s: Array, speed: Array, acceleration: Array) -> tuple[Array, Array, Array]:
+    """Return q, v and a, each (m, 14), of the first 14 columns of a curve, passed at the given parameters (m,)."""
+    if isinstance(path, SmoothPath):
+        return path.driven(s, speed, acceleration)
+    q, first, second = (np.ascontiguousarray(path.at(s, order)[:, :14]) for order in range(3))
     v = first * speed[:, None]
-    a = second * speed[:, None] ** 2 + first * acceleration[:, None]
-    return Trajectory(times, q, v, a, group)
+    return q, v, second * speed[:, None] ** 2 + first * acceleration[:, None]

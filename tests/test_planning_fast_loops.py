@@ -1,0 +1,242 @@
+"""The planner's compiled loops, held to slower ways of saying the same."""
+
+import dataclasses
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.interpolate import PPoly
+
+from minidual.errors import DataError
+from minidual.planning import extremes as loops
+from minidual.planning.blend import rounded
+from minidual.planning.dynamics import torques
+from minidual.planning.extremes import extremes, largest
+from minidual.planning.limits import _acceleration_misfit, _velocity_misfit, limit_use
+from minidual.planning.rnea import LANES, arm_torques, link_table
+from minidual.planning.smooth_path import SmoothPath
+from minidual.planning.timing import MotionLimits, drive, sample_parameters, time_path
+from minidual.planning.trajectory import Trajectory
+from minidual.robot.constants import GROUPS, HOME, Q_LOWER, Q_UPPER
+from minidual.robot.kinematics import Kinematics
+
+H = 0.001
+
+
+@pytest.fixture(scope="module")
+def kinematics():
+    return Kinematics()
+
+
+def states(rng, n):
+    """Random states of both arms, beyond what the limits allow."""
+    q = rng.uniform(Q_LOWER - 1.0, Q_UPPER + 1.0, (n, 14))
+    return q, rng.normal(0.0, 3.0, (n, 14)), rng.normal(0.0, 20.0, (n, 14))
+
+
+@pytest.mark.parametrize("n", [1, LANES - 1, LANES, LANES + 1, 300])
+def test_torques_are_those_of_pinocchio(kinematics, n):
+    q, v, a = states(np.random.default_rng(n), n)
+    truth = np.array([kinematics.rnea(*state) for state in zip(q, v, a, strict=True)])
+    assert np.abs(torques(q, v, a) - truth).max() < 1e-10
+    assert np.abs(truth).max() > 30.0
+
+
+def test_torques_at_the_corners_of_sine_and_cosine(kinematics):
+    """Quarter and half turns, where the reduction to half a turn changes sides, and many turns."""
+    turns = np.pi * np.array([-4.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.5, 9.0])
+    q = np.repeat(np.concatenate([turns, turns - 1e-12, turns + 1e-12])[:, None], 14, axis=1)
+    _, v, a = states(np.random.default_rng(0), len(q))
+    truth = np.array([kinematics.rnea(*state) for state in zip(q, v, a, strict=True)])
+    assert np.abs(torques(q, v, a) - truth).max() < 1e-10
+
+
+def test_states_that_repeat_are_skipped_and_only_those(kinematics):
+    """An arm that stands, moves for three samples in the middle of a block, and stands again elsewhere."""
+    n, moves = 6 * LANES, slice(2 * LANES + 5, 2 * LANES + 8)
+    q, v, a = np.tile(HOME, (n, 1)), np.zeros((n, 14)), np.zeros((n, 14))
+    v[moves, 3], a[moves, 9] = 1.0, -2.0
+    q[moves.stop :, 1] += 0.3
+    truth = np.array([kinematics.rnea(*state) for state in zip(q, v, a, strict=True)])
+    assert np.abs(torques(q, v, a) - truth).max() < 1e-10
+    assert len(np.unique(truth.round(9), axis=0)) >= 3
+
+
+def test_a_state_that_is_no_number_has_no_torque(kinematics):
+    for k in (0, 7, 2 * LANES - 1):
+        for what in range(3):
+            state = states(np.random.default_rng(1), 2 * LANES)
+            state[what][k, 2] = np.nan
+            tau = torques(*state)
+            assert np.isnan(tau[k, :7]).any()
+            assert np.isfinite(np.delete(tau, k, axis=0)).all()
+            assert np.isfinite(tau[k, 7:]).all()
+    held = np.tile(HOME, (2 * LANES, 1))
+    held[:, 0] = np.nan  # repeats, but is no number
+    assert np.isnan(torques(held, 0.0 * held[:1].repeat(len(held), 0), np.zeros_like(held))[:, 0]).all()
+
+
+def test_an_arm_of_another_build_is_refused(kinematics):
+    with pytest.raises(ValueError, match="a chain of hinges is needed"):
+        link_table(kinematics.model, slice(3, 10))
+    model = pin.buildSampleModelManipulator()  # its hinges turn about other axes, too
+    with pytest.raises(ValueError, match=r"is a JointModel\w+ on joint"):
+        link_table(model, slice(0, 6))
+
+
+def test_gravity_is_counted_once(kinematics):
+    q = HOME[None].copy()
+    still, tau = np.zeros((1, 14)), np.zeros((1, 14))
+    for arm in ("left_arm", "right_arm"):
+        arm_torques(link_table(kinematics.model, GROUPS[arm]), 0.0, q, still, still, GROUPS[arm].start, tau)
+    assert np.abs(tau).max() == 0.0
+    assert np.abs(torques(q, still, still)[0] - kinematics.gravity(HOME)).max() < 1e-10
+
+
+def wave(n=201, fastest=40.0):
+    """A trajectory of sines, each joint its own."""
+    t = np.arange(n)[:, None] * H
+    rng = np.random.default_rng(3)
+    w, size, phase = rng.uniform(1.0, fastest, 14), rng.uniform(0.01, 0.2, 14), rng.uniform(0.0, 6.0, 14)
+    q = HOME + size * np.sin(w * t + phase)
+    return Trajectory(
+        t[:, 0], q, size * w * np.cos(w * t + phase), -size * w**2 * np.sin(w * t + phase), "both_arms"
+    )
+
+
+@pytest.mark.parametrize("n", [2, 3, 8, 9, 10, 17, 201])
+def test_extremes_are_those_of_the_samples_and_of_the_middles(n):
+    trajectory = wave(n)
+    q, v, a = trajectory.sample_many(np.arange(2 * n - 1) * 0.5 * H)
+    found = extremes(trajectory.q, trajectory.v, trajectory.a, H)
+    changes = np.abs(np.diff(trajectory.a, axis=0))
+    for row, truth in (
+        (loops.Q_MIN, q.min(axis=0)),
+        (loops.Q_MAX, q.max(axis=0)),
+        (loops.SPEED, np.abs(v).max(axis=0)),
+        (loops.ACCELERATION, np.abs(a).max(axis=0)),
+        (loops.CHANGE, changes.max(axis=0)),
+        (loops.JUMP, np.abs(np.diff(trajectory.q, axis=0)).max(axis=0)),
+        (loops.OFF_VELOCITY, _velocity_misfit(trajectory).max(axis=0)),
+        (loops.OFF_ACCELERATION, _acceleration_misfit(trajectory).max(axis=0)),
+    ):
+        assert np.abs(found[row] - truth).max() < 1e-9, row
+    assert np.array_equal(largest(trajectory.v), np.abs(trajectory.v).max(axis=0))
+
+
+def test_what_happens_only_between_two_samples_is_seen():
+    """Ends of a step at the limit, moving outwards: only the middle is beyond."""
+    q, v, a = np.zeros((3, 14)), np.zeros((3, 14)), np.zeros((3, 14))
+    v[0, 5], v[1, 5] = 1.0, -1.0
+    q[2, 7], v[2, 7] = 0.002, 0.0
+    found = extremes(q, v, a, H)
+    assert found[loops.Q_MAX, 5] == pytest.approx(0.25 * H)
+    assert found[loops.SPEED, 7] == pytest.approx(3.0)
+    assert np.abs(v[:, 7]).max() == 0.0
+
+
+@pytest.mark.parametrize("what", ["q", "v", "a"])
+@pytest.mark.parametrize("k", [0, 1, 100, 200])
+def test_a_sample_that_is_no_number_is_refused(what, k):
+    motion = wave(fastest=4.0)
+    assert "still move" in limit_use(motion)[1]  # all limits are kept
+    spoiled = getattr(motion, what).copy()
+    spoiled[k, 4] = np.nan
+    with pytest.raises(DataError, match="not finite"):
+        dataclasses.replace(motion, **{what: spoiled})
+    object.__setattr__(motion, what, spoiled)  # past the constructor, which refuses it itself
+    found = extremes(motion.q, motion.v, motion.a, H)
+    assert np.isnan(found[:, 4]).any()
+    assert np.isfinite(np.delete(found, 4, axis=1)).all()
+    use, broken = limit_use(motion)
+    assert "left_panda_joint5" in broken
+    assert "nan" in broken
+    assert np.isnan(use.torque_ratio)
+
+
+def curve(seed=4, n=5, d=14):
+    rng = np.random.default_rng(seed)
+    return rounded(np.vstack([np.zeros(d), rng.uniform(-0.5, 0.5, (n - 1, d))]), 0.2)
+
+
+@pytest.mark.parametrize("d", [3, 14])
+@pytest.mark.parametrize("order", [0, 1, 2, 3, 4])
+def test_a_smooth_path_is_its_piecewise_polynomial(d, order):
+    path = curve(d=d)
+    truth = PPoly(path.coefficients, path.knots)
+    rng = np.random.default_rng(0)
+    s = np.concatenate([path.knots, rng.uniform(-0.1, path.length + 0.1, 300), [np.nan]])  # in any order
+    assert np.array_equal(path.at(s, order), truth(s, order), equal_nan=True)
+
+
+def test_driving_a_path_is_the_chain_rule():
+    """Against differences of the path itself, as it is driven along s(t) = length sin^2."""
+    path = curve()
+    t = np.linspace(0.0, 1.0, 40001)
+    s = path.length * np.sin(0.5 * np.pi * t) ** 2
+    speed = path.length * 0.5 * np.pi * np.sin(np.pi * t)
+    acceleration = path.length * 0.5 * np.pi**2 * np.cos(np.pi * t)
+    q, v, a = path.driven(s, speed, acceleration)
+    assert np.array_equal(q, path.at(s))
+    assert np.array_equal(v, path.at(s, 1) * speed[:, None])
+    assert np.abs(np.gradient(q, t, axis=0) - v)[1:-1].max() < 1e-5
+    assert np.abs(np.gradient(v, t, axis=0) - a)[1:-1].max() < 1e-3 * np.abs(a).max()
+
+
+def test_a_path_that_is_no_number_gives_no_trajectory(kinematics):
+    path = curve()
+    s = np.linspace(0.0, path.length, 50)
+    sd = np.sqrt(np.minimum(s, path.length - s))
+    broken = path.coefficients.copy()
+    broken[4, 3, 2] = np.nan
+    with pytest.raises(DataError, match="not finite"):
+        drive(SmoothPath(broken, path.knots), s, sd, "both_arms", MotionLimits(), kinematics)
+
+
+def by_arrays(s, sd, smoothing_s):
+    """What `sample_parameters` says, step by step on whole arrays."""
+    passed = np.concatenate([[0.0], np.cumsum(2.0 * np.diff(s) / (sd[1:] + sd[:-1]))])
+    n = int(np.ceil(passed[-1] / H - 1e-9))
+    stretch = n * H / passed[-1]
+    t = np.arange(n + 1) * H / stretch
+    i = np.clip(np.searchsorted(passed, t, side="right") - 1, 0, len(s) - 2)
+    u = (sd[i + 1] ** 2 - sd[i] ** 2) / (2.0 * (s[i + 1] - s[i]))
+    x = t - passed[i]
+    position = np.clip(s[i] + sd[i] * x + 0.5 * u * x**2, 0.0, s[-1])
+    speed, acceleration = np.maximum(0.0, sd[i] + u * x) / stretch, u / stretch**2
+    position[-1], speed[-1] = s[-1], 0.0
+    copies = max(1, round(smoothing_s / H))
+    if copies > 1:
+        acceleration[-1] = 0.0
+    out = []
+    for values, at_end in ((position, s[-1]), (speed, 0.0), (acceleration, 0.0)):
+        shifted = [
+            np.concatenate([np.zeros(k), values, np.full(copies - 1 - k, at_end)]) for k in range(copies)
+        ]
+        out.append(np.mean(shifted, axis=0))
+    return out
+
+
+@pytest.mark.parametrize("smoothing_s", [0.0, 0.001, 0.002, 0.04])
+def test_samples_of_a_profile_are_means_of_its_shifted_copies(smoothing_s):
+    rng = np.random.default_rng(2)
+    s = np.concatenate([[0.0], np.cumsum(rng.uniform(0.005, 0.02, 80))])
+    sd = np.sqrt(np.minimum(4.0 * s, 3.0 * (s[-1] - s)) * rng.uniform(0.7, 1.0, len(s)))
+    times, *found = sample_parameters(s, sd, smoothing_s)
+    assert np.abs(times - np.arange(len(times)) * H).max() < 1e-12
+    for mine, truth in zip(found, by_arrays(s, sd, smoothing_s), strict=True):
+        assert np.abs(mine[:-1] - truth[:-1]).max() < 1e-11
+    assert found[0][-1] == s[-1]
+    assert found[1][-1] == 0.0
+
+
+def test_timing_is_the_same_for_any_curve_that_runs_the_same(kinematics):
+    """A curve that is only known by its values takes the long way and arrives at the same numbers."""
+
+    class Values:
+        def __init__(self, path):
+            self.at, self.length, self.knots = path.at, path.length, path.knots
+
+    path = curve()
+    short, long = (time_path(x, "both_arms", MotionLimits(), kinematics) for x in (path, Values(path)))
+    assert short.digest() == long.digest()
