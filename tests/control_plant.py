@@ -53,6 +53,8 @@ class HandsObject:
     def __init__(self, plant: ArmsPlant) -> None:
         self._plant, self._kinematics = plant, Kinematics()
 
+    grip_limit_n = float("inf")
+
     def pose(self) -> Array:
         left, right = self._kinematics.tcp_poses(self._plant.q)
         return pose(np.eye(3), 0.5 * (left[:3, 3] + right[:3, 3]))

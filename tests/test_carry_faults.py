@@ -252,7 +252,7 @@ def test_every_row_of_the_table_can_be_told(monitor: FaultMonitor) -> None:
     for name, (said, calls) in told.items():
         assert said == name
         assert calls <= 5
-    assert set(told) | {"unreachable", "singular", "reflex"} == set(FAULTS)
+    assert set(told) | {"unreachable", "singular", "reflex", "interrupted"} == set(FAULTS)
     assert _until_told(lambda: monitor.held_pose((0.0, 0.1)))[0] == "slip"
     assert _until_told(lambda: monitor.holding(**{**holds, "spread_m": 0.25}))[0] == "slip"
     assert monitor.closing(gaps, np.array([60.0, 3.0]), 1.6) is not None  # a finger that stands on the object

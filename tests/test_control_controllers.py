@@ -611,6 +611,8 @@ def test_the_supervisor_stops_the_arms_of_a_controller_that_fails(world: World) 
 class _Deaf:
     """An object at rest whose force sensor gives no number."""
 
+    grip_limit_n = float("inf")
+
     def __init__(self, world: World) -> None:
         self.force_n, self._T = 40.0, world.T_world_rod
 

@@ -10,12 +10,14 @@ posture. Every tick yields a target: where no source drives, a posture is held.
        | request "hold"     | not still      | never heard             | silent for stale_s
     any state               v                v                         v
                          stopped <-------------------------------- stale --> active when heard again
-                                        silent for stop_after_s
+                            ^           silent for stop_after_s
+                            | halt, from any state
 
 Streamed targets go through bounded step by step. A timed command (trajectory, object path) is taken once, if it
 starts where the arms are, and then runs at the control rate; the source waits, active, until it ends, and affirms
 meanwhile that it is there. A switch, or a source that is not there any more, brakes it along its path; moving arms are
-stopped at a bounded deceleration: nothing is stopped by a jump.
+stopped at a bounded deceleration: nothing is stopped by a jump. A halt is for when the path itself is what is wrong: what
+is under way is dropped, and the controllers bring the arms to rest from where they are.
 
 Time is what `tick` is told; nothing here reads a clock, so a run under simulated time repeats exactly.
 """
@@ -28,7 +30,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from minidual.config.arbiter import ArbiterConfig
-from minidual.control.command_checks import Fault
+from minidual.control.command_checks import Fault, opening_fault
 from minidual.control.commands import (
     HOLD,
     SOURCES,
@@ -94,6 +96,7 @@ class CommandArbiter:
         self._mailboxes = {source: Mailbox(source) for source in SOURCES}
         self._listeners: list[Callable[[str], None]] = []
         self._requests: list[str] = []
+        self._halt: tuple[str, Array | None] | None = None
         self._refusals: list[Refusal] = []
         self._state = ArbiterState.HOLDING
         self._source: str | None = None
@@ -168,6 +171,27 @@ class CommandArbiter:
             raise unknown_name("mode", mode, (*SOURCES, HOLD))
         self._requests.append(mode)
 
+    def halt(self, source: str, gripper: Array | None = None) -> None:
+        """Ask for the arms to stop at the next tick, from where they are; anybody may, and nobody drives afterwards.
+
+        What is under way is dropped, not braked along its path, and a switch that waits for stillness is refused.
+
+        Args:
+            source: Who asks.
+            gripper: Openings (2,) to take; only from the source that drives, otherwise refused (`not_driving`)
+                while the arms stop all the same. The hands stay as they are by default.
+
+        Raises:
+            UsageError: There is no such source.
+        """
+        if source not in self._mailboxes:
+            raise unknown_name("command source", source, SOURCES)
+        fault = None if gripper is None else opening_fault(gripper)
+        if fault is not None:
+            self._refuse(source, *fault)
+            gripper = None
+        self._halt = (source, gripper)
+
     def tick(self, now_s: float, q_measured: Array, v_measured: Array) -> ArbiterOutput:
         """Return the target of this tick.
 
@@ -185,6 +209,7 @@ class CommandArbiter:
         if self._source in self._affirmed:
             self._alive_s = now_s
         self._affirmed.clear()
+        halted = self._begin_halt(now_s, posture, v_measured)
         ended, cut = False, self._underway.braking
         if self._underway.executions:
             self._target, ended = self._underway.follow(self._held())
@@ -208,6 +233,7 @@ class CommandArbiter:
             switched_to=switched_to,
             refusals=refusals,
             executions=self._underway.executions,
+            halted=halted,
         )
 
     def _elapsed(self, now_s: float) -> float:
@@ -253,12 +279,34 @@ class CommandArbiter:
         self._source = None
         self._underway.brake()
         self._target, _ = self._underway.follow(_where_they_stop(posture, v_measured))
+        self._flush(mode, now_s)
+        self._switch = _Switch(mode, now_s)
+        self._state = ArbiterState.SETTLING
+
+    def _begin_halt(self, now_s: float, posture: Array, v_measured: Array) -> bool:
+        """Drop what is under way and take the turn from whoever has it, if a halt was asked for; return whether."""
+        if self._halt is None:
+            return False
+        (source, gripper), self._halt = self._halt, None
+        if gripper is not None and source == self._source:
+            self._gripper = np.array(gripper, dtype=float)
+        elif gripper is not None:
+            self._refuse(source, "not_driving", "only the source that drives may move the hands")
+        if self._switch is not None:
+            self._refuse(self._switch.mode, "superseded", "the arms were halted while settling")
+            self._switch = None
+        self._underway.drop()
+        self._flush(HOLD, now_s)
+        self._target = _where_they_stop(posture, v_measured)
+        self._source, self._state = None, ArbiterState.STOPPED
+        return True
+
+    def _flush(self, mode: str, now_s: float) -> None:
+        """Forget every command; tell the listeners for which mode."""
         for mailbox in self._mailboxes.values():
             mailbox.flush(now_s)
         for listener in self._listeners:
             listener(mode)
-        self._switch = _Switch(mode, now_s)
-        self._state = ArbiterState.SETTLING
 
     def _settle(self, switch: _Switch, now_s: float, speed: float, posture: Array) -> str | None:
         """Confirm the switch when the arms are still, give it up when they are not in time."""

@@ -44,14 +44,21 @@ def own_columns(command: TrajectoryCommand) -> slice:
     return slice(0, 7) if np.shape(command.motion.q)[1] == 7 else GROUPS[command.group]
 
 
-def _common_fault(command: Command) -> Fault | None:
-    if np.shape(command.gripper) != (2,):
-        return "wrong_shape", f"gripper {np.shape(command.gripper)}; it must be (2,)"
-    if not (np.isfinite(command.gripper).all() and np.isfinite(command.stamp_s)):
-        return "not_finite", f"gripper {command.gripper}, stamp {command.stamp_s}"
-    if command.gripper.min() < 0.0 or command.gripper.max() > 1.0:
-        return "gripper_out_of_range", f"gripper {command.gripper}; 0 (closed) to 1 (open)"
+def opening_fault(gripper: Array) -> Fault | None:
+    """Return what is wrong with the openings (2,) of the hands, or None."""
+    if np.shape(gripper) != (2,):
+        return "wrong_shape", f"gripper {np.shape(gripper)}; it must be (2,)"
+    if not np.isfinite(gripper).all():
+        return "not_finite", f"gripper {gripper}"
+    if gripper.min() < 0.0 or gripper.max() > 1.0:
+        return "gripper_out_of_range", f"gripper {gripper}; 0 (closed) to 1 (open)"
     return None
+
+
+def _common_fault(command: Command) -> Fault | None:
+    if not np.isfinite(command.stamp_s):
+        return "not_finite", f"gripper {command.gripper}, stamp {command.stamp_s}"
+    return opening_fault(command.gripper)
 
 
 def _posture_fault(q: Array, joints: slice) -> Fault | None:

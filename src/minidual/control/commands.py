@@ -212,6 +212,7 @@ class ArbiterOutput:
         switched_to: The mode whose request was confirmed in this tick, or None.
         refusals: Everything refused since the last tick.
         executions: Timed commands under way; the arms they drive follow them and not `q_target`.
+        halted: Whether a halt was carried out in this tick: the arms stop now, wherever they are.
     """
 
     q_target: Array
@@ -222,3 +223,4 @@ class ArbiterOutput:
     switched_to: str | None
     refusals: tuple[Refusal, ...]
     executions: tuple[Execution, ...] = ()
+    halted: bool = False

@@ -2,7 +2,8 @@
 
 A switch names the whole new set. It is strict: a set that would leave a joint to nobody, or give it to two, or that
 names a controller which is not ready, is refused by name and nothing changes. It is atomic: the next control step is
-the new set's. What the torques differ by at that instant fades over `fade_s`, so that the motors see no jump.
+the new set's. What the torques differ by at that instant fades over `fade_s`, so that the motors see no jump; where it
+must be gone sooner (a squeeze that has lost its object), as fast as the drives can change their torque.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 from minidual.control.command_checks import Fault
 from minidual.control.commands import ArbiterOutput, Command
 from minidual.control.controllers import Controller
+from minidual.control.soft_stop import TorqueRate
 from minidual.errors import MinidualError, unknown_name
 from minidual.robot.constants import ARMS, DOF, DOF_PER_ARM, TAU_MAX, Array
 
@@ -42,6 +44,8 @@ class ControllerManager:
         self._fade_steps = max(1, round(fade_s / dt_s))
         self._fade_left = 0
         self._fading = False
+        self._dt = dt_s
+        self._rate: TorqueRate | None = None
         self._offset = np.zeros(DOF)
         self.tau = np.zeros(DOF)
         """Torques (14,) [Nm] of the last step."""
@@ -89,8 +93,10 @@ class ControllerManager:
                 raise ControllerSwitchError("not_ready", f"controller {controller.name}: {reason}")
         return chosen
 
-    def switch(self, names: Sequence[str], q: Array, v: Array) -> None:
+    def switch(self, names: Sequence[str], q: Array, v: Array, *, swiftly: bool = False) -> None:
         """Activate exactly these controllers at measured q (14,) and v (14,); all or nothing.
+
+        `swiftly`: the torques go over at the drives' rate limit and do not fade.
 
         Raises:
             UsageError, ControllerSwitchError: See `check`; nothing has changed then.
@@ -103,6 +109,7 @@ class ControllerManager:
         if had_any and chosen != self._active:
             self._fade_left = self._fade_steps
             self._fading = False
+            self._rate = TorqueRate(self.tau, self._dt) if swiftly else None
         self._active = chosen
         self._whole = chosen[0] if len(chosen) == 1 else None
 
@@ -163,6 +170,11 @@ class ControllerManager:
         return whole
 
     def _faded(self, tau: Array) -> Array:
+        if self._rate is not None:
+            followed = self._rate.limit(tau)
+            if np.array_equal(followed, tau):
+                self._rate, self._fade_left = None, 0
+            return followed
         if not self._fading:
             self._offset = self.tau - tau
             self._fading = True

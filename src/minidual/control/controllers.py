@@ -2,7 +2,8 @@
 
 A  `both_arms`                  joint trajectory control of 14 joints
 B  `left_arm`, `right_arm`      the same for the seven joints of one arm
-C  `object_impedance`           both arms and the object between them (see object_impedance)
+C  `object_impedance`           both arms and the object between them (see object_controller)
+   `soft_stop`                  brings both arms to rest and holds them softly (see soft_stop)
 
 Each claims one or both arms. Activated, it holds what it measures; it never starts with a jump of its own.
 """
@@ -18,31 +19,18 @@ from minidual.control.commands import (
     ArbiterOutput,
     Command,
     JointCommand,
-    ObjectCommand,
     TrajectoryCommand,
     arms_of,
 )
-from minidual.control.execution import ObjectExecution, TrajectoryExecution
+from minidual.control.execution import TrajectoryExecution
 from minidual.control.joint_control import ComputedTorque
-from minidual.control.object_impedance import (
-    HeldObject,
-    ImpedanceGains,
-    ObjectImpedance,
-    ObjectState,
-    bounded,
-)
 from minidual.control.object_path import minimum_jerk
 from minidual.control.reference import ReferenceFilter
-from minidual.errors import UsageError
 from minidual.robot.constants import DOF, GROUPS, Array
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.poses import rotation_log
 
 _BLEND_S = 0.5
 """Over this time what is left between the reference and the start of a trajectory fades away."""
-_SQUEEZE_RATE_N_PER_S = 200.0
-_START_M, _START_RAD = 0.02, 0.1
-"""How far from the object its path may start."""
 
 
 class Controller(Protocol):
@@ -192,108 +180,3 @@ class JointTrajectoryController:
         if ended:
             self._filter.reset(self._q, self._v)
         return self._q.copy(), self._v.copy(), self._a.copy()
-
-
-class ObjectSensor(Protocol):
-    """What tells controller C of the object in the hands."""
-
-    def read(self) -> tuple[ObjectState, float]:
-        """Return the object's state (its acceleration is not used) and the measured internal force [N]."""
-        ...
-
-
-class ObjectImpedanceController:
-    """Both arms around one object: its path is followed as by a damped spring, its squeeze is servoed.
-
-    Args:
-        kinematics: Dynamics.
-        dt_s: Control step.
-        sensor: Tells of the object.
-    """
-
-    name = "object_impedance"
-    arms = (0, 1)
-
-    def __init__(self, kinematics: Kinematics, dt_s: float, sensor: ObjectSensor) -> None:
-        self._kinematics, self._sensor = kinematics, sensor
-        self._squeeze_step = _SQUEEZE_RATE_N_PER_S * dt_s
-        self._law: ObjectImpedance | None = None
-        self._execution: ObjectExecution | None = None
-        self._desired: ObjectState | None = None
-        self._squeeze = self._squeeze_wanted = 0.0
-        self._reference = np.zeros(DOF)
-
-    def configure(self, held: HeldObject, gains: ImpedanceGains | None = None) -> None:
-        """Tell it what is held and how stiffly; it cannot be activated before."""
-        self._law = ObjectImpedance(self._kinematics, held, ImpedanceGains() if gains is None else gains)
-
-    def find_fault(self, command: Command) -> Fault | None:
-        """Take object paths that start where the object is."""
-        if not isinstance(command, ObjectCommand):
-            return (
-                "wrong_controller",
-                f"controller {self.name} takes object paths, no {type(command).__name__}",
-            )
-        measured, _ = self._sensor.read()
-        T, T_start = measured.T_world_object, command.motion.at(0.0).T_world_object
-        away_m = float(np.linalg.norm(T_start[:3, 3] - T[:3, 3]))
-        away_rad = float(np.linalg.norm(rotation_log(T_start[:3, :3] @ T[:3, :3].T)))
-        if away_m <= _START_M and away_rad <= _START_RAD:
-            return None
-        detail = (
-            f"the path starts {1e3 * away_m:.0f} mm, {away_rad:.3f} rad away from the object; bounds {_START_M} m, "
-            f"{_START_RAD} rad"
-        )
-        return "far_start", detail
-
-    def not_ready(self) -> str:
-        """Return why it cannot be activated, or an empty string."""
-        return "" if self._law is not None else "it has not been told what is held"
-
-    def activate(self, q: Array, v: Array) -> None:
-        """Hold the object where it is, pressed as it is."""
-        law = self._ready_law()
-        law.engage(q)
-        measured, internal_force = self._sensor.read()
-        self._desired = ObjectState(measured.T_world_object)
-        ceiling = law.gains.force_ceiling_n
-        self._squeeze = self._squeeze_wanted = float(np.clip(internal_force, 0.0, ceiling))
-        self._execution = None
-        self._reference = np.array(q, dtype=float)
-
-    def follow(self, output: ArbiterOutput) -> None:
-        """Take an object path that has begun."""
-        for execution in output.executions:
-            if isinstance(execution, ObjectExecution):
-                self._execution = execution
-
-    def update(self, q: Array, v: Array) -> Array:
-        """Run one control step."""
-        law = self._ready_law()
-        if self._execution is not None:
-            self._desired, self._squeeze_wanted = self._execution.desired, self._execution.squeeze_n
-            if self._execution.finished:
-                self._execution = None
-        step = self._squeeze_wanted - self._squeeze
-        self._squeeze += bounded(step, -self._squeeze_step, self._squeeze_step)
-        measured, internal_force = self._sensor.read()
-        self._reference = q
-        return law.torque(
-            q, v, measured, self._desired,
-            internal_force_n=self._squeeze, measured_internal_force_n=internal_force,
-        )  # fmt: skip
-
-    @property
-    def reference(self) -> Array:
-        """Measured joints (14,) [rad]: an impedance has no joint reference."""
-        return self._reference
-
-    @property
-    def acceleration(self) -> Array | None:
-        """None: an impedance has no joint reference."""
-        return None
-
-    def _ready_law(self) -> ObjectImpedance:
-        if self._law is None:
-            raise UsageError(f"controller {self.name} is not ready: {self.not_ready()}")
-        return self._law

@@ -4,7 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from minidual.robot.constants import A_MAX, TAU_RATE_MAX, Array
+from minidual.control.command_checks import Fault
+from minidual.control.commands import ArbiterOutput, Command
+from minidual.control.joint_control import ComputedTorque
+from minidual.robot.constants import A_MAX, DOF, TAU_RATE_MAX, Array
+from minidual.robot.kinematics import Kinematics
+
+STOP_SHARE = 0.5
+"""Deceleration of a soft stop, as a share of the joints' acceleration limits."""
+_STOP_FREQUENCY_RAD_S = 8.0
+"""Two hands that still hold one object must not fight each other over it: a soft hold."""
 
 
 class TorqueRate:
@@ -42,7 +51,9 @@ class SoftStop:
         least_s: Shortest time to take.
     """
 
-    def __init__(self, q: Array, v: Array, *, deceleration_share: float, least_s: float = 0.1) -> None:
+    def __init__(
+        self, q: Array, v: Array, *, deceleration_share: float = STOP_SHARE, least_s: float = 0.1
+    ) -> None:
         self._q, self._v = q.copy(), v.copy()
         self.duration_s = max(least_s, float(np.max(1.5 * np.abs(v) / (deceleration_share * A_MAX))))
 
@@ -57,3 +68,62 @@ class SoftStop:
             speed * self._v,
             slope / self.duration_s * self._v,
         )
+
+
+class SoftStopController:
+    """Takes both arms over in motion, brings them to rest on one common profile, and holds them there softly.
+
+    It takes no commands: it is what the stack changes to when the arms must stop at once (`ControlStack.halt`).
+
+    Args:
+        kinematics: Dynamics.
+        dt_s: Control step.
+        deceleration_share: Peak deceleration, as a share of the joints' limits.
+    """
+
+    name = "soft_stop"
+    arms = (0, 1)
+
+    def __init__(
+        self, kinematics: Kinematics, dt_s: float, *, deceleration_share: float = STOP_SHARE
+    ) -> None:
+        self._servo = ComputedTorque(kinematics, natural_frequency_rad_s=_STOP_FREQUENCY_RAD_S)
+        self._dt, self._share = dt_s, deceleration_share
+        self._motion = SoftStop(np.zeros(DOF), np.zeros(DOF), deceleration_share=deceleration_share)
+        self._steps = 0
+        self._reference = np.zeros(DOF)
+
+    def find_fault(self, command: Command) -> Fault | None:
+        """Take no command."""
+        detail = f"controller {self.name} takes no commands, no {type(command).__name__}; ask for a mode"
+        return "wrong_controller", detail
+
+    def not_ready(self) -> str:
+        """Return an empty string: nothing need be set up."""
+        return ""
+
+    def activate(self, q: Array, v: Array) -> None:
+        """Begin to stop from what is measured."""
+        self._motion = SoftStop(q, v, deceleration_share=self._share)
+        self._steps = 0
+        self._reference = np.array(q, dtype=float)
+
+    def follow(self, output: ArbiterOutput) -> None:
+        """Follow nothing."""
+
+    def update(self, q: Array, v: Array) -> Array:
+        """Run one control step."""
+        q_ref, v_ref, a_ref = self._motion.at(self._steps * self._dt)
+        self._steps += 1
+        self._reference = q_ref
+        return self._servo.torque(q, v, q_ref, v_ref, a_ref)
+
+    @property
+    def reference(self) -> Array:
+        """Joint reference (14,) [rad] of the last step."""
+        return self._reference
+
+    @property
+    def acceleration(self) -> Array | None:
+        """None: it brakes, nobody commands."""
+        return None

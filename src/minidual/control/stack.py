@@ -17,7 +17,7 @@ or stop them, the plant moves. See docs/control.md.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -32,53 +32,21 @@ from minidual.control.commands import (
     Refusal,
 )
 from minidual.control.controller_manager import ControllerManager, ControllerSwitchError
-from minidual.control.controllers import (
-    Controller,
-    JointTrajectoryController,
-    ObjectImpedanceController,
-    ObjectSensor,
-)
+from minidual.control.controllers import Controller, JointTrajectoryController
 from minidual.control.gripper import Grippers
 from minidual.control.loop import JOINT_PINCH_N
-from minidual.control.object_impedance import ObjectState
+from minidual.control.motors import Guard, SwitchedOff
+from minidual.control.object_controller import ObjectImpedanceController, ObjectSensor, WorldObjectSensor
+from minidual.control.soft_stop import STOP_SHARE, SoftStopController
 from minidual.errors import MinidualError, UsageError
 from minidual.robot.constants import Array
 from minidual.robot.kinematics import Kinematics
 
 DEFAULT_CONTROLLERS: tuple[str, ...] = ("both_arms",)
 """What drives the arms until something else is asked for."""
-
-
-class Guard(Protocol):
-    """A supervisor: the last look at the torques before the motors."""
-
-    def guard(self, time_s: float, q: Array, v: Array, tau: Array, a_ref: Array | None = None) -> Array:
-        """Return the torques (14,) [Nm] to apply; raise a named error, once, to stop the arms."""
-        ...
-
-    def fail(self, time_s: float, q: Array, v: Array, why: str) -> Array:
-        """Stop the arms, as `guard` does, in a tick in which the controllers give no torque."""
-        ...
-
-    def heard(self, time_s: float) -> None:
-        """Note that the arbiter is alive."""
-        ...
-
-    def reset(self) -> None:
-        """Forget everything."""
-        ...
-
-
-class WorldObjectSensor:
-    """Reads the rod of a simulated world as an ideal sensor would."""
-
-    def __init__(self, world: Any) -> None:
-        self._world = world
-
-    def read(self) -> tuple[ObjectState, float]:
-        """Return the rod's state and the internal force [N]."""
-        world = self._world
-        return ObjectState(world.T_world_rod, world.rod_twist), world.internal_force()
+OBJECT_CONTROLLERS: tuple[str, ...] = ("object_impedance",)
+"""What drives them with an object between them."""
+_STOPPING: tuple[str, ...] = ("soft_stop",)
 
 
 class ControlStack:
@@ -93,6 +61,7 @@ class ControlStack:
         pinch_force_n: Force with which the hands close.
         supervisor: Guards the torques; None guards nothing.
         sensor: Tells controller C of the object; the world's rod by default.
+        stop_share: Deceleration of a halt, as a share of the joints' limits.
     """
 
     def __init__(
@@ -106,6 +75,7 @@ class ControlStack:
         pinch_force_n: float = JOINT_PINCH_N,
         supervisor: Guard | None = None,
         sensor: ObjectSensor | None = None,
+        stop_share: float = STOP_SHARE,
     ) -> None:
         self.world = world
         self.supervisor = supervisor
@@ -126,7 +96,8 @@ class ControlStack:
         self.impedance = ObjectImpedanceController(
             kinematics, world.dt, WorldObjectSensor(world) if sensor is None else sensor
         )
-        self.manager = ControllerManager([*table, self.impedance], world.dt)
+        stop = SoftStopController(kinematics, world.dt, deceleration_share=stop_share)
+        self.manager = ControllerManager([*table, self.impedance, stop], world.dt)
         self.manager.check(self._initial)
         self._flush_listeners: list[Callable[[str], None]] = []
         self.reset()
@@ -157,6 +128,7 @@ class ControlStack:
         """What the supervisor stopped the arms for, or None."""
         self.applied = np.zeros_like(q)
         """Torques (14,) [Nm] of the last control step, as the supervisor let them through."""
+        self._off: SwitchedOff | None = None
         self._reset_supervisor()
 
     # What sources say ------------------------------------------------------------------------------------
@@ -226,6 +198,30 @@ class ControlStack:
         self.manager.switch(names, self.world.q, self.world.v)
         self._due = True
 
+    def halt(self, source: str, gripper: Array | None = None) -> None:
+        """Stop the arms in the next step, from where they are, whatever is under way: for when the path is what is wrong.
+
+        Anybody may, as anybody may request "hold"; nobody drives afterwards. Controller `soft_stop` takes over in that
+        step; the next mode that is requested brings its own.
+
+        Args:
+            source: Who asks.
+            gripper: Openings (2,) to take, from the source that drives only; the hands stay as they are by default.
+
+        Raises:
+            UsageError: There is no such source.
+        """
+        self.arbiter.halt(source, gripper)
+        self._due = True
+
+    def switch_off(self, arms: Sequence[int]) -> None:
+        """Tell the motors of these arms no torque any more until the reset, whatever controllers and supervisor ask for.
+
+        For motors that have gone: drives that come back must not find a torque waiting. What is told falls to zero at
+        the drives' rate. The arms named before stay off only if they are named again.
+        """
+        self._off = SwitchedOff(arms, self.applied, self.world.dt)
+
     def on_flush(self, listener: Callable[[str], None]) -> None:
         """Call `listener(mode)` whenever a switch to `mode` begins, so that sources drop queued chunks too."""
         self._flush_listeners.append(listener)
@@ -253,7 +249,7 @@ class ControlStack:
     @property
     def executing(self) -> bool:
         """Whether a timed command is under way, or waits to be taken at the next tick."""
-        return self._pending or any(not e.finished for e in self.arbiter.executions)
+        return self._pending or not all([e.finished for e in self.arbiter.executions])  # a list is faster here
 
     @property
     def tick_next(self) -> bool:
@@ -298,6 +294,9 @@ class ControlStack:
         if output.refusals:
             self.refusals.extend(output.refusals)
         self._due = self._pending = False
+        if output.halted:
+            self._wanted.pop(HOLD, None)  # what it would have kept active is not any more
+            self.manager.switch(_STOPPING, world.q, world.v, swiftly=True)
         self.manager.follow(output)
         return output
 
@@ -313,7 +312,11 @@ class ControlStack:
             if execution.finished:
                 self._due = True
         q, v = world.q, world.v
+        if self._off is not None:
+            self._off.step()
         tau, stopped = self._torque(q, v)
+        if self._off is not None:
+            tau = self._off.apply(tau)
         self.applied = tau
         world.command(tau, self.grippers.step(output.gripper))
         world.step()
@@ -326,6 +329,8 @@ class ControlStack:
         tau = self.applied
         try:
             tau = self.manager.update(q, v)
+            if self._off is not None:  # the supervisor need not guard what no motor is told
+                tau = self._off.apply(tau)
         except MinidualError as error:
             failed = error
         if self.supervisor is None:

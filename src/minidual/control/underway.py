@@ -72,6 +72,10 @@ class Underway:
         self.executions = running
         return target, ended
 
+    def drop(self) -> None:
+        """Forget everything, wherever it is on its path: somebody else stops the arms."""
+        self.executions = ()
+
     def brake(self) -> None:
         """Bring everything to rest on its path."""
         for execution in self.executions:

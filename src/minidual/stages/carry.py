@@ -97,7 +97,12 @@ class CarryStage:
 
         if config.carry.object in OBJECTS and config.carry.motion in MOTIONS:  # `validate` refuses others
             config = carry_config(config)
-        return {"carry": config.carry, "scene": config.scene, "supervisor": config.supervisor}
+        return {
+            "carry": config.carry,
+            "scene": config.scene,
+            "arbiter": config.arbiter,
+            "supervisor": config.supervisor,
+        }
 
     def run(self, context: StageContext) -> StageResult:
         """Run the trials; plot, film and record the median and the worst, and record what failed."""

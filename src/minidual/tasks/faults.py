@@ -1,7 +1,8 @@
 """What can go wrong in a carry, what tells it from sensed quantities alone, and what the hands do then.
 
-Every fault stops both arms softly (control/soft_stop.py) and names itself. One table; the monitor below raises each of
-them within 50 ms of its onset, which tests measure with the fault injected.
+Every fault stops both arms softly and names itself: what is sensed halts them (control/soft_stop.py), the supervisor and
+the arbiter stop them in their own ways. One table; the monitor below raises each of them within 50 ms of its onset, which
+tests measure with the fault injected.
 """
 
 from __future__ import annotations
@@ -38,6 +39,10 @@ FAULTS: dict[str, FaultKind] = {
     "tilted": FaultKind("the estimated tilt of the object", False),
     "lost_arm": FaultKind("the motors of an arm do not give the torque they were told", True),
     "reflex": FaultKind("a bound of the supervisor does not hold; its own soft stop acts at once", False),
+    "interrupted": FaultKind(
+        "the arbiter lets the motion go no further: another mode is asked for, a command is refused or goes stale",
+        False,
+    ),
     "unreachable": FaultKind("no posture for a grasp or along the path: the hands do not begin it", True),
     "singular": FaultKind("a hand that holds the object has lost a direction of motion", False),
 }
