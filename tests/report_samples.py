@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from minidual.evaluation.benchmark import BenchmarkCell, conditions_data
+from minidual.evaluation.comparisons import compare_all, compare_with_clean
 from minidual.evaluation.metrics import TrialMetrics, summarise
 from minidual.evaluation.tables import write_csv
 from minidual.pipeline.check import Check
@@ -100,13 +102,56 @@ def methods_data(trials: Sequence[TrialMetrics]) -> dict[str, dict[str, Any]]:
             **{
                 name: getattr(summary, name)
                 for name in (
-                    "success_rate", "success_low", "success_high", "duration_median_s", "torque_ratio_max",
-                    "jerk_rms_median", "tilt_max_rad", "path_length_m",
+                    "success_rate", "success_low", "success_high", "duration_median_s", "duration_low_s",
+                    "duration_high_s", "torque_ratio_max", "torque_ratio_median", "torque_ratio_low",
+                    "torque_ratio_high", "jerk_rms_median", "jerk_rms_low", "jerk_rms_high", "tilt_max_rad",
+                    "tilt_median_rad", "tilt_low_rad", "tilt_high_rad", "path_length_m", "path_length_low_m",
+                    "path_length_high_m",
                 )
             },
             "failures": dict(summary.failures),
         }  # fmt: skip
     return table
+
+
+CONDITIONS = ("clean", "push +x", "delay 20 ms")
+_WHY_NOT = {("moveit", "delay 20 ms"): "moveit reads no force", ("act", "delay 20 ms"): "act reads no force"}
+
+
+def disturbed_trials(n: int = 20) -> list[TrialMetrics]:
+    """Return `make_trials` and the same under two conditions: a push costs act every trial, and the others none."""
+    clean = make_trials(n)
+    rows = list(clean)
+    for condition in CONDITIONS[1:]:
+        for trial in clean:
+            if (trial.method, condition) in _WHY_NOT:
+                continue
+            lost = trial.method == "act"
+            rows.append(
+                replace(
+                    trial, condition=condition, success=trial.success and not lost,
+                    failure="held" if lost else trial.failure, reason="lost it" if lost else trial.reason,
+                    failed_at_s=4.0 if lost else trial.failed_at_s,
+                    duration_s=float("nan") if lost else trial.duration_s + 0.5,
+                )
+            )  # fmt: skip
+    return rows
+
+
+def benchmark_data(trials: Sequence[TrialMetrics]) -> dict[str, Any]:
+    """Return the data of the benchmark's verdict for `trials`, as the stage leaves them."""
+    cells = []
+    for condition in dict.fromkeys(trial.condition for trial in trials):
+        for method in METHODS:
+            mine = [t for t in trials if (t.method, t.condition) == (method, condition)]
+            summary = summarise(mine, np.random.default_rng(0)) if mine else None
+            why = "" if mine else _WHY_NOT[method, condition]
+            cells.append(BenchmarkCell(method, condition, len(mine), summary, why))
+    clean = [trial for trial in trials if trial.condition == "clean"]
+    return {
+        "methods": methods_data(clean), "conditions": conditions_data(cells), "comparisons": compare_all(trials),
+        "losses": compare_with_clean(trials),
+    }  # fmt: skip
 
 
 def make_verdict(
@@ -141,7 +186,7 @@ def make_run(root: Path, trials: Sequence[TrialMetrics] | None = None) -> Report
         checks, data = _CHECKS.get(stage, []), {}
         if stage == "benchmark":
             write_csv(folder / "benchmark.csv", trials)
-            data = {"methods": methods_data(trials)}
+            data = benchmark_data(trials)
             checks = [
                 Check(f"{method}.success_rate", row["success_rate"], ">", 0.5, why="it works")
                 for method, row in data["methods"].items()
@@ -150,10 +195,16 @@ def make_run(root: Path, trials: Sequence[TrialMetrics] | None = None) -> Report
     return ReportInput(
         title="A made-up run", stages=STAGES, verdicts=verdicts, folders=folders, waivers=(), methods=METHODS,
         acceptance=True, profile="standard", seed=20260,
+        conditions=tuple(dict.fromkeys(trial.condition for trial in trials)),
     )  # fmt: skip
 
 
 def with_methods(given: ReportInput, table: Mapping[str, Any]) -> ReportInput:
     """Return the run with another table of methods in the benchmark's verdict."""
-    benchmark = replace(given.verdicts["benchmark"], data={"methods": dict(table)})
+    return with_data(given, {**given.verdicts["benchmark"].data, "methods": dict(table)})
+
+
+def with_data(given: ReportInput, data: Mapping[str, Any]) -> ReportInput:
+    """Return the run with other data in the benchmark's verdict."""
+    benchmark = replace(given.verdicts["benchmark"], data=dict(data))
     return replace(given, verdicts={**given.verdicts, "benchmark": benchmark})

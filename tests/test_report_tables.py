@@ -176,7 +176,7 @@ def test_the_words_do_claim_what_many_trials_show(tmp_path: Path) -> None:
     trials = read_trials(given.folders["benchmark"] / "benchmark.csv")
     passages = analyse({}, compare(given.methods, given.verdicts["benchmark"].data), trials)
     (pair,) = [s for s in passages[0].sentences if s.startswith("impedance against act")]
-    assert "intervals apart" in pair
+    assert "difference +25 points, 95 % interval +19 to +31" in pair
     assert pair.endswith("they differ.")
 
 

@@ -7,17 +7,19 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise
+from typing import Any
 
 from minidual.pipeline.check import Check
 from minidual.pipeline.verdict import Verdict
 from minidual.report.captions import fault
 from minidual.report.comparison import Comparison, MethodRow, finite
+from minidual.report.disturbance import CERTAIN, sentences
 from minidual.report.indicators import INDICATORS, Indicator
-from minidual.report.trials import Trial, of_method
+from minidual.report.robustness import ConditionTable
+from minidual.report.trials import CLEAN, Trial, of_method
 from minidual.report.wording import count, joined, percent, sentence, stated
 
 _THINNEST = 5
-_CERTAIN = 0.05
 
 
 @dataclass(frozen=True)
@@ -29,11 +31,24 @@ class Passage:
 
 
 def analyse(
-    verdicts: Mapping[str, Verdict], comparison: Comparison, trials: Sequence[Trial]
+    verdicts: Mapping[str, Verdict],
+    comparison: Comparison,
+    trials: Sequence[Trial],
+    conditions: ConditionTable | None = None,
 ) -> tuple[Passage, ...]:
-    """Return the passages for which there are numbers, in the order in which they are read."""
+    """Return the passages for which there are numbers, in the order in which they are read.
+
+    Args:
+        verdicts: Of the stages.
+        comparison: Methods by indicators, undisturbed.
+        trials: The undisturbed trials.
+        conditions: Methods by conditions.
+    """
+    benchmark = verdicts.get("benchmark")
+    paired = benchmark.data.get("comparisons", []) if benchmark else []
     passages = (
-        Passage("Which method does what best", tuple(_methods(comparison, trials))),
+        Passage("Which method does what best", tuple(_methods(comparison, trials, paired))),
+        Passage("What disturbances cost", tuple(sentences(conditions or ConditionTable(), paired))),
         Passage("What failed, and when", tuple(_failures(comparison, trials))),
         Passage("Held-out against training starts", tuple(_gap(verdicts.get("deploy")))),
         Passage("Where the margins are thinnest", tuple(_margins(verdicts))),
@@ -41,7 +56,7 @@ def analyse(
     return tuple(passage for passage in passages if passage.sentences)
 
 
-def _methods(comparison: Comparison, trials: Sequence[Trial]) -> Iterator[str]:
+def _methods(comparison: Comparison, trials: Sequence[Trial], paired: Sequence[Any]) -> Iterator[str]:
     ranked = [
         row for row in comparison.rows if row.cell("success_rate").value is not None and row.has_interval
     ]
@@ -52,7 +67,7 @@ def _methods(comparison: Comparison, trials: Sequence[Trial]) -> Iterator[str]:
         yield _separation(first, second, trials)
     for indicator in INDICATORS[1:]:
         yield from _ranking(indicator, comparison)
-    yield from _faster_in_pairs(comparison, trials)
+    yield from _faster_in_pairs(comparison, trials, paired)
     yield from _excellence(comparison)
     idle = [row.method for row in ranked if not row.competes]
     if idle:
@@ -86,11 +101,12 @@ def _separation(first: MethodRow, second: MethodRow, trials: Sequence[Trial]) ->
     starts = count(len(shared), "shared start")
     if paired.only_first_n + paired.only_second_n == 0:
         return stated(f"{pair}: the same outcome on each of {starts}")
-    differ = paired.p_value < _CERTAIN
+    low, high = paired.rate_interval
+    differ = paired.p_value < CERTAIN
     return stated(
         f"{pair}: of {starts}, {_won(paired.only_first_n, first.method)} and "
-        f"{_won(paired.only_second_n, second.method)} (exact McNemar p = {paired.p_value:.2g}, intervals "
-        f"{'apart' if apart else 'overlap'}): "
+        f"{_won(paired.only_second_n, second.method)} (difference {100 * paired.rate_difference:+.0f} points, 95 % interval "
+        f"{100 * low:+.0f} to {100 * high:+.0f}, exact McNemar p = {paired.p_value:.2g}): "
         + ("they differ" if differ else "these trials do not separate them")
     )
 
@@ -119,7 +135,7 @@ def _ranking(indicator: Indicator, comparison: Comparison) -> Iterator[str]:
     yield sentence(f"{title}: {word} with {measured[0].method}, {values[0]}; {joined(others)}")
 
 
-def _faster_in_pairs(comparison: Comparison, trials: Sequence[Trial]) -> Iterator[str]:
+def _faster_in_pairs(comparison: Comparison, trials: Sequence[Trial], paired: Sequence[Any]) -> Iterator[str]:
     """Compare completion times start by start, where both methods completed."""
     timed = [row for row in comparison.rows if row.cell("duration_median_s").value is not None]
     timed.sort(key=lambda row: row.cell("duration_median_s").value or 0.0)
@@ -131,8 +147,24 @@ def _faster_in_pairs(comparison: Comparison, trials: Sequence[Trial]) -> Iterato
             faster = sum(a[k].numbers["duration_s"] < b[k].numbers["duration_s"] for k in shared)
             yield sentence(
                 f"where both completed, {first.method} was faster than {second.method} on {faster} of "
-                f"{count(len(shared), 'start')}"
+                f"{count(len(shared), 'start')}{_by_how_much(first.method, second.method, paired)}"
             )
+
+
+def _by_how_much(first: str, second: str, paired: Sequence[Any]) -> str:
+    """Return the median difference of completion time with its interval, as the benchmark's verdict has it."""
+    names = ("duration_difference_s", "duration_difference_low_s", "duration_difference_high_s")
+    for row in paired:
+        if row.get("condition") != CLEAN or {row.get("first"), row.get("second")} != {first, second}:
+            continue
+        sign = -1.0 if row["first"] == first else 1.0
+        numbers = [finite(row.get(name)) for name in names]
+        if all(number is not None for number in numbers):
+            middle, *ends = (sign * (number or 0.0) for number in numbers)
+            return (
+                f", by {middle:.2f} s (median difference, 95 % interval {min(ends):.2f} to {max(ends):.2f} s)"
+            )
+    return ""
 
 
 def _excellence(comparison: Comparison) -> Iterator[str]:

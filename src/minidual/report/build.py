@@ -14,9 +14,11 @@ from minidual.pipeline.check import Check
 from minidual.report import model
 from minidual.report.analysis import Passage, analyse
 from minidual.report.comparison import Comparison, compare
+from minidual.report.condition_figure import condition_figure
 from minidual.report.figures import Figure, benchmark_figures
 from minidual.report.media import Medium, collect_media
-from minidual.report.trials import Trial, read_trials
+from minidual.report.robustness import ConditionCell, ConditionTable, tabulate
+from minidual.report.trials import Trial, read_trials, undisturbed
 
 PAGE_FILE = "report.html"
 JSON_FILE = "report.json"
@@ -33,9 +35,11 @@ class Report:
     banners: tuple[model.Banner, ...]
     checks: tuple[Check, ...]
     comparison: Comparison
+    conditions: ConditionTable
     trials: tuple[Trial, ...]
     passages: tuple[Passage, ...]
     figures: tuple[Figure, ...]
+    condition_figure: Figure | None
     media: tuple[Medium, ...]
 
     @property
@@ -71,18 +75,22 @@ def build_report(given: model.ReportInput, folder: Path) -> Report:
     from minidual.report.page import render_page
 
     benchmark = given.verdicts.get("benchmark")
-    comparison = compare(given.methods, benchmark.data if benchmark else {})
-    trials = read_trials(given.folders["benchmark"] / TRIALS_FILE) if benchmark else []
-    checks = model.report_checks(given, comparison)
+    data = benchmark.data if benchmark else {}
+    comparison = compare(given.methods, data)
+    conditions = tabulate(given.methods, given.conditions, data)
+    trials = undisturbed(read_trials(given.folders["benchmark"] / TRIALS_FILE)) if benchmark else []
+    checks = model.report_checks(given, comparison, conditions)
     report = Report(
         given=given,
         state=model.overall_state(given, checks),
         banners=model.banners(given, checks),
         checks=tuple(checks),
         comparison=comparison,
+        conditions=conditions,
         trials=tuple(trials),
-        passages=analyse(given.verdicts, comparison, trials),
+        passages=analyse(given.verdicts, comparison, trials, conditions),
         figures=tuple(benchmark_figures(comparison, trials)),
+        condition_figure=condition_figure(conditions),
         media=tuple(_media(given, folder)),
     )
     _write_figures(report, folder / FIGURES_FOLDER)
@@ -103,7 +111,7 @@ def _media(given: model.ReportInput, folder: Path) -> list[Medium]:
 
 def _write_figures(report: Report, folder: Path) -> None:
     folder.mkdir()
-    for figure in report.figures:
+    for figure in (*report.figures, *([report.condition_figure] if report.condition_figure else [])):
         (folder / f"{figure.name}.svg").write_text(figure.svg, encoding="utf-8")
 
 
@@ -126,7 +134,7 @@ def document(report: Report) -> dict[str, Any]:
         "total_s": report.total_s,
         "stages": [_stage(given, name) for name, _summary in given.stages],
         "comparison": {
-            "missing": report.comparison.missing(),
+            "missing": report.comparison.missing() + report.conditions.missing(),
             "methods": {
                 row.method: {
                     "trials": row.trials,
@@ -134,15 +142,35 @@ def document(report: Report) -> dict[str, Any]:
                     "success_high": row.high,
                     "failures": dict(row.failures),
                     **{
-                        cell.indicator.key: {"value": cell.value, "state": cell.state, "excellent": cell.excellent}
+                        cell.indicator.key: {
+                            "value": cell.value, "state": cell.state, "excellent": cell.excellent,
+                            "median": cell.middle, "low": cell.low, "high": cell.high,
+                        }
                         for cell in row.cells
                     },
                 }
                 for row in report.comparison.rows
             },
         },
+        "conditions": {
+            row.condition: {"summary": row.summary, "methods": {c.method: _condition(c) for c in row.cells}}
+            for row in report.conditions.rows
+        },
         "analysis": [asdict(passage) for passage in report.passages],
     }  # fmt: skip
+
+
+def _condition(cell: ConditionCell) -> dict[str, Any]:
+    if cell.state != "measured":
+        return {"state": cell.state, "why": cell.why}
+    return {
+        "state": cell.state,
+        "trials": cell.trials,
+        "success": {"value": cell.rate, "low": cell.low, "high": cell.high},
+        "loss": None if cell.loss is None else asdict(cell.loss),
+        "failures": dict(cell.failures),
+        **{key: None if m is None else asdict(m) for key, m in cell.measures.items()},
+    }
 
 
 def _stage(given: model.ReportInput, name: str) -> dict[str, Any]:

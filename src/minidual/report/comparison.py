@@ -24,6 +24,9 @@ class Cell:
             is a hole.
         excellent: On the good side of the excellent limit; None where that has no meaning.
         best: No other method that succeeded at all has a better value.
+        middle: Median over trials where `value` is the largest, SI; `value` itself elsewhere.
+        low: Lower end of its 95 % interval, SI; None without one.
+        high: Upper end.
     """
 
     indicator: Indicator
@@ -31,6 +34,24 @@ class Cell:
     state: CellState
     excellent: bool | None = None
     best: bool = False
+    middle: float | None = None
+    low: float | None = None
+    high: float | None = None
+
+    @property
+    def has_interval(self) -> bool:
+        """Whether it says how sure it is."""
+        return None not in (self.middle, self.low, self.high)
+
+    @property
+    def spread(self) -> str:
+        """The interval for people, the median before it where the value is another."""
+        if self.middle is None or self.low is None or self.high is None:
+            return ""
+        interval = self.indicator.range(self.low, self.high)
+        if self.indicator.middle == self.indicator.key:
+            return interval
+        return f"median {self.indicator.shown(self.middle)}; {interval}"
 
 
 @dataclass(frozen=True)
@@ -79,12 +100,18 @@ class Comparison:
     rows: tuple[MethodRow, ...]
 
     def missing(self) -> list[str]:
-        """Return "method.indicator" for every hole, "method.success_interval" for a rate without one."""
+        """Return "method.indicator" for every hole, "method.success_interval" and the like without an interval."""
         holes = [
             f"{row.method}.{cell.indicator.key}"
             for row in self.rows
             for cell in row.cells
             if cell.state == "missing"
+        ]
+        holes += [
+            f"{row.method}.{cell.indicator.key}_interval"
+            for row in self.rows
+            for cell in row.cells[1:]
+            if cell.state == "measured" and not cell.has_interval
         ]
         return holes + [f"{row.method}.success_interval" for row in self.rows if not row.has_interval]
 
@@ -129,9 +156,11 @@ def _row(method: str, record: Mapping[str, Any]) -> MethodRow:
         value = finite(record.get(indicator.key))
         if value is not None:
             judged = rate != 0.0 or indicator.key == "success_rate"
-            cells.append(
-                Cell(indicator, value, "measured", indicator.is_excellent(value) if judged else None)
+            middle, low, high = (
+                finite(record.get(name)) for name in (indicator.middle, indicator.low, indicator.high)
             )
+            excellent = indicator.is_excellent(value) if judged else None
+            cells.append(Cell(indicator, value, "measured", excellent, False, middle, low, high))
         else:
             undefined = indicator.needs_success and rate == 0.0
             cells.append(Cell(indicator, None, "undefined" if undefined else "missing"))

@@ -20,8 +20,8 @@ from minidual.report.comparison import Comparison
 from minidual.report.indicators import INDICATORS, Indicator
 from minidual.report.trials import Trial, of_method, values
 
-_INK, _GRID, _FAINT = "#1a2027", "#d9dee4", "#66717e"
-_CSS = {_INK: "var(--ink)", _GRID: "var(--line)", _FAINT: "var(--muted)"}
+INK, GRID, FAINT = "#1a2027", "#d9dee4", "#66717e"
+_CSS = {INK: "var(--ink)", GRID: "var(--line)", FAINT: "var(--muted)"}
 COLOURS = ("#2f7fd1", "#e0782f", "#2f9e6e", "#9b6bd3", "#c94f7c", "#7a8694")
 _LIMIT = "#c8452f"
 _WIDTH_IN = 5.2
@@ -49,7 +49,7 @@ class Figure:
 
 
 @contextmanager
-def _axes(rows: int, name: str) -> Iterator[tuple[Any, Any, Callable[[], str]]]:
+def row_axes(rows: float, name: str) -> Iterator[tuple[Any, Any, Callable[[], str]]]:
     """Yield (figure, axes, svg) for `rows` horizontal rows; `svg()` gives the text after drawing."""
     import matplotlib as mpl
     from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -57,8 +57,8 @@ def _axes(rows: int, name: str) -> Iterator[tuple[Any, Any, Callable[[], str]]]:
 
     style = {
         "svg.fonttype": "none", "svg.hashsalt": name, "font.family": "sans-serif", "font.size": 10,
-        "text.color": _INK, "axes.labelcolor": _FAINT, "axes.edgecolor": _GRID, "xtick.color": _FAINT,
-        "ytick.color": _INK, "xtick.labelcolor": _FAINT, "ytick.labelcolor": _INK, "grid.color": _GRID,
+        "text.color": INK, "axes.labelcolor": FAINT, "axes.edgecolor": GRID, "xtick.color": FAINT,
+        "ytick.color": INK, "xtick.labelcolor": FAINT, "ytick.labelcolor": INK, "grid.color": GRID,
         "axes.spines.top": False, "axes.spines.right": False, "axes.spines.left": False,
         "xtick.major.size": 0, "ytick.major.size": 0, "axes.axisbelow": True,
     }  # fmt: skip
@@ -78,7 +78,8 @@ def _axes(rows: int, name: str) -> Iterator[tuple[Any, Any, Callable[[], str]]]:
         yield figure, axes, svg
 
 
-def _label_rows(axes: Any, names: Sequence[str]) -> None:
+def label_rows(axes: Any, names: Sequence[str]) -> None:
+    """Name the rows, the first at the top."""
     axes.set_yticks(range(len(names)), names)
     axes.set_ylim(len(names) - 0.45, -0.55)
 
@@ -96,15 +97,15 @@ def success_figure(comparison: Comparison) -> Figure | None:
     rows = [row for row in comparison.rows if row.cell("success_rate").value is not None]
     if not rows:
         return None
-    with _axes(len(rows), "success") as (_figure, axes, svg):
+    with row_axes(len(rows), "success") as (_figure, axes, svg):
         for i, row in enumerate(rows):
             rate, colour = 100.0 * (row.cell("success_rate").value or 0.0), COLOURS[i % len(COLOURS)]
             axes.barh(i, rate, height=0.5, color=colour, alpha=0.85)
             if row.low is not None and row.high is not None:
-                axes.plot([100 * row.low, 100 * row.high], [i, i], color=_INK, linewidth=1.6)
+                axes.plot([100 * row.low, 100 * row.high], [i, i], color=INK, linewidth=1.6)
                 for end in (row.low, row.high):
-                    axes.plot([100 * end] * 2, [i - 0.12, i + 0.12], color=_INK, linewidth=1.6)
-        _label_rows(axes, [row.method for row in rows])
+                    axes.plot([100 * end] * 2, [i - 0.12, i + 0.12], color=INK, linewidth=1.6)
+        label_rows(axes, [row.method for row in rows])
         _limit_line(axes, 80.0, "excellent > 80 %")
         axes.set_xlim(0, 101)
         axes.set_xlabel("success, %")
@@ -117,7 +118,7 @@ def strip_figure(indicator: Indicator, comparison: Comparison, trials: Sequence[
     methods = [row.method for row in comparison.rows]
     if column is None or not any(values(of_method(trials, method), column) for method in methods):
         return None
-    with _axes(len(methods), indicator.key) as (_figure, axes, svg):
+    with row_axes(len(methods), indicator.key) as (_figure, axes, svg):
         largest = 0.0
         for i, method in enumerate(methods):
             mine = [t for t in of_method(trials, method) if math.isfinite(t.numbers[column])]
@@ -133,8 +134,8 @@ def strip_figure(indicator: Indicator, comparison: Comparison, trials: Sequence[
             won = [t.numbers[column] for t in mine if t.success]
             if won:
                 middle = sorted(won)[len(won) // 2] * indicator.scale
-                axes.plot([middle, middle], [i - 0.32, i + 0.32], color=_INK, linewidth=2.2)
-        _label_rows(axes, methods)
+                axes.plot([middle, middle], [i - 0.32, i + 0.32], color=INK, linewidth=2.2)
+        label_rows(axes, methods)
         if indicator.excellent is not None:
             at = indicator.excellent * indicator.scale
             if largest > 0.15 * at:
@@ -161,7 +162,7 @@ def failures_figure(comparison: Comparison, trials: Sequence[Trial]) -> Figure |
     reasons = [name for name, _n in sum(counts.values(), Counter[str]()).most_common()]
     if not reasons:
         return None
-    with _axes(len(counts) + (len(reasons) + 1) // 2, "failures") as (figure, axes, svg):
+    with row_axes(len(counts) + (len(reasons) + 1) // 2, "failures") as (figure, axes, svg):
         start = dict.fromkeys(counts, 0)
         for k, reason in enumerate(reasons):
             widths = [counts[method][reason] for method in counts]
@@ -169,7 +170,7 @@ def failures_figure(comparison: Comparison, trials: Sequence[Trial]) -> Figure |
                       color=COLOURS[k % len(COLOURS)], label=fault(reason))  # fmt: skip
             for method, width in zip(counts, widths, strict=True):
                 start[method] += width
-        _label_rows(axes, list(counts))
+        label_rows(axes, list(counts))
         axes.xaxis.get_major_locator().set_params(integer=True)
         axes.set_xlabel("failed trials")
         figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize=9)

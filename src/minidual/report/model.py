@@ -11,6 +11,8 @@ from minidual.pipeline.check import Check
 from minidual.pipeline.fingerprint import Fingerprint
 from minidual.pipeline.verdict import Verdict, Waiver, derive_status
 from minidual.report.comparison import Comparison
+from minidual.report.robustness import ConditionTable
+from minidual.report.trials import CLEAN
 from minidual.report.wording import count, joined
 
 OverallState = Literal["pass", "fail", "smoke", "tainted"]
@@ -30,6 +32,7 @@ class ReportInput:
         acceptance: Whether the profile counts as acceptance.
         profile: Name of the profile.
         seed: Seed of the run.
+        conditions: Conditions that the table of disturbances must hold.
     """
 
     title: str
@@ -41,6 +44,7 @@ class ReportInput:
     acceptance: bool
     profile: str
     seed: int
+    conditions: Sequence[str] = (CLEAN,)
 
     def all_waivers(self) -> tuple[Waiver, ...]:
         """Return every waiver, those that only an upstream verdict knows included, each once."""
@@ -72,18 +76,23 @@ class Banner:
     lines: tuple[str, ...] = ()
 
 
-def report_checks(given: ReportInput, comparison: Comparison) -> list[Check]:
+def report_checks(
+    given: ReportInput, comparison: Comparison, table: ConditionTable | None = None
+) -> list[Check]:
     """Return the report's own checks: nothing is missing from its tables, and every stage passed."""
-    holes = comparison.missing()
+    table = table or ConditionTable()
+    holes = comparison.missing() + table.missing()
+    complete = comparison.complete and not holes and (bool(table.rows) or set(given.conditions) <= {CLEAN})
     shown = f"; missing: {', '.join(holes[:6])}{' ...' if len(holes) > 6 else ''}" if holes else ""
     short = given.not_passing()
     return [
         Check(
-            "tables_complete", comparison.complete, "==", True,
-            why=f"every method has every indicator as a finite number, and its interval{shown}",
-            remedy="run minidual benchmark again, with every method that the table should hold",
+            "tables_complete", complete, "==", True,
+            why="every method has every indicator as a finite number with its interval, undisturbed and under every "
+            f"condition that can touch it{shown}",
+            remedy="run minidual benchmark again, with every method and condition that the tables should hold",
         ),
-        Check("missing_cells", len(holes), "==", 0, why="holes in the table of methods by indicators"),
+        Check("missing_cells", len(holes), "==", 0, why="holes in the tables of methods by indicators and by conditions"),
         Check(
             "stages_not_passing", len(short), "==", 0,
             why="a report stands on passing verdicts alone" + (f"; without one: {', '.join(short)}" if short else ""),

@@ -10,6 +10,7 @@ from minidual.pipeline.check import Check, format_number
 from minidual.report import model
 from minidual.report.analysis import relative_margin
 from minidual.report.build import Report
+from minidual.report.disturbance import CERTAIN
 from minidual.report.indicators import INDICATORS
 from minidual.report.wording import duration, percent
 
@@ -49,6 +50,7 @@ def render_page(report: Report) -> str:
         state_word=_STATE_WORDS[report.state],
         tiles=_tiles(report),
         indicators=INDICATORS,
+        certain=CERTAIN,
         stages=_stages(report),
         films=[medium for medium in report.media if medium.film],
         run=last.run if last else "",

@@ -11,6 +11,9 @@ from pathlib import Path
 from minidual.errors import DataError
 from minidual.report.indicators import INDICATORS
 
+CLEAN = "clean"
+"""Condition of the trials that nothing disturbs; limits, ranks and figures of single trials are theirs."""
+
 _NUMBERS = tuple(item.column for item in INDICATORS if item.column is not None)
 _COLUMNS = (*_NUMBERS, "failed_at_s")
 _REQUIRED = ("method", "condition", "index", "success", "failure", *_COLUMNS)
@@ -86,6 +89,11 @@ def _number(text: str | None) -> float:
 def of_method(trials: Sequence[Trial], method: str) -> list[Trial]:
     """Return the trials of `method`."""
     return [trial for trial in trials if trial.method == method]
+
+
+def undisturbed(trials: Sequence[Trial]) -> list[Trial]:
+    """Return the trials that nothing disturbed."""
+    return [trial for trial in trials if trial.condition == CLEAN]
 
 
 def values(trials: Sequence[Trial], column: str) -> list[float]:

@@ -18,11 +18,13 @@ class ReportStage:
     summary = "Build the report from the verdicts: one offline HTML and report.json"
 
     def parameters(self, config: Config) -> dict[str, Any]:
-        """Return the title and the methods that the comparison must hold."""
-        return {"report": config.report, "methods": config.benchmark.methods}
+        """Return the title, and the methods and conditions that the tables must hold."""
+        benchmark = config.benchmark
+        return {"report": config.report, "methods": benchmark.methods, "conditions": benchmark.conditions}
 
     def run(self, context: StageContext) -> StageResult:
         """Write report.html, report.json, the figures and the large films."""
+        from minidual.evaluation.conditions import parse_conditions
         from minidual.report.build import build_report
         from minidual.report.model import ReportInput
         from minidual.stages.registry import STAGES
@@ -38,6 +40,7 @@ class ReportStage:
             acceptance=context.config.acceptance,
             profile=context.profile,
             seed=context.seed,
+            conditions=parse_conditions(context.config.benchmark.conditions),
         )
         with context.progress.task("report", 1) as task:
             report = build_report(given, context.folder)

@@ -1,0 +1,214 @@
+"""Methods under disturbances on the page: every hole is named, every blank has its reason, every word its number."""
+
+from __future__ import annotations
+
+import copy
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import report_samples as samples
+
+from minidual.config.root import Config
+from minidual.errors import DataError
+from minidual.evaluation import conditions
+from minidual.report.build import Report, build_report
+from minidual.report.comparison import compare
+from minidual.report.condition_figure import condition_figure
+from minidual.report.disturbance import sentences
+from minidual.report.model import ReportInput, report_checks
+from minidual.report.robustness import ConditionTable, tabulate
+from minidual.report.trials import CLEAN
+from minidual.stages.report import STAGE
+
+
+@pytest.fixture
+def data() -> dict[str, Any]:
+    return samples.benchmark_data(samples.disturbed_trials())
+
+
+@pytest.fixture
+def given(tmp_path: Path) -> ReportInput:
+    return samples.make_run(tmp_path / "run", samples.disturbed_trials())
+
+
+def built(given: ReportInput, root: Path) -> tuple[Report, str]:
+    (root / "report").mkdir()
+    return build_report(given, root / "report"), (root / "report" / "report.html").read_text(encoding="utf-8")
+
+
+def table(data: dict[str, Any]) -> ConditionTable:
+    return tabulate(samples.METHODS, samples.CONDITIONS, data)
+
+
+def test_the_report_calls_clean_what_the_benchmark_does() -> None:
+    assert CLEAN == conditions.CLEAN
+
+
+def test_the_table_holds_every_cell_with_its_numbers(data: dict[str, Any]) -> None:
+    found = table(data)
+    assert found.missing() == []
+    assert [row.condition for row in found.rows] == list(samples.CONDITIONS)
+    cells = {(c.method, c.condition): c for c in found.cells}
+    push = cells["act", "push +x"]
+    assert (push.successes, push.trials, push.low) == (0, 20, 0.0)
+    assert push.measures["duration_median_s"] is None, "nothing completed"
+    assert push.loss is not None
+    assert (push.loss.difference, push.loss.starts_n) == (-0.75, 20)
+    assert push.loss.high < 0.0
+    moved = cells["moveit", "push +x"].measures["duration_median_s"]
+    still = cells["moveit", CLEAN].measures["duration_median_s"]
+    assert moved.middle == pytest.approx(still.middle + 0.5)
+    assert moved.low <= moved.middle <= moved.high
+    assert (cells["act", "delay 20 ms"].state, cells["act", "delay 20 ms"].why) == (
+        "spared",
+        "act reads no force",
+    )
+
+
+def _drop(*path: str) -> Callable[[dict[str, Any]], None]:
+    def change(data: dict[str, Any]) -> None:
+        for key in path[:-1]:
+            data = data[key]
+        del data[path[-1]]
+
+    return change
+
+
+def _set(value: Any, *path: str) -> Callable[[dict[str, Any]], None]:
+    def change(data: dict[str, Any]) -> None:
+        for key in path[:-1]:
+            data = data[key]
+        data[path[-1]] = value
+
+    return change
+
+
+_PUSH = ("conditions", "push +x", "methods")
+
+
+@pytest.mark.parametrize(
+    ("change", "hole"),
+    [
+        (_drop("conditions", "push +x"), "moveit.push +x.success_rate"),
+        (_drop(*_PUSH, "act"), "act.push +x.success_rate"),
+        (_drop(*_PUSH, "moveit", "success_low"), "moveit.push +x.success_low"),
+        (_set("nan", *_PUSH, "moveit", "jerk_rms_median"), "moveit.push +x.jerk_rms_median"),
+        (_set(float("inf"), *_PUSH, "moveit", "tilt_high_rad"), "moveit.push +x.tilt_max_rad"),
+        (_set("nan", *_PUSH, "moveit", "duration_median_s"), "moveit.push +x.duration_median_s"),
+        (_set({"applies": False, "why": ""}, *_PUSH, "moveit"), "moveit.push +x.success_rate"),
+        (_set([], "losses"), "impedance.push +x.loss"),
+    ],
+)
+def test_a_hole_is_named_and_fails_the_report(
+    data: dict[str, Any], change: Callable[[dict[str, Any]], None], hole: str, given: ReportInput
+) -> None:
+    comparison = compare(samples.METHODS, data)
+    assert {c.passed for c in report_checks(given, comparison, table(data))} == {True}
+    broken = copy.deepcopy(data)
+    change(broken)
+    assert hole in table(broken).missing()
+    checks = {check.name: check for check in report_checks(given, comparison, table(broken))}
+    assert checks["tables_complete"].passed is False
+    assert checks["missing_cells"].observed == len(table(broken).missing()) > 0
+    assert checks["stages_not_passing"].passed
+
+
+def test_conditions_that_nobody_ran_fail_the_report(
+    given: ReportInput, data: dict[str, Any], tmp_path: Path
+) -> None:
+    plain = {key: value for key, value in data.items() if key not in ("conditions", "losses")}
+    report, text = built(samples.with_data(given, plain), tmp_path)
+    assert report.state == "fail"
+    assert len(report.conditions.missing()) == 6 * 10
+    assert "This report does not pass" in text
+    assert text.count('<td class="missing">') == 6 * (1 + 5)
+    unasked = report_checks(given, compare(samples.METHODS, data), ConditionTable())
+    assert [c.name for c in unasked if not c.passed] == ["tables_complete"]
+
+
+def test_an_undisturbed_benchmark_has_no_such_table_and_passes(tmp_path: Path) -> None:
+    report, text = built(samples.make_run(tmp_path), tmp_path)
+    assert (report.state, report.conditions.rows, report.condition_figure) == ("pass", (), None)
+    assert 'id="conditions"' not in text
+
+
+def test_an_indicator_without_its_interval_is_a_hole() -> None:
+    rows = samples.methods_data(samples.make_trials())
+    assert compare(samples.METHODS, {"methods": rows}).missing() == []
+    del rows["act"]["jerk_rms_low"]
+    assert compare(samples.METHODS, {"methods": rows}).missing() == ["act.jerk_rms_median_interval"]
+
+
+def test_data_of_another_shape_is_refused(data: dict[str, Any]) -> None:
+    for name, value in (("conditions", []), ("losses", {"a": 1}), ("losses", [1])):
+        with pytest.raises(DataError, match=name):
+            table({**data, name: value})
+
+
+def test_the_page_shows_what_applies_what_is_lost_and_what_is_behind_it(
+    given: ReportInput, tmp_path: Path
+) -> None:
+    report, text = built(given, tmp_path)
+    assert report.state == "pass"
+    part = text[text.index('id="conditions"') : text.index('id="analysis"')]
+    words = re.sub(r"<[^>]*>|\s+", " ", part)
+    words = re.sub(r" +", " ", words)
+    assert "0 of 20 0 to 16 % -75 points" in words
+    assert part.count('class="measured costly"') == 1
+    assert "does not apply moveit reads no force" in words
+    assert "no trial completed" in words
+    assert part.count("<table") == 1 + 5
+    document = json.loads((tmp_path / "report" / "report.json").read_text(encoding="utf-8"))
+    act = document["conditions"]["push +x"]["methods"]["act"]
+    assert act["success"] == {"value": 0.0, "low": 0.0, "high": pytest.approx(0.161, abs=1e-3)}
+    assert document["conditions"]["delay 20 ms"]["methods"]["act"]["state"] == "spared"
+
+
+def test_ranks_and_figures_of_trials_are_those_of_undisturbed_ones(tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    plain, _ = built(samples.make_run(tmp_path / "a"), tmp_path / "a")
+    disturbed, _ = built(samples.make_run(tmp_path / "b", samples.disturbed_trials()), tmp_path / "b")
+    assert disturbed.trials == plain.trials
+    assert disturbed.comparison == plain.comparison
+    assert [f.svg for f in disturbed.figures] == [f.svg for f in plain.figures]
+    assert disturbed.passages[0] == plain.passages[0]
+
+
+def test_the_words_say_what_is_lost_and_no_more_than_the_trials_show(data: dict[str, Any]) -> None:
+    text = "\n".join(sentences(table(data), data["comparisons"]))
+    assert (
+        "act: push +x left 0 of 20, -75 points against the same 20 starts undisturbed (95 % interval -"
+        in text
+    )
+    assert "the trials show it; grip lost, 20 times." in text
+    assert (
+        "moveit: push +x left 19 of 20, as many as on the same starts undisturbed; grip lost, one time."
+        in text
+    )
+    assert "impedance: every trial passed under push +x and delay 20 ms." in text
+    assert "act: delay 20 ms cannot touch it." in text
+    assert "under push +x, moveit succeeds more often than act on the same starts, by 95 points" in text
+    assert "moveit succeeds more often than impedance" not in text
+    few = samples.benchmark_data(samples.disturbed_trials(4))
+    told = "\n".join(sentences(table(few), few["comparisons"]))
+    assert "act: push +x left 0 of 4, -75 points" in told
+    assert "these trials do not separate it from chance" in told
+
+
+def test_the_figure_has_a_line_for_every_cell_that_ran_and_says_which_did_not(data: dict[str, Any]) -> None:
+    figure = condition_figure(table(data))
+    assert figure is not None
+    for word in (*samples.METHODS, *samples.CONDITIONS, "moveit: does not apply", "act: does not apply"):
+        assert word in figure.svg
+    assert "impedance: does not apply" not in figure.svg
+    assert "var(--ink)" in figure.themed
+
+
+def test_the_result_depends_on_the_conditions() -> None:
+    other = Config.model_validate({"benchmark": {"conditions": ["clean", "push +x"]}})
+    assert STAGE.parameters(Config()) != STAGE.parameters(other)
