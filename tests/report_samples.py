@@ -131,6 +131,7 @@ def disturbed_trials(n: int = 20) -> list[TrialMetrics]:
                 replace(
                     trial, condition=condition, success=trial.success and not lost,
                     failure="held" if lost else trial.failure, reason="lost it" if lost else trial.reason,
+                    aborted="it let go" if lost else "",
                     failed_at_s=4.0 if lost else trial.failed_at_s,
                     duration_s=float("nan") if lost else trial.duration_s + 0.5,
                 )

@@ -44,7 +44,7 @@ def outcome(method: str, index: int, condition: str, *, success: bool = True) ->
     metrics = TrialMetrics(
         method, index, condition, success, "" if success else "held", "" if success else "lost it",
         math.nan if success else 3.0, 6.0 + number if success else math.nan, 0.7 + 0.1 * number, 20.0 + number,
-        0.001 * number, 1.4, 39.0, 60.0, 0.001,
+        0.001 * number, 1.4, 39.0, 60.0, 0.001, "" if success else "it slipped",
     )  # fmt: skip
     return TrialResult(metrics, (), "", lifted=True, wall_s=1.0)
 
@@ -174,6 +174,7 @@ def test_the_files_hold_every_cell(asked: list[Any], tmp_path: Path) -> None:
     data = conditions_data(cells)
     assert list(data) == [name for name in ASKED if name != CLEAN]
     assert data["push +x"]["methods"]["act"]["success_rate"] == 0.75
+    assert data["push +x"]["methods"]["act"]["stopped_n"] == 1
     assert data["push +x"]["trials_n"] == 4
 
 

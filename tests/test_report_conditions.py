@@ -157,7 +157,7 @@ def test_the_page_shows_what_applies_what_is_lost_and_what_is_behind_it(
     part = text[text.index('id="conditions"') : text.index('id="analysis"')]
     words = re.sub(r"<[^>]*>|\s+", " ", part)
     words = re.sub(r" +", " ", words)
-    assert "0 of 20 0 to 16 % -75 points" in words
+    assert "0 of 20 0 to 16 % −75 points stopped itself in 20" in words
     assert part.count('class="measured costly"') == 1
     assert "does not apply moveit reads no force" in words
     assert "no trial completed" in words
@@ -182,22 +182,18 @@ def test_ranks_and_figures_of_trials_are_those_of_undisturbed_ones(tmp_path: Pat
 def test_the_words_say_what_is_lost_and_no_more_than_the_trials_show(data: dict[str, Any]) -> None:
     text = "\n".join(sentences(table(data), data["comparisons"]))
     assert (
-        "act: push +x left 0 of 20, -75 points against the same 20 starts undisturbed (95 % interval -"
+        "act: push +x left 0 of 20, −75 points against the same 20 starts undisturbed (95 % interval −"
         in text
     )
-    assert "the trials show it; grip lost, 20 times." in text
-    assert (
-        "moveit: push +x left 19 of 20, as many as on the same starts undisturbed; grip lost, one time."
-        in text
-    )
+    assert "; grip lost 20 times; it stopped itself in 20 trials." in text
+    assert "moveit: 19 of 20 under push +x, which these trials do not tell from undisturbed." in text
     assert "impedance: every trial passed under push +x and delay 20 ms." in text
     assert "act: delay 20 ms cannot touch it." in text
     assert "under push +x, moveit succeeds more often than act on the same starts, by 95 points" in text
     assert "moveit succeeds more often than impedance" not in text
     few = samples.benchmark_data(samples.disturbed_trials(4))
     told = "\n".join(sentences(table(few), few["comparisons"]))
-    assert "act: push +x left 0 of 4, -75 points" in told
-    assert "these trials do not separate it from chance" in told
+    assert "act: 0 of 4 under push +x, which these trials do not tell from undisturbed." in told
 
 
 def test_the_figure_has_a_line_for_every_cell_that_ran_and_says_which_did_not(data: dict[str, Any]) -> None:

@@ -51,6 +51,7 @@ class TrialMetrics:
         internal_force_min_n: Least squeeze while the object is off the table; NaN where nobody measured it.
         pinch_force_min_n: Least grip force while it is off the table.
         goal_error_m: Distance of the object from its goal at the end.
+        aborted: Why the method stopped itself, empty if it did not.
     """
 
     method: str
@@ -68,6 +69,7 @@ class TrialMetrics:
     internal_force_min_n: float
     pinch_force_min_n: float
     goal_error_m: float
+    aborted: str = ""
 
     def to_row(self) -> dict[str, Cell]:
         """Return the trial for CSV or JSON, with words where a number does not exist."""
@@ -112,6 +114,7 @@ class MethodSummary:
         pinch_force_min_n: Least over the successful trials.
         goal_error_median_m: Median over all trials.
         failures: Number of trials by name of their first fault.
+        stopped_n: Failed trials in which the method stopped itself: a refusal, where others drop what they hold.
     """
 
     method: str
@@ -142,6 +145,7 @@ class MethodSummary:
     pinch_force_min_n: float
     goal_error_median_m: float
     failures: tuple[tuple[str, int], ...]
+    stopped_n: int
 
     def to_row(self) -> dict[str, Cell]:
         """Return the summary for CSV or JSON, with words where a number does not exist."""
@@ -291,6 +295,7 @@ def summarise(trials: Sequence[TrialMetrics], rng: np.random.Generator) -> Metho
         pinch_force_min_n=min((trial.pinch_force_min_n for trial in won), default=math.nan),
         goal_error_median_m=_median([trial.goal_error_m for trial in trials]),
         failures=tuple(sorted(counts.items(), key=lambda item: (-item[1], item[0]))),
+        stopped_n=sum(bool(trial.aborted) and not trial.success for trial in trials),
     )
 
 

@@ -161,9 +161,9 @@ def run_trial(
         q=log.q, tau=log.tau, tcp_positions=log.tcp, rate_hz=LOG_RATE_HZ, condition=condition,
     )  # fmt: skip
     result = TrialResult(
-        metrics=replace(
-            metrics, torque_ratio_max=float(peak.max())
-        ),  # of every step, not of the log's 250 Hz
+        metrics=replace(  # the peak is that of every step, not of the log's 250 Hz
+            metrics, torque_ratio_max=float(peak.max()), aborted=method.aborted or ""
+        ),
         faults=tuple((f.name, f.at_s, f.detail) for f in outcome.faults),
         aborted=method.aborted or "",
         lifted=outcome.rise_m > scene.task.clear_height_m,

@@ -17,7 +17,7 @@ from minidual.report.disturbance import CERTAIN, sentences
 from minidual.report.indicators import INDICATORS, Indicator
 from minidual.report.robustness import ConditionTable
 from minidual.report.trials import CLEAN, Trial, of_method
-from minidual.report.wording import count, joined, percent, sentence, stated
+from minidual.report.wording import count, joined, percent, points, sentence, stated
 
 _THINNEST = 5
 
@@ -105,8 +105,8 @@ def _separation(first: MethodRow, second: MethodRow, trials: Sequence[Trial]) ->
     differ = paired.p_value < CERTAIN
     return stated(
         f"{pair}: of {starts}, {_won(paired.only_first_n, first.method)} and "
-        f"{_won(paired.only_second_n, second.method)} (difference {100 * paired.rate_difference:+.0f} points, 95 % interval "
-        f"{100 * low:+.0f} to {100 * high:+.0f}, exact McNemar p = {paired.p_value:.2g}): "
+        f"{_won(paired.only_second_n, second.method)} (difference {points(paired.rate_difference)} points, 95 % interval "
+        f"{points(low)} to {points(high)}, exact McNemar p = {paired.p_value:.2g}): "
         + ("they differ" if differ else "these trials do not separate them")
     )
 

@@ -169,6 +169,7 @@ def _condition(cell: ConditionCell) -> dict[str, Any]:
         "success": {"value": cell.rate, "low": cell.low, "high": cell.high},
         "loss": None if cell.loss is None else asdict(cell.loss),
         "failures": dict(cell.failures),
+        "stopped": cell.stopped,
         **{key: None if m is None else asdict(m) for key, m in cell.measures.items()},
     }
 

@@ -7,7 +7,7 @@ from minidual.report.robustness import ConditionTable
 
 _BAND = 0.72
 """Share of a row over which its methods are spread."""
-_ROWS_EACH = 0.62
+_ROWS_EACH = 0.42
 """Height of one method's line, in rows of the other figures."""
 
 

@@ -9,7 +9,7 @@ from minidual.report.captions import fault
 from minidual.report.comparison import finite
 from minidual.report.robustness import ConditionCell, ConditionTable
 from minidual.report.trials import CLEAN
-from minidual.report.wording import count, joined, stated
+from minidual.report.wording import count, joined, points, stated
 
 CERTAIN = 0.05
 """Two-sided probability below which trials are said to show a difference."""
@@ -31,38 +31,49 @@ def sentences(table: ConditionTable, comparisons: Sequence[Any]) -> Iterator[str
 
 def _costs(method: str, cells: Sequence[ConditionCell]) -> Iterator[str]:
     met = [c for c in cells if c.state == "measured" and c.rate is not None]
-    kept = [c for c in met if c.rate == 1.0]
-    lost = sorted((c for c in met if c.rate != 1.0), key=lambda c: c.rate or 0.0)
+    shown = sorted((c for c in met if _shown(c)), key=lambda c: c.rate or 0.0)
+    kept = [c for c in met if c not in shown and c.rate == 1.0]
+    blurred = [c for c in met if c not in shown and c not in kept]
     spared = [c.condition for c in cells if c.state == "spared"]
+    for cell in shown:
+        yield stated(f"{method}: {cell.condition} left {_counted(cell)}{_loss(cell)}{_first(cell)}")
+    if blurred:
+        listed = joined([f"{_counted(c)} under {c.condition}" for c in blurred])
+        yield stated(f"{method}: {listed}, which these trials do not tell from undisturbed")
     if kept:
         yield stated(f"{method}: every trial passed under {joined([c.condition for c in kept])}")
-    for cell in lost:
-        yield stated(
-            f"{method}: {cell.condition} left {cell.successes} of {cell.trials}{_loss(cell)}{_first(cell)}"
-        )
     if spared:
         yield stated(f"{method}: {joined(spared)} cannot touch it")
+
+
+def _shown(cell: ConditionCell) -> bool:
+    """Return whether the trials show that the condition changes its success."""
+    return cell.loss is not None and cell.loss.p_value < CERTAIN
+
+
+def _counted(cell: ConditionCell) -> str:
+    return f"{cell.successes} of {cell.trials}"
 
 
 def _loss(cell: ConditionCell) -> str:
     loss = cell.loss
     if loss is None:
         return ""
-    points = 100.0 * loss.difference
-    if round(points) == 0:
-        return ", as many as on the same starts undisturbed"
-    shown = "the trials show it" if loss.p_value < CERTAIN else "these trials do not separate it from chance"
     return (
-        f", {points:+.0f} points against the same {count(loss.starts_n, 'start')} undisturbed (95 % interval "
-        f"{100 * loss.low:+.0f} to {100 * loss.high:+.0f}, exact McNemar p = {loss.p_value:.2g}): {shown}"
+        f", {points(loss.difference)} points against the same {count(loss.starts_n, 'start')} undisturbed (95 % "
+        f"interval {points(loss.low)} to {points(loss.high)}, exact McNemar p = {loss.p_value:.2g})"
     )
 
 
 def _first(cell: ConditionCell) -> str:
-    if not cell.failures:
-        return ""
-    reason, times = cell.failures[0]
-    return f"; {'mostly ' if len(cell.failures) > 1 else ''}{fault(reason)}, {count(times, 'time')}"
+    """Say what failed first, and whether the method refused rather than failed."""
+    parts = []
+    if cell.failures:
+        reason, times = cell.failures[0]
+        parts.append(f"; {fault(reason)} {count(times, 'time')}")
+    if cell.stopped:
+        parts.append(f"; it stopped itself in {count(cell.stopped, 'trial')}")
+    return "".join(parts)
 
 
 def _partings(comparisons: Sequence[Any]) -> Iterator[str]:
@@ -76,8 +87,8 @@ def _partings(comparisons: Sequence[Any]) -> Iterator[str]:
             continue
         better, worse = (row["first"], row["second"]) if difference > 0 else (row["second"], row["first"])
         sign = 1.0 if difference > 0 else -1.0
-        ends = sorted((100 * sign * low, 100 * sign * high))
+        ends = sorted((sign * low, sign * high))
         yield stated(
             f"under {row['condition']}, {better} succeeds more often than {worse} on the same starts, by "
-            f"{100 * abs(difference):.0f} points (95 % interval {ends[0]:.0f} to {ends[1]:.0f}, exact McNemar p = {p_value:.2g})"
+            f"{100 * abs(difference):.0f} points (95 % interval {points(ends[0])} to {points(ends[1])}, exact McNemar p = {p_value:.2g})"
         )

@@ -12,7 +12,7 @@ from minidual.report.analysis import relative_margin
 from minidual.report.build import Report
 from minidual.report.disturbance import CERTAIN
 from minidual.report.indicators import INDICATORS
-from minidual.report.wording import duration, percent
+from minidual.report.wording import duration, percent, points
 
 _STATE_WORDS = {
     "pass": "Pass",
@@ -34,7 +34,7 @@ def _environment() -> Any:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update(duration=duration, percent=percent)
+    environment.filters.update(duration=duration, percent=percent, points=points)
     return environment
 
 

@@ -56,6 +56,7 @@ class ConditionCell:
         measures: By key of the other indicators; None where no trial completed.
         loss: Against the undisturbed trials; None for those themselves.
         failures: Trials by reason of failure, most frequent first.
+        stopped: Failed trials in which the method stopped itself.
         holes: Names of what should be there and is not.
     """
 
@@ -70,6 +71,7 @@ class ConditionCell:
     measures: Mapping[str, Measure | None] = field(default_factory=dict)
     loss: Loss | None = None
     failures: tuple[tuple[str, int], ...] = ()
+    stopped: int = 0
     holes: tuple[str, ...] = ()
 
     @property
@@ -188,7 +190,8 @@ def _cell(method: str, condition: str, records: Mapping[str, Any], loss: Loss | 
     return ConditionCell(
         method, condition, "missing" if rate is None or trials is None else "measured", rate=rate, low=low, high=high,
         trials=None if trials is None else int(trials), measures=measures, loss=loss,
-        failures=tuple(sorted(counts.items(), key=lambda item: (-item[1], item[0]))), holes=tuple(holes),
+        failures=tuple(sorted(counts.items(), key=lambda item: (-item[1], item[0]))),
+        stopped=int(finite(record.get("stopped_n")) or 0), holes=tuple(holes),
     )  # fmt: skip
 
 

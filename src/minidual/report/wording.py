@@ -35,6 +35,12 @@ def percent(share: float) -> str:
     return f"{share * 100:.1f} %" if 0.0 < share < 0.01 else f"{share * 100:.0f} %"
 
 
+def points(difference: float) -> str:
+    """Return a difference of two shares in points: "+5", "0", "−12"."""
+    whole = round(100.0 * difference)
+    return f"{whole:+d}".replace("-", "\u2212") if whole else "0"
+
+
 def sentence(text: str) -> str:
     """Return `text` with a capital and a full stop."""
     return stated(text[:1].upper() + text[1:])
