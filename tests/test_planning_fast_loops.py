@@ -76,6 +76,21 @@ def test_a_state_that_is_no_number_has_no_torque(kinematics):
     assert np.isnan(torques(held, 0.0 * held[:1].repeat(len(held), 0), np.zeros_like(held))[:, 0]).all()
 
 
+def test_states_may_be_read_only_lists_or_pieces_but_not_of_another_shape():
+    """HOME is read-only; what compiled code takes is a detail that no caller need know."""
+    q = np.broadcast_to(HOME, (3, 14))
+    still = np.zeros((3, 28))[:, ::2]
+    tau = torques(q, still, still)
+    assert np.array_equal(tau, torques(np.array(q), np.zeros((3, 14)), np.zeros((3, 14)).tolist()))
+    trajectory = wave(fastest=4.0)
+    for x in (trajectory.q, trajectory.v, trajectory.a):
+        x.setflags(write=False)
+    assert "still move" in limit_use(trajectory)[1]
+    for bad in (q[:2], q[:, :7]):
+        with pytest.raises(ValueError, match="shape"):
+            torques(q, bad, still)
+
+
 def test_an_arm_of_another_build_is_refused(kinematics):
     with pytest.raises(ValueError, match="a chain of hinges is needed"):
         link_table(kinematics.model, slice(3, 10))
@@ -181,6 +196,14 @@ def test_driving_a_path_is_the_chain_rule():
     assert np.array_equal(v, path.at(s, 1) * speed[:, None])
     assert np.abs(np.gradient(q, t, axis=0) - v)[1:-1].max() < 1e-5
     assert np.abs(np.gradient(v, t, axis=0) - a)[1:-1].max() < 1e-3 * np.abs(a).max()
+
+
+def test_only_curves_of_all_joints_are_driven():
+    s = np.linspace(0.0, 0.1, 5)
+    with pytest.raises(ValueError, match="3 columns"):
+        curve(d=3).driven(s, s, s)
+    with pytest.raises(ValueError, match="5 parameters with 4 speeds"):
+        curve().driven(s, s[:4], s)
 
 
 def test_a_path_that_is_no_number_gives_no_trajectory(kinematics):

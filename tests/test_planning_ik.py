@@ -1,11 +1,13 @@
 """Inverse kinematics against forward kinematics."""
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from minidual.errors import UsageError
 from minidual.planning.errors import IKUnreachableError
 from minidual.planning.ik import ArmIK, check_pose
+from minidual.planning.ik_descent import frames_of_arm
 from minidual.robot.constants import GROUPS, HOME
 from minidual.robot.kinematics import Kinematics
 
@@ -43,8 +45,10 @@ def test_most_poses_are_solved_from_home_at_once(solver):
 def test_jacobian_is_the_derivative_of_the_error(solver):
     rng = np.random.default_rng(4)
     h = 1e-6
-    for T in reachable(solver, 10, seed=5):
-        q = rng.uniform(solver.lower, solver.upper)
+    near = rng.uniform(solver.lower, solver.upper, (6, 7)) * 0.9
+    cases = [(rng.uniform(solver.lower, solver.upper), T) for T in reachable(solver, 10, seed=5)]
+    cases += [(q, solver.tcp_pose(q + 10.0**-k)) for k, q in enumerate(near)]
+    for q, T in cases:
         _, J = solver.error_and_jacobian(q, T)
         numeric = np.empty((6, 7))
         for j in range(7):
@@ -89,3 +93,120 @@ def test_unreachable_pose_names_the_residual(solver):
 def test_bad_poses_are_refused(spoil, says):
     with pytest.raises(UsageError, match=says):
         check_pose(spoil(np.eye(4)), "the target")
+
+
+def se3(q, solver):
+    """The hand's pose by Pinocchio, whose logarithms the compiled ones are held to."""
+    kinematics = Kinematics()
+    full = HOME.copy()
+    full[GROUPS[f"{solver.arm}_arm"]] = q
+    return pin.SE3(kinematics.tcp_poses(full)[("left", "right").index(solver.arm)])
+
+
+def by_pinocchio(solver, q, target):
+    """Error and Jacobian as Pinocchio's own functions give them."""
+    kinematics = Kinematics()
+    full = HOME.copy()
+    joints = GROUPS[f"{solver.arm}_arm"]
+    full[joints] = q
+    offset = se3(q, solver).actInv(target)
+    tcp = kinematics.tcp_ids[("left", "right").index(solver.arm)]
+    J = pin.computeFrameJacobian(kinematics.model, kinematics.data, full, tcp, pin.LOCAL)[:, joints]
+    return pin.log6(offset).vector, -pin.Jlog6(offset.inverse()) @ J
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-6, 1e-4, 2e-4, 0.01, 1.0, 3.0, np.pi - 2e-3, np.pi - 1e-4])
+def test_error_and_jacobian_are_those_of_pinocchio_at_every_angle(solver, angle):
+    rng = np.random.default_rng(8)
+    # Pinocchio itself has fewer digits at small angles (1 - cos) and near half a turn.
+    tolerance = 1e-8 if 1e-5 < angle < 1e-3 else 1e-9 if angle < 3.1 else 1e-6
+    for _ in range(10):
+        q, axis = rng.uniform(solver.lower, solver.upper), rng.standard_normal(3)
+        offset = pin.SE3(pin.exp3(angle * axis / np.linalg.norm(axis)), rng.uniform(-0.5, 0.5, 3))
+        target = se3(q, solver) * offset
+        error, J = solver.error_and_jacobian(q, target.homogeneous)
+        truth, J_truth = by_pinocchio(solver, q, target)
+        assert np.abs(error - truth).max() < tolerance
+        assert np.abs(J - J_truth).max() < 1e3 * tolerance
+        assert np.abs(solver.tcp_pose(q) - se3(q, solver).homogeneous).max() < 1e-13
+
+
+def descent(solver, T, q, iterations=80):
+    """The descent in numpy and Pinocchio: slow and plain."""
+    target, q, damping = pin.SE3(T), np.clip(q, solver.lower, solver.upper), 1e-3
+    error, J = by_pinocchio(solver, q, target)
+    for _ in range(iterations):
+        if error @ error < 1e-14 or damping > 1e4:
+            break
+        gradient = J.T @ error
+        blocked = ((q <= solver.lower) & (gradient > 0.0)) | ((q >= solver.upper) & (gradient < 0.0))
+        if blocked.all():
+            break
+        J = np.where(blocked, 0.0, J)
+        H = J.T @ J + np.diag(damping + blocked)
+        trial = np.clip(q - np.linalg.solve(H, np.where(blocked, 0.0, gradient)), solver.lower, solver.upper)
+        error_new, J_new = by_pinocchio(solver, trial, target)
+        if error_new @ error_new < error @ error:
+            q, error, J, damping = trial, error_new, J_new, max(0.2 * damping, 1e-10)
+        else:
+            damping *= 5.0
+            J = by_pinocchio(solver, q, target)[1]
+    return q, error
+
+
+def test_the_compiled_descent_is_the_plain_one(solver):
+    rng = np.random.default_rng(9)
+    home = HOME[GROUPS[f"{solver.arm}_arm"]]
+    blocked_n = 0
+    for T in reachable(solver, 25, seed=10):
+        start = home + rng.uniform(-0.5, 0.5, 7)
+        solution = solver.solve(T, start)
+        q, error = descent(solver, T, start)
+        assert solution.reached == (np.linalg.norm(error) < 1e-7)
+        blocked_n += bool(((q == solver.lower) | (q == solver.upper)).any())
+        if solution.reached:
+            assert np.abs(solution.q - q).max() < 1e-8
+    assert blocked_n >= 3  # joints at their limits are among them
+
+
+def test_residuals_are_measured_where_the_descent_ends(solver):
+    for T in reachable(solver, 5, seed=11):
+        T[:3, 3] += [0.0, 0.0, 1.5]
+        solution = solver.solve(T, HOME[GROUPS[f"{solver.arm}_arm"]], 15)
+        offset = se3(solution.q, solver).actInv(pin.SE3(T))
+        assert not solution.reached
+        assert solution.residual_m == pytest.approx(np.linalg.norm(offset.translation), abs=1e-12)
+        assert solution.residual_rad == pytest.approx(np.linalg.norm(pin.log3(offset.rotation)), abs=1e-9)
+
+
+def test_a_start_is_not_changed_and_must_have_seven_joints(solver):
+    T = solver.tcp_pose(HOME[:7] + 0.1)
+    start = np.array(HOME[:7])
+    assert solver.solve(T, start).reached
+    assert np.array_equal(start, HOME[:7])
+    for call in (
+        lambda: solver.solve(T, start[:6]),
+        lambda: solver.solve(T[:3], start),
+        lambda: solver.tcp_pose(HOME),
+        lambda: solver.error_and_jacobian(start[:3], T),
+    ):
+        with pytest.raises(ValueError, match="reshape"):
+            call()
+
+
+def test_what_is_no_number_reaches_nothing(solver):
+    T = solver.tcp_pose(HOME[:7])
+    start = np.array(HOME[:7])
+    start[2] = np.nan
+    assert not solver.solve(T, start).reached
+    T[0, 0] = np.nan
+    assert not solver.solve(T, HOME[:7]).reached
+
+
+def test_an_arm_of_another_build_is_refused():
+    kinematics = Kinematics()
+    left, right = kinematics.tcp_ids
+    with pytest.raises(ValueError, match="a chain of hinges is needed"):
+        frames_of_arm(kinematics.model, slice(3, 10), left)
+    with pytest.raises(ValueError, match="not fixed to the last"):
+        frames_of_arm(kinematics.model, slice(0, 7), right)

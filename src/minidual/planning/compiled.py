@@ -10,8 +10,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from numba import njit
 from numba.core import types
+
+from minidual.robot.constants import Array
 
 VECTOR = types.float64[::1]
 ROWS = types.float64[:, ::1]
@@ -30,3 +33,9 @@ def kernel(signature: Any) -> Callable[[Callable[..., Any]], Any]:
             return njit(signature, error_model="numpy")(function)
 
     return compiled
+
+
+def floats(x: Array) -> Array:
+    """Return x as compiled code takes it: plain floats in one piece, which may be written (it does not)."""
+    x = np.ascontiguousarray(x, dtype=float)
+    return x if x.flags.writeable else x.copy()

@@ -6,8 +6,9 @@ import functools
 
 import numpy as np
 
+from minidual.planning.compiled import floats
 from minidual.planning.rnea import arm_torques, link_table
-from minidual.robot.constants import ARMS, GROUPS, Array
+from minidual.robot.constants import ARMS, DOF, GROUPS, Array
 from minidual.robot.kinematics import Kinematics
 
 
@@ -28,8 +29,13 @@ def torques(q: Array, v: Array, a: Array) -> Array:
         q: (n, 14) [rad].
         v: (n, 14) [rad/s].
         a: (n, 14) [rad/s^2].
+
+    Raises:
+        ValueError: Other shapes.
     """
-    q, v, a = (np.ascontiguousarray(x, dtype=float) for x in (q, v, a))
+    q, v, a = (floats(x) for x in (q, v, a))
+    if not q.shape == v.shape == a.shape == (len(q), DOF):
+        raise ValueError(f"states need q, v, a of shape (n, {DOF}); got {q.shape}, {v.shape}, {a.shape}")
     out = np.empty_like(q)
     for arm in ARMS:
         links, gravity = _arm(arm)

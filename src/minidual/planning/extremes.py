@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numba.core import types
 
-from minidual.planning.compiled import VECTOR, kernel
+from minidual.planning.compiled import VECTOR, floats, kernel
 from minidual.robot.constants import DOF, Array
 
 Q_MIN, Q_MAX, SPEED, ACCELERATION, CHANGE, JUMP, OFF_VELOCITY, OFF_ACCELERATION = range(8)
@@ -77,7 +77,8 @@ def extremes(q: Array, v: Array, a: Array, h: float) -> Array:
     velocities, and velocities accelerations (`minidual.planning.limits` tells how).
     """
     most = np.full((8, _TOGETHER, DOF), -np.inf)
-    _extremes(np.ravel(q), np.ravel(v), np.ravel(a), h, most.reshape(-1))
+    q, v, a = (floats(x).reshape(-1) for x in (q, v, a))
+    _extremes(q, v, a, h, most.reshape(-1))
     out = most.max(axis=1)
     out[Q_MIN] *= -1.0
     return out
@@ -98,5 +99,5 @@ def _largest(x: Array, most: Array) -> None:
 def largest(x: Array) -> Array:
     """Return (14,) the largest |x| of each column of x (n, 14), n >= 1; NaN where one is NaN."""
     most = np.full((_TOGETHER, DOF), -np.inf)
-    _largest(np.ravel(x), most.reshape(-1))
+    _largest(floats(x).reshape(-1), most.reshape(-1))
     return most.max(axis=0)

@@ -1,9 +1,4 @@
-"""Inverse kinematics of one arm: Levenberg-Marquardt on SE(3) with active joint limits.
-
-The error is e = log6(T_tcp_target) in the tcp's own frame and its derivative -Jlog6(T_target_tcp) J (Sola,
-"A micro Lie theory", 2018; Pinocchio's inverse-kinematics example). A joint at its limit that the step would push
-further out is taken out of the step and the rest solved again.
-"""
+"""Inverse kinematics of one arm: descents on SE(3) with active joint limits, from several starts."""
 
 from __future__ import annotations
 
@@ -11,11 +6,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 
 from minidual.errors import UsageError, unknown_name
+from minidual.planning.compiled import floats
 from minidual.planning.errors import IKUnreachableError
-from minidual.robot.constants import ARMS, DOF_PER_ARM, GROUPS, HOME, JOINT_NAMES, Q_LOWER, Q_UPPER, Array
+from minidual.planning.ik_descent import descend, frames_of_arm, measure, tcp_pose
+from minidual.robot.constants import ARMS, DOF_PER_ARM, GROUPS, HOME, Q_LOWER, Q_UPPER, Array
 from minidual.robot.kinematics import Kinematics
 
 TOLERANCE = 1e-7
@@ -62,67 +58,31 @@ class ArmIK:
             raise unknown_name("arm", arm, ARMS)
         self.arm = arm
         columns = GROUPS[f"{arm}_arm"]
-        full = Kinematics().model
-        others = [full.getJointId(n) for n in JOINT_NAMES if not n.startswith(f"{arm}_")]
-        self._model = pin.buildReducedModel(full, others, np.array(HOME))
-        self._data = self._model.createData()
-        self._tcp = self._model.getFrameId(f"{arm}_panda_hand_tcp")
+        kinematics = Kinematics()
+        self._frames = frames_of_arm(kinematics.model, columns, kinematics.tcp_ids[ARMS.index(arm)])
         self.lower, self.upper = Q_LOWER[columns].copy(), Q_UPPER[columns].copy()
         self._home = HOME[columns].copy()
 
     def tcp_pose(self, q: Array) -> Array:
         """Return T_world_tcp (4, 4) at q (7,)."""
-        pin.forwardKinematics(self._model, self._data, q)
-        return pin.updateFramePlacement(self._model, self._data, self._tcp).homogeneous
-
-    def _error(self, q: Array, target: pin.SE3) -> tuple[Array, pin.SE3]:
-        pin.forwardKinematics(self._model, self._data, q)
-        here = pin.updateFramePlacement(self._model, self._data, self._tcp)
-        offset = here.actInv(target)
-        return pin.log6(offset).vector, offset
+        T = np.empty((4, 4))
+        tcp_pose(self._frames, floats(q).reshape(DOF_PER_ARM), T)
+        return T
 
     def error_and_jacobian(self, q: Array, T_world_tcp: Array) -> tuple[Array, Array]:
         """Return the error (6,) and its derivative by q (6, 7); held to finite differences by the tests."""
-        error, offset = self._error(q, pin.SE3(T_world_tcp))
-        J = pin.computeFrameJacobian(self._model, self._data, q, self._tcp, pin.LOCAL)
-        return error, -pin.Jlog6(offset.inverse()) @ J
+        error, J = np.empty(6), np.empty((6, DOF_PER_ARM))
+        measure(self._frames, floats(T_world_tcp).reshape(4, 4), floats(q).reshape(DOF_PER_ARM), error, J)
+        return error, J
 
     def solve(self, T_world_tcp: Array, q_start: Array, iterations: int = _ITERATIONS) -> IKSolution:
         """Descend from q_start (7,) to the pose; `reached` tells whether the tolerance was met."""
-        target = pin.SE3(T_world_tcp)
-        q = np.clip(q_start, self.lower, self.upper)
-        error, offset = self._error(q, target)
-        cost = float(error @ error)
-        damping = 1e-3
-        for _ in range(iterations):
-            if cost < TOLERANCE**2:
-                break
-            J = -pin.Jlog6(offset.inverse()) @ pin.computeFrameJacobian(
-                self._model, self._data, q, self._tcp, pin.LOCAL
-            )
-            gradient = J.T @ error
-            blocked = ((q <= self.lower) & (gradient > 0.0)) | ((q >= self.upper) & (gradient < 0.0))
-            if blocked.all():
-                break
-            J = np.where(blocked, 0.0, J)
-            H = J.T @ J
-            H.flat[:: DOF_PER_ARM + 1] += damping + blocked
-            step = np.linalg.solve(H, -np.where(blocked, 0.0, gradient))
-            q_new = np.clip(q + step, self.lower, self.upper)
-            error_new, offset_new = self._error(q_new, target)
-            cost_new = float(error_new @ error_new)
-            if cost_new < cost:
-                q, error, offset, cost = q_new, error_new, offset_new, cost_new
-                damping = max(damping * 0.2, 1e-10)
-            else:
-                damping *= 5.0
-                if damping > 1e4:
-                    break
-        return IKSolution(q, *self._residual(offset, target), cost < TOLERANCE**2)
-
-    def _residual(self, offset: pin.SE3, target: pin.SE3) -> tuple[float, float]:
-        angle = float(np.linalg.norm(pin.log3(offset.rotation)))
-        return float(np.linalg.norm(offset.translation)), angle
+        q = np.clip(floats(q_start).reshape(DOF_PER_ARM), self.lower, self.upper)
+        target = floats(T_world_tcp).reshape(4, 4)
+        off, residual_m, residual_rad = descend(
+            self._frames, target, q, self.lower, self.upper, iterations, TOLERANCE
+        )
+        return IKSolution(q, residual_m, residual_rad, off < TOLERANCE)
 
     def solutions(
         self, T_world_tcp: Array, q_near: Array, rng: np.random.Generator, restarts_n: int

@@ -53,7 +53,7 @@ class LimitUse:
 def limit_use(trajectory: Trajectory) -> tuple[LimitUse, str]:
     """Return what the trajectory uses, and the first broken limit ("" if none) with joint and numbers."""
     h = trajectory.dt_s
-    q, v, a = (np.ascontiguousarray(x, dtype=float) for x in (trajectory.q, trajectory.v, trajectory.a))
+    q, v, a = trajectory.q, trajectory.v, trajectory.a
     found = extremes(q, v, a, h)
     worst = {
         "velocity": found[SPEED] / V_MAX,

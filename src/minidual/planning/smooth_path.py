@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numba.core import types
 
-from minidual.planning.compiled import BLOCKS, ROWS, VECTOR, kernel
+from minidual.planning.compiled import BLOCKS, ROWS, VECTOR, floats, kernel
 from minidual.robot.constants import DOF, Array
 
 _TERMS = 5
@@ -35,12 +35,21 @@ class SmoothPath:
 
     def at(self, s: Array, order: int = 0) -> Array:
         """Return q or a derivative by s at (n,) parameters, (n, d)."""
-        return _evaluate(self.coefficients, self.knots, np.ascontiguousarray(s, dtype=float), order)
+        return _evaluate(self.coefficients, self.knots, floats(s), order)
 
     def driven(self, s: Array, speed: Array, acceleration: Array) -> tuple[Array, Array, Array]:
-        """Return q, dq/dt and d2q/dt2, each (n, 14), where s, ds/dt and d2s/dt2 are known, each (n,)."""
+        """Return q, dq/dt and d2q/dt2, each (n, 14), where s, ds/dt and d2s/dt2 are known, each (n,).
+
+        Raises:
+            ValueError: Other shapes, or a curve that is not of 14 joints.
+        """
+        if self.coefficients.shape[2] != DOF or not len(s) == len(speed) == len(acceleration):
+            raise ValueError(
+                f"a curve of {self.coefficients.shape[2]} columns cannot be driven at {len(s)} parameters with "
+                f"{len(speed)} speeds and {len(acceleration)} accelerations"
+            )
         q, v, a = (np.empty((len(s), DOF)) for _ in range(3))
-        _drive(self.coefficients, self.knots, s, speed, acceleration, q, v, a)
+        _drive(self.coefficients, self.knots, floats(s), floats(speed), floats(acceleration), q, v, a)
         return q, v, a
 
 

@@ -20,6 +20,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from minidual.planning.compiled import floats
 from minidual.planning.dynamics import torques
 from minidual.planning.errors import TimingError
 from minidual.planning.extremes import largest
@@ -224,8 +225,7 @@ def sample_parameters(
     at_grid = profile_times(s, sd)
     n = max(1, int(np.ceil(at_grid[-1] / dt_s - 1e-9)))
     copies = max(1, round(smoothing_s / dt_s))
-    s, sd = (np.ascontiguousarray(x, dtype=float) for x in (s, sd))
-    position, speed, acceleration = time_samples(s, sd, at_grid, n, dt_s, copies)
+    position, speed, acceleration = time_samples(floats(s), floats(sd), at_grid, n, dt_s, copies)
     return np.arange(len(position)) * dt_s, position, speed, acceleration
 
 
