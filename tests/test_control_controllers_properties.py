@@ -41,6 +41,7 @@ Event = tuple[Any, ...]
 CONFIG = ArbiterConfig()
 SCENE = SceneConfig()
 A, B, C = ("both_arms",), ("left_arm", "right_arm"), ("object_impedance",)
+STOPPING = ("soft_stop",)
 BAD_SETS = (("left_arm",), ("both_arms", "left_arm"), ())
 # A trajectory at its speed limit, plus what fades of its distance from the reference, plus rounding.
 REFERENCE_STEP = (1.02 * V_MAX + 2.0 * CONFIG.switch_step_max_rad / 0.5) * 1e-3 + 1e-9
@@ -65,6 +66,7 @@ class Witness:
         self._updates: Counter[int] = Counter()
         self._last: Array | None = None
         self._active = self.stack.manager.active
+        self._taken_over = False
         for name in self.stack.manager.names:
             self._spy(self.stack.manager[name])
 
@@ -76,6 +78,13 @@ class Witness:
             return run(q, v)
 
         controller.update = update
+        take_over = controller.activate
+
+        def activate(q: Array, v: Array) -> None:
+            self._taken_over = True
+            take_over(q, v)
+
+        controller.activate = activate
 
     def _flushed(self, mode: str) -> None:
         self.turn = None
@@ -142,6 +151,9 @@ class Witness:
         path = ObjectPath(Waypoint((x, y, z), 0.0, 0.0), [Waypoint((x, y, z + dz), 0.0, seconds)])
         self._offer(source, ObjectCommand(path, lambda t: 0.0, np.ones(2), self.plant.time, self.sequence))
 
+    def halt(self, source: str, opens: bool) -> None:
+        self.stack.halt(source, np.ones(2) if opens else None)
+
     def silence(self, steps: int) -> None:
         """Control steps in which no source gives a sign of life."""
         self.run(steps, alive=False)
@@ -166,6 +178,9 @@ class Witness:
         self._check_reference()
         if out.switched_to is not None:
             self.turn = None if out.switched_to == HOLD else out.switched_to
+        if out.halted:
+            assert not out.executions, "a command runs on through a halt"
+            assert self.turn is None
         for execution in out.executions:
             source = self.taken.get(id(execution.command))
             assert execution.braking or source == self.turn, "a command of another turn runs"
@@ -183,11 +198,11 @@ class Witness:
         reference, active = np.array(self.stack.reference), self.stack.manager.active
         if self._last is not None and active != C:
             step = np.abs(reference - self._last)
-            if active == self._active:
+            if active == self._active and not self._taken_over:
                 assert (step <= REFERENCE_STEP).all(), f"the reference jumped by {step.max()}"
             else:  # the new controllers start at what is measured, which the old reference may be ahead of
                 assert step.max() <= CONFIG.switch_step_max_rad, f"a switch jumped by {step.max()}"
-        self._last, self._active = reference, active
+        self._last, self._active, self._taken_over = reference, active, False
 
 
 source = st.sampled_from(SOURCES)
@@ -207,6 +222,7 @@ events = st.one_of(
     st.tuples(st.just("object"), source, st.sampled_from([0.05, -0.03]), st.just(0.4)),
     st.tuples(st.just("run"), st.sampled_from([1, 7, 20, 90])),
     st.tuples(st.just("silence"), st.sampled_from([7, 90, 160])),
+    st.tuples(st.just("halt"), source, st.booleans()),
 )  # fmt: skip
 
 
@@ -225,6 +241,8 @@ scripts = st.sampled_from([
     [*turn("teleop", C), ("stream", "teleop", "both_arms", 0.05, 0.0, "", 2)],
     [*turn("moveit"), ("trajectory", "moveit", "both_arms", 0.5, 0.2, 0.6, 0.0), ("run", 2)],
     [*turn("policy"), ("stream", "policy", "right_arm", 0.3, 0.0, "", 6), ("run", 150)],
+    [*turn("moveit"), ("trajectory", "moveit", "both_arms", 0.0, 0.2, 0.3, 0.0), ("run", 90),
+     ("halt", "moveit", False), ("run", 90)],
 ])  # fmt: skip
 histories = st.lists(st.one_of(events.map(lambda e: [e]), scripts), max_size=10).map(
     lambda parts: [("run", 1), *(event for part in parts for event in part), ("run", 30)]
@@ -253,7 +271,7 @@ def test_random_histories_reach_all_that_there_is() -> None:
 
     collect()
     wanted = {
-        *ArbiterState, A, B, C, TrajectoryCommand, ObjectCommand,
+        *ArbiterState, A, B, C, STOPPING, TrajectoryCommand, ObjectCommand, "not_driving",
         "braked", "unclaimed", "doubly_claimed", "wrong_controller", "far_start", "busy", "not_finite", "all_zero",
     }  # fmt: skip
     assert wanted <= {key for key, n in seen.items() if n}, f"never reached: {wanted - set(seen)}"

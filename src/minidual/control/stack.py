@@ -249,7 +249,7 @@ class ControlStack:
     @property
     def executing(self) -> bool:
         """Whether a timed command is under way, or waits to be taken at the next tick."""
-        return self._pending or not all([e.finished for e in self.arbiter.executions])  # a list is faster here
+        return self._pending or bool([e for e in self.arbiter.executions if not e.finished])
 
     @property
     def tick_next(self) -> bool:

@@ -1,4 +1,7 @@
-"""What a carry proposes to the arbiter: timed joint motions, and motions of the object with the squeeze on it."""
+"""What a carry proposes to the arbiter: timed joint motions, and motions of the object with the squeeze on it.
+
+And what controller C must know before it can follow those: what is held, and how stiffly.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from minidual.config.control import CarryConfig
+from minidual.config.control import CarryConfig, ImpedanceConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.object_controller import SQUEEZE_RATE_N_PER_S
-from minidual.control.object_impedance import ObjectState
+from minidual.control.object_impedance import HeldObject, ImpedanceGains, ObjectState
 from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.robot.constants import Array
+from minidual.robot.poses import inverse
 from minidual.tasks.pace import object_duration_s
 from minidual.tasks.reach import Quintic
 from minidual.tasks.rod_carry import level_part
@@ -151,3 +155,21 @@ def plan_path(
         waypoints.append(Waypoint(xyz, direction, planned_s if fixed_s is None else fixed_s))
         place = end
     return ObjectPath(start, waypoints)
+
+
+def held_object(scene: SceneConfig, T_world_object: Array, T_world_tcps: tuple[Array, Array]) -> HeldObject:
+    """Return what the law must know of the task's object at a pose (4, 4), held by hands at two poses."""
+    rod = scene.rod
+    left, right = (inverse(T_world_object) @ T for T in T_world_tcps)
+    return HeldObject(rod.mass_kg, np.diag(rod.inertia_kg_m2), (left, right), np.array([0.0, 1.0, 0.0]))
+
+
+def gains(impedance: ImpedanceConfig) -> ImpedanceGains:
+    """Return the gains of the law as they are configured."""
+    return ImpedanceGains(
+        stiffness=(impedance.stiffness_n_per_m,) * 3 + (impedance.stiffness_nm_per_rad,) * 3,
+        damping_ratio=impedance.damping_ratio,
+        internal_force_n=impedance.internal_force_n,
+        force_gain=impedance.force_gain,
+        force_correction_max_n=impedance.force_correction_max_n,
+    )

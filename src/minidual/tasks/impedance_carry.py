@@ -3,7 +3,7 @@
 The phases only propose: timed joint motions while the hands are free, object motions with the squeeze on them while
 they hold it, all as source `moveit` of the command arbiter. Controllers A and C change places between two control
 steps when both hands have closed and when the squeeze is gone. What is sensed and what is found wrong is next door in
-`carry_watch.py`, what is proposed in `carry_motions.py`. See docs/carry.md.
+`carry_watch.py`, what stops it in `carry_stop.py`, what is proposed in `carry_motions.py`. See docs/carry.md.
 """
 
 from __future__ import annotations
@@ -13,11 +13,9 @@ import numpy as np
 from minidual.config.arbiter import ArbiterConfig
 from minidual.config.control import CarryConfig
 from minidual.config.seeds import stream
-from minidual.control.commands import ArbiterState, Command, JointCommand, ObjectCommand, TrajectoryCommand
-from minidual.control.object_impedance import HeldObject, ImpedanceGains, ObjectState, SingularPostureError
+from minidual.control.commands import Command, JointCommand, ObjectCommand, TrajectoryCommand
+from minidual.control.object_impedance import ObjectState
 from minidual.control.object_path import ObjectPath
-from minidual.control.reflexes import ReflexError
-from minidual.control.soft_stop import SoftStop
 from minidual.control.stack import DEFAULT_CONTROLLERS, OBJECT_CONTROLLERS, ControlStack, Guard
 from minidual.control.supervisor import Supervisor
 from minidual.robot.constants import Array
@@ -30,12 +28,15 @@ from minidual.tasks.carry_motions import (
     JointMove,
     Squeeze,
     carrying,
+    gains,
+    held_object,
     plan_path,
     releasing,
     squeezing,
 )
+from minidual.tasks.carry_stop import CarryStop
 from minidual.tasks.carry_watch import CarryWatch
-from minidual.tasks.faults import FAULTS, CarryFault, Finding
+from minidual.tasks.faults import CarryFault
 from minidual.tasks.pace import joint_duration_s
 from minidual.tasks.reach import GraspUnreachableError, Quintic, approach_postures, grasp_posture
 from minidual.tasks.rod_carry import RodTrial, level_part
@@ -46,8 +47,6 @@ SOURCE = "moveit"
 _OPEN, _CLOSED = np.ones(2), np.zeros(2)
 _OPENING_S = 0.3
 _STOPPED_S = 0.5
-_BRAKED_S = 0.6
-"""By then the arbiter has braked any motion along its path."""
 _RETREAT_M = 0.10
 
 
@@ -67,7 +66,6 @@ class ImpedanceCarry:
 
     Attributes:
         stack: The way to the motors, of this trial alone.
-        fault: What stopped the trial, or None.
     """
 
     name = "impedance"
@@ -87,21 +85,19 @@ class ImpedanceCarry:
             supervisor=Supervisor(dt_s=world.dt) if supervisor is None else supervisor,
             stop_share=config.faults.deceleration_share,
         )  # fmt: skip
-        self.stack.on_flush(self._flushed)
+        self._stop_by = CarryStop(
+            self.stack, SOURCE, self._watch, deceleration_share=config.faults.deceleration_share
+        )
         self._phase, self._began_s = "approach", world.time
         self._driving = False
-        self._halted = False
-        self._sequence = self._refusals_seen = 0
-        self._asked_for: str | None = None
-        self._stop_s = 0.0
+        self._sequence = 0
         self._q_over = self._q_last = world.q
         self._path: ObjectPath | None = None
         self._T_level_object = np.eye(4)
-        self.fault: CarryFault | None = None
         try:
             self._q_over, _ = approach_postures(world.scene, level_part(self._watch.T_world_object))
         except GraspUnreachableError as error:
-            self._heed(("unreachable", error.message))
+            self._stop_by.heed(("unreachable", error.message))
         else:
             self.stack.request(SOURCE)
 
@@ -109,6 +105,11 @@ class ImpedanceCarry:
     def phase(self) -> str:
         """Name of the phase the trial is in."""
         return self._phase
+
+    @property
+    def fault(self) -> CarryFault | None:
+        """What stopped the trial, or None."""
+        return self._stop_by.fault
 
     @property
     def done(self) -> bool:
@@ -137,21 +138,17 @@ class ImpedanceCarry:
 
     def step(self) -> None:
         """Run one control and physics step."""
-        watch, stack = self._watch, self.stack
+        watch, stops = self._watch, self._stop_by
         watch.sense()
         if self._phase in ("approach", "descend"):
-            self._heed(watch.resting())
-        if self.world.time > 0.0 and (self.fault is None or self.fault.name in ("lost_arm", "interrupted")):
-            self._heed_motors(watch.motors(stack.applied, self.world.tau))
+            stops.heed(watch.resting())
+        stops.heed_motors()
+        self._stop_if_due()
         getattr(self, f"_{self._phase}")(self.world.time - self._began_s)
-        if self.fault is None:
-            stack.affirm(SOURCE)
-        try:
-            stack.step()
-        except ReflexError as error:
-            self._heed_reflex(error)
-        else:
-            self._heed_arbiter()
+        if stops.fault is None:
+            self.stack.affirm(SOURCE)
+        stops.step()
+        self._stop_if_due()
 
     # What is common to all phases -----------------------------------------------------------------------
 
@@ -159,8 +156,13 @@ class ImpedanceCarry:
     def _law_drives(self) -> bool:
         return self.stack.manager.active == OBJECT_CONTROLLERS
 
+    def _stop_if_due(self) -> None:
+        if self._stop_by.fault is not None and self._phase not in ("stop", "done"):
+            self._enter("stop")
+
     def _enter(self, phase: str) -> None:
         self._phase, self._began_s = phase, self.world.time
+        self._stop_by.over = phase == "done"
 
     def _propose(self, command: Command) -> None:
         """Offer a command; one that is refused is noticed after the step, as one that is refused when it is taken."""
@@ -190,72 +192,8 @@ class ImpedanceCarry:
         try:
             return grasp_posture(self._scene, level, q_near, above_m=above_m)
         except GraspUnreachableError as error:
-            self._heed(("unreachable", error.message))
+            self._stop_by.heed(("unreachable", error.message))
             return None
-
-    # What stops it --------------------------------------------------------------------------------------
-
-    def _stop_for(self, name: str, at_s: float, detail: str, stop_s: float) -> None:
-        """Name what stops the trial; the arms have come to rest `stop_s` from now."""
-        self.fault = CarryFault(name, at_s, detail)
-        self._stop_s = stop_s
-        self._enter("stop")
-
-    def _heed(self, finding: Finding) -> None:
-        """Halt the arms if something was found: they come to rest where they are."""
-        if finding is None or self._halted:
-            return
-        world, (name, detail) = self.world, finding
-        self._halted = True
-        self.stack.halt(SOURCE, _OPEN if FAULTS[name].opens_hands and self._driving else None)
-        if self.fault is None:  # else the arbiter has stopped the trial, and this came on top
-            stop = SoftStop(world.q, world.v, deceleration_share=self._config.faults.deceleration_share)
-            self._stop_for(name, world.time, detail, stop.duration_s)
-
-    def _heed_motors(self, finding: Finding) -> None:
-        """Stop for motors that are gone, and tell them nothing more; the other arm may be lost while this one stops."""
-        if finding is None:
-            return
-        self._heed(finding)
-        self.stack.switch_off(self._watch.lost_arms)
-
-    def _heed_reflex(self, error: ReflexError) -> None:
-        """Note why the supervisor has stopped the arms; the hands stay as they are commanded."""
-        self._halted = True
-        if self.fault is not None:
-            return
-        world = self.world
-        singular = isinstance(error.__cause__, SingularPostureError)
-        name, detail = ("singular", error.__cause__.message) if singular else ("reflex", error.reflex.text)
-        stop = SoftStop(world.q, world.v, deceleration_share=self._config.faults.deceleration_share)
-        self._stop_for(name, error.reflex.time_s, detail, stop.duration_s)
-
-    def _heed_arbiter(self) -> None:
-        """Note that the arbiter lets the motion go no further; it brakes the arms, and holds what they hold."""
-        stack = self.stack
-        if self.fault is not None:
-            return
-        if len(stack.refusals) > self._refusals_seen:
-            news = stack.refusals[self._refusals_seen :]
-            self._refusals_seen += len(news)
-            refused = next((r for r in news if r.source == SOURCE), None)
-        else:
-            refused = None
-        if self.done:
-            return
-        if refused is not None:
-            why = f"{refused.name}: {refused.detail}"
-        elif self._asked_for is not None:
-            why = f"'{self._asked_for}' was asked for"
-        elif self._driving and stack.state in (ArbiterState.STALE, ArbiterState.STOPPED):
-            why = f"the arbiter is {stack.state}: it has not heard of the carry"
-        else:
-            return
-        self._stop_for("interrupted", self.world.time, why, _BRAKED_S)
-
-    def _flushed(self, mode: str) -> None:
-        if mode != SOURCE:
-            self._asked_for = mode
 
     # Phases ---------------------------------------------------------------------------------------------
 
@@ -282,7 +220,7 @@ class ImpedanceCarry:
         if self._watch.gripped:
             self._engage()
         else:
-            self._heed(self._watch.closing(t))
+            self._stop_by.heed(self._watch.closing(t))
 
     def _engage(self) -> None:
         """Both hands have closed: plan the path, tell controller C what is held, let it take over, begin to squeeze."""
@@ -291,28 +229,14 @@ class ImpedanceCarry:
         try:
             self._path = plan_path(self._scene, self._config, self._trial.goal, T_object, world.q)
         except GraspUnreachableError as error:
-            self._heed(("unreachable", error.message))
+            self._stop_by.heed(("unreachable", error.message))
             return
         self._T_level_object = inverse(level_part(T_object)) @ T_object
-        self.stack.impedance.configure(self._held_object(T_object), self._gains())
+        held = held_object(self._scene, T_object, self._kinematics.tcp_poses(world.q))
+        self.stack.impedance.configure(held, gains(self._config.impedance))
         watch.take_hold()
         self.stack.switch_controllers(OBJECT_CONTROLLERS)
         self._hold("squeeze", squeezing(self._path, self._T_level_object, self.squeeze_n))
-
-    def _held_object(self, T_world_object: Array) -> HeldObject:
-        rod = self._scene.rod
-        left, right = (inverse(T_world_object) @ T for T in self._kinematics.tcp_poses(self.world.q))
-        return HeldObject(rod.mass_kg, np.diag(rod.inertia_kg_m2), (left, right), np.array([0.0, 1.0, 0.0]))
-
-    def _gains(self) -> ImpedanceGains:
-        impedance = self._config.impedance
-        return ImpedanceGains(
-            stiffness=(impedance.stiffness_n_per_m,) * 3 + (impedance.stiffness_nm_per_rad,) * 3,
-            damping_ratio=impedance.damping_ratio,
-            internal_force_n=impedance.internal_force_n,
-            force_gain=impedance.force_gain,
-            force_correction_max_n=impedance.force_correction_max_n,
-        )
 
     @property
     def _planned(self) -> ObjectPath:
@@ -321,13 +245,13 @@ class ImpedanceCarry:
         return self._path
 
     def _squeeze(self, t: float) -> None:
-        self._heed(self._watch.holding(steady=False))
-        if not self._halted and not self.stack.executing:
+        self._stop_by.heed(self._watch.holding(steady=False))
+        if self.fault is None and not self.stack.executing:
             self._hold("carry", carrying(self._planned, self._T_level_object, self.squeeze_n))
 
     def _carry(self, t: float) -> None:
-        self._heed(self._watch.holding(steady=True))
-        if not self._halted and not self.stack.executing:
+        self._stop_by.heed(self._watch.holding(steady=True))
+        if self.fault is None and not self.stack.executing:
             self._hold("unload", releasing(self._planned, self._T_level_object, self.squeeze_n))
 
     def _unload(self, t: float) -> None:
@@ -348,9 +272,10 @@ class ImpedanceCarry:
             self._enter("done")
 
     def _stop(self, t: float) -> None:
-        if self._law_drives and not self._halted:  # braked along its path with the object in both hands
-            self._heed(self._watch.holding(steady=True))
-        if t > self._stop_s + _STOPPED_S:
+        # Braked by the arbiter the object is still in both hands, and may still get lost.
+        if self._law_drives and not self._stop_by.halted:
+            self._stop_by.heed(self._watch.holding(steady=False))
+        if t > self._stop_by.duration_s + _STOPPED_S:
             self._enter("done")
 
     def _done(self, t: float) -> None:

@@ -1,0 +1,350 @@
+"""A carry only proposes: every torque comes through the arbiter, which can stop it and give the arms to somebody else."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+
+from minidual.config.control import CarryConfig
+from minidual.config.scene import SceneConfig
+from minidual.control.arbiter import CommandArbiter
+from minidual.control.commands import ArbiterState, JointCommand
+from minidual.control.object_impedance import ObjectImpedance, ObjectState
+from minidual.control.stack import DEFAULT_CONTROLLERS, OBJECT_CONTROLLERS
+from minidual.control.supervisor import Supervisor
+from minidual.robot.constants import HOME, TAU_RATE_MAX, Array
+from minidual.robot.kinematics import Kinematics
+from minidual.sim.world import World
+from minidual.tasks.carry_motions import JointMove, carrying, plan_path, releasing, squeezing
+from minidual.tasks.impedance_carry import SOURCE, ImpedanceCarry
+from minidual.tasks.reach import Quintic, approach_postures
+from minidual.tasks.rod_carry import level_pose, sample_trial, tilt_rad
+
+PHASES = ("approach", "descend", "close", "squeeze", "carry", "unload", "open", "retreat")
+ONCE_DONE_S = 0.3
+"""How long a trial is watched after it is done."""
+
+
+@dataclass
+class Ride:
+    """A carry, and what was seen of it tick by tick."""
+
+    carry: ImpedanceCarry
+    told: list[Array] = field(default_factory=list)
+    phases: list[str] = field(default_factory=list)
+    active: list[tuple[str, ...]] = field(default_factory=list)
+    given: list[str | None] = field(default_factory=list)
+    onset_s: float = np.inf
+
+    @property
+    def torque_step_nm(self) -> float:
+        return float(np.abs(np.diff(np.array(self.told), axis=0)).max())
+
+    def step(self) -> None:
+        carry = self.carry
+        carry.step()
+        world = carry.world
+        self.told.append(world.data.ctrl[world.joints.ctrl].copy())
+        self.phases.append(carry.phase)
+        self.active.append(carry.stack.manager.active)
+        self.given.append(carry.stack.output.active_source)
+        # Whatever the phase, what the motors were told is what the stack let through.
+        assert np.array_equal(self.told[-1], carry.stack.applied), (
+            "a torque that did not come through the stack"
+        )
+
+
+def ride(
+    world: World, *, at: tuple[str, float] = ("never", 0.0), do: Callable[[Ride], None] | None = None,
+    each: Callable[[Ride], None] | None = None, supervisor: Supervisor | None = None,
+) -> Ride:  # fmt: skip
+    """Carry to the end and a little further; `do` something when a phase has lasted for a while, `each` every tick."""
+    trial = sample_trial(world.scene, 5, "arbiter", 0)
+    world.reset(rod_xy_yaw=trial.start)
+    seen = Ride(ImpedanceCarry(world, Kinematics(), CarryConfig(), trial, seed=5, supervisor=supervisor))
+    began_s: float | None = None
+    done_s = np.inf
+    while world.time < min(done_s + ONCE_DONE_S, 14.0):
+        if began_s is None and seen.carry.phase == at[0]:
+            began_s = world.time
+        if began_s is not None and do is not None and world.time >= began_s + at[1] - 1e-9:
+            seen.onset_s = world.time
+            do(seen)
+            do = None
+        if each is not None:
+            each(seen)
+        seen.step()
+        if seen.carry.done and not np.isfinite(done_s):
+            done_s = world.time
+    return seen
+
+
+@pytest.fixture(scope="module")
+def undisturbed(scene: SceneConfig) -> Ride:
+    return ride(World(scene))
+
+
+def test_a_carry_is_one_source_with_one_request_and_nothing_is_refused(undisturbed: Ride) -> None:
+    carry = undisturbed.carry
+    assert carry.fault is None
+    assert set(undisturbed.given) == {SOURCE, None}
+    assert carry.stack.refusals == []
+    assert tuple(dict.fromkeys(undisturbed.phases)) == (*PHASES, "done")
+    while carry.stack.source is not None:  # it has nothing to say any more, and loses its turn
+        carry.step()
+    assert carry.fault is None
+    assert carry.done
+
+
+def test_the_controllers_change_places_within_one_tick_and_without_a_jolt(undisturbed: Ride) -> None:
+    held = {"squeeze", "carry", "unload"}
+    for phase, active in zip(undisturbed.phases, undisturbed.active, strict=True):
+        assert active == (OBJECT_CONTROLLERS if phase in held else DEFAULT_CONTROLLERS), phase
+    assert undisturbed.torque_step_nm <= TAU_RATE_MAX * 1e-3 + 1e-9
+
+
+def test_a_torque_past_the_stack_is_noticed(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The negative control of the check in every tick."""
+    step = ImpedanceCarry.step
+
+    def and_more(self: ImpedanceCarry) -> None:
+        step(self)
+        self.world.command(self.stack.applied + 0.1, np.full(2, 0.04))
+
+    monkeypatch.setattr(ImpedanceCarry, "step", and_more)
+    with pytest.raises(AssertionError, match="did not come through the stack"):
+        ride(world)
+
+
+def test_in_the_air_the_motors_are_told_the_law_of_the_path_to_the_bit(world: World) -> None:
+    """Sensed state and planned path, put into a law of its own: what the motors were told, without a difference."""
+    q_hold: list[Array] = []
+    given: list[tuple[Array, Array, ObjectState, float]] = []
+    told: list[Array] = []
+    trial = sample_trial(world.scene, 5, "arbiter", 1)
+    world.reset(rod_xy_yaw=trial.start)
+    carry = ImpedanceCarry(world, Kinematics(), CarryConfig(), trial, seed=5)
+    while carry.phase != "unload":
+        q, v, before = world.q, world.v, carry.phase
+        carry.step()
+        if before == "close" and carry.phase == "squeeze":
+            q_hold.append(q)
+        if carry.phase == "carry":
+            state, felt_n = carry._watch.read()
+            given.append((q, v, ObjectState(state.T_world_object.copy(), state.twist.copy()), felt_n))
+            told.append(world.data.ctrl[world.joints.ctrl].copy())
+    assert carry.fault is None
+    law = carry.stack.impedance._law
+    assert law is not None
+    path, roll = carry._planned, carry._T_level_object
+    again = ObjectImpedance(Kinematics(), law.held, law.gains)
+    again.engage(q_hold[0])
+    assert len(told) > 2000
+    for k, (q, v, state, felt_n) in enumerate(given):
+        wanted = path.at(k * world.dt)
+        desired = ObjectState(wanted.T_world_object @ roll, wanted.twist, wanted.acceleration)
+        tau = again.torque(q, v, state, desired, internal_force_n=40.0, measured_internal_force_n=felt_n)
+        assert np.array_equal(tau, told[k]), f"step {k} of the path"
+
+
+def test_another_source_that_proposes_moves_nothing(world: World, undisturbed: Ride) -> None:
+    sent = 0
+
+    def intrude(seen: Ride) -> None:
+        nonlocal sent
+        if seen.carry.stack.tick_next:
+            sent += 1
+            for source in ("teleop", "policy"):
+                command = JointCommand(HOME + 0.2, np.ones(2), world.time, sent)
+                assert (
+                    seen.carry.stack.propose(source, command) is None
+                )  # kept for its turn, which never comes
+
+    seen = ride(world, each=intrude)
+    assert sent > 300
+    assert seen.carry.fault is None
+    assert set(seen.given) == {SOURCE, None}
+    assert np.array_equal(seen.told, undisturbed.told)
+
+
+@pytest.mark.parametrize(
+    ("phase", "after_s"),
+    [("approach", 0.6), ("close", 0.05), ("squeeze", 0.2), ("carry", 1.4), ("retreat", 0.2)],
+)
+def test_a_request_of_another_mode_ends_the_carry_by_name_and_drops_nothing(
+    world: World, phase: str, after_s: float
+) -> None:
+    sent = 0
+
+    def lead(seen: Ride) -> None:  # the leader stands where the arms are, its hands as theirs
+        nonlocal sent
+        stack = seen.carry.stack
+        if stack.source == "teleop" and stack.tick_next:
+            sent += 1
+            opening = stack.output.gripper.copy()
+            assert (
+                stack.propose("teleop", JointCommand(stack.output.q_target, opening, world.time, sent))
+                is None
+            )
+
+    seen = ride(world, at=(phase, after_s), do=lambda seen: seen.carry.stack.request("teleop"), each=lead)
+    carry = seen.carry
+    assert carry.fault is not None
+    assert (carry.fault.name, carry.fault.detail) == ("interrupted", "'teleop' was asked for")
+    assert carry.fault.at_s - seen.onset_s <= 0.001 + 1e-9
+    assert seen.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
+    assert np.abs(world.v).max() < 0.05
+    assert carry.stack.output.active_source == "teleop", "the newcomer drives"
+    assert carry.stack.manager.active == DEFAULT_CONTROLLERS, "a leader drives joints"
+    given = seen.given.index("teleop")
+    assert SOURCE not in seen.given[given:], "two sources took turns"
+    if phase == "carry":
+        assert not world.rod_on_table()
+        assert world.pinch_forces().min() > 20.0
+        assert tilt_rad(world.T_world_rod) < 0.02
+
+
+def test_a_hold_in_the_air_keeps_the_object_squeezed(world: World) -> None:
+    seen = ride(world, at=("carry", 1.4), do=lambda seen: seen.carry.stack.request("hold"))
+    assert seen.carry.fault is not None
+    assert seen.carry.fault.detail == "'hold' was asked for"
+    assert seen.carry.stack.state is ArbiterState.HOLDING
+    assert seen.carry.stack.manager.active == OBJECT_CONTROLLERS
+    assert world.internal_force() > 35.0
+    assert np.abs(world.v).max() < 0.01
+
+
+def test_an_object_lost_while_the_arbiter_brakes_halts_the_arms(world: World) -> None:
+    """Braked along its path the law would push two hands together that have nothing between them any more."""
+
+    def snatch(seen: Ride) -> None:
+        seen.carry.stack.request("teleop")
+        world.data.joint("rod_free").qpos[:3] = (0.9, 0.6, 0.2)
+
+    seen = ride(world, at=("carry", 1.4), do=snatch)
+    assert seen.carry.fault is not None
+    assert seen.carry.fault.name == "interrupted"
+    assert ("soft_stop",) in seen.active
+    assert seen.active.index(("soft_stop",)) * world.dt <= seen.onset_s + 0.05
+    assert np.abs(world.v).max() < 0.05
+    left, right = Kinematics().tcp_poses(world.q)
+    apart_m = float(np.linalg.norm(left[:3, 3] - right[:3, 3]))
+    assert apart_m > 2.0 * world.scene.rod.grasp_offset_m - 0.04
+
+
+def falls_silent(seen: Ride) -> None:
+    seen.carry.stack.affirm = lambda source: None  # type: ignore[method-assign]
+
+
+@pytest.mark.parametrize(("phase", "after_s"), [("approach", 0.4), ("carry", 1.2)])
+def test_a_carry_that_falls_silent_is_braked_and_keeps_what_it_holds(
+    world: World, phase: str, after_s: float
+) -> None:
+    seen = ride(world, at=(phase, after_s), do=falls_silent)
+    carry = seen.carry
+    assert carry.fault is not None
+    assert carry.fault.name == "interrupted"
+    assert "stale" in carry.fault.detail
+    assert (
+        carry.fault.at_s - seen.onset_s <= 0.1 + 2 * 0.02 + 0.002
+    )  # what a command lives, heard and missed at its ticks
+    assert np.abs(world.v).max() < 0.05
+    assert carry.stack.source is None
+    assert seen.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
+    if phase == "carry":
+        assert not world.rod_on_table()
+        assert world.internal_force() > 35.0
+
+
+def test_without_the_watchdog_nobody_would_notice(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The negative control: it is the arbiter's watchdog, and nothing else, that stops a silent carry."""
+    monkeypatch.setattr(CommandArbiter, "_is_gone", lambda self, now_s: False)
+    assert ride(world, at=("carry", 1.2), do=falls_silent).carry.fault is None
+
+
+def test_an_object_command_that_comes_late_is_refused_and_ends_the_carry(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    propose = ImpedanceCarry._propose
+
+    def late(self: ImpedanceCarry, command: Any) -> None:
+        if self.phase == "squeeze":  # that of the phase to come
+            command = type(command)(
+                command.motion, command.squeeze_n, command.gripper, command.stamp_s - 0.2, command.sequence
+            )
+        propose(self, command)
+
+    monkeypatch.setattr(ImpedanceCarry, "_propose", late)
+    seen = ride(world)
+    assert seen.carry.fault is not None
+    assert seen.carry.fault.name == "interrupted"
+    assert seen.carry.fault.detail.startswith("stale: ObjectCommand is 0.2")
+    assert world.T_world_rod[2, 3] < world.scene.rod.rest_height_m + 0.002
+    assert world.pinch_forces().min() > 20.0
+    assert seen.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
+
+
+@pytest.mark.parametrize("phase", PHASES)
+def test_an_emergency_stop_stops_every_phase_and_leaves_the_hands(world: World, phase: str) -> None:
+    supervisor = Supervisor(dt_s=world.dt)
+    seen = ride(
+        world, at=(phase, 0.15 if phase != "carry" else 1.4), do=lambda _seen: supervisor.estop("pressed"),
+        supervisor=supervisor,
+    )  # fmt: skip
+    carry = seen.carry
+    assert carry.fault is not None
+    assert carry.fault.name == "reflex"
+    assert "emergency_stop" in carry.fault.detail
+    assert carry.fault.at_s == pytest.approx(seen.onset_s)
+    assert np.abs(world.v).max() < 0.05
+    assert seen.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
+    openings = carry.stack.output.gripper
+    closed = phase in ("close", "squeeze", "carry", "unload")
+    assert np.array_equal(openings, np.zeros(2) if closed else np.ones(2)), "the hands changed their mind"
+    if phase == "carry":
+        assert not world.rod_on_table()
+
+
+# What is proposed -------------------------------------------------------------------------------------------
+
+
+def test_a_joint_move_is_its_quintic_and_its_derivatives_are() -> None:
+    rng = np.random.default_rng(3)
+    q0, q1 = HOME, HOME + rng.uniform(-0.3, 0.3, 14)
+    quintic = Quintic(q0, q1, 0.8124)
+    move = JointMove(quintic, 1e-3)
+    assert move.q.shape == (814, 14)
+    assert np.allclose(move.q[[0, -1]], [q0, q1], rtol=0.0, atol=1e-15)
+    assert np.array_equal(move.v[[0, -1]], np.zeros((2, 14)))
+    for k in (0, 1, 137, 400, 813):
+        for seen, wanted in zip((move.q, move.v, move.a), quintic.at(min(k * 1e-3, 0.8124)), strict=True):
+            assert np.allclose(seen[k], wanted, rtol=1e-13, atol=1e-14)
+    assert np.allclose(np.gradient(move.q[:-1], 1e-3, axis=0)[1:-1], move.v[1:-2], atol=1e-5)
+
+
+@pytest.mark.parametrize("squeeze_n", [13.0, 40.0, 80.0])
+def test_the_squeeze_is_asked_for_no_faster_than_controller_c_gives_it(
+    scene: SceneConfig, squeeze_n: float
+) -> None:
+    T = level_pose(*scene.task.start_xy_m, scene.rod.rest_height_m, 0.0)
+    path = plan_path(scene, CarryConfig(), (*scene.task.goal_xy_m, 0.0), T, approach_postures(scene, T)[1])
+    ends = {}
+    for name, make in (("squeeze", squeezing), ("carry", carrying), ("release", releasing)):
+        motion, squeeze = make(path, np.eye(4), squeeze_n)
+        times = np.arange(0.0, motion.duration_s + 1e-9, 1e-3)
+        values = np.array([squeeze(float(t)) for t in times])
+        assert np.abs(np.diff(values)).max() / 1e-3 <= 200.0 * (1.0 + 1e-9)
+        ends[name] = (values[0], squeeze(motion.duration_s))
+        for t in (0.0, motion.duration_s):  # what the arbiter demands of a path
+            assert np.abs(motion.at(t).twist).max() < 1e-12
+    assert ends == {"squeeze": (0.0, squeeze_n), "carry": (squeeze_n, squeeze_n), "release": (squeeze_n, 0.0)}
+    # Each begins where the one before it ends.
+    held = [make(path, np.eye(4), squeeze_n)[0] for make in (squeezing, carrying, releasing)]
+    for before, after in itertools.pairwise(held):
+        end, start = before.at(before.duration_s).T_world_object, after.at(0.0).T_world_object
+        assert np.allclose(end, start, rtol=0.0, atol=1e-15)

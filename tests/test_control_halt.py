@@ -1,0 +1,186 @@
+"""A halt stops the arms where they are, whatever is under way; arms that are switched off are told nothing."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from control_plant import ArmsPlant, HandsObject
+from test_control_controllers import hand_over, move, stack_on, trajectory
+
+from minidual.config.scene import SceneConfig
+from minidual.control.commands import ArbiterState, JointCommand, ObjectCommand
+from minidual.control.motors import SwitchedOff
+from minidual.control.object_path import ObjectPath, Waypoint
+from minidual.control.reflexes import ReflexError
+from minidual.control.stack import OBJECT_CONTROLLERS, ControlStack
+from minidual.control.supervisor import Supervisor
+from minidual.errors import UsageError
+from minidual.robot.constants import A_MAX, HOME, Array
+
+STOPPING = ("soft_stop",)
+CLOSED = np.zeros(2)
+
+
+@pytest.fixture
+def plant(scene: SceneConfig) -> ArmsPlant:
+    return ArmsPlant(scene)
+
+
+def under_way(plant: Any, *, gripper: Array = CLOSED, **options: Any) -> ControlStack:
+    """Return a stack whose planner is in the middle of a motion, hands closed."""
+    stack = stack_on(plant, **options)
+    hand_over(stack, "moveit")
+    stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.4, 0.8), gripper=gripper))
+    for _ in range(400):
+        stack.step()
+    assert np.abs(plant.v).max() > 0.5
+    return stack
+
+
+def test_a_halt_acts_in_the_next_step_and_brings_the_arms_to_rest(plant: ArmsPlant) -> None:
+    stack = under_way(plant)
+    v, told = plant.v.copy(), [plant.torques[-1]]
+    stack.halt("moveit")
+    stack.step()
+    assert stack.output.halted
+    assert stack.manager.active == STOPPING
+    assert (stack.state, stack.source, stack.executing) == (ArbiterState.STOPPED, None, False)
+    speeds = [v, plant.v.copy()]
+    for _ in range(500):
+        stack.step()
+        speeds.append(plant.v.copy())
+    assert not stack.output.halted  # once
+    assert np.abs(plant.v).max() < 1e-3
+    told += plant.torques[-501:]
+    assert np.abs(np.diff(told, axis=0)).max() < 1.5, "a jolt"
+    slower = (np.abs(speeds[:-20]) - np.abs(speeds[20:])).max(axis=0) / 0.02 / A_MAX
+    assert slower.max() < 0.7  # half of the limits, and how the arms follow it
+    assert slower.max() > 0.3  # a stop, not a drift
+    assert np.array_equal(stack.output.gripper, CLOSED), "the hands let go"
+
+
+@pytest.mark.parametrize(("who", "opens"), [("moveit", True), ("teleop", False)])
+def test_everybody_may_halt_and_only_who_drives_may_open_the_hands(
+    plant: ArmsPlant, who: str, opens: bool
+) -> None:
+    stack = under_way(plant)
+    stack.halt(who, np.ones(2))
+    stack.step()
+    assert stack.manager.active == STOPPING
+    assert np.array_equal(stack.output.gripper, np.full(2, float(opens)))
+    assert [(r.source, r.name) for r in stack.refusals] == ([] if opens else [(who, "not_driving")])
+
+
+def test_openings_that_are_none_are_refused_and_the_arms_stop_all_the_same(plant: ArmsPlant) -> None:
+    stack = under_way(plant)
+    stack.halt("moveit", np.array([0.5, np.nan]))
+    stack.step()
+    assert stack.manager.active == STOPPING
+    assert [r.name for r in stack.refusals] == ["not_finite"]
+    assert np.array_equal(stack.output.gripper, CLOSED)
+    with pytest.raises(UsageError, match="no command source 'somebody'"):
+        stack.halt("somebody")
+
+
+def test_a_halted_object_path_pushes_the_hands_no_more(plant: ArmsPlant) -> None:
+    here = HandsObject(plant)
+    stack = stack_on(plant, sensor=here)
+    stack.impedance.configure(here.held())
+    hand_over(stack, "moveit", OBJECT_CONTROLLERS)
+    x, y, z = (float(value) for value in here.pose()[:3, 3])
+    path = ObjectPath(Waypoint((x, y, z), 0.0, 0.0), [Waypoint((x, y, z + 0.1), 0.0, 0.8)])
+    assert stack.propose("moveit", ObjectCommand(path, lambda t: 0.0, CLOSED, plant.time, 1)) is None
+    for _ in range(300):
+        stack.step()
+    assert np.abs(plant.v).max() > 0.1
+    stack.halt("moveit")
+    for _ in range(500):
+        stack.step()
+    assert stack.manager.active == STOPPING
+    assert np.abs(plant.v).max() < 1e-3
+
+
+def test_a_switch_that_waits_is_refused_by_a_halt_and_may_be_asked_for_again(plant: ArmsPlant) -> None:
+    stack = under_way(plant)
+    stack.request("teleop")
+    stack.step()
+    assert stack.state is ArbiterState.SETTLING
+    stack.halt("moveit")
+    stack.step()
+    assert [(r.source, r.name) for r in stack.refusals] == [("teleop", "superseded")]
+    for _ in range(400):
+        stack.step()
+    assert stack.source is None
+    # No command gets past: nobody drives, and the controller takes none.
+    stack.propose("moveit", JointCommand(HOME, CLOSED, plant.time, 9))
+    fault = stack.manager.find_fault(JointCommand(HOME, CLOSED, plant.time, 9))
+    assert fault is not None
+    assert fault[0] == "wrong_controller"
+    hand_over(stack, "teleop")
+    assert stack.manager.active == ("both_arms",)
+    last = plant.torques[-1]
+    stack.propose("teleop", JointCommand(plant.q + 0.05, CLOSED, plant.time, 10))
+    for _ in range(30):
+        stack.step()
+    assert stack.output.active_source == "teleop"
+    assert np.abs(np.diff([last, *plant.torques[-30:]], axis=0)).max() < 40.0
+
+
+def test_a_hold_that_was_asked_for_with_a_halt_leaves_the_stop_in_charge(plant: ArmsPlant) -> None:
+    stack = under_way(plant)
+    stack.halt("moveit")
+    stack.request("hold")
+    for _ in range(700):
+        stack.step()
+    assert stack.state is ArbiterState.HOLDING
+    assert stack.manager.active == STOPPING
+    assert np.abs(plant.v).max() < 1e-3
+
+
+def test_arms_that_are_switched_off_are_told_nothing_and_the_others_go_on(plant: ArmsPlant) -> None:
+    stack = under_way(plant, supervisor=Supervisor(dt_s=1e-3))
+    stack.halt("moveit")
+    stack.switch_off((0,))
+    before = plant.torques[-1]
+    for _ in range(60):  # not so long that what falls is a reflex
+        stack.step()
+    told = np.array([before, *plant.torques[-60:]])
+    assert np.abs(np.diff(told[:, :7], axis=0)).max() <= 1.0 + 1e-9
+    assert np.all(told[-1, :7] == 0.0)
+    assert np.abs(told[-1, 7:]).max() > 1.0
+    stack.switch_off((0, 1))  # the other one goes too
+    for _ in range(60):
+        stack.step()
+    assert np.all(plant.torques[-1] == 0.0)
+    plant.reset()
+    stack.reset()
+    stack.step()
+    assert np.abs(plant.torques[-1]).max() > 1.0, "a reset switches them on again"
+
+
+def test_the_supervisor_cannot_tell_a_dead_arm_anything(plant: ArmsPlant) -> None:
+    """Its soft stop carries both arms; what is switched off stays off in that very tick."""
+    supervisor = Supervisor(dt_s=1e-3)
+    stack = under_way(plant, supervisor=supervisor)
+    stack.switch_off((1,))
+    for _ in range(100):
+        stack.step()
+    supervisor.estop("pressed")
+    with pytest.raises(ReflexError, match="emergency_stop"):
+        stack.step()
+    stack.step()
+    assert np.all(plant.torques[-1][7:] == 0.0)
+    assert np.all(plant.torques[-2][7:] == 0.0)
+    assert np.abs(plant.torques[-1][:7]).max() > 1.0
+
+
+def test_what_is_off_falls_at_the_rate_of_the_drives() -> None:
+    off = SwitchedOff((1,), np.full(14, 2.5), 1e-3)
+    seen = []
+    for _ in range(4):
+        off.step()
+        seen.append(off.apply(np.full(14, 9.0)))
+    assert np.all(np.array(seen)[:, :7] == 9.0)
+    assert np.allclose(np.array(seen)[:, 7:], np.array([[1.5], [0.5], [0.0], [0.0]]))
