@@ -203,7 +203,7 @@ def carried(method: str, condition: str, steps: int) -> np.ndarray:
 @pytest.mark.parametrize(
     ("method", "steps", "touched", "spared"),
     [
-        ("moveit", 600, ("pose noise x3", "joint friction x2"), ("delay 20 ms", "light -30 %")),
+        ("moveit", 300, ("pose noise x3",), ("delay 20 ms", "light -30 %")),
         ("impedance", 3000, ("pose noise x3", "delay 20 ms", "joint friction x2"), ("light -30 %",)),
     ],
 )
@@ -217,6 +217,27 @@ def test_a_condition_touches_a_method_exactly_if_the_table_says_so(
     for name in touched:
         assert not CONDITIONS[name].why_not(method, METHODS[method].senses)
         assert np.abs(carried(method, name, steps) - clean).max() > 0.0, name
+
+
+def test_planning_starts_from_the_reading_that_impedance_starts_from() -> None:
+    seen = []
+    for method in ("moveit", "impedance"):
+        bench = Bench(method, MethodInputs(Config(), SEED))
+        trial = sample_trial(Config().scene, SEED, "benchmark", 0)
+        bench.world.reset(rod_xy_yaw=trial.start)
+        truth = bench.world.T_world_rod
+        run: Any = bench.factory(bench.world, bench.kinematics, trial)
+        seen.append(run.T_world_object if method == "moveit" else run.estimate.T_world_object)
+    np.testing.assert_array_equal(seen[0], seen[1])
+    assert 1e-5 < np.linalg.norm((seen[0] - truth)[:3, 3]) < 0.003, "nobody is told the truth"
+
+
+def test_a_method_that_stops_itself_says_so_in_its_metrics() -> None:
+    bench = Bench("impedance", MethodInputs(Config(), SEED))
+    result, _ = bench.run(sample_trial(Config().scene, SEED, "benchmark", 0), condition="moved 20 mm")
+    assert not result.success
+    assert "knocked_away" in result.metrics.aborted
+    assert result.metrics.aborted == result.aborted
 
 
 def test_trials_under_a_condition_do_not_depend_on_workers() -> None:

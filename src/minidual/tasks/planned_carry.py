@@ -71,7 +71,7 @@ class PlannedCarry:
     ) -> None:
         self.world = world
         self.aborted: str | None = None
-        self._T_world_object = world.T_world_rod if T_world_object is None else T_world_object
+        self.T_world_object = world.T_world_rod if T_world_object is None else T_world_object
         self.stack = ControlStack(world, kinematics, arbiter, supervisor=supervisor)
         self._segments: list[tuple[str, Trajectory, float]] = []
         self._proposed = 0
@@ -122,7 +122,7 @@ class PlannedCarry:
         """Return (phase, trajectory, gripper opening) of the whole cycle."""
         scene = self.world.scene
         grasps = grasp_offsets(scene)
-        start = level_part(self._T_world_object)
+        start = level_part(self.T_world_object)
         goal = level_pose(trial.goal[0], trial.goal[1], scene.rod.rest_height_m, trial.goal[2])
         lift = scene.task.lift_height_m
         targets = {arm: _raised(start, _HOVER_M) @ grasp for arm, grasp in zip(ARMS, grasps, strict=True)}
