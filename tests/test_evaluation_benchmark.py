@@ -247,9 +247,9 @@ def test_trials_under_a_condition_do_not_depend_on_workers() -> None:
     one, two = (
         [
             r.metrics.to_row()
-            for r, _ in run_trials("impedance", inputs, trials, workers=n, condition="push +y")
+            for r, _ in run_trials("impedance", inputs, trials, workers=n, condition="moved 20 mm")
         ]
         for n in (1, 2)
     )
     assert one == two
-    assert one[0]["condition"] == "push +y"
+    assert one[0]["condition"] == "moved 20 mm"
