@@ -240,6 +240,17 @@ def test_a_method_that_stops_itself_says_so_in_its_metrics() -> None:
     assert result.metrics.aborted == result.aborted
 
 
+def test_a_disturbed_trial_does_not_depend_on_those_before_it() -> None:
+    """What another split over processes changes: which trials a bench has run before."""
+    first, second = (sample_trial(Config().scene, SEED, "benchmark", i) for i in range(2))
+    used, fresh = (Bench("impedance", MethodInputs(Config(), SEED)) for _ in range(2))
+    for name in ("mass +50 %", "moved 20 mm"):
+        used.run(first, condition=name)
+    rows = [bench.run(second, condition="moved 20 mm")[0].metrics.to_row() for bench in (used, fresh)]
+    assert rows[0] == rows[1]
+
+
+@pytest.mark.slow
 def test_trials_under_a_condition_do_not_depend_on_workers() -> None:
     config = Config()
     trials = [sample_trial(config.scene, SEED, "benchmark", i) for i in range(2)]
