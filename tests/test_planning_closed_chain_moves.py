@@ -155,7 +155,7 @@ def test_search_and_shortening_stay_free(planner, q_start):
     problem = query(q_start, obstacles=(WALL,))
     hands = HandsIK(*GRASPS, Kinematics())
     q_goal = planner.plan(problem).q[-1]
-    checker = EdgeChecker(planner.engines(problem.scene).mujoco, 0.005, (q_start, q_goal), 0.03)
+    checker = EdgeChecker(planner.engines(problem.scene), 0.005, (q_start, q_goal), 0.03)
     space = HeldSpace(hands, ObjectChart(START[:3, :3]), checker)
     start, goal = space.point(START, q_start), space.point(GOAL, q_goal)
     assert not space.edge_free(start, goal)
@@ -339,7 +339,7 @@ def test_one_bad_goal_does_not_stop_the_search_of_the_others(planner, q_start, m
     constraint = GraspConstraint.from_grasps(*GRASPS)
     asked = query(q_start)
     end = planner.plan(asked).q[-1]
-    checker = EdgeChecker(planner.engines(asked.scene).mujoco, 0.0, (q_start, end), 0.05)
+    checker = EdgeChecker(planner.engines(asked.scene), 0.0, (q_start, end), 0.05)
     given = {
         "space": "projected",
         "box_rad": 0.7,

@@ -15,9 +15,9 @@ from minidual.planning.errors import ClosedChainError
 from minidual.planning.grasp_constraint import GraspConstraint
 from minidual.planning.hands_ik import HandsIK
 from minidual.planning.held_moves import rod_grasps, rod_shape
-from minidual.planning.mujoco_engine import MujocoEngine
 from minidual.planning.object_path import ObjectPath
 from minidual.planning.scene import PlanningScene
+from minidual.planning.scene_engines import SceneEngines
 from minidual.planning.shapes import Box
 from minidual.robot.constants import HOME, Q_LOWER, Q_UPPER
 from minidual.robot.kinematics import Kinematics
@@ -159,7 +159,7 @@ def test_ompl_plans_on_the_manifold(constraint, q_held, move, space):
     # A post through the middle of the straight way: only a path round it will do.
     post = Box("post", (middle[0], middle[1], middle[2] - 0.15), size_m=(0.05, 0.05, 0.3))
     scene = scene_holding(PlanningScene().with_obstacles(post), rod_shape(RodConfig()), GRASPS[0])
-    engine = MujocoEngine(scene)
+    engine = SceneEngines(scene)
     for seed in (1, 2):
         checker = EdgeChecker(engine, 0.0, (q_held, q_goal), 0.03)
         path = search_manifold(
@@ -170,7 +170,7 @@ def test_ompl_plans_on_the_manifold(constraint, q_held, move, space):
         assert np.abs(path[0] - q_held).max() < 1e-6
         assert np.abs(path[-1] - q_goal).max() < 1e-6
         assert max(np.linalg.norm(constraint.value(q)) for q in path) < 1e-8
-        assert not engine.collisions(path).any()
+        assert not engine.mujoco.collisions(path).any()
         assert np.abs(np.diff(path, axis=0)).max() < 0.5
 
 
@@ -183,7 +183,7 @@ def test_ompl_gives_up_and_says_so(constraint, q_held, move):
         Box("wall1", (x, y + 0.3, z), size_m=(0.6, 0.02, 0.8)),
     )
     scene = scene_holding(PlanningScene(obstacles=walls), rod_shape(RodConfig()), GRASPS[0], rests_on=())
-    engine = MujocoEngine(scene)
+    engine = SceneEngines(scene)
     checker = EdgeChecker(engine, 0.0, (), 0.03)
     found = search_manifold(
         constraint, checker, q_held, [q_goal], space="atlas", box_rad=0.7, seed=1, checks_max=300,

@@ -281,7 +281,7 @@ def test_a_straight_move_of_no_length_is_proven_too(planner, ready):
     )
     targets = {"left": tips(ready)["left"]}
     assert LinearPlanner().plan("left_arm", ready, targets, far).verification.ok
-    far.verifier = Verifier(far.mujoco, seen.coal, far.verifier._certifier._bound)
+    far.verifier = Verifier(far.mujoco, seen.coal, far.solids)
     with pytest.raises(LinearMoveError, match="staying there is not proven: coal sees a collision"):
         LinearPlanner().plan("left_arm", ready, targets, far)
 

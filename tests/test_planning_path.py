@@ -11,8 +11,8 @@ from minidual.errors import DataError, UsageError
 from minidual.planning.blend import blended_path, rounded
 from minidual.planning.edges import EdgeChecker
 from minidual.planning.errors import TimingError
-from minidual.planning.mujoco_engine import MujocoEngine
 from minidual.planning.scene import PlanningScene
+from minidual.planning.scene_engines import SceneEngines
 from minidual.planning.search import search
 from minidual.planning.shapes import Box
 from minidual.planning.shortcut import path_length, shortcut
@@ -24,7 +24,7 @@ from minidual.robot.kinematics import Kinematics
 
 @pytest.fixture(scope="module")
 def engine():
-    return MujocoEngine(PlanningScene())
+    return SceneEngines(PlanningScene())
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +56,7 @@ def test_shortcut_keeps_ends_and_is_never_longer(engine):
 def test_shortcut_goes_round_what_stands_between():
     """A post between two hand positions: the straight line is blocked, the shortened path is not."""
     scene = PlanningScene().with_obstacles(Box("post", (0.36, 0.25, 0.4), size_m=(0.06, 0.06, 0.8)))
-    engine = MujocoEngine(scene)
+    engine = SceneEngines(scene)
     left, right = HOME.copy(), HOME.copy()
     left[0], right[0] = 0.8, -0.8
     checker = EdgeChecker(engine, 0.01, (), 0.02)

@@ -109,7 +109,7 @@ def _bare_row(name: str, planner: Planner, queries: list[Query], config: Planner
     for query in queries:
         engines = planner.engines(query.scene)
         begin = time.perf_counter()
-        checker = EdgeChecker(engines.mujoco, 0.0, (), config.edge_step_rad)
+        checker = EdgeChecker(engines, 0.0, (), config.edge_step_rad)
         path = search(
             checker, query.q_start, query.q_goal, GROUPS[query.group], range_rad=config.range_rad,
             seed=query.seed, checks_max=_BARE_CHECKS_N, deadline=begin + _BUDGET_S,

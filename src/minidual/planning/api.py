@@ -190,15 +190,13 @@ class Planner:
             key = np.random.SeedSequence([seed, 2, attempt])
             attempt += 1
             try:
-                # Start and goals were checked whole; on the way only pairs with a moving part can change.
-                with engines.mujoco.moving(group_arms(group)):
-                    path, checker = self._search(group, q_start, goal, engines, effort, key, times, budget_s)
-                    if path is None:
-                        name = effort.planner(config.planner, config.fallback_planners)
-                        rejections.append(f"{name} found no path in {checker.checks_n} state checks")
-                        effort = effort.after_no_path()
-                        continue
-                    trajectory, path = self._finish(group, path, checker, key, times)
+                path, checker = self._search(group, q_start, goal, engines, effort, key, times, budget_s)
+                if path is None:
+                    name = effort.planner(config.planner, config.fallback_planners)
+                    rejections.append(f"{name} found no path in {checker.checks_n} state checks")
+                    effort = effort.after_no_path()
+                    continue
+                trajectory, path = self._finish(group, path, checker, key, times)
             except TimingError as error:
                 rejections.append(error.message)
                 effort = effort.after_refusal()
@@ -231,7 +229,10 @@ class Planner:
     ) -> tuple[Array | None, EdgeChecker]:
         """Return a free polyline (n, 14), or None, and the checker that it was made with."""
         with times.phase("search"):
-            checker = EdgeChecker(engines.mujoco, effort.padding_m, (q_start, goal), effort.step_rad)
+            # Start and goals were checked whole; on the way only pairs with a moving part can change.
+            checker = EdgeChecker(
+                engines, effort.padding_m, (q_start, goal), effort.step_rad, group_arms(group)
+            )
             if checker.edge_free(q_start, goal):
                 return np.array([q_start, goal]), checker
             path = search(

@@ -5,8 +5,6 @@ Batches run inside one C++ call with a dynamic bounding-volume tree (about 20 us
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import coal
 import numpy as np
 import pinocchio as pin
@@ -47,60 +45,18 @@ class CoalEngine:
                 )
                 for solid in _solids(held.shape)
             ]
-        owner: list[int] = []
-        for index, (a, b) in enumerate(scene.checked_pairs):
-            owner += [index] * (len(ids[a]) * len(ids[b]))
+        for a, b in scene.checked_pairs:
             for first in ids[a]:
                 for second in ids[b]:
                     self.geometry.addCollisionPair(pin.CollisionPair(first, second))
         self._pool = pin.TreeBroadPhaseManagerPool_DynamicAABBTreeCollisionManager(
             self.model, self.geometry, 1
         )
-        self._requests = list(self._pool.getGeometryData(0).collisionRequests)
-        for request in self._requests:
-            request.gjk_tolerance = _GJK_TOLERANCE
-        self._owner = np.array(owner, dtype=int)
-        self._items = [np.flatnonzero(self._owner == k).tolist() for k in range(len(scene.checked_pairs))]
-        self._has_margins = False
-        self._data = self.model.createData()
-        self._placed = pin.GeometryData(self.geometry)
-        for request in self._placed.distanceRequests:
+        for request in self._pool.getGeometryData(0).collisionRequests:
             request.gjk_tolerance = _GJK_TOLERANCE
 
     def collisions(self, Q: Array) -> np.ndarray:
         """Return for each row of Q (n, 14) whether anything touches, (n,) bool."""
-        if self._has_margins:
-            self._set_margins(np.zeros(len(self._items)))
-            self._has_margins = False
-        return self._hits(Q)
-
-    def nearer_than(self, Q: Array, margins_m: Array) -> np.ndarray:
-        """Return for each row of Q (n, 14) whether any pair is as near as its margin (p,) or nearer, (n,) bool."""
-        self._set_margins(margins_m)
-        self._has_margins = True
-        return self._hits(Q)
-
-    def distances(self, Q: Array) -> Array:
-        """Return the distance (n, p) [m] of every checked pair at the rows of Q (n, 14), negative inside.
-
-        Exact and slow (about half a millisecond a state): only for what margins leave open.
-        """
-        columns = range(len(self._items))
-        return np.array([self.pair_distances(q, columns) for q in Q]).reshape(len(Q), len(columns))
-
-    def pair_distances(self, q: Array, pairs: Sequence[int]) -> list[float]:
-        """Return the exact distances [m] at q (14,) of the pairs with these columns."""
-        pin.updateGeometryPlacements(self.model, self._data, self.geometry, self._placed, q)
-        return [
-            min(pin.computeDistance(self.geometry, self._placed, item).min_distance for item in self._items[pair])
-            for pair in pairs
-        ]  # fmt: skip
-
-    def _set_margins(self, margins_m: Array) -> None:
-        for request, margin in zip(self._requests, margins_m[self._owner].tolist(), strict=True):
-            request.security_margin = margin
-
-    def _hits(self, Q: Array) -> np.ndarray:
         if len(Q) == 0:
             return np.zeros(0, dtype=bool)
         columns = np.asfortranarray(np.asarray(Q, dtype=float).T)

@@ -13,8 +13,9 @@ from functools import cache
 
 import numpy as np
 
-from minidual.planning.mujoco_engine import MujocoEngine
-from minidual.robot.constants import Array
+from minidual.planning import planes
+from minidual.planning.scene_engines import SceneEngines
+from minidual.robot.constants import ARMS, DOF, Array
 
 RELAX_RAD = 0.1
 _KEEP_FRACTION = 0.9
@@ -43,47 +44,79 @@ def bisection_order(count: int) -> Array:
 class EdgeChecker:
     """Collision checks with padding for one query.
 
+    Separating planes answer nearly always (`minidual.planning.planes`); MuJoCo is asked about what they leave open. The
+    same questions in the same order get the same answers, in any process.
+
     Args:
-        engine: Engine of the scene.
+        engines: Engines of the scene.
         padding_m: Distance to keep.
         endpoints: Configurations (14,) near which the padding relaxes; they must be free themselves.
         step_rad: Largest joint step between two checks of an edge.
+        arms: Only pairs with a part that moves with one of these arms are checked.
     """
 
     def __init__(
-        self, engine: MujocoEngine, padding_m: float, endpoints: Sequence[Array], step_rad: float
+        self,
+        engines: SceneEngines,
+        padding_m: float,
+        endpoints: Sequence[Array],
+        step_rad: float,
+        arms: Sequence[str] = ARMS,
     ) -> None:
-        self._engine = engine
+        self._engine = engines.mujoco
+        self._arms = arms
         self.padding_m = padding_m
         self.step_rad = step_rad
         self.checks_n = 0
-        self._tight: list[tuple[Array, float]] = []
-        for q in endpoints:
-            near = engine.closest(q, padding_m)
-            if near:
-                self._tight.append((np.array(q), max(0.0, near[0].distance_m) * _KEEP_FRACTION))
+        tight: list[tuple[Array, float]] = []
+        with self._engine.moving(arms):
+            for q in endpoints:
+                near = self._engine.closest(q, padding_m)
+                if near:
+                    tight.append((np.array(q), max(0.0, near[0].distance_m) * _KEEP_FRACTION))
+        self._tight = np.array([q for q, _ in tight]).reshape(len(tight), DOF)
+        self._clearances = np.array([clearance for _, clearance in tight])
+        solids = engines.solids
+        self._geometry = solids.geometry
+        self._rest = (
+            solids.of_arms(arms), padding_m, self._tight, self._clearances, RELAX_RAD, solids.directions(),
+            solids.workspace(),
+        )  # fmt: skip
 
     def required_m(self, q: Array) -> float:
         """Return the distance that must be kept at q (14,) [m]."""
         needed = self.padding_m
-        for endpoint, clearance in self._tight:
+        for endpoint, clearance in zip(self._tight, self._clearances, strict=True):
             away = float(np.max(np.abs(q - endpoint))) / RELAX_RAD
-            needed = min(needed, clearance + (self.padding_m - clearance) * min(1.0, away))
+            needed = min(needed, float(clearance) + (self.padding_m - float(clearance)) * min(1.0, away))
         return needed
 
     def free(self, q: Array) -> bool:
         """Return whether q (14,) keeps its distance."""
-        engine = self._engine
-        engine.set_margin(self.padding_m)
-        self.checks_n += 1
-        if engine.contact_count(q) == 0:
-            return True
-        nearest = engine.nearest_m()
-        return nearest > 0.0 and bool(self._tight) and nearest >= self.required_m(q)
+        return self.all_free(np.asarray(q)[None])
 
     def all_free(self, Q: Array) -> bool:
         """Return whether every row of Q (n, 14) keeps its distance; stops at the first that does not."""
-        return all(self.free(q) for q in Q)
+        begin = 0
+        while True:
+            k, verdict = planes.survey(self._geometry, Q, begin, *self._rest)
+            self.checks_n += k - begin
+            if verdict == planes.FREE:
+                return True
+            self.checks_n += 1
+            if verdict == planes.BLOCKED or not self._asked(Q[k]):
+                return False
+            begin = k + 1
+
+    def _asked(self, q: Array) -> bool:
+        """Return whether q (14,) keeps its distance as MuJoCo sees it."""
+        engine = self._engine
+        with engine.moving(self._arms):
+            engine.set_margin(self.padding_m)
+            if engine.contact_count(q) == 0:
+                return True
+            nearest = engine.nearest_m()
+        return nearest > 0.0 and len(self._tight) > 0 and nearest >= self.required_m(q)
 
     def edge_free(self, a: Array, b: Array, step_rad: float | None = None) -> bool:
         """Return whether the straight line from a to b (both (14,)) is free; a itself is taken as checked."""

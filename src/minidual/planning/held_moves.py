@@ -29,6 +29,7 @@ from minidual.planning.mujoco_engine import MujocoEngine
 from minidual.planning.object_path import ObjectChart, ObjectPath
 from minidual.planning.queries import random_obstacles
 from minidual.planning.scene import TABLE, PlanningScene
+from minidual.planning.scene_engines import SceneEngines
 from minidual.planning.shapes import Capsule
 from minidual.robot.constants import ARMS, GROUPS, HOME, Array
 from minidual.robot.kinematics import Kinematics
@@ -134,7 +135,8 @@ class HeldMoveGenerator:
             scene = scene_holding(
                 PlanningScene(obstacles=(TABLE, *obstacles)), self._shape, self._grasps[0], rests_on=rests_on
             )
-            engine = MujocoEngine(scene)
+            engines = SceneEngines(scene)
+            engine = engines.mujoco
             start = self._held(rng, engine, self._start(rng), HOME, 0.0 if self._from_table else _ROOM_M)
             if start is None:
                 unreachable += 1
@@ -149,7 +151,7 @@ class HeldMoveGenerator:
                 if with_obstacles and not blocked:
                     continue
                 query = HeldQuery(start[1], T_goal, *self._grasps, scene, int(rng.integers(2**31)))
-                witness = self._witness(rng, engine, query, start, goal)
+                witness = self._witness(rng, engines, query, start, goal)
                 if witness is None:
                     undecided += 1
                     continue
@@ -207,14 +209,14 @@ class HeldMoveGenerator:
     def _witness(
         self,
         rng: np.random.Generator,
-        engine: MujocoEngine,
+        engines: SceneEngines,
         query: HeldQuery,
         start: tuple[Array, Array],
         goal: tuple[Array, Array],
     ) -> Array | None:
         """Return points (n, 20) from start to goal that can be timed and proven free, searched from the goal, or None."""
         for padding_m, step_scale in _WITNESS_TRIES:
-            checker = EdgeChecker(engine, padding_m, (start[1], goal[1]), _EDGE_STEP_RAD)
+            checker = EdgeChecker(engines, padding_m, (start[1], goal[1]), _EDGE_STEP_RAD)
             space = HeldSpace(self._hands, ObjectChart(start[0][:3, :3]), checker, step_scale)
             path = search_object(
                 space, space.point(*goal), [space.point(*start)], rng,

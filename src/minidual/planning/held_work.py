@@ -172,7 +172,7 @@ class HeldWork:
 
     def _checker(self, q_goal: Array, padding_m: float) -> EdgeChecker:
         ends = (self._query.q_start, q_goal)
-        return EdgeChecker(self._engines.mujoco, padding_m, ends, self._config.edge_step_rad)
+        return EdgeChecker(self._engines, padding_m, ends, self._config.edge_step_rad)
 
     def _touching(self, rows: Array) -> str:
         """Return which parts come nearest along configurations (n, 14)."""

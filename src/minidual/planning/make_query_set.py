@@ -32,7 +32,7 @@ def find_way(query: Query) -> Array | None:
     """Return a polyline (n, 14) on which nothing touches, its corners rounded to what is stored; or None."""
     engines = SceneEngines(query.scene)
     for attempt, (padding, step) in enumerate(_ROUNDS):
-        checker = EdgeChecker(engines.mujoco, padding, (query.q_start, query.q_goal), step)
+        checker = EdgeChecker(engines, padding, (query.q_start, query.q_goal), step)
         path = search(
             checker, query.q_start, query.q_goal, GROUPS[query.group], seed=query.seed + 1000 + attempt,
             checks_max=_CHECKS_N, deadline=time.perf_counter() + _DEADLINE_S,

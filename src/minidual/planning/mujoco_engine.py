@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from minidual.planning.levers import LeverArms
 from minidual.planning.links import LINKS
 from minidual.planning.scene import Attached, PlanningScene
 from minidual.planning.shapes import Box, Capsule, Cylinder, Mesh, Shape, Sphere
@@ -26,14 +25,6 @@ _COMPILER = (
     '<mujoco><compiler fusestatic="false" discardvisual="true" strippath="false"/></mujoco><link name="world"'
 )
 _CLOSEST_WITHIN_M = 0.1
-SURE = 0.8
-"""Fraction of the distance of a contact that is surely there: it was up to 4 % larger than that of coal and of
-mj_geomDistance, which agree to 1e-8 m."""
-_CONTACTS_FULL = int(mujoco.mjtWarning.mjWARN_CONTACTFULL)
-
-
-class ContactsFullError(RuntimeError):
-    """MuJoCo ran out of room for contacts, so that distances are missing."""
 
 
 @dataclass(frozen=True)
@@ -49,18 +40,6 @@ class PairDistance:
         return f"{self.first} and {self.second} {kind} {abs(self.distance_m) * 1e3:.1f} mm"
 
 
-@dataclass(frozen=True, eq=False)
-class Measured:
-    """Distances and levers of n postures.
-
-    distances: (n, p) [m], of each checked pair, at most `SURE` of the margin that was asked for.
-    levers: (n, m, 7) [m], of each moving part from each joint of its arm.
-    """
-
-    distances: Array
-    levers: Array
-
-
 class MujocoEngine:
     """Collision checks of one scene. One instance holds one workspace: give each process its own."""
 
@@ -71,10 +50,6 @@ class MujocoEngine:
         self.min_distance_m = scene.min_distance_m
         carried = {held.name: held.link for held in scene.attached}
         self._owners = [carried.get(name, name) for name in self._body_names]
-        self.pairs = scene.checked_pairs
-        self._pair_of_geoms = self._pair_table(scene.checked_pairs)
-        moving = [n for n in scene.names if scene.moving_joints(n).stop > 0]
-        self._levers = LeverArms(self.model, moving, [carried.get(n, n) for n in moving])
 
     @classmethod
     def from_pairs(
@@ -114,13 +89,6 @@ class MujocoEngine:
         self._body_names = [self.model.body(i).name for i in range(self.model.nbody)]
         self.margin_m = 0.0
 
-    def _pair_table(self, pairs: Sequence[tuple[str, str]]) -> np.ndarray:
-        """Return (geoms, geoms): the column of the pair that two geoms belong to."""
-        columns = {frozenset(pair): k for k, pair in enumerate(pairs)}
-        bodies = [self._body_names[b] for b in self.model.geom_bodyid]
-        # A pair that is not checked makes no contact, so -1 is never looked up.
-        return np.array([[columns.get(frozenset((a, b)), -1) for b in bodies] for a in bodies], dtype=int)
-
     def set_margin(self, margin_m: float) -> None:
         """Report pairs nearer than `margin_m`, not only those that touch."""
         if margin_m != self.margin_m:
@@ -157,64 +125,6 @@ class MujocoEngine:
             yield
         finally:
             model.geom_contype[:], model.body_contype[:] = before
-
-    def measure(self, Q: Array, margin_m: float, enough_m: Array | None = None) -> Measured:
-        """Return the distance of every checked pair, up to a margin, and the levers, at the rows of Q (n, 14).
-
-        Args:
-            Q: Postures.
-            margin_m: Pairs farther apart are not measured.
-            enough_m: (n, p), distances from which on a lower bound is good enough; without it all are exact.
-
-        Raises:
-            ContactsFullError: MuJoCo ran out of room for contacts, so that distances are missing.
-        """
-        self.set_margin(margin_m)
-        model, data, count = self.model, self.data, len(Q)
-        centres = np.empty((count, model.ngeom, 3))
-        anchors, axes = np.empty((count, model.njnt, 3)), np.empty((count, model.njnt, 3))
-        rows: list[int] = []
-        geoms: list[np.ndarray] = []
-        found: list[Array] = []
-        full_before = data.warning[_CONTACTS_FULL].number
-        for k, q in enumerate(Q):
-            if self.contact_count(q):
-                contact = data.contact
-                rows.append(k)
-                geoms.append(contact.geom.copy())  # views into a buffer that the next state overwrites
-                found.append(contact.dist.copy())
-            centres[k], anchors[k], axes[k] = data.geom_xpos, data.xanchor, data.xaxis
-        if data.warning[_CONTACTS_FULL].number > full_before:
-            raise ContactsFullError(
-                f"MuJoCo has no room for all contacts within {margin_m} m; distances are missing"
-            )
-        # A pair just outside the margin may go unnamed, because the distances of contacts are not exact.
-        distances = np.full((count, len(self.pairs)), SURE * margin_m)
-        if rows:
-            at = np.repeat(rows, [len(d) for d in found])
-            self._nearest(Q, at, np.concatenate(geoms), np.concatenate(found), enough_m, distances)
-        return Measured(distances, self._levers.of(centres, anchors, axes))
-
-    def _nearest(
-        self, Q: Array, at: np.ndarray, geoms: np.ndarray, found: Array, enough_m: Array | None, out: Array
-    ) -> None:
-        """Lower the distances `out` (n, p) by contacts found at rows `at` of Q; exact ones where it matters."""
-        columns = self._pair_of_geoms[geoms[:, 0], geoms[:, 1]]
-        sure = SURE * found
-        unsure = np.arange(len(at))
-        if enough_m is not None:
-            unsure = np.flatnonzero((sure < enough_m[at, columns]) | (sure <= 0.0))
-        model, data = self.model, self.data
-        ends = np.zeros(6)
-        placed = -1
-        for i, k, (first, second) in zip(
-            unsure.tolist(), at[unsure].tolist(), geoms[unsure].tolist(), strict=True
-        ):
-            if k != placed:
-                self._place(Q[k])
-                placed = k
-            sure[i] = mujoco.mj_geomDistance(model, data, first, second, 2.0 * self.margin_m, ends)
-        np.minimum.at(out, (at, columns), sure)
 
     def _place(self, q: Array) -> None:
         self._left[:] = q[:7]

@@ -1,11 +1,11 @@
-"""Both collision engines of a scene, the motion bound and the proof, built once a scene."""
+"""Both collision engines of a scene, its solids and the proof, built once a scene."""
 
 from __future__ import annotations
 
 from minidual.planning.coal_engine import CoalEngine
-from minidual.planning.motion_bound import MotionBound
 from minidual.planning.mujoco_engine import MujocoEngine
 from minidual.planning.scene import PlanningScene
+from minidual.planning.solids import Solids
 from minidual.planning.verify import STEP_RAD, Verifier
 
 
@@ -16,4 +16,5 @@ class SceneEngines:
         self.scene = scene
         self.mujoco = MujocoEngine(scene)
         self.coal = CoalEngine(scene)
-        self.verifier = Verifier(self.mujoco, self.coal, MotionBound(scene, self.coal), verify_step_rad)
+        self.solids = Solids(scene, self.coal)
+        self.verifier = Verifier(self.mujoco, self.coal, self.solids, verify_step_rad)

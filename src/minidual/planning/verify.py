@@ -18,8 +18,8 @@ import numpy as np
 from minidual.planning.certificate import Certificate, Certifier
 from minidual.planning.coal_engine import CoalEngine
 from minidual.planning.limits import limit_use
-from minidual.planning.motion_bound import MotionBound
 from minidual.planning.mujoco_engine import MujocoEngine
+from minidual.planning.solids import Solids
 from minidual.planning.trajectory import Trajectory
 from minidual.robot.constants import Array
 
@@ -33,9 +33,9 @@ class Verification:
 
     ok: Nothing touches at any time, by both engines, and every limit holds.
     reason: Empty if ok, else what failed first, with names and numbers.
-    samples_n: States at which distances were measured.
+    samples_n: States at which a stretch of the proof ends; both engines were asked about each.
     disagreements_n: Of these, the states that one engine sees colliding and the other free.
-    unproven_n: Stretches of the motion that could not be proven free.
+    unproven_n: 1 if some stretch of the motion could not be proven free.
     clearance_m: Smallest distance that is sure, at most 4 cm (`certificate.CLEARANCE_MAX_M`).
     velocity_ratio, acceleration_ratio, jerk_ratio, torque_ratio: Largest fraction of the robot's limits used.
     limit_margin_rad: Smallest distance of a joint from its position limit.
@@ -80,16 +80,16 @@ class Verifier:
     Args:
         primary: MuJoCo engine of the scene.
         second: coal engine of the same scene.
-        bound: Motion bound of the same scene.
+        solids: Solids of the same scene.
         step_rad: Largest joint step between the samples of an audit, at most 0.002.
     """
 
     def __init__(
-        self, primary: MujocoEngine, second: CoalEngine, bound: MotionBound, step_rad: float = STEP_RAD
+        self, primary: MujocoEngine, second: CoalEngine, solids: Solids, step_rad: float = STEP_RAD
     ) -> None:
         self._primary = primary
         self._second = second
-        self._certifier = Certifier(primary, second, bound)
+        self._certifier = Certifier(primary, second, solids)
         self._step_rad = step_rad
 
     def verify(self, trajectory: Trajectory) -> Verification:

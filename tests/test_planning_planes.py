@@ -1,0 +1,319 @@
+"""Separating planes: their geometry is that of both engines, and what they prove is true between the samples too."""
+
+import numpy as np
+import pytest
+from planning_oracles import CoalDistances, farthest_in_mujoco, states
+
+from minidual.planning import planes
+from minidual.planning.scene import Attached, PlanningScene
+from minidual.planning.scene_engines import SceneEngines
+from minidual.planning.shapes import Box, Capsule, Cylinder, Mesh, Sphere
+from minidual.planning.trajectory import Trajectory
+from minidual.robot.constants import DOF, HOME
+from minidual.robot.kinematics import Kinematics
+
+HALF = np.sqrt(0.5)
+WEDGE = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.12, 0.0], [0.02, 0.03, 0.15]])
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """Every kind of shape, one of them a mesh of two pieces, one held."""
+    fingers = ("left_panda_leftfinger", "left_panda_rightfinger")
+    return (
+        PlanningScene()
+        .with_obstacles(
+            Box("box", (0.5, 0.2, 0.15), (np.cos(0.3), 0.0, 0.0, np.sin(0.3)), (0.1, 0.12, 0.3)),
+            Cylinder("cylinder", (0.5, -0.2, 0.15), (HALF, HALF, 0.0, 0.0), radius_m=0.04, length_m=0.3),
+            Capsule("capsule", (0.6, 0.0, 0.2), (HALF, HALF, 0.0, 0.0), radius_m=0.04, length_m=0.3),
+            Sphere("sphere", (0.4, 0.0, 0.45), radius_m=0.06),
+            Mesh("wedge", (0.45, 0.35, 0.1), (HALF, 0.0, HALF, 0.0), pieces=(WEDGE.tobytes(), (WEDGE + 0.05).tobytes())),
+        )
+        .with_attached(
+            Attached(
+                Cylinder("stick", (0, 0.02, 0.11), (HALF, 0.0, HALF, 0.0), radius_m=0.01, length_m=0.3),
+                "left_panda_hand", fingers,
+            )
+        )
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def engines(scene):
+    return SceneEngines(scene)
+
+
+@pytest.fixture(scope="module")
+def distances(scene, engines):
+    return CoalDistances(scene, engines.coal)
+
+
+def placed(solids, q):
+    """Return the poses (15, 3, 3), (15, 3) of all frames."""
+    R, p, C, *_ = solids.workspace()
+    joints, _, _, parts, _ = solids.geometry
+    planes.place(joints, parts, np.asarray(q, dtype=float), 0, R, p, C)
+    return R[0], p[0]
+
+
+NOWHERE = np.zeros((0, DOF))
+
+
+def survey(solids, Q, padding_m, tight=NOWHERE, clearances=NOWHERE[:, 0], relax=0.1):
+    chosen = np.arange(len(solids.pairs))
+    return planes.survey(
+        solids.geometry, Q, 0, chosen, padding_m, tight, clearances, relax, solids.directions(), solids.workspace()
+    )  # fmt: skip
+
+
+def prove(solids, trajectory, reach=None, length=0.5, chosen=None):
+    chosen = np.arange(len(solids.pairs)) if chosen is None else chosen
+    reach = solids.reach if reach is None else reach
+    return planes.prove(
+        solids.geometry, reach, solids.first_joint, trajectory.q, trajectory.v, trajectory.dt_s, length,
+        chosen, 2e-5, solids.directions(),
+    )  # fmt: skip
+
+
+def wave(q, amplitude, seed, samples_n=201):
+    """A motion through q: every joint swings by its own amplitude, frequency and phase."""
+    rng = np.random.default_rng(seed)
+    size, rate, phase = (
+        rng.uniform(-amplitude, amplitude, DOF),
+        rng.uniform(1.0, 6.0, DOF),
+        rng.uniform(0, 6, DOF),
+    )
+    t = np.arange(samples_n)[:, None] * 0.001
+    turn = rate * t * 5.0 + phase
+    return Trajectory(
+        t[:, 0], q + size * np.sin(turn), size * 5.0 * rate * np.cos(turn), -size * (5.0 * rate) ** 2 * np.sin(turn),
+        "both_arms",
+    )  # fmt: skip
+
+
+def test_kinematics_are_those_of_pinocchio(engines):
+    kinematics = Kinematics()
+    hand = engines.coal.model.getFrameId("left_panda_hand_tcp")
+    flange = np.array(engines.coal.model.frames[hand].placement.homogeneous)
+    for q in states(20)[:20]:
+        R, p = placed(engines.solids, q)
+        for frame, T in zip((7, 14), kinematics.tcp_poses(q), strict=True):
+            mine = np.eye(4)
+            mine[:3, :3], mine[:3, 3] = R[frame], p[frame]
+            assert np.abs(mine @ flange - T).max() < 1e-12
+
+
+def test_the_solids_are_what_mujoco_compiled(scene, engines):
+    """Along random directions every part goes as far in the one as in the other: the hulls are the same."""
+    rng = np.random.default_rng(1)
+    _, vertices, solids, parts, _ = engines.solids.geometry
+    seen = 0
+    for q in states(6)[:6]:
+        engines.mujoco.contact_count(q)
+        R, p = placed(engines.solids, q)
+        for name, part in zip(scene.names, parts, strict=True):
+            for _ in range(6):
+                n = rng.normal(size=3)
+                n /= np.linalg.norm(n)
+                own = R[part["frame"]].T @ n
+                far = max(
+                    (vertices[s["first"] : s["end"]] @ own).max() + s["ball"]
+                    + s["disc"] * np.linalg.norm(np.cross(own, [s["x"], s["y"], s["z"]]))
+                    for s in solids[part["first"] : part["end"]]
+                ) + n @ p[part["frame"]]  # fmt: skip
+                assert far == pytest.approx(farthest_in_mujoco(engines.mujoco, name, n), abs=2e-6), name
+                seen += 1
+    assert seen == 36 * len(scene.names)
+
+
+def test_another_geometry_would_be_noticed(scene, engines):
+    """Negative control of the comparison above."""
+    other = SceneEngines(
+        scene.without_obstacle("sphere").with_obstacles(Sphere("sphere", (0.4, 0, 0.45), radius_m=0.0601))
+    )
+    engines.mujoco.contact_count(HOME)
+    other.mujoco.contact_count(HOME)
+    far = [farthest_in_mujoco(e.mujoco, "sphere", np.array([0.0, 0.0, 1.0])) for e in (engines, other)]
+    assert far[1] - far[0] == pytest.approx(1e-4, abs=1e-9)
+
+
+@pytest.mark.parametrize("padding_m", [0.002, 0.008])
+def test_verdicts_are_those_of_exact_distances(engines, distances, padding_m):
+    Q = states(160, seed=2)
+    nearest = distances(Q).min(axis=1)
+    verdicts = np.array([survey(engines.solids, q[None], padding_m)[1] for q in Q])
+    free, blocked = verdicts == planes.FREE, verdicts == planes.BLOCKED
+    assert (nearest[free] > padding_m - 1e-7).all()
+    assert (nearest[blocked] <= padding_m + 1e-7).all()
+    assert min(free.sum(), blocked.sum()) > 50
+    assert (verdicts == planes.UNDECIDED).mean() < 0.02
+
+
+def test_a_survey_stops_at_the_first_state_that_is_not_free(engines):
+    Q = states(40, seed=3)
+    one_by_one = [survey(engines.solids, q[None], 0.0)[1] for q in Q]
+    first = next(k for k, verdict in enumerate(one_by_one) if verdict != planes.FREE)
+    assert survey(engines.solids, Q, 0.0) == (first, one_by_one[first])
+    free = Q[np.array(one_by_one) == planes.FREE]
+    assert survey(engines.solids, free, 0.0) == (len(free), planes.FREE)
+    assert survey(engines.solids, free[:1] * np.nan, 0.0)[1] != planes.FREE
+
+
+def test_padding_relaxes_near_a_tight_end(engines, distances):
+    """Where the distance lies between clearance and padding, the joint step from the end decides."""
+    Q = states(300, seed=4)[:300]
+    nearest = distances(Q).min(axis=1)
+    q = Q[np.flatnonzero((nearest > 0.004) & (nearest < 0.006))[0]]
+    none = survey(engines.solids, q[None], 0.008)[1]
+    at_the_end = survey(engines.solids, q[None], 0.008, q[None] + 0.01, np.array([0.003]))[1]
+    beyond = survey(engines.solids, q[None], 0.008, q[None] + 0.09, np.array([0.003]))[1]
+    assert (none, at_the_end, beyond) == (planes.BLOCKED, planes.FREE, planes.BLOCKED)
+
+
+def test_clearance_is_sure_and_nearly_exact(engines, distances):
+    Q = states(60, seed=5)
+    for q, truth in zip(Q, distances(Q).min(axis=1), strict=True):
+        said = engines.solids.clearance(q[None], 0.04)
+        if truth > 1e-3:
+            assert min(truth, 0.04) - 6e-4 < said <= min(truth, 0.04) + 1e-7
+        elif truth <= 0.0:
+            assert said <= 1e-7
+
+
+def test_no_vertex_leaves_its_chord_by_more_than_the_bound(scene, engines):
+    """On straight lines in joint space, seen from the world and from every link that carries the part, on a fine grid."""
+    solids = engines.solids
+    _, vertices, shapes, parts, _ = solids.geometry
+    moving = [k for k in range(len(parts)) if parts[k]["frame"] > 0]
+    rng = np.random.default_rng(6)
+    table = np.empty((len(moving) + 1, 8))
+    tightest = 0.0
+    for size in (0.02, 0.1, 0.4):
+        q, step = states(1, seed=int(1e3 * size))[0], rng.uniform(-size, size, DOF)
+        planes._deviate(solids.reach, solids.first_joint, step, np.zeros(DOF), table)
+        poses = [placed(solids, q + x * step) for x in np.linspace(0.0, 1.0, 21)]
+        poses = [(R.copy(), p.copy()) for R, p in poses]
+        for row, k in enumerate(moving):
+            frame = int(parts[k]["frame"])
+            points = vertices[shapes[parts[k]["first"]]["first"] : shapes[parts[k]["end"] - 1]["end"]]
+            base = 0 if frame <= 7 else 7
+            for inner in range(frame - base):
+                seen_from = inner + base if inner else 0
+                seen = np.array([
+                    (points @ R[frame].T + p[frame] - p[seen_from]) @ R[seen_from] for R, p in poses
+                ])  # fmt: skip
+                x = np.linspace(0.0, 1.0, 21)[:, None, None]
+                off = np.linalg.norm(seen - ((1 - x) * seen[0] + x * seen[-1]), axis=2).max()
+                assert off <= table[row, inner] + 1e-12
+                tightest = max(tightest, off / table[row, inner])
+    assert tightest > 0.3  # the bound is not absurdly wide
+    assert (table[-1] == 0.0).all()
+
+
+def test_the_motion_leaves_the_straight_line_by_no_more_than_is_said():
+    trajectory = wave(HOME, 0.5, seed=7)
+    n = len(trajectory.q)
+    bend, step, off = np.empty((n - 1, DOF)), np.empty(DOF), np.empty(DOF)
+    planes._bends(trajectory.q, trajectory.v, trajectory.dt_s, bend)
+    for i, j in [(0, n - 1), (3, 60), (100, 101), (150, 152)]:
+        planes._off_chord(trajectory.q, bend, i, j, step, off)
+        assert np.array_equal(step, trajectory.q[j] - trajectory.q[i])
+        times = np.linspace(trajectory.times[i], trajectory.times[j], 40 * (j - i) + 1)
+        fine = trajectory.positions(times) - trajectory.q[i]
+        # One point of the line for all joints at once: between samples it runs evenly.
+        at_samples = np.clip(fine[::40] @ step / (step @ step), 0.0, 1.0)
+        x = np.interp(times, times[::40], at_samples)[:, None]
+        away = np.abs(fine - x * step).max(axis=0)
+        assert (away <= off + 1e-12).all()
+        assert (off <= away + 0.1 * away.max() + 3e-5).all()
+
+
+def test_a_number_that_is_none_makes_the_bound_infinite():
+    trajectory = wave(HOME, 0.5, seed=7)
+    n = len(trajectory.q)
+    bend, step, off = np.zeros((n - 1, DOF)), np.empty(DOF), np.empty(DOF)
+    bend[5, 3] = np.nan
+    planes._off_chord(trajectory.q, bend, 0, n - 1, step, off)
+    assert np.isinf(off).all()
+
+
+def test_what_is_proven_is_free_at_a_thousand_states_in_between(engines, distances):
+    """Wild motions of all joints: whatever is proven holds on a grid far finer than the proof's, by exact distances."""
+    proven = refused = 0
+    for seed in range(40):
+        trajectory = wave(states(1, seed=seed)[0], 0.1 + 0.3 * (seed % 3), seed)
+        asked, failed, pair = prove(engines.solids, trajectory)
+        if failed >= 0:
+            refused += 1
+            near = distances(trajectory.q[[failed, failed + 1]])[:, pair]
+            assert near.min() < 0.02  # what is refused is at least close
+            continue
+        proven += 1
+        assert asked[0]
+        assert asked[-1]
+        Q = trajectory.positions(np.linspace(0.0, trajectory.duration_s, 1201))
+        assert not engines.coal.collisions(Q).any()
+        assert not engines.mujoco.collisions(Q).any()
+        few = Q[:: len(Q) // 12]
+        assert distances(few).min() > 0.0
+    assert min(proven, refused) >= 5
+
+
+def test_with_a_reach_too_short_a_ball_beside_the_chord_would_be_missed():
+    """Negative control of the bound: a tip turns about the base past a ball that its arc meets and its chord does not."""
+    a, b = HOME.copy(), HOME.copy()
+    a[0], b[0] = HOME[0] - 0.4, HOME[0] + 0.4
+    T_world_tcp = Kinematics().tcp_poses(HOME)[0]
+    tip = Attached(Sphere("tip", (0.0, 0.0, 0.1), radius_m=0.01), "left_panda_hand_tcp")
+    ball = Sphere("ball", tuple(T_world_tcp[:3, 3] + 0.1 * T_world_tcp[:3, 2]), radius_m=0.01)
+    engines = SceneEngines(PlanningScene(obstacles=(ball,)).with_attached(tip))
+    solids = engines.solids
+    x = np.linspace(0.0, 1.0, 3001)[:, None]
+    smooth, speed = 10 * x**3 - 15 * x**4 + 6 * x**5, 30 * x**2 - 60 * x**3 + 30 * x**4
+    trajectory = Trajectory(
+        np.arange(3001) * 0.001,
+        a + (b - a) * smooth,
+        (b - a) * speed / 3.0,
+        np.zeros((3001, DOF)),
+        "left_arm",
+    )
+    assert engines.mujoco.collisions(trajectory.q[::10]).any()
+    only = np.array([solids.pairs.index(("ball", "tip"))])
+    assert prove(solids, trajectory, length=100.0, chosen=only)[1] >= 0
+    asked, failed, _ = prove(solids, trajectory, reach=0.01 * solids.reach, length=100.0, chosen=only)
+    assert failed < 0
+    assert asked.sum() == 2
+
+
+@pytest.mark.parametrize("spoil", ["q", "reach", "vertices"])
+def test_nothing_is_proven_from_numbers_that_are_none(engines, spoil):
+    solids = engines.solids
+    trajectory = wave(HOME, 0.02, seed=8)
+    assert prove(solids, trajectory)[1] < 0
+    joints, vertices, shapes, parts, pairs = solids.geometry
+    q, reach, points = trajectory.q.copy(), solids.reach.copy(), vertices.copy()
+    if spoil == "q":
+        q[50, 2] = np.nan
+    elif spoil == "reach":
+        reach[3, 0] = np.nan
+    else:
+        # The solid that decides: the hand against what it holds near.
+        points[:] = np.nan
+        parts = parts.copy()
+        parts["radius"] = np.nan
+    every = np.arange(len(pairs))
+    _, failed, _ = planes.prove(
+        (joints, points, shapes, parts, pairs), reach, solids.first_joint, q, trajectory.v, trajectory.dt_s, 0.5,
+        every, 2e-5, solids.directions(),
+    )  # fmt: skip
+    assert failed >= 0
+
+
+def test_the_same_motion_is_proven_from_the_same_samples(engines):
+    """Memory of directions carries nothing from one proof to the next."""
+    trajectory = wave(HOME, 0.3, seed=9)
+    first = prove(engines.solids, trajectory)
+    prove(engines.solids, wave(HOME, 0.4, seed=10))
+    again = prove(engines.solids, trajectory)
+    assert np.array_equal(first[0], again[0])
+    assert first[1:] == again[1:]
