@@ -1,6 +1,7 @@
 """The planner's compiled loops, held to slower ways of saying the same."""
 
 import dataclasses
+from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
@@ -9,9 +10,10 @@ from scipy.interpolate import PPoly
 
 from minidual.errors import DataError
 from minidual.planning import extremes as loops
+from minidual.planning import timing
 from minidual.planning.blend import rounded
 from minidual.planning.dynamics import torques
-from minidual.planning.extremes import extremes, largest
+from minidual.planning.extremes import extremes, largest, motion_peaks
 from minidual.planning.limits import _acceleration_misfit, _velocity_misfit, limit_use
 from minidual.planning.rnea import LANES, arm_torques, link_table
 from minidual.planning.smooth_path import SmoothPath
@@ -263,3 +265,45 @@ def test_timing_is_the_same_for_any_curve_that_runs_the_same(kinematics):
     path = curve()
     short, long = (time_path(x, "both_arms", MotionLimits(), kinematics) for x in (path, Values(path)))
     assert short.digest() == long.digest()
+
+
+@pytest.mark.parametrize("dof", [1, 7, 14, 21])
+def test_acceleration_limits_are_those_of_toppra(dof):
+    from toppra.constraint import DiscretizationType, JointAccelerationConstraint  # slow to import
+
+    rng = np.random.default_rng(dof)
+    a_max, grid = rng.uniform(1.0, 9.0, dof), np.cumsum(rng.uniform(0.1, 1.0, 30))
+    path = timing._OnGrid(rng.standard_normal((30, dof)), rng.standard_normal((30, dof)))
+    theirs = JointAccelerationConstraint(np.column_stack([-a_max, a_max]), DiscretizationType.Interpolation)
+    mine = timing._accelerations()(a_max)
+    assert mine.get_constraint_type() == theirs.get_constraint_type()
+    assert mine.identical == theirs.identical
+    for x, y in zip(
+        mine.compute_constraint_params(path, grid), theirs.compute_constraint_params(path, grid), strict=True
+    ):
+        assert np.array_equal(x, y) or (x is None and y is None)
+
+
+def test_the_grid_hits_every_knot_and_is_fine_enough():
+    path = curve()
+    grid = timing._grid(path)
+    assert np.isin(path.knots, grid).all()
+    assert np.diff(grid).max() <= path.length / 100.0 * (1.0 + 1e-12)
+    assert np.diff(grid).min() > 0.0
+    for a, b in pairwise(path.knots):
+        inside = grid[(grid >= a) & (grid <= b)]
+        assert len(inside) >= 9
+        assert np.abs(inside - np.linspace(a, b, len(inside))).max() < 1e-14
+
+
+@pytest.mark.parametrize("n", [2, 8, 9, 10, 201])
+def test_peaks_of_a_motion(n):
+    t = wave(n)
+    truth = [np.abs(x).max(axis=0) for x in (t.v, t.a, np.diff(t.a, axis=0))]
+    assert np.array_equal(motion_peaks(t.v, t.a), truth)
+    for what, k in (("v", 0), ("v", n - 1), ("a", n // 2)):
+        spoiled = {"v": t.v.copy(), "a": t.a.copy()}
+        spoiled[what][k, 3] = np.nan
+        found = motion_peaks(**spoiled)
+        assert np.isnan(found[0 if what == "v" else 1, 3])
+        assert np.isfinite(np.delete(found, 3, axis=1)).all()

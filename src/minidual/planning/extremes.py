@@ -101,3 +101,26 @@ def largest(x: Array) -> Array:
     most = np.full((_TOGETHER, DOF), -np.inf)
     _largest(floats(x).reshape(-1), most.reshape(-1))
     return most.max(axis=0)
+
+
+@kernel(types.void(VECTOR, VECTOR, VECTOR))
+def _motion_peaks(v: Array, a: Array, most: Array) -> None:
+    """Raise the maxima by all samples."""
+    n = len(v) // DOF
+    together = min(_TOGETHER, n - 1)
+    for first in range(0, n - 1, together):
+        k = min(first, n - 1 - together)
+        v_own, a_own = v[k * DOF : (k + together + 1) * DOF], a[k * DOF : (k + together + 1) * DOF]
+        for i in range(together * DOF):
+            most[i] = _more(_more(most[i], abs(v_own[i])), abs(v_own[DOF + i]))
+            row = _LANES + i
+            most[row] = _more(_more(most[row], abs(a_own[i])), abs(a_own[DOF + i]))
+            row = 2 * _LANES + i
+            most[row] = _more(most[row], abs(a_own[DOF + i] - a_own[i]))
+
+
+def motion_peaks(v: Array, a: Array) -> Array:
+    """Return (3, 14) the largest |v|, |a| and change of a from one of the samples (n, 14), n >= 2, to the next."""
+    most = np.full((3, _TOGETHER, DOF), -np.inf)
+    _motion_peaks(floats(v).reshape(-1), floats(a).reshape(-1), most.reshape(-1))
+    return most.max(axis=1)

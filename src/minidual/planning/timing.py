@@ -23,7 +23,7 @@ import numpy as np
 from minidual.planning.compiled import floats
 from minidual.planning.dynamics import torques
 from minidual.planning.errors import TimingError
-from minidual.planning.extremes import largest
+from minidual.planning.extremes import largest, motion_peaks
 from minidual.planning.smooth_path import SmoothPath
 from minidual.planning.time_samples import time_samples
 from minidual.planning.trajectory import Trajectory
@@ -102,9 +102,10 @@ def drive(
 
 def _slowdown_needed(q: Array, v: Array, a: Array, limits: MotionLimits) -> float:
     """Return by what factor samples (n, 14) every DT_S are too fast, 1 if they are not, NaN if one is NaN."""
-    velocity = np.max(largest(v) / (limits.velocity_scale * V_MAX))
-    acceleration = np.max(largest(a) / (limits.acceleration_scale * A_MAX))
-    jerk = np.max(largest(np.diff(a, axis=0)) / (limits.jerk_scale * JERK_MAX)) / DT_S
+    fastest, strongest, change = motion_peaks(v, a)
+    velocity = np.max(fastest / (limits.velocity_scale * V_MAX))
+    acceleration = np.max(strongest / (limits.acceleration_scale * A_MAX))
+    jerk = np.max(change / (limits.jerk_scale * JERK_MAX)) / DT_S
     factor = float(np.max([velocity, np.sqrt(acceleration), np.cbrt(jerk)]))
     if not factor <= 1.0 + 1e-9:
         return factor
@@ -188,25 +189,47 @@ def _constraints(v_max: tuple[float, ...], a_max: tuple[float, ...]) -> tuple[An
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SyntaxWarning)  # its docstrings hold unescaped backslashes
         import toppra
-        from toppra.constraint import DiscretizationType, JointAccelerationConstraint, JointVelocityConstraint
+        from toppra.constraint import JointVelocityConstraint
 
     toppra.setup_logging("ERROR")
-    v, a = np.array(v_max), np.array(a_max)
-    velocity = JointVelocityConstraint(np.column_stack([-v, v]))
-    acceleration = JointAccelerationConstraint(
-        np.column_stack([-a, a]), discretization_scheme=DiscretizationType.Interpolation
-    )
-    return velocity, acceleration
+    v = np.array(v_max)
+    return JointVelocityConstraint(np.column_stack([-v, v])), _accelerations()(np.array(a_max))
+
+
+@functools.cache
+def _accelerations() -> Any:
+    """Return the class of toppra's acceleration limits, interpolated, but with what never changes made once."""
+    from toppra.constraint import LinearConstraint
+
+    class Accelerations(LinearConstraint):
+        def __init__(self, a_max: Array) -> None:
+            super().__init__()
+            self.dof = len(a_max)
+            self.identical = True  # F and g are the same at every point of the grid
+            both_ways = np.vstack([np.eye(self.dof), -np.eye(self.dof)])
+            self._F = np.kron(np.eye(2), both_ways)
+            self._g = np.tile(a_max, 4)
+
+        def compute_constraint_params(self, path: _OnGrid, gridpoints: Array) -> tuple[Any, ...]:
+            """Return q' and q'' of a point and, as far as they follow from its u and x, of the next point."""
+            d, first, second = self.dof, path(gridpoints, 1), path(gridpoints, 2)
+            a, b = np.empty((2, len(gridpoints), 2 * d))
+            a[:, :d], b[:, :d] = first, second
+            a[:-1, d:] = first[1:] + 2.0 * np.diff(gridpoints)[:, None] * second[1:]
+            b[:-1, d:] = second[1:]
+            a[-1, d:], b[-1, d:] = first[-1], second[-1]
+            return a, b, np.zeros_like(a), self._F, self._g, None, None
+
+    return Accelerations
 
 
 def _grid(path: Curve) -> Array:
     """Return grid points that hit every knot: at least 8 a piece, and no step longer than 1/100 of the path."""
-    longest = path.length / 100.0
-    parts = [
-        np.linspace(a, b, max(8, int(np.ceil((b - a) / longest))) + 1)[:-1]
-        for a, b in zip(path.knots[:-1], path.knots[1:], strict=True)
-    ]
-    return np.append(np.concatenate(parts), path.length)
+    widths = np.diff(path.knots)
+    counts = np.maximum(8, np.ceil(widths / (path.length / 100.0))).astype(int)
+    within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    points = within * np.repeat(widths / counts, counts) + np.repeat(path.knots[:-1], counts)
+    return np.append(points, path.length)
 
 
 def profile_times(s: Array, sd: Array) -> Array:
