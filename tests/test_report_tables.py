@@ -123,6 +123,12 @@ def test_a_value_on_the_excellent_limit_is_not_excellent() -> None:
     assert torque.is_excellent(0.799) is True
 
 
+def test_a_tilt_that_is_rounding_is_shown_as_none() -> None:
+    tilt = next(indicator for indicator in INDICATORS if indicator.key == "tilt_max_rad")
+    assert tilt.shown(4e-12) == "0.000"
+    assert tilt.shown(math.radians(0.0364)) == "0.0364"
+
+
 def test_trials_survive_the_way_through_the_file(tmp_path: Path) -> None:
     trials = samples.make_trials(6)
     read = read_trials(write_csv(tmp_path / "benchmark.csv", trials))

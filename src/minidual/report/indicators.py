@@ -7,6 +7,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 
+_UNSEEN = 0.0005
+"""What is smaller, in the unit that people see, is rounding: the tilt of a rod that nobody lifted."""
+
+
 @dataclass(frozen=True)
 class Indicator:
     """One column of the comparison.
@@ -46,7 +50,10 @@ class Indicator:
 
     def shown(self, value: float) -> str:
         """Return `value` in the unit that people see, without the unit."""
-        return three_digits(value * self.scale) if self.unit != "%" else f"{value * 100:.0f}"
+        if self.unit == "%":
+            return f"{value * 100:.0f}"
+        seen = value * self.scale
+        return "0.000" if 0.0 < abs(seen) < _UNSEEN else three_digits(seen)
 
     def range(self, low: float, high: float) -> str:
         """Return "5.92 to 5.98" in the unit that people see."""
