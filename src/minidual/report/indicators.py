@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-
 _UNSEEN = 0.0005
 """What is smaller, in the unit that people see, is rounding: the tilt of a rod that nobody lifted."""
 
