@@ -13,6 +13,7 @@ from minidual.planning import extremes as loops
 from minidual.planning import timing
 from minidual.planning.blend import rounded
 from minidual.planning.dynamics import torques
+from minidual.planning.errors import TimingError
 from minidual.planning.extremes import extremes, largest, motion_peaks
 from minidual.planning.limits import _acceleration_misfit, _velocity_misfit, limit_use
 from minidual.planning.rnea import LANES, arm_torques, link_table
@@ -307,3 +308,23 @@ def test_peaks_of_a_motion(n):
         found = motion_peaks(**spoiled)
         assert np.isnan(found[0 if what == "v" else 1, 3])
         assert np.isfinite(np.delete(found, 3, axis=1)).all()
+
+
+@pytest.mark.parametrize("spoil", [0.0, np.nan])
+def test_a_profile_that_never_arrives_is_refused(spoil):
+    s, sd = np.linspace(0.0, 1.0, 11), np.concatenate([[0.0], np.full(9, 0.5), [0.0]])
+    assert len(sample_parameters(s, sd)[0]) > 2000
+    sd[4:6] = spoil
+    with pytest.raises(TimingError, match="no finite time"):
+        sample_parameters(s, sd)
+
+
+@pytest.mark.parametrize("values", [[np.inf, -np.inf], [np.nan, 0.0], [0.0, np.inf]])
+def test_infinite_samples_are_refused_and_great_ones_are_not(values):
+    motion = wave(n=5)
+    a = motion.a.copy()
+    a[[1, 3], 6] = values
+    with pytest.raises(DataError, match="not finite"):
+        dataclasses.replace(motion, a=a)
+    a[[1, 3], 6] = 1.5e308  # finite, though their sum is not
+    assert dataclasses.replace(motion, a=a).a[1, 6] == 1.5e308

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit
 from numba.core import types
 
 from minidual.planning.compiled import ROWS, VECTOR, kernel
 from minidual.robot.constants import Array
+
+_STEPS_MAX = 1e8
+"""Above this a profile counts as endless."""
 
 
 @njit
@@ -22,18 +27,29 @@ def _average(values: Array, n: int, copies: int, at_end: float, sums: Array) -> 
     values[n + copies - 1] = at_end
 
 
-@kernel(ROWS(VECTOR, VECTOR, VECTOR, types.int64, types.float64, types.int64))
-def time_samples(s: Array, sd: Array, passed: Array, n: int, dt_s: float, copies: int) -> Array:
-    """Return (3, n + copies): s, ds/dt and d2s/dt2 every dt_s, averaged with copies delayed by 1, 2, ... samples.
+@kernel(ROWS(VECTOR, VECTOR, types.float64, types.int64))
+def time_samples(s: Array, sd: Array, dt_s: float, copies: int) -> Array:
+    """Return (3, m): s, ds/dt and d2s/dt2 every dt_s, averaged with copies delayed by 1, 2, ... samples.
+
+    The path acceleration is constant between two points of the grid; the whole is stretched to end on a sample.
 
     Args:
-        s: Grid (k,) between whose points the path acceleration is constant.
-        sd: Path speed (k,) at them.
-        passed: Time (k,) [s] at which each is passed; the whole is stretched to take n dt_s.
-        n: Steps before averaging.
+        s: Grid (k,), k >= 2.
+        sd: Path speed (k,) at it.
         dt_s: Step [s].
         copies: How many are averaged, itself included.
+
+    Returns:
+        Nothing, (3, 0), if it takes no finite time.
     """
+    passed = np.empty(len(s))  # when each point is passed
+    passed[0] = 0.0
+    for i in range(len(s) - 1):
+        passed[i + 1] = passed[i] + 2.0 * (s[i + 1] - s[i]) / (sd[i + 1] + sd[i])
+    steps = math.ceil(passed[-1] / dt_s - 1e-9) if passed[-1] / dt_s < _STEPS_MAX else -1
+    if not steps >= 0:
+        return np.empty((3, 0))
+    n = max(1, steps)
     stretch = n * dt_s / passed[-1]
     out = np.empty((3, n + copies))
     position, speed, acceleration = out[0], out[1], out[2]

@@ -88,10 +88,15 @@ def drive(
         TimingError: It keeps them at no reasonable speed.
     """
     factor = 1.0
+    most = np.array([
+        limits.velocity_scale * V_MAX, limits.acceleration_scale * A_MAX, limits.jerk_scale * JERK_MAX
+    ])  # fmt: skip
     for _ in range(_SLOWDOWNS_MAX):
         times, *law = sample_parameters(s, sd, limits.smoothing_s)
         q, v, a = _driven(path, *law)
-        factor = _slowdown_needed(q, v, a, limits)
+        factor = _slowdown_needed(v, a, most)
+        if factor <= 1.0 + 1e-9:
+            factor = _slowdown_for_torque(_torque_ratio(q, v, a, 8) / limits.torque_scale)
         if not factor > 1.0:  # a trajectory refuses NaN
             return Trajectory(times, q, v, a, group), law[0]
         sd = sd / (factor * 1.001)
@@ -100,18 +105,19 @@ def drive(
     )
 
 
-def _slowdown_needed(q: Array, v: Array, a: Array, limits: MotionLimits) -> float:
-    """Return by what factor samples (n, 14) every DT_S are too fast, 1 if they are not, NaN if one is NaN."""
-    fastest, strongest, change = motion_peaks(v, a)
-    velocity = np.max(fastest / (limits.velocity_scale * V_MAX))
-    acceleration = np.max(strongest / (limits.acceleration_scale * A_MAX))
-    jerk = np.max(change / (limits.jerk_scale * JERK_MAX)) / DT_S
-    factor = float(np.max([velocity, np.sqrt(acceleration), np.cbrt(jerk)]))
-    if not factor <= 1.0 + 1e-9:
-        return factor
-    # Torque has a part that does not shrink with speed (gravity), so it is lowered step by step.
-    torque = _torque_ratio(q, v, a, 8) / limits.torque_scale
-    return 1.0 if torque <= 1.0 else float(1.0 + 0.25 * np.minimum(1.0, torque - 1.0) + 0.02)
+def _slowdown_needed(v: Array, a: Array, most: Array) -> float:
+    """Return how much slower samples (n, 14) every DT_S must be to keep speed, acceleration and jerk; NaN if one is.
+
+    most: (3, 14), the limit of each.
+    """
+    speed, acceleration, jerk = (motion_peaks(v, a) / most).max(axis=1).tolist()
+    roots = speed, math.sqrt(acceleration), math.cbrt(jerk / DT_S)
+    return max(roots) if math.isfinite(sum(roots)) else math.nan
+
+
+def _slowdown_for_torque(ratio: float) -> float:
+    """Return how much slower to try: torque has a part that does not shrink with speed (gravity)."""
+    return 1.0 if ratio <= 1.0 else float(1.0 + 0.25 * np.minimum(1.0, ratio - 1.0) + 0.02)
 
 
 def torque_ratio(trajectory: Trajectory, every: int = 1) -> float:
@@ -143,13 +149,15 @@ def fastest_profile(path: Curve, columns: Array, v_max: Array, a_max: Array) -> 
     # from behind, the largest x = sd^2 from which the next interval can be reached; then forwards, as fast as that
     # allows. The tiny weight on u breaks ties.
     most = [0.0] * n
-    fastest = np.array([1e-9, -1.0])
+    fastest, goal = np.array(
+        [[1e-9, -1.0], [0.0, -1.0]], dtype=object
+    )  # plain floats are what toppra reads fastest
     nan = math.nan
     for i in range(n - 2, -1, -1):
         most[i] = solve(i, None, fastest, nan, nan, 0.0, most[i + 1])[1]
     x = [0.0] * n
-    goals = np.column_stack([-2.0 * steps, np.full(n - 1, -1.0)])
-    for i, (step, goal) in enumerate(zip(steps.tolist(), goals, strict=True)):
+    for i, step in enumerate(steps.tolist()):
+        goal[0] = -2.0 * step
         u = solve(i, None, goal, x[i], x[i], 0.0, most[i + 1])[0]
         tries = _ROUNDING_TRIES
         while not math.isfinite(u) and tries > 1:  # x gives way by up to a thousandth to rounding
@@ -232,11 +240,6 @@ def _grid(path: Curve) -> Array:
     return np.append(points, path.length)
 
 
-def profile_times(s: Array, sd: Array) -> Array:
-    """Return the time (n,) [s] at which each grid point is passed: the path acceleration is constant between."""
-    return np.concatenate([[0.0], np.cumsum(2.0 * np.diff(s) / (sd[1:] + sd[:-1]))])
-
-
 def sample_parameters(
     s: Array, sd: Array, smoothing_s: float = 0.0, dt_s: float = DT_S
 ) -> tuple[Array, Array, Array, Array]:
@@ -244,11 +247,15 @@ def sample_parameters(
 
     The average over `smoothing_s` is a mean of shifted copies of s(t), so its derivatives are the same means of the
     shifted derivatives, exactly.
+
+    Raises:
+        TimingError: The profile never arrives.
     """
-    at_grid = profile_times(s, sd)
-    n = max(1, int(np.ceil(at_grid[-1] / dt_s - 1e-9)))
-    copies = max(1, round(smoothing_s / dt_s))
-    position, speed, acceleration = time_samples(floats(s), floats(sd), at_grid, n, dt_s, copies)
+    position, speed, acceleration = time_samples(
+        floats(s), floats(sd), dt_s, max(1, round(smoothing_s / dt_s))
+    )
+    if not len(position):
+        raise TimingError("the path's speed profile takes no finite time")
     return np.arange(len(position)) * dt_s, position, speed, acceleration
 
 
