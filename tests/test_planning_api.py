@@ -9,7 +9,7 @@ import pytest
 
 from minidual.config.planning import PlannerConfig, PlannerName
 from minidual.errors import UsageError
-from minidual.planning.api import Planner
+from minidual.planning.api import Planner, _Effort
 from minidual.planning.errors import (
     GoalInCollisionError,
     IKUnreachableError,
@@ -263,3 +263,18 @@ def test_the_example_of_the_documentation_runs():
     exec(block, names)
     assert names["result"].verification.ok
     assert names["q"].shape == (14,)
+
+
+def test_patience_grows_up_to_a_bound():
+    """A budget of hours means thousands of fruitless attempts; the next one must still be a number of checks."""
+    effort = _Effort(0.008, 0.05, 2500)
+    sizes = []
+    for _ in range(5000):
+        effort = effort.after_no_path()
+        sizes.append(effort.checks_n)
+    assert sizes[:3] == [3750, 5625, 8437]
+    assert sizes == sorted(sizes)
+    assert sizes[-1] == 10_000_000
+    assert (
+        _Effort(0.008, 0.05, 50_000_000).after_no_path().checks_n == 50_000_000
+    )  # never less than was asked for

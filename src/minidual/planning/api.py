@@ -27,6 +27,7 @@ from minidual.robot.kinematics import Kinematics
 _SCENES_KEPT = 8
 _SAME_RAD = 1e-9
 _TRIES_OF_FIRST = 4
+_CHECKS_MAX = 10_000_000
 _PATIENCE = 1.5
 """Times are heavy-tailed: several short searches beat one long one."""
 
@@ -45,7 +46,7 @@ class _Effort:
         return replace(
             self,
             padding_m=0.5 * self.padding_m,
-            checks_n=int(_PATIENCE * self.checks_n),
+            checks_n=min(int(_PATIENCE * self.checks_n), max(self.checks_n, _CHECKS_MAX)),
             fruitless_n=self.fruitless_n + 1,
         )
 

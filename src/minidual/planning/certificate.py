@@ -69,7 +69,8 @@ class Certifier:
     def certify(self, trajectory: Trajectory) -> Certificate:
         """Return what can be proven about a trajectory; it never raises for a bad one."""
         solids = self._solids
-        arms = [arm for arm in ARMS if np.ptp(trajectory.q[:, GROUPS[f"{arm}_arm"]], axis=0).max() > 0.0]
+        moved = (trajectory.q != trajectory.q[0]).any(axis=0)
+        arms = [arm for arm in ARMS if moved[GROUPS[f"{arm}_arm"]].any()]
         directions = solids.directions()
         # What does not move is looked at once; from there on only what does.
         start = trajectory.q[:1]

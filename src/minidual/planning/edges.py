@@ -68,19 +68,15 @@ class EdgeChecker:
         self.padding_m = padding_m
         self.step_rad = step_rad
         self.checks_n = 0
-        tight: list[tuple[Array, float]] = []
-        with self._engine.moving(arms):
-            for q in endpoints:
-                near = self._engine.closest(q, padding_m)
-                if near:
-                    tight.append((np.array(q), max(0.0, near[0].distance_m) * _KEEP_FRACTION))
-        self._tight = np.array([q for q, _ in tight]).reshape(len(tight), DOF)
-        self._clearances = np.array([clearance for _, clearance in tight])
         solids = engines.solids
+        rows = solids.of_arms(arms)
+        tight = [(q, solids.clearance(np.asarray(q)[None], padding_m, rows)) for q in endpoints]
+        tight = [(q, max(0.0, clearance)) for q, clearance in tight if clearance < padding_m]
+        self._tight = np.array([q for q, _ in tight]).reshape(len(tight), DOF)
+        self._clearances = _KEEP_FRACTION * np.array([clearance for _, clearance in tight])
         self._geometry = solids.geometry
         self._rest = (
-            solids.of_arms(arms), padding_m, self._tight, self._clearances, RELAX_RAD, solids.directions(),
-            solids.workspace(),
+            rows, padding_m, self._tight, self._clearances, RELAX_RAD, solids.directions(), solids.workspace(),
         )  # fmt: skip
 
     def required_m(self, q: Array) -> float:

@@ -49,7 +49,8 @@ class MujocoEngine:
         self._build(scene.checked_pairs, scene.solid_obstacles, scene.attached)
         self.min_distance_m = scene.min_distance_m
         carried = {held.name: held.link for held in scene.attached}
-        self._owners = [carried.get(name, name) for name in self._body_names]
+        owners = [carried.get(name, name) for name in self._body_names]
+        self._of_arm = {arm: np.array([name.startswith(f"{arm}_") for name in owners]) for arm in ARMS}
 
     @classmethod
     def from_pairs(
@@ -116,12 +117,14 @@ class MujocoEngine:
             yield
             return
         model = self.model
-        before = [x.copy() for x in (model.geom_contype, model.body_contype)]
-        mine = np.array([name.startswith(tuple(f"{arm}_" for arm in arms)) for name in self._owners])
-        # Two geoms may touch if one's type meets the other's affinity; all affinities stay 1.
-        model.body_contype[:] = mine
-        model.geom_contype[:] = mine[model.geom_bodyid]
+        before = model.geom_contype.copy(), model.body_contype.copy()
+        mine = np.zeros(model.nbody, dtype=bool)
+        for arm in arms:
+            mine |= self._of_arm[arm]
         try:
+            # Two geoms may touch if one's type meets the other's affinity; all affinities stay 1.
+            model.body_contype[:] = mine
+            model.geom_contype[:] = mine[model.geom_bodyid]
             yield
         finally:
             model.geom_contype[:], model.body_contype[:] = before

@@ -103,10 +103,16 @@ class Solids:
             np.empty((4, 3, 3)), np.empty((4, 3)), np.empty((4, 3)),
         )  # fmt: skip
 
-    def clearance(self, Q: Array, most_m: float) -> float:
-        """Return the smallest distance [m] of all pairs at the rows of Q (n, 14) that is sure, at most `most_m`."""
-        chosen = np.arange(len(self.pairs))
-        found = planes.clearance(self.geometry, Q, chosen, most_m, self.directions(), self.workspace())
+    def clearance(self, Q: Array, most_m: float, rows: np.ndarray | None = None) -> float:
+        """Return the smallest distance [m] at the rows of Q (n, 14) that is sure, at most `most_m`.
+
+        Args:
+            Q: Configurations.
+            most_m: Pairs farther apart count as this far apart.
+            rows: Rows of the pairs that count; all of them by default.
+        """
+        rows = np.arange(len(self.pairs)) if rows is None else rows
+        found = planes.clearance(self.geometry, Q, rows, most_m, self.directions(), self.workspace())
         return float(found)
 
 
