@@ -109,6 +109,11 @@ def test_group_checks_can_fail(outcomes):
     assert failing(group_checks("left_arm", late, limited, "second_seed.left_arm")) == {
         "second_seed.left_arm.time_median_s", "second_seed.left_arm.time_p99_s"
     }  # fmt: skip
+    starved = [dataclasses.replace(o, total_s=0.2, cpu_s=0.05) for o in outcomes]
+    (share,) = [c for c in group_checks("left_arm", starved, limited) if c.name == "left_arm.core_share"]
+    assert share.observed == pytest.approx(0.25)
+    (median,) = [c for c in group_checks("left_arm", starved, limited) if c.name == "left_arm.time_median_s"]
+    assert "the process had 25% of a core" in (median.remedy or "")
     assert failed.row()["reason"] == "no_path_in_time"
     assert failed.row().keys() == outcomes[0].row().keys()
 

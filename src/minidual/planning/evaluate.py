@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from time import perf_counter
+from time import perf_counter, process_time
 
 import numpy as np
 
@@ -23,7 +23,10 @@ from minidual.robot.constants import GROUPS, HOME, Q_LOWER, Q_UPPER
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """One query and what became of it; `result` is None if it failed, and then `reason` and `message` say why."""
+    """One query and what became of it; `result` is None if it failed, and then `reason` and `message` say why.
+
+    total_s is wall time, cpu_s what of it the process had a processor; scene_s was spent on the scene before.
+    """
 
     query: Query
     result: PlanResult | None
@@ -31,6 +34,7 @@ class Outcome:
     message: str
     total_s: float
     scene_s: float
+    cpu_s: float
     audit: Audit | None = None
 
     @property
@@ -52,6 +56,7 @@ class Outcome:
             "line_blocked": query.blocked,
             "total_s": round(self.total_s, 6),
             "scene_setup_s": round(self.scene_s, 6),
+            "cpu_s": round(self.cpu_s, 6),
         }
         row |= {
             f"{phase}_s": "" if result is None else round(result.times_s[phase], 6)
@@ -91,7 +96,7 @@ def plan_query(planner: Planner, query: Query) -> Outcome:
     begin = perf_counter()
     planner.engines(query.scene)
     scene_s = perf_counter() - begin
-    begin = perf_counter()
+    begin, cpu_begin = perf_counter(), process_time()
     try:
         if query.as_poses:
             result = planner.plan_to_poses(
@@ -102,8 +107,10 @@ def plan_query(planner: Planner, query: Query) -> Outcome:
                 query.group, query.q_start, query.q_goal, scene=query.scene, seed=query.seed
             )
     except PlanningError as error:
-        return Outcome(query, None, error.reason, error.message, perf_counter() - begin, scene_s)
-    return Outcome(query, result, "", "", perf_counter() - begin, scene_s)
+        spent = perf_counter() - begin, scene_s, process_time() - cpu_begin
+        return Outcome(query, None, error.reason, error.message, *spent)
+    spent = perf_counter() - begin, scene_s, process_time() - cpu_begin
+    return Outcome(query, result, "", "", *spent)
 
 
 def query_source(seed: int, obstacles_n: int, blocked_fraction: float) -> Callable[[str, int], Query]:
