@@ -88,6 +88,9 @@ def test_unreachable_pose_names_the_residual(solver):
         (lambda T: T * np.nan, "not finite"),
         (lambda T: np.diag([1.0, 1.0, -1.0, 1.0]), "no rigid pose"),
         (lambda T: T * 2.0, "no rigid pose"),
+        (lambda T: T + np.eye(4, k=1) * 2e-6, "no rigid pose: R R.T is 2e-06 from the identity, det 1.000"),
+        (lambda T: T + np.eye(4, k=-3) * 1e-8, "no rigid pose"),
+        (lambda T: T + np.diag([0.0, 0.0, 0.0, np.inf]), "not finite"),
     ],
 )
 def test_bad_poses_are_refused(spoil, says):

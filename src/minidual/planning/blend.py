@@ -59,23 +59,15 @@ def _corner_free(
 
 def _assemble(path: Array, lengths: Array, directions: Array, halves: Array) -> SmoothPath:
     """Build the piecewise polynomial: straight, corner, straight, ..., straight."""
-    pieces: list[Array] = []
-    breaks = [0.0]
-
-    def add(length: float, coefficients: list[Array]) -> None:
-        rows = np.zeros((5, path.shape[1]))
-        for power, c in enumerate(coefficients):
-            rows[4 - power] = c
-        pieces.append(rows)
-        breaks.append(breaks[-1] + length)
-
-    cut_before = np.concatenate([[0.0], halves])
-    cut_after = np.concatenate([halves, [0.0]])
-    for i, (length, u) in enumerate(zip(lengths, directions, strict=True)):
-        add(length - cut_before[i] - cut_after[i], [path[i] + cut_before[i] * u, u])
-        if i < len(halves):
-            d, turn = halves[i], directions[i + 1] - u
-            # q' = u + turn (3 x^2 - 2 x^3), x = t / 2d, integrated over t
-            zero = np.zeros_like(u)
-            add(2.0 * d, [path[i + 1] - d * u, u, zero, turn / (4.0 * d**2), -turn / (16.0 * d**3)])
-    return SmoothPath(np.stack(pieces, axis=1), np.array(breaks))
+    pieces = np.zeros((5, 2 * len(lengths) - 1, path.shape[1]))
+    widths = np.empty(pieces.shape[1])
+    before, after = np.append(0.0, halves), np.append(halves, 0.0)
+    widths[::2], widths[1::2] = lengths - before - after, 2.0 * halves
+    d, turns = halves[:, None], np.diff(directions, axis=0)
+    pieces[4, ::2] = path[:-1] + before[:, None] * directions
+    pieces[4, 1::2] = path[1:-1] - d * directions[:-1]
+    pieces[3, ::2], pieces[3, 1::2] = directions, directions[:-1]
+    # q' = u + turn (3 x^2 - 2 x^3), x = t / 2d, integrated over t
+    pieces[1, 1::2] = turns / (4.0 * d**2)
+    pieces[0, 1::2] = -turns / (16.0 * d**3)
+    return SmoothPath(pieces, np.append(0.0, np.cumsum(widths)))
