@@ -189,7 +189,7 @@ def test_the_words_say_what_is_lost_and_no_more_than_the_trials_show(data: dict[
     assert "moveit: 19 of 20 under push +x, which these trials do not tell from undisturbed." in text
     assert "impedance: every trial passed under push +x and delay 20 ms." in text
     assert "act: delay 20 ms cannot touch it." in text
-    assert "under push +x, moveit succeeds more often than act on the same starts, by 95 points" in text
+    assert "Under push +x, moveit succeeds more often than act on the same starts, by 95 points" in text
     assert "moveit succeeds more often than impedance" not in text
     few = samples.benchmark_data(samples.disturbed_trials(4))
     told = "\n".join(sentences(table(few), few["comparisons"]))

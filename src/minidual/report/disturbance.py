@@ -89,6 +89,6 @@ def _partings(comparisons: Sequence[Any]) -> Iterator[str]:
         sign = 1.0 if difference > 0 else -1.0
         ends = sorted((sign * low, sign * high))
         yield stated(
-            f"under {row['condition']}, {better} succeeds more often than {worse} on the same starts, by "
+            f"Under {row['condition']}, {better} succeeds more often than {worse} on the same starts, by "
             f"{100 * abs(difference):.0f} points (95 % interval {points(ends[0])} to {points(ends[1])}, exact McNemar p = {p_value:.2g})"
         )
