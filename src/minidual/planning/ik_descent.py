@@ -166,6 +166,14 @@ def _jacobian(T: Array, axes: Array, R: Array, p: Array, e: Array, t: float, J: 
 
 
 @njit
+def _square(e: Array) -> float:
+    s = 0.0
+    for k in range(6):
+        s += e[k] * e[k]
+    return s
+
+
+@njit
 def _solve(J: Array, blocked: Array, damping: float, e: Array, L: Array, y: Array) -> None:
     """Fill y with (J J^T + damping I)^-1 e, J without its blocked columns, by Cholesky; NaN where there is none."""
     for i in range(6):
@@ -192,8 +200,8 @@ def _solve(J: Array, blocked: Array, damping: float, e: Array, L: Array, y: Arra
 def tcp_pose(frames: Array, q: Array, T: Array) -> None:
     """Fill the pose T (4, 4) of the tcp at q (7,)."""
     _reach(frames, q, T, np.empty((DOF_PER_ARM, 6)))
-    T[3] = 0.0
-    T[3, 3] = 1.0
+    for c in range(4):
+        T[3, c] = 1.0 if c == 3 else 0.0
 
 
 @kernel(types.void(BLOCKS, ROWS, VECTOR, VECTOR, ROWS))
@@ -221,7 +229,7 @@ def descend(
     blocked = np.empty(DOF_PER_ARM, dtype=np.bool_)
     _reach(frames, q, T, axes)
     angle = _error(T, target, R, p, e)
-    cost = np.dot(e, e)
+    cost = _square(e)
     damping = _DAMPING_FIRST
     for _ in range(iterations):
         if cost < tolerance * tolerance or damping > _DAMPING_MOST:
@@ -245,11 +253,12 @@ def descend(
             q_new[i] = min(max(q[i] + step, lower[i]), upper[i])
         _reach(frames, q_new, T_new, axes_new)
         angle_new = _error(T_new, target, R_new, p_new, e_new)
-        cost_new = np.dot(e_new, e_new)
+        cost_new = _square(e_new)
         if cost_new < cost:
             T, T_new, axes, axes_new, R, R_new, p, p_new = T_new, T, axes_new, axes, R_new, R, p_new, p
             e, e_new, angle, cost = e_new, e, angle_new, cost_new
-            q[:] = q_new
+            for i in range(DOF_PER_ARM):
+                q[i] = q_new[i]
             damping = max(damping * _DAMPING_DOWN, _DAMPING_LEAST)
         else:
             damping *= _DAMPING_UP
