@@ -18,7 +18,7 @@ import numpy as np
 from numba import from_dtype, njit
 from numba.core import types
 
-from minidual.robot.compiled import compile_as
+from minidual.robot.compiled import kernel
 from minidual.robot.constants import DOF, Array
 
 ARM_DOF = DOF // 2
@@ -198,7 +198,7 @@ def least_norm(J: Array, b: Array, x: Array) -> bool:
     return True
 
 
-@compile_as(types.void(_LAW))
+@kernel(types.void(_LAW))
 def posture_acceleration(law: Array) -> None:
     """Fill qdd_posture: a damped spring in the joints."""
     s = law[0]
@@ -206,7 +206,7 @@ def posture_acceleration(law: Array) -> None:
         s.qdd_posture[i] = s.posture_stiffness * (s.posture[i] - s.q[i]) - s.posture_damping * s.v[i]
 
 
-@compile_as(types.boolean(_LAW, _VECTOR, _VECTOR, _ROTATION, _ROTATION))
+@kernel(types.boolean(_LAW, _VECTOR, _VECTOR, _ROTATION, _ROTATION))
 def impedance(law: Array, p_left: Array, p_right: Array, R_left: Array, R_right: Array) -> bool:
     """Fill f, push = J^T f and qdd from all that is sensed and wanted; return False if J J^T is singular."""
     s = law[0]
@@ -260,7 +260,7 @@ def impedance(law: Array, p_left: Array, p_right: Array, R_left: Array, R_right:
     return True
 
 
-@compile_as(types.void(_LAW, _VECTOR))
+@kernel(types.void(_LAW, _VECTOR))
 def add_push(law: Array, tau: Array) -> None:
     """Add to tau (14,) [Nm] the push on the object and joint friction, within the motors' limits."""
     s = law[0]
@@ -269,7 +269,7 @@ def add_push(law: Array, tau: Array) -> None:
         tau[j] = within(tau[j], -s.tau_max[j], s.tau_max[j])
 
 
-@compile_as(types.void(_VECTOR, _VECTOR, _ROWS, types.float64))
+@kernel(types.void(_VECTOR, _VECTOR, _ROWS, types.float64))
 def add_friction(tau: Array, v: Array, joints: Array, smooth: float) -> None:
     """Add to tau (14,) [Nm] the friction at v, within the motors' limits; joints (3, 14): d, c and tau_max."""
     for j in range(DOF):
@@ -277,7 +277,7 @@ def add_friction(tau: Array, v: Array, joints: Array, smooth: float) -> None:
         tau[j] = within(tau[j], -joints[2, j], joints[2, j])
 
 
-@compile_as(types.void(_VECTOR, _VECTOR, _VECTOR, _ROWS, types.float64, types.float64, _ROWS))
+@kernel(types.void(_VECTOR, _VECTOR, _VECTOR, _ROWS, types.float64, types.float64, _ROWS))
 def follow_target(
     target: Array, q: Array, v: Array, bounds: Array, w: float, dt: float, after: Array
 ) -> None:

@@ -22,6 +22,7 @@ from minidual.planning.coal_engine import CoalEngine
 from minidual.planning.mujoco_engine import MujocoEngine
 from minidual.planning.solids import Solids
 from minidual.planning.trajectory import Trajectory
+from minidual.robot.compiled import floats
 from minidual.robot.constants import ARMS, GROUPS
 
 CLEARANCE_MAX_M = 0.04
@@ -73,7 +74,8 @@ class Certifier:
         arms = [arm for arm in ARMS if moved[GROUPS[f"{arm}_arm"]].any()]
         directions = solids.directions()
         # What does not move is looked at once; from there on only what does.
-        start = trajectory.q[:1]
+        q, v = floats(trajectory.q), floats(trajectory.v)
+        start = q[:1]
         none, nowhere = np.zeros((0, len(start[0]))), np.zeros(0)
         everything = np.arange(len(solids.pairs))
         _, verdict = planes.survey(
@@ -91,7 +93,7 @@ class Certifier:
         if verdict != planes.FREE:
             return self._refusal(trajectory, np.zeros(1, dtype=int), int(everything[0]))
         asked, failed, pair = planes.prove(
-            solids.geometry, solids.reach, solids.first_joint, trajectory.q, trajectory.v, trajectory.dt_s,
+            solids.geometry, solids.reach, solids.first_joint, q, v, trajectory.dt_s,
             _FIRST_RAD, solids.of_arms(arms), _SLACK_M, directions,
         )  # fmt: skip
         if failed >= 0:

@@ -6,8 +6,8 @@ import functools
 
 import numpy as np
 
-from minidual.planning.compiled import floats
 from minidual.planning.rnea import arm_torques, link_table
+from minidual.robot.compiled import floats
 from minidual.robot.constants import ARMS, DOF, GROUPS, Array
 from minidual.robot.kinematics import Kinematics
 

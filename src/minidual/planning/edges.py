@@ -15,6 +15,7 @@ import numpy as np
 
 from minidual.planning import planes
 from minidual.planning.scene_engines import SceneEngines
+from minidual.robot.compiled import floats
 from minidual.robot.constants import ARMS, DOF, Array
 
 RELAX_RAD = 0.1
@@ -93,7 +94,7 @@ class EdgeChecker:
 
     def all_free(self, Q: Array) -> bool:
         """Return whether every row of Q (n, 14) keeps its distance; stops at the first that does not."""
-        begin = 0
+        begin, Q = 0, floats(Q)
         while True:
             k, verdict = planes.survey(self._geometry, Q, begin, *self._rest)
             self.checks_n += k - begin

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numba.core import types
 
-from minidual.planning.compiled import VECTOR, floats, kernel
+from minidual.robot.compiled import VECTOR, floats, kernel
 from minidual.robot.constants import DOF, Array
 
 Q_MIN, Q_MAX, SPEED, ACCELERATION, CHANGE, JUMP, OFF_VELOCITY, OFF_ACCELERATION = range(8)

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from minidual.errors import UsageError, unknown_name
-from minidual.planning.compiled import floats
 from minidual.planning.errors import IKUnreachableError
 from minidual.planning.ik_descent import descend, frames_of_arm, measure, tcp_pose
+from minidual.robot.compiled import floats
 from minidual.robot.constants import ARMS, DOF_PER_ARM, GROUPS, HOME, Q_LOWER, Q_UPPER, Array
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.vectors import cross, inner

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numba.core import types
 
-from minidual.planning.compiled import BLOCKS, ROWS, VECTOR, kernel
+from minidual.robot.compiled import BLOCKS, ROWS, VECTOR, kernel
 from minidual.robot.constants import DOF_PER_ARM, Array
 
 _SMALL = 0.05

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from minidual.robot.compiled import compiled
+from minidual.robot.compiled import kernel
 from minidual.robot.constants import Array
 
 ARM_DOF = 7
@@ -463,7 +463,7 @@ def _first_stretches(q: Array, length: float, stack: Array) -> int:
     return done
 
 
-@compiled
+@kernel()
 def prove(
     geometry: Geometry,
     reach: Array,
@@ -564,7 +564,7 @@ def _to_front(order: Rows, at: int) -> int:
     return row
 
 
-@compiled
+@kernel()
 def survey(
     geometry: Geometry,
     Q: Array,
@@ -607,7 +607,7 @@ def survey(
     return len(Q), FREE
 
 
-@compiled
+@kernel()
 def clearance(
     geometry: Geometry, Q: Array, chosen: Rows, most: float, directions: Array, work: Work
 ) -> float:

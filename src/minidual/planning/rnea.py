@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 from numba.core import types
 
-from minidual.planning.compiled import ROWS, kernel
+from minidual.robot.compiled import ROWS, kernel
 from minidual.robot.constants import DOF_PER_ARM, Array
 
 LANES = 16

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numba.core import types
 
-from minidual.planning.compiled import BLOCKS, ROWS, VECTOR, floats, kernel
+from minidual.robot.compiled import BLOCKS, ROWS, VECTOR, floats, kernel
 from minidual.robot.constants import DOF, Array
 
 _TERMS = 5

@@ -18,6 +18,7 @@ from minidual.planning.coal_engine import CoalEngine
 from minidual.planning.planes import JOINT, PAIR, PART, SOLID
 from minidual.planning.reach import Reaches
 from minidual.planning.scene import PlanningScene
+from minidual.robot.compiled import floats
 from minidual.robot.constants import DOF, DOF_PER_ARM, Array
 
 _BOX_CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
@@ -112,7 +113,7 @@ class Solids:
             rows: Rows of the pairs that count; all of them by default.
         """
         rows = np.arange(len(self.pairs)) if rows is None else rows
-        found = planes.clearance(self.geometry, Q, rows, most_m, self.directions(), self.workspace())
+        found = planes.clearance(self.geometry, floats(Q), rows, most_m, self.directions(), self.workspace())
         return float(found)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numba.core import types
 
-from minidual.planning.compiled import ROWS, VECTOR, kernel
+from minidual.robot.compiled import ROWS, VECTOR, kernel
 from minidual.robot.constants import Array
 
 _STEPS_MAX = 1e8

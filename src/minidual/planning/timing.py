@@ -20,13 +20,13 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from minidual.planning.compiled import floats
 from minidual.planning.dynamics import torques
 from minidual.planning.errors import TimingError
 from minidual.planning.extremes import largest, motion_peaks
 from minidual.planning.smooth_path import SmoothPath
 from minidual.planning.time_samples import time_samples
 from minidual.planning.trajectory import Trajectory
+from minidual.robot.compiled import floats
 from minidual.robot.constants import A_MAX, GROUPS, JERK_MAX, TAU_MAX, V_MAX, Array
 from minidual.robot.kinematics import Kinematics
 

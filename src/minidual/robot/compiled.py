@@ -1,22 +1,30 @@
-"""Functions compiled by numba, kept on disk where some directory can be written."""
+"""Compile a numeric loop with numba once, and keep the machine code on disk where some directory can be written.
+
+Neither reassociation nor fused products are allowed (no fastmath): a loop computes what its lines say, in their order,
+and a NaN that goes in comes out. numba's cache watches only the file of the compiled function, so the helpers that a
+loop calls stand in the same file. Importing this costs the import of numba: do it where it is needed.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from numba import njit
+from numba.core import types
+
+from minidual.robot.constants import Array
+
+VECTOR = types.float64[::1]
+ROWS = types.float64[:, ::1]
+BLOCKS = types.float64[:, :, ::1]
 
 
-def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile at the first call with each set of types; with numpy's rules of division, so nothing raises."""
-    return compile_as(None)(function)
+def kernel(signature: Any = None) -> Callable[[Callable[..., Any]], Any]:
+    """Return a decorator that compiles for one signature at import, or for each set of types at its first call."""
 
-
-def compile_as(signature: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Return a decorator that compiles at once for one signature (None: at the first call)."""
-
-    def decorate(function: Callable[..., Any]) -> Any:
+    def compiled(function: Callable[..., Any]) -> Any:
         try:
             return njit(signature, cache=True, error_model="numpy")(function)
         except RuntimeError as failure:  # numba has no class of its own for it
@@ -24,4 +32,10 @@ def compile_as(signature: Any) -> Callable[[Callable[..., Any]], Any]:
                 raise
             return njit(signature, error_model="numpy")(function)
 
-    return decorate
+    return compiled
+
+
+def floats(x: Array) -> Array:
+    """Return x as compiled code takes it: plain floats in one piece, which may be written (it does not)."""
+    x = np.ascontiguousarray(x, dtype=float)
+    return x if x.flags.writeable else x.copy()
