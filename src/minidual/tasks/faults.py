@@ -184,7 +184,7 @@ class FaultMonitor:
         if self._spread_m is None:
             self._spread_m = spread_m
         crept = abs(spread_m - self._spread_m)
-        if self._lasts("spread", not crept <= config.displaced_m):
+        if self._lasts("spread", not crept <= config.displaced_m, 1):  # of encoders: one reading is enough
             return "slip", f"the hands have moved {1e3 * crept:.1f} mm along the object"
         if self._lasts("tilt", not tilt_rad <= config.tilt_rad):
             return "tilted", f"the object is tilted by {np.degrees(tilt_rad):.0f} deg"
