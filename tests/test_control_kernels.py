@@ -57,26 +57,3 @@ def test_least_norm_is_the_pseudo_inverse_and_refuses_what_has_no_rank():
     assert not kernels.least_norm(J, b, x)
     J[5, 0] = np.nan
     assert not kernels.least_norm(J, b, x)
-
-
-def test_without_a_place_for_the_cache_it_compiles_in_memory(monkeypatch):
-    calls = []
-
-    def njit(signature, *, cache=False, error_model=""):
-        calls.append(cache)
-        if cache:
-            raise RuntimeError("cannot cache function: no locator available")
-        return lambda law: law
-
-    monkeypatch.setattr(kernels, "njit", njit)
-    assert kernels._kernel("signature")(len) is len
-    assert calls == [True, False]
-
-
-def test_another_failure_of_the_compiler_is_not_hidden(monkeypatch):
-    def njit(signature, **options):
-        raise RuntimeError("something else")
-
-    monkeypatch.setattr(kernels, "njit", njit)
-    with pytest.raises(RuntimeError, match="something else"):
-        kernels._kernel("signature")(len)

@@ -1,0 +1,61 @@
+"""Compiled loops: where no cache can be written, what else fails, and what they are given."""
+
+import numpy as np
+import pytest
+
+from minidual.planning import planes
+from minidual.planning.edges import EdgeChecker
+from minidual.planning.scene import PlanningScene
+from minidual.planning.scene_engines import SceneEngines
+from minidual.robot import compiled
+from minidual.robot.constants import HOME
+
+
+def test_without_a_place_for_the_cache_it_compiles_in_memory(monkeypatch):
+    calls = []
+
+    def njit(signature, *, cache=False, error_model=""):
+        calls.append(cache)
+        if cache:
+            raise RuntimeError("cannot cache function: no locator available")
+        return lambda law: law
+
+    monkeypatch.setattr(compiled, "njit", njit)
+    assert compiled.kernel("signature")(len) is len
+    assert calls == [True, False]
+
+
+def test_another_failure_of_the_compiler_is_not_hidden(monkeypatch):
+    def njit(signature, **options):
+        raise RuntimeError("something else")
+
+    monkeypatch.setattr(compiled, "njit", njit)
+    with pytest.raises(RuntimeError, match="something else"):
+        compiled.kernel("signature")(len)
+
+
+def test_what_compiled_code_takes_is_made_of_anything():
+    rows = np.arange(12.0).reshape(3, 4)
+    rows.setflags(write=False)
+    for given in (rows, rows[:, ::2], rows.astype(np.float32), rows.astype(int)):
+        taken = compiled.floats(given)
+        assert np.array_equal(taken, given)
+        assert taken.dtype == float
+        assert taken.flags.c_contiguous
+        assert taken.flags.writeable
+    own = np.zeros(3)
+    assert compiled.floats(own) is own
+
+
+def test_no_caller_makes_the_planes_compile_again():
+    """Another kind of array would cost ten seconds in the middle of a query: every entry makes them alike."""
+    engines = SceneEngines(PlanningScene())
+    checker = EdgeChecker(engines, 0.008, (HOME,), 0.05)
+    both = np.array([HOME, HOME + 0.01])
+    for Q in (both, both[:, ::-1][:, ::-1], np.asfortranarray(both), both.astype(np.float32)):
+        assert checker.all_free(Q)
+        assert engines.solids.clearance(Q, 0.04) > 0.0
+    assert checker.free(HOME)
+    assert EdgeChecker(engines, 0.008, (), 0.05).free(HOME)
+    assert len(planes.survey.signatures) == 1
+    assert len(planes.clearance.signatures) == 1
