@@ -1,8 +1,8 @@
 """What can go wrong in a carry, what tells it from sensed quantities alone, and what the hands do then.
 
 Every fault stops both arms softly and names itself: what is sensed halts them (control/soft_stop.py), the supervisor and
-the arbiter stop them in their own ways. One table; the monitor below raises each of them within 50 ms of its onset, which
-tests measure with the fault injected.
+the arbiter stop them in their own ways. One table; the monitor below raises each of them within 50 ms of the onset in tests
+that inject it (docs/carry.md has the figures).
 """
 
 from __future__ import annotations
