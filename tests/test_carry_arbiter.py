@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -17,13 +17,16 @@ from minidual.control.commands import ArbiterState, JointCommand
 from minidual.control.object_impedance import ObjectImpedance, ObjectState
 from minidual.control.stack import DEFAULT_CONTROLLERS, OBJECT_CONTROLLERS
 from minidual.control.supervisor import Supervisor
+from minidual.evaluation.watch import TrialWatch
 from minidual.robot.constants import HOME, TAU_RATE_MAX, Array
 from minidual.robot.kinematics import Kinematics
+from minidual.sim.sensing import Reading, Sensors
 from minidual.sim.world import World
 from minidual.tasks.carry_motions import JointMove, carrying, plan_path, releasing, squeezing
 from minidual.tasks.impedance_carry import SOURCE, ImpedanceCarry
 from minidual.tasks.reach import Quintic, approach_postures
 from minidual.tasks.rod_carry import level_pose, sample_trial, tilt_rad
+from minidual.view.overlay import Overlay
 
 PHASES = ("approach", "descend", "close", "squeeze", "carry", "unload", "open", "retreat")
 ONCE_DONE_S = 0.3
@@ -209,6 +212,25 @@ def test_a_request_of_another_mode_ends_the_carry_by_name_and_drops_nothing(
         assert tilt_rad(world.T_world_rod) < 0.02
 
 
+def test_a_request_in_the_middle_of_the_lift_may_have_to_be_made_again(world: World) -> None:
+    """The elbows go on swinging for longer than a switch waits; meanwhile the law holds the object."""
+    seen = ride(world, at=("carry", 0.6), do=lambda seen: seen.carry.stack.request("teleop"))
+    carry, stack = seen.carry, seen.carry.stack
+    assert carry.fault is not None
+    assert carry.fault.name == "interrupted"
+    assert ("teleop", "not_still") in {(r.source, r.name) for r in stack.refusals}
+    assert (stack.source, stack.state) == (None, ArbiterState.STOPPED)
+    assert stack.manager.active == OBJECT_CONTROLLERS
+    assert world.internal_force() > 35.0
+    stack.request("teleop")
+    for _ in range(100):
+        carry.step()
+    assert stack.source == "teleop"
+    assert stack.manager.active == DEFAULT_CONTROLLERS
+    assert not world.rod_on_table()
+    assert world.pinch_forces().min() > 20.0
+
+
 def test_a_hold_in_the_air_keeps_the_object_squeezed(world: World) -> None:
     seen = ride(world, at=("carry", 1.4), do=lambda seen: seen.carry.stack.request("hold"))
     assert seen.carry.fault is not None
@@ -348,3 +370,76 @@ def test_the_squeeze_is_asked_for_no_faster_than_controller_c_gives_it(
     for before, after in itertools.pairwise(held):
         end, start = before.at(before.duration_s).T_world_object, after.at(0.0).T_world_object
         assert np.allclose(end, start, rtol=0.0, atol=1e-15)
+
+
+# What is shown of it, and what becomes of it without its senses ----------------------------------------------
+
+
+class Screen:
+    """A view that is always due, and keeps what it is told."""
+
+    name, url, alive = "screen", None, True
+
+    def __init__(self) -> None:
+        self.shown: list[Overlay] = []
+
+    def open(self, model: Any) -> None: ...
+
+    def offer(self, sliders: Any) -> bool:
+        return False
+
+    def due(self) -> bool:
+        return True
+
+    def update(self, data: Any, overlay: Overlay) -> None:
+        self.shown.append(overlay)
+
+    def close(self) -> None: ...
+
+
+def test_who_watches_sees_the_source_the_phase_and_why_it_ended(world: World) -> None:
+    screen: Any = Screen()
+    watch = TrialWatch(screen, world, Kinematics(), "impedance")
+
+    def look(seen: Ride) -> None:
+        if world.time > 0.0 and round(world.time / world.dt) % 100 == 0:
+            watch(world, seen.carry)
+
+    seen = ride(world, at=("carry", 1.4), do=lambda seen: seen.carry.stack.request("hold"), each=look)
+    told = {(overlay.source, overlay.state) for overlay in screen.shown}
+    assert {("moveit", "active, approach"), ("moveit", "active, carry")} <= told
+    assert screen.shown[-1].state == "holding, done"
+    assert screen.shown[-1].status == seen.carry.aborted
+    assert "'hold' was asked for" in screen.shown[-1].status
+
+
+def pose_is_nan(reading: Reading) -> Reading:
+    if reading.pose is None:
+        return reading
+    return replace(reading, pose=replace(reading.pose, T_world_object=np.full((4, 4), np.nan)))
+
+
+DEAD = {
+    "a camera that gives no number": pose_is_nan,
+    "a force sensor that gives no number": lambda r: replace(r, hand_forces=np.full((2, 3), np.nan)),
+    "a force sensor that gives nothing": lambda r: replace(r, hand_forces=np.zeros((2, 3))),
+    "fingers that feel nothing": lambda r: replace(r, pinch=np.zeros(2)),
+}
+
+
+@pytest.mark.parametrize("what", DEAD)
+def test_a_sensor_that_dies_in_the_air_stops_the_carry_by_name(
+    world: World, what: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sense = Sensors.sense
+
+    def dies(_seen: Ride) -> None:
+        monkeypatch.setattr(Sensors, "sense", lambda self: DEAD[what](sense(self)))
+
+    seen = ride(world, at=("carry", 1.0), do=dies)
+    assert seen.carry.fault is not None
+    assert seen.carry.fault.name in ("slip", "object_lost", "reflex")
+    assert seen.carry.fault.at_s - seen.onset_s <= 0.05
+    assert np.isfinite(seen.told).all()
+    assert seen.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
+    assert np.abs(world.v).max() < 0.05

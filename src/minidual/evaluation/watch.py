@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from minidual.control.narrate import StackNarrator
 from minidual.control.stack import ControlStack
 from minidual.evaluation.methods import Method
@@ -43,7 +45,8 @@ class TrialWatch:
     def _narrator(self, method: Method) -> Narrator:
         stack = getattr(method, "stack", None)
         if isinstance(stack, ControlStack):
-            return StackNarrator(stack, self._kinematics, self.title, lambda: method.phase)
+            tell = StackNarrator(stack, self._kinematics, self.title, lambda: method.phase)
+            return lambda: _with_reason(tell(), method.aborted)
         # A method that writes torques itself is the only source in its world.
         return lambda: Narration(
             title=self.title,
@@ -52,3 +55,8 @@ class TrialWatch:
             state=method.phase,
             status=method.aborted or "",
         )
+
+
+def _with_reason(narration: Narration, aborted: str | None) -> Narration:
+    """Return it with why the method stopped itself, where nothing else is to be said."""
+    return narration if narration.status or not aborted else replace(narration, status=aborted)
