@@ -24,10 +24,7 @@ class CoalDistances:
 
     def __init__(self, scene: PlanningScene, engine: CoalEngine) -> None:
         self._model, self._geometry = engine.model, engine.geometry
-        names = [
-            g.name if g.name in scene.names else self._model.frames[g.parentFrame].name
-            for g in self._geometry.geometryObjects
-        ]
+        names = {k: name for name, items in engine.items.items() for k in items}
         owners = [frozenset((names[p.first], names[p.second])) for p in self._geometry.collisionPairs]
         self._items = [
             [k for k, owner in enumerate(owners) if owner == frozenset(pair)] for pair in scene.checked_pairs

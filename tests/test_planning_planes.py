@@ -285,28 +285,125 @@ def test_with_a_reach_too_short_a_ball_beside_the_chord_would_be_missed():
     assert asked.sum() == 2
 
 
-@pytest.mark.parametrize("spoil", ["q", "reach", "vertices"])
+@pytest.mark.parametrize("spoil", ["q", "v", "reach", "all vertices", "one vertex", "last vertices"])
 def test_nothing_is_proven_from_numbers_that_are_none(engines, spoil):
     solids = engines.solids
     trajectory = wave(HOME, 0.02, seed=8)
     assert prove(solids, trajectory)[1] < 0
     joints, vertices, shapes, parts, pairs = solids.geometry
-    q, reach, points = trajectory.q.copy(), solids.reach.copy(), vertices.copy()
+    q, v, reach, points = trajectory.q.copy(), trajectory.v.copy(), solids.reach.copy(), vertices.copy()
     if spoil == "q":
         q[50, 2] = np.nan
+    elif spoil == "v":
+        v[50, 2] = np.nan
     elif spoil == "reach":
         reach[3, 0] = np.nan
     else:
-        # The solid that decides: the hand against what it holds near.
-        points[:] = np.nan
+        # Balls round the parts that settle nothing, so that the vertices must.
         parts = parts.copy()
         parts["radius"] = np.nan
+        if spoil == "all vertices":
+            points[:] = np.nan
+        elif spoil == "one vertex":
+            points[shapes["end"] - 1, 1] = np.nan
+        else:
+            points[np.setdiff1d(np.arange(len(points)), shapes["first"])] = np.nan
     every = np.arange(len(pairs))
+    spoiled = (joints, points, shapes, parts, pairs)
     _, failed, _ = planes.prove(
-        (joints, points, shapes, parts, pairs), reach, solids.first_joint, q, trajectory.v, trajectory.dt_s, 0.5,
-        every, 2e-5, solids.directions(),
-    )  # fmt: skip
+        spoiled, reach, solids.first_joint, q, v, trajectory.dt_s, 0.5, every, 2e-5, solids.directions()
+    )
     assert failed >= 0
+    if "vert" in spoil:
+        said = planes.clearance(spoiled, q[:1], every, 0.04, solids.directions(), solids.workspace())
+        assert said == -np.inf
+
+
+def test_clearance_of_a_state_that_is_none_is_nothing_and_ends(engines):
+    assert engines.solids.clearance(HOME[None] * np.nan, 0.04) == -np.inf
+
+
+def test_a_huge_obstacle_is_answered_for_too():
+    engines = SceneEngines(PlanningScene(obstacles=(Box("sky", (0.0, 0.0, 2e9), size_m=(1e9, 1e9, 1e9)),)))
+    assert engines.solids.clearance(HOME[None], 0.04) <= 0.04
+
+
+def rest_to_rest(start, end, aside=None, samples_n=401):
+    """A motion from start to end, and by (14,) `aside` away from the straight line half-way."""
+    x = np.linspace(0.0, 1.0, samples_n)[:, None]
+    seconds = (samples_n - 1) * 0.001
+    there, speed = 10 * x**3 - 15 * x**4 + 6 * x**5, 30 * x**2 - 60 * x**3 + 30 * x**4
+    out, turn = np.sin(np.pi * x) ** 2, np.pi * np.sin(2.0 * np.pi * x)
+    aside = np.zeros(DOF) if aside is None else aside
+    q = start + (end - start) * there + aside * out
+    v = ((end - start) * speed + aside * turn) / seconds
+    return Trajectory(np.arange(samples_n) * 0.001, q, v, np.zeros_like(q), "left_arm")
+
+
+@pytest.mark.parametrize("balls_settle", [True, False])
+def test_two_links_of_one_arm_are_looked_at_from_the_inner_one(balls_settle):
+    """A ball in the hand passes through one on the forearm while the base turns by half a circle.
+
+    In the world the one lies on the same side of the other before and after; from the forearm, which is what counts for a
+    bound on the wrist alone, it changes sides.
+    """
+    start, end = HOME.copy(), HOME.copy()
+    start[[0, 5]] += [-0.5 * np.pi, -0.3]
+    end[[0, 5]] += [0.5 * np.pi, 0.3]
+    T_world_tcp = Kinematics().tcp_poses(HOME)[0]
+    R, p = placed(SceneEngines(PlanningScene()).solids, HOME)
+    forearm = R[5].T @ (T_world_tcp[:3, 3] - p[5])
+    scene = PlanningScene(obstacles=()).with_attached(
+        Attached(Sphere("hand_ball", (0.0, 0.0, 0.0), radius_m=0.01), "left_panda_hand_tcp"),
+        Attached(Sphere("forearm_ball", tuple(forearm), radius_m=0.01), "left_panda_link5"),
+    )
+    engines = SceneEngines(scene)
+    solids = engines.solids
+    if not balls_settle:
+        solids.geometry[3]["radius"] = 1.0  # then planes must
+    only = np.array(
+        [k for k, names in enumerate(solids.pairs) if set(names) == {"hand_ball", "forearm_ball"}]
+    )
+    assert len(only) == 1
+    meets = rest_to_rest(start, end)
+    assert CoalDistances(scene, engines.coal)(meets.q[200:201])[0, only[0]] < 0.0
+    assert prove(solids, meets, length=100.0, chosen=only)[1] >= 0
+    beside = start.copy()
+    beside[0] = end[0]
+    asked, failed, _ = prove(solids, rest_to_rest(start, beside), length=100.0, chosen=only)
+    assert failed < 0
+    assert asked.sum() == 2  # seen from the forearm nothing moves
+
+
+def test_a_motion_that_returns_to_where_it_began_is_not_taken_for_rest():
+    """Both ends of the stretch are the same posture: the straight line between them is a point, and the way is not."""
+    away = np.zeros(DOF)
+    away[0] = 0.4
+    there = Kinematics().tcp_poses(HOME + away)[0][:3, 3]
+    solids = SceneEngines(PlanningScene(obstacles=(Sphere("ball", tuple(there), radius_m=0.01),))).solids
+    only = solids.of_arms(["left"])
+    out_and_back = rest_to_rest(HOME, HOME, away)
+    assert np.abs(out_and_back.q[0] - out_and_back.q[-1]).max() < 1e-30
+    assert prove(solids, out_and_back, length=100.0, chosen=only)[1] >= 0
+    assert prove(solids, rest_to_rest(HOME, HOME, -0.5 * away), length=100.0, chosen=only)[1] < 0
+
+
+def test_an_obstacle_may_have_the_name_of_a_piece_of_a_link():
+    """Pieces of links are called by the part they belong to, not by a name that an obstacle could take."""
+    names = ("left_panda_link5_0", "left_panda_leftfinger_0")
+    boxes = tuple(
+        Box(name, (0.9 + 0.2 * k, 0.0, 0.5), size_m=(0.1, 0.1, 0.1)) for k, name in enumerate(names)
+    )
+    scene = PlanningScene(obstacles=boxes)
+    engines = SceneEngines(scene)
+    _, _, _, parts, _ = engines.solids.geometry
+    for name in names:
+        part = parts[scene.names.index(name)]
+        assert part["frame"] == 0
+        assert part["end"] - part["first"] == 1
+    finger = parts[scene.names.index("left_panda_leftfinger")]
+    assert finger["end"] - finger["first"] == 4
+    assert engines.solids.clearance(HOME[None], 0.04) > 0.0
 
 
 def test_the_same_motion_is_proven_from_the_same_samples(engines):

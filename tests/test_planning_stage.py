@@ -120,7 +120,14 @@ def test_group_checks_can_fail(outcomes):
 
 def test_audit_checks_can_fail(outcomes):
     def names(**change):
-        found = {"samples_n": 900, "step_max_rad": 0.002, "collisions_n": 0, "disagreements_n": 0, **change}
+        found = {
+            "samples_n": 900,
+            "step_max_rad": 0.002,
+            "collisions_n": 0,
+            "disagreements_n": 0,
+            "clearance_m": 0.01,
+        }
+        found |= change
         return failing(audit_checks([dataclasses.replace(outcomes[0], audit=Audit(**found))]))
 
     assert names() == set()
@@ -130,7 +137,7 @@ def test_audit_checks_can_fail(outcomes):
         "proof.audited_n",
         "proof.audit_states",
     }  # nothing was audited
-    audit = Audit(samples_n=900, step_max_rad=0.002, collisions_n=0, disagreements_n=0)
+    audit = Audit(samples_n=900, step_max_rad=0.002, collisions_n=0, disagreements_n=0, clearance_m=0.01)
     one = dataclasses.replace(outcomes[0], audit=audit)
     assert failing(audit_checks([one, outcomes[1]])) == {"proof.audited_n"}
     failed = dataclasses.replace(outcomes[1], result=None, reason="no_path_in_time", message="none")

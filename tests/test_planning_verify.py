@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from minidual.config.planning import PlannerConfig
+from minidual.errors import UsageError
 from minidual.planning import certificate, limits
 from minidual.planning.api import Planner
 from minidual.planning.certificate import Certifier
@@ -175,9 +176,9 @@ def test_grazing_cannot_be_proven_and_is_refused():
         offset = 0.5 * (low + high)
         hit = Planner(swing_past(offset)[1]).engines().mujoco.collisions(Q).any()
         low, high = (offset, high) if hit else (low, offset)
-    report = Planner(swing_past(high + 1e-6)[1]).engines().verifier.verify(trajectory)
-    assert not report.ok
-    assert report.clearance_m < 1e-4
+    verifier = Planner(swing_past(high + 1e-6)[1]).engines().verifier
+    assert not verifier.verify(trajectory).ok
+    assert verifier.clearance(trajectory) < 1e-4
 
 
 def test_the_audit_agrees_with_the_proof_and_can_say_no(planner, good):
@@ -274,3 +275,57 @@ def test_honest_trajectories_are_far_from_contradicting_themselves(smoothing_s):
         trajectory = plan_query(planner, generator.query(group, 0)).result.trajectory
         for misfit in (limits._acceleration_misfit, limits._velocity_misfit):
             assert np.max(misfit(trajectory) / A_MAX) < 0.5 * limits._MISFIT
+
+
+def coarse(q, v, a, dt_s=0.25):
+    """A trajectory of few samples."""
+    return Trajectory(np.arange(len(q)) * dt_s, q, v, a, "both_arms")
+
+
+def test_an_arm_whose_samples_stand_still_may_move_between_them():
+    """Passed at speed to and fro, equal samples hide a swing of 0.14 rad; a ball beside the arm is met in between."""
+    joint, dt, n = 10, 0.25, 10
+    sign = (-1.0) ** np.arange(n)
+    q, v, a = np.tile(HOME, (n, 1)), np.zeros((n, 14)), np.zeros((n, 14))
+    a[:, joint] = 0.8 * A_MAX[joint] * sign
+    v[1:-1, joint] = 0.45 * 0.8 * A_MAX[joint] * dt * sign[1:-1]
+    trajectory = coarse(q, v, a)
+    between = trajectory.positions(np.linspace(0.0, trajectory.duration_s, 1001))
+    assert np.ptp(between, axis=0).max() > 0.1
+    kinematics = Kinematics()
+    far = between[np.argmax(np.abs(between - HOME).max(axis=1))]
+    here, there = (kinematics.tcp_poses(x)[1][:3, 3] for x in (HOME, far))
+    for away in np.linspace(0.02, 0.2, 100):
+        ball = Sphere(
+            "ball", tuple(here + away * (there - here) / np.linalg.norm(there - here)), radius_m=0.01
+        )
+        engines = Planner(PlanningScene(obstacles=(ball,))).engines()
+        if not engines.mujoco.collisions(q[:1]).any():
+            break
+    assert engines.mujoco.collisions(between).any()
+    report = engines.verifier.verify(trajectory)
+    assert not report.ok
+    assert report.unproven_n == 1
+    audit = engines.verifier.audit(trajectory)
+    assert audit.collisions_n > 0
+    assert audit.step_max_rad <= STEP_RAD  # however far apart the samples of the trajectory are
+    assert audit.clearance_m <= 0.0
+
+
+def test_clearance_is_that_of_the_whole_way(planner, good):
+    """Not only at the few samples of the proof: as small as at any millisecond."""
+    verifier = planner.engines().verifier
+    everywhere = planner.engines().solids.clearance(good.q, 0.04)
+    assert verifier.clearance(good) == pytest.approx(everywhere, abs=2e-4)
+    assert verifier.audit(good).clearance_m == verifier.clearance(good)
+    assert 0.0 < everywhere < 0.04
+
+
+def test_times_that_drift_from_their_step_are_refused(good):
+    """Each step is right to a billionth of a second, the last time a tenth of a millisecond off."""
+    n = 100_001
+    times = np.concatenate([[0.0], np.cumsum(np.full(n - 1, 0.001 + 9e-10))])
+    times[1] = 0.001
+    still = np.zeros((n, 14))
+    with pytest.raises(UsageError, match="grow in equal steps"):
+        Trajectory(times, still, still, still, "both_arms")

@@ -2,8 +2,8 @@
 
 The motion is cut into stretches. On each, every pair of parts that moves must have a plane between them that both ends
 keep clear of by more than the parts can deviate in between (`minidual.planning.planes`: the trajectory is a cubic between
-its milliseconds, so this is a bound, not a guess). A stretch that has none is halved; one of a millisecond that has none
-refuses the motion. So what is proven is proven by geometry alone: no collision library has a say in it.
+its samples, so this is a bound, not a guess). A stretch that has none is halved; one from a sample to the next that has
+none refuses the motion, so samples should be as dense as those of a plan, a millisecond apart. So what is proven is proven by geometry alone: no collision library has a say in it.
 
 Both engines are then asked about every end of a stretch, and have to see it free as well. That ties the geometry and
 kinematics of the proof to what each of them compiled; they are built from one description in three ways.
@@ -25,8 +25,6 @@ from minidual.planning.trajectory import Trajectory
 from minidual.robot.compiled import floats
 from minidual.robot.constants import ARMS, GROUPS
 
-CLEARANCE_MAX_M = 0.04
-"""Pairs farther apart than this count as this far apart."""
 _SLACK_M = 2e-5
 """Distance that every plane must show beside: what rounding may take (the engines' vertices differ by 1e-7 m)."""
 _FIRST_RAD = 0.5
@@ -42,7 +40,6 @@ class Certificate:
     samples_n: States at which a stretch ends; both engines were asked about each if ok.
     unproven_n: 1 if a stretch stays open, else 0.
     disagreements_n: States that one engine, or the planes, see free and another does not.
-    clearance_m: Smallest distance at the samples that is sure, at most `CLEARANCE_MAX_M`. 0 where nothing is.
     """
 
     ok: bool
@@ -50,7 +47,6 @@ class Certificate:
     samples_n: int
     unproven_n: int
     disagreements_n: int
-    clearance_m: float
 
 
 class Certifier:
@@ -70,7 +66,8 @@ class Certifier:
     def certify(self, trajectory: Trajectory) -> Certificate:
         """Return what can be proven about a trajectory; it never raises for a bad one."""
         solids = self._solids
-        moved = (trajectory.q != trajectory.q[0]).any(axis=0)
+        # Samples that stand still may be passed at speed.
+        moved = ((trajectory.q != trajectory.q[0]) | (trajectory.v != 0.0)).any(axis=0)
         arms = [arm for arm in ARMS if moved[GROUPS[f"{arm}_arm"]].any()]
         directions = solids.directions()
         # What does not move is looked at once; from there on only what does.
@@ -99,11 +96,9 @@ class Certifier:
         if failed >= 0:
             return self._refusal(trajectory, np.array([failed, failed + 1]), pair)
         at = np.flatnonzero(asked)
-        return self._opinions(trajectory, at, arms, solids.clearance(trajectory.q[at], CLEARANCE_MAX_M))
+        return self._opinions(trajectory, at, arms)
 
-    def _opinions(
-        self, trajectory: Trajectory, at: np.ndarray, arms: list[str], clearance_m: float
-    ) -> Certificate:
+    def _opinions(self, trajectory: Trajectory, at: np.ndarray, arms: list[str]) -> Certificate:
         """Ask both engines about the samples `at` of a trajectory that the planes prove free."""
         Q = trajectory.q[at]
         with self._primary.moving(arms):
@@ -112,22 +107,21 @@ class Certifier:
         second = self._second.collisions(Q)
         seen = first | second
         if not seen.any():
-            return Certificate(True, "", len(at), 0, 0, clearance_m)
+            return Certificate(True, "", len(at), 0, 0)
         k = int(np.argmax(seen))
         who = " and ".join(name for name, hits in (("MuJoCo", first), ("coal", second)) if hits[k])
         reason = f"{who} sees a collision at {trajectory.times[at[k]]:.3f} s where the planes prove none"
-        return Certificate(False, reason, len(at), 0, int(seen.sum()), clearance_m)
+        return Certificate(False, reason, len(at), 0, int(seen.sum()))
 
     def _refusal(self, trajectory: Trajectory, at: np.ndarray, pair: int) -> Certificate:
         """Say why a motion is refused whose samples `at` the planes do not separate for a pair."""
         Q = trajectory.q[at]
         a, b = sorted(self._solids.pairs[pair])
         first, second = self._primary.collisions(Q), self._second.collisions(Q)
-        clearance_m = max(0.0, self._solids.clearance(Q, CLEARANCE_MAX_M))
         seen = first | second
         if not seen.any():
             reason = f"{a} and {b} could not be proven apart after {trajectory.times[at[0]]:.3f} s"
-            return Certificate(False, reason, len(at), 1, 0, clearance_m)
+            return Certificate(False, reason, len(at), 1, 0)
         k = int(np.argmax(seen))
         when = f"at {trajectory.times[at[k]]:.3f} s"
         contacts = self._primary.closest(Q[k], 0.0)
@@ -136,4 +130,4 @@ class Certifier:
             if contacts
             else f"collision {when}: coal sees one, MuJoCo none"
         )
-        return Certificate(False, reason, len(at), 0, int(np.sum(first != second)), clearance_m)
+        return Certificate(False, reason, len(at), 0, int(np.sum(first != second)))

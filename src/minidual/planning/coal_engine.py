@@ -20,18 +20,24 @@ _GJK_TOLERANCE = 1e-9
 
 
 class CoalEngine:
-    """Collision checks of one scene."""
+    """Collision checks of one scene.
+
+    Attributes:
+        model: 14 joints, fingers locked.
+        geometry: Everything in the scene.
+        items: Which of its objects make up each part of the scene.
+    """
 
     name = "coal"
 
     def __init__(self, scene: PlanningScene) -> None:
         self.model, self.geometry = _robot_geometry()
-        ids: dict[str, list[int]] = {}
+        self.items: dict[str, list[int]] = {}
         for index, item in enumerate(self.geometry.geometryObjects):
-            ids.setdefault(self.model.frames[item.parentFrame].name, []).append(index)
+            self.items.setdefault(self.model.frames[item.parentFrame].name, []).append(index)
         for shape in scene.solid_obstacles:
             placement = pin.SE3(shape.T_parent_shape)
-            ids[shape.name] = [
+            self.items[shape.name] = [
                 self.geometry.addGeometryObject(pin.GeometryObject(shape.name, 0, placement, solid))
                 for solid in _solids(shape)
             ]
@@ -39,15 +45,15 @@ class CoalEngine:
             frame_id = self.model.getFrameId(held.link)
             frame = self.model.frames[frame_id]
             placement = frame.placement * pin.SE3(held.shape.T_parent_shape)
-            ids[held.name] = [
+            self.items[held.name] = [
                 self.geometry.addGeometryObject(
                     pin.GeometryObject(held.name, frame.parentJoint, frame_id, placement, solid)
                 )
                 for solid in _solids(held.shape)
             ]
         for a, b in scene.checked_pairs:
-            for first in ids[a]:
-                for second in ids[b]:
+            for first in self.items[a]:
+                for second in self.items[b]:
                     self.geometry.addCollisionPair(pin.CollisionPair(first, second))
         self._pool = pin.TreeBroadPhaseManagerPool_DynamicAABBTreeCollisionManager(
             self.model, self.geometry, 1

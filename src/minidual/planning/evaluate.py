@@ -64,7 +64,7 @@ class Outcome:
             if phase != "scene"
         }
         if result is None:
-            empty = ("direct", "attempts_n", "path_length_rad", "duration_s", "samples_n", "clearance_m")
+            empty = ("direct", "attempts_n", "path_length_rad", "duration_s", "samples_n")
             row |= dict.fromkeys(
                 (*empty, "velocity_ratio", "acceleration_ratio", "jerk_ratio", "torque_ratio"), ""
             )
@@ -76,12 +76,12 @@ class Outcome:
                 "path_length_rad": round(path_length(result.path), 6),
                 "duration_s": round(result.trajectory.duration_s, 6),
                 "samples_n": proof.samples_n,
-                "clearance_m": round(proof.clearance_m, 6),
                 "velocity_ratio": round(proof.velocity_ratio, 6),
                 "acceleration_ratio": round(proof.acceleration_ratio, 6),
                 "jerk_ratio": round(proof.jerk_ratio, 6),
                 "torque_ratio": round(proof.torque_ratio, 6),
             }
+        row["clearance_m"] = "" if self.audit is None else round(self.audit.clearance_m, 6)
         row["audited_n"] = "" if self.audit is None else self.audit.samples_n
         row["audit_collisions_n"] = "" if self.audit is None else self.audit.collisions_n
         row["message"] = self.message

@@ -38,7 +38,7 @@ class MoveOutcome:
     time_s is the wall time from the query going in to the proven trajectory coming out, with the scene's engines
     ready; cpu_s the processor time of the same. residual_m and residual_rad are measured again here, on the timed
     trajectory at every millisecond and half-way between: of each hand against its grasp on the object, and of the
-    hands against each other; NaN without a plan.
+    hands against each other; clearance_m is the smallest distance along it. NaN without a plan.
     """
 
     move: HeldMove
@@ -49,6 +49,7 @@ class MoveOutcome:
     cpu_s: float
     residual_m: float
     residual_rad: float
+    clearance_m: float
 
     @property
     def ok(self) -> bool:
@@ -65,7 +66,7 @@ class MoveOutcome:
             "" if plan is None else round(plan.duration_s, 4),
             "" if plan is None else f"{self.residual_m:.3g}",
             "" if plan is None else f"{self.residual_rad:.3g}",
-            "" if plan is None or plan.verification is None else round(plan.verification.clearance_m, 6),
+            "" if plan is None else round(self.clearance_m, 6),
             move.undecided_n, move.unreachable_n, self.message,
         )  # fmt: skip
         return dict(zip(CSV_COLUMNS, values, strict=True))
@@ -90,16 +91,17 @@ def timed_residual(plan: CarriedTrajectory, query: HeldQuery, kinematics: Kinema
 
 def plan_move(planner: HeldPlanner, move: HeldMove, kinematics: Kinematics) -> MoveOutcome:
     """Plan one move and measure it."""
-    planner.engines(move.query.scene)
+    verifier = planner.engines(move.query.scene).verifier
     begin, cpu = perf_counter(), process_time()
     nan = float("nan")
     try:
         plan = planner.plan(move.query)
     except PlanningError as error:
         taken = perf_counter() - begin, process_time() - cpu
-        return MoveOutcome(move, None, error.reason, error.message, *taken, nan, nan)
+        return MoveOutcome(move, None, error.reason, error.message, *taken, nan, nan, nan)
     taken = perf_counter() - begin, process_time() - cpu
-    return MoveOutcome(move, plan, "", "", *taken, *timed_residual(plan, move.query, kinematics))
+    residual = timed_residual(plan, move.query, kinematics)
+    return MoveOutcome(move, plan, "", "", *taken, *residual, verifier.clearance(plan))
 
 
 def run_moves(

@@ -13,7 +13,7 @@ the reach r_j e_j more. A plane that separates two solids at both ends by more t
 therefore separates them in between. Two links of one arm are looked at from the inner one, so that only the joints
 between them count.
 
-Every comparison is written so that a number that is none proves nothing: NaN compares false with all.
+A number that is none proves nothing: sums keep a NaN where comparisons would lose it, and it compares false with all.
 
 All helpers live in this file because numba's cache watches no other for changes.
 """
@@ -124,12 +124,15 @@ def _farthest(
     my = R[n, 0, 1] * x + R[n, 1, 1] * y + R[n, 2, 1] * z
     mz = R[n, 0, 2] * x + R[n, 1, 2] * y + R[n, 2, 2] * z
     at = solids[k].first
-    far = vertices[at, 0] * mx + vertices[at, 1] * my + vertices[at, 2] * mz  # a NaN stays
-    for i in range(at + 1, solids[k].end):
+    far, all_of_them = -np.inf, 0.0
+    for i in range(at, solids[k].end):
         d = vertices[i, 0] * mx + vertices[i, 1] * my + vertices[i, 2] * mz
+        all_of_them += d
         if d > far:
             far = d
             at = i
+    if not abs(all_of_them) < np.inf:
+        far = np.nan  # the comparison loses a NaN, the sum does not
     u, v, w = vertices[at, 0], vertices[at, 1], vertices[at, 2]
     disc = solids[k].disc
     if disc > 0.0:
@@ -165,6 +168,8 @@ def _difference(
         back, ax, ay, az = _farthest(vertices, solids, a, R, p, 2 * end, -x, -y, -z)
         front, bx, by, bz = _farthest(vertices, solids, b, R, p, 2 * end + 1, x, y, z)
         here = -back - front
+        if here != here:
+            return np.nan, ax - bx, ay - by, az - bz
         if not here >= gap:
             gap = here
             sx, sy, sz = ax - bx, ay - by, az - bz
@@ -344,7 +349,6 @@ def _apart(
     i: int,
     j: int,
     need: float,
-    exact: bool,
     directions: Array,
     seen_R: Array,
     seen_p: Array,
@@ -365,7 +369,7 @@ def _apart(
     for s in range(parts[a].first, parts[a].end):
         for o in range(parts[b].first, parts[b].end):
             gap, bound = _separate(
-                vertices, solids, s, o, seen_R, seen_p, ends, need, exact, directions, row, S
+                vertices, solids, s, o, seen_R, seen_p, ends, need, False, directions, row, S
             )
             row += 1
             if not gap > need:
@@ -485,7 +489,8 @@ def prove(
         q: Samples [rad]; n >= 2.
         v: Their velocities [rad/s].
         dt: Step between them [s].
-        length: Of the first stretches [rad], summed over the joints; each is halved until it is proven.
+        length: Of the first stretches [rad], summed over the joints; each is halved until it is proven or lies between two
+            neighbouring samples.
         chosen: (c,), rows of `pairs`.
         need: [m], also what is taken off every distance for rounding.
         directions: (r, 3), where the search for a plane begins, and then the last one found.
@@ -532,7 +537,6 @@ def prove(
                 i,
                 j,
                 need + deviation,
-                False,
                 directions,
                 seen_R,
                 seen_p,
@@ -599,7 +603,7 @@ def survey(
             if _between_balls(parts, pair, R, C, 0, 0) > need:
                 continue
             gap, bound = _apart(
-                vertices, solids, parts, pair, R, p, 0, 0, need, False, directions, seen_R, seen_p, S
+                vertices, solids, parts, pair, R, p, 0, 0, need, directions, seen_R, seen_p, S
             )
             if not gap > need:
                 _to_front(chosen, at)
@@ -613,7 +617,7 @@ def clearance(
 ) -> float:
     """Return the smallest distance [m] of the pairs at the rows of Q (n, 14) that planes show, at most `most`.
 
-    It is never more than the true one, and it is negative or too small where things touch.
+    It is never more than the true one; where things touch it is negative, where nothing can be shown minus infinity.
     """
     joints, vertices, solids, parts, pairs = geometry
     R, p, C, seen_R, seen_p, S = work
@@ -624,11 +628,18 @@ def clearance(
             pair = pairs[chosen[at]]
             if _between_balls(parts, pair, R, C, 0, 0) > least:
                 continue
-            while True:
-                gap, _ = _apart(
-                    vertices, solids, parts, pair, R, p, 0, 0, least, True, directions, seen_R, seen_p, S
-                )
-                if not gap <= least:
-                    break
-                least = gap - 1e-9
+            a, b = pair.a, pair.b
+            _seen_from(R, p, 0, pair.frame, parts[a].frame, seen_R, seen_p, 0)
+            _seen_from(R, p, 0, pair.frame, parts[b].frame, seen_R, seen_p, 1)
+            row = pair.row
+            for s in range(parts[a].first, parts[a].end):
+                for o in range(parts[b].first, parts[b].end):
+                    gap, _ = _separate(
+                        vertices, solids, s, o, seen_R, seen_p, 1, least, True, directions, row, S
+                    )
+                    row += 1
+                    if not gap > least:
+                        least = gap
+                        if least == -np.inf:
+                            return least  # nothing was shown
     return least

@@ -51,12 +51,11 @@ class Reaches:
 def _reaches(scene: PlanningScene, engine: CoalEngine) -> dict[str, Array]:
     """Return for every part (14,) [m]: its largest distance from each joint's axis, 0 where that joint moves it not."""
     model = engine.model
-    radius: dict[str, float] = {}
-    for item in engine.geometry.geometryObjects:
-        if item.parentJoint == 0:
-            continue
-        name = item.name if item.name in scene.names else model.frames[item.parentFrame].name
-        radius[name] = max(radius.get(name, 0.0), _radius(item))
+    radius = {
+        name: float(np.max([_radius(engine.geometry.geometryObjects[k]) for k in engine.items[name]]))
+        for name in scene.names
+        if scene.moving_joints(name).stop > scene.moving_joints(name).start
+    }
     reaches = {name: np.zeros(DOF) for name in scene.names}
     for name, own_radius in radius.items():
         joints = scene.moving_joints(name)

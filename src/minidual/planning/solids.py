@@ -11,7 +11,6 @@ from typing import Any
 
 import coal
 import numpy as np
-import pinocchio as pin
 
 from minidual.planning import planes
 from minidual.planning.coal_engine import CoalEngine
@@ -38,14 +37,14 @@ class Solids:
         self.pairs = scene.checked_pairs
         reaches = Reaches(scene, engine)
         self.reach, self.first_joint = reaches.reach, reaches.first_joint
-        items = _by_part(scene, engine)
         vertices: list[Array] = []
         solids: list[tuple[Any, ...]] = []
         parts: list[tuple[Any, ...]] = []
         for name in scene.names:
             first = len(solids)
             balls: list[tuple[Array, float]] = []
-            for item in items[name]:
+            items = [engine.geometry.geometryObjects[k] for k in engine.items[name]]
+            for item in items:
                 points, ball, disc = _solid(item.geometry)
                 points = points @ item.placement.rotation.T + item.placement.translation
                 begin = sum(map(len, vertices))
@@ -55,8 +54,8 @@ class Solids:
                 balls.append((points, ball + disc))
             # The mean of the vertices lies inside their hull: no farther from any axis than the part reaches.
             centre = np.vstack([points for points, _ in balls]).mean(axis=0)
-            radius = max(np.linalg.norm(points - centre, axis=1).max() + more for points, more in balls)
-            parts.append((first, len(solids), items[name][0].parentJoint, *centre, radius))
+            radius = np.max([np.linalg.norm(points - centre, axis=1).max() + more for points, more in balls])
+            parts.append((first, len(solids), items[0].parentJoint, *centre, radius))
         self._parts = np.array(parts, dtype=PART)
         self._directions_n = 0
         model = engine.model
@@ -115,15 +114,6 @@ class Solids:
         rows = np.arange(len(self.pairs)) if rows is None else rows
         found = planes.clearance(self.geometry, floats(Q), rows, most_m, self.directions(), self.workspace())
         return float(found)
-
-
-def _by_part(scene: PlanningScene, engine: CoalEngine) -> dict[str, list[pin.GeometryObject]]:
-    """Return the geometry of every part, in the order of the engine."""
-    items: dict[str, list[pin.GeometryObject]] = {name: [] for name in scene.names}
-    for item in engine.geometry.geometryObjects:
-        name = item.name if item.name in items else engine.model.frames[item.parentFrame].name
-        items[name].append(item)
-    return items
 
 
 def _solid(shape: Any) -> tuple[Array, float, float]:

@@ -25,6 +25,8 @@ from minidual.robot.constants import Array
 
 STEP_RAD = 0.002
 """Largest joint step between the samples of an audit."""
+CLEARANCE_MAX_M = 0.04
+"""Pairs farther apart than this count as this far apart."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,6 @@ class Verification:
     samples_n: States at which a stretch of the proof ends; both engines were asked about each.
     disagreements_n: Of these, the states that one engine sees colliding and the other free.
     unproven_n: 1 if some stretch of the motion could not be proven free.
-    clearance_m: Smallest distance that is sure, at most 4 cm (`certificate.CLEARANCE_MAX_M`).
     velocity_ratio, acceleration_ratio, jerk_ratio, torque_ratio: Largest fraction of the robot's limits used.
     limit_margin_rad: Smallest distance of a joint from its position limit.
     """
@@ -46,7 +47,6 @@ class Verification:
     samples_n: int
     disagreements_n: int
     unproven_n: int
-    clearance_m: float
     velocity_ratio: float
     acceleration_ratio: float
     jerk_ratio: float
@@ -66,12 +66,14 @@ class Audit:
     step_max_rad: Largest joint step between two of them.
     collisions_n: States that at least one engine sees colliding.
     disagreements_n: States that only one engine sees colliding.
+    clearance_m: Smallest distance at these states, see `Verifier.clearance`.
     """
 
     samples_n: int
     step_max_rad: float
     collisions_n: int
     disagreements_n: int
+    clearance_m: float
 
 
 class Verifier:
@@ -90,6 +92,7 @@ class Verifier:
         self._primary = primary
         self._second = second
         self._certifier = Certifier(primary, second, solids)
+        self._solids = solids
         self._step_rad = step_rad
 
     def verify(self, trajectory: Trajectory) -> Verification:
@@ -103,13 +106,20 @@ class Verifier:
             samples_n=proof.samples_n,
             disagreements_n=proof.disagreements_n,
             unproven_n=proof.unproven_n,
-            clearance_m=proof.clearance_m,
             **asdict(use),
         )
 
     def certify(self, trajectory: Trajectory) -> Certificate:
         """Return the proof that nothing touches, without the limits."""
         return self._certifier.certify(trajectory)
+
+    def clearance(self, trajectory: Trajectory) -> float:
+        """Return the smallest distance [m] along a trajectory, where no joint moves more than the step of an audit.
+
+        It is not more than the true one at these states and at most a tenth of a millimetre less; `CLEARANCE_MAX_M` where
+        everything is farther apart.
+        """
+        return self._solids.clearance(collision_samples(trajectory, self._step_rad), CLEARANCE_MAX_M)
 
     def audit(self, trajectory: Trajectory) -> Audit:
         """Return what dense sampling says; for a proven trajectory it must find nothing."""
@@ -120,21 +130,21 @@ class Verifier:
             step_max_rad=float(np.abs(np.diff(Q, axis=0)).max(initial=0.0)),
             collisions_n=int(np.sum(first | second)),
             disagreements_n=int(np.sum(first != second)),
+            clearance_m=self._solids.clearance(Q, CLEARANCE_MAX_M),
         )
 
 
 def collision_samples(trajectory: Trajectory, step_rad: float = STEP_RAD) -> Array:
     """Return configurations (n, 14) along the trajectory, no joint moving more than step_rad between two.
 
-    The largest joint step is summed over half milliseconds; equal shares of that sum give the times.
+    The largest speed that any joint can have in each step of the trajectory bounds how far it gets; equal shares of
+    the sum of that give the times.
     """
-    times = np.arange(2 * len(trajectory.times) - 1) * (0.5 * trajectory.dt_s)
-    q, _, _ = trajectory.sample_many(times)
-    travelled = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(q, axis=0)).max(axis=1))])
-    # Within half a millisecond the speed is taken as constant: the reserve covers what acceleration changes.
-    count = int(np.ceil(travelled[-1] / (0.97 * step_rad)))
+    fastest = trajectory.variation_rates().max(axis=1) * trajectory.dt_s
+    gone = np.concatenate([[0.0], np.cumsum(fastest)])
+    count = int(np.ceil(gone[-1] / step_rad))
     if count == 0:
-        return q[[0, -1]]
-    picks = np.interp(np.linspace(0.0, travelled[-1], count + 1), travelled, times)
-    Q, _, _ = trajectory.sample_many(picks)
-    return Q
+        return trajectory.q[[0, -1]]
+    times = np.interp(np.linspace(0.0, gone[-1], count + 1), gone, trajectory.times)
+    times[[0, -1]] = 0.0, trajectory.duration_s
+    return trajectory.positions(times)

@@ -48,7 +48,10 @@ def plan_once(context: ToolContext) -> ToolResult:
     notes += _write(targets, context, scene, result, title)
     if context.view is not None:
         _play(context, scene, result, title)
-    return ToolResult(_lines(title, result, scene.min_distance_m), notes, _document(group, result, targets))
+    clearance = _clearance(
+        planner.planner.engines(scene).verifier.clearance(result.trajectory), scene.min_distance_m
+    )
+    return ToolResult(_lines(title, result, clearance), notes, _document(group, result, targets))
 
 
 def _prepare(context: ToolContext, group: str) -> tuple[GoalPlanner, PlanningScene, Array, list[str]]:
@@ -163,7 +166,7 @@ def _play(context: ToolContext, scene: PlanningScene, result: PlanResult, title:
         return
 
 
-def _lines(title: str, result: PlanResult, min_distance_m: float) -> list[str]:
+def _lines(title: str, result: PlanResult, clearance: str) -> list[str]:
     proof = result.verification
     spent = ", ".join(f"{name} {1e3 * s:.1f}" for name, s in result.times_s.items() if s > 0.0)
     return [
@@ -173,7 +176,7 @@ def _lines(title: str, result: PlanResult, min_distance_m: float) -> list[str]:
             f"  way           {'straight line' if result.direct else f'{len(result.path)} vertices'}, "
             f"{result.attempts_n} attempt{'s' if result.attempts_n != 1 else ''}"
         ),
-        f"  clearance     {_clearance(proof.clearance_m, min_distance_m)}",
+        f"  clearance     {clearance}",
         (
             f"  of limits     velocity {proof.velocity_ratio:.0%}, acceleration {proof.acceleration_ratio:.0%}, "
             f"jerk {proof.jerk_ratio:.0%}, torque {proof.torque_ratio:.0%}"
@@ -183,11 +186,10 @@ def _lines(title: str, result: PlanResult, min_distance_m: float) -> list[str]:
 
 
 def _clearance(clearance_m: float, min_distance_m: float) -> str:
-    """Return the smallest distance along the plan in words; the proof measures a few centimetres at most."""
-    from minidual.planning.certificate import CLEARANCE_MAX_M
+    """Return the smallest distance along the plan in words; a few centimetres are measured at most."""
+    from minidual.planning.verify import CLEARANCE_MAX_M
 
-    # The proof takes its slack off every distance and adds it to the smallest: that rounds.
-    far = clearance_m > CLEARANCE_MAX_M - 1e-9
+    far = clearance_m >= CLEARANCE_MAX_M
     text = f"{'at least ' if far else ''}{clearance_m * 1e3:.1f} mm"
     return (
         text
