@@ -16,7 +16,13 @@ def impedance(inputs: MethodInputs) -> Factory:
     config = inputs.config
     supervisor = trial_supervisor(config.supervisor, config.scene.physics.timestep_s)
     return lambda world, kinematics, trial: ImpedanceCarry(
-        world, kinematics, config.carry, trial, seed=inputs.seed, supervisor=supervisor, arbiter=config.arbiter
+        world,
+        kinematics,
+        config.carry,
+        trial,
+        seed=inputs.seed,
+        supervisor=supervisor,
+        arbiter=config.arbiter,
     )
 
 
