@@ -18,7 +18,7 @@ class PlannerConfig(StrictModel):
     planner: PlannerName = "rrtconnect"
     range_rad: float = Field(default=1.0, gt=0.0, le=10.0)
     """Longest edge of a search tree, Euclidean in joint space."""
-    edge_step_rad: float = Field(default=0.05, gt=0.0, le=0.2)
+    edge_step_rad: float = Field(default=0.08, gt=0.0, le=0.2)
     """Largest joint step between two collision checks during the search; the proof finds what that misses."""
     padding_m: float = Field(default=0.008, ge=0.0, le=0.1)
     """Distance that the search keeps; it relaxes near a start or goal that is nearer than that."""

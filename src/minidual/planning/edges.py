@@ -8,6 +8,7 @@ within `RELAX_RAD` of joint motion.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import cache
 
@@ -26,7 +27,7 @@ _KEEP_FRACTION = 0.9
 def bisection_order(count: int) -> Array:
     """Return the fractions k/count, k = 1..count, far apart first: a blocked edge shows early.
 
-    The end comes first, then the middle, then the quarters.
+    The end comes first, then the middle, then the quarters. Nobody writes into what is returned: it is kept.
     """
     order: list[int] = []
     seen = {0}
@@ -37,9 +38,7 @@ def bisection_order(count: int) -> Array:
                 seen.add(k)
                 order.append(k)
         step //= 2
-    fractions = np.array(order, dtype=float) / count
-    fractions.setflags(write=False)
-    return fractions
+    return np.array(order, dtype=float) / count
 
 
 class EdgeChecker:
@@ -76,6 +75,7 @@ class EdgeChecker:
         self._tight = np.array([q for q, _ in tight]).reshape(len(tight), DOF)
         self._clearances = _KEEP_FRACTION * np.array([clearance for _, clearance in tight])
         self._geometry = solids.geometry
+        self._q = np.empty(DOF)
         self._rest = (
             rows, padding_m, self._tight, self._clearances, RELAX_RAD, solids.directions(), solids.workspace(),
         )  # fmt: skip
@@ -97,12 +97,9 @@ class EdgeChecker:
         begin, Q = 0, floats(Q)
         while True:
             k, verdict = planes.survey(self._geometry, Q, begin, *self._rest)
-            self.checks_n += k - begin
-            if verdict == planes.FREE:
-                return True
-            self.checks_n += 1
-            if verdict == planes.BLOCKED or not self._asked(Q[k]):
-                return False
+            self.checks_n += k - begin + (verdict != planes.FREE)
+            if verdict != planes.UNDECIDED or not self._asked(Q[k]):
+                return verdict == planes.FREE
             begin = k + 1
 
     def _asked(self, q: Array) -> bool:
@@ -117,8 +114,13 @@ class EdgeChecker:
 
     def edge_free(self, a: Array, b: Array, step_rad: float | None = None) -> bool:
         """Return whether the straight line from a to b (both (14,)) is free; a itself is taken as checked."""
-        delta = b - a
-        count = int(np.ceil(np.max(np.abs(delta)) / (step_rad or self.step_rad)))
+        count = math.ceil(np.abs(b - a).max() / (step_rad or self.step_rad))
         if count == 0:
             return True
-        return self.all_free(a + bisection_order(count)[:, None] * delta)
+        a, b, fractions, begin = floats(a), floats(b), bisection_order(count), 0
+        while True:
+            k, verdict = planes.sweep(self._geometry, a, b, fractions, begin, self._q, *self._rest)
+            self.checks_n += k - begin + (verdict != planes.FREE)
+            if verdict != planes.UNDECIDED or not self._asked(self._q):
+                return verdict == planes.FREE
+            begin = k + 1

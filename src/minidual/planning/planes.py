@@ -339,6 +339,34 @@ def _between_balls(parts: Rows, pair: Any, R: Array, C: Array, i: int, j: int) -
 
 
 @_inner
+def _beside(
+    vertices: Array,
+    solids: Rows,
+    parts: Rows,
+    pair: Any,
+    R: Array,
+    p: Array,
+    C: Array,
+    i: int,
+    j: int,
+    directions: Array,
+) -> float:
+    """Return by how much the ball round part a lies beyond part b along their last direction, at states i and j.
+
+    Minus infinity where b is not one solid that stands still. It settles most pairs of a link and a box.
+    """
+    a, b = pair.a, pair.b
+    x, y, z = directions[pair.row, 0], directions[pair.row, 1], directions[pair.row, 2]
+    if parts[b].frame != 0 or parts[b].end - parts[b].first != 1 or (x == 0.0 and y == 0.0 and z == 0.0):
+        return -np.inf
+    front, _, _, _ = _farthest(vertices, solids, parts[b].first, R[i], p[i], 0, x, y, z)
+    back = min(
+        C[i, a, 0] * x + C[i, a, 1] * y + C[i, a, 2] * z, C[j, a, 0] * x + C[j, a, 1] * y + C[j, a, 2] * z
+    )
+    return back - parts[a].radius - front - solids[parts[b].first].ball
+
+
+@_inner
 def _apart(
     vertices: Array,
     solids: Rows,
@@ -527,6 +555,8 @@ def prove(
             deviation = moved[pair.moves_a] + moved[pair.moves_b]
             if _between_balls(parts, pair, R, C, i, j) - deviation > need:
                 continue
+            if _beside(vertices, solids, parts, pair, R, p, C, i, j, directions) - deviation > need:
+                continue
             gap, _ = _apart(
                 vertices,
                 solids,
@@ -568,6 +598,41 @@ def _to_front(order: Rows, at: int) -> int:
     return row
 
 
+@_inner
+def _verdict(
+    geometry: Geometry,
+    q: Array,
+    chosen: Rows,
+    padding: float,
+    tight: Array,
+    clearances: Array,
+    relax: float,
+    directions: Array,
+    work: Work,
+) -> int:
+    """Return the verdict on one state, see `survey`."""
+    joints, vertices, solids, parts, pairs = geometry
+    R, p, C, seen_R, seen_p, S = work
+    need = padding
+    for t in range(len(tight)):
+        away = 0.0
+        for c in range(DOF):
+            away = max(away, abs(q[c] - tight[t, c]))
+        need = min(need, clearances[t] + (padding - clearances[t]) * min(1.0, away / relax))
+    place(joints, parts, q, 0, R, p, C)
+    for at in range(len(chosen)):
+        pair = pairs[chosen[at]]
+        if _between_balls(parts, pair, R, C, 0, 0) > need:
+            continue
+        if _beside(vertices, solids, parts, pair, R, p, C, 0, 0, directions) > need:
+            continue
+        gap, bound = _apart(vertices, solids, parts, pair, R, p, 0, 0, need, directions, seen_R, seen_p, S)
+        if not gap > need:
+            _to_front(chosen, at)
+            return BLOCKED if bound <= need else UNDECIDED
+    return FREE
+
+
 @kernel()
 def survey(
     geometry: Geometry,
@@ -588,27 +653,37 @@ def survey(
     UNDECIDED: neither was seen. `chosen` (c,), rows of `pairs`, is put in the order in which they block; `work` and
     `directions` are memory.
     """
-    joints, vertices, solids, parts, pairs = geometry
-    R, p, C, seen_R, seen_p, S = work
     for k in range(begin, len(Q)):
-        need = padding
-        for t in range(len(tight)):
-            away = 0.0
-            for c in range(DOF):
-                away = max(away, abs(Q[k, c] - tight[t, c]))
-            need = min(need, clearances[t] + (padding - clearances[t]) * min(1.0, away / relax))
-        place(joints, parts, Q[k], 0, R, p, C)
-        for at in range(len(chosen)):
-            pair = pairs[chosen[at]]
-            if _between_balls(parts, pair, R, C, 0, 0) > need:
-                continue
-            gap, bound = _apart(
-                vertices, solids, parts, pair, R, p, 0, 0, need, directions, seen_R, seen_p, S
-            )
-            if not gap > need:
-                _to_front(chosen, at)
-                return k, BLOCKED if bound <= need else UNDECIDED
+        verdict = _verdict(geometry, Q[k], chosen, padding, tight, clearances, relax, directions, work)
+        if verdict != FREE:
+            return k, verdict
     return len(Q), FREE
+
+
+@kernel()
+def sweep(
+    geometry: Geometry,
+    a: Array,
+    b: Array,
+    fractions: Array,
+    begin: int,
+    q: Array,
+    chosen: Rows,
+    padding: float,
+    tight: Array,
+    clearances: Array,
+    relax: float,
+    directions: Array,
+    work: Work,
+) -> tuple[int, int]:
+    """Return (k, verdict) as `survey` does for the states a + fractions[k] (b - a), the last one written into q (14,)."""
+    for k in range(begin, len(fractions)):
+        for c in range(DOF):
+            q[c] = a[c] + fractions[k] * (b[c] - a[c])
+        verdict = _verdict(geometry, q, chosen, padding, tight, clearances, relax, directions, work)
+        if verdict != FREE:
+            return k, verdict
+    return len(fractions), FREE
 
 
 @kernel()
