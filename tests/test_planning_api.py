@@ -153,11 +153,11 @@ def test_goals_out_of_limits_are_named(planner):
 
 
 def test_no_path_in_time_names_budget_attempts_and_reason():
-    """A wall through the left base with a gap just wide enough for the folded arm, and no time to find it."""
-    walls = [Box(f"wall{side}", (side * 0.53, 0.25, 0.9), size_m=(0.9, 0.02, 1.8)) for side in (-1, 1)]
+    """A wall through the left base with a gap just wide enough for the folded arm, and steps too small to find it."""
+    walls = [Box(f"wall{side}", (side * 0.59, 0.25, 0.9), size_m=(0.9, 0.02, 1.8)) for side in (-1, 1)]
     scene = PlanningScene().with_obstacles(*walls)
     start, goal = beside_the_post(1.4), beside_the_post(-1.4)
-    planner = Planner(scene, PlannerConfig(search_checks_n=200))
+    planner = Planner(scene, PlannerConfig(search_checks_n=200, edge_step_rad=0.0005, range_rad=0.05))
     planner.engines()
     with pytest.raises(
         NoPathInTimeError,
