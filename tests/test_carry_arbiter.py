@@ -419,10 +419,23 @@ def pose_is_nan(reading: Reading) -> Reading:
     return replace(reading, pose=replace(reading.pose, T_world_object=np.full((4, 4), np.nan)))
 
 
+def force_is_nan(*hands: int) -> Callable[[Reading], Reading]:
+    """Let hands (0 left, 1 right) feel no number."""
+
+    def dies(reading: Reading) -> Reading:
+        forces = reading.hand_forces.copy()
+        forces[list(hands)] = np.nan
+        return replace(reading, hand_forces=forces)
+
+    return dies
+
+
 DEAD = {
     "a camera that gives no number": pose_is_nan,
-    "a force sensor that gives no number": lambda r: replace(r, hand_forces=np.full((2, 3), np.nan)),
-    "a force sensor that gives nothing": lambda r: replace(r, hand_forces=np.zeros((2, 3))),
+    "force sensors that give no number": force_is_nan(0, 1),
+    "a left force sensor that gives no number": force_is_nan(0),
+    "a right force sensor that gives no number": force_is_nan(1),
+    "force sensors that give nothing": lambda r: replace(r, hand_forces=np.zeros((2, 3))),
     "fingers that feel nothing": lambda r: replace(r, pinch=np.zeros(2)),
 }
 

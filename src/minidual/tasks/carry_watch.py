@@ -172,7 +172,7 @@ class CarryWatch:
     def _feel(self) -> None:
         """Find the internal force: the smaller of the hands' forces towards each other along the object."""
         left, right = self._forces.dot(self.T_world_object[:3, 1]).tolist()
-        self._felt_n = min(-left, right)
+        self._felt_n = float(np.minimum(-left, right))  # Python's min would drop a NaN of the right hand
 
     def _ease(self, spread_m: float) -> None:
         """Want less squeeze when the hands begin to slip along the object: it is smoother than expected.
