@@ -87,7 +87,9 @@ def test_all_methods_and_conditions_have_the_same_starts(asked: list[Any]) -> No
     assert all(starts == longest[: len(starts)] for _, _, starts, _ in asked)
     assert {(m, c) for m, c, _, _ in asked} == {(m, c) for m in METHODS for c in ASKED} - BLANK
     for _, name, _, config in asked:
-        assert config == changed(Config(), CONDITIONS[name].settings), "a sensor's setting was lost or stayed"
+        assert config == changed(Config(), CONDITIONS[name].settings_under(Config())), (
+            "a sensor's setting was lost or stayed"
+        )
 
 
 def test_what_does_not_apply_is_not_run_and_says_why(asked: list[Any]) -> None:
@@ -95,7 +97,31 @@ def test_what_does_not_apply_is_not_run_and_says_why(asked: list[Any]) -> None:
     assert {key for key, cell in cells.items() if cell.summary is None} == BLANK
     assert cells["act", "delay 20 ms"].why_not == "act reads no pose or contact force during the motion"
     assert cells["moveit", "light -30 %"].record() == {"applies": False, "why": "moveit reads no picture"}
-    assert count_trials(tuple(METHODS), ASKED) == sum(len(starts) for _, _, starts, _ in asked)
+    assert count_trials(tuple(METHODS), ASKED, Config()) == sum(len(starts) for _, _, starts, _ in asked)
+
+
+@pytest.mark.parametrize(
+    ("settings", "name", "says"),
+    [
+        ({"scene.rod.friction": 0.3}, "friction 0.3", "the friction is 0.3 without it"),
+        ({"carry.sensing.delay_s": 0.02}, "delay 20 ms", "without it too, carry.sensing.delay_s is 0.02"),
+        (
+            {"carry.sensing.pose_noise_m": 0.0, "carry.sensing.pose_noise_rad": 0.0},
+            "pose noise x3",
+            "without it too",
+        ),
+    ],
+)
+def test_what_would_be_the_clean_trials_is_not_run_under_another_name(
+    asked: list[Any], settings: dict[str, float], name: str, says: str
+) -> None:
+    inputs = MethodInputs(changed(Config(), settings), SEED)
+    cells, _ = run_benchmark(("impedance",), {CLEAN: 2, name: 2}, inputs, workers=1)
+    assert [call[1] for call in asked] == [CLEAN]
+    assert says in cells[1].why_not
+    assert cells[1].settled
+    assert count_trials(("impedance",), {CLEAN: 2, name: 2}, inputs.config) == 2
+    assert not CONDITIONS[name].same_as_clean(Config()), "the standard configuration differs"
 
 
 def test_a_cell_depends_on_neither_the_order_nor_the_company(asked: list[Any]) -> None:
@@ -189,7 +215,7 @@ def test_the_stage_refuses_unknown_conditions_before_anything_runs() -> None:
 
 def carried(method: str, condition: str, steps: int) -> np.ndarray:
     """Return the joints after the first steps of a real trial under a condition."""
-    config = changed(Config(), CONDITIONS[condition].settings)
+    config = changed(Config(), CONDITIONS[condition].settings_under(Config()))
     bench = Bench(method, MethodInputs(config, SEED))
     trial = sample_trial(config.scene, SEED, "benchmark", 0)
     with CONDITIONS[condition].applied(bench.world.model, 0):

@@ -59,7 +59,7 @@ def test_settings_of_a_condition_reach_its_trials(outcomes):
     found()
     for name, config, _ in outcomes[1]:
         document = config.model_dump()
-        for path, value in CONDITIONS[name].settings.items():
+        for path, value in CONDITIONS[name].settings_under(Config()).items():
             section = document
             for step in path.split("."):
                 section = section[step]
@@ -108,6 +108,29 @@ def test_the_command_fails_when_a_condition_costs_too_much(outcomes, tmp_path):
     assert any("mass +50 %" in note for note in result.notes)
     assert any("| mass +50 % | 10 of 20 |" in line for line in result.lines)
     assert (context.output / "conditions.csv").read_text().count("\n") == len(touching("impedance")) + 1
+
+
+def test_a_row_that_would_be_the_clean_one_says_so_and_does_not_hold(outcomes, tmp_path):
+    smooth = Config.model_validate({"carry": {"object": "box"}})
+    context = ToolContext(smooth, 5, 1, "standard", tmp_path, {"trials": 2})
+    result = perturb(context)
+    assert result.exit_code == ExitCode.PASS
+    assert "friction 0.3" not in [name for name, _, _ in outcomes[1]]
+    (line,) = [line for line in result.lines if line.startswith("| friction 0.3 |")]
+    assert "does not apply: the friction is 0.3 without it" in line
+    assert "| yes |" not in line
+    (plain,) = [line for line in result.lines if line.startswith("| friction 0.7 |")]
+    assert "| yes |" in plain
+    assert not found()["friction 0.3"].why_not
+
+
+def test_noise_times_three_is_a_factor_of_the_noise_there_is():
+    loud = changed(Config(), {"carry.sensing.pose_noise_m": 0.002})
+    values = CONDITIONS["pose noise x3"].settings_under(loud)
+    assert values["carry.sensing.pose_noise_m"] == pytest.approx(0.006)
+    assert CONDITIONS["pose noise x3"].settings_under(Config())[
+        "carry.sensing.pose_noise_m"
+    ] == pytest.approx(0.0015)
 
 
 def test_the_table_has_a_line_for_every_condition(outcomes):

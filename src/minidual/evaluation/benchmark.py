@@ -10,11 +10,12 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from minidual.config.root import Config
 from minidual.config.seeds import stream
 from minidual.evaluation.conditions import CLEAN, condition
-from minidual.evaluation.methods import MethodInputs, method_spec
+from minidual.evaluation.methods import MethodInputs
 from minidual.evaluation.metrics import MethodSummary, TrialMetrics, summarise
-from minidual.evaluation.perturbation import run_under
+from minidual.evaluation.perturbation import run_under, why_not
 from minidual.evaluation.tables import write_text
 from minidual.evaluation.trials import TrialResult
 from minidual.view.protocol import View
@@ -75,9 +76,9 @@ class BenchmarkCell:
         }
 
 
-def count_trials(methods: Sequence[str], trials_n: Mapping[str, int]) -> int:
+def count_trials(methods: Sequence[str], trials_n: Mapping[str, int], config: Config) -> int:
     """Return how many trials `run_benchmark` runs: those that do not apply are left out."""
-    return sum(n for m in methods for c, n in trials_n.items() if not _why_not(m, c))
+    return sum(n for m in methods for c, n in trials_n.items() if not why_not(m, condition(c), config))
 
 
 def run_benchmark(
@@ -107,9 +108,9 @@ def run_benchmark(
     everything: list[TrialMetrics] = []
     for method in methods:
         for name, n in trials_n.items():
-            why_not = _why_not(method, name)
-            if why_not:
-                cells.append(BenchmarkCell(method, name, n, None, why_not))
+            reason = why_not(method, condition(name), inputs.config)
+            if reason:
+                cells.append(BenchmarkCell(method, name, n, None, reason))
                 continue
             rows: list[TrialMetrics] = []
             for result in run_under(method, inputs, condition(name), PURPOSE, n, workers=workers, view=view):
@@ -120,10 +121,6 @@ def run_benchmark(
             cells.append(BenchmarkCell(method, name, n, summarise(rows, rng)))
             everything += rows
     return cells, everything
-
-
-def _why_not(method: str, name: str) -> str:
-    return condition(name).why_not(method, method_spec(method).senses)
 
 
 def summaries(cells: Sequence[BenchmarkCell], name: str = CLEAN) -> list[MethodSummary]:

@@ -10,10 +10,12 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import Any
 
 import mujoco
 import numpy as np
 
+from minidual.config.root import Config
 from minidual.errors import UsageError, unknown_name
 from minidual.robot.constants import DOF, JOINT_NAMES, Array
 from minidual.sim.world import World
@@ -67,6 +69,7 @@ class Condition:
         joint_friction_factor: Viscous and Coulomb friction of one joint, another one each trial.
         light_factor: Of every light, as the cameras see it.
         settings: Configuration values {dotted path: value} under which the trial runs, for the sensors.
+        factors: Of configured values {dotted path: factor}, for the sensors too.
         sense: Row of SENSES that it changes and nothing else does; empty if it changes the plant, which no method
             escapes.
         promised: Whether a carry must hold it. One that is not is compared, and measured by no limit.
@@ -81,6 +84,7 @@ class Condition:
     joint_friction_factor: float = 1.0
     light_factor: float = 1.0
     settings: Mapping[str, float] = field(default_factory=dict)
+    factors: Mapping[str, float] = field(default_factory=dict)
     sense: str = ""
     promised: bool = True
 
@@ -92,6 +96,19 @@ class Condition:
     def why_not(self, method: str, senses: Collection[str]) -> str:
         """Return why it cannot touch a method that reads `senses` (rows of SENSES), or an empty string if it can."""
         return "" if not self.sense or self.sense in senses else f"{method} reads no {SENSES[self.sense]}"
+
+    def settings_under(self, config: Config) -> dict[str, float]:
+        """Return the configuration values {dotted path: value} of its trials, where `config` is that of the clean ones."""
+        return {**self.settings, **{path: k * _configured(config, path) for path, k in self.factors.items()}}
+
+    def same_as_clean(self, config: Config) -> str:
+        """Return why its trials would be the clean ones under another name, or an empty string if they differ."""
+        if self.friction is not None and self.friction == config.scene.rod.friction:
+            return f"the friction is {self.friction:g} without it"
+        values = self.settings_under(config)
+        if values and all(value == _configured(config, path) for path, value in values.items()):
+            return "without it too, " + ", ".join(f"{path} is {value:g}" for path, value in values.items())
+        return ""
 
     @property
     def changes_the_plant(self) -> bool:
@@ -145,6 +162,14 @@ class Condition:
         if self.move_m:
             return _Mover(self.move_m, float(rng.uniform(0.0, 2.0 * np.pi)))
         return None if self.push is None else _Pusher(self.push, float(rng.uniform(*_DELAY_S)))
+
+
+def _configured(config: Config, path: str) -> float:
+    """Return the value at a dotted path."""
+    found: Any = config
+    for step in path.split("."):
+        found = getattr(found, step)
+    return float(found)
 
 
 _CHANGED = (
@@ -226,17 +251,21 @@ CONDITIONS: dict[str, Condition] = {
         Condition(
             "mass +50 %", "an object of one and a half times the mass that is expected", mass_factor=1.5
         ),
-        Condition("friction 0.3", "smoother pads, object and table than expected", friction=0.3),
-        Condition("friction 0.7", "rougher pads, object and table than expected", friction=0.7),
+        Condition(
+            "friction 0.3", "pads, object and table have friction 0.3, which nobody is told", friction=0.3
+        ),
+        Condition(
+            "friction 0.7", "pads, object and table have friction 0.7, which nobody is told", friction=0.7
+        ),
         Condition(
             "pose noise x3",
             "the camera sees the object three times as badly",
-            settings={"carry.sensing.pose_noise_m": 0.0015, "carry.sensing.pose_noise_rad": 0.0157},
+            factors={"carry.sensing.pose_noise_m": 3.0, "carry.sensing.pose_noise_rad": 3.0},
             sense="pose",
         ),
         Condition(
             "delay 20 ms",
-            "pose and forces arrive twice as late",
+            "pose and forces arrive 20 ms late",
             settings={"carry.sensing.delay_s": 0.020},
             sense="feedback",
         ),

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from minidual.config.change import changed
+from minidual.config.root import Config
 from minidual.config.seeds import stream
 from minidual.evaluation.conditions import CLEAN, CONDITIONS, Condition
 from minidual.evaluation.methods import MethodInputs, method_spec
@@ -24,6 +25,10 @@ from minidual.view.protocol import View
 DROP_MAX = 0.15
 """A condition may cost less than this share of the clean success rate."""
 _ROUNDING = 1e-9
+_COLUMNS = (
+    "condition", "successes", "interval", "drop", "least_squeeze_n", "largest_tilt_deg", "peak_torque_percent", "holds",
+    "first_failure",
+)  # fmt: skip
 PURPOSE = "perturb"
 """Random stream of the starts; every condition has the same ones, and no other stage sees them."""
 
@@ -34,28 +39,40 @@ class Robustness:
 
     Attributes:
         condition: Row of the table of conditions.
-        summary: Its trials.
+        summary: Its trials; None where it does not apply.
         drop: Success rate lost against the clean condition; negative if gained.
+        example: What happened to the first trial that failed, or an empty string.
         rate_min: Success rate that the clean condition must reach itself; None for the others. Without it a method
             that never succeeds would lose nothing to any disturbance.
-        example: What happened to the first trial that failed, or an empty string.
+        why_not: Why it does not apply, or an empty string.
     """
 
     condition: Condition
-    summary: MethodSummary
+    summary: MethodSummary | None
     drop: float
     example: str
     rate_min: float | None = None
+    why_not: str = ""
 
     @property
     def holds(self) -> bool:
         """Whether the loss stays under the limit, and the clean rate reaches its own; a NaN does neither."""
+        if self.summary is None:
+            return False
         reached = self.rate_min is None or self.summary.success_rate >= self.rate_min
         return reached and self.drop < DROP_MAX - _ROUNDING
+
+    @property
+    def fails(self) -> bool:
+        """Whether it does not hold, and not because it does not apply."""
+        return not self.holds and (self.summary is not None or not self.why_not)
 
     def row(self) -> dict[str, Any]:
         """Return the line of the table."""
         s = self.summary
+        if s is None:
+            blank = dict.fromkeys(_COLUMNS, "-")
+            return {**blank, "condition": self.condition.name, "holds": f"does not apply: {self.why_not}"}
         return {
             "condition": self.condition.name,
             "successes": f"{s.successes_n} of {s.trials_n}",
@@ -80,12 +97,17 @@ def run_under(
     view: View | None = None,
 ) -> Iterator[TrialResult]:
     """Run the first trials of a purpose under a condition: its starts are those of every other condition and method."""
-    config = changed(inputs.config, condition.settings)
+    config = changed(inputs.config, condition.settings_under(inputs.config))
     trials = [sample_trial(config.scene, inputs.seed, purpose, i) for i in range(trials_n)]
     for result, _ in run_trials(
         method, replace(inputs, config=config), trials, workers=workers, condition=condition.name, view=view
     ):
         yield result
+
+
+def why_not(method: str, condition: Condition, config: Config) -> str:
+    """Return why a condition is not run for a method: it cannot touch it, or its trials would be the clean ones."""
+    return condition.why_not(method, method_spec(method).senses) or condition.same_as_clean(config)
 
 
 def touching(method: str) -> dict[str, Condition]:
@@ -108,6 +130,10 @@ def run_perturbations(
     everything: list[TrialMetrics] = []
     clean_rate = float("nan")
     for name, condition in touching(method).items():
+        reason = why_not(method, condition, inputs.config)
+        if reason:
+            found.append(Robustness(condition, None, float("nan"), "", why_not=reason))
+            continue
         results: list[TrialResult] = []
         for result in run_under(method, inputs, condition, PURPOSE, trials_n, workers=workers, view=view):
             results.append(result)

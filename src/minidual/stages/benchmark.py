@@ -140,7 +140,9 @@ class BenchmarkStage:
         trials_n = {
             name: config.trials_n if name == CLEAN else config.perturbed_trials_n for name in conditions
         }
-        with context.progress.task("benchmark trials", count_trials(methods, trials_n)) as task:
+        with context.progress.task(
+            "benchmark trials", count_trials(methods, trials_n, context.config)
+        ) as task:
 
             def on_trial(result: TrialResult) -> None:
                 task.advance(note=f"{result.metrics.method}, {result.metrics.condition}")

@@ -21,23 +21,26 @@ def perturb(context: ToolContext) -> ToolResult:
         run_perturbations,
         table_lines,
         touching,
+        why_not,
         write_perturbations,
     )
     from minidual.tasks.motions import carry_config
 
     trials_n = int(context.options.get("trials", PERTURB_TRIALS_N))
     inputs = MethodInputs(carry_config(context.config), context.seed)
-    with context.progress.task("disturbed carries", len(touching("impedance")) * trials_n) as task:
+    applying = [c for c in touching("impedance").values() if not why_not("impedance", c, inputs.config)]
+    with context.progress.task("disturbed carries", len(applying) * trials_n) as task:
         found, trials = run_perturbations(
             "impedance", inputs, trials_n, workers=context.workers,
             on_trial=lambda name, result: task.advance(note=name), view=context.view,
         )  # fmt: skip
     write_perturbations(context.output, found, trials)
-    failed = [r for r in found if not r.holds]
+    failed = [r for r in found if r.fails]
     notes = [
         f"{r.condition.name}: {r.summary.successes_n} of {r.summary.trials_n}, {100 * r.drop:.0f} points fewer than clean "
         f"(limit {100 * DROP_MAX:.0f}): {r.example}"
         for r in failed
+        if r.summary is not None
     ]
     return ToolResult(
         lines=table_lines(found),
