@@ -17,6 +17,7 @@ from minidual.config.evaluation import BenchmarkConfig
 from minidual.config.root import Config
 from minidual.errors import UsageError
 from minidual.evaluation import perturbation
+from minidual.evaluation import trials as trials_module
 from minidual.evaluation.benchmark import (
     BenchmarkCell,
     conditions_data,
@@ -45,6 +46,7 @@ def outcome(method: str, index: int, condition: str, *, success: bool = True) ->
         method, index, condition, success, "" if success else "held", "" if success else "lost it",
         math.nan if success else 3.0, 6.0 + number if success else math.nan, 0.7 + 0.1 * number, 20.0 + number,
         0.001 * number, 1.4, 39.0, 60.0, 0.001, "" if success else "it slipped",
+        disturbed=True if CONDITIONS[condition].acts_once else None,
     )  # fmt: skip
     return TrialResult(metrics, (), "", lifted=True, wall_s=1.0)
 
@@ -156,6 +158,29 @@ def test_a_cell_with_too_few_trials_or_none_or_without_a_reason_fails(asked: lis
     assert failing([]) == {"cells_settled"}
 
 
+@pytest.mark.parametrize("disturbed", [False, None])
+def test_a_success_that_nothing_pushed_leaves_its_cell_open(
+    asked: list[Any], monkeypatch: pytest.MonkeyPatch, disturbed: bool | None
+) -> None:
+    run = perturbation.run_trials
+
+    def missed(*given: Any, condition: str, **other: Any) -> Iterator[tuple[TrialResult, None]]:
+        for result, log in run(*given, condition=condition, **other):
+            if condition == "push +x" and result.metrics.index == 2:
+                result = dataclasses.replace(
+                    result, metrics=dataclasses.replace(result.metrics, disturbed=disturbed)
+                )
+            yield result, log
+
+    assert failing(table().values()) == set()
+    monkeypatch.setattr(perturbation, "run_trials", missed)
+    cells = table()
+    assert failing(cells.values()) == {"cells_settled"}
+    assert cells["act", "push +x"].undisturbed == (2,)
+    checks = {c.name: c for c in condition_checks(list(cells.values()), tuple(METHODS), tuple(ASKED))}
+    assert "act under push +x (trial 2 succeeded undisturbed)" in checks["cells_settled"].why
+
+
 @pytest.mark.parametrize("name", ["torque_ratio_max", "jerk_rms_median", "tilt_low_rad", "duration_median_s"])
 def test_a_number_that_is_none_fails(asked: list[Any], name: str) -> None:
     cells = table()
@@ -264,6 +289,36 @@ def test_a_method_that_stops_itself_says_so_in_its_metrics() -> None:
     assert not result.success
     assert "knocked_away" in result.metrics.aborted
     assert result.metrics.aborted == result.aborted
+    assert result.metrics.disturbed is True
+    assert result.metrics.to_row()["disturbed"] is True
+
+
+@pytest.mark.parametrize(
+    ("typed", "stops_s", "disturbed"),
+    [("push_+x", 0.2, False), ("moved_20_mm", 0.4, False), ("moved_20_mm", 0.6, True), (CLEAN, 0.2, None)],
+)
+def test_a_trial_says_whether_its_disturbance_took_place_and_by_its_own_name(
+    monkeypatch: pytest.MonkeyPatch, typed: str, stops_s: float, disturbed: bool | None
+) -> None:
+    bench = Bench("impedance", MethodInputs(Config(), SEED))
+    build = bench.factory
+
+    def short(*given: Any) -> Any:
+        run: Any = build(*given)
+        kind = type("Short", (type(run),), {"done": property(lambda self: self.world.time >= stops_s - 1e-9)})
+        run.__class__ = kind
+        return run
+
+    bench.factory = short
+    streams: list[str] = []
+    draw = trials_module.stream
+    monkeypatch.setattr(
+        trials_module, "stream", lambda seed, name, index: streams.append(name) or draw(seed, name, index)
+    )
+    result, _ = bench.run(sample_trial(Config().scene, SEED, "benchmark", 0), condition=typed)
+    assert result.metrics.disturbed is disturbed
+    assert result.metrics.condition == CONDITIONS[typed.replace("_", " ")].name
+    assert f"disturbance/benchmark/{result.metrics.condition}" in streams
 
 
 def test_a_disturbed_trial_does_not_depend_on_those_before_it() -> None:

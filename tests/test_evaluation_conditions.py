@@ -6,6 +6,7 @@ import pytest
 
 from minidual.config.root import Config
 from minidual.errors import UsageError
+from minidual.evaluation import conditions
 from minidual.evaluation.conditions import (
     CLEAN,
     CONDITIONS,
@@ -81,6 +82,7 @@ def test_a_push_gives_the_object_its_impulse(model):
         mujoco.mj_step(model, world.data)
         pusher(world)
         gained.append(world.rod_twist[0])
+        assert pusher.took_place == (len(gained) > 40), "it begins after 11 steps and lasts 30"
     assert gained[-1] == pytest.approx(20.0 * 0.025 / 0.2, rel=0.01)
     assert not world.data.xfrc_applied.any()
 
@@ -93,6 +95,36 @@ def test_an_object_on_the_table_is_not_pushed(model):
         world.step()
         pusher(world)
         assert not world.data.xfrc_applied.any()
+    assert not pusher.took_place
+
+
+def test_a_push_on_an_object_that_was_put_down_again_did_not_take_place(model):
+    world = World(Config().scene, model=model)
+    world.reset()
+    address = int(model.joint("rod_free").qposadr[0])
+    pusher = _Pusher(Push((20.0, 0.0, 0.0), 0.02, ramp_s=0.005), delay_s=0.01)
+    pusher(world)
+    for lifted in (0.3, -0.3):
+        world.data.qpos[address + 2] += lifted
+        mujoco.mj_step(model, world.data)
+        pusher(world)
+    for _ in range(60):
+        mujoco.mj_step(model, world.data)
+        pusher(world)
+    assert not pusher.took_place
+
+
+def test_a_change_that_breaks_half_way_is_taken_back(model, monkeypatch):
+    def broken(model):
+        raise ValueError("no constants")
+
+    before, derive = fields(model), conditions._derive
+    calls = iter((broken, derive))
+    monkeypatch.setattr(conditions, "_derive", lambda model: next(calls)(model))
+    with pytest.raises(ValueError, match="no constants"), condition("mass +50 %").applied(model, 0):
+        pass
+    for f, value in fields(model).items():
+        np.testing.assert_array_equal(before[f], value, err_msg=f)
 
 
 def test_an_object_is_moved_once_and_lies_still_afterwards(model):
@@ -104,9 +136,11 @@ def test_an_object_is_moved_once_and_lies_still_afterwards(model):
         world.step()
         act(world)
     np.testing.assert_allclose(world.T_world_rod, before, atol=1e-4)
+    assert not act.took_place
     for _ in range(300):
         world.step()
         act(world)
+    assert act.took_place
     moved = world.T_world_rod[:3, 3] - before[:3, 3]
     assert np.linalg.norm(moved[:2]) == pytest.approx(0.020, abs=2e-4)
     assert abs(moved[2]) < 1e-4

@@ -22,6 +22,7 @@ def trial_result(index: int, condition: str, *, success: bool) -> TrialResult:
     metrics = TrialMetrics(
         "impedance", index, condition, success, "" if success else "held", "" if success else "lost it",
         nan if success else 3.0, 7.0 if success else nan, 0.7, 20.0, 0.001, 1.4, 39.0, 60.0, 0.001,
+        disturbed=True if CONDITIONS[condition].acts_once else None,
     )  # fmt: skip
     return TrialResult(metrics, (), "", lifted=True, wall_s=1.0)
 
@@ -131,6 +132,22 @@ def test_noise_times_three_is_a_factor_of_the_noise_there_is():
     assert CONDITIONS["pose noise x3"].settings_under(Config())[
         "carry.sensing.pose_noise_m"
     ] == pytest.approx(0.0015)
+
+
+def test_a_row_with_a_success_that_nothing_pushed_does_not_hold(outcomes, monkeypatch, tmp_path):
+    run = perturbation.run_trials
+
+    def missed(*given, condition, **other):
+        for result, log in run(*given, condition=condition, **other):
+            metrics = dataclasses.replace(result.metrics, disturbed=False)
+            yield (dataclasses.replace(result, metrics=metrics) if condition == "push -y" else result), log
+
+    monkeypatch.setattr(perturbation, "run_trials", missed)
+    rows = found()
+    assert [name for name, row in rows.items() if not row.holds] == ["push -y"]
+    assert "never took place" in rows["push -y"].example
+    context = ToolContext(Config(), 5, 1, "standard", tmp_path, {"trials": 2})
+    assert perturb(context).exit_code == ExitCode.ACCEPTANCE_FAILED
 
 
 def test_the_table_has_a_line_for_every_condition(outcomes):

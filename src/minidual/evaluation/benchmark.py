@@ -15,7 +15,7 @@ from minidual.config.seeds import stream
 from minidual.evaluation.conditions import CLEAN, condition
 from minidual.evaluation.methods import MethodInputs
 from minidual.evaluation.metrics import MethodSummary, TrialMetrics, summarise
-from minidual.evaluation.perturbation import run_under, why_not
+from minidual.evaluation.perturbation import run_under, undisturbed, why_not
 from minidual.evaluation.tables import write_text
 from minidual.evaluation.trials import TrialResult
 from minidual.view.protocol import View
@@ -37,6 +37,7 @@ class BenchmarkCell:
         asked_n: Trials that it should have.
         summary: What its trials say together; None where the condition does not apply.
         why_not: Why it does not apply, or an empty string.
+        undisturbed: Indices of successes in which its push or move never took place.
     """
 
     method: str
@@ -44,13 +45,14 @@ class BenchmarkCell:
     asked_n: int
     summary: MethodSummary | None
     why_not: str = ""
+    undisturbed: tuple[int, ...] = ()
 
     @property
     def settled(self) -> bool:
-        """Whether it has all its trials, or a reason to have none."""
+        """Whether it has all its trials, disturbed as it says, or a reason to have none."""
         if self.summary is None:
             return bool(self.why_not)
-        return not self.why_not and self.summary.trials_n >= self.asked_n
+        return not self.why_not and not self.undisturbed and self.summary.trials_n >= self.asked_n
 
     def not_finite(self) -> list[str]:
         """Return the names of numbers that should exist and do not."""
@@ -118,7 +120,8 @@ def run_benchmark(
                 if on_trial is not None:
                     on_trial(result)
             rng = stream(inputs.seed, f"bootstrap/{PURPOSE}/{method}/{name}")
-            cells.append(BenchmarkCell(method, name, n, summarise(rows, rng)))
+            missed = undisturbed(condition(name), rows)
+            cells.append(BenchmarkCell(method, name, n, summarise(rows, rng), undisturbed=missed))
             everything += rows
     return cells, everything
 

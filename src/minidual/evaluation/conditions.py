@@ -7,10 +7,10 @@ that read it, and a method that does not is not run under it: the trials would b
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Generator, Mapping, Sequence
+from collections.abc import Collection, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import mujoco
 import numpy as np
@@ -32,8 +32,23 @@ _RISEN_M = 0.05
 """A push comes while the object is in the air: it waits until the object has risen this far ..."""
 _DELAY_S = (0.2, 1.2)
 """... and then for a time drawn from this range."""
+_ALOFT_M = 0.01
+"""An object pushed lower than this above where it lay may stand on the table, which takes the push for the hands."""
 _MOVED_AT_S = 0.5
 """An object is moved while the hands approach: they have set out, and none is near it yet."""
+
+
+class Disturbance(Protocol):
+    """What acts on the world after every step of one trial."""
+
+    @property
+    def took_place(self) -> bool:
+        """Whether it has acted, wholly and as its condition says."""
+        ...
+
+    def __call__(self, world: World) -> None:
+        """Act on the world, or wait."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -48,9 +63,14 @@ class Push:
     duration_s: float = 0.2
     ramp_s: float = 0.02
 
+    @property
+    def length_s(self) -> float:
+        """Time from its first to its last force."""
+        return self.duration_s + 2.0 * self.ramp_s
+
     def at(self, t_s: float) -> Array:
         """Return the force (3,) [N] at a time after the push began."""
-        left = self.duration_s + 2.0 * self.ramp_s - t_s
+        left = self.length_s - t_s
         share = min(1.0, max(0.0, min(t_s, left) / self.ramp_s))
         return share * np.array(self.force_n)
 
@@ -111,6 +131,11 @@ class Condition:
         return ""
 
     @property
+    def acts_once(self) -> bool:
+        """Whether it is something that happens during a trial, and so may fail to happen."""
+        return self.push is not None or self.move_m != 0.0
+
+    @property
     def changes_the_plant(self) -> bool:
         """Whether the compiled model differs from the clean one."""
         return self.mass_factor != 1.0 or self.friction is not None or self.joint_friction_factor != 1.0
@@ -128,8 +153,10 @@ class Condition:
             return
         kept = {name: np.array(getattr(model, name)) for name in _CHANGED}
         lamp = {name: np.array(getattr(model.vis.headlight, name)) for name in _LAMP}
-        self._change(model, index)
         try:
+            self._change(
+                model, index
+            )  # in here: one that breaks half way must not leave the rest to the next trial
             yield
         finally:
             for name, values in kept.items():
@@ -157,7 +184,7 @@ class Condition:
             getattr(model.vis.headlight, name)[:] *= self.light_factor
         _derive(model)
 
-    def disturbance(self, rng: np.random.Generator) -> Callable[[World], None] | None:
+    def disturbance(self, rng: np.random.Generator) -> Disturbance | None:
         """Return what acts on the world after every step of a trial, or None if nothing does."""
         if self.move_m:
             return _Mover(self.move_m, float(rng.uniform(0.0, 2.0 * np.pi)))
@@ -190,6 +217,8 @@ class _Pusher:
         self._push, self._delay_s = push, delay_s
         self._rest_m: float | None = None
         self._risen_s: float | None = None
+        self._aloft = True
+        self.took_place = False
 
     def __call__(self, world: World) -> None:
         body = world.model.body("rod").id
@@ -202,6 +231,10 @@ class _Pusher:
             return
         since = world.time - self._risen_s - self._delay_s
         world.data.xfrc_applied[body, :3] = self._push.at(since)
+        if 0.0 <= since < self._push.length_s:
+            self._aloft = self._aloft and height - self._rest_m > _ALOFT_M
+        elif since >= self._push.length_s:
+            self.took_place = self._aloft
 
 
 class _Mover:
@@ -209,14 +242,14 @@ class _Mover:
 
     def __init__(self, distance_m: float, direction_rad: float) -> None:
         self._by = distance_m * np.array([np.cos(direction_rad), np.sin(direction_rad)])
-        self._moved = False
+        self.took_place = False
 
     def __call__(self, world: World) -> None:
-        if self._moved or world.time < _MOVED_AT_S:
+        if self.took_place or world.time < _MOVED_AT_S:
             return
         address = int(world.model.joint("rod_free").qposadr[0])
         world.data.qpos[address : address + 2] += self._by
-        self._moved = True
+        self.took_place = True
 
 
 _PUSH_N = 20.0

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 #: What stands in a table where a value does not exist.
 NO_SUCCESS = "no successful trial"
 NOT_MEASURED = "not measured"
+NO_EVENT = "no push or move"
 
 Cell = float | int | str | bool
 
@@ -52,6 +53,7 @@ class TrialMetrics:
         pinch_force_min_n: Least grip force while it is off the table.
         goal_error_m: Distance of the object from its goal at the end.
         aborted: Why the method stopped itself, empty if it did not.
+        disturbed: Whether the push or move of its condition took place; None where the condition has neither.
     """
 
     method: str
@@ -70,11 +72,13 @@ class TrialMetrics:
     pinch_force_min_n: float
     goal_error_m: float
     aborted: str = ""
+    disturbed: bool | None = None
 
     def to_row(self) -> dict[str, Cell]:
         """Return the trial for CSV or JSON, with words where a number does not exist."""
         words = {"failed_at_s": "did not fail", "duration_s": "did not succeed"}
-        return {f.name: _said(getattr(self, f.name), words.get(f.name, NOT_MEASURED)) for f in fields(self)}
+        row = {f.name: _said(getattr(self, f.name), words.get(f.name, NOT_MEASURED)) for f in fields(self)}
+        return {**row, "disturbed": NO_EVENT if self.disturbed is None else self.disturbed}
 
 
 _OVER_ALL = ("torque_", "jerk_", "tilt_", "goal_")

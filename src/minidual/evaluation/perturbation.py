@@ -45,6 +45,7 @@ class Robustness:
         rate_min: Success rate that the clean condition must reach itself; None for the others. Without it a method
             that never succeeds would lose nothing to any disturbance.
         why_not: Why it does not apply, or an empty string.
+        undisturbed: Indices of successes in which its push or move never took place; with one it does not hold.
     """
 
     condition: Condition
@@ -53,11 +54,12 @@ class Robustness:
     example: str
     rate_min: float | None = None
     why_not: str = ""
+    undisturbed: tuple[int, ...] = ()
 
     @property
     def holds(self) -> bool:
         """Whether the loss stays under the limit, and the clean rate reaches its own; a NaN does neither."""
-        if self.summary is None:
+        if self.summary is None or self.undisturbed:
             return False
         reached = self.rate_min is None or self.summary.success_rate >= self.rate_min
         return reached and self.drop < DROP_MAX - _ROUNDING
@@ -110,6 +112,11 @@ def why_not(method: str, condition: Condition, config: Config) -> str:
     return condition.why_not(method, method_spec(method).senses) or condition.same_as_clean(config)
 
 
+def undisturbed(condition: Condition, trials: Sequence[TrialMetrics]) -> tuple[int, ...]:
+    """Return the indices of successes in which the push or move never took place: clean trials under another name."""
+    return tuple(t.index for t in trials if condition.acts_once and t.success and t.disturbed is not True)
+
+
 def touching(method: str) -> dict[str, Condition]:
     """Return the conditions that a carry must hold and that can touch a method, the clean one first."""
     senses = method_spec(method).senses
@@ -145,7 +152,14 @@ def run_perturbations(
             clean_rate = summary.success_rate
         example = next((f"trial {r.metrics.index}: {r.text}" for r in results if not r.success), "")
         rate_min = inputs.config.carry.limits.success_rate_min if name == CLEAN else None
-        found.append(Robustness(condition, summary, clean_rate - summary.success_rate, example, rate_min))
+        missed = undisturbed(condition, metrics)
+        if missed:
+            example = f"trial {missed[0]}: success, but its push or move never took place"
+        found.append(
+            Robustness(
+                condition, summary, clean_rate - summary.success_rate, example, rate_min, undisturbed=missed
+            )
+        )
         everything += metrics
     return found, everything
 

@@ -215,7 +215,7 @@ class Bench:
     ) -> tuple[TrialResult, TrialLog]:
         """Run one trial under a condition of the table in `minidual.evaluation.conditions`."""
         spec = named_condition(condition)
-        disturb = spec.disturbance(stream(self.seed, f"disturbance/{condition}", trial.index))
+        disturb = spec.disturbance(stream(self.seed, f"disturbance/{trial.purpose}/{spec.name}", trial.index))
 
         def both(world: World, method: Method) -> None:
             if disturb is not None:
@@ -224,10 +224,13 @@ class Bench:
                 on_step(world, method)
 
         with spec.applied(self.world.model, trial.index):
-            return run_trial(
-                self.method, self.factory, self.world, self.kinematics, trial, condition=condition,
+            result, log = run_trial(
+                self.method, self.factory, self.world, self.kinematics, trial, condition=spec.name,
                 on_step=None if disturb is None and on_step is None else both,
             )  # fmt: skip
+        if disturb is not None:
+            result = replace(result, metrics=replace(result.metrics, disturbed=disturb.took_place))
+        return result, log
 
 
 _BENCHES: dict[str, Bench] = {}

@@ -60,12 +60,18 @@ def condition_checks(
     """
     settled = {(c.method, c.condition) for c in cells if c.settled}
     asked = [(m, c) for m in methods for c in conditions]
-    open_cells = [f"{m} under {c}" for m, c in asked if (m, c) not in settled]
+    missed = {(c.method, c.condition): c.undisturbed for c in cells if c.undisturbed}
+    open_cells = [
+        f"{m} under {c}" + (f" (trial {missed[m, c][0]} succeeded undisturbed)" if (m, c) in missed else "")
+        for m, c in asked
+        if (m, c) not in settled
+    ]
     holes = [f"{c.method} under {c.condition}: {name}" for c in cells for name in c.not_finite()]
     checks = [
         Check(
             "cells_settled", len(asked) - len(open_cells), "==", len(asked), "",
-            "every method has all its trials under every condition, or a reason why that cannot touch it"
+            "every method has all its trials under every condition, each push and move took place in those that succeeded, or "
+            "there is a reason why it does not apply"
             + (f"; open: {', '.join(open_cells[:6])}" if open_cells else ""),
             "minidual benchmark --force",
         ),
