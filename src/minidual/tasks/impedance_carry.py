@@ -272,11 +272,15 @@ class ImpedanceCarry:
             self._enter("done")
 
     def _stop(self, t: float) -> None:
-        # Braked by the arbiter the object is still in both hands, and may still get lost.
-        if self._law_drives and not self._stop_by.halted:
-            self._stop_by.heed(self._watch.holding(steady=False))
+        self._mind_the_object()
         if t > self._stop_by.duration_s + _STOPPED_S:
             self._enter("done")
 
     def _done(self, t: float) -> None:
-        """Hold: the arms stay where they have come to rest."""
+        """Hold: the arms stay where they have come to rest, controller C too if it was interrupted with the object."""
+        self._mind_the_object()
+
+    def _mind_the_object(self) -> None:
+        """Halt the arms when the object gets lost: stopped by the arbiter, it is still squeezed by both hands."""
+        if self._law_drives and not self._stop_by.halted:
+            self._stop_by.heed(self._watch.holding(steady=False))
