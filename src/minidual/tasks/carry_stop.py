@@ -4,6 +4,7 @@ a finding      of what is sensed: the arms are halted where they are
 motors gone    the same, and those arms are told nothing any more
 a reflex       of the supervisor, whose own soft stop acts at once
 the arbiter    asked for another mode, or having refused or braked a command: it brakes along the path and holds
+a halt         by somebody else: the arms are stopped where they are, the hands stay as they are
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ class CarryStop:
 
     Attributes:
         fault: What stopped it, or None.
-        halted: Whether the arms were stopped where they are, not along their path.
+        halted: Whether a finding or a reflex stopped the arms where they are, not along their path.
         duration_s: How long the arms take to come to rest.
         over: Set when the trial has ended: what the arbiter does with silence from then on is no fault.
     """
@@ -104,6 +105,9 @@ class CarryStop:
             self._refusals_seen += len(news)
             refused = next((r for r in news if r.source == self._source), None)
         if self.fault is not None or self.over:
+            return
+        if stack.output.halted:  # before what was asked for: a halt is told to the sources as a hold
+            self._note("interrupted", stack.world.time, "the arms were halted", self._halt_s())
             return
         if refused is not None:
             why = f"{refused.name}: {refused.detail}"

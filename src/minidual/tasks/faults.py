@@ -40,7 +40,8 @@ FAULTS: dict[str, FaultKind] = {
     "lost_arm": FaultKind("the motors of an arm do not give the torque they were told", True),
     "reflex": FaultKind("a bound of the supervisor does not hold; its own soft stop acts at once", False),
     "interrupted": FaultKind(
-        "the arbiter lets the motion go no further: another mode is asked for, a command is refused or goes stale",
+        "the arbiter lets the motion go no further: another mode or a halt is asked for, a command is refused or goes "
+        "stale",
         False,
     ),
     "unreachable": FaultKind("no posture for a grasp or along the path: the hands do not begin it", True),
