@@ -241,6 +241,18 @@ def test_a_hold_in_the_air_keeps_the_object_squeezed(world: World) -> None:
     assert np.abs(world.v).max() < 0.01
 
 
+@pytest.mark.parametrize("phase", ["approach", "carry"])
+def test_a_halt_by_somebody_else_is_named_as_one(world: World, phase: str) -> None:
+    seen = ride(world, at=(phase, 0.6), do=lambda seen: seen.carry.stack.halt("teleop"))
+    assert seen.carry.fault is not None
+    assert (seen.carry.fault.name, seen.carry.fault.detail) == ("interrupted", "the arms were halted")
+    assert seen.carry.fault.at_s - seen.onset_s <= 0.001 + 1e-9
+    assert seen.active[-1] == ("soft_stop",)
+    assert np.abs(world.v).max() < 0.05
+    if phase == "carry":
+        assert world.pinch_forces().min() > 20.0, "the hands let go"
+
+
 def test_an_object_lost_while_the_arbiter_brakes_halts_the_arms(world: World) -> None:
     """Braked along its path the law would push two hands together that have nothing between them any more."""
 
@@ -257,6 +269,42 @@ def test_an_object_lost_while_the_arbiter_brakes_halts_the_arms(world: World) ->
     left, right = Kinematics().tcp_poses(world.q)
     apart_m = float(np.linalg.norm(left[:3, 3] - right[:3, 3]))
     assert apart_m > 2.0 * world.scene.rod.grasp_offset_m - 0.04
+
+
+def test_an_object_lost_after_a_hold_halts_the_arms(world: World) -> None:
+    """The trial is done, the law goes on squeezing: it is watched for as long as it does."""
+    lost_s = np.inf
+
+    def snatch(seen: Ride) -> None:
+        nonlocal lost_s
+        if seen.carry.done and not np.isfinite(lost_s):
+            assert seen.carry.stack.manager.active == OBJECT_CONTROLLERS
+            assert world.internal_force() > 35.0
+            world.data.joint("rod_free").qpos[:3] = (0.9, 0.6, 0.2)
+            lost_s = world.time
+
+    seen = ride(world, at=("carry", 1.4), do=lambda seen: seen.carry.stack.request("hold"), each=snatch)
+    for _ in range(500):
+        seen.step()
+    assert seen.carry.fault is not None
+    assert seen.carry.fault.detail == "'hold' was asked for", "what ended the trial stays what ended it"
+    assert ("soft_stop",) in seen.active
+    assert 0.0 < seen.active.index(("soft_stop",)) * world.dt - lost_s <= 0.05
+    assert seen.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
+    assert np.abs(world.v).max() < 0.05
+    left, right = Kinematics().tcp_poses(world.q)
+    apart_m = float(np.linalg.norm(left[:3, 3] - right[:3, 3]))
+    assert apart_m > 2.0 * world.scene.rod.grasp_offset_m - 0.04
+
+
+def test_an_object_that_stays_is_held_for_as_long_as_nobody_asks_for_the_arms(world: World) -> None:
+    """The negative control: the watch of a carry that is done has nothing to find."""
+    seen = ride(world, at=("carry", 1.4), do=lambda seen: seen.carry.stack.request("hold"))
+    for _ in range(1000):
+        seen.step()
+    assert seen.active[-1] == OBJECT_CONTROLLERS
+    assert world.internal_force() > 35.0
+    assert not world.rod_on_table()
 
 
 def falls_silent(seen: Ride) -> None:
@@ -309,6 +357,30 @@ def test_an_object_command_that_comes_late_is_refused_and_ends_the_carry(
     assert world.T_world_rod[2, 3] < world.scene.rod.rest_height_m + 0.002
     assert world.pinch_forces().min() > 20.0
     assert seen.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
+
+
+@pytest.mark.parametrize("phase", ["approach", "close"])
+def test_a_command_that_is_refused_as_it_is_proposed_ends_the_carry_in_that_step(
+    world: World, phase: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    propose = ImpedanceCarry._propose
+    offered_s: list[float] = []
+
+    def too_wide(self: ImpedanceCarry, command: Any) -> None:
+        if self.phase == phase:
+            command = replace(command, gripper=np.full(2, 1.5))
+            offered_s.append(self.world.time)
+        propose(self, command)
+
+    monkeypatch.setattr(ImpedanceCarry, "_propose", too_wide)
+    seen = ride(world)
+    assert seen.carry.fault is not None
+    assert seen.carry.fault.name == "interrupted"
+    assert seen.carry.fault.detail.startswith("gripper_out_of_range: ")
+    assert seen.carry.fault.at_s == offered_s[0]
+    assert len(offered_s) == 1, "it goes on proposing"
+    assert len(seen.carry.stack.refusals) == 1
+    assert np.abs(world.v).max() < 0.05
 
 
 @pytest.mark.parametrize("phase", PHASES)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from minidual.control.commands import ArbiterState
+from minidual.control.commands import ArbiterState, Refusal
 from minidual.control.object_impedance import SingularPostureError
 from minidual.control.reflexes import ReflexError
 from minidual.control.soft_stop import SoftStop
@@ -77,6 +77,12 @@ class CarryStop:
             self.heed(finding)
             self._stack.switch_off(self._watch.lost_arms)
 
+    def heed_refusal(self, refusal: Refusal) -> None:
+        """Note that a command of the carry was refused: what it was to do next will not happen."""
+        if self.fault is None:
+            why = f"{refusal.name}: {refusal.detail}"
+            self._note("interrupted", self._stack.world.time, why, _BRAKED_S)
+
     def step(self) -> None:
         """Run a step of the stack; note a reflex, and what the arbiter made of the carry's commands."""
         try:
@@ -110,8 +116,9 @@ class CarryStop:
             self._note("interrupted", stack.world.time, "the arms were halted", self._halt_s())
             return
         if refused is not None:
-            why = f"{refused.name}: {refused.detail}"
-        elif self._asked_for is not None:
+            self.heed_refusal(refused)
+            return
+        if self._asked_for is not None:
             why = f"'{self._asked_for}' was asked for"
         elif stack.state in (ArbiterState.STALE, ArbiterState.STOPPED):
             why = f"the arbiter is {stack.state}: it has not heard of the carry"

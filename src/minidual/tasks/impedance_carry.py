@@ -165,8 +165,10 @@ class ImpedanceCarry:
         self._stop_by.over = phase == "done"
 
     def _propose(self, command: Command) -> None:
-        """Offer a command; one that is refused is noticed after the step, as one that is refused when it is taken."""
-        self.stack.propose(SOURCE, command)
+        """Offer a command; one that is refused at once ends the carry, as after the step one refused when it is taken."""
+        refusal = self.stack.propose(SOURCE, command)
+        if refusal is not None:
+            self._stop_by.heed_refusal(refusal)
 
     def _number(self) -> int:
         self._sequence += 1
@@ -217,6 +219,8 @@ class ImpedanceCarry:
         # The lift is gated on what the fingers feel, not on a clock, so the posture is streamed.
         if t == 0.0 or self.stack.tick_next:
             self._propose(JointCommand(self._q_last, _CLOSED, self.world.time, self._number()))
+        if self.fault is not None:
+            return
         if self._watch.gripped:
             self._engage()
         else:
