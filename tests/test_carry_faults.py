@@ -194,6 +194,29 @@ def test_the_other_arm_may_be_lost_while_the_first_one_stops(world: World) -> No
     assert np.all(world.data.ctrl[world.joints.ctrl] == 0.0)
 
 
+def test_motors_that_die_after_another_fault_are_switched_off_too(world: World) -> None:
+    """Drives that come back must not find a torque waiting, whatever stopped the arms before."""
+    first = None
+
+    def disturb(world: World) -> None:
+        nonlocal first
+        rod_moves((0.6, 0.0, 0.0))(world)
+        first = world.time
+
+    def later(world: World) -> bool:
+        if first is None or world.time < first + 0.2:
+            return False
+        motors_off("left")(world)
+        return True
+
+    found = run(world, "approach", 0.8, disturb, onset=later)
+    assert found.carry.fault is not None
+    assert found.carry.fault.name == "knocked_away", "what stopped it stays what stopped it"
+    told = world.data.ctrl[world.joints.ctrl]
+    assert np.all(told[:7] == 0.0)
+    assert np.abs(told[7:]).max() > 1.0, "the other arm is held"
+
+
 def _other(arm: slice) -> slice:
     return slice(0, 7) if arm.start == 7 else slice(7, DOF)
 

@@ -67,10 +67,8 @@ class CarryStop:
             self._note(name, self._stack.world.time, detail, self._halt_s())
 
     def heed_motors(self) -> None:
-        """Look at the motors; those that are gone are told nothing more. The other arm may go while this one stops."""
-        if self._told is None or (
-            self.fault is not None and self.fault.name not in ("lost_arm", "interrupted")
-        ):
+        """Look at the motors; those that are gone are told nothing more, whatever stopped the arms before."""
+        if self._told is None:
             return
         finding = self._watch.motors(self._told, self._stack.world.tau)
         if finding is not None:
