@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from control_plant import ArmsPlant, HandsObject
-from test_control_controllers import hand_over, move, stack_on, trajectory
+from test_control_controllers import PAIR, hand_over, move, stack_on, trajectory
 
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import ArbiterState, JointCommand, ObjectCommand
@@ -137,6 +137,36 @@ def test_a_hold_that_was_asked_for_with_a_halt_leaves_the_stop_in_charge(plant: 
     assert stack.state is ArbiterState.HOLDING
     assert stack.manager.active == STOPPING
     assert np.abs(plant.v).max() < 1e-3
+
+
+@pytest.mark.parametrize("first", ["hold", "switch"])
+def test_a_hold_keeps_the_set_that_is_active_when_it_is_confirmed(plant: ArmsPlant, first: str) -> None:
+    stack = stack_on(plant)
+    hand_over(stack, "moveit", PAIR)
+    if first == "hold":
+        stack.request("hold")
+        stack.switch_controllers(
+            ("both_arms",)
+        )  # of who drives, in the same step: it has let go of what it held
+    else:
+        stack.switch_controllers(("both_arms",))
+        stack.request("hold")
+    for _ in range(100):
+        stack.step()
+    assert stack.state is ArbiterState.HOLDING
+    assert stack.manager.active == ("both_arms",)
+
+
+def test_a_hold_that_names_its_set_gets_it(plant: ArmsPlant) -> None:
+    """The negative control: only what nobody named follows the active set."""
+    stack = stack_on(plant)
+    hand_over(stack, "moveit")
+    stack.request("hold", PAIR)
+    stack.switch_controllers(("both_arms",))
+    for _ in range(100):
+        stack.step()
+    assert stack.state is ArbiterState.HOLDING
+    assert stack.manager.active == PAIR
 
 
 def test_arms_that_are_switched_off_are_told_nothing_and_the_others_go_on(plant: ArmsPlant) -> None:

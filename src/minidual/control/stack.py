@@ -158,7 +158,7 @@ class ControlStack:
         Args:
             mode: One of the sources, or "hold".
             controllers: The set to drive with from the moment the switch is confirmed; `both_arms` by default,
-                and for "hold" those that are active. A mode that drives already changes to a named set at once, as
+                and for "hold" those that are active then. A mode that drives already changes to a named set at once, as
                 by `switch_controllers`, and keeps the active one if none is named.
 
         Raises:
@@ -180,7 +180,10 @@ class ControlStack:
                 self.switch_controllers(controllers)
             controllers = self.manager.active
         self.arbiter.request(mode)
-        self._wanted[mode] = tuple(controllers)
+        if named or mode != HOLD:
+            self._wanted[mode] = tuple(controllers)
+        else:  # those that are active when it is confirmed: an own switch may come before
+            self._wanted.pop(HOLD, None)
         self._due = True
 
     def switch_controllers(self, names: Sequence[str]) -> None:
@@ -295,7 +298,7 @@ class ControlStack:
             self.refusals.extend(output.refusals)
         self._due = self._pending = False
         if output.halted:
-            self._wanted.pop(HOLD, None)  # what it would have kept active is not any more
+            self._wanted.pop(HOLD, None)  # even a set that a hold has named: the stop holds the arms
             self.manager.switch(_STOPPING, world.q, world.v, swiftly=True)
         self.manager.follow(output)
         return output
