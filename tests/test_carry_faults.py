@@ -394,3 +394,19 @@ def test_a_singular_posture_stops_the_arms_softly_with_the_object_held(
     assert np.abs(found.speeds[-1]).max() < 0.05
     assert world.pinch_forces().min() > 20.0
     assert not world.rod_on_table()
+
+
+def test_a_singular_posture_when_the_law_is_to_take_over_leaves_the_object_where_it_lies(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def singular(*_args: object, **_options: object) -> None:
+        raise SingularPostureError("the left hand has lost a direction of motion")
+
+    found = run(world, "close", 0.0, lambda _world: monkeypatch.setattr(ObjectImpedance, "engage", singular))
+    fault = found.carry.fault
+    assert fault is not None
+    assert (fault.name, fault.detail) == ("singular", "the left hand has lost a direction of motion")
+    assert found.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
+    assert np.abs(found.speeds[-1]).max() < 0.05
+    assert found.carry.stack.manager.active == ("soft_stop",)
+    assert world.rod_on_table()

@@ -165,6 +165,18 @@ class TestOracle:
             law.torque(HOME, np.zeros(DOF), state, state, internal_force_n=0.0, measured_internal_force_n=0.0)
         assert caught.value.remedy
 
+    @pytest.mark.parametrize("hand", [0, 1])
+    def test_a_direction_that_is_lost_already_when_it_takes_over_is_named_too(
+        self, kinematics: Kinematics, monkeypatch: pytest.MonkeyPatch, hand: int
+    ) -> None:
+        law = ObjectImpedance(kinematics, draw(np.random.default_rng(1), kinematics).held, ImpedanceGains())
+        jacobians = [J.copy() for J in kinematics.tcp_jacobians(HOME)]
+        jacobians[hand][2] = 0.0  # no joint lifts this hand
+        monkeypatch.setattr(kinematics, "tcp_jacobians", lambda q: tuple(jacobians))
+        with pytest.raises(SingularPostureError, match=("left hand", "right hand")[hand]) as caught:
+            law.engage(HOME)
+        assert caught.value.remedy
+
 
 class TestGrasp:
     @given(triples, triples)

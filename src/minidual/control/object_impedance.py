@@ -24,11 +24,12 @@ import pinocchio as pin
 
 from minidual.control.joint_control import JointFriction
 from minidual.errors import MinidualError
-from minidual.robot.constants import GROUPS, TAU_MAX, Array
+from minidual.robot.constants import ARMS, GROUPS, TAU_MAX, Array
 from minidual.robot.kinematics import HandMotion, Kinematics
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 _ARMS = (GROUPS["left_arm"], GROUPS["right_arm"])
+_BENT = "keep the elbows bent: a stretched arm cannot carry"
 
 
 def bounded(value: float, low: float, high: float) -> float:
@@ -121,15 +122,25 @@ class ObjectImpedance:
         self._hands = HandMotion(kinematics, self._J, known["a_hands"])
 
     def engage(self, q: Array) -> None:
-        """Take over at posture q (14,): the damping and the null-space posture follow from it."""
+        """Take over at posture q (14,): the damping and the null-space posture follow from it.
+
+        Raises:
+            SingularPostureError: A hand cannot be accelerated in every direction.
+        """
         self._posture[:] = q
         M = self._kinematics.mass_matrix(q)
         moving = np.zeros(6)
         moving[:3] = self.held.mass_kg
         moving[3:] = np.diag(self.held.inertia_kg_m2)
         lever = max(float(np.linalg.norm(T[:3, 3])) for T in self.held.T_object_tcps)
-        for J, arm in zip(self._kinematics.tcp_jacobians(q), _ARMS, strict=True):
-            mass_at_hand = np.linalg.inv(J[:3, arm] @ np.linalg.solve(M[arm, arm], J[:3, arm].T))
+        for name, J, arm in zip(ARMS, self._kinematics.tcp_jacobians(q), _ARMS, strict=True):
+            try:
+                mass_at_hand = np.linalg.inv(J[:3, arm] @ np.linalg.solve(M[arm, arm], J[:3, arm].T))
+            except np.linalg.LinAlgError as error:
+                raise SingularPostureError(
+                    f"the {name} hand has lost a direction of motion: J M^-1 J^T is singular",
+                    remedy=_BENT,
+                ) from error
             moving[:3] += np.diag(mass_at_hand)
             moving[3:] += lever**2 * float(np.mean(np.diag(mass_at_hand)))
         self._D[:] = 2.0 * self.gains.damping_ratio * np.sqrt(self.gains.stiffness * moving)
@@ -164,7 +175,7 @@ class ObjectImpedance:
         if not kernels.impedance(law, *hands.p, *hands.R):
             raise SingularPostureError(
                 "a hand has lost a direction of motion: J J^T is singular",
-                remedy="keep the elbows bent: a stretched arm cannot carry",
+                remedy=_BENT,
             )
         tau = pin.rnea(self._model, self._data, self._q, self._v, self._qdd)
         kernels.add_push(law, tau)

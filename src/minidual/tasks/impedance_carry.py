@@ -14,7 +14,7 @@ from minidual.config.arbiter import ArbiterConfig
 from minidual.config.control import CarryConfig
 from minidual.config.seeds import stream
 from minidual.control.commands import Command, JointCommand, ObjectCommand, TrajectoryCommand
-from minidual.control.object_impedance import ObjectState
+from minidual.control.object_impedance import ObjectState, SingularPostureError
 from minidual.control.object_path import ObjectPath
 from minidual.control.stack import DEFAULT_CONTROLLERS, OBJECT_CONTROLLERS, ControlStack, Guard
 from minidual.control.supervisor import Supervisor
@@ -239,7 +239,11 @@ class ImpedanceCarry:
         held = held_object(self._scene, T_object, self._kinematics.tcp_poses(world.q))
         self.stack.impedance.configure(held, gains(self._config.impedance))
         watch.take_hold()
-        self.stack.switch_controllers(OBJECT_CONTROLLERS)
+        try:
+            self.stack.switch_controllers(OBJECT_CONTROLLERS)
+        except SingularPostureError as error:
+            self._stop_by.heed(("singular", error.message))
+            return
         self._hold("squeeze", squeezing(self._path, self._T_level_object, self.squeeze_n))
 
     @property
