@@ -143,6 +143,11 @@ def test_no_successful_trial_is_said_in_words_and_stays_nan_for_checks() -> None
     ):
         assert cells[name] == "no successful trial"
     assert cells["tilt_max_rad"] == 1.5
+    for at in range(3):
+        hole = [trial(i, internal_force_min_n=math.nan if i == at else 30.0) for i in range(3)]
+        assert math.isnan(summarise(hole, np.random.default_rng(0)).internal_force_min_n), "NaN in any place"
+        hole = [trial(i, pinch_force_min_n=math.nan if i == at else 30.0) for i in range(3)]
+        assert math.isnan(summarise(hole, np.random.default_rng(0)).pinch_force_min_n)
     unmeasured = summarise([trial(0, jerk_rms=math.nan)], np.random.default_rng(0))
     assert math.isnan(unmeasured.jerk_rms_median)
     assert unmeasured.to_row()["jerk_rms_median"] == "not measured"

@@ -295,12 +295,17 @@ def summarise(trials: Sequence[TrialMetrics], rng: np.random.Generator) -> Metho
         path_length_m=_median(paths),
         path_length_low_m=path_low,
         path_length_high_m=path_high,
-        internal_force_min_n=min((trial.internal_force_min_n for trial in won), default=math.nan),
-        pinch_force_min_n=min((trial.pinch_force_min_n for trial in won), default=math.nan),
+        internal_force_min_n=_least([trial.internal_force_min_n for trial in won]),
+        pinch_force_min_n=_least([trial.pinch_force_min_n for trial in won]),
         goal_error_median_m=_median([trial.goal_error_m for trial in trials]),
         failures=tuple(sorted(counts.items(), key=lambda item: (-item[1], item[0]))),
         stopped_n=sum(bool(trial.aborted) and not trial.success for trial in trials),
     )
+
+
+def _least(values: Sequence[float]) -> float:
+    """Return the least, or NaN of nothing and of anything with a NaN in it, wherever that stands."""
+    return float(np.min(values)) if len(values) else math.nan
 
 
 def _median(values: Sequence[float]) -> float:
