@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from minidual.errors import DataError
 from minidual.evaluation.comparisons import NO_PAIR, compare_all, compare_with_clean
 from minidual.evaluation.metrics import TrialMetrics
 
@@ -86,3 +87,12 @@ def test_without_a_shared_success_there_is_no_difference_of_time() -> None:
     (row,) = compare_all(rows)
     assert row["duration_difference_s"] == row["duration_difference_low_s"] == NO_PAIR
     assert compare_all([rows[0], replace(rows[1], index=1)]) == []
+
+
+@pytest.mark.parametrize("time_s", [math.nan, math.inf])
+def test_a_success_without_a_time_is_an_error_and_not_a_pair_less(time_s: float) -> None:
+    rows = [
+        trial(m, "clean", i, duration_s=time_s if (m, i) == ("b", 1) else 6.0) for m in "ab" for i in range(3)
+    ]
+    with pytest.raises(DataError, match="clean/a/b: a trial that succeeded has no completion time"):
+        compare_all(rows)

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from itertools import combinations
 
 from minidual.config.seeds import stream
+from minidual.errors import DataError
 from minidual.evaluation.conditions import CLEAN
 from minidual.evaluation.metrics import Cell, TrialMetrics
 from minidual.evaluation.statistics import bootstrap_median_interval, compare_paired
@@ -88,7 +89,11 @@ def _compared(one: _Starts, two: _Starts, seed: int, name: str) -> dict[str, Cel
 
 
 def _median_difference(times: Sequence[float], seed: int, name: str) -> tuple[Cell, Cell, Cell]:
-    if not times or not all(math.isfinite(t) for t in times):
+    if not times:
         return (NO_PAIR,) * 3
+    if not all(math.isfinite(t) for t in times):
+        raise DataError(
+            f"{name}: a trial that succeeded has no completion time, so the pair has no difference"
+        )
     low, high = bootstrap_median_interval(times, stream(seed, f"bootstrap/paired/{name}"))
     return statistics.median(times), low, high
