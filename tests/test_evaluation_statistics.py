@@ -101,6 +101,23 @@ def test_the_paired_interval_of_rates_against_its_parts(
     assert paired_rate_interval(*table) == pytest.approx((low, high), abs=2e-4)
 
 
+def test_the_paired_interval_of_rates_is_corrected_for_continuity() -> None:
+    """A negative correlation stays as it is, one of less than half a pair vanishes, a greater one shrinks by as much."""
+    assert paired_rate_interval(36, 12, 2, 0) == pytest.approx(
+        (0.0569, 0.3404), abs=1e-4
+    )  # Newcombe's example
+    first, second = wilson_interval(17, 20), wilson_interval(14, 20)
+    low, high = np.hypot(0.85 - first[0], second[1] - 0.7), np.hypot(first[1] - 0.85, 0.7 - second[0])
+    assert paired_rate_interval(12, 5, 2, 1) == pytest.approx(
+        (0.15 - low, 0.15 + high)
+    )  # 12 * 1 - 5 * 2 = 2 < 10
+    a, b = wilson_interval(31, 50), wilson_interval(30, 50)
+    phi = (30 * 19 - 25) / np.sqrt(31 * 19 * 30 * 20)
+    down, up = (0.62 - a[0], b[1] - 0.6), (a[1] - 0.62, 0.6 - b[0])
+    low, high = (np.sqrt(x * x - 2 * phi * x * y + y * y) for x, y in (down, up))
+    assert paired_rate_interval(30, 1, 0, 19) == pytest.approx((0.02 - low, 0.02 + high))
+
+
 @pytest.mark.parametrize("table", [(12, 5, 2, 1), (0, 16, 0, 4), (3, 0, 9, 8), (30, 1, 0, 19)])
 def test_the_paired_interval_of_rates_turns_round_with_its_pair(table: tuple[int, int, int, int]) -> None:
     both, first, second, neither = table
