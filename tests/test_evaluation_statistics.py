@@ -10,6 +10,7 @@ from minidual.errors import NothingEvaluatedError, UsageError
 from minidual.evaluation.statistics import (
     bootstrap_median_interval,
     compare_paired,
+    holm,
     paired_rate_interval,
     wilson_interval,
 )
@@ -153,3 +154,13 @@ def test_a_comparison_carries_its_interval_and_one_of_nothing_is_refused() -> No
         paired_rate_interval(0, 0, 0, 0)
     with pytest.raises(UsageError):
         paired_rate_interval(1, 0, 0, 0, confidence=1.0)
+
+
+def test_holms_correction_against_its_definition() -> None:
+    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert holm([0.02]) == [0.02]
+    assert holm([0.4, 0.6]) == [0.8, 0.8]
+    assert holm([]) == []
+    for bad in (1.1, -0.1, float("nan")):
+        with pytest.raises(UsageError, match="no probability"):
+            holm([0.5, bad])

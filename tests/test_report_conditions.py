@@ -15,6 +15,7 @@ import report_samples as samples
 from minidual.config.root import Config
 from minidual.errors import DataError
 from minidual.evaluation import conditions
+from minidual.report.analysis import _by_how_much
 from minidual.report.build import Report, build_report
 from minidual.report.comparison import compare
 from minidual.report.condition_figure import condition_figure
@@ -194,6 +195,50 @@ def test_the_words_say_what_is_lost_and_no_more_than_the_trials_show(data: dict[
     few = samples.benchmark_data(samples.disturbed_trials(4))
     told = "\n".join(sentences(table(few), few["comparisons"]))
     assert "act: 0 of 4 under push +x, which these trials do not tell from undisturbed." in told
+
+
+def test_what_is_shown_is_shown_after_correction_for_the_number_of_tests(data: dict[str, Any]) -> None:
+    """A probability of 0.02 in one test of four is none of 0.05 in all of them."""
+    for rows in (data["losses"], data["comparisons"]):
+        for row in rows:
+            row["p_value"] = (
+                0.02 if row.get("condition", row["first"]) == "push +x" and "act" in row.values() else 1.0
+            )
+    data["comparisons"] = [r for r in data["comparisons"] if "impedance" not in (r["first"], r["second"])]
+    many = "\n".join(sentences(table(data), data["comparisons"] + [
+        {**r, "condition": f"other {i}"} for i, r in enumerate(data["comparisons"][:3])
+    ]))  # fmt: skip
+    assert "0 of 20 under push +x, which these trials do not tell from undisturbed" in many
+    assert "succeeds more often" not in many
+    data["losses"] = [r for r in data["losses"] if r["method"] == "act"]
+    data["comparisons"] = [r for r in data["comparisons"] if r["condition"] == "push +x"]
+    alone = "\n".join(sentences(table(data), data["comparisons"]))
+    assert "exact McNemar p = 0.02, 0.02 corrected for the number of losses" in alone
+    assert "exact McNemar p = 0.02, 0.02 corrected for the number of pairs" in alone
+
+
+def test_a_missing_loss_is_not_told_as_one_that_trials_blur(data: dict[str, Any]) -> None:
+    data["losses"] = [r for r in data["losses"] if r["method"] != "moveit"]
+    text = "\n".join(sentences(table(data), data["comparisons"]))
+    assert "moveit: 19 of 20 under push +x, without a comparison with the undisturbed trials." in text
+    assert "moveit: 19 of 20 under push +x, which these" not in text
+
+
+def test_a_comparison_that_does_not_name_its_methods_is_refused(data: dict[str, Any]) -> None:
+    for change, says in (
+        ({"second": None}, "without its 'second' method"),
+        ({"p_value": 1.5}, "p_value is 1.5"),
+    ):
+        rows = [{**data["comparisons"][0], "condition": "push +x", **change}]
+        with pytest.raises(DataError, match=says):
+            list(sentences(table(data), rows))
+
+
+def test_a_method_is_faster_by_a_positive_time_or_by_none_that_is_told() -> None:
+    row = {"condition": CLEAN, "first": "a", "second": "b", "duration_difference_s": -0.05,
+           "duration_difference_low_s": -0.2, "duration_difference_high_s": 0.1}  # fmt: skip
+    assert _by_how_much("a", "b", [row]) == ", by 0.05 s (median difference, 95 % interval -0.10 to 0.20 s)"
+    assert _by_how_much("b", "a", [row]) == ""
 
 
 def test_the_figure_has_a_line_for_every_cell_that_ran_and_says_which_did_not(data: dict[str, Any]) -> None:

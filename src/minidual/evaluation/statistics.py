@@ -188,6 +188,28 @@ def _correlation(both: int, only_first: int, only_second: int, neither: int) -> 
     return covariance / math.sqrt(margins)
 
 
+def holm(p_values: Sequence[float]) -> list[float]:
+    """Return the probabilities of a family of tests, corrected so that the family errs as rarely as one test would.
+
+    Source: S. Holm, "A simple sequentially rejective multiple test procedure", Scandinavian Journal of Statistics 6
+    (1979). It assumes nothing of how the tests depend on each other.
+
+    Args:
+        p_values: Of all tests of the family, shown or not.
+
+    Raises:
+        UsageError: one that is no probability.
+    """
+    if not all(0.0 <= p <= 1.0 for p in p_values):
+        raise UsageError(f"{next(p for p in p_values if not 0.0 <= p <= 1.0)} is no probability")
+    found = [0.0] * len(p_values)
+    highest = 0.0
+    for rank, i in enumerate(sorted(range(len(p_values)), key=lambda i: p_values[i])):
+        highest = max(highest, min(1.0, (len(p_values) - rank) * p_values[i]))
+        found[i] = highest
+    return found
+
+
 def _mcnemar_exact(only_first: int, only_second: int) -> float:
     n = only_first + only_second
     if n == 0:

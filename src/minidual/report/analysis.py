@@ -13,7 +13,7 @@ from minidual.pipeline.check import Check
 from minidual.pipeline.verdict import Verdict
 from minidual.report.captions import fault
 from minidual.report.comparison import Comparison, MethodRow, finite
-from minidual.report.disturbance import CERTAIN, sentences
+from minidual.report.disturbance import CERTAIN, corrected_pairs, sentences
 from minidual.report.indicators import INDICATORS, Indicator
 from minidual.report.robustness import ConditionTable
 from minidual.report.trials import CLEAN, Trial, of_method
@@ -63,8 +63,10 @@ def _methods(comparison: Comparison, trials: Sequence[Trial], paired: Sequence[A
     ranked.sort(key=lambda row: -(row.cell("success_rate").value or 0.0))
     if ranked:
         yield sentence("success: " + joined([_success_text(row) for row in ranked]))
+    corrected = corrected_pairs(paired, disturbed=False)
     for first, second in combinations(ranked, 2):
-        yield _separation(first, second, trials)
+        known = corrected.get((CLEAN, frozenset((first.method, second.method))))
+        yield _separation(first, second, trials, known)
     for indicator in INDICATORS[1:]:
         yield from _ranking(indicator, comparison)
     yield from _faster_in_pairs(comparison, trials, paired)
@@ -84,8 +86,8 @@ def _success_text(row: MethodRow) -> str:
     )
 
 
-def _separation(first: MethodRow, second: MethodRow, trials: Sequence[Trial]) -> str:
-    """Say whether two success rates differ by more than the number of trials can blur."""
+def _separation(first: MethodRow, second: MethodRow, trials: Sequence[Trial], corrected: float | None) -> str:
+    """Say whether two success rates differ by more than the number of trials can blur, given the corrected probability."""
     from minidual.evaluation.statistics import compare_paired
 
     pair = f"{first.method} against {second.method}"
@@ -102,11 +104,12 @@ def _separation(first: MethodRow, second: MethodRow, trials: Sequence[Trial]) ->
     if paired.only_first_n + paired.only_second_n == 0:
         return stated(f"{pair}: the same outcome on each of {starts}")
     low, high = paired.rate_interval
-    differ = paired.p_value < CERTAIN
+    differ = (paired.p_value if corrected is None else corrected) < CERTAIN
+    many = "uncorrected" if corrected is None else f"{corrected:.2g} corrected for the number of pairs"
     return stated(
         f"{pair}: of {starts}, {_won(paired.only_first_n, first.method)} and "
         f"{_won(paired.only_second_n, second.method)} (difference {points(paired.rate_difference)} points, 95 % interval "
-        f"{points(low)} to {points(high)}, exact McNemar p = {paired.p_value:.2g}): "
+        f"{points(low)} to {points(high)}, exact McNemar p = {paired.p_value:.2g}, {many}): "
         + ("they differ" if differ else "these trials do not separate them")
     )
 
@@ -161,6 +164,8 @@ def _by_how_much(first: str, second: str, paired: Sequence[Any]) -> str:
         numbers = [finite(row.get(name)) for name in names]
         if all(number is not None for number in numbers):
             middle, *ends = (sign * (number or 0.0) for number in numbers)
+            if middle <= 0.0:  # medians of all trials and of the shared ones may disagree
+                continue
             return (
                 f", by {middle:.2f} s (median difference, 95 % interval {min(ends):.2f} to {max(ends):.2f} s)"
             )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from minidual.errors import DataError
@@ -33,6 +33,7 @@ class Loss:
         high: Upper end.
         p_value: Exact McNemar.
         starts_n: Shared starts.
+        p_holm: The same, corrected for the number of losses that are tested (Holm).
     """
 
     difference: float
@@ -40,6 +41,7 @@ class Loss:
     high: float
     p_value: float
     starts_n: int
+    p_holm: float
 
 
 @dataclass(frozen=True)
@@ -149,6 +151,8 @@ def _mapping(value: Any, name: str) -> Mapping[str, Any]:
 def _losses(rows: Any) -> dict[tuple[str, str], Loss]:
     if not isinstance(rows, Sequence) or not all(isinstance(row, Mapping) for row in rows):
         raise DataError("the benchmark's data has no list 'losses' of mappings")
+    from minidual.evaluation.statistics import holm
+
     found: dict[tuple[str, str], Loss] = {}
     for row in rows:
         names = ("rate_difference", "rate_difference_low", "rate_difference_high", "p_value", "trials_n")
@@ -156,9 +160,10 @@ def _losses(rows: Any) -> dict[tuple[str, str], Loss]:
         if row.get("second") == CLEAN and all(number is not None for number in numbers):
             difference, low, high, p_value, n = (float(number or 0.0) for number in numbers)
             found[str(row.get("method")), str(row.get("first"))] = Loss(
-                difference, low, high, p_value, int(n)
+                difference, low, high, p_value, int(n), p_value
             )
-    return found
+    corrected = holm([loss.p_value for loss in found.values()])
+    return {key: replace(loss, p_holm=p) for (key, loss), p in zip(found.items(), corrected, strict=True)}
 
 
 def _cell(method: str, condition: str, records: Mapping[str, Any], loss: Loss | None) -> ConditionCell:
