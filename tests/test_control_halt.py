@@ -11,6 +11,7 @@ from test_control_controllers import PAIR, hand_over, move, stack_on, trajectory
 
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import ArbiterState, JointCommand, ObjectCommand
+from minidual.control.controller_manager import ControllerSwitchError
 from minidual.control.motors import SwitchedOff
 from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.control.reflexes import ReflexError
@@ -100,6 +101,43 @@ def test_a_halted_object_path_pushes_the_hands_no_more(plant: ArmsPlant) -> None
         stack.step()
     assert stack.manager.active == STOPPING
     assert np.abs(plant.v).max() < 1e-3
+
+
+def test_what_is_held_may_not_change_in_the_hands_that_hold_it(plant: ArmsPlant) -> None:
+    """A law that has not taken over has no damping and no posture: it must not be put in the place of one that drives."""
+    here = HandsObject(plant)
+    stack = stack_on(plant, sensor=here)
+    stack.impedance.configure(here.held())
+    stack.impedance.configure(here.held())  # not yet active: the last one counts
+    hand_over(stack, "moveit", OBJECT_CONTROLLERS)
+    for _ in range(50):
+        stack.step()
+    with pytest.raises(UsageError, match="object_impedance drives") as caught:
+        stack.impedance.configure(here.held())
+    assert caught.value.remedy
+    last = plant.torques[-1]
+    stack.step()
+    assert np.abs(plant.torques[-1] - last).max() < 0.1, "the law that drives has changed"
+    stack.switch_controllers(("both_arms",))
+    stack.impedance.configure(here.held())
+    stack.switch_controllers(OBJECT_CONTROLLERS)
+
+
+def test_after_a_reset_it_must_be_told_what_is_held_again(plant: ArmsPlant) -> None:
+    here = HandsObject(plant)
+    stack = stack_on(plant, sensor=here)
+    stack.impedance.configure(here.held())
+    hand_over(stack, "moveit", OBJECT_CONTROLLERS)
+    assert stack.impedance.desired is not None
+    plant.reset()
+    stack.reset()
+    assert stack.manager.active == ("both_arms",)
+    assert stack.impedance.desired is None
+    with pytest.raises(ControllerSwitchError, match=r"not_ready: .*not been told what is held"):
+        stack.switch_controllers(OBJECT_CONTROLLERS)
+    stack.impedance.configure(here.held())
+    stack.switch_controllers(OBJECT_CONTROLLERS)
+    stack.step()
 
 
 def test_a_switch_that_waits_is_refused_by_a_halt_and_may_be_asked_for_again(plant: ArmsPlant) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
@@ -62,14 +63,26 @@ class ObjectImpedanceController:
         kinematics: Dynamics.
         dt_s: Control step.
         sensor: Tells of the object.
+        drives: Says whether it is active; by default it never is.
     """
 
     name = "object_impedance"
     arms = (0, 1)
 
-    def __init__(self, kinematics: Kinematics, dt_s: float, sensor: ObjectSensor) -> None:
-        self._kinematics, self._sensor = kinematics, sensor
+    def __init__(
+        self,
+        kinematics: Kinematics,
+        dt_s: float,
+        sensor: ObjectSensor,
+        *,
+        drives: Callable[[], bool] = lambda: False,
+    ) -> None:
+        self._kinematics, self._sensor, self._drives = kinematics, sensor, drives
         self._squeeze_step = SQUEEZE_RATE_N_PER_S * dt_s
+        self.forget()
+
+    def forget(self) -> None:
+        """Hold nothing: it must be told again what is held. Only for when it does not drive."""
         self._law: ObjectImpedance | None = None
         self._execution: ObjectExecution | None = None
         self._desired: ObjectState | None = None
@@ -77,7 +90,16 @@ class ObjectImpedanceController:
         self._reference = np.zeros(DOF)
 
     def configure(self, held: HeldObject, gains: ImpedanceGains | None = None) -> None:
-        """Tell it what is held and how stiffly; it cannot be activated before."""
+        """Tell it what is held and how stiffly; it cannot be activated before.
+
+        Raises:
+            UsageError: It drives: a law that has not taken over cannot stand in for the one that has.
+        """
+        if self._drives():
+            raise UsageError(
+                f"what is held cannot change while controller {self.name} drives",
+                remedy="switch to other controllers first",
+            )
         self._law = ObjectImpedance(self._kinematics, held, ImpedanceGains() if gains is None else gains)
 
     def find_fault(self, command: Command) -> Fault | None:

@@ -94,7 +94,10 @@ class ControlStack:
             for group in ("both_arms", "left_arm", "right_arm")
         ]
         self.impedance = ObjectImpedanceController(
-            kinematics, world.dt, WorldObjectSensor(world) if sensor is None else sensor
+            kinematics,
+            world.dt,
+            WorldObjectSensor(world) if sensor is None else sensor,
+            drives=lambda: self.impedance.name in self.manager.active,
         )
         stop = SoftStopController(kinematics, world.dt, deceleration_share=stop_share)
         self.manager = ControllerManager([*table, self.impedance, stop], world.dt)
@@ -103,7 +106,7 @@ class ControlStack:
         self.reset()
 
     def reset(self) -> None:
-        """Start from where the arms are, at rest, hands open, nobody driving. Listeners stay.
+        """Start from where the arms are, at rest, hands open, nobody driving, nothing held. Listeners stay.
 
         It belongs to every reset of the world.
         """
@@ -114,6 +117,7 @@ class ControlStack:
         self.arbiter.on_flush(self._flushed)
         self.arbiter.on_confirm(self._confirmed)
         self.manager = ControllerManager([self.manager[name] for name in self.manager.names], world.dt)
+        self.impedance.forget()
         self.grippers.reset()
         q = world.q
         self.manager.switch(self._initial, q, np.zeros_like(q))
