@@ -162,6 +162,8 @@ def test_the_page_shows_what_applies_what_is_lost_and_what_is_behind_it(
     assert part.count('class="measured costly"') == 1
     assert "does not apply moveit reads no force" in words
     assert "no trial completed" in words
+    assert "told nothing of what has changed; only the age of a sensed pose is known" in words
+    assert "Holm" in words
     assert part.count("<table") == 1 + 5
     document = json.loads((tmp_path / "report" / "report.json").read_text(encoding="utf-8"))
     act = document["conditions"]["push +x"]["methods"]["act"]

@@ -1,7 +1,8 @@
 """What the world does to a trial: pushes, another mass, another friction, worse sensing. One table, the clean one first.
 
 A condition changes the plant and the sensors; the method is told nothing of it. The rod that is 50 % heavier is still
-the 0.2 kg rod to whoever carries it. What changes the plant touches every method; what changes a sensor touches those
+the 0.2 kg rod to whoever carries it. One thing is known: samples carry their time stamp, so whoever uses it (the pose
+estimate of the carry does) allows for the age of a late pose. What changes the plant touches every method; what changes a sensor touches those
 that read it, and a method that does not is not run under it: the trials would be the clean ones under another name.
 """
 
