@@ -234,6 +234,9 @@ def test_the_stage_refuses_unknown_conditions_before_anything_runs() -> None:
     for names, says in ((["clean", "storm"], "no condition 'storm'"), (["push +x"], "lack 'clean'")):
         with pytest.raises(UsageError, match=says):
             STAGE.validate(Config.model_validate({"benchmark": {"conditions": names}}))
+    loud = {"benchmark": {"conditions": ["all"]}, "carry": {"sensing": {"pose_noise_m": 0.01}}}
+    with pytest.raises(UsageError, match=r"condition 'pose noise x3' sets carry.sensing.pose_noise_m = 0.03"):
+        STAGE.validate(Config.model_validate(loud))
     one, other = Config(), Config.model_validate({"benchmark": {"conditions": ["clean", "push +x"]}})
     assert STAGE.parameters(one) != STAGE.parameters(other)
 

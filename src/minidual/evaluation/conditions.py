@@ -15,7 +15,9 @@ from typing import Any, Protocol
 
 import mujoco
 import numpy as np
+from pydantic import ValidationError
 
+from minidual.config.change import changed
 from minidual.config.root import Config
 from minidual.errors import UsageError, unknown_name
 from minidual.robot.constants import DOF, JOINT_NAMES, Array
@@ -121,6 +123,22 @@ class Condition:
     def settings_under(self, config: Config) -> dict[str, float]:
         """Return the configuration values {dotted path: value} of its trials, where `config` is that of the clean ones."""
         return {**self.settings, **{path: k * _configured(config, path) for path, k in self.factors.items()}}
+
+    def config_under(self, config: Config) -> Config:
+        """Return the configuration of its trials.
+
+        Raises:
+            UsageError: Its values are out of their bounds, as three times a loud noise may be.
+        """
+        values = self.settings_under(config)
+        try:
+            return changed(config, values)
+        except ValidationError as error:
+            told = ", ".join(f"{path} = {value:g}" for path, value in values.items())
+            raise UsageError(
+                f"condition '{self.name}' sets {told}: {error.errors()[0]['msg']}",
+                remedy="leave the condition out, or configure less noise",
+            ) from error
 
     def same_as_clean(self, config: Config) -> str:
         """Return why its trials would be the clean ones under another name, or an empty string if they differ."""

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from minidual.config.change import changed
 from minidual.config.root import Config
 from minidual.config.seeds import stream
 from minidual.evaluation.conditions import CLEAN, CONDITIONS, Condition
@@ -99,7 +98,7 @@ def run_under(
     view: View | None = None,
 ) -> Iterator[TrialResult]:
     """Run the first trials of a purpose under a condition: its starts are those of every other condition and method."""
-    config = changed(inputs.config, condition.settings_under(inputs.config))
+    config = condition.config_under(inputs.config)
     trials = [sample_trial(config.scene, inputs.seed, purpose, i) for i in range(trials_n)]
     for result, _ in run_trials(
         method, replace(inputs, config=config), trials, workers=workers, condition=condition.name, view=view
@@ -136,6 +135,8 @@ def run_perturbations(
     found: list[Robustness] = []
     everything: list[TrialMetrics] = []
     clean_rate = float("nan")
+    for condition in touching(method).values():
+        condition.config_under(inputs.config)  # one that is out of bounds is refused before minutes of trials
     for name, condition in touching(method).items():
         reason = why_not(method, condition, inputs.config)
         if reason:

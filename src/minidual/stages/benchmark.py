@@ -117,11 +117,12 @@ class BenchmarkStage:
 
     def validate(self, config: Config) -> None:
         """Refuse unknown and repeated methods and conditions, and limits for methods that do not exist."""
-        from minidual.evaluation.conditions import parse_conditions
+        from minidual.evaluation.conditions import condition, parse_conditions
         from minidual.evaluation.methods import method_spec, parse_methods
 
         parse_methods(config.benchmark.methods)
-        parse_conditions(config.benchmark.conditions)
+        for name in parse_conditions(config.benchmark.conditions):
+            condition(name).config_under(config)
         for name in config.benchmark.success_rate_min:
             method_spec(name)
 
