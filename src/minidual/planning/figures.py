@@ -147,8 +147,10 @@ def _hull(points: Array) -> Array:
     return points[ConvexHull(points).vertices]
 
 
-def write_times(outcomes: Mapping[str, Sequence[Outcome]], path: Path, limit_s: float) -> None:
-    """Draw the distribution of the planning time of each group, and what the median query spends it on."""
+def write_times(
+    outcomes: Mapping[str, Sequence[Outcome]], path: Path, median_max_s: Mapping[str, float | None]
+) -> None:
+    """Draw the distribution of the planning time of each group beside the limit of its median, and the phases of it."""
     figure, axes = _new_figure(2, 1, 11.0, 4.2)
     spread, shares = axes[0]
     groups = list(outcomes)
@@ -161,24 +163,26 @@ def write_times(outcomes: Mapping[str, Sequence[Outcome]], path: Path, limit_s: 
         if len(solved):
             median = float(np.median(solved))
             spread.plot([median, median], [row - 0.3, row + 0.3], color="#1f2933", lw=2)
-            spread.annotate(f"{median:.0f} ms", (median, row + 0.33), ha="center", va="bottom", fontsize=9)
-    spread.axvline(limit_s * 1e3, color="#e45756", lw=1.2, ls="--")
+            spread.annotate(f"{median:.1f} ms", (median, row + 0.33), ha="center", va="bottom", fontsize=9)
+        limit = median_max_s[group]
+        if limit is not None:
+            spread.plot([limit * 1e3] * 2, [row - 0.3, row + 0.3], color="#e45756", lw=1.6, ls="--")
     spread.set_xscale("log")
     spread.set_yticks(range(len(groups)), groups)
     spread.set_ylim(-0.6, len(groups) - 0.3)
-    spread.set_xlabel("goal in to proven trajectory out [ms]; bar: median, dashed: limit")
+    spread.set_xlabel("goal in to proven trajectory out [ms]; bar: median, dashed: its limit")
     spread.grid(axis="x", which="both", color="#e4e7eb", lw=0.6)
     spread.set_axisbelow(True)
     left = np.zeros(len(groups))
     for colour, phase in zip(_PHASE_COLOURS, PHASES, strict=True):
         if phase == "scene":
             continue
-        means = np.array([
-            np.mean([o.result.times_s[phase] for o in outcomes[g] if o.result is not None] or [0.0]) for g in groups
+        medians = np.array([
+            np.median([o.result.times_s[phase] for o in outcomes[g] if o.result is not None] or [0.0]) for g in groups
         ]) * 1e3  # fmt: skip
-        shares.barh(groups, means, left=left, color=colour, label=phase, height=0.55)
-        left += means
-    shares.set_xlabel("mean time by phase [ms]")
+        shares.barh(groups, medians, left=left, color=colour, label=phase, height=0.55)
+        left += medians
+    shares.set_xlabel("median time of each phase [ms]")
     shares.legend(fontsize=8, ncols=3, loc="upper center", bbox_to_anchor=(0.5, 1.18), frameon=False)
     for axis in (spread, shares):
         axis.spines[["top", "right"]].set_visible(False)

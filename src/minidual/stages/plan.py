@@ -71,7 +71,7 @@ class PlanStage:
         _write_acm(context.folder / "allowed_collisions.csv")
         _write_examples(outcomes, context.folder)
         write_paths(outcomes, context.folder / "paths.png")
-        write_times(outcomes, context.folder / "times.png", config.time_max_s)
+        write_times(outcomes, context.folder / "times.png", config.time_median_max_s.model_dump())
         checks = [check for group, done in outcomes.items() for check in group_checks(group, done, config)]
         if config.second_queries_n:
             checks += [
