@@ -18,6 +18,11 @@ from minidual.errors import ExitCode, UsageError
 TOYS = Path(__file__).with_name("pipeline_toys.py")
 
 
+def listen_to_ctrl_c():
+    """A child of a shell's background job would ignore Ctrl-C, as it should; here it is what is tested."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 @pytest.fixture
 def sleeper(tmp_path):
     """A process in the middle of stage `first` of the run `toys`."""
@@ -27,6 +32,7 @@ def sleeper(tmp_path):
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        preexec_fn=listen_to_ctrl_c,
     )
     deadline = time.monotonic() + 30
     while not marker.exists() and process.poll() is None and time.monotonic() < deadline:

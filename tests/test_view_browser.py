@@ -51,7 +51,10 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[subprocess
         sys.executable, "-m", "minidual.cli", "view", "--view", "web", "--for-s", "400", "--json",
         "--view-port", "8500", "--runs-dir", str(folder),
     ]  # fmt: skip
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored under a background job
+    )  # fmt: skip
     assert process.stderr is not None
     found = None
     for line in process.stderr:
