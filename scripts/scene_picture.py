@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from minidual.config.scene import SceneConfig
-from minidual.planning.ik import ArmIK
+from minidual.motion.ik import ArmIK
+from minidual.plant.render import Camera
+from minidual.plant.world import World
 from minidual.robot.constants import ARMS, GROUPS, HOME
-from minidual.sim.render import Camera
-from minidual.sim.world import World
 from minidual.tasks.rod_carry import grasp_offsets, level_pose
 
 _SIZE_PX = (1264, 711)

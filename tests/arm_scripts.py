@@ -32,17 +32,13 @@ def solve_hands(kinematics: Kinematics, poses: tuple[Array, Array], q_start: Arr
     raise AssertionError(f"no posture found, error {np.abs(error).max()}")
 
 
-def grasp_posture(
-    scene: SceneConfig, kinematics: Kinematics, T_world_level: Array, q_start: Array = HOME
-) -> Array:
+def grasp_posture(scene: SceneConfig, kinematics: Kinematics, T_world_level: Array, q_start: Array = HOME) -> Array:
     """Return q (14,) with the hands on a level rod at T_world_level (4, 4)."""
     left, right = grasp_offsets(scene)
     return solve_hands(kinematics, (T_world_level @ left, T_world_level @ right), q_start)
 
 
-def pinch_rod(
-    loop: JointLoop, scene: SceneConfig, kinematics: Kinematics, *, hands: Array = _CLOSED
-) -> Array:
+def pinch_rod(loop: JointLoop, scene: SceneConfig, kinematics: Kinematics, *, hands: Array = _CLOSED) -> Array:
     """Put the open hands round the nominal rod, close those whose opening in `hands` is 0; return the posture."""
     x, y = scene.task.start_xy_m
     q = grasp_posture(scene, kinematics, level_pose(x, y, scene.rod.radius_m, 0.0))
@@ -53,9 +49,7 @@ def pinch_rod(
     return q
 
 
-def carry_script(
-    scene: SceneConfig, kinematics: Kinematics, start: tuple[float, float, float]
-) -> list[Array]:
+def carry_script(scene: SceneConfig, kinematics: Kinematics, start: tuple[float, float, float]) -> list[Array]:
     """Return 50 Hz actions (16,) that carry a rod from `start` (x, y, yaw) to the goal: a plain joint-space carry."""
     goal = (*scene.task.goal_xy_m, 0.0)
     actions: list[Array] = []
@@ -76,9 +70,7 @@ def carry_script(
     def at(place: tuple[float, float, float], z: float) -> tuple[float, float, float, float]:
         return place[0], place[1], z, place[2]
 
-    first = grasp_posture(
-        scene, kinematics, level_pose(start[0], start[1], scene.rod.radius_m + 0.1, start[2])
-    )
+    first = grasp_posture(scene, kinematics, level_pose(start[0], start[1], scene.rod.radius_m + 0.1, start[2]))
     for k in range(1, 76):
         u = k / 75
         s = u**3 * (10 - 15 * u + 6 * u * u)

@@ -15,11 +15,22 @@ from websockets.sync.client import connect
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 FLAGS = (
-    "--headless=new", "--no-sandbox", "--disable-gpu-sandbox", "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist", "--disable-dev-shm-usage", "--no-first-run",
-    "--hide-scrollbars", "--mute-audio", "--disable-background-networking", "--disable-component-update",
-    "--disable-sync", "--no-default-browser-check", "--remote-debugging-port=0",
-)  # fmt: skip
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-gpu-sandbox",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist",
+    "--disable-dev-shm-usage",
+    "--no-first-run",
+    "--hide-scrollbars",
+    "--mute-audio",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--no-default-browser-check",
+    "--remote-debugging-port=0",
+)
 
 
 def find_browser():
@@ -33,24 +44,14 @@ class Browser:
     def __init__(self, path, folder: Path, size=(1000, 620)):
         self.requests: list[str] = []
         self._id = 0
-        command = [
-            path,
-            *FLAGS,
-            f"--user-data-dir={folder}",
-            f"--window-size={size[0]},{size[1]}",
-            "about:blank",
-        ]
+        command = [path, *FLAGS, f"--user-data-dir={folder}", f"--window-size={size[0]},{size[1]}", "about:blank"]
         self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         address = self._page_address(folder / "DevToolsActivePort")
         self._socket = connect(address, max_size=None)
         for domain in ("Page", "Network", "Runtime"):
             self.call(f"{domain}.enable")
         self.call(
-            "Emulation.setDeviceMetricsOverride",
-            width=size[0],
-            height=size[1],
-            deviceScaleFactor=1,
-            mobile=False,
+            "Emulation.setDeviceMetricsOverride", width=size[0], height=size[1], deviceScaleFactor=1, mobile=False
         )
 
     def _page_address(self, file: Path, limit_s=30.0):
@@ -113,10 +114,7 @@ class Browser:
         for _ in range(tries - 1):
             try:
                 return self.call("Page.captureScreenshot", limit_s=60.0, format="png")["data"]
-            except (
-                RuntimeError,
-                TimeoutError,
-            ):  # between two pages there is nothing to see, or no frame comes
+            except (RuntimeError, TimeoutError):  # between two pages there is nothing to see, or no frame comes
                 time.sleep(0.5)
         return self.call("Page.captureScreenshot", limit_s=60.0, format="png")["data"]
 

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     import mujoco
 
     from minidual.config.scene import SceneConfig
+    from minidual.plant.world import World
     from minidual.robot.kinematics import Kinematics
-    from minidual.sim.world import World
 
 
 @pytest.fixture(scope="session")
@@ -33,7 +33,7 @@ def scene() -> SceneConfig:
 @pytest.fixture(scope="session")
 def compiled_model(scene: SceneConfig) -> mujoco.MjModel:
     """The compiled model without visual meshes, shared: tests must not write to it."""
-    from minidual.sim.model import build_model
+    from minidual.plant.model import build_model
 
     return build_model(scene, visuals=False)
 
@@ -41,7 +41,7 @@ def compiled_model(scene: SceneConfig) -> mujoco.MjModel:
 @pytest.fixture(scope="session")
 def visual_model(scene: SceneConfig) -> mujoco.MjModel:
     """The compiled model with visual meshes, shared: tests must not write to it."""
-    from minidual.sim.model import build_model
+    from minidual.plant.model import build_model
 
     return build_model(scene, visuals=True)
 
@@ -49,7 +49,7 @@ def visual_model(scene: SceneConfig) -> mujoco.MjModel:
 @pytest.fixture
 def world(scene: SceneConfig, compiled_model: mujoco.MjModel) -> World:
     """A fresh world on the shared model, arms at home."""
-    from minidual.sim.world import World
+    from minidual.plant.world import World
 
     return World(scene, model=compiled_model)
 
@@ -57,7 +57,7 @@ def world(scene: SceneConfig, compiled_model: mujoco.MjModel) -> World:
 @pytest.fixture
 def visual_world(scene: SceneConfig, visual_model: mujoco.MjModel) -> World:
     """A fresh world that can be rendered, arms at home."""
-    from minidual.sim.world import World
+    from minidual.plant.world import World
 
     return World(scene, model=visual_model)
 

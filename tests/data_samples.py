@@ -7,15 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from minidual.data.episode import EpisodeWriter
-from minidual.data.schema import EpisodeMeta
+from minidual.demos.episode import EpisodeWriter
+from minidual.demos.schema import EpisodeMeta
 
 CAMERAS = ("high", "left", "right")
 
 
-def arrays(
-    ticks: int = 40, *, seed: int = 0, fps: float = 50.0, size: tuple[int, int] = (24, 32)
-) -> dict[str, Any]:
+def arrays(ticks: int = 40, *, seed: int = 0, fps: float = 50.0, size: tuple[int, int] = (24, 32)) -> dict[str, Any]:
     """Return a smooth motion with its lagging measurement and drifting gradient pictures."""
     rng = np.random.default_rng(seed)
     t = np.arange(ticks) / fps

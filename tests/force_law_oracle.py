@@ -46,9 +46,17 @@ def damping(kinematics: Kinematics, held: HeldObject, gains: ImpedanceGains, q: 
 
 
 def torque(
-    kinematics: Kinematics, held: HeldObject, gains: ImpedanceGains, q_engaged: Array, q: Array, v: Array,
-    measured: ObjectState, desired: ObjectState, internal_force_n: float, measured_internal_force_n: float,
-) -> Array:  # fmt: skip
+    kinematics: Kinematics,
+    held: HeldObject,
+    gains: ImpedanceGains,
+    q_engaged: Array,
+    q: Array,
+    v: Array,
+    measured: ObjectState,
+    desired: ObjectState,
+    internal_force_n: float,
+    measured_internal_force_n: float,
+) -> Array:
     """Return the law's torques (14,) [Nm]."""
     R, p = measured.T_world_object[:3, :3], measured.T_world_object[:3, 3]
     R_d, p_d = desired.T_world_object[:3, :3], desired.T_world_object[:3, 3]
@@ -59,16 +67,15 @@ def torque(
     spring = np.array(gains.stiffness) * e
     damper = damping(kinematics, held, gains, q_engaged) * (desired.twist - measured.twist)
     I_w = R @ held.inertia_kg_m2 @ R.T
-    inertia = np.concatenate(
-        [held.mass_kg * (a_d - GRAVITY), I_w @ alpha_d + np.cross(omega_d, I_w @ omega_d)]
-    )
+    inertia = np.concatenate([held.mass_kg * (a_d - GRAVITY), I_w @ alpha_d + np.cross(omega_d, I_w @ omega_d)])
     w = spring + damper + inertia
 
     # How the hands share it, and how they squeeze.
     correction = np.clip(
         gains.force_gain * (internal_force_n - measured_internal_force_n),
-        -gains.force_correction_max_n, gains.force_correction_max_n,
-    )  # fmt: skip
+        -gains.force_correction_max_n,
+        gains.force_correction_max_n,
+    )
     F = np.clip(internal_force_n + correction, 0.0, gains.force_ceiling_n)
     axis, none = R @ held.axis, np.zeros(3)
     f_int = np.concatenate([-F * axis, none, F * axis, none])
@@ -85,9 +92,7 @@ def torque(
     external = np.zeros(DOF)
     for i, (J, arm) in enumerate(((J_left, GROUPS["left_arm"]), (J_right, GROUPS["right_arm"]))):
         J = J[:, arm]
-        a_hand = np.concatenate(
-            [a_d + np.cross(alpha_d, r[i]) + np.cross(omega_d, np.cross(omega_d, r[i])), alpha_d]
-        )
+        a_hand = np.concatenate([a_d + np.cross(alpha_d, r[i]) + np.cross(omega_d, np.cross(omega_d, r[i])), alpha_d])
         posture = (gains.posture_stiffness_per_s2 * (q_engaged - q) - gains.posture_damping_per_s * v)[arm]
         J_inverse = np.linalg.pinv(J)
         null = np.eye(7) - J_inverse @ J

@@ -9,9 +9,9 @@ import numpy as np
 from minidual.control.joint_control import ComputedTorque
 from minidual.control.reflexes import ReflexError
 from minidual.control.supervisor import Supervisor
+from minidual.plant.world import World
 from minidual.robot.constants import DOF, HOME, Array
 from minidual.robot.kinematics import Kinematics
-from minidual.sim.world import World
 
 OPEN_M = np.full(2, 0.04)
 Reference = Callable[[float], tuple[Array, Array, Array]]

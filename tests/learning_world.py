@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from minidual.learning.demonstrations import Demonstrations
+from minidual.policies.demonstrations import Demonstrations
 
 HEIGHT, WIDTH = 96, 128
 M_PER_PX = 0.0077
@@ -57,21 +57,15 @@ def _cover(a: tuple[float, float], b: tuple[float, float], radius_px: float) -> 
 
 
 _BACKGROUND = (
-    np.array([120, 110, 100], np.float32)
-    + 12 * np.sin(_V / 9.0)[..., None]
-    + 10 * np.cos(_U / 13.0)[..., None]
+    np.array([120, 110, 100], np.float32) + 12 * np.sin(_V / 9.0)[..., None] + 10 * np.cos(_U / 13.0)[..., None]
 )
 
 
-def render(
-    rod: NDArray[np.float64], hands: NDArray[np.float64], rng: np.random.Generator
-) -> NDArray[np.uint8]:
+def render(rod: NDArray[np.float64], hands: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.uint8]:
     """Return a (96, 128, 3) image of the bar (x, y [m], yaw [rad]) and the two arms over it."""
     image = _BACKGROUND.copy()
     along = HALF_ROD_M * np.array([-np.sin(rod[2]), np.cos(rod[2])])
-    layers = [
-        (_cover(_pixel(*(rod[:2] - along)), _pixel(*(rod[:2] + along)), RADIUS_M / M_PER_PX), (200.0, 40, 30))
-    ]
+    layers = [(_cover(_pixel(*(rod[:2] - along)), _pixel(*(rod[:2] + along)), RADIUS_M / M_PER_PX), (200.0, 40, 30))]
     for hand, base in zip(hands, ((-0.5, 0.25), (-0.5, -0.25)), strict=True):
         x, y = hand[0] - 0.3 * hand[2], hand[1]  # a raised hand appears further up
         layers.append((_cover(_pixel(*base), _pixel(x - 0.06, y), 4.0), (235.0, 235, 230)))

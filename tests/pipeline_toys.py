@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from minidual.config.loader import LoadedConfig, load_config
-from minidual.pipeline.check import Check
-from minidual.pipeline.gate import Gate
-from minidual.pipeline.runner import Runner
-from minidual.pipeline.stage import StageContext, StageResult
-from minidual.pipeline.store import RunStore
-from minidual.pipeline.table import StageEntry, StageOption, StageTable
+from minidual.gate.check import Check
+from minidual.gate.gate import Gate
+from minidual.gate.runner import Runner
+from minidual.gate.stage import StageContext, StageResult
+from minidual.gate.store import RunStore
+from minidual.gate.table import StageEntry, StageOption, StageTable
 
 KNOB = "plan.queries_n"
 Behaviour = Callable[[StageContext], Sequence[Check] | None]
@@ -63,10 +63,7 @@ class Bench:
         self.first = Toy("first")
         self.second = Toy("second", ("first",))
         self.third = Toy("third", ("second",))
-        options = (
-            StageOption("queries", KNOB, "How many."),
-            StageOption("mood", None, "No configuration.", kind=str),
-        )
+        options = (StageOption("queries", KNOB, "How many."), StageOption("mood", None, "No configuration.", kind=str))
         self.table = StageTable(
             (
                 StageEntry("first", self.first, (), "Toy one", options),
@@ -105,6 +102,4 @@ if __name__ == "__main__":
 
     bench = Bench(Path(sys.argv[1]))
     bench.first.behaviour = _sleepy
-    sys.exit(
-        run_command_line(["first", "--run", "toys", "--runs-dir", sys.argv[1], *sys.argv[3:]], bench.table)
-    )
+    sys.exit(run_command_line(["first", "--run", "toys", "--runs-dir", sys.argv[1], *sys.argv[3:]], bench.table))

@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from minidual.planning.coal_engine import CoalEngine
-from minidual.planning.mujoco_engine import MujocoEngine
-from minidual.planning.scene import PlanningScene
+from minidual.collision.coal_engine import CoalEngine
+from minidual.collision.mujoco_engine import MujocoEngine
+from minidual.collision.scene import PlanningScene
 from minidual.robot.constants import HOME, Q_LOWER, Q_UPPER, Array
 
 
@@ -38,10 +38,12 @@ class CoalDistances:
         rows = []
         for q in Q:
             pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._placed, q)
-            rows.append([
-                min(pin.computeDistance(self._geometry, self._placed, k).min_distance for k in items)
-                for items in self._items
-            ])  # fmt: skip
+            rows.append(
+                [
+                    min(pin.computeDistance(self._geometry, self._placed, k).min_distance for k in items)
+                    for items in self._items
+                ]
+            )
         return np.array(rows)
 
 

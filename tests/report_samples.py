@@ -9,22 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from minidual.evaluation.benchmark import BenchmarkCell, conditions_data
-from minidual.evaluation.comparisons import compare_all, compare_with_clean
-from minidual.evaluation.metrics import TrialMetrics, summarise
-from minidual.evaluation.tables import write_csv
-from minidual.pipeline.check import Check
-from minidual.pipeline.fingerprint import Fingerprint
-from minidual.pipeline.manifest import build_manifest
-from minidual.pipeline.verdict import Verdict, Waiver
-from minidual.report.model import ReportInput
+from minidual.gate.check import Check
+from minidual.gate.fingerprint import Fingerprint
+from minidual.gate.manifest import build_manifest
+from minidual.gate.verdict import Verdict, Waiver
+from minidual.show.report.model import ReportInput
+from minidual.trials.benchmark import BenchmarkCell, conditions_data
+from minidual.trials.comparisons import compare_all, compare_with_clean
+from minidual.trials.metrics import TrialMetrics, summarise
+from minidual.trials.tables import write_csv
 
 METHODS = ("moveit", "impedance", "act")
 STAGES = (
-    (
-        "env-check",
-        "Simulation and joints: every joint read, mapped and driven, tracking, contacts, libraries",
-    ),
+    ("env-check", "Simulation and joints: every joint read, mapped and driven, tracking, contacts, libraries"),
     ("plan", "Plan collision-free motions for left_arm, right_arm and both_arms"),
     ("carry", "Carry the rod with both arms under object impedance control"),
     ("teleop-record", "Teleoperate, record demonstrations, convert and grade the dataset"),
@@ -79,16 +76,23 @@ def make_trials(n: int = 20) -> list[TrialMetrics]:
             slack = rng.normal(size=5)
             rows.append(
                 TrialMetrics(
-                    method=method, index=index, condition="clean", success=not failed,
+                    method=method,
+                    index=index,
+                    condition="clean",
+                    success=not failed,
                     failure=("arrived" if index % 8 == 1 else "held") if failed else "",
                     reason="it missed" if failed else "",
                     failed_at_s=6.0 + slack[0] if failed else float("nan"),
                     duration_s=float("nan") if failed else time_s + 0.3 * slack[1],
-                    torque_ratio_max=torque + 0.02 * slack[2], jerk_rms=jerk * (1 + 0.08 * slack[3]),
-                    tilt_max_rad=tilt * (1 + 0.2 * abs(slack[4])), path_length_m=1.62 + 0.05 * slack[0],
-                    internal_force_min_n=36.0, pinch_force_min_n=41.0, goal_error_m=0.004,
+                    torque_ratio_max=torque + 0.02 * slack[2],
+                    jerk_rms=jerk * (1 + 0.08 * slack[3]),
+                    tilt_max_rad=tilt * (1 + 0.2 * abs(slack[4])),
+                    path_length_m=1.62 + 0.05 * slack[0],
+                    internal_force_min_n=36.0,
+                    pinch_force_min_n=41.0,
+                    goal_error_m=0.004,
                 )
-            )  # fmt: skip
+            )
     return rows
 
 
@@ -102,15 +106,30 @@ def methods_data(trials: Sequence[TrialMetrics]) -> dict[str, dict[str, Any]]:
             **{
                 name: getattr(summary, name)
                 for name in (
-                    "success_rate", "success_low", "success_high", "duration_median_s", "duration_low_s",
-                    "duration_high_s", "torque_ratio_max", "torque_ratio_median", "torque_ratio_low",
-                    "torque_ratio_high", "jerk_rms_median", "jerk_rms_low", "jerk_rms_high", "tilt_max_rad",
-                    "tilt_median_rad", "tilt_low_rad", "tilt_high_rad", "path_length_m", "path_length_low_m",
+                    "success_rate",
+                    "success_low",
+                    "success_high",
+                    "duration_median_s",
+                    "duration_low_s",
+                    "duration_high_s",
+                    "torque_ratio_max",
+                    "torque_ratio_median",
+                    "torque_ratio_low",
+                    "torque_ratio_high",
+                    "jerk_rms_median",
+                    "jerk_rms_low",
+                    "jerk_rms_high",
+                    "tilt_max_rad",
+                    "tilt_median_rad",
+                    "tilt_low_rad",
+                    "tilt_high_rad",
+                    "path_length_m",
+                    "path_length_low_m",
                     "path_length_high_m",
                 )
             },
             "failures": dict(summary.failures),
-        }  # fmt: skip
+        }
     return table
 
 
@@ -129,13 +148,16 @@ def disturbed_trials(n: int = 20) -> list[TrialMetrics]:
             lost = trial.method == "act"
             rows.append(
                 replace(
-                    trial, condition=condition, success=trial.success and not lost,
-                    failure="held" if lost else trial.failure, reason="lost it" if lost else trial.reason,
+                    trial,
+                    condition=condition,
+                    success=trial.success and not lost,
+                    failure="held" if lost else trial.failure,
+                    reason="lost it" if lost else trial.reason,
                     aborted="it let go" if lost else "",
                     failed_at_s=4.0 if lost else trial.failed_at_s,
                     duration_s=float("nan") if lost else trial.duration_s + 0.5,
                 )
-            )  # fmt: skip
+            )
     return rows
 
 
@@ -150,31 +172,43 @@ def benchmark_data(trials: Sequence[TrialMetrics]) -> dict[str, Any]:
             cells.append(BenchmarkCell(method, condition, len(mine), summary, why))
     clean = [trial for trial in trials if trial.condition == "clean"]
     return {
-        "methods": methods_data(clean), "conditions": conditions_data(cells), "comparisons": compare_all(trials),
+        "methods": methods_data(clean),
+        "conditions": conditions_data(cells),
+        "comparisons": compare_all(trials),
         "losses": compare_with_clean(trials),
-    }  # fmt: skip
+    }
 
 
-def make_verdict(
-    stage: str, folder: Path, checks: Sequence[Check], data: Mapping[str, Any], **other: Any
-) -> Verdict:
+def make_verdict(stage: str, folder: Path, checks: Sequence[Check], data: Mapping[str, Any], **other: Any) -> Verdict:
     """Return a verdict over the files in `folder`."""
     number = [name for name, _ in STAGES].index(stage)
     fingerprint = Fingerprint(
-        parameters={}, options={}, inputs={}, upstream={}, seed=20260, profile="standard", version="0.1.0",
+        parameters={},
+        options={},
+        inputs={},
+        upstream={},
+        seed=20260,
+        profile="standard",
+        version="0.1.0",
         commit="0123456789abcdef0123456789abcdef01234567",
         machine={"system": "Linux", "architecture": "x86_64", "processor": "Some CPU", "cores": 2, "python": "3.12.1"},
         libraries={"numpy": "2.2.6", "mujoco": "4.0.0", "torch": "2.11.0"},
-    )  # fmt: skip
+    )
     return replace(
         Verdict(
-            stage=stage, run="standard", fingerprint=fingerprint, checks=tuple(checks),
-            artefacts=build_manifest(folder, None), acceptance_profile=True,
-            started_at=f"2026-01-31T12:{number:02d}:00Z", finished_at=f"2026-01-31T12:{number:02d}:50Z",
-            duration_s=31.0 * (number + 1) ** 1.6, data=dict(data),
+            stage=stage,
+            run="standard",
+            fingerprint=fingerprint,
+            checks=tuple(checks),
+            artefacts=build_manifest(folder, None),
+            acceptance_profile=True,
+            started_at=f"2026-01-31T12:{number:02d}:00Z",
+            finished_at=f"2026-01-31T12:{number:02d}:50Z",
+            duration_s=31.0 * (number + 1) ** 1.6,
+            data=dict(data),
         ),
         **other,
-    )  # fmt: skip
+    )
 
 
 def make_run(root: Path, trials: Sequence[TrialMetrics] | None = None) -> ReportInput:
@@ -194,10 +228,17 @@ def make_run(root: Path, trials: Sequence[TrialMetrics] | None = None) -> Report
             ]
         verdicts[stage], folders[stage] = make_verdict(stage, folder, checks, data), folder
     return ReportInput(
-        title="A made-up run", stages=STAGES, verdicts=verdicts, folders=folders, waivers=(), methods=METHODS,
-        acceptance=True, profile="standard", seed=20260,
+        title="A made-up run",
+        stages=STAGES,
+        verdicts=verdicts,
+        folders=folders,
+        waivers=(),
+        methods=METHODS,
+        acceptance=True,
+        profile="standard",
+        seed=20260,
         conditions=tuple(dict.fromkeys(trial.condition for trial in trials)),
-    )  # fmt: skip
+    )
 
 
 def with_methods(given: ReportInput, table: Mapping[str, Any]) -> ReportInput:

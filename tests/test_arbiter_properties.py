@@ -130,9 +130,7 @@ class Witness:
             newest = next((c for c in reversed(self.offered[out.active_source]) if arm in c.arms), None)
             from_source = newest is not None and np.array_equal(out.q_target[part], newest.target_of(arm))
             fresh = newest is not None and self.now - newest.stamp_s <= CONFIG.stale_s + 1e-9
-            assert (from_source and fresh) or np.array_equal(out.q_target[part], last[part]), (
-                "another source leaked in"
-            )
+            assert (from_source and fresh) or np.array_equal(out.q_target[part], last[part]), "another source leaked in"
 
 
 proposals = st.tuples(
@@ -144,14 +142,16 @@ proposals = st.tuples(
     st.sampled_from(["", "", "", "", "nan", "zero", "limits", "repeat"]),
 )
 requests = st.tuples(st.just("request"), st.sampled_from((*SOURCES, HOLD)))
-ticks = st.tuples(
-    st.just("tick"), st.sampled_from([0.001, 0.02, 0.02, 0.15, 1.2]), st.sampled_from([0.0, 0.02, 1.0])
-)
+ticks = st.tuples(st.just("tick"), st.sampled_from([0.001, 0.02, 0.02, 0.15, 1.2]), st.sampled_from([0.0, 0.02, 1.0]))
 offsets = st.sampled_from([0.0, 0.05, -0.09, 0.3])
 bursts = st.tuples(
-    st.just("burst"), st.sampled_from(SOURCES), st.sampled_from(sorted(GROUPS)), offsets, st.integers(1, 30),
+    st.just("burst"),
+    st.sampled_from(SOURCES),
+    st.sampled_from(sorted(GROUPS)),
+    offsets,
+    st.integers(1, 30),
     st.sampled_from([0.0, 0.3, 1.0]),
-)  # fmt: skip
+)
 switches = st.tuples(st.just("switch"), st.sampled_from(SOURCES), offsets)
 histories = st.lists(st.one_of(proposals, ticks, requests, bursts, switches), max_size=40)
 
@@ -197,9 +197,25 @@ def _say(source: str, offset: float = 0.0) -> Event:
 
 # Teleop drives, policy talks over it, and then policy is asked for while its old command is still fresh.
 HISTORY: list[Event] = [
-    TICK, ("request", "teleop"), TICK, TICK, _say("teleop"), TICK, _say("policy", -0.14), TICK, _say("teleop", 0.05), TICK,
-    _say("policy", -0.14), ("request", "policy"), TICK, TICK, TICK, _say("policy", 0.3), TICK, TICK,
-]  # fmt: skip
+    TICK,
+    ("request", "teleop"),
+    TICK,
+    TICK,
+    _say("teleop"),
+    TICK,
+    _say("policy", -0.14),
+    TICK,
+    _say("teleop", 0.05),
+    TICK,
+    _say("policy", -0.14),
+    ("request", "policy"),
+    TICK,
+    TICK,
+    TICK,
+    _say("policy", 0.3),
+    TICK,
+    TICK,
+]
 
 
 def test_the_crafted_history_passes_an_arbiter_that_is_whole() -> None:

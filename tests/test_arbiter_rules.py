@@ -28,15 +28,11 @@ class Desk:
         self.sequence = 0
         self.refused: list[tuple[str, str]] = []
 
-    def propose(
-        self, source: str, q: Any, *, gripper: Any = (1.0, 1.0), age: float = 0.0, **fields: Any
-    ) -> str:
+    def propose(self, source: str, q: Any, *, gripper: Any = (1.0, 1.0), age: float = 0.0, **fields: Any) -> str:
         """Propose a command stamped `age` ago; return the name of its refusal or an empty string."""
         self.sequence += 1
         sequence = fields.pop("sequence", self.sequence)
-        command = JointCommand(
-            np.asarray(q, float), np.asarray(gripper, float), self.now - age, sequence, **fields
-        )
+        command = JointCommand(np.asarray(q, float), np.asarray(gripper, float), self.now - age, sequence, **fields)
         refusal = self.arbiter.propose(source, command)
         return "" if refusal is None else refusal.name
 
@@ -102,9 +98,7 @@ def test_moving_arms_are_waited_for_and_then_the_switch_is_given_up(desk: Desk) 
     assert states[-1] == ArbiterState.STOPPED
     assert ("policy", "not_still") in desk.refused
     desk.v = STILL
-    assert desk.drive("policy", HOME + 0.01).active_source is None, (
-        "a switch given up must be asked for again"
-    )
+    assert desk.drive("policy", HOME + 0.01).active_source is None, "a switch given up must be asked for again"
     desk.hand_over("policy")
 
 
@@ -245,9 +239,7 @@ def _with(index: int, value: float) -> Any:
         ("out_of_order", HOME, {"sequence": 1}),
     ],
 )
-def test_bad_commands_are_refused_and_named_and_do_not_drive(
-    desk: Desk, name: str, q: Any, fields: Any
-) -> None:
+def test_bad_commands_are_refused_and_named_and_do_not_drive(desk: Desk, name: str, q: Any, fields: Any) -> None:
     desk.hand_over("policy")
     desk.drive("policy", HOME + 0.05)
     assert desk.propose("policy", q, **fields) == name

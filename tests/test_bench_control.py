@@ -13,12 +13,13 @@ from minidual.cli import run_command_line
 from minidual.config.scene import SceneConfig
 from minidual.control.object_impedance import ImpedanceGains
 from minidual.errors import ExitCode, UsageError
-from minidual.evaluation import bench, bench_control
-from minidual.evaluation.bench import BENCHES, BenchInputs, BenchRow, BenchSpec, BenchTable, parse_benches
-from minidual.evaluation.bench_control import CASES, COLUMNS, Case, measure_case, trajectory_14
-from minidual.evaluation.bench_scenes import BenchScene, free_scene, held_scene
-from minidual.evaluation.step_cost import step_cost
 from minidual.robot.constants import HOME
+from minidual.stages import bench_control
+from minidual.stages import bench_rows as bench
+from minidual.stages.bench_control import CASES, COLUMNS, Case, measure_case, trajectory_14
+from minidual.stages.bench_rows import BENCHES, BenchInputs, BenchRow, BenchSpec, BenchTable, parse_benches
+from minidual.stages.bench_scenes import BenchScene, free_scene, held_scene
+from minidual.stages.bench_step import step_cost
 from minidual.stages.registry import STAGES
 from minidual.stages.tools import TOOLS
 from minidual.tasks.rod_carry import tilt_rad
@@ -85,11 +86,7 @@ class TestStepCost:
         free.restore()
         began, taken = free.world.time, []
         cost = step_cost(
-            free.world,
-            free.world.step,
-            130,
-            parts={"look": lambda: free.world.q},
-            before=lambda: taken.append(1),
+            free.world, free.world.step, 130, parts={"look": lambda: free.world.q}, before=lambda: taken.append(1)
         )
         assert len(taken) == 130
         assert free.world.time - began == pytest.approx(0.130)
@@ -129,14 +126,15 @@ class TestStepCost:
 
 class TestTable:
     TABLE = BenchTable(
-        "title", ("a_us", "ratio"),
+        "title",
+        ("a_us", "ratio"),
         (
             BenchRow("good", {"a_us": 3.0, "ratio": 1.0}, {"ratio": 1.5}),
             BenchRow("bad", {"ratio": 2.0}, {"ratio": 1.5}),
             BenchRow("broken", {"ratio": float("nan")}, {"ratio": 1.5}),
         ),
         ("a note",),
-    )  # fmt: skip
+    )
 
     def test_over_the_limit_is_marked_and_nan_is_over(self) -> None:
         assert [row.exceeded for row in self.TABLE.rows] == [(), ("ratio",), ("ratio",)]
@@ -210,7 +208,7 @@ class TestCommand:
 
 def test_env_check_still_learns_its_step_cost(free: BenchScene) -> None:
     from minidual.control.loop import JointLoop
-    from minidual.evaluation.step_cost import control_step_cost
+    from minidual.stages.bench_step import control_step_cost
 
     loop = JointLoop(free.world, free.kinematics)
     cost = control_step_cost(loop, 120)

@@ -17,16 +17,16 @@ from minidual.control.commands import ArbiterState, JointCommand
 from minidual.control.object_impedance import ObjectImpedance, ObjectState
 from minidual.control.stack import DEFAULT_CONTROLLERS, OBJECT_CONTROLLERS
 from minidual.control.supervisor import Supervisor
-from minidual.evaluation.watch import TrialWatch
+from minidual.plant.sensing import Reading, Sensors
+from minidual.plant.world import World
 from minidual.robot.constants import HOME, TAU_RATE_MAX, Array
 from minidual.robot.kinematics import Kinematics
-from minidual.sim.sensing import Reading, Sensors
-from minidual.sim.world import World
-from minidual.tasks.carry_motions import JointMove, carrying, plan_path, releasing, squeezing
-from minidual.tasks.impedance_carry import SOURCE, ImpedanceCarry
-from minidual.tasks.reach import Quintic, approach_postures
+from minidual.show.view.overlay import Overlay
+from minidual.show.watch_trial import TrialWatch
+from minidual.skills.carry_motions import JointMove, carrying, plan_path, releasing, squeezing
+from minidual.skills.impedance_carry import SOURCE, ImpedanceCarry
+from minidual.skills.reach import Quintic, approach_postures
 from minidual.tasks.rod_carry import level_pose, sample_trial, tilt_rad
-from minidual.view.overlay import Overlay
 
 PHASES = ("approach", "descend", "close", "squeeze", "carry", "unload", "open", "retreat")
 ONCE_DONE_S = 0.3
@@ -57,15 +57,17 @@ class Ride:
         self.active.append(carry.stack.manager.active)
         self.given.append(carry.stack.output.active_source)
         # Whatever the phase, what the motors were told is what the stack let through.
-        assert np.array_equal(self.told[-1], carry.stack.applied), (
-            "a torque that did not come through the stack"
-        )
+        assert np.array_equal(self.told[-1], carry.stack.applied), "a torque that did not come through the stack"
 
 
 def ride(
-    world: World, *, at: tuple[str, float] = ("never", 0.0), do: Callable[[Ride], None] | None = None,
-    each: Callable[[Ride], None] | None = None, supervisor: Supervisor | None = None,
-) -> Ride:  # fmt: skip
+    world: World,
+    *,
+    at: tuple[str, float] = ("never", 0.0),
+    do: Callable[[Ride], None] | None = None,
+    each: Callable[[Ride], None] | None = None,
+    supervisor: Supervisor | None = None,
+) -> Ride:
     """Carry to the end and a little further; `do` something when a phase has lasted for a while, `each` every tick."""
     trial = sample_trial(world.scene, 5, "arbiter", 0)
     world.reset(rod_xy_yaw=trial.start)
@@ -164,9 +166,7 @@ def test_another_source_that_proposes_moves_nothing(world: World, undisturbed: R
             sent += 1
             for source in ("teleop", "policy"):
                 command = JointCommand(HOME + 0.2, np.ones(2), world.time, sent)
-                assert (
-                    seen.carry.stack.propose(source, command) is None
-                )  # kept for its turn, which never comes
+                assert seen.carry.stack.propose(source, command) is None  # kept for its turn, which never comes
 
     seen = ride(world, each=intrude)
     assert sent > 300
@@ -176,8 +176,7 @@ def test_another_source_that_proposes_moves_nothing(world: World, undisturbed: R
 
 
 @pytest.mark.parametrize(
-    ("phase", "after_s"),
-    [("approach", 0.6), ("close", 0.05), ("squeeze", 0.2), ("carry", 1.4), ("retreat", 0.2)],
+    ("phase", "after_s"), [("approach", 0.6), ("close", 0.05), ("squeeze", 0.2), ("carry", 1.4), ("retreat", 0.2)]
 )
 def test_a_request_of_another_mode_ends_the_carry_by_name_and_drops_nothing(
     world: World, phase: str, after_s: float
@@ -190,10 +189,7 @@ def test_a_request_of_another_mode_ends_the_carry_by_name_and_drops_nothing(
         if stack.source == "teleop" and stack.tick_next:
             sent += 1
             opening = stack.output.gripper.copy()
-            assert (
-                stack.propose("teleop", JointCommand(stack.output.q_target, opening, world.time, sent))
-                is None
-            )
+            assert stack.propose("teleop", JointCommand(stack.output.q_target, opening, world.time, sent)) is None
 
     seen = ride(world, at=(phase, after_s), do=lambda seen: seen.carry.stack.request("teleop"), each=lead)
     carry = seen.carry
@@ -312,9 +308,7 @@ def falls_silent(seen: Ride) -> None:
 
 
 @pytest.mark.parametrize(("phase", "after_s"), [("approach", 0.4), ("carry", 1.2)])
-def test_a_carry_that_falls_silent_is_braked_and_keeps_what_it_holds(
-    world: World, phase: str, after_s: float
-) -> None:
+def test_a_carry_that_falls_silent_is_braked_and_keeps_what_it_holds(world: World, phase: str, after_s: float) -> None:
     seen = ride(world, at=(phase, after_s), do=falls_silent)
     carry = seen.carry
     assert carry.fault is not None
@@ -387,9 +381,11 @@ def test_a_command_that_is_refused_as_it_is_proposed_ends_the_carry_in_that_step
 def test_an_emergency_stop_stops_every_phase_and_leaves_the_hands(world: World, phase: str) -> None:
     supervisor = Supervisor(dt_s=world.dt)
     seen = ride(
-        world, at=(phase, 0.15 if phase != "carry" else 1.4), do=lambda _seen: supervisor.estop("pressed"),
+        world,
+        at=(phase, 0.15 if phase != "carry" else 1.4),
+        do=lambda _seen: supervisor.estop("pressed"),
         supervisor=supervisor,
-    )  # fmt: skip
+    )
     carry = seen.carry
     assert carry.fault is not None
     assert carry.fault.name == "reflex"
@@ -422,9 +418,7 @@ def test_a_joint_move_is_its_quintic_and_its_derivatives_are() -> None:
 
 
 @pytest.mark.parametrize("squeeze_n", [13.0, 40.0, 80.0])
-def test_the_squeeze_is_asked_for_no_faster_than_controller_c_gives_it(
-    scene: SceneConfig, squeeze_n: float
-) -> None:
+def test_the_squeeze_is_asked_for_no_faster_than_controller_c_gives_it(scene: SceneConfig, squeeze_n: float) -> None:
     T = level_pose(*scene.task.start_xy_m, scene.rod.rest_height_m, 0.0)
     path = plan_path(scene, CarryConfig(), (*scene.task.goal_xy_m, 0.0), T, approach_postures(scene, T)[1])
     ends = {}

@@ -13,12 +13,12 @@ from minidual.config.control import CarryConfig, CarryFaultConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.object_impedance import ObjectImpedance, SingularPostureError
 from minidual.control.soft_stop import SoftStop, TorqueRate
+from minidual.plant.world import World
 from minidual.robot.constants import A_MAX, DOF, HOME, TAU_MAX, TAU_RATE_MAX
 from minidual.robot.kinematics import Kinematics
-from minidual.sim.world import World
-from minidual.tasks.faults import FAULTS, FaultMonitor
-from minidual.tasks.impedance_carry import ImpedanceCarry
-from minidual.tasks.reach import GraspUnreachableError
+from minidual.skills.faults import FAULTS, FaultMonitor
+from minidual.skills.impedance_carry import ImpedanceCarry
+from minidual.skills.reach import GraspUnreachableError
 from minidual.tasks.rod_carry import RodTrial, sample_trial
 
 DETECTED_S = 0.05
@@ -58,9 +58,14 @@ def untouched(world: World) -> Iterator[None]:
 
 
 def run(
-    world: World, phase: str, after_s: float, disturb: Callable[[World], None], *,
-    onset: Callable[[World], bool] | None = None, index: int = 3,
-) -> Run:  # fmt: skip
+    world: World,
+    phase: str,
+    after_s: float,
+    disturb: Callable[[World], None],
+    *,
+    onset: Callable[[World], bool] | None = None,
+    index: int = 3,
+) -> Run:
     """Carry until `phase` has lasted for `after_s`, disturb, and go on to the end.
 
     `onset` tells from the truth when the fault begins, where that is later than the disturbance.
@@ -111,9 +116,7 @@ def grows_smooth(friction: float) -> Callable[[World], None]:
 def motors_off(arm: str) -> Callable[[World], None]:
     def disturb(world: World) -> None:
         for i in range(world.model.nu):
-            if world.model.actuator(i).name.startswith(arm) and world.model.actuator(i).name.endswith(
-                "_motor"
-            ):
+            if world.model.actuator(i).name.startswith(arm) and world.model.actuator(i).name.endswith("_motor"):
                 world.model.actuator_gainprm[i, 0] = 0.0
 
     return disturb
@@ -147,9 +150,7 @@ def test_a_fault_is_told_in_time_by_name_and_stopped_softly(world: World, scenar
     alive = slice(0, DOF)
     if name == "lost_arm":
         alive = slice(7, DOF) if fault.detail.startswith("left") else slice(0, 7)
-        assert np.all(
-            found.carry.world.data.ctrl[world.joints.ctrl][_other(alive)] == 0.0
-        )  # nothing waits for it
+        assert np.all(found.carry.world.data.ctrl[world.joints.ctrl][_other(alive)] == 0.0)  # nothing waits for it
     # A dead arm falls, and sooner or later it strikes the other one.
     decelerated = found.deceleration(300 if name == "lost_arm" else 2000)[alive].max()
     assert decelerated < (1.5 if name == "slip" else 0.7)
@@ -268,9 +269,7 @@ def test_every_row_of_the_table_can_be_told(monitor: FaultMonitor) -> None:
         "object_lost": _until_told(lambda: monitor.holding(**{**holds, "pinch_n": np.array([60.0, 3.0])})),
         "slip": _until_told(lambda: monitor.squeezing(40.0, 10.0)),
         "tilted": _until_told(lambda: monitor.holding(**{**holds, "tilt_rad": 0.5})),
-        "lost_arm": _until_told(
-            lambda: monitor.motors(np.full(DOF, 5.0), np.r_[np.full(7, 5.0), np.zeros(7)])
-        ),
+        "lost_arm": _until_told(lambda: monitor.motors(np.full(DOF, 5.0), np.r_[np.full(7, 5.0), np.zeros(7)])),
     }
     for name, (said, calls) in told.items():
         assert said == name
@@ -293,9 +292,7 @@ def test_a_reading_that_is_no_number_is_a_fault_and_no_good_reading(monitor: Fau
     for name, reading in blind.items():
         assert _until_told(lambda reading=reading: monitor.holding(**{**holds, **reading}))[0] == name
         assert monitor.holding(**holds) is None
-    assert (
-        _until_told(lambda: monitor.holding(**{**holds, "gap_m": np.array([nan, 0.02])}))[0] == "object_lost"
-    )
+    assert _until_told(lambda: monitor.holding(**{**holds, "gap_m": np.array([nan, 0.02])}))[0] == "object_lost"
     assert _until_told(lambda: monitor.closing(np.array([nan, 0.02]), fine, 0.1))[0] == "missed_grasp"
     assert _until_told(lambda: monitor.squeezing(40.0, nan))[0] == "slip"
     dead = np.r_[np.zeros(9), nan, np.zeros(4)]
@@ -366,14 +363,12 @@ def test_a_rod_out_of_reach_is_a_fault_before_the_arms_move(world: World) -> Non
 
 
 @pytest.mark.parametrize("phase", ["approach", "open"])
-def test_a_grasp_that_is_lost_on_the_way_is_a_fault(
-    world: World, phase: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_grasp_that_is_lost_on_the_way_is_a_fault(world: World, phase: str, monkeypatch: pytest.MonkeyPatch) -> None:
     def none(*_args: object, **_options: object) -> None:
         raise GraspUnreachableError("the left hand misses its grasp")
 
     def disturb(_world: World) -> None:
-        monkeypatch.setattr("minidual.tasks.impedance_carry.grasp_posture", none)
+        monkeypatch.setattr("minidual.skills.impedance_carry.grasp_posture", none)
 
     fault = run(world, phase, 0.0, disturb).carry.fault
     assert fault is not None

@@ -11,11 +11,11 @@ import pytest
 from minidual.config.root import Config
 from minidual.config.scene import ObstacleConfig, TaskConfig
 from minidual.errors import UsageError
+from minidual.plant.model import OBSTACLE
+from minidual.plant.world import World
 from minidual.robot.constants import FINGER_TRAVEL_M
 from minidual.robot.kinematics import Kinematics
-from minidual.sim.model import OBSTACLE
-from minidual.sim.world import World
-from minidual.tasks.impedance_carry import ImpedanceCarry
+from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.tasks.motions import MOTIONS, carry_config
 from minidual.tasks.objects import OBJECTS, filled
 from minidual.tasks.rod_carry import sample_trial
@@ -77,18 +77,13 @@ def test_what_the_law_is_told_of_mass_and_inertia_is_what_the_simulator_has(name
     while world.time < 0.2:
         world.step()
     assert world.rod_on_table()
-    assert (
-        abs(world.T_world_rod[2, 3] - rod.rest_height_m) < 2e-4
-    )  # it stands on the table, not in it or above it
+    assert abs(world.T_world_rod[2, 3] - rod.rest_height_m) < 2e-4  # it stands on the table, not in it or above it
 
 
 def test_what_somebody_has_set_stays_and_a_second_call_changes_nothing() -> None:
     once = carry_config(
         Config.model_validate(
-            {
-                "carry": {"object": "board", "impedance": {"internal_force_n": 21.0}},
-                "scene": {"rod": {"mass_kg": 1.4}},
-            }
+            {"carry": {"object": "board", "impedance": {"internal_force_n": 21.0}}, "scene": {"rod": {"mass_kg": 1.4}}}
         )
     )
     assert once.carry.impedance.internal_force_n == 21.0
@@ -118,9 +113,7 @@ def test_a_part_that_is_set_is_filled_where_it_is_open() -> None:
     assert filled(TaskConfig(), obstacle=table).obstacle == table
 
 
-@pytest.mark.parametrize(
-    ("carry", "message"), [({"object": "glas"}, "'glass'"), ({"motion": "rotat"}, "'rotate'")]
-)
+@pytest.mark.parametrize(("carry", "message"), [({"object": "glas"}, "'glass'"), ({"motion": "rotat"}, "'rotate'")])
 def test_an_unknown_name_is_refused_with_the_nearest_one(carry: dict[str, str], message: str) -> None:
     with pytest.raises(UsageError) as caught:
         configured(**carry)
@@ -163,9 +156,7 @@ def test_the_object_is_turned_by_ninety_degrees() -> None:
 def test_it_is_lifted_over_the_obstacle_and_lower_it_would_strike() -> None:
     outcome, _ = carried(configured(motion="over"))
     assert outcome.success, outcome.reason
-    low = carry_config(
-        Config.model_validate({"carry": {"motion": "over"}, "scene": {"task": {"lift_height_m": 0.07}}})
-    )
+    low = carry_config(Config.model_validate({"carry": {"motion": "over"}, "scene": {"task": {"lift_height_m": 0.07}}}))
     outcome, _ = carried(low, until="clear")
     assert not outcome.success
     assert "clear" in {fault.name for fault in outcome.faults}

@@ -6,11 +6,11 @@ import pytest
 from minidual.config.change import changed
 from minidual.config.control import CarryFaultConfig
 from minidual.config.root import Config
-from minidual.evaluation.conditions import condition
-from minidual.evaluation.methods import MethodInputs
-from minidual.evaluation.trials import Bench
-from minidual.tasks.faults import FaultMonitor
+from minidual.skills.faults import FaultMonitor
 from minidual.tasks.rod_carry import sample_trial
+from minidual.trials.conditions import condition
+from minidual.trials.methods import MethodInputs
+from minidual.trials.trials import Bench
 
 
 @pytest.fixture(scope="module")
@@ -21,9 +21,10 @@ def bench() -> Bench:
 def carry(bench: Bench, name: str):
     wanted = []
     result, _ = bench.run(
-        sample_trial(bench.world.scene, 11, "robust", 0), condition=name,
+        sample_trial(bench.world.scene, 11, "robust", 0),
+        condition=name,
         on_step=lambda world, method: wanted.append(getattr(method, "squeeze_n", None)),
-    )  # fmt: skip
+    )
     return result, wanted
 
 
@@ -42,9 +43,7 @@ def test_an_object_as_expected_is_squeezed_as_told(bench):
 
 
 def test_a_grip_that_slips_at_any_squeeze_is_given_up(bench):
-    config = changed(
-        Config(), {"carry.impedance.pinch_n": 30.0}
-    )  # 2 * 0.3 * 30 = 18 N, less than the task needs
+    config = changed(Config(), {"carry.impedance.pinch_n": 30.0})  # 2 * 0.3 * 30 = 18 N, less than the task needs
     weak = Bench("impedance", MethodInputs(config, 11))
     result, _ = weak.run(sample_trial(config.scene, 11, "robust", 0), condition="friction 0.3")
     assert not result.success

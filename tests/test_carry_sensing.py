@@ -13,12 +13,12 @@ from minidual.config.control import CarryConfig, SensingConfig
 from minidual.config.scene import SceneConfig
 from minidual.config.seeds import stream
 from minidual.control.object_estimate import HeldEstimate, RestingEstimate
+from minidual.plant.sensing import Sensors
+from minidual.plant.world import World
 from minidual.robot.constants import HOME
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse, pose, rot_x, rot_z, rotation_log
-from minidual.sim.sensing import Sensors
-from minidual.sim.world import World
-from minidual.tasks.impedance_carry import ImpedanceCarry
+from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.tasks.rod_carry import sample_trial
 
 
@@ -47,15 +47,9 @@ def test_noise_has_the_stated_deviation_no_bias_and_no_memory() -> None:
     senses = sensors(bench, pose_rate_hz=0.0)
     readings = [senses.sense() for _ in range(6000)]
     forces = np.array([r.hand_forces for r in readings[100:]]).reshape(-1, 6) - bench.forces.ravel()
-    positions = (
-        np.array([r.pose.T_world_object[:3, 3] for r in readings if r.pose]) - bench.T_world_rod[:3, 3]
-    )
+    positions = np.array([r.pose.T_world_object[:3, 3] for r in readings if r.pose]) - bench.T_world_rod[:3, 3]
     turns = np.array(
-        [
-            rotation_log(r.pose.T_world_object[:3, :3] @ bench.T_world_rod[:3, :3].T)
-            for r in readings
-            if r.pose
-        ]
+        [rotation_log(r.pose.T_world_object[:3, :3] @ bench.T_world_rod[:3, :3].T) for r in readings if r.pose]
     )
     for errors, deviation in ((forces, 1.0), (positions, 0.0005), (turns, np.radians(0.3))):
         n = len(errors)
@@ -114,9 +108,7 @@ def test_same_stream_same_noise_and_the_draws_do_not_depend_on_the_amounts() -> 
     def errors(seed: int, noise_m: float) -> np.ndarray:
         senses = Sensors(Bench(), SensingConfig(pose_noise_m=noise_m), stream(seed, "sensing/x", 3))  # type: ignore[arg-type]
         readings = [senses.sense() for _ in range(200)]
-        return (
-            np.array([r.pose.T_world_object[:3, 3] for r in readings if r.pose]) - Bench().T_world_rod[:3, 3]
-        )
+        return np.array([r.pose.T_world_object[:3, 3] for r in readings if r.pose]) - Bench().T_world_rod[:3, 3]
 
     assert np.array_equal(errors(1, 0.0005), errors(1, 0.0005))
     assert not np.array_equal(errors(1, 0.0005), errors(2, 0.0005))
@@ -158,8 +150,7 @@ def test_the_twist_of_the_estimate_is_that_of_an_object_held_by_both_hands(kinem
     q = HOME + 0.1 * rng.standard_normal(14)
     T, twist = _held_pose(kinematics, q), 0.3 * rng.standard_normal(6)
     hands = [
-        np.r_[twist[:3] + np.cross(twist[3:], hand[:3, 3] - T[:3, 3]), twist[3:]]
-        for hand in kinematics.tcp_poses(q)
+        np.r_[twist[:3] + np.cross(twist[3:], hand[:3, 3] - T[:3, 3]), twist[3:]] for hand in kinematics.tcp_poses(q)
     ]
     v = np.linalg.pinv(np.vstack(kinematics.tcp_jacobians(q))) @ np.concatenate(hands)
     estimate = HeldEstimate(kinematics, q, T, delay_ticks=0, least_gain=0.1)
@@ -171,9 +162,7 @@ def test_the_twist_of_the_estimate_is_that_of_an_object_held_by_both_hands(kinem
     assert np.allclose(rotation_log(after[:3, :3] @ before[:3, :3].T) / (2 * h), twist[3:], atol=1e-6)
 
 
-def test_the_estimate_follows_the_hands_at_once_and_an_old_sample_does_not_pull_it_back(
-    kinematics: Kinematics,
-) -> None:
+def test_the_estimate_follows_the_hands_at_once_and_an_old_sample_does_not_pull_it_back(kinematics: Kinematics) -> None:
     delay, direction = 10, np.r_[0.3 * np.ones(7), -0.2 * np.ones(7)]
     T_start = _held_pose(kinematics, HOME)
     estimate = HeldEstimate(kinematics, HOME, T_start, delay_ticks=delay, least_gain=0.2)
@@ -184,9 +173,7 @@ def test_the_estimate_follows_the_hands_at_once_and_an_old_sample_does_not_pull_
         sample = truth[k - delay] if k >= delay and k % 10 == 0 else None
         state = estimate.update(q, direction, sample, delay)
         assert np.allclose(state.T_world_object, truth[k], atol=1e-9)
-    assert (
-        np.linalg.norm(truth[-1][:3, 3] - truth[-1 - delay][:3, 3]) > 0.0005
-    )  # the raw sample was that far behind
+    assert np.linalg.norm(truth[-1][:3, 3] - truth[-1 - delay][:3, 3]) > 0.0005  # the raw sample was that far behind
 
 
 def test_a_slip_in_the_hands_shows_in_the_innovation_and_is_learnt(kinematics: Kinematics) -> None:
@@ -206,8 +193,20 @@ def test_a_slip_in_the_hands_shows_in_the_innovation_and_is_learnt(kinematics: K
 class Blind:
     """A world that refuses to say anything about the object."""
 
-    HIDDEN = ("T_world_rod", "rod_twist", "pinch_forces", "contact_wrenches", "internal_force", "hand_forces",
-              "rod_on_table", "contact_pairs", "contact_count", "touches", "data", "model")  # fmt: skip
+    HIDDEN = (
+        "T_world_rod",
+        "rod_twist",
+        "pinch_forces",
+        "contact_wrenches",
+        "internal_force",
+        "hand_forces",
+        "rod_on_table",
+        "contact_pairs",
+        "contact_count",
+        "touches",
+        "data",
+        "model",
+    )
 
     def __init__(self, world: World) -> None:
         self._world = world

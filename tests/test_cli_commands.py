@@ -11,7 +11,7 @@ from pipeline_toys import Bench
 
 import minidual
 from minidual.cli import run_command_line
-from minidual.pipeline.table import StageEntry
+from minidual.gate.table import StageEntry
 from minidual.stages.registry import STAGES
 
 
@@ -41,17 +41,7 @@ def test_passing_stage_prints_table_paths_and_next_command(cli):
     code, out, err = cli("first")
     assert code == 0
     assert out.strip() == str(cli.bench.store.verdict_path("first"))
-    for word in (
-        "check",
-        "observed",
-        "limit",
-        "margin",
-        "result",
-        "quality",
-        ">= 1 n",
-        "+0 (+0%)",
-        "reported",
-    ):
+    for word in ("check", "observed", "limit", "margin", "result", "quality", ">= 1 n", "+0 (+0%)", "reported"):
         assert word in err
     assert str(cli.bench.store.folder / "first" / "out" / "numbers.txt") in err
     assert f"next: minidual second --run toys --runs-dir {cli.bench.root}" in err
@@ -135,7 +125,7 @@ def test_crash_exits_70_with_one_line_and_a_file(cli):
 
 
 def test_crash_outside_a_stage_exits_70_too(cli, monkeypatch):
-    monkeypatch.setattr("minidual.pipeline.gate.Gate.state", explode)
+    monkeypatch.setattr("minidual.gate.gate.Gate.state", explode)
     code, _, err = cli("status")
     assert code == 70
     assert "internal error: " in err
@@ -248,12 +238,7 @@ def test_explain_tells_checks_margins_reasons_and_requirements(cli):
     for words in ("first is fail", "toys must hold", "hold harder", "-0.5 (-50%)", "requires no other stage"):
         assert words in out
     _, out, _ = cli("explain", "second")
-    for words in (
-        "second is blocked",
-        "requires first: fail",
-        "quality is 0.5 n, limit >= 1 n",
-        "minidual first",
-    ):
+    for words in ("second is blocked", "requires first: fail", "quality is 0.5 n, limit >= 1 n", "minidual first"):
         assert words in out
     assert cli.json("explain", "second")[1]["requires"] == {"first": "fail"}
 
@@ -265,9 +250,7 @@ def test_options_of_a_stage_reach_it_and_are_written_down(cli):
     assert dict(context.options) == {"queries": 3}
     verdict = json.loads(cli.bench.store.verdict_path("first").read_text())
     assert verdict["overrides"] == ["--seed 9", "--workers 5", "--queries 3"]
-    assert cli("first", "--queries", "0")[2].startswith(
-        "minidual: --queries 0: plan.queries_n: must be greater"
-    )
+    assert cli("first", "--queries", "0")[2].startswith("minidual: --queries 0: plan.queries_n: must be greater")
 
 
 def test_smoke_is_labelled(cli):
@@ -308,23 +291,19 @@ def test_help_lists_every_command_in_order(capsys):
 
 @pytest.mark.parametrize(
     ("command", "option"),
-    [("teleop-record", "--episodes"), ("benchmark", "--methods"), ("plan", "--queries"), ("carry", "--trials"),
-     ("deploy", "--trials"), ("run", "--until")],
-)  # fmt: skip
+    [
+        ("teleop-record", "--episodes"),
+        ("benchmark", "--methods"),
+        ("plan", "--queries"),
+        ("carry", "--trials"),
+        ("deploy", "--trials"),
+        ("run", "--until"),
+    ],
+)
 def test_commands_have_their_options(capsys, command, option):
     assert run_command_line([command, "--help"], STAGES) == 0
     text = capsys.readouterr().out
-    for name in (
-        option,
-        "--profile",
-        "--set",
-        "--run",
-        "--seed",
-        "--workers",
-        "--force",
-        "--waive-gate",
-        "--json",
-    ):
+    for name in (option, "--profile", "--set", "--run", "--seed", "--workers", "--force", "--waive-gate", "--json"):
         assert name in text
 
 
@@ -355,9 +334,7 @@ def test_light_commands_import_nothing_heavy(arguments):
         "print('HEAVY', heavy, 'click' in sys.modules, file=sys.stderr)\n"
         "sys.exit(code)\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", script, *arguments], capture_output=True, text=True, check=False
-    )
+    done = subprocess.run([sys.executable, "-c", script, *arguments], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "HEAVY [] False" in done.stderr
 

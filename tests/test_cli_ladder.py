@@ -10,10 +10,10 @@ from pipeline_toys import Bench, Toy
 
 from minidual.cli import run_command_line
 from minidual.config.loader import load_config
-from minidual.pipeline.check import Check
-from minidual.pipeline.runner import Runner
-from minidual.pipeline.store import RunStore
-from minidual.pipeline.table import StageEntry, StageTable
+from minidual.gate.check import Check
+from minidual.gate.runner import Runner
+from minidual.gate.store import RunStore
+from minidual.gate.table import StageEntry, StageTable
 from minidual.stages.ladder import LADDER, owner
 from minidual.stages.registry import STAGES
 
@@ -118,9 +118,7 @@ def test_a_nan_fails_its_level(pipeline):
 
 
 def test_the_lower_of_two_levels_of_one_stage_comes_first(pipeline):
-    pipeline.observed["plan", "left_arm.success_rate"] = pipeline.observed[
-        "plan", "both_arms.success_rate"
-    ] = 0.9
+    pipeline.observed["plan", "left_arm.success_rate"] = pipeline.observed["plan", "both_arms.success_rate"] = 0.9
     pipeline.run()
     document = pipeline.document()
     assert document["lowest"] == 1

@@ -7,8 +7,8 @@ from pipeline_toys import Toy
 
 from minidual.cli import run_command_line
 from minidual.errors import DataError, ExitCode
-from minidual.pipeline.table import StageEntry, StageOption, StageTable
-from minidual.pipeline.tool import ToolContext, ToolEntry, ToolOption, ToolResult
+from minidual.gate.table import StageEntry, StageOption, StageTable
+from minidual.gate.tool import ToolContext, ToolEntry, ToolOption, ToolResult
 
 
 def measure(context: ToolContext) -> ToolResult:
@@ -26,27 +26,25 @@ def refuse(context: ToolContext) -> ToolResult:
     return ToolResult(exit_code=ExitCode.ACCEPTANCE_FAILED)
 
 
-OPTIONS = (
-    ToolOption("fail", "Break off.", bool),
-    ToolOption("names", "Words.", argument=True, many=True),
-)
+OPTIONS = (ToolOption("fail", "Break off.", bool), ToolOption("names", "Words.", argument=True, many=True))
 TOOLS = (
     ToolEntry("measure", f"{__name__}:measure", "Measure", OPTIONS),
     ToolEntry("refuse", f"{__name__}:refuse", "Refuse"),
 )
 ASIDE = ToolEntry(
-    "number-tune", f"{__name__}:measure", "Tune",
-    (ToolOption("tune", "Tune.", bool), ToolOption("how-fast", "Speed.", float)), triggers=("tune",),
-)  # fmt: skip
+    "number-tune",
+    f"{__name__}:measure",
+    "Tune",
+    (ToolOption("tune", "Tune.", bool), ToolOption("how-fast", "Speed.", float)),
+    triggers=("tune",),
+)
 
 
 @pytest.fixture
 def run(tmp_path, capsys):
     stage = Toy("first")
     options = (StageOption("queries", "plan.queries_n", "How many."),)
-    table = StageTable(
-        [StageEntry(stage.name, stage, stage.requires, stage.summary, options, asides=(ASIDE,))]
-    )
+    table = StageTable([StageEntry(stage.name, stage, stage.requires, stage.summary, options, asides=(ASIDE,))])
 
     def call(*words):
         code = run_command_line([*words, "--runs-dir", str(tmp_path), "--run", "r"], table, TOOLS)

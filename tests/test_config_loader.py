@@ -66,9 +66,7 @@ def test_mapping_that_is_one_value_is_replaced_by_a_profile_and_edited_by_set(pr
     assert len(default) > 1
     over = load_config(profile("benchmark:\n  success_rate_min: {act: 0.4}\n"))
     assert over.config.benchmark.success_rate_min == {"act": 0.4}
-    top = load_config(
-        profile("extends: mine.yaml\nbenchmark:\n  success_rate_min: {moveit: 0.3}\n", "top.yaml")
-    )
+    top = load_config(profile("extends: mine.yaml\nbenchmark:\n  success_rate_min: {moveit: 0.3}\n", "top.yaml"))
     assert top.config.benchmark.success_rate_min == {"moveit": 0.3}
     edited = load_config("standard", ["benchmark.success_rate_min.act=0.25"])
     assert edited.config.benchmark.success_rate_min == {**default, "act": 0.25}
@@ -76,9 +74,7 @@ def test_mapping_that_is_one_value_is_replaced_by_a_profile_and_edited_by_set(pr
 
 def test_circle_of_profiles_is_refused(profile):
     profile("extends: b.yaml\n", "a.yaml")
-    assert "circle: a.yaml -> b.yaml -> a.yaml" in refusal(
-        profile("extends: a.yaml\n", "b.yaml").replace("b.y", "a.y")
-    )
+    assert "circle: a.yaml -> b.yaml -> a.yaml" in refusal(profile("extends: a.yaml\n", "b.yaml").replace("b.y", "a.y"))
 
 
 @pytest.mark.parametrize(
@@ -86,21 +82,12 @@ def test_circle_of_profiles_is_refused(profile):
     [
         ("seed: 1\nplan:\n  querys_n: 3\n", "mine.yaml:3: plan.querys_n: no such key; plan has"),
         ("seed: 1\nplaning: {}\n", "mine.yaml:2: planing: no such key; the root has acceptance"),
-        (
-            "plan:\n  queries_n: 3\n  queries_n: 4\n",
-            "mine.yaml:3: plan.queries_n: stands twice (first at mine.yaml:2)",
-        ),
+        ("plan:\n  queries_n: 3\n  queries_n: 4\n", "mine.yaml:3: plan.queries_n: stands twice (first at mine.yaml:2)"),
         ("plan:\n  queries_n: 0\n", "mine.yaml:2: plan.queries_n: must be greater than or equal to 1, is 0"),
         ("plan:\n  queries_n: .nan\n", "mine.yaml:2: plan.queries_n: .nan is not a finite number"),
         ("plan:\n  queries_n: nan\n", "mine.yaml:2: plan.queries_n: nan is not a finite number"),
-        (
-            "scene:\n  rod:\n    mass_kg: .inf\n",
-            "mine.yaml:3: scene.rod.mass_kg: .inf is not a finite number",
-        ),
-        (
-            "scene:\n  rod:\n    mass_kg: 1.0e+999\n",
-            "mine.yaml:3: scene.rod.mass_kg: inf is not a finite number",
-        ),
+        ("scene:\n  rod:\n    mass_kg: .inf\n", "mine.yaml:3: scene.rod.mass_kg: .inf is not a finite number"),
+        ("scene:\n  rod:\n    mass_kg: 1.0e+999\n", "mine.yaml:3: scene.rod.mass_kg: inf is not a finite number"),
         (
             "scene:\n  physics:\n    timestep_s: 1e-3\n",
             "mine.yaml:3: scene.physics.timestep_s: must be a valid number, is the text '1e-3'",
@@ -122,10 +109,7 @@ def test_circle_of_profiles_is_refused(profile):
         ("extends: nope\n", "mine.yaml:1: extends: no profile 'nope'"),
         ("extends: nope.yaml\n", "mine.yaml:1: extends: no profile file"),
         ("extends: [smoke, gpu]\n", "mine.yaml:1: extends: must be one profile's name or file"),
-        (
-            "scene:\n  rod:\n    grasp_offset_m: 0.24\n",
-            "mine.yaml:2: scene.rod: grasp_offset_m 0.24 lies beyond",
-        ),
+        ("scene:\n  rod:\n    grasp_offset_m: 0.24\n", "mine.yaml:2: scene.rod: grasp_offset_m 0.24 lies beyond"),
     ],
 )
 def test_refusals_name_file_line_and_path(profile, text, message):
@@ -156,9 +140,7 @@ def test_smoke_cannot_be_made_acceptance(profile):
 
 
 def test_a_file_may_not_take_a_shipped_name(profile):
-    assert "bears the name of the shipped profile 'standard'" in refusal(
-        profile("seed: 1\n", "standard.yaml")
-    )
+    assert "bears the name of the shipped profile 'standard'" in refusal(profile("seed: 1\n", "standard.yaml"))
 
 
 def test_missing_and_unreadable_files(tmp_path, profile):
@@ -168,9 +150,7 @@ def test_missing_and_unreadable_files(tmp_path, profile):
 
 
 def test_overrides_apply_in_order_and_are_remembered():
-    loaded = load_config(
-        "standard", ["plan.queries_n=3", "plan.queries_n=4", "scene.physics.timestep_s=1e-3"]
-    )
+    loaded = load_config("standard", ["plan.queries_n=3", "plan.queries_n=4", "scene.physics.timestep_s=1e-3"])
     assert loaded.config.plan.queries_n == 4
     assert loaded.config.scene.physics.timestep_s == 1e-3
     assert [item.text for item in loaded.overrides][1] == "--set plan.queries_n=4"
@@ -182,10 +162,7 @@ def test_overrides_apply_in_order_and_are_remembered():
         ("plan.queries_n", "not of the form section.key=value"),
         ("plan..x=1", "not of the form"),
         ("=1", "not of the form"),
-        (
-            "plan.queries_n=0",
-            "--set plan.queries_n=0: plan.queries_n: must be greater than or equal to 1, is 0",
-        ),
+        ("plan.queries_n=0", "--set plan.queries_n=0: plan.queries_n: must be greater than or equal to 1, is 0"),
         ("plan.queries_n=many", "must be a valid integer, is the text 'many'"),
         ("plan.querys_n=3", "--set plan.querys_n=3: plan.querys_n: no such key"),
         ("scene.rod.mass_kg=nan", "nan is not a finite number"),
@@ -201,9 +178,22 @@ def test_bad_overrides_are_refused(override, message):
 
 @pytest.mark.parametrize(
     ("text", "value"),
-    [("3", 3), ("-3", -3), ("1e-3", 1e-3), ("1_000", 1000), (".5", 0.5), ("true", True), ("null", None), ("", ""),
-     ("[a, b]", ["a", "b"]), ("abc", "abc"), ("'3'", "3"), ("on", "on"), ("a: b", None)],
-)  # fmt: skip
+    [
+        ("3", 3),
+        ("-3", -3),
+        ("1e-3", 1e-3),
+        ("1_000", 1000),
+        (".5", 0.5),
+        ("true", True),
+        ("null", None),
+        ("", ""),
+        ("[a, b]", ["a", "b"]),
+        ("abc", "abc"),
+        ("'3'", "3"),
+        ("on", "on"),
+        ("a: b", None),
+    ],
+)
 def test_values_typed_on_the_command_line(text, value):
     if text == "a: b":
         with pytest.raises(ConfigError):
@@ -220,9 +210,7 @@ def test_numbers_survive_the_command_line(value):
 
 
 scalars = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False)
-words = st.from_regex(r"[a-z][a-z_]{0,8}", fullmatch=True).filter(
-    lambda w: w not in ("true", "false", "null", "nan")
-)
+words = st.from_regex(r"[a-z][a-z_]{0,8}", fullmatch=True).filter(lambda w: w not in ("true", "false", "null", "nan"))
 
 
 @settings(deadline=None, max_examples=60)
@@ -260,9 +248,5 @@ def test_every_option_of_every_stage_overrides_a_value_that_exists():
 
 def test_run_location(tmp_path):
     assert locate_run("smoke", environment={}).folder.as_posix() == "runs/smoke"
-    assert (
-        locate_run("smoke", "mine", environment={"MINIDUAL_RUNS": str(tmp_path)}).folder == tmp_path / "mine"
-    )
-    assert (
-        locate_run("smoke", None, tmp_path / "x", {"MINIDUAL_RUNS": "/y"}).folder == tmp_path / "x" / "smoke"
-    )
+    assert locate_run("smoke", "mine", environment={"MINIDUAL_RUNS": str(tmp_path)}).folder == tmp_path / "mine"
+    assert locate_run("smoke", None, tmp_path / "x", {"MINIDUAL_RUNS": "/y"}).folder == tmp_path / "x" / "smoke"

@@ -17,11 +17,11 @@ from minidual.control.object_impedance import HeldObject, ObjectState, SingularP
 from minidual.control.object_path import ObjectPath, Waypoint, minimum_jerk
 from minidual.control.stack import ControlStack
 from minidual.errors import MinidualError, UsageError
-from minidual.planning.trajectory import Trajectory
+from minidual.plant.world import World
 from minidual.robot.constants import A_MAX, HOME, V_MAX, Array
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse
-from minidual.sim.world import World
+from minidual.robot.trajectory import Trajectory
 
 OPEN = np.ones(2)
 PAIR = ("left_arm", "right_arm")
@@ -78,9 +78,7 @@ def plant(scene: SceneConfig) -> ArmsPlant:
 # A ----------------------------------------------------------------------------------------------------------
 
 
-def test_streamed_targets_give_the_torques_of_the_joint_loop_to_the_bit(
-    scene: SceneConfig, world: World
-) -> None:
+def test_streamed_targets_give_the_torques_of_the_joint_loop_to_the_bit(scene: SceneConfig, world: World) -> None:
     def target(k: int) -> Array:
         return HOME + 0.3 * np.sin(0.02 * k) * np.linspace(-1.0, 1.0, 14)
 
@@ -309,9 +307,7 @@ def test_object_impedance_lifts_the_rod_and_hands_it_back(
         stack.grippers.step(np.zeros(2))
     hand_over(stack, "moveit")
     q = world.q
-    still = Trajectory(
-        np.array([0.0, 0.9]), np.array([q, q]), np.zeros((2, 14)), np.zeros((2, 14)), "both_arms"
-    )
+    still = Trajectory(np.array([0.0, 0.9]), np.array([q, q]), np.zeros((2, 14)), np.zeros((2, 14)), "both_arms")
     stack.propose("moveit", trajectory(stack, still, gripper=np.zeros(2)))
     while stack.executing:
         stack.step()
@@ -320,9 +316,14 @@ def test_object_impedance_lifts_the_rod_and_hands_it_back(
     stack.impedance.configure(_grasped(world, kinematics))
     stack.switch_controllers(("object_impedance",))
     x, y, z = world.T_world_rod[:3, 3]
-    path = ObjectPath(Waypoint((x, y, z), 0.0, 0.0), [
-        Waypoint((x, y, z), 0.0, 0.5), Waypoint((x, y, z + 0.06), 0.0, 0.8), Waypoint((x, y - 0.1, z + 0.06), 0.0, 1.0),
-    ])  # fmt: skip
+    path = ObjectPath(
+        Waypoint((x, y, z), 0.0, 0.0),
+        [
+            Waypoint((x, y, z), 0.0, 0.5),
+            Waypoint((x, y, z + 0.06), 0.0, 0.8),
+            Waypoint((x, y - 0.1, z + 0.06), 0.0, 1.0),
+        ],
+    )
     # The rod may have rolled in the fingers: the path keeps the roll it has.
     roll = world.T_world_rod[:3, :3]
 
@@ -715,9 +716,7 @@ def _run_out(stack: ControlStack) -> None:
         stack.step()
 
 
-def test_the_supervisor_hears_the_arbiter_and_sees_the_commanded_acceleration(
-    scene: SceneConfig, world: World
-) -> None:
+def test_the_supervisor_hears_the_arbiter_and_sees_the_commanded_acceleration(scene: SceneConfig, world: World) -> None:
     from minidual.control.reflexes import ReflexError
     from minidual.control.supervisor import Supervisor
 

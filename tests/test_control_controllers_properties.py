@@ -22,14 +22,7 @@ from minidual.config.scene import SceneConfig
 from minidual.control import controllers as controllers_module
 from minidual.control import underway
 from minidual.control.arbiter import CommandArbiter
-from minidual.control.commands import (
-    HOLD,
-    SOURCES,
-    ArbiterState,
-    JointCommand,
-    ObjectCommand,
-    TrajectoryCommand,
-)
+from minidual.control.commands import HOLD, SOURCES, ArbiterState, JointCommand, ObjectCommand, TrajectoryCommand
 from minidual.control.controller_manager import ControllerManager, ControllerSwitchError
 from minidual.control.mailbox import Mailbox
 from minidual.control.object_path import ObjectPath, Waypoint
@@ -136,9 +129,7 @@ class Witness:
             self._offer(source, JointCommand(q, np.ones(2), stamp, self.sequence, group))
             self.run(20)
 
-    def trajectory(
-        self, source: str, group: str, away: float, goal: float, seconds: float, age: float
-    ) -> None:
+    def trajectory(self, source: str, group: str, away: float, goal: float, seconds: float, age: float) -> None:
         self.sequence += 1
         start = self.plant.q + away
         motion = move(start, HOME + goal, seconds, group)
@@ -212,38 +203,60 @@ events = st.one_of(
     st.tuples(st.just("request"), st.sampled_from((*SOURCES, HOLD)), st.one_of(st.none(), sets)),
     st.tuples(st.just("controllers"), sets),
     st.tuples(
-        st.just("stream"), source, group, st.sampled_from([0.0, 0.05, -0.09, 0.3]), st.sampled_from([0.0, 0.0, 0.2]),
-        st.sampled_from(["", "", "", "nan", "zero", "limits"]), st.integers(1, 4),
+        st.just("stream"),
+        source,
+        group,
+        st.sampled_from([0.0, 0.05, -0.09, 0.3]),
+        st.sampled_from([0.0, 0.0, 0.2]),
+        st.sampled_from(["", "", "", "nan", "zero", "limits"]),
+        st.integers(1, 4),
     ),
     st.tuples(
-        st.just("trajectory"), source, group, st.sampled_from([0.0, 0.0, 0.04, 0.5]), st.sampled_from([0.0, 0.2, -0.2]),
-        st.sampled_from([0.3, 0.6]), st.sampled_from([0.0, 0.0, 0.0, 0.2, -3.0]),
+        st.just("trajectory"),
+        source,
+        group,
+        st.sampled_from([0.0, 0.0, 0.04, 0.5]),
+        st.sampled_from([0.0, 0.2, -0.2]),
+        st.sampled_from([0.3, 0.6]),
+        st.sampled_from([0.0, 0.0, 0.0, 0.2, -3.0]),
     ),
     st.tuples(st.just("object"), source, st.sampled_from([0.05, -0.03]), st.just(0.4)),
     st.tuples(st.just("run"), st.sampled_from([1, 7, 20, 90])),
     st.tuples(st.just("silence"), st.sampled_from([7, 90, 160])),
     st.tuples(st.just("halt"), source, st.booleans()),
-)  # fmt: skip
+)
 
 
 def turn(mode: str, controllers: Any = None) -> list[Event]:
     return [("request", mode, controllers), ("run", 60)]
 
 
-scripts = st.sampled_from([
-    [*turn("moveit"), ("trajectory", "moveit", "both_arms", 0.0, 0.2, 0.3, 0.0), ("run", 90)],
-    [*turn("moveit", B), ("trajectory", "moveit", "left_arm", 0.0, 0.2, 0.3, 0.0), ("run", 20),
-     ("trajectory", "moveit", "right_arm", 0.0, -0.2, 0.3, 0.0), ("run", 90)],
-    [*turn("moveit"), ("trajectory", "moveit", "both_arms", 0.0, 0.2, 0.6, 0.0), ("silence", 160), ("run", 30)],
-    [*turn("moveit", C), ("object", "moveit", 0.05, 0.4), ("run", 90)],
-    [*turn("teleop"), ("stream", "teleop", "both_arms", 0.05, 0.0, "", 4)],
-    [*turn("teleop"), ("stream", "teleop", "left_arm", 0.0, 0.0, "", 2), ("run", 1150)],
-    [*turn("teleop", C), ("stream", "teleop", "both_arms", 0.05, 0.0, "", 2)],
-    [*turn("moveit"), ("trajectory", "moveit", "both_arms", 0.5, 0.2, 0.6, 0.0), ("run", 2)],
-    [*turn("policy"), ("stream", "policy", "right_arm", 0.3, 0.0, "", 6), ("run", 150)],
-    [*turn("moveit"), ("trajectory", "moveit", "both_arms", 0.0, 0.2, 0.3, 0.0), ("run", 90),
-     ("halt", "moveit", False), ("run", 90)],
-])  # fmt: skip
+scripts = st.sampled_from(
+    [
+        [*turn("moveit"), ("trajectory", "moveit", "both_arms", 0.0, 0.2, 0.3, 0.0), ("run", 90)],
+        [
+            *turn("moveit", B),
+            ("trajectory", "moveit", "left_arm", 0.0, 0.2, 0.3, 0.0),
+            ("run", 20),
+            ("trajectory", "moveit", "right_arm", 0.0, -0.2, 0.3, 0.0),
+            ("run", 90),
+        ],
+        [*turn("moveit"), ("trajectory", "moveit", "both_arms", 0.0, 0.2, 0.6, 0.0), ("silence", 160), ("run", 30)],
+        [*turn("moveit", C), ("object", "moveit", 0.05, 0.4), ("run", 90)],
+        [*turn("teleop"), ("stream", "teleop", "both_arms", 0.05, 0.0, "", 4)],
+        [*turn("teleop"), ("stream", "teleop", "left_arm", 0.0, 0.0, "", 2), ("run", 1150)],
+        [*turn("teleop", C), ("stream", "teleop", "both_arms", 0.05, 0.0, "", 2)],
+        [*turn("moveit"), ("trajectory", "moveit", "both_arms", 0.5, 0.2, 0.6, 0.0), ("run", 2)],
+        [*turn("policy"), ("stream", "policy", "right_arm", 0.3, 0.0, "", 6), ("run", 150)],
+        [
+            *turn("moveit"),
+            ("trajectory", "moveit", "both_arms", 0.0, 0.2, 0.3, 0.0),
+            ("run", 90),
+            ("halt", "moveit", False),
+            ("run", 90),
+        ],
+    ]
+)
 histories = st.lists(st.one_of(events.map(lambda e: [e]), scripts), max_size=10).map(
     lambda parts: [("run", 1), *(event for part in parts for event in part), ("run", 30)]
 )
@@ -271,9 +284,23 @@ def test_random_histories_reach_all_that_there_is() -> None:
 
     collect()
     wanted = {
-        *ArbiterState, A, B, C, STOPPING, TrajectoryCommand, ObjectCommand, "not_driving",
-        "braked", "unclaimed", "doubly_claimed", "wrong_controller", "far_start", "busy", "not_finite", "all_zero",
-    }  # fmt: skip
+        *ArbiterState,
+        A,
+        B,
+        C,
+        STOPPING,
+        TrajectoryCommand,
+        ObjectCommand,
+        "not_driving",
+        "braked",
+        "unclaimed",
+        "doubly_claimed",
+        "wrong_controller",
+        "far_start",
+        "busy",
+        "not_finite",
+        "all_zero",
+    }
     assert wanted <= {key for key, n in seen.items() if n}, f"never reached: {wanted - set(seen)}"
 
 
@@ -289,10 +316,19 @@ def test_the_same_history_gives_the_same_torques(history: list[Event]) -> None:
 # What the checks say of stacks that are broken ------------------------------------------------------------
 
 DRIVE: list[Event] = [
-    ("run", 1), *turn("moveit"), ("trajectory", "moveit", "both_arms", 0.0, 0.2, 0.6, 0.0), ("run", 90),
-    *turn("teleop"), ("run", 400), ("stream", "teleop", "both_arms", 0.0, 0.0, "", 3), ("run", 150),
-    ("controllers", B), ("run", 30), ("controllers", A), ("run", 30),
-]  # fmt: skip
+    ("run", 1),
+    *turn("moveit"),
+    ("trajectory", "moveit", "both_arms", 0.0, 0.2, 0.6, 0.0),
+    ("run", 90),
+    *turn("teleop"),
+    ("run", 400),
+    ("stream", "teleop", "both_arms", 0.0, 0.0, "", 3),
+    ("run", 150),
+    ("controllers", B),
+    ("run", 30),
+    ("controllers", A),
+    ("run", 30),
+]
 
 
 def test_the_crafted_history_passes_a_whole_stack() -> None:
@@ -315,23 +351,31 @@ def test_the_witness_sees_a_trajectory_that_starts_elsewhere(monkeypatch: pytest
     monkeypatch.setattr(underway, "_far_start", lambda *_: None)
     monkeypatch.setattr(controllers_module, "_BLEND_S", 1e-3)
     with pytest.raises(AssertionError, match="the reference jumped"):
-        Witness().play([
-            ("run", 1), *turn("moveit"), ("trajectory", "moveit", "both_arms", 0.5, 0.2, 0.6, 0.0), ("run", 30),
-        ])  # fmt: skip
+        Witness().play(
+            [("run", 1), *turn("moveit"), ("trajectory", "moveit", "both_arms", 0.5, 0.2, 0.6, 0.0), ("run", 30)]
+        )
 
 
 def test_the_witness_sees_an_old_trajectory_after_a_switch(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Mailbox, "flush", lambda self, now_s: None)
     with pytest.raises(AssertionError, match="another turn"):
-        Witness().play([
-            ("run", 1), ("trajectory", "moveit", "both_arms", 0.0, 0.2, 0.6, 0.0), ("request", "moveit", None), ("run", 60),
-        ])  # fmt: skip
+        Witness().play(
+            [
+                ("run", 1),
+                ("trajectory", "moveit", "both_arms", 0.0, 0.2, 0.6, 0.0),
+                ("request", "moveit", None),
+                ("run", 60),
+            ]
+        )
 
 
 def test_the_witness_sees_a_trajectory_without_its_source(monkeypatch: pytest.MonkeyPatch) -> None:
     history: list[Event] = [
-        ("run", 1), *turn("moveit"), ("trajectory", "moveit", "both_arms", 0.0, 0.2, 0.6, 0.0), ("silence", 300),
-    ]  # fmt: skip
+        ("run", 1),
+        *turn("moveit"),
+        ("trajectory", "moveit", "both_arms", 0.0, 0.2, 0.6, 0.0),
+        ("silence", 300),
+    ]
     Witness().play(history)
     monkeypatch.setattr(CommandArbiter, "_is_gone", lambda self, now_s: False)
     with pytest.raises(AssertionError, match="without its source"):
@@ -359,6 +403,4 @@ def test_the_witness_sees_a_reference_without_its_filter(monkeypatch: pytest.Mon
 
     monkeypatch.setattr(controllers_module, "ReferenceFilter", Jumping)
     with pytest.raises(AssertionError, match="the reference jumped"):
-        Witness().play([
-            ("run", 1), *turn("teleop"), ("stream", "teleop", "both_arms", 0.05, 0.0, "", 2),
-        ])  # fmt: skip
+        Witness().play([("run", 1), *turn("teleop"), ("stream", "teleop", "both_arms", 0.05, 0.0, "", 2)])

@@ -10,28 +10,20 @@ from hypothesis import strategies as st
 from minidual.config.control import CarryConfig, SensingConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.grasp import GraspMap, skew, squeeze_reference
-from minidual.control.object_impedance import (
-    GRAVITY,
-    HeldObject,
-    ImpedanceGains,
-    ObjectImpedance,
-    ObjectState,
-)
+from minidual.control.object_impedance import GRAVITY, HeldObject, ImpedanceGains, ObjectImpedance, ObjectState
 from minidual.control.object_path import ObjectPath, Waypoint, minimum_jerk
+from minidual.plant.world import World
 from minidual.robot.constants import HOME, JOINT_DAMPING
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse, pose, rot_x, rot_z
-from minidual.sim.world import World
-from minidual.tasks.impedance_carry import ImpedanceCarry
+from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.tasks.rod_carry import RodTrial, grasp_offsets, sample_trial
 from minidual.tasks.success import RodCarryJudge
 
 vectors = st.lists(st.floats(-0.5, 0.5), min_size=3, max_size=3).map(np.array)
 
 
-def _law(
-    gains: ImpedanceGains | None = None, yaw: float = 0.0
-) -> tuple[ObjectImpedance, np.ndarray, np.ndarray]:
+def _law(gains: ImpedanceGains | None = None, yaw: float = 0.0) -> tuple[ObjectImpedance, np.ndarray, np.ndarray]:
     """A law at the home posture, holding an object midway between the hands, turned by yaw."""
     kinematics = Kinematics()
     left, right = kinematics.tcp_poses(HOME)
@@ -52,9 +44,7 @@ def test_skew_is_the_cross_product(r: np.ndarray, f: np.ndarray, other: np.ndarr
 
 @given(vectors, vectors, st.integers(0, 2**31))
 @settings(deadline=None)
-def test_internal_part_does_no_work_on_any_rigid_motion(
-    r_left: np.ndarray, r_right: np.ndarray, seed: int
-) -> None:
+def test_internal_part_does_no_work_on_any_rigid_motion(r_left: np.ndarray, r_right: np.ndarray, seed: int) -> None:
     grasp = GraspMap(r_left, r_right)
     rng = np.random.default_rng(seed)
     f = rng.normal(size=12)
@@ -67,9 +57,7 @@ def test_internal_part_does_no_work_on_any_rigid_motion(
 
 @given(vectors, vectors, st.integers(0, 2**31))
 @settings(deadline=None)
-def test_distribution_gives_the_object_exactly_the_wanted_wrench(
-    r_l: np.ndarray, r_r: np.ndarray, seed: int
-) -> None:
+def test_distribution_gives_the_object_exactly_the_wanted_wrench(r_l: np.ndarray, r_r: np.ndarray, seed: int) -> None:
     grasp = GraspMap(r_l, r_r)
     rng = np.random.default_rng(seed)
     w, f_int = rng.normal(size=6), rng.normal(size=12)
@@ -114,9 +102,7 @@ def test_force_feedback_is_bounded_and_the_ceiling_holds() -> None:
     state = ObjectState(centre)
 
     def squeeze(wanted: float, measured: float) -> float:
-        tau = law.torque(
-            q, np.zeros(14), state, state, internal_force_n=wanted, measured_internal_force_n=measured
-        )
+        tau = law.torque(q, np.zeros(14), state, state, internal_force_n=wanted, measured_internal_force_n=measured)
         f, *_ = np.linalg.lstsq(J, tau - kinematics.gravity(q), rcond=None)
         return float(f[7])
 
@@ -133,12 +119,7 @@ def test_the_spring_pushes_back_towards_the_wanted_pose() -> None:
     kinematics = Kinematics()
     J = np.vstack(kinematics.tcp_jacobians(q)).T
     tau = law.torque(
-        q,
-        np.zeros(14),
-        ObjectState(centre),
-        ObjectState(shifted),
-        internal_force_n=0.0,
-        measured_internal_force_n=0.0,
+        q, np.zeros(14), ObjectState(centre), ObjectState(shifted), internal_force_n=0.0, measured_internal_force_n=0.0
     )
     f, *_ = np.linalg.lstsq(J, tau - kinematics.gravity(q), rcond=None)
     assert np.isclose(f[0] + f[6], 500.0 * 0.01, atol=1e-6)
@@ -150,9 +131,13 @@ def test_motion_feedforward_asks_for_the_acceleration_of_the_object() -> None:
     law, centre, q = _law(gains)
     acceleration = np.array([0.5, -0.3, 0.2, 0.0, 0.0, 0.4])
     tau = law.torque(
-        q, np.zeros(14), ObjectState(centre), ObjectState(centre, np.zeros(6), acceleration),
-        internal_force_n=0.0, measured_internal_force_n=0.0,
-    )  # fmt: skip
+        q,
+        np.zeros(14),
+        ObjectState(centre),
+        ObjectState(centre, np.zeros(6), acceleration),
+        internal_force_n=0.0,
+        measured_internal_force_n=0.0,
+    )
     kinematics = Kinematics()
     J_left, J_right = kinematics.tcp_jacobians(q)
     M, J = kinematics.mass_matrix(q), np.vstack([J_left, J_right])

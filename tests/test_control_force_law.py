@@ -24,22 +24,11 @@ from minidual.control.object_impedance import (
 )
 from minidual.control.pinch import largest_squeeze, pinch_force
 from minidual.errors import UsageError
-from minidual.evaluation.bench_scenes import BenchScene, held_scene
 from minidual.robot.constants import DOF, HOME, TAU_MAX
 from minidual.robot.kinematics import HandMotion, Kinematics
 from minidual.robot.poses import inverse, pose, rot_z, rotation_log
-from minidual.robot.vectors import (
-    apply,
-    apply_transposed,
-    cross,
-    inner,
-    minus,
-    mix,
-    parts,
-    plus,
-    rotation_error,
-    times,
-)
+from minidual.robot.vectors import apply, apply_transposed, cross, inner, minus, mix, parts, plus, rotation_error, times
+from minidual.stages.bench_scenes import BenchScene, held_scene
 
 triples = st.lists(st.floats(-2.0, 2.0), min_size=3, max_size=3).map(np.array)
 
@@ -81,10 +70,15 @@ def draw(rng: np.random.Generator, kinematics: Kinematics, *, turning: bool = Tr
         twist[3:] = acceleration[3:] = 0.0
     T_d = pose(rotation(0.1 * rng.normal(size=3)) @ T[:3, :3], centre + 0.02 * rng.normal(size=3))
     return Case(
-        held, q, q + 0.02 * rng.normal(size=DOF), 0.3 * rng.normal(size=DOF),
-        ObjectState(T, 0.2 * rng.normal(size=6)), ObjectState(T_d, twist, acceleration),
-        20.0, float(rng.uniform(-20.0, 60.0)),
-    )  # fmt: skip
+        held,
+        q,
+        q + 0.02 * rng.normal(size=DOF),
+        0.3 * rng.normal(size=DOF),
+        ObjectState(T, 0.2 * rng.normal(size=6)),
+        ObjectState(T_d, twist, acceleration),
+        20.0,
+        float(rng.uniform(-20.0, 60.0)),
+    )
 
 
 class TestOracle:
@@ -98,13 +92,25 @@ class TestOracle:
             law.engage(case.q_engaged)
             for _ in range(2):  # buffers are reused: the second call must not see the first
                 tau = law.torque(
-                    case.q, case.v, case.measured, case.desired,
-                    internal_force_n=case.wanted_n, measured_internal_force_n=case.felt_n,
-                )  # fmt: skip
+                    case.q,
+                    case.v,
+                    case.measured,
+                    case.desired,
+                    internal_force_n=case.wanted_n,
+                    measured_internal_force_n=case.felt_n,
+                )
             plain = oracle.torque(
-                kinematics, case.held, gains, case.q_engaged, case.q, case.v, case.measured, case.desired,
-                case.wanted_n, case.felt_n,
-            )  # fmt: skip
+                kinematics,
+                case.held,
+                gains,
+                case.q_engaged,
+                case.q,
+                case.v,
+                case.measured,
+                case.desired,
+                case.wanted_n,
+                case.felt_n,
+            )
             unclipped += int((np.abs(plain) < TAU_MAX).all())
             assert np.abs(tau - plain).max() < 5e-9  # the oracle's drift is a finite difference
         assert unclipped > 25
@@ -118,9 +124,13 @@ class TestOracle:
             law = ObjectImpedance(kinematics, case.held, gains or ImpedanceGains())
             law.engage(case.q_engaged)
             return law.torque(
-                case.q, case.v, case.measured, case.desired,
-                internal_force_n=case.wanted_n, measured_internal_force_n=case.felt_n,
-            )  # fmt: skip
+                case.q,
+                case.v,
+                case.measured,
+                case.desired,
+                internal_force_n=case.wanted_n,
+                measured_internal_force_n=case.felt_n,
+            )
 
         before = torque(case)
         assert (np.abs(before) < TAU_MAX).all()
@@ -181,9 +191,7 @@ class TestOracle:
 class TestGrasp:
     @given(triples, triples)
     @settings(deadline=None, max_examples=50)
-    def test_motion_and_internal_parts_are_orthogonal_projections(
-        self, r_l: np.ndarray, r_r: np.ndarray
-    ) -> None:
+    def test_motion_and_internal_parts_are_orthogonal_projections(self, r_l: np.ndarray, r_r: np.ndarray) -> None:
         grasp = GraspMap(r_l, r_r)
         G = grasp.G
         assert np.array_equal(G, oracle.grasp_matrix(r_l, r_r))
@@ -224,9 +232,7 @@ class TestGrasp:
         law = ObjectImpedance(kinematics, held, ImpedanceGains())
         law.engage(q)
         state = ObjectState(T)
-        tau = law.torque(
-            q, np.zeros(DOF), state, state, internal_force_n=30.0, measured_internal_force_n=30.0
-        )
+        tau = law.torque(q, np.zeros(DOF), state, state, internal_force_n=30.0, measured_internal_force_n=30.0)
         J = np.vstack(kinematics.tcp_jacobians(q))
         f = np.linalg.lstsq(J.T, tau - kinematics.gravity(q), rcond=None)[0]
         axis = T[:3, 1]
@@ -251,12 +257,7 @@ class TestHeld:
         for _ in range(steps):
             measured, felt = held.sense()
             tau = held.law.torque(
-                world.q,
-                world.v,
-                measured,
-                desired,
-                internal_force_n=squeeze_n,
-                measured_internal_force_n=felt,
+                world.q, world.v, measured, desired, internal_force_n=squeeze_n, measured_internal_force_n=felt
             )
             world.command(tau, grippers.step(held.gripper))
             world.step()
@@ -306,20 +307,12 @@ class TestPinch:
         assert pinch_force(27.0, 0.7, 1.0, tilt_rad=0.2) > least
         assert pinch_force(27.0, 0.7, 1.0, acceleration_m_per_s2=3.0) > least
 
-    @given(
-        st.floats(0.0, 80.0),
-        st.floats(0.1, 1.5),
-        st.floats(0.0, 2.0),
-        st.floats(1.0, 3.0),
-        st.floats(-0.3, 0.3),
-    )
+    @given(st.floats(0.0, 80.0), st.floats(0.1, 1.5), st.floats(0.0, 2.0), st.floats(1.0, 3.0), st.floats(-0.3, 0.3))
     def test_the_largest_squeeze_is_the_way_back(
         self, squeeze: float, mu: float, mass: float, safety: float, tilt: float
     ) -> None:
         pinch = pinch_force(squeeze, mu, mass, safety=safety, tilt_rad=tilt)
-        assert largest_squeeze(pinch, mu, mass, safety=safety, tilt_rad=tilt) == pytest.approx(
-            squeeze, abs=1e-6
-        )
+        assert largest_squeeze(pinch, mu, mass, safety=safety, tilt_rad=tilt) == pytest.approx(squeeze, abs=1e-6)
 
     def test_a_pinch_too_weak_for_the_weight_carries_no_squeeze(self) -> None:
         assert largest_squeeze(5.0, 0.3, 1.0) == 0.0
@@ -366,16 +359,19 @@ class TestVectors:
         x, y = a.tolist(), b.tolist()
         A = np.outer(a, b) + np.diag(a)
         for mine, numpys in (
-            (cross(x, y), np.cross(a, b)), (plus(x, y), a + b), (minus(x, y), a - b), (times(s, x), s * a),
-            (mix(s, x, t, y), s * a + t * b), (inner(x, y), a @ b), (apply(A.tolist(), y), A @ b),
+            (cross(x, y), np.cross(a, b)),
+            (plus(x, y), a + b),
+            (minus(x, y), a - b),
+            (times(s, x), s * a),
+            (mix(s, x, t, y), s * a + t * b),
+            (inner(x, y), a @ b),
+            (apply(A.tolist(), y), A @ b),
             (apply_transposed(A.tolist(), y), A.T @ b),
-        ):  # fmt: skip
+        ):
             assert np.allclose(mine, numpys, atol=1e-12)
 
     @given(triples, triples, st.sampled_from([0.0, 1e-9, 1e-4, 1.0, math.pi - 1e-3, math.pi - 1e-7]))
-    def test_rotation_error_turns_the_one_into_the_other(
-        self, a: np.ndarray, b: np.ndarray, angle: float
-    ) -> None:
+    def test_rotation_error_turns_the_one_into_the_other(self, a: np.ndarray, b: np.ndarray, angle: float) -> None:
         axis = b / np.linalg.norm(b) if np.linalg.norm(b) > 1e-3 else np.array([0.0, 0.0, 1.0])
         R = rotation(a)
         wanted = rotation(angle * axis) @ R

@@ -63,9 +63,7 @@ def test_a_halt_acts_in_the_next_step_and_brings_the_arms_to_rest(plant: ArmsPla
 
 
 @pytest.mark.parametrize(("who", "opens"), [("moveit", True), ("teleop", False)])
-def test_everybody_may_halt_and_only_who_drives_may_open_the_hands(
-    plant: ArmsPlant, who: str, opens: bool
-) -> None:
+def test_everybody_may_halt_and_only_who_drives_may_open_the_hands(plant: ArmsPlant, who: str, opens: bool) -> None:
     stack = under_way(plant)
     stack.halt(who, np.ones(2))
     stack.step()
@@ -183,9 +181,7 @@ def test_a_hold_keeps_the_set_that_is_active_when_it_is_confirmed(plant: ArmsPla
     hand_over(stack, "moveit", PAIR)
     if first == "hold":
         stack.request("hold")
-        stack.switch_controllers(
-            ("both_arms",)
-        )  # of who drives, in the same step: it has let go of what it held
+        stack.switch_controllers(("both_arms",))  # of who drives, in the same step: it has let go of what it held
     else:
         stack.switch_controllers(("both_arms",))
         stack.request("hold")

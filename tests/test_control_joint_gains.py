@@ -11,11 +11,11 @@ import pytest
 from minidual.control.joint_control import ComputedTorque, JointFriction
 from minidual.control.joint_gains import DAMPING_RATIO, NATURAL_FREQUENCY_RAD_S, joint_gains, table
 from minidual.control.loop import JointLoop
-from minidual.evaluation.joint_tracking import sine_response
+from minidual.plant.model import build_spec
+from minidual.plant.world import World
 from minidual.robot.constants import A_MAX, DOF, HOME, JOINT_DAMPING, JOINT_NAMES
 from minidual.robot.kinematics import Kinematics
-from minidual.sim.model import build_spec
-from minidual.sim.world import World
+from minidual.stages.env_check_joint_tracking import sine_response
 
 ZERO = np.zeros(DOF)
 

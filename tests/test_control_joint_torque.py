@@ -8,18 +8,9 @@ import pytest
 
 from minidual.control.joint_control import ComputedTorque, hold
 from minidual.control.loop import JointLoop
-from minidual.robot.constants import (
-    DOF,
-    FINGER_JOINT_NAMES,
-    HOME,
-    JOINT_DAMPING,
-    Q_LOWER,
-    Q_UPPER,
-    TAU_MAX,
-    V_MAX,
-)
-from minidual.sim.model import build_spec
-from minidual.sim.world import World
+from minidual.plant.model import build_spec
+from minidual.plant.world import World
+from minidual.robot.constants import DOF, FINGER_JOINT_NAMES, HOME, JOINT_DAMPING, Q_LOWER, Q_UPPER, TAU_MAX, V_MAX
 
 RNG = np.random.default_rng(5)
 ZERO = np.zeros(DOF)

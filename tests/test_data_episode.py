@@ -14,9 +14,9 @@ import h5py
 import numpy as np
 import pytest
 
-from minidual.data import durable, schema
-from minidual.data.episode import EpisodeWriter, read_episode, read_meta
-from minidual.data.schema import EpisodeMeta
+from minidual.demos import durable, schema
+from minidual.demos.episode import EpisodeWriter, read_episode, read_meta
+from minidual.demos.schema import EpisodeMeta
 from minidual.errors import DataError, UsageError
 
 META = EpisodeMeta(fps=50.0, task="carry", seed=1, cameras=data_samples.CAMERAS)
@@ -34,9 +34,14 @@ def test_everything_written_is_read_back_exactly(tmp_path: Path) -> None:
     for camera, frames in data["images"].items():
         np.testing.assert_array_equal(episode.images[camera], frames)
     assert episode.meta == EpisodeMeta(
-        fps=50.0, task="carry the rod", seed=7, cameras=data_samples.CAMERAS, sim=True, success=True,
+        fps=50.0,
+        task="carry the rod",
+        seed=7,
+        cameras=data_samples.CAMERAS,
+        sim=True,
+        success=True,
         extra={"failure": "none", "start_m": [0.5, 0.25]},
-    )  # fmt: skip
+    )
     assert len(episode) == 40
     assert episode.duration_s == pytest.approx(39 / 50)
     assert list(path.parent.iterdir()) == [path]
@@ -91,9 +96,7 @@ def test_optional_fields_may_be_absent_and_no_camera_is_allowed(tmp_path: Path) 
         ("qpos", "left", "not numeric"),
     ],
 )
-def test_a_bad_tick_is_refused_where_it_happens(
-    tmp_path: Path, field: str, value: object, words: str
-) -> None:
+def test_a_bad_tick_is_refused_where_it_happens(tmp_path: Path, field: str, value: object, words: str) -> None:
     data = data_samples.arrays(4)
     path = tmp_path / "e.hdf5"
     with EpisodeWriter(path, META) as writer:
@@ -114,9 +117,7 @@ def test_bad_pictures_are_refused(tmp_path: Path, kind: str) -> None:
         if kind == "missing camera":
             del bad["images"]["left"]
         else:
-            bad["images"]["left"] = {"float": image / 255.0, "grey": image[..., 0], "other size": image[:10]}[
-                kind
-            ]
+            bad["images"]["left"] = {"float": image / 255.0, "grey": image[..., 0], "other size": image[:10]}[kind]
         with pytest.raises(DataError, match="left"):
             writer.append(**bad)
 
@@ -163,9 +164,7 @@ def test_an_existing_file_is_kept(tmp_path: Path) -> None:
     assert path.read_bytes() == before
 
 
-def test_a_disk_that_refuses_leaves_a_clear_error_and_no_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_disk_that_refuses_leaves_a_clear_error_and_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(path: Path) -> None:
         raise OSError(28, "No space left on device")
 
@@ -229,9 +228,9 @@ import sys, time
 sys.path.insert(0, {str(Path(__file__).parent)!r})
 import data_samples
 from pathlib import Path
-from minidual.data import durable
-from minidual.data.episode import EpisodeWriter
-from minidual.data.schema import EpisodeMeta
+from minidual.demos import durable
+from minidual.demos.episode import EpisodeWriter
+from minidual.demos.schema import EpisodeMeta
 folder = Path({str(tmp_path)!r})
 data = data_samples.arrays(30)
 data_samples.write(folder / "episode_000000.hdf5", data)
@@ -285,7 +284,5 @@ def test_episode_facts_that_could_not_be_stored_are_refused() -> None:
 
 
 def test_the_same_episode_gives_the_same_bytes(tmp_path: Path) -> None:
-    first, second = (
-        data_samples.write(tmp_path / name, data_samples.arrays()) for name in ("a.hdf5", "b.hdf5")
-    )
+    first, second = (data_samples.write(tmp_path / name, data_samples.arrays()) for name in ("a.hdf5", "b.hdf5"))
     assert first.read_bytes() == second.read_bytes()

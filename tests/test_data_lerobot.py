@@ -11,9 +11,9 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from minidual.data import lerobot_adapter as adapter
-from minidual.data.episode import read_episode
-from minidual.data.lerobot_reader import read_dataset_to_ram, read_info
+from minidual.demos import lerobot_adapter as adapter
+from minidual.demos.episode import read_episode
+from minidual.demos.lerobot_reader import read_dataset_to_ram, read_info
 from minidual.errors import DataError, UsageError
 
 HIGH = "observation.images.cam_high"
@@ -58,8 +58,11 @@ def test_memory_holds_what_was_recorded(made: tuple) -> None:
     assert data.state.dtype == data.action.dtype == np.float32
     assert data.state_names == adapter.STATE_NAMES
     assert data.state_names[:1] + data.state_names[7:8] + data.state_names[14:] == (
-        "left_panda_joint1", "right_panda_joint1", "left_gripper", "right_gripper",
-    )  # fmt: skip
+        "left_panda_joint1",
+        "right_panda_joint1",
+        "left_gripper",
+        "right_gripper",
+    )
     assert data.images[HIGH].shape == (sum(TICKS), 96, 128, 3)
     for index, path in enumerate(sources):
         episode = read_episode(path)
@@ -151,8 +154,7 @@ def test_a_changed_state_is_noticed(copy: tuple[Path, list[Path]]) -> None:
     import pyarrow as pa
 
     pq.write_table(
-        table.set_column(column, "observation.state", pa.array(states, type=table.schema.field(column).type)),
-        path,
+        table.set_column(column, "observation.state", pa.array(states, type=table.schema.field(column).type)), path
     )
     with pytest.raises(DataError, match=r"episode 0 .*observation\.state differs"):
         adapter.verify_dataset(root, sources)

@@ -10,8 +10,8 @@ import data_samples
 import numpy as np
 import pytest
 
-from minidual.data import quality
-from minidual.data.episode import read_episode
+from minidual.demos import quality
+from minidual.demos.episode import read_episode
 from minidual.errors import DataError
 from minidual.robot.constants import HOME
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from minidual.data import smoothness
+from minidual.demos import smoothness
 from minidual.errors import DataError
 
 

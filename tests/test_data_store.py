@@ -8,9 +8,9 @@ from pathlib import Path
 import data_samples
 import pytest
 
-from minidual.data.episode import EpisodeWriter
-from minidual.data.schema import EpisodeMeta
-from minidual.data.store import QUARANTINE, EpisodeStore
+from minidual.demos.episode import EpisodeWriter
+from minidual.demos.schema import EpisodeMeta
+from minidual.demos.store import QUARANTINE, EpisodeStore
 from minidual.errors import DataError, UsageError
 
 META = EpisodeMeta(fps=50.0, task="carry", seed=1, cameras=data_samples.CAMERAS)

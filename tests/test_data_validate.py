@@ -11,9 +11,9 @@ import h5py
 import numpy as np
 import pytest
 
-from minidual.data.cameras import camera_references, check_swapped
-from minidual.data.episode import read_episode
-from minidual.data.validate import check_structure, validate_episode
+from minidual.demos.cameras import camera_references, check_swapped
+from minidual.demos.episode import read_episode
+from minidual.demos.validate import check_structure, validate_episode
 from minidual.errors import DataError
 from minidual.robot.constants import Q_LOWER, Q_UPPER
 
@@ -189,9 +189,7 @@ def test_a_joint_outside_its_limits(tmp_path: Path) -> None:
         (lambda frames: frames.__setitem__(slice(None), frames[0].copy()), "images_frozen"),
     ],
 )
-def test_pictures_that_carry_nothing(
-    tmp_path: Path, spoil: Callable[[np.ndarray], None], expected: str
-) -> None:
+def test_pictures_that_carry_nothing(tmp_path: Path, spoil: Callable[[np.ndarray], None], expected: str) -> None:
     data = data_samples.arrays()
     spoil(data["images"]["left"])
     (problem,) = validate_episode(data_samples.write(tmp_path / "e.hdf5", data))

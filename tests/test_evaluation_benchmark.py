@@ -16,9 +16,11 @@ from minidual.config.change import changed
 from minidual.config.evaluation import BenchmarkConfig
 from minidual.config.root import Config
 from minidual.errors import UsageError
-from minidual.evaluation import perturbation
-from minidual.evaluation import trials as trials_module
-from minidual.evaluation.benchmark import (
+from minidual.stages.benchmark import STAGE, benchmark_checks, condition_checks
+from minidual.tasks.rod_carry import sample_trial
+from minidual.trials import perturbation
+from minidual.trials import trials as trials_module
+from minidual.trials.benchmark import (
     BenchmarkCell,
     conditions_data,
     count_trials,
@@ -26,28 +28,44 @@ from minidual.evaluation.benchmark import (
     summaries,
     write_cells,
 )
-from minidual.evaluation.conditions import CLEAN, CONDITIONS
-from minidual.evaluation.methods import METHODS, MethodInputs
-from minidual.evaluation.metrics import TrialMetrics
-from minidual.evaluation.trials import Bench, TrialResult, run_trials
-from minidual.stages.benchmark import STAGE, benchmark_checks, condition_checks
-from minidual.tasks.rod_carry import sample_trial
+from minidual.trials.conditions import CLEAN, CONDITIONS
+from minidual.trials.methods import METHODS, MethodInputs
+from minidual.trials.metrics import TrialMetrics
+from minidual.trials.trials import Bench, TrialResult, run_trials
 
 SEED = 7
 ASKED = {CLEAN: 6, "push +x": 4, "pose noise x3": 4, "delay 20 ms": 4, "light -30 %": 4}
-BLANK = {("act", "pose noise x3"), ("act", "delay 20 ms"), ("moveit", "delay 20 ms"), ("moveit", "light -30 %"),
-         ("impedance", "light -30 %")}  # fmt: skip
+BLANK = {
+    ("act", "pose noise x3"),
+    ("act", "delay 20 ms"),
+    ("moveit", "delay 20 ms"),
+    ("moveit", "light -30 %"),
+    ("impedance", "light -30 %"),
+}
 
 
 def outcome(method: str, index: int, condition: str, *, success: bool = True) -> TrialResult:
     """Return a trial whose numbers depend on its name alone."""
     number = np.random.default_rng([index, *method.encode(), *condition.encode()]).uniform()
     metrics = TrialMetrics(
-        method, index, condition, success, "" if success else "held", "" if success else "lost it",
-        math.nan if success else 3.0, 6.0 + number if success else math.nan, 0.7 + 0.1 * number, 20.0 + number,
-        0.001 * number, 1.4, 39.0, 60.0, 0.001, "" if success else "it slipped",
+        method,
+        index,
+        condition,
+        success,
+        "" if success else "held",
+        "" if success else "lost it",
+        math.nan if success else 3.0,
+        6.0 + number if success else math.nan,
+        0.7 + 0.1 * number,
+        20.0 + number,
+        0.001 * number,
+        1.4,
+        39.0,
+        60.0,
+        0.001,
+        "" if success else "it slipped",
         disturbed=True if CONDITIONS[condition].acts_once else None,
-    )  # fmt: skip
+    )
     return TrialResult(metrics, (), "", lifted=True, wall_s=1.0)
 
 
@@ -57,13 +75,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, list[Any], Co
     calls: list[tuple[str, str, list[Any], Config]] = []
 
     def run_trials(
-        method: str,
-        inputs: MethodInputs,
-        trials: list[Any],
-        *,
-        workers: int,
-        condition: str,
-        view: Any = None,
+        method: str, inputs: MethodInputs, trials: list[Any], *, workers: int, condition: str, view: Any = None
     ) -> Iterator[tuple[TrialResult, None]]:
         calls.append((method, condition, [t.start for t in trials], inputs.config))
         for trial in trials:
@@ -107,11 +119,7 @@ def test_what_does_not_apply_is_not_run_and_says_why(asked: list[Any]) -> None:
     [
         ({"scene.rod.friction": 0.3}, "friction 0.3", "the friction is 0.3 without it"),
         ({"carry.sensing.delay_s": 0.02}, "delay 20 ms", "without it too, carry.sensing.delay_s is 0.02"),
-        (
-            {"carry.sensing.pose_noise_m": 0.0, "carry.sensing.pose_noise_rad": 0.0},
-            "pose noise x3",
-            "without it too",
-        ),
+        ({"carry.sensing.pose_noise_m": 0.0, "carry.sensing.pose_noise_rad": 0.0}, "pose noise x3", "without it too"),
     ],
 )
 def test_what_would_be_the_clean_trials_is_not_run_under_another_name(
@@ -150,10 +158,7 @@ def test_a_cell_with_too_few_trials_or_none_or_without_a_reason_fails(asked: lis
     key = ("moveit", "push +x")
     assert failing([c for k, c in cells.items() if k != key]) == {"cells_settled"}
     assert failing({**cells, key: dataclasses.replace(cells[key], asked_n=5)}.values()) == {"cells_settled"}
-    for empty in (
-        dataclasses.replace(cells[key], summary=None),
-        dataclasses.replace(cells[key], why_not="tired"),
-    ):
+    for empty in (dataclasses.replace(cells[key], summary=None), dataclasses.replace(cells[key], why_not="tired")):
         assert failing({**cells, key: empty}.values()) == {"cells_settled"}
     assert failing([]) == {"cells_settled"}
 
@@ -167,9 +172,7 @@ def test_a_success_that_nothing_pushed_leaves_its_cell_open(
     def missed(*given: Any, condition: str, **other: Any) -> Iterator[tuple[TrialResult, None]]:
         for result, log in run(*given, condition=condition, **other):
             if condition == "push +x" and result.metrics.index == 2:
-                result = dataclasses.replace(
-                    result, metrics=dataclasses.replace(result.metrics, disturbed=disturbed)
-                )
+                result = dataclasses.replace(result, metrics=dataclasses.replace(result.metrics, disturbed=disturbed))
             yield result, log
 
     assert failing(table().values()) == set()
@@ -188,16 +191,20 @@ def test_a_number_that_is_none_fails(asked: list[Any], name: str) -> None:
     bad = dataclasses.replace(cells[key].summary, **{name: math.nan})  # type: ignore[type-var]
     broken = {**cells, key: dataclasses.replace(cells[key], summary=bad)}
     assert failing(broken.values()) == {"cells_not_finite"}
-    (check,) = [c for c in condition_checks(list(broken.values()), tuple(METHODS), tuple(ASKED)) if not c.passed
-                and c.limited]  # fmt: skip
+    (check,) = [
+        c for c in condition_checks(list(broken.values()), tuple(METHODS), tuple(ASKED)) if not c.passed and c.limited
+    ]
     assert f"impedance under push +x: {name}" in check.why
 
 
 def test_who_never_succeeds_has_no_time_and_that_is_no_hole(asked: list[Any]) -> None:
     cells = table()
     key = ("act", "push +x")
-    none: dict[str, Any] = {f.name: math.nan for f in dataclasses.fields(cells[key].summary)  # type: ignore[arg-type]
-                            if f.name.startswith(("duration", "path", "internal", "pinch"))}  # fmt: skip
+    none: dict[str, Any] = {
+        f.name: math.nan
+        for f in dataclasses.fields(cells[key].summary)  # type: ignore[arg-type]
+        if f.name.startswith(("duration", "path", "internal", "pinch"))
+    }
     lost = dataclasses.replace(cells[key].summary, successes_n=0, success_rate=0.0, **none)  # type: ignore[type-var]
     cell = dataclasses.replace(cells[key], summary=lost)
     assert failing({**cells, key: cell}.values()) == set()
@@ -208,10 +215,7 @@ def test_limits_hold_on_clean_trials_alone(asked: list[Any]) -> None:
     clean = summaries(list(table().values()))
     assert [(s.method, s.condition, s.trials_n) for s in clean] == [(m, CLEAN, 6) for m in METHODS]
     checks = benchmark_checks(clean, BenchmarkConfig(trials_n=6))
-    assert {c.name for c in checks if c.limited} == {
-        *(f"{m}.success_rate" for m in METHODS),
-        "trials_per_method",
-    }
+    assert {c.name for c in checks if c.limited} == {*(f"{m}.success_rate" for m in METHODS), "trials_per_method"}
 
 
 def test_the_files_hold_every_cell(asked: list[Any], tmp_path: Path) -> None:
@@ -340,10 +344,7 @@ def test_trials_under_a_condition_do_not_depend_on_workers() -> None:
     trials = [sample_trial(config.scene, SEED, "benchmark", i) for i in range(2)]
     inputs = MethodInputs(config, SEED)
     one, two = (
-        [
-            r.metrics.to_row()
-            for r, _ in run_trials("impedance", inputs, trials, workers=n, condition="moved 20 mm")
-        ]
+        [r.metrics.to_row() for r, _ in run_trials("impedance", inputs, trials, workers=n, condition="moved 20 mm")]
         for n in (1, 2)
     )
     assert one == two

@@ -6,22 +6,26 @@ import pytest
 
 from minidual.config.root import Config
 from minidual.errors import UsageError
-from minidual.evaluation import conditions
-from minidual.evaluation.conditions import (
-    CLEAN,
-    CONDITIONS,
-    SENSES,
-    Push,
-    _Pusher,
-    condition,
-    parse_conditions,
-)
-from minidual.sim.model import build_model
-from minidual.sim.world import World
+from minidual.plant.model import build_model
+from minidual.plant.world import World
+from minidual.trials import conditions
+from minidual.trials.conditions import CLEAN, CONDITIONS, SENSES, Push, _Pusher, condition, parse_conditions
 
-FIELDS = ("body_mass", "body_subtreemass", "body_inertia", "body_invweight0", "dof_invweight0", "geom_friction",
-          "dof_damping", "dof_frictionloss", "dof_M0", "tendon_invweight0", "actuator_acc0", "light_diffuse",
-          "light_specular")  # fmt: skip
+FIELDS = (
+    "body_mass",
+    "body_subtreemass",
+    "body_inertia",
+    "body_invweight0",
+    "dof_invweight0",
+    "geom_friction",
+    "dof_damping",
+    "dof_frictionloss",
+    "dof_M0",
+    "tendon_invweight0",
+    "actuator_acc0",
+    "light_diffuse",
+    "light_specular",
+)
 
 
 def fields(model):
@@ -183,7 +187,7 @@ def test_what_changes_a_sense_alone_does_not_touch_who_lacks_it():
 
 
 def test_a_darker_room_gives_darker_pictures(visual_model):
-    from minidual.sim.render import Camera
+    from minidual.plant.render import Camera
 
     world = World(Config().scene, model=visual_model)
     camera = Camera.recorded(visual_model, Config().scene.camera)

@@ -12,19 +12,26 @@ from typing import Any
 import numpy as np
 import pytest
 
-from minidual.data.smoothness import JERK_FILTER
+from minidual.demos.smoothness import JERK_FILTER
 from minidual.errors import DataError, NothingEvaluatedError, UsageError
-from minidual.evaluation import metrics, tables
-from minidual.evaluation.metrics import TrialMetrics, summarise, trial_metrics
 from minidual.robot.constants import TAU_MAX
 from minidual.tasks.success import Fault, Outcome
+from minidual.trials import metrics, tables
+from minidual.trials.metrics import TrialMetrics, summarise, trial_metrics
 
 
 def outcome(*faults: Fault, **changes: Any) -> Outcome:
     values = {
-        "success": not faults, "faults": faults, "duration_s": 8.9, "goal_error_m": 0.003, "yaw_error_rad": 0.01,
-        "tilt_max_rad": 0.04, "rise_m": 0.2, "pinch_min_n": 45.0, "internal_force_min_n": 38.0,
-    }  # fmt: skip
+        "success": not faults,
+        "faults": faults,
+        "duration_s": 8.9,
+        "goal_error_m": 0.003,
+        "yaw_error_rad": 0.01,
+        "tilt_max_rad": 0.04,
+        "rise_m": 0.2,
+        "pinch_min_n": 45.0,
+        "internal_force_min_n": 38.0,
+    }
     return Outcome(**{**values, **changes})
 
 
@@ -46,20 +53,28 @@ def logs(duration_s: float = 4.0, rate_hz: float = 1000.0) -> dict[str, Any]:
 
 def trial(index: int, *, success: bool = True, method: str = "act", **changes: Any) -> TrialMetrics:
     base = TrialMetrics(
-        method=method, index=index, condition="clean", success=success, failure="" if success else "held",
-        reason="" if success else "left hand pinches 3 N", failed_at_s=math.nan if success else 3.2,
-        duration_s=8.0 + index if success else math.nan, torque_ratio_max=0.5 + 0.01 * index,
-        jerk_rms=20.0 + index, tilt_max_rad=0.02 if success else 1.5, path_length_m=1.5,
-        internal_force_min_n=30.0, pinch_force_min_n=40.0, goal_error_m=0.004,
-    )  # fmt: skip
+        method=method,
+        index=index,
+        condition="clean",
+        success=success,
+        failure="" if success else "held",
+        reason="" if success else "left hand pinches 3 N",
+        failed_at_s=math.nan if success else 3.2,
+        duration_s=8.0 + index if success else math.nan,
+        torque_ratio_max=0.5 + 0.01 * index,
+        jerk_rms=20.0 + index,
+        tilt_max_rad=0.02 if success else 1.5,
+        path_length_m=1.5,
+        internal_force_min_n=30.0,
+        pinch_force_min_n=40.0,
+        goal_error_m=0.004,
+    )
     return replace(base, **changes)
 
 
 def test_a_trials_metrics_come_from_its_logs() -> None:
     made = trial_metrics("impedance", 4, outcome(), **logs())
-    assert (made.method, made.index, made.condition, made.success, made.failure) == (
-        "impedance", 4, "clean", True, "",
-    )  # fmt: skip
+    assert (made.method, made.index, made.condition, made.success, made.failure) == ("impedance", 4, "clean", True, "")
     assert made.torque_ratio_max == pytest.approx(9.0 / 12.0)  # not 43.5 / 87: the ratio counts, per joint
     assert made.path_length_m == pytest.approx(0.3)
     expected = np.sqrt(14) * 0.3 * (2 * np.pi) ** 3 / np.sqrt(2)
@@ -109,13 +124,7 @@ def test_torque_ratio_uses_each_joints_own_limit() -> None:
 
 
 def test_a_summary_says_over_which_trials_it_speaks() -> None:
-    trials = [
-        trial(0),
-        trial(1),
-        trial(2),
-        trial(3, success=False),
-        trial(4, success=False, failure="arrived"),
-    ]
+    trials = [trial(0), trial(1), trial(2), trial(3, success=False), trial(4, success=False, failure="arrived")]
     row = summarise(trials, np.random.default_rng(0))
     assert (row.trials_n, row.successes_n, row.success_rate) == (5, 3, 0.6)
     assert (row.success_low, row.success_high) == pytest.approx((0.2307, 0.8824), abs=1e-4)
@@ -134,13 +143,7 @@ def test_no_successful_trial_is_said_in_words_and_stays_nan_for_checks() -> None
     assert (row.success_rate, row.success_low) == (0.0, 0.0)
     assert math.isnan(row.duration_median_s)
     cells = row.to_row()
-    for name in (
-        "duration_median_s",
-        "duration_low_s",
-        "duration_high_s",
-        "path_length_m",
-        "pinch_force_min_n",
-    ):
+    for name in ("duration_median_s", "duration_low_s", "duration_high_s", "path_length_m", "pinch_force_min_n"):
         assert cells[name] == "no successful trial"
     assert cells["tilt_max_rad"] == 1.5
     for at in range(3):
@@ -166,18 +169,22 @@ def test_summaries_refuse_mixtures_doubles_and_nothing() -> None:
 
 
 def test_tables_hold_the_names_of_the_verdict_and_the_definitions(tmp_path: Path) -> None:
-    trials = [
-        trial(s, method=m, success=(s + k) % 3 > 0) for k, m in enumerate(("moveit", "act")) for s in range(6)
-    ]
+    trials = [trial(s, method=m, success=(s + k) % 3 > 0) for k, m in enumerate(("moveit", "act")) for s in range(6)]
     rng = np.random.default_rng(0)
     rows = [summarise([t for t in trials if t.method == m], rng) for m in ("moveit", "act")]
     with tables.write_csv(tmp_path / "new" / "methods.csv", rows).open() as file:
         read = list(csv.DictReader(file))
     assert [line["method"] for line in read] == ["moveit", "act"]
     for name in (
-        "success_rate", "success_low", "success_high", "duration_median_s", "torque_ratio_max",
-        "jerk_rms_median", "tilt_max_rad", "path_length_m",
-    ):  # fmt: skip
+        "success_rate",
+        "success_low",
+        "success_high",
+        "duration_median_s",
+        "torque_ratio_max",
+        "jerk_rms_median",
+        "tilt_max_rad",
+        "path_length_m",
+    ):
         assert float(read[0][name]) == getattr(rows[0], name)
     with tables.write_csv(tmp_path / "trials.csv", trials).open() as file:
         assert len(list(csv.DictReader(file))) == 12
@@ -194,9 +201,12 @@ def test_tables_hold_the_names_of_the_verdict_and_the_definitions(tmp_path: Path
 
 def test_comparisons_pair_shared_trials_of_one_condition_only() -> None:
     trials = [
-        trial(0), trial(1), trial(2, condition="pushed"),
-        trial(1, method="moveit", success=False), trial(2, method="moveit"),
-    ]  # fmt: skip
+        trial(0),
+        trial(1),
+        trial(2, condition="pushed"),
+        trial(1, method="moveit", success=False),
+        trial(2, method="moveit"),
+    ]
     (paired,) = tables.compare_all(trials)
     assert (paired["trials_n"], paired["only_first_n"]) == (1, 1)
 

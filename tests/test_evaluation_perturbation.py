@@ -7,23 +7,36 @@ import pytest
 from minidual.config.change import changed
 from minidual.config.root import Config
 from minidual.errors import ExitCode, UsageError
-from minidual.evaluation import perturbation
-from minidual.evaluation.conditions import CONDITIONS
-from minidual.evaluation.methods import MethodInputs
-from minidual.evaluation.metrics import TrialMetrics
-from minidual.evaluation.perturbation import Robustness, run_perturbations, table_lines, touching
-from minidual.evaluation.trials import TrialResult
-from minidual.pipeline.tool import ToolContext
+from minidual.gate.tool import ToolContext
 from minidual.stages.carry_tools import perturb
+from minidual.trials import perturbation
+from minidual.trials.conditions import CONDITIONS
+from minidual.trials.methods import MethodInputs
+from minidual.trials.metrics import TrialMetrics
+from minidual.trials.perturbation import Robustness, run_perturbations, table_lines, touching
+from minidual.trials.trials import TrialResult
 
 
 def trial_result(index: int, condition: str, *, success: bool) -> TrialResult:
     nan = float("nan")
     metrics = TrialMetrics(
-        "impedance", index, condition, success, "" if success else "held", "" if success else "lost it",
-        nan if success else 3.0, 7.0 if success else nan, 0.7, 20.0, 0.001, 1.4, 39.0, 60.0, 0.001,
+        "impedance",
+        index,
+        condition,
+        success,
+        "" if success else "held",
+        "" if success else "lost it",
+        nan if success else 3.0,
+        7.0 if success else nan,
+        0.7,
+        20.0,
+        0.001,
+        1.4,
+        39.0,
+        60.0,
+        0.001,
         disturbed=True if CONDITIONS[condition].acts_once else None,
-    )  # fmt: skip
+    )
     return TrialResult(metrics, (), "", lifted=True, wall_s=1.0)
 
 
@@ -129,9 +142,7 @@ def test_noise_times_three_is_a_factor_of_the_noise_there_is():
     loud = changed(Config(), {"carry.sensing.pose_noise_m": 0.002})
     values = CONDITIONS["pose noise x3"].settings_under(loud)
     assert values["carry.sensing.pose_noise_m"] == pytest.approx(0.006)
-    assert CONDITIONS["pose noise x3"].settings_under(Config())[
-        "carry.sensing.pose_noise_m"
-    ] == pytest.approx(0.0015)
+    assert CONDITIONS["pose noise x3"].settings_under(Config())["carry.sensing.pose_noise_m"] == pytest.approx(0.0015)
 
 
 def test_a_row_with_a_success_that_nothing_pushed_does_not_hold(outcomes, monkeypatch, tmp_path):

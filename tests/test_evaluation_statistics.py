@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from minidual.errors import NothingEvaluatedError, UsageError
-from minidual.evaluation.statistics import (
+from minidual.trials.statistics import (
     bootstrap_median_interval,
     compare_paired,
     holm,
@@ -36,9 +36,7 @@ def test_wilson_against_known_values(successes: int, n: int, low: float, high: f
 def test_wilson_against_scipy(confidence: float) -> None:
     for successes, n in ((0, 1), (1, 1), (3, 7), (49, 50), (98, 100)):
         expected = stats.binomtest(successes, n).proportion_ci(confidence, method="wilson")
-        assert wilson_interval(successes, n, confidence) == pytest.approx(
-            (expected.low, expected.high), abs=1e-9
-        )
+        assert wilson_interval(successes, n, confidence) == pytest.approx((expected.low, expected.high), abs=1e-9)
 
 
 def test_wilson_refuses_what_has_no_interval() -> None:
@@ -104,14 +102,10 @@ def test_the_paired_interval_of_rates_against_its_parts(
 
 def test_the_paired_interval_of_rates_is_corrected_for_continuity() -> None:
     """A negative correlation stays as it is, one of less than half a pair vanishes, a greater one shrinks by as much."""
-    assert paired_rate_interval(36, 12, 2, 0) == pytest.approx(
-        (0.0569, 0.3404), abs=1e-4
-    )  # Newcombe's example
+    assert paired_rate_interval(36, 12, 2, 0) == pytest.approx((0.0569, 0.3404), abs=1e-4)  # Newcombe's example
     first, second = wilson_interval(17, 20), wilson_interval(14, 20)
     low, high = np.hypot(0.85 - first[0], second[1] - 0.7), np.hypot(first[1] - 0.85, 0.7 - second[0])
-    assert paired_rate_interval(12, 5, 2, 1) == pytest.approx(
-        (0.15 - low, 0.15 + high)
-    )  # 12 * 1 - 5 * 2 = 2 < 10
+    assert paired_rate_interval(12, 5, 2, 1) == pytest.approx((0.15 - low, 0.15 + high))  # 12 * 1 - 5 * 2 = 2 < 10
     a, b = wilson_interval(31, 50), wilson_interval(30, 50)
     phi = (30 * 19 - 25) / np.sqrt(31 * 19 * 30 * 20)
     down, up = (0.62 - a[0], b[1] - 0.6), (a[1] - 0.62, 0.6 - b[0])

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from minidual.control.object_impedance import SingularPostureError
-from minidual.evaluation.trials import run_trial
+from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.sim.world import World
 from minidual.tasks.rod_carry import RodTrial, sample_trial
+from minidual.trials.trials import run_trial
 
 
 class Stands:
@@ -82,9 +82,7 @@ def test_a_trial_that_breaks_at_its_first_step_has_a_log_too(
     assert np.isfinite(log.q).all()
 
 
-def test_the_next_trial_is_the_same_as_without_a_broken_one(
-    world: World, trial: RodTrial, quiet_mujoco: None
-) -> None:
+def test_the_next_trial_is_the_same_as_without_a_broken_one(world: World, trial: RodTrial, quiet_mujoco: None) -> None:
     before, before_log = _run(world, trial, steps=400)
     _run(world, trial, steps=300, breaks="exploded")
     after, after_log = _run(world, trial, steps=400)

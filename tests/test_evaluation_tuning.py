@@ -5,8 +5,10 @@ import pytest
 
 from minidual.config.loader import load_config
 from minidual.config.root import Config
-from minidual.evaluation import tuning
-from minidual.evaluation.tuning import (
+from minidual.gate.tool import ToolContext
+from minidual.stages.carry_tools import tune
+from minidual.trials import tuning
+from minidual.trials.tuning import (
     FORCE_FACTOR,
     OSCILLATION_MAX_M,
     STIFFNESSES_N_PER_M,
@@ -16,8 +18,6 @@ from minidual.evaluation.tuning import (
     gains,
     oscillation_m,
 )
-from minidual.pipeline.tool import ToolContext
-from minidual.stages.carry_tools import tune
 
 NEEDED_N = Config().scene.task.internal_force_min_n
 
@@ -36,9 +36,19 @@ def plant(monkeypatch):
         oscillation = OSCILLATION_MAX_M * impedance.stiffness_n_per_m / law["oscillates"]
         t = np.linspace(0.0, 1.0, 50)
         return Carried(
-            holds, "success" if holds else "squeezed", least, 0.001, oscillation, 0.001, law["torque"],
-            t, 0.001 + 0 * t, least + 0 * t, 0.5 + 0 * t, 0 * t,
-        )  # fmt: skip
+            holds,
+            "success" if holds else "squeezed",
+            least,
+            0.001,
+            oscillation,
+            0.001,
+            law["torque"],
+            t,
+            0.001 + 0 * t,
+            least + 0 * t,
+            0.5 + 0 * t,
+            0 * t,
+        )
 
     monkeypatch.setattr(tuning, "carry_once", carry_once)
     law["starts"] = starts
@@ -68,9 +78,12 @@ def test_forces_that_do_not_hold_are_shown_as_such(plant):
 
 @pytest.mark.parametrize(
     ("change", "message"),
-    [({"loss_n": 30.0}, "no squeeze up to 40 N holds"), ({"torque": 0.99}, "already takes 99 %"),
-     ({"oscillates": 100.0}, "oscillates even at 150")],
-)  # fmt: skip
+    [
+        ({"loss_n": 30.0}, "no squeeze up to 40 N holds"),
+        ({"torque": 0.99}, "already takes 99 %"),
+        ({"oscillates": 100.0}, "oscillates even at 150"),
+    ],
+)
 def test_a_plant_that_cannot_be_tuned_says_why(plant, change, message):
     plant.update(change)
     with pytest.raises(TuningError, match=message):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from minidual.learning.backbone import KeypointEncoder, SpatialSoftmax
+from minidual.policies.backbone import KeypointEncoder, SpatialSoftmax
 
 
 @pytest.mark.parametrize(("row", "column"), [(0, 0), (23, 31), (11, 7)])

@@ -9,9 +9,9 @@ from learning_world import APPROACH, demonstrations
 
 from minidual.config.learning import TrainConfig
 from minidual.errors import DataError
-from minidual.learning.batches import BatchMaker
-from minidual.learning.demonstrations import Demonstrations, WeightedRows, gripper_switches, split_episodes
-from minidual.learning.normalisation import dataset_statistics, image_key, normalise_images
+from minidual.policies.batches import BatchMaker
+from minidual.policies.demonstrations import Demonstrations, WeightedRows, gripper_switches, split_episodes
+from minidual.policies.normalisation import dataset_statistics, image_key, normalise_images
 
 
 def tiny(ticks: int = 60, episodes: int = 3, seed: int = 0) -> Demonstrations:
@@ -104,9 +104,7 @@ def test_state_noise_is_large_in_the_approach_and_small_after_it() -> None:
     def noise(row: int) -> np.ndarray:
         rows = np.full(3000, row)
         noisy, clean = maker.training(rows, np.random.default_rng(0)), maker.clean(rows)
-        return (
-            (noisy["observation.state"] - clean["observation.state"]) * stats["observation.state"]["std"]
-        ).numpy()
+        return ((noisy["observation.state"] - clean["observation.state"]) * stats["observation.state"]["std"]).numpy()
 
     assert noise(3)[:, :14].std() == pytest.approx(0.06, rel=0.03)
     assert noise(30)[:, :14].std() == pytest.approx(0.01, rel=0.03)
@@ -116,10 +114,7 @@ def test_state_noise_is_large_in_the_approach_and_small_after_it() -> None:
 def test_images_are_normalised_in_one_pass_as_by_hand() -> None:
     generator = torch.Generator().manual_seed(0)
     images = torch.randint(0, 256, (4, 6, 8, 3), generator=generator, dtype=torch.uint8)
-    stats = {
-        "mean": torch.tensor([0.3, 0.4, 0.5]).view(3, 1, 1),
-        "std": torch.tensor([0.2, 0.1, 0.3]).view(3, 1, 1),
-    }
+    stats = {"mean": torch.tensor([0.3, 0.4, 0.5]).view(3, 1, 1), "std": torch.tensor([0.2, 0.1, 0.3]).view(3, 1, 1)}
     by_hand = (images.permute(0, 3, 1, 2) / 255.0 - stats["mean"]) / stats["std"]
     assert torch.allclose(normalise_images(images, stats), by_hand, atol=1e-5)
     contrast, brightness = torch.tensor([1.1, 0.9, 1.0, 1.0]), torch.tensor([0.0, 0.0, 0.05, -0.05])

@@ -17,8 +17,8 @@ from test_learning_train import SMALL
 
 from minidual.config.learning import TrainConfig
 from minidual.errors import DataError, EnvironmentMissingError, UsageError
-from minidual.learning.policy import PolicyRuntime
-from minidual.learning.train import train
+from minidual.policies.policy import PolicyRuntime
+from minidual.policies.train import train
 
 IMAGE = {"high": np.zeros((12, 16, 3), np.uint8)}
 STATE = np.zeros(16)
@@ -72,18 +72,14 @@ def test_after_a_flush_nothing_of_the_old_chunk_runs(forget: str) -> None:
     runtime, _ = counting(blend_ticks=4)
     first(runtime, 2)
     getattr(runtime, forget)()
-    assert first(runtime, 5) == pytest.approx(
-        [2.0, 2.001, 2.002, 2.003, 2.004], abs=1e-6
-    )  # no blend with chunk 1
+    assert first(runtime, 5) == pytest.approx([2.0, 2.001, 2.002, 2.003, 2.004], abs=1e-6)  # no blend with chunk 1
 
 
 def test_chunks_are_blended_with_what_was_left_of_the_old_one() -> None:
     runtime, _ = counting(blend_ticks=3)
     actions = first(runtime, 10)
     old = [1.005, 1.006, 1.007]
-    expected = [
-        (1 - s) * o + s * (2 + k / 1000) for k, (o, s) in enumerate(zip(old, (0.25, 0.5, 0.75), strict=True))
-    ]
+    expected = [(1 - s) * o + s * (2 + k / 1000) for k, (o, s) in enumerate(zip(old, (0.25, 0.5, 0.75), strict=True))]
     assert actions[5:8] == pytest.approx(expected, abs=1e-6)
     assert actions[8:] == pytest.approx([2.003, 2.004], abs=1e-6)
 
@@ -196,9 +192,7 @@ def test_the_image_and_the_state_both_matter(checkpoint: Path) -> None:
 @pytest.mark.parametrize(
     "name", ["config.json", "model.safetensors", "policy_preprocessor.json", "policy_postprocessor.json"]
 )
-def test_a_missing_file_is_named_with_the_command_that_makes_it(
-    checkpoint: Path, tmp_path: Path, name: str
-) -> None:
+def test_a_missing_file_is_named_with_the_command_that_makes_it(checkpoint: Path, tmp_path: Path, name: str) -> None:
     copy = shutil.copytree(checkpoint, tmp_path / "copy")
     (copy / name).unlink()
     with pytest.raises(DataError, match=f"lacks {name}") as caught:

@@ -15,10 +15,10 @@ from test_learning_demonstrations import tiny
 
 from minidual.config.learning import TrainConfig
 from minidual.errors import DataError, EnvironmentMissingError, UsageError
-from minidual.learning.checkpoint import load_policy
-from minidual.learning.demonstrations import Demonstrations
-from minidual.learning.records import draw_loss, write_loss_csv
-from minidual.learning.train import TrainResult, train
+from minidual.policies.checkpoint import load_policy
+from minidual.policies.demonstrations import Demonstrations
+from minidual.policies.records import draw_loss, write_loss_csv
+from minidual.policies.train import TrainResult, train
 
 SMALL = {
     "chunk_size": 10,
@@ -48,9 +48,7 @@ def same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> bool:
     return a.keys() == b.keys() and all(torch.equal(a[key], b[key]) for key in a)
 
 
-def test_the_same_seed_gives_the_same_weights_and_another_seed_does_not(
-    demos: Demonstrations, tmp_path: Path
-) -> None:
+def test_the_same_seed_gives_the_same_weights_and_another_seed_does_not(demos: Demonstrations, tmp_path: Path) -> None:
     config = TrainConfig(**SMALL, dropout=0.1)
     for name, seed in (("a", 5), ("b", 5), ("c", 6)):
         torch.manual_seed(hash(name) % 1000)  # the generator outside must not matter
@@ -109,21 +107,17 @@ def test_progress_of_another_training_is_not_used(demos: Demonstrations, tmp_pat
         demos = tiny(seed=1)
     else:
         (tmp_path / "progress" / "progress.pt").write_bytes(b"not a progress file")
-    assert (
-        train(demos, config, seed, tmp_path / "cut", resume_dir=tmp_path / "progress").resumed_from_step == 0
-    )
+    assert train(demos, config, seed, tmp_path / "cut", resume_dir=tmp_path / "progress").resumed_from_step == 0
 
 
 def test_a_loss_that_is_not_finite_stops_with_the_step_and_the_learning_rate(
     demos: Demonstrations, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from minidual.learning.spatial_act.modeling_spatial_act import SpatialActPolicy
+    from minidual.policies.spatial_act.modeling_spatial_act import SpatialActPolicy
 
     forward, calls = SpatialActPolicy.forward, 0
 
-    def diverge(
-        self: SpatialActPolicy, batch: dict[str, torch.Tensor]
-    ) -> tuple[torch.Tensor, dict[str, float]]:
+    def diverge(self: SpatialActPolicy, batch: dict[str, torch.Tensor]) -> tuple[torch.Tensor, dict[str, float]]:
         nonlocal calls
         calls += 1
         loss, parts = forward(self, batch)
@@ -159,10 +153,7 @@ def test_stock_resnet_act_loads_with_plain_lerobot(demos: Demonstrations, tmp_pa
     assert json.loads((tmp_path / "a" / "config.json").read_text())["type"] == "act"
     theirs = ACTPolicy.from_pretrained(tmp_path / "a")
     ours, _, _ = load_policy(tmp_path / "a")
-    batch = {
-        "observation.state": torch.zeros(1, 16),
-        "observation.images.cam_high": torch.zeros(1, 3, 12, 16),
-    }
+    batch = {"observation.state": torch.zeros(1, 16), "observation.images.cam_high": torch.zeros(1, 3, 12, 16)}
     assert torch.equal(theirs.predict_action_chunk(dict(batch)), ours.predict_action_chunk(dict(batch)))
 
 
@@ -182,13 +173,11 @@ def test_spatial_checkpoint_is_labelled_and_lerobot_reads_it(demos: Demonstratio
     assert post(policy.select_action(batch)).shape == (1, 16)
 
 
-def test_processors_of_the_checkpoint_normalise_as_training_does(
-    demos: Demonstrations, tmp_path: Path
-) -> None:
+def test_processors_of_the_checkpoint_normalise_as_training_does(demos: Demonstrations, tmp_path: Path) -> None:
     from minidual.config.seeds import stream
-    from minidual.learning.batches import BatchMaker
-    from minidual.learning.demonstrations import split_episodes
-    from minidual.learning.normalisation import dataset_statistics
+    from minidual.policies.batches import BatchMaker
+    from minidual.policies.demonstrations import split_episodes
+    from minidual.policies.normalisation import dataset_statistics
 
     config = TrainConfig(**SMALL)
     train(demos, config, 0, tmp_path / "a")

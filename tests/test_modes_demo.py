@@ -18,18 +18,18 @@ from minidual.control.commands import Refusal, TrajectoryCommand
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.errors import ExitCode, GateClosedError, UsageError
-from minidual.evaluation.modes import DEFAULT_MODES, ModesDemo, ModesResult, SwitchError, parse_modes
-from minidual.evaluation.modes_drivers import Driver, MoveitDriver, PolicyDriver, TeleopDriver
-from minidual.evaluation.modes_film import captioned
-from minidual.evaluation.modes_record import Switch
-from minidual.pipeline.tool import ToolContext
-from minidual.planning.api import Planner
+from minidual.gate.tool import ToolContext
+from minidual.motion.api import Planner
+from minidual.plant.world import World
 from minidual.robot.constants import HOME, Array
 from minidual.robot.kinematics import Kinematics
-from minidual.sim.world import World
+from minidual.show.figures.modes_film import captioned
+from minidual.skills.operator import ScriptedOperator
 from minidual.stages.modes import find_checkpoint, modes
-from minidual.tasks.operator import ScriptedOperator
 from minidual.tasks.rod_carry import RodTrial, sample_trial
+from minidual.trials.modes import DEFAULT_MODES, ModesDemo, ModesResult, SwitchError, parse_modes
+from minidual.trials.modes_drivers import Driver, MoveitDriver, PolicyDriver, TeleopDriver
+from minidual.trials.modes_record import Switch
 
 SEED = 11
 
@@ -74,22 +74,16 @@ class Stage:
     def policy(self) -> Driver:
         return PolicyDriver(self.stack, self.runtime, lambda name: np.zeros((1, 1, 3), np.uint8), self.trial)
 
-    def run(
-        self, *turns: tuple[str, Callable[[], Driver]]
-    ) -> tuple[ModesDemo, ModesResult, list[tuple[str, str]]]:
+    def run(self, *turns: tuple[str, Callable[[], Driver]]) -> tuple[ModesDemo, ModesResult, list[tuple[str, str]]]:
         demo = ModesDemo(self.stack, turns)
         steps = list(demo.steps())
         return demo, demo.result(ArbiterConfig()), steps
 
 
-def test_planner_leader_and_planner_again_carry_the_rod_within_every_bound(
-    world: World, tmp_path: Path
-) -> None:
+def test_planner_leader_and_planner_again_carry_the_rod_within_every_bound(world: World, tmp_path: Path) -> None:
     stage = Stage(world)
     demo, result, steps = stage.run(
-        ("moveit", stage.moveit(home=False, share=0.5)),
-        ("teleop", stage.teleop),
-        ("moveit", stage.moveit(home=True)),
+        ("moveit", stage.moveit(home=False, share=0.5)), ("teleop", stage.teleop), ("moveit", stage.moveit(home=True))
     )
     assert result.faults == ()
     first, second, third = result.switches
@@ -140,12 +134,7 @@ def test_without_a_supervisor_the_torque_steps_are_over_their_bound_and_named(wo
     ],
 )
 def test_every_bound_can_fail(name: str, changes: dict[str, float]) -> None:
-    fine = {
-        "first_step_rad": 0.01,
-        "reference_step_ratio": 0.9,
-        "torque_step_nm": 0.9,
-        "target_step_rad": 0.01,
-    }
+    fine = {"first_step_rad": 0.01, "reference_step_ratio": 0.9, "torque_step_nm": 0.9, "target_step_rad": 0.01}
     assert Switch("teleop", 1.0, **fine).faults(ArbiterConfig(), 1e-3) == []
     faults = Switch("teleop", 1.0, **{**fine, **changes}).faults(ArbiterConfig(), 1e-3)
     assert len(faults) == 1
@@ -160,9 +149,7 @@ def test_the_policy_gets_its_turn_and_its_queue_is_dropped_at_every_switch(world
         if mode == "moveit":
             break
     limit = world.scene.task.time_limit_s
-    assert world.time == pytest.approx(limit + 0.02, abs=0.05), (
-        "a policy that does nothing is ended by the clock"
-    )
+    assert world.time == pytest.approx(limit + 0.02, abs=0.05), "a policy that does nothing is ended by the clock"
     assert stage.runtime.flushes == 2
     assert demo._outcomes[0]["rod_put_down_at_goal"] is False
 
@@ -225,9 +212,7 @@ def test_without_a_policy_nothing_is_put_in_its_place(tmp_path: Path) -> None:
     assert find_checkpoint(_context(tmp_path)) == folder
 
 
-def _refuse(
-    monkeypatch: pytest.MonkeyPatch, *, sequence: int, change: Callable[[Any], Any] | None = None
-) -> None:
+def _refuse(monkeypatch: pytest.MonkeyPatch, *, sequence: int, change: Callable[[Any], Any] | None = None) -> None:
     """Let the planner's trajectory of that number be refused: at once, or changed so that the next tick refuses it."""
     propose = ControlStack.propose
 
@@ -252,9 +237,7 @@ def test_a_refused_second_motion_of_the_planner_is_no_success(
 ) -> None:
     stage = Stage(world)
     _refuse(monkeypatch, sequence=2, change=change)
-    with pytest.raises(
-        SwitchError, match=r"trajectory 2 of mode 'moveit' was refused at \d+\.\d+ s"
-    ) as caught:
+    with pytest.raises(SwitchError, match=r"trajectory 2 of mode 'moveit' was refused at \d+\.\d+ s") as caught:
         stage.run(("moveit", stage.moveit(home=True)))
     assert caught.value.exit_code == ExitCode.ACCEPTANCE_FAILED
 

@@ -29,9 +29,12 @@ def run_linter(folder: Path, configuration: Path) -> subprocess.CompletedProcess
     tool = Path(sys.executable).with_name("lint-imports")
     return subprocess.run(
         [str(tool), "--no-cache", "--config", str(configuration)],
-        cwd=folder, capture_output=True, text=True, timeout=120,
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=120,
         env={**os.environ, "PYTHONPATH": str(folder / "src")},
-    )  # fmt: skip
+    )
 
 
 def test_imports_point_down() -> None:
@@ -42,11 +45,11 @@ def test_imports_point_down() -> None:
 def test_an_import_that_points_up_is_found(tmp_path: Path) -> None:
     shutil.copytree(ROOT / "src", tmp_path / "src", ignore=shutil.ignore_patterns("__pycache__"))
     intruder = tmp_path / "src" / "minidual" / "robot" / "intruder.py"
-    intruder.write_text("import minidual.planning\nimport minidual.pipeline.check\n", encoding="utf-8")
+    intruder.write_text("import minidual.motion\nimport minidual.gate.check\n", encoding="utf-8")
     done = run_linter(tmp_path, ROOT / "pyproject.toml")
     assert done.returncode == 1
-    assert "minidual.robot.intruder -> minidual.planning" in done.stdout
-    assert "minidual.robot.intruder -> minidual.pipeline.check" in done.stdout
+    assert "minidual.robot.intruder -> minidual.motion" in done.stdout
+    assert "minidual.robot.intruder -> minidual.gate.check" in done.stdout
 
 
 def test_every_locked_distribution_has_hashes_and_none_an_address() -> None:
@@ -61,9 +64,7 @@ def test_every_locked_distribution_has_hashes_and_none_an_address() -> None:
 def test_every_direct_dependency_is_locked_and_has_its_reason(name: str) -> None:
     assert re.search(rf"^{re.escape(name)}(\[[a-z,]+\])?==", LOCK, re.MULTILINE), f"{name} is not locked"
     page = (ROOT / "docs" / "dependencies.md").read_text(encoding="utf-8")
-    assert re.search(rf"^\| `{re.escape(name)}[`\[]", page, re.MULTILINE), (
-        f"docs/dependencies.md lacks {name}"
-    )
+    assert re.search(rf"^\| `{re.escape(name)}[`\[]", page, re.MULTILINE), f"docs/dependencies.md lacks {name}"
 
 
 def test_the_page_of_dependencies_names_no_others() -> None:
@@ -86,9 +87,8 @@ def test_setup_without_python_312_says_what_to_do(tmp_path: Path, found: str) ->
     scripts.mkdir()
     shutil.copy(ROOT / "scripts" / "setup.sh", scripts)
     done = subprocess.run(
-        [str(scripts / "setup.sh")],
-        env={"PATH": str(tools)}, capture_output=True, text=True, timeout=30,
-    )  # fmt: skip
+        [str(scripts / "setup.sh")], env={"PATH": str(tools)}, capture_output=True, text=True, timeout=30
+    )
     assert done.returncode == 1
     assert "minidual needs CPython 3.12" in done.stderr
     assert "PYTHON=/path/to/python3.12" in done.stderr
@@ -100,8 +100,10 @@ def test_a_missing_gl_library_is_named_with_its_packages() -> None:
     done = subprocess.run(
         [sys.executable, str(ROOT / "scripts" / "check_egl.py")],
         env={**os.environ, "MUJOCO_GL": "egl", "__EGL_VENDOR_LIBRARY_DIRS": "/nonexistent"},
-        capture_output=True, text=True, timeout=60,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
     assert done.returncode == 4
     assert "libegl1 libgl1-mesa-dri" in done.stderr
 

@@ -20,8 +20,11 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("wheel")
     subprocess.run(
         [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)],
-        cwd=ROOT, check=True, capture_output=True, timeout=120,
-    )  # fmt: skip
+        cwd=ROOT,
+        check=True,
+        capture_output=True,
+        timeout=120,
+    )
     (found,) = folder.glob("*.whl")
     return found
 
@@ -30,10 +33,23 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def site(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("site")
     subprocess.run(
-        [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--no-compile",
-         "--target", str(folder), str(wheel)],
-        check=True, capture_output=True, timeout=120,
-    )  # fmt: skip
+        [
+            sys.executable,
+            "-m",
+            "pip",
+            "install",
+            "--quiet",
+            "--no-deps",
+            "--no-index",
+            "--no-compile",
+            "--target",
+            str(folder),
+            str(wheel),
+        ],
+        check=True,
+        capture_output=True,
+        timeout=120,
+    )
     return folder
 
 
@@ -42,8 +58,12 @@ def run_installed(site: Path, cwd: Path, *words: str) -> str:
     environment = {**os.environ, "PYTHONPATH": str(site)}
     done = subprocess.run(
         [sys.executable, str(site / "bin" / "minidual"), *words],
-        cwd=cwd, env=environment, capture_output=True, text=True, timeout=120,
-    )  # fmt: skip
+        cwd=cwd,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -56,7 +76,7 @@ def test_every_data_file_of_the_package_is_in_the_wheel(wheel: Path) -> None:
         if path.is_file() and path.suffix != ".py" and path.parent.name != "__pycache__"
     ]
     assert any(name.startswith("minidual/configs/") for name in data)
-    assert any(name.startswith("minidual/report/templates/") for name in data)
+    assert any(name.startswith("minidual/show/report/templates/") for name in data)
     assert sorted(set(data) - shipped) == []
 
 

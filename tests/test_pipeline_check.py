@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from minidual.errors import DataError
-from minidual.pipeline.check import Check, format_number
+from minidual.gate.check import Check, format_number
 
 OPERATORS = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge, "==": operator.eq}
 finite = st.floats(allow_nan=False, allow_infinity=False, width=32)
@@ -46,14 +46,7 @@ def test_check_without_limit_neither_passes_nor_fails():
 
 @pytest.mark.parametrize(
     ("op", "observed", "margin"),
-    [
-        ("<", 0.7, 0.3),
-        ("<=", 1.2, -0.2),
-        (">", 1.5, 0.5),
-        (">=", 0.4, -0.6),
-        ("==", 1.25, -0.25),
-        ("==", 1, 0.0),
-    ],
+    [("<", 0.7, 0.3), ("<=", 1.2, -0.2), (">", 1.5, 0.5), (">=", 0.4, -0.6), ("==", 1.25, -0.25), ("==", 1, 0.0)],
 )
 def test_margin_is_positive_on_the_good_side(op, observed, margin):
     assert Check("x", observed, op, 1.0).margin == pytest.approx(margin)

@@ -86,7 +86,7 @@ def test_lock_is_not_inherited_by_forked_children(bench, tmp_path):
     script = (
         "import os, sys, time\n"
         "from pathlib import Path\n"
-        "from minidual.pipeline.lock import run_lock\n"
+        "from minidual.gate.lock import run_lock\n"
         "ready, tell = os.pipe()\n"
         "with run_lock(Path(sys.argv[1]), 'parent'):\n"
         "    child = os.fork()\n"

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from minidual.config.loader import load_config
-from minidual.pipeline.canonical import canonical, digest
+from minidual.gate.canonical import canonical, digest
 from minidual.stages.registry import STAGES
 
 ORDER = ("env-check", "plan", "carry", "teleop-record", "train-act", "deploy", "benchmark", "report")

@@ -18,11 +18,11 @@ from minidual.errors import (
     NothingEvaluatedError,
     UsageError,
 )
-from minidual.pipeline.check import Check
-from minidual.pipeline.lock import run_lock
-from minidual.pipeline.runner import Runner, StageCrashedError
-from minidual.pipeline.stage import StageResult
-from minidual.pipeline.table import StageEntry, StageOption, StageTable
+from minidual.gate.check import Check
+from minidual.gate.lock import run_lock
+from minidual.gate.runner import Runner, StageCrashedError
+from minidual.gate.stage import StageResult
+from minidual.gate.table import StageEntry, StageOption, StageTable
 
 
 @pytest.fixture
@@ -39,9 +39,7 @@ def test_closed_gate_names_stage_check_and_command(bench):
     assert bench.runner().run("first").exit_code == ExitCode.ACCEPTANCE_FAILED
     with pytest.raises(GateClosedError) as caught:
         bench.runner().run("second")
-    assert (
-        caught.value.message == "the gate of second is closed: first failed: quality is 0.25 n, limit >= 1 n"
-    )
+    assert caught.value.message == "the gate of second is closed: first failed: quality is 0.25 n, limit >= 1 n"
     assert caught.value.remedy == "hold harder, then: minidual first"
     assert bench.second.contexts == []
 
@@ -104,9 +102,7 @@ def test_waiver_is_written_taints_all_below_and_closes_the_last_stage(bench):
     ]
     assert second.verdict.acceptance is False
     third = bench.runner().run("third")
-    assert third.verdict.waivers == second.verdict.waivers, (
-        "the taint is inherited without a waiver of its own"
-    )
+    assert third.verdict.waivers == second.verdict.waivers, "the taint is inherited without a waiver of its own"
     assert bench.third.contexts[-1].waivers == second.verdict.waivers
     assert third.exit_code == ExitCode.ACCEPTANCE_FAILED
     assert [check.name for check in third.verdict.failed_checks()] == ["gate.waivers"]
@@ -270,11 +266,7 @@ def test_run_until_stops_there(bench):
 def test_run_with_a_waiver_goes_on_past_a_failure(bench):
     bench.first.observed = 0.0
     outcomes = list(bench.runner().run_until(waiver="want the report"))
-    assert [o.exit_code for o in outcomes] == [
-        ExitCode.ACCEPTANCE_FAILED,
-        ExitCode.PASS,
-        ExitCode.ACCEPTANCE_FAILED,
-    ]
+    assert [o.exit_code for o in outcomes] == [ExitCode.ACCEPTANCE_FAILED, ExitCode.PASS, ExitCode.ACCEPTANCE_FAILED]
 
 
 def test_one_writer_at_a_time(bench):
@@ -297,9 +289,7 @@ def test_listed_artefacts_only(bench, monkeypatch):
 
 @pytest.mark.parametrize("name", ["never_written.h5", "../outside", "/etc/hostname"])
 def test_announced_artefacts_must_be_there(bench, monkeypatch, name):
-    monkeypatch.setattr(
-        bench.first, "run", lambda context: StageResult([Check("x", 1, "<", 2)], artefacts=[name])
-    )
+    monkeypatch.setattr(bench.first, "run", lambda context: StageResult([Check("x", 1, "<", 2)], artefacts=[name]))
     with pytest.raises(DataError, match="artefact"):
         bench.runner().run("first")
     assert bench.states()[0] == "error"

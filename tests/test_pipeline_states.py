@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from pipeline_toys import KNOB, Bench
 
-from minidual.pipeline.table import StageEntry, StageTable
+from minidual.gate.table import StageEntry, StageTable
 
 
 @pytest.fixture
@@ -89,11 +89,7 @@ def _same_size(path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("tamper", "reason"),
-    [
-        (_overwrite, "changed (was"),
-        (_same_size, "changed (same size, other content)"),
-        (Path.unlink, "is gone"),
-    ],
+    [(_overwrite, "changed (was"), (_same_size, "changed (same size, other content)"), (Path.unlink, "is gone")],
 )
 def test_tampering_with_an_artefact_is_stale(finished, tamper, reason):
     tamper(finished.store.folder / "first" / "out" / "numbers.txt")
@@ -157,7 +153,7 @@ def test_renaming_a_run_keeps_it_fresh(finished):
 
 def test_version_change_warns_and_stays_fresh(finished, monkeypatch):
     monkeypatch.setattr("minidual.__version__", "99.0")
-    from minidual.pipeline import fingerprint
+    from minidual.gate import fingerprint
 
     fingerprint._circumstances.cache_clear()
     try:

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from minidual.errors import DataError
-from minidual.pipeline.canonical import digest, dumps
-from minidual.pipeline.check import Check
-from minidual.pipeline.fingerprint import Fingerprint
-from minidual.pipeline.verdict import Verdict, Waiver, derive_status, read_verdict
+from minidual.gate.canonical import digest, dumps
+from minidual.gate.check import Check
+from minidual.gate.fingerprint import Fingerprint
+from minidual.gate.verdict import Verdict, Waiver, derive_status, read_verdict
 
 FINGERPRINT = Fingerprint(
     parameters={"a": {"b": 1}, "limits": [1.0, 2.0]},
@@ -31,9 +31,16 @@ FINGERPRINT = Fingerprint(
 
 def make_verdict(*checks: Check, **changes) -> Verdict:
     verdict = Verdict(
-        stage="carry", run="toys", fingerprint=FINGERPRINT, checks=checks, artefacts={}, acceptance_profile=True,
-        started_at="t0", finished_at="t1", duration_s=1.5,
-    )  # fmt: skip
+        stage="carry",
+        run="toys",
+        fingerprint=FINGERPRINT,
+        checks=checks,
+        artefacts={},
+        acceptance_profile=True,
+        started_at="t0",
+        finished_at="t1",
+        duration_s=1.5,
+    )
     return dataclasses.replace(verdict, **changes)
 
 
@@ -150,9 +157,7 @@ def test_differences_name_what_changed():
 
 
 def test_version_commit_machine_and_libraries_only_warn():
-    now = dataclasses.replace(
-        FINGERPRINT, version="1", commit="abc", machine={"cores": 4}, libraries={"numpy": "3"}
-    )
+    now = dataclasses.replace(FINGERPRINT, version="1", commit="abc", machine={"cores": 4}, libraries={"numpy": "3"})
     assert FINGERPRINT.differences(now) == []
     assert len(FINGERPRINT.circumstances(now)) == 4
 

@@ -5,9 +5,9 @@ import json
 
 import pytest
 
-from minidual.planning import acm
-from minidual.planning.acm import QUIET_DOUBLINGS, acm_report, build_acm
-from minidual.planning.links import arm_of
+from minidual.collision import acm
+from minidual.collision.acm import QUIET_DOUBLINGS, acm_report, build_acm
+from minidual.collision.links import arm_of
 
 
 @pytest.fixture(scope="module")

@@ -7,19 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from minidual.config.planning import PlannerConfig, PlannerName
-from minidual.errors import UsageError
-from minidual.planning.api import Planner, _Effort
-from minidual.planning.errors import (
+from minidual.collision.errors import (
     GoalInCollisionError,
     IKUnreachableError,
     NoPathInTimeError,
     OutOfLimitsError,
     StartInCollisionError,
 )
-from minidual.planning.scene import PlanningScene
-from minidual.planning.search import PLANNERS, require_planner
-from minidual.planning.shapes import Box, Sphere
+from minidual.collision.scene import PlanningScene
+from minidual.collision.shapes import Box, Sphere
+from minidual.config.planning import PlannerConfig, PlannerName
+from minidual.errors import UsageError
+from minidual.motion.api import Planner, _Effort
+from minidual.motion.search import PLANNERS, require_planner
 from minidual.robot.constants import GROUPS, HOME, Q_UPPER
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import pose, rot_x, rot_z
@@ -104,8 +104,7 @@ def test_start_in_collision_names_the_pair_and_the_depth(planner):
     start = HOME.copy()
     start[0], start[7] = -0.9, 0.9
     with pytest.raises(
-        StartInCollisionError,
-        match=r"start is in collision: left_panda_\w+ and right_panda_\w+ penetrate by [\d.]+ mm",
+        StartInCollisionError, match=r"start is in collision: left_panda_\w+ and right_panda_\w+ penetrate by [\d.]+ mm"
     ):
         planner.plan_to_joints("left_arm", start, HOME[:7])
 
@@ -123,9 +122,7 @@ def test_goal_in_collision_names_the_pair(planner):
 
 
 def test_unreachable_pose_names_the_residual(planner):
-    with pytest.raises(
-        IKUnreachableError, match=r"left hand cannot reach \(1.500, 0.000, 0.300\) m .* mm and"
-    ):
+    with pytest.raises(IKUnreachableError, match=r"left hand cannot reach \(1.500, 0.000, 0.300\) m .* mm and"):
         planner.plan_to_poses("left_arm", HOME, {"left": pose(DOWN, (1.5, 0.0, 0.3))})
 
 
@@ -177,11 +174,7 @@ def test_a_failed_proof_is_planned_again(post_planner, monkeypatch):
     def refuse_first(trajectory):
         calls.append(trajectory)
         report = verify(trajectory)
-        return (
-            report
-            if len(calls) > 1
-            else type(report)(**{**report.to_json(), "ok": False, "reason": "made up"})
-        )
+        return report if len(calls) > 1 else type(report)(**{**report.to_json(), "ok": False, "reason": "made up"})
 
     monkeypatch.setattr(verifier, "verify", refuse_first)
     result = post_planner.plan_to_joints("left_arm", beside_the_post(1), beside_the_post(-1), seed=3)
@@ -191,9 +184,7 @@ def test_a_failed_proof_is_planned_again(post_planner, monkeypatch):
         verifier, "verify", lambda t: type(r := verify(t))(**{**r.to_json(), "ok": False, "reason": "no"})
     )
     with pytest.raises(NoPathInTimeError, match="proof failed: no"):
-        post_planner.plan_to_joints(
-            "left_arm", beside_the_post(1), beside_the_post(1)[:7] + 0.1, budget_s=0.3
-        )
+        post_planner.plan_to_joints("left_arm", beside_the_post(1), beside_the_post(1)[:7] + 0.1, budget_s=0.3)
 
 
 def test_unknown_group_and_wrong_targets(planner):
@@ -220,9 +211,7 @@ def test_allowing_and_forbidding_a_pair_changes_what_plans(planner):
     result = planner.plan_to_joints("left_arm", start, HOME, scene=scene)
     assert result.verification.ok
     with pytest.raises(GoalInCollisionError, match="foam and left_panda_rightfinger"):
-        planner.plan_to_joints(
-            "left_arm", start, HOME, scene=scene.forbidding("left_panda_rightfinger", "foam")
-        )
+        planner.plan_to_joints("left_arm", start, HOME, scene=scene.forbidding("left_panda_rightfinger", "foam"))
 
 
 def test_forbidding_a_robot_pair_changes_what_plans(planner):
@@ -275,6 +264,4 @@ def test_patience_grows_up_to_a_bound():
     assert sizes[:3] == [3750, 5625, 8437]
     assert sizes == sorted(sizes)
     assert sizes[-1] == 10_000_000
-    assert (
-        _Effort(0.008, 0.05, 50_000_000).after_no_path().checks_n == 50_000_000
-    )  # never less than was asked for
+    assert _Effort(0.008, 0.05, 50_000_000).after_no_path().checks_n == 50_000_000  # never less than was asked for

@@ -4,19 +4,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from minidual.collision.errors import ClosedChainError, OutOfLimitsError
+from minidual.collision.scene import PlanningScene
+from minidual.collision.shapes import Box, Capsule
 from minidual.errors import UsageError
-from minidual.planning.api import Planner
-from minidual.planning.closed_chain import (
-    CarriedPlanner,
-    ObjectLimits,
-    grasp_of,
-    plan_carried_object,
-    scene_holding,
-)
-from minidual.planning.errors import ClosedChainError, OutOfLimitsError
-from minidual.planning.object_path import ObjectPath
-from minidual.planning.scene import PlanningScene
-from minidual.planning.shapes import Box, Capsule
+from minidual.motion.api import Planner
+from minidual.motion.closed_chain import CarriedPlanner, ObjectLimits, grasp_of, plan_carried_object, scene_holding
+from minidual.motion.object_path import ObjectPath
 from minidual.robot.constants import A_MAX, HOME, V_MAX
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse, pose, rot_x, rot_z
@@ -50,9 +44,7 @@ def waypoints():
 
 @pytest.fixture(scope="module")
 def carried(q_start, waypoints):
-    return CarriedPlanner().plan(
-        q_start, waypoints, *GRASPS, scene=scene_holding(PlanningScene(), ROD, GRASPS[0])
-    )
+    return CarriedPlanner().plan(q_start, waypoints, *GRASPS, scene=scene_holding(PlanningScene(), ROD, GRASPS[0]))
 
 
 def test_grasps_hold_on_a_much_finer_grid_than_was_solved(carried):

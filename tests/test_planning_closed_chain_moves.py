@@ -7,14 +7,7 @@ import time
 import numpy as np
 import pytest
 
-from minidual.config.held_moves import HeldMovesConfig
-from minidual.config.planning import PlanConfig
-from minidual.config.scene import RodConfig, SceneConfig
-from minidual.errors import UsageError
-from minidual.planning.closed_chain import scene_holding
-from minidual.planning.constrained_search import search_manifold
-from minidual.planning.edges import EdgeChecker
-from minidual.planning.errors import (
+from minidual.collision.errors import (
     ClosedChainError,
     GoalInCollisionError,
     IKUnreachableError,
@@ -22,23 +15,30 @@ from minidual.planning.errors import (
     PlanningError,
     StartInCollisionError,
 )
-from minidual.planning.evaluate_carries import plan_move, run_moves, table_plans, timed_residual
-from minidual.planning.grasp_constraint import GraspConstraint
-from minidual.planning.hands_ik import HandsIK, off_limits
-from minidual.planning.held_moves import HeldMoveGenerator, rod_grasps, rod_shape
-from minidual.planning.held_planner import HeldPlanner
-from minidual.planning.held_query import HeldQuery
-from minidual.planning.held_search import search_object, shorten
-from minidual.planning.held_space import HeldSpace, Q, X
-from minidual.planning.object_path import ObjectChart, ObjectPath
-from minidual.planning.scene import PlanningScene
-from minidual.planning.shapes import Box
+from minidual.collision.scene import PlanningScene
+from minidual.collision.shapes import Box
+from minidual.config.held_moves import HeldMovesConfig
+from minidual.config.planning import PlanConfig
+from minidual.config.scene import RodConfig, SceneConfig
+from minidual.errors import UsageError
+from minidual.motion.closed_chain import scene_holding
+from minidual.motion.constrained_search import search_manifold
+from minidual.motion.edges import EdgeChecker
+from minidual.motion.grasp_constraint import GraspConstraint
+from minidual.motion.hands_ik import HandsIK, off_limits
+from minidual.motion.held_planner import HeldPlanner
+from minidual.motion.held_query import HeldQuery
+from minidual.motion.held_search import search_object, shorten
+from minidual.motion.held_space import HeldSpace, Q, X
+from minidual.motion.object_path import ObjectChart, ObjectPath
+from minidual.plant.world import World
 from minidual.robot.constants import HOME, Q_LOWER, Q_UPPER
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse, pose, rot_x, rot_z
-from minidual.sim.world import World
+from minidual.skills.held_execution import deviation, execute
 from minidual.stages.plan_held import HeldResults, held_checks, held_notes
-from minidual.tasks.held_execution import deviation, execute
+from minidual.trials.planning.evaluate_carries import plan_move, run_moves, table_plans, timed_residual
+from minidual.trials.planning.held_moves import HeldMoveGenerator, rod_grasps, rod_shape
 
 GRASPS = rod_grasps(RodConfig())
 ROD = rod_shape(RodConfig())
@@ -118,9 +118,7 @@ def test_hands_keep_their_grasps_at_1_khz_and_between(over_the_wall, q_start):
     # Negative control: a hand that turns by 2 mrad is seen.
     bent = over_the_wall.q.copy()
     bent[len(bent) // 2, 13] += 2e-3
-    assert (
-        timed_residual(dataclasses.replace(over_the_wall, q=bent), query(q_start), Kinematics())[1] > 1.9e-3
-    )
+    assert timed_residual(dataclasses.replace(over_the_wall, q=bent), query(q_start), Kinematics())[1] > 1.9e-3
 
 
 def test_same_query_same_bytes(planner, over_the_wall, q_start):
@@ -234,9 +232,7 @@ def test_a_witness_that_passes_through_things_is_refused(planner, q_start):
     path = ObjectPath([START, GOAL])
     followed, _ = hands.follow(path.poses(np.linspace(0.0, path.length, 60)), q_start)
     chart = ObjectChart(START[:3, :3])
-    points = np.array(
-        [np.concatenate([chart.coordinates(T), q]) for T, q in ((START, q_start), (GOAL, followed[-1]))]
-    )
+    points = np.array([np.concatenate([chart.coordinates(T), q]) for T, q in ((START, q_start), (GOAL, followed[-1]))])
     assert planner.prove(query(q_start), points).verification.ok
     with pytest.raises(ClosedChainError, match=r"not free: .*wall"):
         planner.prove(query(q_start, obstacles=(WALL,)), points)
@@ -306,13 +302,12 @@ def test_every_check_can_fail(outcomes, driven):
     assert names(runs=[lost, executions[1]]) == {"closed_chain.executed_error_max_m"}
     assert names(runs=executions[:1]) == {"closed_chain.driven_n"}
     assert names(runs=[]) == {
-        "closed_chain.driven_n", "closed_chain.executed_error_max_m", "closed_chain.executed_error_max_rad"
-    }  # fmt: skip
-    nothing = [failed]
-    assert names(first=nothing, second=nothing) >= {
-        "closed_chain.residual_max_m",
-        "closed_chain.success_rate",
+        "closed_chain.driven_n",
+        "closed_chain.executed_error_max_m",
+        "closed_chain.executed_error_max_rad",
     }
+    nothing = [failed]
+    assert names(first=nothing, second=nothing) >= {"closed_chain.residual_max_m", "closed_chain.success_rate"}
 
 
 def test_moves_that_cannot_be_made_are_told_and_do_not_end_the_stage(monkeypatch):
@@ -340,13 +335,7 @@ def test_one_bad_goal_does_not_stop_the_search_of_the_others(planner, q_start, m
     asked = query(q_start)
     end = planner.plan(asked).q[-1]
     checker = EdgeChecker(planner.engines(asked.scene), 0.0, (q_start, end), 0.05)
-    given = {
-        "space": "projected",
-        "box_rad": 0.7,
-        "seed": 1,
-        "checks_max": 4000,
-        "deadline": time.perf_counter() + 20,
-    }
+    given = {"space": "projected", "box_rad": 0.7, "seed": 1, "checks_max": 4000, "deadline": time.perf_counter() + 20}
     draws = np.random.default_rng(0).uniform(Q_LOWER, Q_UPPER, (500, 14))
     bad = next(q for q in draws if constraint.project(q) is None)
     assert search_manifold(constraint, checker, q_start, [bad], **given) is None

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from minidual.cli import run_command_line
-from minidual.planning.api import Planner
-from minidual.planning.scene import PlanningScene
-from minidual.planning.shapes import Box, Capsule, Cylinder, Mesh, Sphere
-from minidual.planning.show import Poser, plan_preview, play, scene_model, tcp_paths
-from minidual.planning.trajectory import Trajectory
-from minidual.planning.verify import CLEARANCE_MAX_M
+from minidual.collision.scene import PlanningScene
+from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, Sphere
+from minidual.motion.api import Planner
+from minidual.proof.verify import CLEARANCE_MAX_M
 from minidual.robot.constants import HOME, JOINT_NAMES
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.trajectory import Trajectory
+from minidual.show.planning import Poser, plan_preview, play, scene_model, tcp_paths
 from minidual.stages.plan_once import _clearance
 from minidual.stages.registry import STAGES
 
@@ -37,8 +37,8 @@ def run(tmp_path, capsys):
 
 def test_a_plan_prints_its_summary_and_writes_its_files(run, tmp_path):
     code, out, err = run(
-        "--group", "both_arms", "--to", "ready", "--out", tmp_path / "t.json", "--csv", tmp_path / "t.csv",
-    )  # fmt: skip
+        "--group", "both_arms", "--to", "ready", "--out", tmp_path / "t.json", "--csv", tmp_path / "t.csv"
+    )
     assert code == 0
     for word in ("both_arms to ready", "phases [ms]", "clearance", "of limits", "velocity", "joint margin"):
         assert word in out
@@ -59,8 +59,17 @@ def test_a_plan_prints_its_summary_and_writes_its_files(run, tmp_path):
 
 
 def test_the_same_seed_gives_the_same_plan(run):
-    words = ("--scene", EXAMPLES / "bench-scene.yaml", "--group", "left_arm", "--from", EXAMPLES / "beside-post.yaml",
-             "--to", "ready", "--json")  # fmt: skip
+    words = (
+        "--scene",
+        EXAMPLES / "bench-scene.yaml",
+        "--group",
+        "left_arm",
+        "--from",
+        EXAMPLES / "beside-post.yaml",
+        "--to",
+        "ready",
+        "--json",
+    )
     digests = {json.loads(run(*words, "--seed", seed)[1])["digest"] for seed in (1, 1)}
     assert len(digests) == 1
 
@@ -156,16 +165,7 @@ def test_no_path_within_the_budget_ends_with_1(run, tmp_path):
         starts[name] = tmp_path / f"{name}.yaml"
         starts[name].write_text(f"joints_by_name_rad: {{left_panda_joint1: {turn}}}\n")
     code, out, err = run(
-        "--scene",
-        scene,
-        "--group",
-        "left_arm",
-        "--from",
-        starts["a"],
-        "--to",
-        starts["b"],
-        "--budget-s",
-        0.001,
+        "--scene", scene, "--group", "left_arm", "--from", starts["a"], "--to", starts["b"], "--budget-s", 0.001
     )
     assert code == 1
     assert "no proven path for left_arm in 0.00 s" in out
@@ -175,9 +175,7 @@ def test_no_path_within_the_budget_ends_with_1(run, tmp_path):
 def test_acm_prints_pairs_and_reasons(run, tmp_path):
     code, out, err = run("--acm")
     assert code == 0
-    assert any(
-        line.split()[:3] == ["left_panda_link5", "left_panda_link6", "adjacent"] for line in out.splitlines()
-    )
+    assert any(line.split()[:3] == ["left_panda_link5", "left_panda_link6", "adjacent"] for line in out.splitlines())
     assert "pairs of different arms always are" in err
     assert "converged" in err
     document = json.loads(run("--acm", "--json")[1])
@@ -209,9 +207,12 @@ def swing():
 @pytest.fixture(scope="module")
 def furnished():
     return PlanningScene().with_obstacles(
-        Box("b", (0.6, 0, 0.1), size_m=(0.1, 0.1, 0.2)), Cylinder("c", (0.6, 0.3, 0.1)), Capsule("k", (0.6, -0.3, 0.2)),
-        Sphere("s", (0.8, 0, 0.3)), Mesh("m", (0.8, 0.3, 0.1), pieces=((0.1 * np.eye(4, 3)).tobytes(),)),
-    )  # fmt: skip
+        Box("b", (0.6, 0, 0.1), size_m=(0.1, 0.1, 0.2)),
+        Cylinder("c", (0.6, 0.3, 0.1)),
+        Capsule("k", (0.6, -0.3, 0.2)),
+        Sphere("s", (0.8, 0, 0.3)),
+        Mesh("m", (0.8, 0.3, 0.1), pieces=((0.1 * np.eye(4, 3)).tobytes(),)),
+    )
 
 
 def test_what_is_shown_is_where_the_plan_says(scene, furnished, swing):
@@ -265,9 +266,17 @@ def test_a_view_plays_the_plan_and_ends(scene, swing):
 
 def test_a_picture_is_drawn(run, tmp_path):
     code, _, _ = run(
-        "--scene", EXAMPLES / "bench-scene.yaml", "--group", "left_arm", "--from", EXAMPLES / "beside-post.yaml",
-        "--to", "ready", "--picture", tmp_path / "p.png",
-    )  # fmt: skip
+        "--scene",
+        EXAMPLES / "bench-scene.yaml",
+        "--group",
+        "left_arm",
+        "--from",
+        EXAMPLES / "beside-post.yaml",
+        "--to",
+        "ready",
+        "--picture",
+        tmp_path / "p.png",
+    )
     assert code == 0
     from matplotlib.image import imread
 

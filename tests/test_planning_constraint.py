@@ -6,22 +6,22 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from minidual.collision.errors import ClosedChainError
+from minidual.collision.scene import PlanningScene
+from minidual.collision.shapes import Box
 from minidual.config.scene import RodConfig
 from minidual.errors import UsageError
-from minidual.planning.closed_chain import scene_holding
-from minidual.planning.constrained_search import SPACES, OmplGraspConstraint, search_manifold
-from minidual.planning.edges import EdgeChecker
-from minidual.planning.errors import ClosedChainError
-from minidual.planning.grasp_constraint import GraspConstraint
-from minidual.planning.hands_ik import HandsIK
-from minidual.planning.held_moves import rod_grasps, rod_shape
-from minidual.planning.object_path import ObjectPath
-from minidual.planning.scene import PlanningScene
-from minidual.planning.scene_engines import SceneEngines
-from minidual.planning.shapes import Box
+from minidual.motion.closed_chain import scene_holding
+from minidual.motion.constrained_search import SPACES, OmplGraspConstraint, search_manifold
+from minidual.motion.edges import EdgeChecker
+from minidual.motion.grasp_constraint import GraspConstraint
+from minidual.motion.hands_ik import HandsIK
+from minidual.motion.object_path import ObjectPath
+from minidual.proof.scene_engines import SceneEngines
 from minidual.robot.constants import HOME, Q_LOWER, Q_UPPER
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse, pose, rot_z
+from minidual.trials.planning.held_moves import rod_grasps, rod_shape
 
 GRASPS = rod_grasps(RodConfig())
 T_LEFT_RIGHT = inverse(GRASPS[0]) @ GRASPS[1]
@@ -118,9 +118,7 @@ def test_projection_works_round_a_joint_at_its_limit(constraint, q_held):
 def test_a_relative_pose_that_cannot_be_kept_is_named():
     apart = GraspConstraint(pose(np.eye(3), (0.0, 3.0, 0.0)))
     assert apart.project(HOME) is None
-    with pytest.raises(
-        ClosedChainError, match=r"goal cannot keep the relative pose.* \d+\.\d\d mm and \d\.\d+ rad"
-    ):
+    with pytest.raises(ClosedChainError, match=r"goal cannot keep the relative pose.* \d+\.\d\d mm and \d\.\d+ rad"):
         apart.require(HOME, "goal")
     with pytest.raises(UsageError, match="relative pose of the hands holds a value that is not finite"):
         GraspConstraint(np.full((4, 4), np.nan))
@@ -163,9 +161,16 @@ def test_ompl_plans_on_the_manifold(constraint, q_held, move, space):
     for seed in (1, 2):
         checker = EdgeChecker(engine, 0.0, (q_held, q_goal), 0.03)
         path = search_manifold(
-            constraint, checker, q_held, [q_goal], space=space, box_rad=0.7, seed=seed,
-            checks_max=20_000, deadline=time.perf_counter() + 60.0,
-        )  # fmt: skip
+            constraint,
+            checker,
+            q_held,
+            [q_goal],
+            space=space,
+            box_rad=0.7,
+            seed=seed,
+            checks_max=20_000,
+            deadline=time.perf_counter() + 60.0,
+        )
         assert path is not None
         assert np.abs(path[0] - q_held).max() < 1e-6
         assert np.abs(path[-1] - q_goal).max() < 1e-6
@@ -186,19 +191,18 @@ def test_ompl_gives_up_and_says_so(constraint, q_held, move):
     engine = SceneEngines(scene)
     checker = EdgeChecker(engine, 0.0, (), 0.03)
     found = search_manifold(
-        constraint, checker, q_held, [q_goal], space="atlas", box_rad=0.7, seed=1, checks_max=300,
+        constraint,
+        checker,
+        q_held,
+        [q_goal],
+        space="atlas",
+        box_rad=0.7,
+        seed=1,
+        checks_max=300,
         deadline=time.perf_counter() + 30.0,
-    )  # fmt: skip
+    )
     assert found is None
     with pytest.raises(UsageError, match="no constrained space 'tangent'"):
         search_manifold(
-            constraint,
-            checker,
-            q_held,
-            [q_goal],
-            space="tangent",
-            box_rad=0.7,
-            seed=1,
-            checks_max=1,
-            deadline=0.0,
+            constraint, checker, q_held, [q_goal], space="tangent", box_rad=0.7, seed=1, checks_max=1, deadline=0.0
         )

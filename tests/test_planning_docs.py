@@ -23,9 +23,7 @@ def test_the_examples_run(name, capsys):
     if name == "planning-scenes.md":
         assert names["plan"].verification.ok
     else:
-        assert (
-            np.abs(names["solution"].states[-1].T_world_object - names["goal"].T_world_object).max() < 1e-12
-        )
+        assert np.abs(names["solution"].states[-1].T_world_object - names["goal"].T_world_object).max() < 1e-12
         assert "carry the rod: solved" in capsys.readouterr().out
 
 

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from planning_oracles import CoalDistances, states
 
-from minidual.planning import planes
-from minidual.planning.coal_engine import CoalEngine
-from minidual.planning.edges import EdgeChecker, bisection_order
-from minidual.planning.mujoco_engine import MujocoEngine
-from minidual.planning.reach import Reaches
-from minidual.planning.scene import Attached, PlanningScene
-from minidual.planning.scene_engines import SceneEngines
-from minidual.planning.shapes import Box, Capsule, Cylinder, Sphere
+from minidual.collision.coal_engine import CoalEngine
+from minidual.collision.mujoco_engine import MujocoEngine
+from minidual.collision.scene import Attached, PlanningScene
+from minidual.collision.shapes import Box, Capsule, Cylinder, Sphere
+from minidual.motion.edges import EdgeChecker, bisection_order
+from minidual.proof import planes
+from minidual.proof.reach import Reaches
+from minidual.proof.scene_engines import SceneEngines
 from minidual.robot.constants import HOME
 from minidual.robot.kinematics import Kinematics
 
@@ -96,9 +96,7 @@ def test_bisection_order_holds_every_fraction_once(count):
 def test_padding_is_kept_and_relaxes_at_a_tight_start():
     """A start 2 mm from a box: with full padding it could never be left."""
     plain = MujocoEngine(PlanningScene())
-    finger_z = min(
-        p.distance_m for p in plain.closest(HOME, 1.0) if "finger" in p.first and p.second == "table"
-    )
+    finger_z = min(p.distance_m for p in plain.closest(HOME, 1.0) if "finger" in p.first and p.second == "table")
     x, y, _ = Kinematics().tcp_poses(HOME)[0][:3, 3]
     top = finger_z - 0.002
     scene = PlanningScene().with_obstacles(Box("block", (x, y, 0.5 * top), size_m=(0.2, 0.2, top)))
@@ -152,8 +150,13 @@ def test_no_part_reaches_farther_than_its_reach(scene, engines):
     coal = engines[1]
     reaches = Reaches(scene, coal)
     assert set(reaches.parts) == {n for n in scene.names if scene.moving_joints(n) != slice(7, 7)} - {
-        "table", "box", "cylinder", "capsule", "sphere", "left_panda_link0",
-    }  # fmt: skip
+        "table",
+        "box",
+        "cylinder",
+        "capsule",
+        "sphere",
+        "left_panda_link0",
+    }
     solids = SceneEngines(scene).solids
     _, vertices, shapes, parts, _ = solids.geometry
     rows = {name: k for k, name in enumerate(scene.names)}

@@ -8,20 +8,20 @@ import pinocchio as pin
 import pytest
 from scipy.interpolate import PPoly
 
+from minidual.collision.errors import TimingError
 from minidual.errors import DataError
-from minidual.planning import extremes as loops
-from minidual.planning import timing
-from minidual.planning.blend import rounded
-from minidual.planning.dynamics import torques
-from minidual.planning.errors import TimingError
-from minidual.planning.extremes import extremes, largest, motion_peaks
-from minidual.planning.limits import _acceleration_misfit, _velocity_misfit, limit_use
-from minidual.planning.rnea import LANES, arm_torques, link_table
-from minidual.planning.smooth_path import SmoothPath
-from minidual.planning.timing import MotionLimits, drive, sample_parameters, time_path
-from minidual.planning.trajectory import Trajectory
+from minidual.motion import timing
+from minidual.motion.blend import rounded
+from minidual.motion.smooth_path import SmoothPath
+from minidual.motion.timing import MotionLimits, drive, sample_parameters, time_path
+from minidual.proof import extremes as loops
+from minidual.proof.dynamics import torques
+from minidual.proof.extremes import extremes, largest, motion_peaks
+from minidual.proof.limits import _acceleration_misfit, _velocity_misfit, limit_use
+from minidual.proof.rnea import LANES, arm_torques, link_table
 from minidual.robot.constants import GROUPS, HOME, Q_LOWER, Q_UPPER
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.trajectory import Trajectory
 
 H = 0.001
 
@@ -117,9 +117,7 @@ def wave(n=201, fastest=40.0):
     rng = np.random.default_rng(3)
     w, size, phase = rng.uniform(1.0, fastest, 14), rng.uniform(0.01, 0.2, 14), rng.uniform(0.0, 6.0, 14)
     q = HOME + size * np.sin(w * t + phase)
-    return Trajectory(
-        t[:, 0], q, size * w * np.cos(w * t + phase), -size * w**2 * np.sin(w * t + phase), "both_arms"
-    )
+    return Trajectory(t[:, 0], q, size * w * np.cos(w * t + phase), -size * w**2 * np.sin(w * t + phase), "both_arms")
 
 
 @pytest.mark.parametrize("n", [2, 3, 8, 9, 10, 17, 201])
@@ -236,9 +234,7 @@ def by_arrays(s, sd, smoothing_s):
         acceleration[-1] = 0.0
     out = []
     for values, at_end in ((position, s[-1]), (speed, 0.0), (acceleration, 0.0)):
-        shifted = [
-            np.concatenate([np.zeros(k), values, np.full(copies - 1 - k, at_end)]) for k in range(copies)
-        ]
+        shifted = [np.concatenate([np.zeros(k), values, np.full(copies - 1 - k, at_end)]) for k in range(copies)]
         out.append(np.mean(shifted, axis=0))
     return out
 

@@ -6,27 +6,21 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from minidual.collision.errors import IKUnreachableError, LinearMoveError, OutOfLimitsError
+from minidual.collision.mujoco_engine import MujocoEngine
+from minidual.collision.scene import PlanningScene
+from minidual.collision.shapes import Box
 from minidual.config.planning import PlannerConfig
-from minidual.config.semantics import (
-    ChainConfig,
-    EndEffectorConfig,
-    GroupConfig,
-    NamedStateConfig,
-    SemanticsConfig,
-)
+from minidual.config.semantics import ChainConfig, EndEffectorConfig, GroupConfig, NamedStateConfig, SemanticsConfig
 from minidual.errors import ConfigError, DataError, MinidualError, UsageError
-from minidual.planning.api import Planner
-from minidual.planning.errors import IKUnreachableError, LinearMoveError, OutOfLimitsError
-from minidual.planning.goal_file import goal_of, load_goal
-from minidual.planning.goal_plan import GoalPlanner
-from minidual.planning.goal_types import JointGoal, PoseGoal, RelativeGoal, StateGoal, TipOffset, TipPose
-from minidual.planning.linear import Line, LinearPlanner
-from minidual.planning.mujoco_engine import MujocoEngine
-from minidual.planning.scene import PlanningScene
-from minidual.planning.semantics import Semantics
-from minidual.planning.shapes import Box
-from minidual.planning.timing import MotionLimits
-from minidual.planning.verify import Verifier
+from minidual.motion.api import Planner
+from minidual.motion.goal_file import goal_of, load_goal
+from minidual.motion.goal_plan import GoalPlanner
+from minidual.motion.goal_types import JointGoal, PoseGoal, RelativeGoal, StateGoal, TipOffset, TipPose
+from minidual.motion.linear import Line, LinearPlanner
+from minidual.motion.semantics import Semantics
+from minidual.motion.timing import MotionLimits
+from minidual.proof.verify import Verifier
 from minidual.robot.constants import GROUPS, HOME, JOINT_NAMES, Q_LOWER, Q_UPPER
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import pose, rot_x
@@ -63,9 +57,7 @@ def test_every_named_state_is_inside_the_limits_and_free():
 def test_the_groups_are_those_of_the_planner():
     assert {name: tuple(JOINT_NAMES[rows]) for name, rows in GROUPS.items()} == Semantics().groups
     hands = Semantics().end_effectors
-    assert {h.arm: h.tcp_link for h in hands.values()} == {
-        a: f"{a}_panda_hand_tcp" for a in ("left", "right")
-    }
+    assert {h.arm: h.tcp_link for h in hands.values()} == {a: f"{a}_panda_hand_tcp" for a in ("left", "right")}
 
 
 def test_a_state_of_one_arm_leaves_the_other(planner):
@@ -87,32 +79,60 @@ def test_a_state_of_one_arm_leaves_the_other(planner):
         ({"states": {"x": NamedStateConfig(right_rad=(0.0,) * 7)}}, r"right_panda_joint4 = 0.0000 rad; its limits"),
         ({"groups": {"left_arm": SemanticsConfig().groups["left_arm"]}}, "the planner has left_arm, right_arm"),
         (
-            {"groups": {**SemanticsConfig().groups, "left_arm": GroupConfig(chains=(
-                ChainConfig(base_link="left_panda_link0", tip_link="left_panda_link3"),))}},
+            {
+                "groups": {
+                    **SemanticsConfig().groups,
+                    "left_arm": GroupConfig(
+                        chains=(ChainConfig(base_link="left_panda_link0", tip_link="left_panda_link3"),)
+                    ),
+                }
+            },
             "its chains hold 3 joints",
         ),
         (
-            {"groups": {**SemanticsConfig().groups, "left_arm": GroupConfig(chains=(
-                ChainConfig(base_link="left_panda_lnk0", tip_link="left_panda_link3"),))}},
+            {
+                "groups": {
+                    **SemanticsConfig().groups,
+                    "left_arm": GroupConfig(
+                        chains=(ChainConfig(base_link="left_panda_lnk0", tip_link="left_panda_link3"),)
+                    ),
+                }
+            },
             "no link 'left_panda_lnk0'",
         ),
         (
-            {"groups": {**SemanticsConfig().groups, "left_arm": GroupConfig(chains=(
-                ChainConfig(base_link="right_panda_link0", tip_link="left_panda_link3"),))}},
+            {
+                "groups": {
+                    **SemanticsConfig().groups,
+                    "left_arm": GroupConfig(
+                        chains=(ChainConfig(base_link="right_panda_link0", tip_link="left_panda_link3"),)
+                    ),
+                }
+            },
             "left_panda_link3 does not hang on right_panda_link0",
         ),
         (
-            {"end_effectors": {"h": EndEffectorConfig(
-                group="left_arm", parent_link="right_panda_hand", tcp_link="left_panda_hand_tcp")}},
+            {
+                "end_effectors": {
+                    "h": EndEffectorConfig(
+                        group="left_arm", parent_link="right_panda_hand", tcp_link="left_panda_hand_tcp"
+                    )
+                }
+            },
             "does not hang on right_panda_hand",
         ),
         (
-            {"end_effectors": {"h": EndEffectorConfig(
-                group="both_arms", parent_link="left_panda_hand", tcp_link="left_panda_hand_tcp")}},
+            {
+                "end_effectors": {
+                    "h": EndEffectorConfig(
+                        group="both_arms", parent_link="left_panda_hand", tcp_link="left_panda_hand_tcp"
+                    )
+                }
+            },
             "a hand belongs to left_arm or right_arm",
         ),
     ],
-)  # fmt: skip
+)
 def test_semantics_that_do_not_fit_the_robot_are_refused(change, says):
     with pytest.raises(ConfigError, match=says):
         Semantics(SemanticsConfig(**change))
@@ -174,24 +194,14 @@ def test_some_joints_by_name(planner):
         ("left_arms", StateGoal("ready"), UsageError, "no group 'left_arms'"),
         ("left_arm", JointGoal({"left_panda_joint9": 0.1}), UsageError, "no joint 'left_panda_joint9'"),
         ("left_arm", JointGoal({"right_panda_joint1": 0.1}), UsageError, "moves joints outside left_arm"),
-        (
-            "left_arm",
-            JointGoal({"left_panda_joint4": 0.5}),
-            OutOfLimitsError,
-            "left_panda_joint4 = 0.5000 rad",
-        ),
+        ("left_arm", JointGoal({"left_panda_joint4": 0.5}), OutOfLimitsError, "left_panda_joint4 = 0.5000 rad"),
         ("left_arm", JointGoal((float("nan"),) * 7), OutOfLimitsError, "left_panda_joint1 = nan"),
         ("left_arm", JointGoal((0.0,) * 5), OutOfLimitsError, r"shape \(5,\)"),
         ("left_arm", PoseGoal({"left": TipPose((0.5, float("nan"), 0.3))}), UsageError, "not finite"),
         ("left_arm", PoseGoal({"right": TipPose((0.5, 0.0, 0.3))}), UsageError, "left_arm moves left only"),
         ("left_arm", PoseGoal({"middle": TipPose((0.5, 0.0, 0.3))}), UsageError, "no arm 'middle'"),
         ("left_arm", PoseGoal({}), UsageError, "names no hand; left_arm has left"),
-        (
-            "left_arm",
-            PoseGoal({"left": TipPose((1.5, 0.0, 0.3))}),
-            IKUnreachableError,
-            r"cannot reach \(1.500",
-        ),
+        ("left_arm", PoseGoal({"left": TipPose((1.5, 0.0, 0.3))}), IKUnreachableError, r"cannot reach \(1.500"),
         ("left_arm", RelativeGoal({"left": TipOffset((float("inf"), 0, 0))}), UsageError, "not finite"),
         ("left_arm", RelativeGoal({"left": TipOffset()}, "tool"), UsageError, "no frame for offsets 'tool'"),
     ],
@@ -205,17 +215,14 @@ def test_bad_goals_are_named(planner, group, goal, kind, says):
 def test_a_straight_move_is_straight(planner, ready):
     """Oracle: forward kinematics at random times against the line and the turn about one axis."""
     goal = RelativeGoal(
-        {"left": TipOffset((0.1, 0.05, -0.12), (0.0, 0.3, 0.5)), "right": TipOffset((0, 0, -0.1))},
-        linear=True,
+        {"left": TipOffset((0.1, 0.05, -0.12), (0.0, 0.3, 0.5)), "right": TipOffset((0, 0, -0.1))}, linear=True
     )
     move = planner.linear_move("both_arms", ready, planner.resolve("both_arms", ready, goal))
     assert move.fraction == 1.0
     assert move.reason == ""
     assert move.verification.ok
     before, targets = tips(ready), planner.resolve("both_arms", ready, goal).targets
-    Q, _, _ = move.trajectory.sample_many(
-        np.random.default_rng(0).uniform(0, move.trajectory.duration_s, 300)
-    )
+    Q, _, _ = move.trajectory.sample_many(np.random.default_rng(0).uniform(0, move.trajectory.duration_s, 300))
     for arm in ("left", "right"):
         line = Line(before[arm], targets[arm])
         shift = targets[arm][:3, 3] - before[arm][:3, 3]
@@ -226,18 +233,13 @@ def test_a_straight_move_is_straight(planner, ready):
             assert distance < 2e-4
             assert angle < 3e-3
         assert np.abs(tips(move.trajectory.q[-1])[arm] - targets[arm]).max() < 1e-5
-    speeds = (
-        np.linalg.norm(np.diff([tips(q)["left"][:3, 3] for q in move.trajectory.q[::10]], axis=0), axis=1)
-        / 0.01
-    )
+    speeds = np.linalg.norm(np.diff([tips(q)["left"][:3, 3] for q in move.trajectory.q[::10]], axis=0), axis=1) / 0.01
     assert speeds.max() < 0.26
 
 
 def test_a_straight_move_tells_how_far_it_goes_and_why(planner, ready):
     into_table = RelativeGoal({"left": TipOffset((0, 0, -0.5))}, linear=True)
-    with pytest.raises(
-        LinearMoveError, match=r"ends at 4\d.\d% of the way .*collision: .*finger and table"
-    ) as caught:
+    with pytest.raises(LinearMoveError, match=r"ends at 4\d.\d% of the way .*collision: .*finger and table") as caught:
         planner.plan("left_arm", ready, into_table)
     assert caught.value.reason == "linear_blocked"
     part = RelativeGoal({"left": TipOffset((0, 0, -0.5))}, linear=True, fraction_min=0.3)

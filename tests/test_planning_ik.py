@@ -4,10 +4,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from minidual.collision.errors import IKUnreachableError
 from minidual.errors import UsageError
-from minidual.planning.errors import IKUnreachableError
-from minidual.planning.ik import ArmIK, check_pose
-from minidual.planning.ik_descent import frames_of_arm
+from minidual.motion.ik import ArmIK, check_pose
+from minidual.motion.ik_descent import frames_of_arm
 from minidual.robot.constants import GROUPS, HOME
 from minidual.robot.kinematics import Kinematics
 
@@ -54,9 +54,7 @@ def test_jacobian_is_the_derivative_of_the_error(solver):
         for j in range(7):
             d = np.zeros(7)
             d[j] = h
-            numeric[:, j] = (
-                solver.error_and_jacobian(q + d, T)[0] - solver.error_and_jacobian(q - d, T)[0]
-            ) / (2 * h)
+            numeric[:, j] = (solver.error_and_jacobian(q + d, T)[0] - solver.error_and_jacobian(q - d, T)[0]) / (2 * h)
         assert np.abs(J - numeric).max() < 1e-5
 
 
@@ -72,9 +70,7 @@ def test_solutions_differ_and_repeat(solver):
 def test_unreachable_pose_names_the_residual(solver):
     T = solver.tcp_pose(HOME[GROUPS[f"{solver.arm}_arm"]])
     T[0, 3] += 1.0
-    with pytest.raises(
-        IKUnreachableError, match=rf"{solver.arm} hand cannot reach .* mm and .* rad away"
-    ) as caught:
+    with pytest.raises(IKUnreachableError, match=rf"{solver.arm} hand cannot reach .* mm and .* rad away") as caught:
         list(solver.solutions(T, np.zeros(7), np.random.default_rng(7), 5))
     assert caught.value.reason == "ik_unreachable"
     away_mm = float(caught.value.message.split("stays ")[1].split(" mm")[0])

@@ -7,19 +7,19 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from minidual.collision.errors import TimingError
+from minidual.collision.scene import PlanningScene
+from minidual.collision.shapes import Box
 from minidual.errors import DataError, UsageError
-from minidual.planning.blend import blended_path, rounded
-from minidual.planning.edges import EdgeChecker
-from minidual.planning.errors import TimingError
-from minidual.planning.scene import PlanningScene
-from minidual.planning.scene_engines import SceneEngines
-from minidual.planning.search import search
-from minidual.planning.shapes import Box
-from minidual.planning.shortcut import path_length, shortcut
-from minidual.planning.timing import MotionLimits, sample_parameters, time_path, torque_ratio
-from minidual.planning.trajectory import Trajectory
+from minidual.motion.blend import blended_path, rounded
+from minidual.motion.edges import EdgeChecker
+from minidual.motion.search import search
+from minidual.motion.shortcut import path_length, shortcut
+from minidual.motion.timing import MotionLimits, sample_parameters, time_path, torque_ratio
+from minidual.proof.scene_engines import SceneEngines
 from minidual.robot.constants import A_MAX, HOME, JERK_MAX, TAU_MAX, V_MAX
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.trajectory import Trajectory
 
 
 @pytest.fixture(scope="module")
@@ -61,9 +61,7 @@ def test_shortcut_goes_round_what_stands_between():
     left[0], right[0] = 0.8, -0.8
     checker = EdgeChecker(engine, 0.01, (), 0.02)
     assert not checker.edge_free(left, right)
-    path = search(
-        checker, left, right, slice(0, 7), seed=1, checks_max=100_000, deadline=time.perf_counter() + 60.0
-    )
+    path = search(checker, left, right, slice(0, 7), seed=1, checks_max=100_000, deadline=time.perf_counter() + 60.0)
     short = shortcut(path, checker, np.random.default_rng(0), 60)
     assert path_length(short) < path_length(path)
     assert np.array_equal(short[[0, -1]], np.array([left, right]))
@@ -172,9 +170,7 @@ def test_torque_limit_slows_a_path_down(engine, kinematics):
     curve = blended_path(zigzag(np.random.default_rng(7)), free_checker(engine), 0.3, 0.01)
     fast = time_path(curve, "both_arms", MotionLimits(), kinematics)
     used = torque_ratio(fast)
-    held = max(
-        float(np.max(np.abs(kinematics.gravity(q)) / TAU_MAX)) for q in fast.q[::50]
-    )  # what gravity alone needs
+    held = max(float(np.max(np.abs(kinematics.gravity(q)) / TAU_MAX)) for q in fast.q[::50])  # what gravity alone needs
     limit = 0.5 * (used + held)
     slow = time_path(curve, "both_arms", MotionLimits(torque_scale=limit), kinematics)
     assert torque_ratio(slow) <= limit * 1.01

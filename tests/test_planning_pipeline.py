@@ -6,34 +6,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from minidual.collision.scene import PlanningScene
+from minidual.collision.shapes import Box
 from minidual.errors import UsageError
-from minidual.planning.api import Planner
-from minidual.planning.pipeline.carrying import Place
-from minidual.planning.pipeline.execute import execute
-from minidual.planning.pipeline.moves import Approach, GoTo, Grasp, MoveTo, Release
-from minidual.planning.pipeline.rod import (
-    both_hand_grips,
-    carry_task,
-    handover_task,
-    one_hand_grips,
-    rod_object,
-)
-from minidual.planning.pipeline.search import Task, TaskFailedError
-from minidual.planning.pipeline.stage import (
-    Backward,
-    Candidate,
-    Connector,
-    Failure,
-    Forward,
-    Generator,
-    Tools,
-)
-from minidual.planning.pipeline.state import CLOSED, OPEN, State, scene_of
-from minidual.planning.scene import PlanningScene
-from minidual.planning.shapes import Box
+from minidual.motion.api import Planner
 from minidual.robot.constants import ARMS, HOME
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse, pose, rot_z
+from minidual.skills.pipeline.carrying import Place
+from minidual.skills.pipeline.execute import execute
+from minidual.skills.pipeline.moves import Approach, GoTo, Grasp, MoveTo, Release
+from minidual.skills.pipeline.rod import both_hand_grips, carry_task, handover_task, one_hand_grips, rod_object
+from minidual.skills.pipeline.search import Task, TaskFailedError
+from minidual.skills.pipeline.stage import Backward, Candidate, Connector, Failure, Forward, Generator, Tools
+from minidual.skills.pipeline.state import CLOSED, OPEN, State, scene_of
 from minidual.tasks.rod_carry import grasp_offsets
 
 RADIUS = 0.00887
@@ -184,14 +170,8 @@ def test_limits_end_the_search_and_say_so():
     [
         ([Join("a"), Only("b", 1)], r"0 generators in the stages after 'a' \(b\)"),
         ([Join("a"), Numbers("b", 1), Numbers("c", 1)], "2 generators"),
-        (
-            [Join("a"), Only("b", 1), Numbers("c", 1)],
-            "'b' stands before the generator and must be a Backward",
-        ),
-        (
-            [Join("a"), Numbers("b", 1), Before("c", 1)],
-            "'c' stands after the generator and must be a Forward",
-        ),
+        ([Join("a"), Only("b", 1), Numbers("c", 1)], "'b' stands before the generator and must be a Backward"),
+        ([Join("a"), Numbers("b", 1), Before("c", 1)], "'c' stands after the generator and must be a Forward"),
         ([Only("b", 1), Join("a")], r"0 generators|leads nowhere"),
         ([Numbers("a", 1), Only("a", 1)], "two stages called 'a'"),
     ],
@@ -238,8 +218,16 @@ def grasp_offsets_of(arm):
 def test_a_carry_is_a_chain_of_proven_segments(carried):
     names = [s.stage for s in carried.segments]
     assert list(dict.fromkeys(names)) == [
-        "move_to", "approach", "close", "lift", "transport", "place", "release", "retreat", "move_back",
-    ]  # fmt: skip
+        "move_to",
+        "approach",
+        "close",
+        "lift",
+        "transport",
+        "place",
+        "release",
+        "retreat",
+        "move_back",
+    ]
     moving = [s for s in carried.segments if s.trajectory is not None]
     assert all(s.verification.ok for s in moving)
     for a, b in itertools.pairwise(moving):
@@ -318,9 +306,7 @@ def test_a_lid_over_the_rod_stops_a_high_approach_and_lets_a_low_one_through(pla
         approach = Approach("approach", ARMS, heights_m=heights)
         return Task("fetch", [MoveTo(), approach, Grasp("grasp", UPRIGHT[:1], solutions_n=1)])
 
-    with pytest.raises(
-        TaskFailedError, match=r"'approach' stops it(?s:.*)lid and right_panda_link6 penetrate"
-    ):
+    with pytest.raises(TaskFailedError, match=r"'approach' stops it(?s:.*)lid and right_panda_link6 penetrate"):
         fetch((0.25,)).solve(START, tools(planner, lid))
     solution = fetch((0.25, 0.03)).solve(START, tools(planner, lid))
     record = {s.name: s for s in solution.record.stages}
@@ -346,15 +332,16 @@ def test_a_bad_end_is_refused_before_the_search():
 def test_the_rod_changes_hands_in_the_air(planner, world):
     start = State(np.array(HOME), lying(0.45, 0.25))
     task = handover_task(
-        "left", one_hand_grips("left", offsets_m=(0.1,)), one_hand_grips("right", offsets_m=(-0.1,)),
-        [Place("middle", pose(np.eye(3), (0.45, 0.02, 0.3)))], [Place("goal", lying(0.45, -0.2))],
-    )  # fmt: skip
+        "left",
+        one_hand_grips("left", offsets_m=(0.1,)),
+        one_hand_grips("right", offsets_m=(-0.1,)),
+        [Place("middle", pose(np.eye(3), (0.45, 0.02, 0.3)))],
+        [Place("goal", lying(0.45, -0.2))],
+    )
     solution = task.solve(start, tools(planner))
     world.reset(rod_xy_yaw=(0.45, 0.25, 0.0))
     heights = {}
-    execute(
-        solution, world, on_step=lambda stage: heights.setdefault(stage, []).append(world.T_world_rod[2, 3])
-    )
+    execute(solution, world, on_step=lambda stage: heights.setdefault(stage, []).append(world.T_world_rod[2, 3]))
     assert min(heights["let_go"]) > 0.25  # the second hand has it
     assert np.linalg.norm(world.T_world_rod[:3, 3] - lying(0.45, -0.2)[:3, 3]) < 0.01
 

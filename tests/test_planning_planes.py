@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from planning_oracles import CoalDistances, farthest_in_mujoco, states
 
-from minidual.planning import planes
-from minidual.planning.scene import Attached, PlanningScene
-from minidual.planning.scene_engines import SceneEngines
-from minidual.planning.shapes import Box, Capsule, Cylinder, Mesh, Sphere
-from minidual.planning.trajectory import Trajectory
+from minidual.collision.scene import Attached, PlanningScene
+from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, Sphere
+from minidual.proof import planes
+from minidual.proof.scene_engines import SceneEngines
 from minidual.robot.constants import DOF, HOME
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.trajectory import Trajectory
 
 HALF = np.sqrt(0.5)
 WEDGE = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.12, 0.0], [0.02, 0.03, 0.15]])
@@ -27,15 +27,18 @@ def scene():
             Cylinder("cylinder", (0.5, -0.2, 0.15), (HALF, HALF, 0.0, 0.0), radius_m=0.04, length_m=0.3),
             Capsule("capsule", (0.6, 0.0, 0.2), (HALF, HALF, 0.0, 0.0), radius_m=0.04, length_m=0.3),
             Sphere("sphere", (0.4, 0.0, 0.45), radius_m=0.06),
-            Mesh("wedge", (0.45, 0.35, 0.1), (HALF, 0.0, HALF, 0.0), pieces=(WEDGE.tobytes(), (WEDGE + 0.05).tobytes())),
+            Mesh(
+                "wedge", (0.45, 0.35, 0.1), (HALF, 0.0, HALF, 0.0), pieces=(WEDGE.tobytes(), (WEDGE + 0.05).tobytes())
+            ),
         )
         .with_attached(
             Attached(
                 Cylinder("stick", (0, 0.02, 0.11), (HALF, 0.0, HALF, 0.0), radius_m=0.01, length_m=0.3),
-                "left_panda_hand", fingers,
+                "left_panda_hand",
+                fingers,
             )
         )
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture(scope="module")
@@ -63,32 +66,39 @@ def survey(solids, Q, padding_m, tight=NOWHERE, clearances=NOWHERE[:, 0], relax=
     chosen = np.arange(len(solids.pairs))
     return planes.survey(
         solids.geometry, Q, 0, chosen, padding_m, tight, clearances, relax, solids.directions(), solids.workspace()
-    )  # fmt: skip
+    )
 
 
 def prove(solids, trajectory, reach=None, length=0.5, chosen=None):
     chosen = np.arange(len(solids.pairs)) if chosen is None else chosen
     reach = solids.reach if reach is None else reach
     return planes.prove(
-        solids.geometry, reach, solids.first_joint, trajectory.q, trajectory.v, trajectory.dt_s, length,
-        chosen, 2e-5, solids.directions(),
-    )  # fmt: skip
+        solids.geometry,
+        reach,
+        solids.first_joint,
+        trajectory.q,
+        trajectory.v,
+        trajectory.dt_s,
+        length,
+        chosen,
+        2e-5,
+        solids.directions(),
+    )
 
 
 def wave(q, amplitude, seed, samples_n=201):
     """A motion through q: every joint swings by its own amplitude, frequency and phase."""
     rng = np.random.default_rng(seed)
-    size, rate, phase = (
-        rng.uniform(-amplitude, amplitude, DOF),
-        rng.uniform(1.0, 6.0, DOF),
-        rng.uniform(0, 6, DOF),
-    )
+    size, rate, phase = (rng.uniform(-amplitude, amplitude, DOF), rng.uniform(1.0, 6.0, DOF), rng.uniform(0, 6, DOF))
     t = np.arange(samples_n)[:, None] * 0.001
     turn = rate * t * 5.0 + phase
     return Trajectory(
-        t[:, 0], q + size * np.sin(turn), size * 5.0 * rate * np.cos(turn), -size * (5.0 * rate) ** 2 * np.sin(turn),
+        t[:, 0],
+        q + size * np.sin(turn),
+        size * 5.0 * rate * np.cos(turn),
+        -size * (5.0 * rate) ** 2 * np.sin(turn),
         "both_arms",
-    )  # fmt: skip
+    )
 
 
 def test_kinematics_are_those_of_pinocchio(engines):
@@ -116,11 +126,15 @@ def test_the_solids_are_what_mujoco_compiled(scene, engines):
                 n = rng.normal(size=3)
                 n /= np.linalg.norm(n)
                 own = R[part["frame"]].T @ n
-                far = max(
-                    (vertices[s["first"] : s["end"]] @ own).max() + s["ball"]
-                    + s["disc"] * np.linalg.norm(np.cross(own, [s["x"], s["y"], s["z"]]))
-                    for s in solids[part["first"] : part["end"]]
-                ) + n @ p[part["frame"]]  # fmt: skip
+                far = (
+                    max(
+                        (vertices[s["first"] : s["end"]] @ own).max()
+                        + s["ball"]
+                        + s["disc"] * np.linalg.norm(np.cross(own, [s["x"], s["y"], s["z"]]))
+                        for s in solids[part["first"] : part["end"]]
+                    )
+                    + n @ p[part["frame"]]
+                )
                 assert far == pytest.approx(farthest_in_mujoco(engines.mujoco, name, n), abs=2e-6), name
                 seen += 1
     assert seen == 36 * len(scene.names)
@@ -199,9 +213,7 @@ def test_no_vertex_leaves_its_chord_by_more_than_the_bound(scene, engines):
             base = 0 if frame <= 7 else 7
             for inner in range(frame - base):
                 seen_from = inner + base if inner else 0
-                seen = np.array([
-                    (points @ R[frame].T + p[frame] - p[seen_from]) @ R[seen_from] for R, p in poses
-                ])  # fmt: skip
+                seen = np.array([(points @ R[frame].T + p[frame] - p[seen_from]) @ R[seen_from] for R, p in poses])
                 x = np.linspace(0.0, 1.0, 21)[:, None, None]
                 off = np.linalg.norm(seen - ((1 - x) * seen[0] + x * seen[-1]), axis=2).max()
                 assert off <= table[row, inner] + 1e-12
@@ -271,11 +283,7 @@ def test_with_a_reach_too_short_a_ball_beside_the_chord_would_be_missed():
     x = np.linspace(0.0, 1.0, 3001)[:, None]
     smooth, speed = 10 * x**3 - 15 * x**4 + 6 * x**5, 30 * x**2 - 60 * x**3 + 30 * x**4
     trajectory = Trajectory(
-        np.arange(3001) * 0.001,
-        a + (b - a) * smooth,
-        (b - a) * speed / 3.0,
-        np.zeros((3001, DOF)),
-        "left_arm",
+        np.arange(3001) * 0.001, a + (b - a) * smooth, (b - a) * speed / 3.0, np.zeros((3001, DOF)), "left_arm"
     )
     assert engines.mujoco.collisions(trajectory.q[::10]).any()
     only = np.array([solids.pairs.index(("ball", "tip"))])
@@ -361,9 +369,7 @@ def test_two_links_of_one_arm_are_looked_at_from_the_inner_one(balls_settle):
     solids = engines.solids
     if not balls_settle:
         solids.geometry[3]["radius"] = 1.0  # then planes must
-    only = np.array(
-        [k for k, names in enumerate(solids.pairs) if set(names) == {"hand_ball", "forearm_ball"}]
-    )
+    only = np.array([k for k, names in enumerate(solids.pairs) if set(names) == {"hand_ball", "forearm_ball"}])
     assert len(only) == 1
     meets = rest_to_rest(start, end)
     assert CoalDistances(scene, engines.coal)(meets.q[200:201])[0, only[0]] < 0.0
@@ -391,9 +397,7 @@ def test_a_motion_that_returns_to_where_it_began_is_not_taken_for_rest():
 def test_an_obstacle_may_have_the_name_of_a_piece_of_a_link():
     """Pieces of links are called by the part they belong to, not by a name that an obstacle could take."""
     names = ("left_panda_link5_0", "left_panda_leftfinger_0")
-    boxes = tuple(
-        Box(name, (0.9 + 0.2 * k, 0.0, 0.5), size_m=(0.1, 0.1, 0.1)) for k, name in enumerate(names)
-    )
+    boxes = tuple(Box(name, (0.9 + 0.2 * k, 0.0, 0.5), size_m=(0.1, 0.1, 0.1)) for k, name in enumerate(names))
     scene = PlanningScene(obstacles=boxes)
     engines = SceneEngines(scene)
     _, _, _, parts, _ = engines.solids.geometry

@@ -6,16 +6,16 @@ import json
 import numpy as np
 import pytest
 
+from minidual.collision import acm as acm_module
+from minidual.collision.acm import acm_report, build_acm, default_acm
+from minidual.collision.allowed import AllowedCollisions
+from minidual.collision.links import LINKS, arm_of, joints_before
+from minidual.collision.mujoco_engine import MujocoEngine
+from minidual.collision.scene import TABLE, Attached, PlanningScene
+from minidual.collision.shapes import Box, Capsule, Cylinder, Sphere, bounding_radius
 from minidual.errors import UsageError
-from minidual.planning import acm as acm_module
-from minidual.planning.acm import acm_report, build_acm, default_acm
-from minidual.planning.allowed import AllowedCollisions
-from minidual.planning.links import LINKS, arm_of, joints_before
-from minidual.planning.mujoco_engine import MujocoEngine
-from minidual.planning.scene import TABLE, Attached, PlanningScene
-from minidual.planning.shapes import Box, Capsule, Cylinder, Sphere, bounding_radius
+from minidual.plant.model import self_collision_exclusions
 from minidual.robot.constants import HOME, Q_LOWER, Q_UPPER
-from minidual.sim.model import self_collision_exclusions
 
 
 def test_links_are_those_of_the_model():

@@ -8,19 +8,19 @@ import pytest
 import trimesh
 from scipy.spatial import ConvexHull
 
+from minidual.collision import meshes
+from minidual.collision.coal_engine import CoalEngine
+from minidual.collision.errors import GoalInCollisionError, StartInCollisionError
+from minidual.collision.meshes import cut, load_mesh
+from minidual.collision.mujoco_engine import MujocoEngine
+from minidual.collision.scene import PlanningScene
+from minidual.collision.scene_file import load_scene
+from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, Sphere, grown
 from minidual.errors import ConfigError, DataError, MinidualError, UsageError
-from minidual.planning import meshes
-from minidual.planning.api import Planner
-from minidual.planning.coal_engine import CoalEngine
-from minidual.planning.errors import GoalInCollisionError, StartInCollisionError
-from minidual.planning.goal_file import load_goal
-from minidual.planning.goal_plan import GoalPlanner
-from minidual.planning.goal_types import StateGoal
-from minidual.planning.meshes import cut, load_mesh
-from minidual.planning.mujoco_engine import MujocoEngine
-from minidual.planning.scene import PlanningScene
-from minidual.planning.scene_file import load_scene
-from minidual.planning.shapes import Box, Capsule, Cylinder, Mesh, Sphere, grown
+from minidual.motion.api import Planner
+from minidual.motion.goal_file import load_goal
+from minidual.motion.goal_plan import GoalPlanner
+from minidual.motion.goal_types import StateGoal
 from minidual.robot.constants import HOME, Q_LOWER, Q_UPPER
 from minidual.robot.kinematics import Kinematics
 
@@ -95,7 +95,7 @@ def test_the_file_is_what_the_scene_holds(folder):
         ("min_distance_m: 0.01", "min_distance_m: 1e-2", "without quotes: YAML reads '1e-2' as text"),
         ("link5, left_panda_link6", "link1, left_panda_link6", r"bench.yaml:13: checked.0: .*checked already"),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_is_named_with_its_line(folder, old, new, says):
     assert old in SCENE
     with pytest.raises(MinidualError) as caught:
@@ -123,9 +123,7 @@ def test_the_example_scene_is_planned_in():
 
 def test_both_engines_agree_on_meshes_and_grown_shapes():
     bracket = load_mesh(EXAMPLES / "bracket.obj", "bracket", (0.5, 0.1, 0.3), scale=0.003, parts_max=2)[0]
-    scene = PlanningScene().with_obstacles(
-        bracket, Cylinder("pipe", (0.4, -0.3, 0.4), radius_m=0.05, length_m=0.5)
-    )
+    scene = PlanningScene().with_obstacles(bracket, Cylinder("pipe", (0.4, -0.3, 0.4), radius_m=0.05, length_m=0.5))
     Q = np.random.default_rng(3).uniform(Q_LOWER, Q_UPPER, (1500, 14))
     for asked in (scene, replace(scene, min_distance_m=0.03)):
         mujoco, coal = MujocoEngine(asked), CoalEngine(asked)
@@ -150,9 +148,7 @@ def test_convex_pieces_cover_the_whole_mesh(tmp_path, parts):
     mesh, report = load_mesh(tmp_path / "ring.obj", "ring", (0, 0, 0), parts_max=parts)
     rng = np.random.default_rng(0)
     angle, radius = rng.uniform(0, 2 * np.pi, 4000), rng.uniform(0.0805, 0.0995, 4000)
-    points = np.column_stack(
-        [radius * np.cos(angle), radius * np.sin(angle), rng.uniform(-0.0249, 0.0249, 4000)]
-    )
+    points = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), rng.uniform(-0.0249, 0.0249, 4000)])
     assert in_pieces(points, mesh).all()
     excess = report.hull_volume_m3 / report.volume_m3
     assert report.pieces_n <= parts
@@ -207,9 +203,7 @@ def test_a_grown_shape_holds_all_that_is_near(shape):
             ball = np.random.default_rng(0).normal(size=(200, 3))
             ball *= 0.02 / np.linalg.norm(ball, axis=1)[:, None]
             hull = ConvexHull(b)
-            assert (
-                np.vstack([p + ball for p in a]) @ hull.equations[:, :3].T + hull.equations[:, 3] < 1e-9
-            ).all()
+            assert (np.vstack([p + ball for p in a]) @ hull.equations[:, :3].T + hull.equations[:, 3] < 1e-9).all()
     elif isinstance(shape, Box):
         assert bigger.size_m == pytest.approx([v + 0.04 for v in shape.size_m])
     else:
@@ -228,8 +222,8 @@ def test_the_distance_to_keep_changes_what_plans():
     plan = planner.plan_to_joints("left_arm", start, HOME, scene=asked, seed=1)
     plain = MujocoEngine(scene)
     nearest = min(
-        (p.distance_m for q in plan.trajectory.q[::20] for p in plain.closest(q, 0.1) if "shelf" in (p.first, p.second)),
-    )  # fmt: skip
+        p.distance_m for q in plan.trajectory.q[::20] for p in plain.closest(q, 0.1) if "shelf" in (p.first, p.second)
+    )
     assert nearest >= gap_m - 0.002 - 1e-6
     with pytest.raises(GoalInCollisionError, match=r"shelf.*keeps .* mm"):
         planner.plan_to_joints("left_arm", start, HOME, scene=replace(scene, min_distance_m=gap_m + 0.002))
@@ -242,17 +236,14 @@ def test_a_pair_in_the_file_changes_what_plans_both_ways(folder):
     x, y, z = Kinematics().tcp_poses(HOME)[0][:3, 3]
     foam = f"obstacles:\n  - {{name: foam, shape: box, position_m: [{x}, {y}, {z - 0.05}], size_m: [0.3, 0.3, 0.11]}}\n"
     allow = "allowed:\n" + "".join(
-        f"  - {{pair: [foam, left_panda_{finger}], reason: foam is soft}}\n"
-        for finger in ("leftfinger", "rightfinger")
+        f"  - {{pair: [foam, left_panda_{finger}], reason: foam is soft}}\n" for finger in ("leftfinger", "rightfinger")
     )
     start = HOME.copy()
     start[3] += 0.4
     planner = Planner()
     with pytest.raises(GoalInCollisionError, match="foam"):
         planner.plan_to_joints("left_arm", start, HOME, scene=load(folder, foam).scene)
-    assert planner.plan_to_joints(
-        "left_arm", start, HOME, scene=load(folder, foam + allow).scene
-    ).verification.ok
+    assert planner.plan_to_joints("left_arm", start, HOME, scene=load(folder, foam + allow).scene).verification.ok
     check = "checked:\n  - [left_panda_link5, left_panda_link6]\n"
     with pytest.raises(StartInCollisionError, match="left_panda_link5 and left_panda_link6"):
         planner.plan_to_joints("left_arm", start, HOME, scene=load(folder, foam + allow + check).scene)

@@ -7,27 +7,27 @@ import json
 import numpy as np
 import pytest
 
+from minidual.collision.coal_engine import CoalEngine
+from minidual.collision.errors import PlanningError
+from minidual.collision.mujoco_engine import MujocoEngine
+from minidual.collision.scene import PlanningScene
 from minidual.config.held_moves import HeldMovesConfig
 from minidual.config.planning import GroupTimes, PlanConfig, PlannerConfig
 from minidual.config.root import Config
 from minidual.errors import ConfigError, DataError
-from minidual.pipeline.stage import StageContext
-from minidual.planning import queries, query_set
-from minidual.planning.api import Planner
-from minidual.planning.coal_engine import CoalEngine
-from minidual.planning.errors import PlanningError
-from minidual.planning.evaluate import engine_agreement, plan_query, query_source, repeats, run_queries
-from minidual.planning.evaluate_carries import CarryPlans
-from minidual.planning.mujoco_engine import MujocoEngine
-from minidual.planning.queries import QueryGenerator
-from minidual.planning.query_set import is_free, polyline_states, stored_set
-from minidual.planning.scene import PlanningScene
-from minidual.planning.verify import Audit
+from minidual.gate.stage import StageContext
+from minidual.motion.api import Planner
+from minidual.proof.verify import Audit
 from minidual.robot.constants import GROUPS
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import pose
 from minidual.stages import plan
 from minidual.stages.plan import STAGE, audit_checks, common_checks, group_checks
+from minidual.trials.planning import queries, query_set
+from minidual.trials.planning.evaluate import engine_agreement, plan_query, query_source, repeats, run_queries
+from minidual.trials.planning.evaluate_carries import CarryPlans
+from minidual.trials.planning.queries import QueryGenerator
+from minidual.trials.planning.query_set import is_free, polyline_states, stored_set
 
 CONFIG = Config(
     plan=PlanConfig(
@@ -79,9 +79,7 @@ def test_stage_passes_and_writes_what_it_says(stage_run):
 
 
 def test_parameters_hold_the_planner_but_not_the_workers():
-    a, b = (
-        STAGE.parameters(Config(plan=PlanConfig(planner=PlannerConfig(padding_m=p)))) for p in (0.005, 0.01)
-    )
+    a, b = (STAGE.parameters(Config(plan=PlanConfig(planner=PlannerConfig(padding_m=p)))) for p in (0.005, 0.01))
     assert a != b
     assert STAGE.parameters(Config(workers=1)) == STAGE.parameters(Config(workers=2))
 
@@ -103,12 +101,11 @@ def test_group_checks_can_fail(outcomes):
     late = [dataclasses.replace(o, total_s=0.03 + 0.1 * k) for k, o in enumerate(outcomes)]
     limited = PlanConfig(time_median_max_s=GroupTimes(left_arm=0.05, both_arms=0.01), time_p99_max_s=0.1)
     assert failing(group_checks("left_arm", quick, limited)) == set()
-    assert failing(group_checks("left_arm", late, limited)) == {
-        "left_arm.time_median_s", "left_arm.time_p99_s"
-    }  # fmt: skip
+    assert failing(group_checks("left_arm", late, limited)) == {"left_arm.time_median_s", "left_arm.time_p99_s"}
     assert failing(group_checks("left_arm", late, limited, "second_seed.left_arm")) == {
-        "second_seed.left_arm.time_median_s", "second_seed.left_arm.time_p99_s"
-    }  # fmt: skip
+        "second_seed.left_arm.time_median_s",
+        "second_seed.left_arm.time_p99_s",
+    }
     starved = [dataclasses.replace(o, total_s=0.2, cpu_s=0.05) for o in outcomes]
     (share,) = [c for c in group_checks("left_arm", starved, limited) if c.name == "left_arm.core_share"]
     assert share.observed == pytest.approx(0.25)
@@ -120,23 +117,14 @@ def test_group_checks_can_fail(outcomes):
 
 def test_audit_checks_can_fail(outcomes):
     def names(**change):
-        found = {
-            "samples_n": 900,
-            "step_max_rad": 0.002,
-            "collisions_n": 0,
-            "disagreements_n": 0,
-            "clearance_m": 0.01,
-        }
+        found = {"samples_n": 900, "step_max_rad": 0.002, "collisions_n": 0, "disagreements_n": 0, "clearance_m": 0.01}
         found |= change
         return failing(audit_checks([dataclasses.replace(outcomes[0], audit=Audit(**found))]))
 
     assert names() == set()
     assert names(collisions_n=1) == {"proof.audit_collisions"}
     assert names(disagreements_n=1) == {"proof.audit_disagreements"}
-    assert failing(audit_checks([outcomes[0]])) == {
-        "proof.audited_n",
-        "proof.audit_states",
-    }  # nothing was audited
+    assert failing(audit_checks([outcomes[0]])) == {"proof.audited_n", "proof.audit_states"}  # nothing was audited
     audit = Audit(samples_n=900, step_max_rad=0.002, collisions_n=0, disagreements_n=0, clearance_m=0.01)
     one = dataclasses.replace(outcomes[0], audit=audit)
     assert failing(audit_checks([one, outcomes[1]])) == {"proof.audited_n"}
@@ -172,9 +160,7 @@ def test_common_checks_can_fail():
     good = CarryPlans(5, 5, 1e-5, 1e-5, 0.1, ())
 
     def names(agreement=1.0, repeatable=True, **change):
-        return failing(
-            common_checks(agreement, repeatable, dataclasses.replace(good, **change), PlanConfig())
-        )
+        return failing(common_checks(agreement, repeatable, dataclasses.replace(good, **change), PlanConfig()))
 
     assert names() == set()
     assert names(agreement=0.99) == {"engines.agreement"}
@@ -256,10 +242,7 @@ def test_stored_queries_are_those_of_the_generator():
     known = stored_set(20260)
     generator = QueryGenerator(20260)
     for group, index in (("left_arm", 3), ("both_arms", 1)):
-        query, again = (
-            known.query(group, index),
-            generator.attempt(group, index, known.attempts[group][index]),
-        )
+        query, again = (known.query(group, index), generator.attempt(group, index, known.attempts[group][index]))
         assert query.scene == again.scene
         assert (query.seed, query.kind, query.as_poses) == (again.seed, again.kind, again.as_poses)
         assert np.abs(query.q_start - again.q_start).max() < 1e-6
@@ -293,9 +276,7 @@ def test_a_seed_without_a_set_and_a_damaged_set(monkeypatch, tmp_path):
 
 def test_the_stored_set_is_used_where_it_fits():
     known = stored_set(20260)
-    assert np.array_equal(
-        query_source(20260, 5, 1.0)("left_arm", 0).q_goal, known.query("left_arm", 0).q_goal
-    )
+    assert np.array_equal(query_source(20260, 5, 1.0)("left_arm", 0).q_goal, known.query("left_arm", 0).q_goal)
     assert len(query_source(20260, 3, 1.0)("left_arm", 0).scene.obstacles) == 4
     assert query_source(20260, 5, 1.0)("both_arms", 100).index == 100  # beyond the set: generated
 

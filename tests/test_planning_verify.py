@@ -6,20 +6,20 @@ import re
 import numpy as np
 import pytest
 
+from minidual.collision.scene import PlanningScene
+from minidual.collision.shapes import Box, Sphere
 from minidual.config.planning import PlannerConfig
 from minidual.errors import UsageError
-from minidual.planning import certificate, limits
-from minidual.planning.api import Planner
-from minidual.planning.certificate import Certifier
-from minidual.planning.dynamics import torques
-from minidual.planning.evaluate import plan_query
-from minidual.planning.queries import QueryGenerator
-from minidual.planning.scene import PlanningScene
-from minidual.planning.shapes import Box, Sphere
-from minidual.planning.trajectory import Trajectory
-from minidual.planning.verify import STEP_RAD, collision_samples
+from minidual.motion.api import Planner
+from minidual.proof import certificate, limits
+from minidual.proof.certificate import Certifier
+from minidual.proof.dynamics import torques
+from minidual.proof.verify import STEP_RAD, collision_samples
 from minidual.robot.constants import A_MAX, HOME, Q_UPPER
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.trajectory import Trajectory
+from minidual.trials.planning.evaluate import plan_query
+from minidual.trials.planning.queries import QueryGenerator
 
 
 @pytest.fixture(scope="module")
@@ -251,17 +251,13 @@ def test_what_a_trajectory_says_of_its_acceleration_and_velocity_must_be_true(pl
     still = np.zeros_like(good.v)
     lied = verifier.verify(dataclasses.replace(good, a=still))
     assert lied.acceleration_ratio == 0.0
-    assert re.search(
-        r"the acceleration of \w+ is not that of its velocity: \d+\.\d\d rad/s\^2 off", lied.reason
-    )
+    assert re.search(r"the acceleration of \w+ is not that of its velocity: \d+\.\d\d rad/s\^2 off", lied.reason)
     halved = verifier.verify(dataclasses.replace(good, a=0.5 * good.a))
     assert "is not that of its velocity" in halved.reason
     # A motion slow enough that even stopping and starting every millisecond breaks no limit of speed.
     slow = minimum_jerk(HOME, good.q[-1], 8.0)
     assert verifier.verify(slow).ok
-    report = verifier.verify(
-        dataclasses.replace(slow, v=still[:1].repeat(len(slow.v), axis=0), a=0.0 * slow.a)
-    )
+    report = verifier.verify(dataclasses.replace(slow, v=still[:1].repeat(len(slow.v), axis=0), a=0.0 * slow.a))
     assert "the velocity of" in report.reason
     assert "is not that of its positions" in report.reason
 
@@ -296,9 +292,7 @@ def test_an_arm_whose_samples_stand_still_may_move_between_them():
     far = between[np.argmax(np.abs(between - HOME).max(axis=1))]
     here, there = (kinematics.tcp_poses(x)[1][:3, 3] for x in (HOME, far))
     for away in np.linspace(0.02, 0.2, 100):
-        ball = Sphere(
-            "ball", tuple(here + away * (there - here) / np.linalg.norm(there - here)), radius_m=0.01
-        )
+        ball = Sphere("ball", tuple(here + away * (there - here) / np.linalg.norm(there - here)), radius_m=0.01)
         engines = Planner(PlanningScene(obstacles=(ball,))).engines()
         if not engines.mujoco.collisions(q[:1]).any():
             break

@@ -15,12 +15,12 @@ from minidual.control.loop import JointLoop
 from minidual.control.reflexes import ReflexError
 from minidual.control.supervisor import Supervisor
 from minidual.errors import DataError, UsageError
+from minidual.plant import recording as module
+from minidual.plant.recorder import Recorder
+from minidual.plant.recording import read_recording, write_recording
+from minidual.plant.replay import replay
+from minidual.plant.world import SimulationDivergedError, World
 from minidual.robot.constants import DOF, HOME
-from minidual.sim import recording as module
-from minidual.sim.recorder import Recorder
-from minidual.sim.recording import read_recording, write_recording
-from minidual.sim.replay import replay
-from minidual.sim.world import SimulationDivergedError, World
 from minidual.stages.registry import STAGES
 from minidual.stages.tools import TOOLS
 
@@ -152,7 +152,7 @@ class TestRepeating:
         assert found.largest > 0.005
 
     def test_a_changed_model_is_kept_with_it(self, scene, kinematics):
-        from minidual.sim.model import build_model
+        from minidual.plant.model import build_model
 
         heavy = World(scene, model=build_model(scene, visuals=False))
         heavy.model.body_mass[heavy.model.body("rod").id] *= 2.0
@@ -207,9 +207,7 @@ class TestDumps:
         assert found.ended == "a command is not finite at 1.234 s"
         assert found.signs[-1].what == "command of right_panda_joint3_motor is not finite"
 
-    def test_an_exploding_state_is_dumped_and_what_came_first_is_named(
-        self, world, kinematics, tmp_path, quiet_mujoco
-    ):
+    def test_an_exploding_state_is_dumped_and_what_came_first_is_named(self, world, kinematics, tmp_path, quiet_mujoco):
         world.recorder = Recorder(world, window_s=1.0, folder=tmp_path)
         loop = JointLoop(world, kinematics)
         stand(loop, 100)
@@ -225,9 +223,7 @@ class TestDumps:
         supervisor = Supervisor(SupervisorConfig(), on_reflex=world.recorder.on_reflex)
         loop = JointLoop(world, kinematics)
         world_command = world.command
-        world.command = lambda tau, fingers: world_command(
-            supervisor.guard(world.time, world.q, world.v, tau), fingers
-        )
+        world.command = lambda tau, fingers: world_command(supervisor.guard(world.time, world.q, world.v, tau), fingers)
         with pytest.raises(ReflexError) as caught:
             speed_up(loop)
         path = caught.value.dump
@@ -249,7 +245,7 @@ class TestDumps:
         def full(*_args):
             raise OSError(28, "No space left on device")
 
-        monkeypatch.setattr("minidual.sim.recorder.write_recording", full)
+        monkeypatch.setattr("minidual.plant.recorder.write_recording", full)
         assert recorder.dump("reflex", "why") is None
         assert "No space" in str(recorder.write_error)
 
@@ -320,9 +316,7 @@ class TestFiles:
 
     def test_another_version_of_the_format_is_named(self, trial, tmp_path):
         path = edit_header(trial[0], tmp_path, version=99)
-        with pytest.raises(
-            DataError, match="version 99 of the format; this minidual reads version 1"
-        ) as caught:
+        with pytest.raises(DataError, match="version 99 of the format; this minidual reads version 1") as caught:
             read_recording(path)
         assert "minidual 0." in caught.value.remedy
 
@@ -369,9 +363,7 @@ class TestCommand:
         assert "mujoco 4." in out
         assert list(tmp_path.iterdir()) == []  # it looks, it does not write
 
-    def test_it_shows_the_tick_of_the_reflex_though_the_motors_never_saw_it(
-        self, run, world, kinematics, tmp_path
-    ):
+    def test_it_shows_the_tick_of_the_reflex_though_the_motors_never_saw_it(self, run, world, kinematics, tmp_path):
         recorder = move(world, kinematics, 150, folder=tmp_path / "dumps")
         supervisor = Supervisor(SupervisorConfig(), on_reflex=recorder.on_reflex)
         tau = np.full(14, 0.25)
@@ -422,9 +414,13 @@ class TestCommand:
         assert run(broken)[0] == 2
         assert run(tmp_path / "missing.npz")[0] == 2
         for words in (
-            ("--video", "film.avi"), ("--picture", tmp_path / "no" / "p.png"), ("--camera", "left eye"),
-            ("--frames", "0"), ("--slowdown", "1e9"), ("--from-s", "5"),
-        ):  # fmt: skip
+            ("--video", "film.avi"),
+            ("--picture", tmp_path / "no" / "p.png"),
+            ("--camera", "left eye"),
+            ("--frames", "0"),
+            ("--slowdown", "1e9"),
+            ("--from-s", "5"),
+        ):
             code, out, err = run(trial[0], *words)
             assert (code, out) == (2, "")
             assert err.startswith("minidual: ")

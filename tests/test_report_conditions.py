@@ -14,16 +14,16 @@ import report_samples as samples
 
 from minidual.config.root import Config
 from minidual.errors import DataError
-from minidual.evaluation import conditions
-from minidual.report.analysis import _by_how_much
-from minidual.report.build import Report, build_report
-from minidual.report.comparison import compare
-from minidual.report.condition_figure import condition_figure
-from minidual.report.disturbance import sentences
-from minidual.report.model import ReportInput, report_checks
-from minidual.report.robustness import ConditionTable, tabulate
-from minidual.report.trials import CLEAN
+from minidual.show.report.analysis import _by_how_much
+from minidual.show.report.build import Report, build_report
+from minidual.show.report.comparison import compare
+from minidual.show.report.condition_figure import condition_figure
+from minidual.show.report.disturbance import sentences
+from minidual.show.report.model import ReportInput, report_checks
+from minidual.show.report.robustness import ConditionTable, tabulate
+from minidual.show.report.trials import CLEAN
 from minidual.stages.report import STAGE
+from minidual.trials import conditions
 
 
 @pytest.fixture
@@ -64,10 +64,7 @@ def test_the_table_holds_every_cell_with_its_numbers(data: dict[str, Any]) -> No
     still = cells["moveit", CLEAN].measures["duration_median_s"]
     assert moved.middle == pytest.approx(still.middle + 0.5)
     assert moved.low <= moved.middle <= moved.high
-    assert (cells["act", "delay 20 ms"].state, cells["act", "delay 20 ms"].why) == (
-        "spared",
-        "act reads no force",
-    )
+    assert (cells["act", "delay 20 ms"].state, cells["act", "delay 20 ms"].why) == ("spared", "act reads no force")
 
 
 def _drop(*path: str) -> Callable[[dict[str, Any]], None]:
@@ -118,9 +115,7 @@ def test_a_hole_is_named_and_fails_the_report(
     assert checks["stages_not_passing"].passed
 
 
-def test_conditions_that_nobody_ran_fail_the_report(
-    given: ReportInput, data: dict[str, Any], tmp_path: Path
-) -> None:
+def test_conditions_that_nobody_ran_fail_the_report(given: ReportInput, data: dict[str, Any], tmp_path: Path) -> None:
     plain = {key: value for key, value in data.items() if key not in ("conditions", "losses")}
     report, text = built(samples.with_data(given, plain), tmp_path)
     assert report.state == "fail"
@@ -150,9 +145,7 @@ def test_data_of_another_shape_is_refused(data: dict[str, Any]) -> None:
             table({**data, name: value})
 
 
-def test_the_page_shows_what_applies_what_is_lost_and_what_is_behind_it(
-    given: ReportInput, tmp_path: Path
-) -> None:
+def test_the_page_shows_what_applies_what_is_lost_and_what_is_behind_it(given: ReportInput, tmp_path: Path) -> None:
     report, text = built(given, tmp_path)
     assert report.state == "pass"
     part = text[text.index('id="conditions"') : text.index('id="analysis"')]
@@ -184,10 +177,7 @@ def test_ranks_and_figures_of_trials_are_those_of_undisturbed_ones(tmp_path: Pat
 
 def test_the_words_say_what_is_lost_and_no_more_than_the_trials_show(data: dict[str, Any]) -> None:
     text = "\n".join(sentences(table(data), data["comparisons"]))
-    assert (
-        "act: push +x left 0 of 20, −75 points against the same 20 starts undisturbed (95 % interval −"
-        in text
-    )
+    assert "act: push +x left 0 of 20, −75 points against the same 20 starts undisturbed (95 % interval −" in text
     assert "; grip lost 20 times; it stopped itself in 20 trials." in text
     assert "moveit: 19 of 20 under push +x, which these trials do not tell from undisturbed." in text
     assert "impedance: every trial passed under push +x and delay 20 ms." in text
@@ -203,13 +193,14 @@ def test_what_is_shown_is_shown_after_correction_for_the_number_of_tests(data: d
     """A probability of 0.02 in one test of four is none of 0.05 in all of them."""
     for rows in (data["losses"], data["comparisons"]):
         for row in rows:
-            row["p_value"] = (
-                0.02 if row.get("condition", row["first"]) == "push +x" and "act" in row.values() else 1.0
-            )
+            row["p_value"] = 0.02 if row.get("condition", row["first"]) == "push +x" and "act" in row.values() else 1.0
     data["comparisons"] = [r for r in data["comparisons"] if "impedance" not in (r["first"], r["second"])]
-    many = "\n".join(sentences(table(data), data["comparisons"] + [
-        {**r, "condition": f"other {i}"} for i, r in enumerate(data["comparisons"][:3])
-    ]))  # fmt: skip
+    many = "\n".join(
+        sentences(
+            table(data),
+            data["comparisons"] + [{**r, "condition": f"other {i}"} for i, r in enumerate(data["comparisons"][:3])],
+        )
+    )
     assert "0 of 20 under push +x, which these trials do not tell from undisturbed" in many
     assert "succeeds more often" not in many
     data["losses"] = [r for r in data["losses"] if r["method"] == "act"]
@@ -227,18 +218,21 @@ def test_a_missing_loss_is_not_told_as_one_that_trials_blur(data: dict[str, Any]
 
 
 def test_a_comparison_that_does_not_name_its_methods_is_refused(data: dict[str, Any]) -> None:
-    for change, says in (
-        ({"second": None}, "without its 'second' method"),
-        ({"p_value": 1.5}, "p_value is 1.5"),
-    ):
+    for change, says in (({"second": None}, "without its 'second' method"), ({"p_value": 1.5}, "p_value is 1.5")):
         rows = [{**data["comparisons"][0], "condition": "push +x", **change}]
         with pytest.raises(DataError, match=says):
             list(sentences(table(data), rows))
 
 
 def test_a_method_is_faster_by_a_positive_time_or_by_none_that_is_told() -> None:
-    row = {"condition": CLEAN, "first": "a", "second": "b", "duration_difference_s": -0.05,
-           "duration_difference_low_s": -0.2, "duration_difference_high_s": 0.1}  # fmt: skip
+    row = {
+        "condition": CLEAN,
+        "first": "a",
+        "second": "b",
+        "duration_difference_s": -0.05,
+        "duration_difference_low_s": -0.2,
+        "duration_difference_high_s": 0.1,
+    }
     assert _by_how_much("a", "b", [row]) == ", by 0.05 s (median difference, 95 % interval -0.10 to 0.20 s)"
     assert _by_how_much("b", "a", [row]) == ""
 

@@ -14,13 +14,13 @@ import pytest
 import report_samples as samples
 
 from minidual.errors import DataError
-from minidual.pipeline.check import Check
-from minidual.pipeline.manifest import build_manifest
-from minidual.report import media
-from minidual.report.build import Report, build_report
-from minidual.report.figures import benchmark_figures
-from minidual.report.model import ReportInput
-from minidual.sim.render import write_video
+from minidual.gate.check import Check
+from minidual.gate.manifest import build_manifest
+from minidual.plant.render import write_video
+from minidual.show.report import media
+from minidual.show.report.build import Report, build_report
+from minidual.show.report.figures import benchmark_figures
+from minidual.show.report.model import ReportInput
 
 
 def built(given: ReportInput, root: Path) -> tuple[Report, str]:
@@ -45,16 +45,12 @@ class Page(HTMLParser):
 
     def handle_starttag(self, tag: str, attrs: Sequence[tuple[str, str | None]]) -> None:
         self._heading_seen |= tag == "h1"
-        self.references += [
-            value or "" for name, value in attrs if name in ("src", "href", "poster", "xlink:href")
-        ]
+        self.references += [value or "" for name, value in attrs if name in ("src", "href", "poster", "xlink:href")]
         if tag not in self.VOID:
             self.open.append(tag)
 
     def handle_startendtag(self, tag: str, attrs: Sequence[tuple[str, str | None]]) -> None:
-        self.references += [
-            value or "" for name, value in attrs if name in ("src", "href", "poster", "xlink:href")
-        ]
+        self.references += [value or "" for name, value in attrs if name in ("src", "href", "poster", "xlink:href")]
 
     def handle_endtag(self, tag: str) -> None:
         assert self.open, f"</{tag}> closes nothing"
@@ -165,9 +161,7 @@ def test_without_a_benchmark_there_is_still_a_page_that_fails(tmp_path: Path) ->
 def test_overrides_and_mixed_commits_are_said(tmp_path: Path) -> None:
     given = samples.make_run(tmp_path)
     plan = given.verdicts["plan"]
-    plan = replace(
-        plan, overrides=("plan.queries_n=1",), fingerprint=replace(plan.fingerprint, commit="feed" * 10)
-    )
+    plan = replace(plan, overrides=("plan.queries_n=1",), fingerprint=replace(plan.fingerprint, commit="feed" * 10))
     _, text = built(replace(given, verdicts={**given.verdicts, "plan": plan}), tmp_path)
     before = Page(text).before_heading
     assert "plan.queries_n=1" in before
@@ -202,10 +196,7 @@ def test_pictures_and_films_of_the_stages_are_shown_and_data_is_not(tmp_path: Pa
     write_video(carry / "carry.mp4", frames, fps=10)
     write_video(carry / "dataset" / "videos" / "file-000.mp4", frames, fps=10)
     report, text = built(with_artefact(given, "carry"), tmp_path)
-    assert [(medium.name, medium.film) for medium in report.media] == [
-        ("carry.mp4", True),
-        ("median_trial.png", False),
-    ]
+    assert [(medium.name, medium.film) for medium in report.media] == [("carry.mp4", True), ("median_trial.png", False)]
     assert "Median trial" in text
     assert 'poster="data:image/jpeg;base64,' in text
     assert 'src="data:video/mp4;base64,' in text
@@ -241,8 +232,14 @@ def test_a_picture_that_is_gone_is_named(tmp_path: Path) -> None:
 def test_every_figure_is_drawn_from_the_data_and_themed(tmp_path: Path) -> None:
     report, _ = built(samples.make_run(tmp_path), tmp_path)
     names = [figure.name for figure in report.figures]
-    assert names == ["success", *(f"{n}" for n in (
-        "duration_median_s", "torque_ratio_max", "jerk_rms_median", "tilt_max_rad", "path_length_m")), "failures"]  # fmt: skip
+    assert names == [
+        "success",
+        *(
+            f"{n}"
+            for n in ("duration_median_s", "torque_ratio_max", "jerk_rms_median", "tilt_max_rad", "path_length_m")
+        ),
+        "failures",
+    ]
     for figure in report.figures:
         assert "moveit" in figure.svg
         assert "#1a2027" in figure.svg

@@ -7,8 +7,8 @@ from pathlib import Path
 import report_samples as samples
 
 from minidual.config.root import Config
-from minidual.pipeline.stage import StageContext, StageResult
-from minidual.report.model import ReportInput
+from minidual.gate.stage import StageContext, StageResult
+from minidual.show.report.model import ReportInput
 from minidual.stages.registry import STAGES
 from minidual.stages.report import STAGE
 
@@ -17,9 +17,14 @@ def run(given: ReportInput, folder: Path, **other: object) -> StageResult:
     folder.mkdir()
     config = Config()
     context = StageContext(
-        folder=folder, config=config, seed=config.seed, profile="standard", upstream=given.folders,
-        verdicts=given.verdicts, **other,
-    )  # fmt: skip
+        folder=folder,
+        config=config,
+        seed=config.seed,
+        profile="standard",
+        upstream=given.folders,
+        verdicts=given.verdicts,
+        **other,
+    )
     return STAGE.run(context)
 
 
@@ -31,8 +36,10 @@ def test_the_registry_and_the_stage_agree() -> None:
 def test_the_stage_writes_the_page_and_derives_its_checks(tmp_path: Path) -> None:
     result = run(samples.make_run(tmp_path), tmp_path / "out")
     assert {check.name: check.passed for check in result.checks} == {
-        "tables_complete": True, "missing_cells": True, "stages_not_passing": True,
-    }  # fmt: skip
+        "tables_complete": True,
+        "missing_cells": True,
+        "stages_not_passing": True,
+    }
     assert (tmp_path / "out" / "report.html").is_file()
     assert (tmp_path / "out" / "report.json").is_file()
     assert result.data["state"] == "pass"

@@ -11,15 +11,15 @@ import pytest
 import report_samples as samples
 
 from minidual.errors import DataError
-from minidual.evaluation.tables import write_csv
-from minidual.pipeline.check import Check
-from minidual.report import model
-from minidual.report.analysis import analyse, relative_margin
-from minidual.report.captions import FAULTS
-from minidual.report.comparison import compare
-from minidual.report.indicators import INDICATORS, three_digits
-from minidual.report.trials import read_trials
-from minidual.report.wording import count, duration, joined, percent
+from minidual.gate.check import Check
+from minidual.show.report import model
+from minidual.show.report.analysis import analyse, relative_margin
+from minidual.show.report.captions import FAULTS
+from minidual.show.report.comparison import compare
+from minidual.show.report.indicators import INDICATORS, three_digits
+from minidual.show.report.trials import read_trials
+from minidual.show.report.wording import count, duration, joined, percent
+from minidual.trials.tables import write_csv
 
 KEYS = [indicator.key for indicator in INDICATORS]
 
@@ -29,9 +29,7 @@ def table() -> dict[str, dict]:
     return samples.methods_data(samples.make_trials())
 
 
-def own_check(
-    table: dict, name: str = "tables_complete", methods: tuple[str, ...] = samples.METHODS
-) -> Check:
+def own_check(table: dict, name: str = "tables_complete", methods: tuple[str, ...] = samples.METHODS) -> Check:
     """Return one of the report's own checks for a table of methods."""
     given = model.ReportInput("t", (), {}, {}, (), methods, True, "standard", 1)
     checks = model.report_checks(given, compare(methods, {"methods": table}))
@@ -103,9 +101,7 @@ def test_a_method_that_never_succeeds_is_best_and_excellent_in_nothing(table: di
     tilt = {row.method: row.cell("tilt_max_rad") for row in rows}
     assert (tilt["act"].value, tilt["act"].best, tilt["act"].excellent) == (0.0, False, None)
     assert tilt["moveit"].best
-    assert [cell.excellent for cell in rows[2].cells if cell.excellent is not None] == [
-        False
-    ]  # success itself
+    assert [cell.excellent for cell in rows[2].cells if cell.excellent is not None] == [False]  # success itself
     text = "\n".join(analyse({}, compare(samples.METHODS, {"methods": table}), [])[0].sentences)
     assert "Largest tilt: lowest with moveit" in text
     assert "act did not complete a trial" in text
@@ -206,10 +202,7 @@ def test_a_failed_check_has_the_thinnest_margin(tmp_path: Path) -> None:
     given = samples.make_run(tmp_path)
     bad = replace(given.verdicts["plan"], checks=(Check("both_arms.time_max_s", 12.0, "<", 10.0, "s"),))
     passages = analyse({**given.verdicts, "plan": bad}, compare(given.methods, {}), [])
-    assert (
-        passages[-1].sentences[0]
-        == "plan: both_arms.time_max_s is 12 s, limit < 10 s: 20 % beyond its limit."
-    )
+    assert passages[-1].sentences[0] == "plan: both_arms.time_max_s is 12 s, limit < 10 s: 20 % beyond its limit."
 
 
 def test_a_share_at_100_percent_has_no_margin_to_be_thin(words: dict[str, str]) -> None:
@@ -232,13 +225,21 @@ def test_relative_margins_exist_only_where_they_mean_something() -> None:
 @pytest.mark.parametrize(
     ("made", "wanted"),
     [
-        (duration(9.96), "10.0 s"), (duration(59.97), "1 min 00 s"), (duration(3725.0), "1 h 02 min"),
-        (percent(0.004), "0.4 %"), (percent(0.0), "0 %"), (percent(0.845), "84 %"),
-        (count(1, "trial"), "one trial"), (count(12, "trial"), "12 trials"),
-        (joined(["a", "b", "c"]), "a, b and c"), (joined([]), ""),
-        (three_digits(2.0), "2.00"), (three_digits(118.2), "118"), (three_digits(1234.5), "1,234"),
+        (duration(9.96), "10.0 s"),
+        (duration(59.97), "1 min 00 s"),
+        (duration(3725.0), "1 h 02 min"),
+        (percent(0.004), "0.4 %"),
+        (percent(0.0), "0 %"),
+        (percent(0.845), "84 %"),
+        (count(1, "trial"), "one trial"),
+        (count(12, "trial"), "12 trials"),
+        (joined(["a", "b", "c"]), "a, b and c"),
+        (joined([]), ""),
+        (three_digits(2.0), "2.00"),
+        (three_digits(118.2), "118"),
+        (three_digits(1234.5), "1,234"),
         (three_digits(0.00001234), "1.2e-05"),
     ],
-)  # fmt: skip
+)
 def test_numbers_as_words(made: str, wanted: str) -> None:
     assert made == wanted

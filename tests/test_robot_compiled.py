@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from minidual.planning import planes
-from minidual.planning.edges import EdgeChecker
-from minidual.planning.scene import PlanningScene
-from minidual.planning.scene_engines import SceneEngines
+from minidual.collision.scene import PlanningScene
+from minidual.motion.edges import EdgeChecker
+from minidual.proof import planes
+from minidual.proof.scene_engines import SceneEngines
 from minidual.robot import compiled
 from minidual.robot.constants import HOME
 

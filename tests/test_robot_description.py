@@ -78,14 +78,10 @@ def test_mujoco_has_the_limits_damping_and_rotor_inertia(compiled_model):
 def test_masses_and_inertias_are_those_of_the_urdf(compiled_model, kinematics):
     full = pin.buildModelFromXML(description.dual_panda_urdf())
     data = full.createData()
-    arms = [
-        i for i in range(compiled_model.nbody) if compiled_model.body(i).name.startswith(("left_", "right_"))
-    ]
+    arms = [i for i in range(compiled_model.nbody) if compiled_model.body(i).name.startswith(("left_", "right_"))]
     # Pinocchio folds both fixed bases into the universe, whose mass it does not count.
     bases = sum(float(compiled_model.body(f"{arm}_panda_link0").mass[0]) for arm in ARMS)
-    assert sum(compiled_model.body_mass[arms]) - bases == pytest.approx(
-        pin.computeTotalMass(full, data), abs=1e-9
-    )
+    assert sum(compiled_model.body_mass[arms]) - bases == pytest.approx(pin.computeTotalMass(full, data), abs=1e-9)
 
 
 def test_home_lies_well_inside_the_limits():
@@ -144,8 +140,11 @@ def test_an_empty_description_package_is_named(monkeypatch):
 def test_visual_meshes_are_few_whole_and_cover_every_link():
     visuals = panda_visuals()
     assert {v.link for v in visuals} == {
-        *(f"panda_link{i}" for i in range(8)), "panda_hand", "panda_leftfinger", "panda_rightfinger",
-    }  # fmt: skip
+        *(f"panda_link{i}" for i in range(8)),
+        "panda_hand",
+        "panda_leftfinger",
+        "panda_rightfinger",
+    }
     faces = sum(len(v.faces) for v in visuals)
     assert 0.5 * FACES_PER_ARM < faces < 1.3 * FACES_PER_ARM
     for mesh in visuals:

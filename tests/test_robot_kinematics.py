@@ -83,9 +83,10 @@ def test_gravity_is_the_gradient_of_the_potential_energy(kinematics):
         (
             pin.computePotentialEnergy(kinematics.model, kinematics.data, q + h * e)
             - pin.computePotentialEnergy(kinematics.model, kinematics.data, q - h * e)
-        ) / (2 * h)
+        )
+        / (2 * h)
         for e in np.eye(DOF)
-    ]  # fmt: skip
+    ]
     assert np.abs(kinematics.gravity(q) - gradient).max() < 1e-6
 
 
@@ -126,8 +127,7 @@ class TestPoses:
             assert poses.rotation_log(R.as_matrix()) == pytest.approx(R.as_rotvec(), abs=1e-9)
 
     @pytest.mark.parametrize(
-        "angle",
-        [0.0, 1e-12, 1e-9, 1e-7, 1e-6, 1e-5, 1e-3, np.pi - 1e-3, np.pi - 1e-4, np.pi - 1e-5, np.pi - 1e-8],
+        "angle", [0.0, 1e-12, 1e-9, 1e-7, 1e-6, 1e-5, 1e-3, np.pi - 1e-3, np.pi - 1e-4, np.pi - 1e-5, np.pi - 1e-8]
     )
     def test_log_at_the_hard_angles(self, angle):
         for axis in ([1.0, 0, 0], [0, 0, -1.0], [0.6, -0.8, 0], [-0.48, 0.6, 0.64]):

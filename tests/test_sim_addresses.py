@@ -6,10 +6,10 @@ import mujoco
 import pytest
 
 from minidual.errors import UsageError
+from minidual.plant.addresses import map_joints
+from minidual.plant.model import build_spec
+from minidual.plant.world import World
 from minidual.robot.constants import FINGER_JOINT_NAMES, JOINT_NAMES
-from minidual.sim.addresses import map_joints
-from minidual.sim.model import build_spec
-from minidual.sim.world import World
 
 
 def edited(scene, edit):
@@ -20,9 +20,7 @@ def edited(scene, edit):
 
 def test_addresses_follow_the_transmission(compiled_model):
     addresses = map_joints(compiled_model, JOINT_NAMES, torque=True)
-    for name, qpos, qvel, ctrl in zip(
-        JOINT_NAMES, addresses.qpos, addresses.qvel, addresses.ctrl, strict=True
-    ):
+    for name, qpos, qvel, ctrl in zip(JOINT_NAMES, addresses.qpos, addresses.qvel, addresses.ctrl, strict=True):
         joint = compiled_model.joint(name)
         assert qpos == joint.qposadr[0]
         assert qvel == joint.dofadr[0]
@@ -57,9 +55,7 @@ def test_a_model_without_actuators_is_named():
 
 
 def test_an_unknown_joint_is_reported_with_those_that_exist(compiled_model):
-    with pytest.raises(
-        UsageError, match=r"no position for joint 'panda_joint1'.*left_panda_finger_joint1"
-    ) as caught:
+    with pytest.raises(UsageError, match=r"no position for joint 'panda_joint1'.*left_panda_finger_joint1") as caught:
         map_joints(compiled_model, ["panda_joint1"], torque=True)
     assert "prefix" in caught.value.remedy
 
@@ -74,9 +70,7 @@ def test_a_position_servo_under_a_torque_command_is_refused(scene):
     def servo(spec):
         spec.actuator("left_panda_joint3_motor").set_to_position(kp=100.0)
 
-    with pytest.raises(
-        UsageError, match=r"left_panda_joint3_motor.*is a position servo; this needs a torque motor"
-    ):
+    with pytest.raises(UsageError, match=r"left_panda_joint3_motor.*is a position servo; this needs a torque motor"):
         World(scene, model=edited(scene, servo))
 
 

@@ -10,10 +10,10 @@ from arm_scripts import pinch_rod
 
 from minidual.control.loop import JointLoop
 from minidual.errors import EnvironmentMissingError, UsageError
-from minidual.evaluation.environment_pictures import check_cameras, orange_share
-from minidual.sim import render
-from minidual.sim.model import CAMERAS
-from minidual.sim.render import Camera, write_video
+from minidual.plant import render
+from minidual.plant.model import CAMERAS
+from minidual.plant.render import Camera, write_video
+from minidual.stages.env_check_environment_pictures import check_cameras, orange_share
 
 
 def test_every_camera_sees_something_and_each_something_else(visual_world):
@@ -34,20 +34,14 @@ def test_the_same_state_gives_the_same_picture(visual_world):
 
 
 def test_supersampling_keeps_the_size_and_smooths(visual_world):
-    with (
-        Camera(visual_world.model, 64, 48) as plain,
-        Camera(visual_world.model, 64, 48, supersample=3) as smooth,
-    ):
+    with Camera(visual_world.model, 64, 48) as plain, Camera(visual_world.model, 64, 48, supersample=3) as smooth:
         coarse, fine = (c.picture(visual_world.data, "overview").astype(float) for c in (plain, smooth))
     assert coarse.shape == fine.shape
     assert np.abs(np.diff(fine, axis=1)).mean() < np.abs(np.diff(coarse, axis=1)).mean()
 
 
 def test_an_unknown_camera_is_named(visual_world):
-    with (
-        Camera(visual_world.model, 64, 48) as camera,
-        pytest.raises(UsageError, match="no camera 'hihg'") as caught,
-    ):
+    with Camera(visual_world.model, 64, 48) as camera, pytest.raises(UsageError, match="no camera 'hihg'") as caught:
         camera.picture(visual_world.data, "hihg")
     assert "high" in caught.value.remedy
 
@@ -80,8 +74,8 @@ def test_the_camera_check_notices_a_rod_that_is_not_there(visual_world):
 
 
 def test_the_camera_check_notices_a_wrist_camera_turned_away(scene):
-    from minidual.sim.model import build_spec
-    from minidual.sim.world import World
+    from minidual.plant.model import build_spec
+    from minidual.plant.world import World
 
     spec = build_spec(scene, visuals=True)
     spec.camera("left").quat = [1.0, 0.0, 0.0, 0.0]

@@ -9,8 +9,8 @@ from arm_scripts import pinch_rod
 
 from minidual.control.loop import JointLoop
 from minidual.errors import UsageError
+from minidual.plant.world import SimulationDivergedError, World
 from minidual.robot.constants import DOF, HOME, TAU_MAX
-from minidual.sim.world import SimulationDivergedError, World
 
 ZERO = np.zeros(DOF)
 OPEN = np.full(2, 0.04)
@@ -58,9 +58,7 @@ class TestReset:
     def test_a_bad_posture_is_refused_by_name(self, world):
         q = HOME.copy()
         q[3] = 0.5
-        with pytest.raises(
-            UsageError, match=r"left_panda_joint4 = 0\.5000 rad; -3\.0718 <= value <= -0\.0698"
-        ):
+        with pytest.raises(UsageError, match=r"left_panda_joint4 = 0\.5000 rad; -3\.0718 <= value <= -0\.0698"):
             world.reset(q)
         q[3] = np.nan
         with pytest.raises(UsageError, match="left_panda_joint4 = nan"):
@@ -164,9 +162,7 @@ class TestContacts:
         for push in (15.0, -15.0):
             world.data.qpos[:], world.data.qvel[:], world.data.ctrl[:] = state
             left, right = kinematics.tcp_jacobians(world.q)
-            tau = (
-                -push * left[:3].T @ axis + push * right[:3].T @ axis
-            )  # left hand towards -y, right towards +y
+            tau = -push * left[:3].T @ axis + push * right[:3].T @ axis  # left hand towards -y, right towards +y
             zero = np.zeros(DOF)
             for _ in range(400):
                 stiff = loop.controller.torque(world.q, world.v, q, zero, zero)

@@ -11,13 +11,13 @@ import pytest
 from minidual.config.loader import load_config
 from minidual.config.root import Config
 from minidual.errors import UsageError
-from minidual.evaluation.methods import MethodInputs
-from minidual.evaluation.trial_records import TrialRecords
-from minidual.evaluation.trials import run_trials
-from minidual.pipeline.canonical import digest
-from minidual.pipeline.progress import SilentProgress
+from minidual.gate.canonical import digest
+from minidual.gate.progress import SilentProgress
 from minidual.stages.carry import STAGE, CarryStage
 from minidual.tasks.rod_carry import sample_trial
+from minidual.trials.methods import MethodInputs
+from minidual.trials.trial_records import TrialRecords
+from minidual.trials.trials import run_trials
 
 
 @pytest.mark.parametrize("setting", ["carry.object=glas", "carry.motion=overr"])
@@ -77,7 +77,7 @@ def test_a_trial_that_is_both_median_and_worst_is_recorded_as_both(
             written.append((trial, path.name))
             return results[trial]
 
-    monkeypatch.setattr("minidual.evaluation.trial_records.TrialRecords", Records)
+    monkeypatch.setattr("minidual.trials.trial_records.TrialRecords", Records)
     context: Any = SimpleNamespace(folder=tmp_path, progress=SilentProgress())
     trials: list[Any] = [0, 1, 2]
     CarryStage()._record(context, None, trials, results, {"median": 0, "worst": 0})  # type: ignore[arg-type]

@@ -10,17 +10,29 @@ import pytest
 
 from minidual.config.control import CarryLimits
 from minidual.config.evaluation import BenchmarkConfig
-from minidual.evaluation.metrics import TrialMetrics, summarise
-from minidual.pipeline.check import Check
+from minidual.gate.check import Check
 from minidual.stages.benchmark import benchmark_checks
 from minidual.stages.carry import carry_checks
 from minidual.stages.deploy import deploy_checks
+from minidual.trials.metrics import TrialMetrics, summarise
 
 GOOD: dict[str, Any] = {
-    "method": "impedance", "index": 0, "condition": "clean", "success": True, "failure": "", "reason": "",
-    "failed_at_s": math.nan, "duration_s": 7.9, "torque_ratio_max": 0.8, "jerk_rms": 22.0, "tilt_max_rad": 0.01,
-    "path_length_m": 2.8, "internal_force_min_n": 39.0, "pinch_force_min_n": 60.0, "goal_error_m": 0.001,
-}  # fmt: skip
+    "method": "impedance",
+    "index": 0,
+    "condition": "clean",
+    "success": True,
+    "failure": "",
+    "reason": "",
+    "failed_at_s": math.nan,
+    "duration_s": 7.9,
+    "torque_ratio_max": 0.8,
+    "jerk_rms": 22.0,
+    "tilt_max_rad": 0.01,
+    "path_length_m": 2.8,
+    "internal_force_min_n": 39.0,
+    "pinch_force_min_n": 60.0,
+    "goal_error_m": 0.001,
+}
 BAD = {"success": False, "failure": "held", "reason": "dropped", "failed_at_s": 3.0, "duration_s": math.nan}
 
 
@@ -71,9 +83,7 @@ def test_two_lost_rods_of_two_hundred_are_allowed_and_three_are_not() -> None:
 def test_a_motor_that_stands_at_its_limit_fails_the_stage() -> None:
     def saturated(seconds: float) -> set[str]:
         return failing(
-            carry_checks(
-                trials(), CarryLimits(), force_limit_n=20.0, time_limit_s=15.0, saturated_max_s=seconds
-            )
+            carry_checks(trials(), CarryLimits(), force_limit_n=20.0, time_limit_s=15.0, saturated_max_s=seconds)
         )
 
     assert saturated(0.02) == set()
@@ -84,22 +94,14 @@ def test_a_motor_that_stands_at_its_limit_fails_the_stage() -> None:
 def test_deploy_fails_below_half_and_when_slow() -> None:
     good = deploy_checks(30, 50, 200.0, success_rate_min=0.5, inference_hz_min=30.0)
     assert failing(good) == set()
-    assert failing(deploy_checks(25, 50, 200.0, success_rate_min=0.5, inference_hz_min=30.0)) == {
-        "success_rate"
-    }
-    assert failing(deploy_checks(30, 50, 29.0, success_rate_min=0.5, inference_hz_min=30.0)) == {
-        "inference_hz"
-    }
-    assert failing(deploy_checks(30, 50, math.nan, success_rate_min=0.5, inference_hz_min=30.0)) == {
-        "inference_hz"
-    }
+    assert failing(deploy_checks(25, 50, 200.0, success_rate_min=0.5, inference_hz_min=30.0)) == {"success_rate"}
+    assert failing(deploy_checks(30, 50, 29.0, success_rate_min=0.5, inference_hz_min=30.0)) == {"inference_hz"}
+    assert failing(deploy_checks(30, 50, math.nan, success_rate_min=0.5, inference_hz_min=30.0)) == {"inference_hz"}
 
 
 def test_deploy_without_a_limit_reports_the_rate_and_does_not_pass_on_it() -> None:
     (rate,) = [
-        c
-        for c in deploy_checks(0, 2, 90.0, success_rate_min=None, inference_hz_min=30.0)
-        if c.name == "success_rate"
+        c for c in deploy_checks(0, 2, 90.0, success_rate_min=None, inference_hz_min=30.0) if c.name == "success_rate"
     ]
     assert rate.passed is None
     assert rate.observed == 0.0

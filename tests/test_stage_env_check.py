@@ -23,28 +23,28 @@ from minidual.config.supervisor import SupervisorConfig
 from minidual.control.loop import JointLoop
 from minidual.control.supervisor import Supervisor
 from minidual.errors import EnvironmentMissingError, MinidualError
-from minidual.evaluation import environment as measure
-from minidual.evaluation import installation
-from minidual.evaluation import joint_tracking as motion
-from minidual.evaluation.command_latency import (
+from minidual.gate.stage import StageContext
+from minidual.plant.model import build_spec
+from minidual.plant.world import World
+from minidual.robot.constants import DOF, HOME, JOINT_NAMES
+from minidual.robot.kinematics import Kinematics
+from minidual.stages import env_check_checks as judge
+from minidual.stages import env_check_environment as measure
+from minidual.stages import env_check_installation as installation
+from minidual.stages import env_check_joint_tracking as motion
+from minidual.stages.bench_step import StepCost, control_step_cost
+from minidual.stages.env_check import STAGE
+from minidual.stages.env_check_bill import markdown
+from minidual.stages.env_check_command_latency import (
     CommandLatency,
     LatencyRig,
     StopResponse,
     command_latency,
     emergency_stop,
 )
-from minidual.evaluation.environment_pictures import CameraCheck
-from minidual.evaluation.installation import Library, Package, required_libraries
-from minidual.evaluation.joint_response import JointResponse, joint_responses, rise_time_s
-from minidual.evaluation.step_cost import StepCost, control_step_cost
-from minidual.pipeline.stage import StageContext
-from minidual.robot.constants import DOF, HOME, JOINT_NAMES
-from minidual.robot.kinematics import Kinematics
-from minidual.sim.model import build_spec
-from minidual.sim.world import World
-from minidual.stages import env_check_checks as judge
-from minidual.stages.env_check import STAGE
-from minidual.stages.env_check_bill import markdown
+from minidual.stages.env_check_environment_pictures import CameraCheck
+from minidual.stages.env_check_installation import Library, Package, required_libraries
+from minidual.stages.env_check_joint_response import JointResponse, joint_responses, rise_time_s
 from minidual.stages.registry import STAGES
 
 QUICK = EnvCheckConfig(
@@ -79,11 +79,23 @@ class TestStage:
         assert failed(result) == set()
         names = {check.name for check in result.checks}
         assert {
-            "joints.count", "joints.mapped", "joints.reached", "tracking.step_error_rad", "tracking.sine_rms_rad",
-            "contacts.home", "model.agreement_max", "control.step_median_us", "libraries.unfit",
-            "joints.rise_max_s", "joints.overshoot_max_rad", "latency.ticks_max", "latency.ticks_min",
-            "latency.wall_median_us", "stop.ticks", "stop.rest_s",
-        } <= names  # fmt: skip
+            "joints.count",
+            "joints.mapped",
+            "joints.reached",
+            "tracking.step_error_rad",
+            "tracking.sine_rms_rad",
+            "contacts.home",
+            "model.agreement_max",
+            "control.step_median_us",
+            "libraries.unfit",
+            "joints.rise_max_s",
+            "joints.overshoot_max_rad",
+            "latency.ticks_max",
+            "latency.ticks_min",
+            "latency.wall_median_us",
+            "stop.ticks",
+            "stop.rest_s",
+        } <= names
 
     def test_its_limits_are_the_goals_not_the_baselines(self, passed):
         limits = {check.name: check.limit for check in passed[1].checks}
@@ -104,9 +116,7 @@ class TestStage:
         with av.open(str(folder / "sine.mp4")) as film:
             frames = [f.to_ndarray(format="rgb24") for f in film.decode(video=0)]
         assert len(frames) == 2 * QUICK.video_fps
-        assert (
-            np.abs(frames[0].astype(int) - frames[25]).mean() > 2.0
-        )  # half a period later the arms are elsewhere
+        assert np.abs(frames[0].astype(int) - frames[25]).mean() > 2.0  # half a period later the arms are elsewhere
         data = json.loads((folder / "environment.json").read_text())
         assert data["libraries"]["mujoco"]["found"].startswith("4.")
         assert data["machine"]["python"].startswith("3.12")
@@ -136,7 +146,7 @@ class TestStage:
             spec.delete(spec.actuator("left_panda_joint6_motor"))
             return spec.compile()
 
-        monkeypatch.setattr("minidual.sim.model.build_model", without_a_motor)
+        monkeypatch.setattr("minidual.plant.model.build_model", without_a_motor)
         result = run_stage(tmp_path)
         assert failed(result) == {"joints.count"}
         assert {c.name: c.observed for c in result.checks}["joints.count"] == 13
@@ -145,19 +155,28 @@ class TestStage:
         def broken(*_args):
             raise RuntimeError("no EGL")
 
-        monkeypatch.setattr("minidual.sim.render.mujoco.Renderer", broken)
+        monkeypatch.setattr("minidual.plant.render.mujoco.Renderer", broken)
         with pytest.raises(EnvironmentMissingError, match="no EGL"):
             run_stage(tmp_path)
 
     def test_limits_that_cannot_be_met_are_not_met(self, tmp_path):
         result = run_stage(
-            tmp_path, sine_rms_max_rad=1e-9, step_error_max_rad=1e-17, agreement_max=1e-18, rise_max_s=0.01,
-            latency_max_us=0.1, stop_rest_max_s=0.01,
-        )  # fmt: skip
+            tmp_path,
+            sine_rms_max_rad=1e-9,
+            step_error_max_rad=1e-17,
+            agreement_max=1e-18,
+            rise_max_s=0.01,
+            latency_max_us=0.1,
+            stop_rest_max_s=0.01,
+        )
         assert failed(result) == {
-            "tracking.sine_rms_rad", "tracking.step_error_rad", "model.agreement_max", "joints.rise_max_s",
-            "latency.wall_median_us", "stop.rest_s",
-        }  # fmt: skip
+            "tracking.sine_rms_rad",
+            "tracking.step_error_rad",
+            "model.agreement_max",
+            "joints.rise_max_s",
+            "latency.wall_median_us",
+            "stop.rest_s",
+        }
 
     def test_limits_weaker_than_the_baseline_are_no_configuration(self):
         for name in ("sine_rms_max_rad", "step_error_max_rad"):
@@ -342,9 +361,7 @@ class TestLatency:
         rig.supervisor.guard = lagging
         found = command_latency(rig, repeats_n=1)
         assert (found.ticks_min, found.ticks_max) == (3, 22)
-        checks = {
-            c.name: c.passed for c in judge.latency_checks(found, StopResponse(1, 0.3, 1.0, 1.0), QUICK)
-        }
+        checks = {c.name: c.passed for c in judge.latency_checks(found, StopResponse(1, 0.3, 1.0, 1.0), QUICK)}
         assert checks["latency.ticks_max"] is checks["latency.ticks_min"] is False
 
     def test_a_command_that_never_arrives_counts_as_late(self, rig, monkeypatch):
@@ -393,9 +410,7 @@ class TestContacts:
         q = HOME.copy()
         q[0], q[7] = -0.9, 0.9
         world.reset(q)
-        assert any(
-            a.startswith("left_") and b.startswith("right_") for a, b, _ in measure.arm_contacts(world)
-        )
+        assert any(a.startswith("left_") and b.startswith("right_") for a, b, _ in measure.arm_contacts(world))
 
 
 class TestAgreement:
@@ -407,18 +422,14 @@ class TestAgreement:
     def test_a_changed_rotor_inertia_shows_in_the_inertia_alone(self, scene, kinematics):
         spec = build_spec(scene, visuals=False)
         spec.joint("left_panda_joint1").armature = 0.11
-        found = measure.model_agreement(
-            World(scene, model=spec.compile()), kinematics, np.random.default_rng(0), 2
-        )
+        found = measure.model_agreement(World(scene, model=spec.compile()), kinematics, np.random.default_rng(0), 2)
         assert found["inertia_kg_m2"] == pytest.approx(0.01)
         assert max(found["position_m"], found["bias_nm"]) < 1e-11
 
     def test_a_moved_base_shows_in_the_position(self, scene, kinematics):
         spec = build_spec(scene, visuals=False)
         spec.body("right_panda_link0").pos += [0.001, 0.0, 0.0]
-        found = measure.model_agreement(
-            World(scene, model=spec.compile()), kinematics, np.random.default_rng(0), 2
-        )
+        found = measure.model_agreement(World(scene, model=spec.compile()), kinematics, np.random.default_rng(0), 2)
         assert found["position_m"] == pytest.approx(0.001)
 
     def test_a_changed_mass_shows_in_gravity(self, world):
@@ -471,9 +482,7 @@ class TestLibraries:
             return found[name]
 
         monkeypatch.setattr(installation.importlib.metadata, "version", version)
-        read = {
-            library.name: (library.wanted, library.found, library.fits) for library in required_libraries()
-        }
+        read = {library.name: (library.wanted, library.found, library.fits) for library in required_libraries()}
         assert read == {"a": (">=1,<2", "1.5", True), "b": ("~=3.0", "2.0", False), "D": ("", None, False)}
 
 
@@ -483,27 +492,14 @@ class TestBill:
         assert run_command_line(["env-check", "--markdown", "--runs-dir", str(tmp_path)], STAGES) == 0
         out = capsys.readouterr().out
         assert out.startswith("### minidual environment\n")
-        for word in (
-            "| python | 3.12",
-            "| gl renderer | ",
-            "| mujoco | ",
-            "| processor | ",
-            "env-check has not run",
-        ):
+        for word in ("| python | 3.12", "| gl renderer | ", "| mujoco | ", "| processor | ", "env-check has not run"):
             assert word in out
-        for private in (
-            str(tmp_path),
-            str(Path.home()),
-            str(Path(minidual.__file__).parent),
-            f" {platform.node()} ",
-        ):
+        for private in (str(tmp_path), str(Path.home()), str(Path(minidual.__file__).parent), f" {platform.node()} "):
             assert private not in out
         assert list(tmp_path.iterdir()) == []
 
     def test_json_is_the_same_as_a_document(self, tmp_path, capsys):
-        assert (
-            run_command_line(["env-check", "--markdown", "--json", "--runs-dir", str(tmp_path)], STAGES) == 0
-        )
+        assert run_command_line(["env-check", "--markdown", "--json", "--runs-dir", str(tmp_path)], STAGES) == 0
         document = json.loads(capsys.readouterr().out)
         assert document["libraries"]["mujoco"]["fits"] is True
         assert document["about"]["minidual"] == minidual.__version__
@@ -512,17 +508,12 @@ class TestBill:
         def broken(*_args):
             raise RuntimeError("no EGL")
 
-        monkeypatch.setattr("minidual.sim.render.mujoco.Renderer", broken)
+        monkeypatch.setattr("minidual.plant.render.mujoco.Renderer", broken)
         assert run_command_line(["env-check", "--markdown", "--runs-dir", str(tmp_path)], STAGES) == 0
         assert "| gl renderer | none: cannot create" in capsys.readouterr().out
 
     def test_it_marks_what_is_unfit_and_what_failed(self):
-        failed_check = {
-            "status": "fail",
-            "finished_at": "now",
-            "profile": "standard",
-            "failed": ["x is 1, limit < 0"],
-        }
+        failed_check = {"status": "fail", "finished_at": "now", "profile": "standard", "failed": ["x is 1, limit < 0"]}
         lines = markdown(
             {"python": "3|12"}, [Library("mujoco", ">=4", "3.9")], [Package("libegl1", None)], failed_check
         )
@@ -539,10 +530,7 @@ class TestBill:
 
         monkeypatch.setattr(installation.shutil, "which", lambda _: "/usr/bin/dpkg-query")
         monkeypatch.setattr(installation.subprocess, "run", answer)
-        assert installation.system_packages() == [
-            Package("libegl1", "1.6.0-1"),
-            Package("libgl1-mesa-dri", None),
-        ]
+        assert installation.system_packages() == [Package("libegl1", "1.6.0-1"), Package("libgl1-mesa-dri", None)]
         missing = judge.package_checks(installation.system_packages())[0]
         assert (missing.observed, missing.passed) == (1, None)
         monkeypatch.setattr(installation.shutil, "which", lambda _: None)

@@ -9,26 +9,42 @@ from typing import Any
 import pytest
 
 from minidual.config.learning import TrainConfig
-from minidual.learning.acceptance import EmittedActions
-from minidual.learning.train import TrainResult
+from minidual.policies.acceptance import EmittedActions
+from minidual.policies.train import TrainResult
 from minidual.stages.train_act import train_checks
 
 RESULT = TrainResult(
-    steps=100, steps_asked=100, train_s=60.0, samples_per_s=400.0, parameters=770_000, loss_initial=1.0,
-    loss_final=0.05, loss_ratio=0.05, validation_l1=0.06, validation_keyframe_rad=0.004, training_episodes=[0, 1],
-    validation_episodes=[2], ticks=1200, bf16=True, resumed_from_step=0, stopped_by="steps",
-)  # fmt: skip
+    steps=100,
+    steps_asked=100,
+    train_s=60.0,
+    samples_per_s=400.0,
+    parameters=770_000,
+    loss_initial=1.0,
+    loss_final=0.05,
+    loss_ratio=0.05,
+    validation_l1=0.06,
+    validation_keyframe_rad=0.004,
+    training_episodes=[0, 1],
+    validation_episodes=[2],
+    ticks=1200,
+    bf16=True,
+    resumed_from_step=0,
+    stopped_by="steps",
+)
 EMITTED = EmittedActions(
-    in_limits=1.0, in_limits_emitted=1.0, overshoot_max_rad=0.0, joints_n=14, grippers_n=2, samples=64,
+    in_limits=1.0,
+    in_limits_emitted=1.0,
+    overshoot_max_rad=0.0,
+    joints_n=14,
+    grippers_n=2,
+    samples=64,
     inference_hz=300.0,
-)  # fmt: skip
+)
 
 
 def failing(result: dict[str, Any] | None = None, emitted: dict[str, Any] | None = None) -> set[str]:
     checks = train_checks(
-        dataclasses.replace(RESULT, **(result or {})),
-        dataclasses.replace(EMITTED, **(emitted or {})),
-        TrainConfig(),
+        dataclasses.replace(RESULT, **(result or {})), dataclasses.replace(EMITTED, **(emitted or {})), TrainConfig()
     )
     return {check.name for check in checks if check.passed is False}
 
@@ -37,9 +53,14 @@ def test_a_sound_training_passes_every_limit() -> None:
     assert failing() == set()
     limited = {c.name for c in train_checks(RESULT, EMITTED, TrainConfig()) if c.limited}
     assert limited == {
-        "loss_ratio", "actions_in_limits", "train_s", "actions_in_limits_emitted", "joint_targets_n",
-        "gripper_targets_n", "steps_done",
-    }  # fmt: skip
+        "loss_ratio",
+        "actions_in_limits",
+        "train_s",
+        "actions_in_limits_emitted",
+        "joint_targets_n",
+        "gripper_targets_n",
+        "steps_done",
+    }
 
 
 @pytest.mark.parametrize(
@@ -51,9 +72,7 @@ def test_a_sound_training_passes_every_limit() -> None:
         ({"steps": 99}, "steps_done"),
     ],
 )
-def test_a_training_that_learned_nothing_took_too_long_or_was_cut_fails(
-    result: dict[str, Any], name: str
-) -> None:
+def test_a_training_that_learned_nothing_took_too_long_or_was_cut_fails(result: dict[str, Any], name: str) -> None:
     assert failing(result=result) == {name}
 
 

@@ -8,27 +8,27 @@ from typing import Any
 import numpy as np
 import pytest
 
+from minidual.collision.errors import PlanningError
 from minidual.config.arbiter import ArbiterConfig
 from minidual.config.root import Config
 from minidual.config.supervisor import SupervisorConfig
 from minidual.config.teleop import TeleopConfig
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
-from minidual.evaluation.methods import MethodInputs
-from minidual.evaluation.trials import Bench
-from minidual.learning.pilot import PolicyPilot
-from minidual.planning.errors import PlanningError
+from minidual.demos.leader import ScriptedLeader
+from minidual.demos.observation import Observer
+from minidual.demos.session import TeleopSession
+from minidual.plant.world import World
+from minidual.policies.pilot import PolicyPilot
 from minidual.robot.constants import HOME, Array
 from minidual.robot.kinematics import Kinematics
-from minidual.sim.world import World
-from minidual.tasks import planned_carry
-from minidual.tasks.operator import ScriptedOperator
-from minidual.tasks.planned_carry import PlannedCarry, make_planners
+from minidual.skills import planned_carry
+from minidual.skills.operator import ScriptedOperator
+from minidual.skills.planned_carry import PlannedCarry, make_planners
+from minidual.skills.supervised import arm_distance, trial_supervisor
 from minidual.tasks.rod_carry import RodTrial, sample_trial
-from minidual.tasks.supervised import arm_distance, trial_supervisor
-from minidual.teleop.leader import ScriptedLeader
-from minidual.teleop.observation import Observer
-from minidual.teleop.session import TeleopSession
+from minidual.trials.methods import MethodInputs
+from minidual.trials.trials import Bench
 
 SEED = 7
 FRAIL = SupervisorConfig(velocity_scale=0.05)
@@ -74,9 +74,14 @@ def test_a_reflex_ends_the_trial_of_a_policy(
     runtime: Any = Still(0.3)
     supervisor = trial_supervisor(config, world.dt)
     pilot = PolicyPilot(
-        world, Kinematics(), runtime, lambda name: np.zeros((1, 1, 3), np.uint8), ArbiterConfig(), 50.0,
+        world,
+        Kinematics(),
+        runtime,
+        lambda name: np.zeros((1, 1, 3), np.uint8),
+        ArbiterConfig(),
+        50.0,
         supervisor=supervisor,
-    )  # fmt: skip
+    )
     _steps(pilot, 400)
     assert (pilot.aborted is not None) == bool(reflex)
     if reflex:
@@ -146,9 +151,13 @@ def test_a_planned_trial_keeps_the_distance_that_the_supervisor_watches(
 def test_a_reflex_ends_a_demonstration(world: World, config: SupervisorConfig, ended_by: str) -> None:
     trial = sample_trial(world.scene, SEED, "demonstrations", 0)
     session = TeleopSession(
-        world, Kinematics(), Observer(world), TeleopConfig(), ArbiterConfig(),
+        world,
+        Kinematics(),
+        Observer(world),
+        TeleopConfig(),
+        ArbiterConfig(),
         supervisor=trial_supervisor(config, world.dt),
-    )  # fmt: skip
+    )
     result = session.run(trial, ScriptedLeader(ScriptedOperator(world.scene).plan(trial, seed=SEED)))
     assert result.ended_by == ended_by
     assert result.reason.startswith("reflex joint_velocity" if ended_by == "reflex" else "")

@@ -7,10 +7,10 @@ import time
 import mujoco
 import numpy as np
 
+from minidual.collision.arm_distance import ArmDistance
 from minidual.control.joint_control import ComputedTorque
 from minidual.control.supervisor import Supervisor
-from minidual.evaluation.joint_tracking import sine_reference
-from minidual.planning.arm_distance import ArmDistance
+from minidual.stages.env_check_joint_tracking import sine_reference
 
 STEPS, BLOCK = 4000, 50
 FINGERS = np.full(2, 0.04)
@@ -44,9 +44,7 @@ def test_a_tick_costs_a_fraction_of_physics(world, kinematics) -> None:
     plain = tick_cost(world, kinematics, None)
     watched = tick_cost(world, kinematics, ArmDistance())
     for name, (median, mean, bare) in (("joints and hands", plain), ("with self-collision", watched)):
-        print(
-            f"{name}: median {median:.1f} us, mean with the slow looks {mean:.1f} us, mj_step {bare:.1f} us"
-        )
+        print(f"{name}: median {median:.1f} us, mean with the slow looks {mean:.1f} us, mj_step {bare:.1f} us")
     assert plain[0] < 0.5 * plain[2]
     assert plain[1] < 0.75 * plain[2]
     assert watched[1] < 1.0 * watched[2]

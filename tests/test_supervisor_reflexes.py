@@ -12,25 +12,15 @@ import numpy as np
 import pytest
 from guarded_arms import GuardedArms, accelerate
 
+from minidual.collision.arm_distance import ArmDistance
 from minidual.config.supervisor import SupervisorConfig
 from minidual.control import limits
 from minidual.control.loop import JointLoop
 from minidual.control.reflexes import REFLEXES, Reflex, ReflexError
 from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
-from minidual.evaluation.joint_tracking import sine_reference
-from minidual.planning.arm_distance import ArmDistance
-from minidual.robot.constants import (
-    A_MAX,
-    DOF,
-    HOME,
-    JOINT_NAMES,
-    Q_LOWER,
-    Q_UPPER,
-    TAU_MAX,
-    TAU_RATE_MAX,
-    V_MAX,
-)
+from minidual.robot.constants import A_MAX, DOF, HOME, JOINT_NAMES, Q_LOWER, Q_UPPER, TAU_MAX, TAU_RATE_MAX, V_MAX
+from minidual.stages.env_check_joint_tracking import sine_reference
 
 
 @pytest.fixture
@@ -71,9 +61,7 @@ class TestReflexes:
         assert set_up.world.q[3] < Q_UPPER[3]
 
     def test_joint_position_at_the_margin(self, arms):
-        reflex = must_trip(
-            arms(position_margin_rad=0.2).run(4.0, accelerate(5, -0.5)), "joint_position", "joint6"
-        )
+        reflex = must_trip(arms(position_margin_rad=0.2).run(4.0, accelerate(5, -0.5)), "joint_position", "joint6")
         assert reflex.bound == pytest.approx(Q_LOWER[5] + 0.2)
 
     def test_joint_velocity(self, arms):
@@ -82,9 +70,7 @@ class TestReflexes:
         assert V_MAX[6] < reflex.value < V_MAX[6] + 0.1
 
     def test_torque_range(self, arms):
-        reflex = must_trip(
-            arms().run(0.1, torque=lambda t, tau: tau + 200.0 * np.eye(DOF)[8]), "torque_range"
-        )
+        reflex = must_trip(arms().run(0.1, torque=lambda t, tau: tau + 200.0 * np.eye(DOF)[8]), "torque_range")
         assert reflex.where == JOINT_NAMES[8]
         assert reflex.value > reflex.bound == TAU_MAX[8]
 
@@ -99,8 +85,9 @@ class TestReflexes:
     def test_torque_saturation_after_20_ms(self, arms):
         reflex = must_trip(
             arms().run(0.2, torque=lambda t, tau: np.where(np.arange(DOF) == 7, TAU_MAX, tau)),
-            "torque_saturation", "right_panda_joint1 for 20 ms",
-        )  # fmt: skip
+            "torque_saturation",
+            "right_panda_joint1 for 20 ms",
+        )
         assert reflex.time_s == pytest.approx(0.020, abs=1e-9)
 
     def test_reference_acceleration(self, arms):
@@ -198,11 +185,7 @@ class TestReflexes:
 
     def test_every_row_of_the_table_is_triggered_here(self):
         """Read from the tests themselves: which worker runs which of them is not known here."""
-        calls = [
-            n
-            for n in ast.walk(ast.parse(Path(__file__).read_text(encoding="utf-8")))
-            if isinstance(n, ast.Call)
-        ]
+        calls = [n for n in ast.walk(ast.parse(Path(__file__).read_text(encoding="utf-8"))) if isinstance(n, ast.Call)]
         named = {
             ast.literal_eval(call.args[1])
             for call in calls
@@ -214,11 +197,7 @@ class TestReflexes:
 class TestStop:
     def test_arms_come_to_rest_softly_and_stay_latched(self, arms):
         set_up = arms()
-        set_up.run(
-            0.5,
-            accelerate(0, 3.0),
-            before=lambda t: set_up.supervisor.estop() if 0.3995 < t < 0.4005 else None,
-        )
+        set_up.run(0.5, accelerate(0, 3.0), before=lambda t: set_up.supervisor.estop() if 0.3995 < t < 0.4005 else None)
         assert np.abs(set_up.world.v).max() > 1.0
         set_up.go_on(1.0)  # the controller asks for NaN all the while
         assert np.abs(set_up.world.v).max() < 1e-3
@@ -346,9 +325,7 @@ class TestLegalMotion:
     def test_a_joint_may_go_to_its_very_limit(self, world, kinematics):
         loop, supervisor = JointLoop(world, kinematics), Supervisor()
         command = world.command
-        world.command = lambda tau, fingers: command(
-            supervisor.guard(world.time, world.q, world.v, tau), fingers
-        )
+        world.command = lambda tau, fingers: command(supervisor.guard(world.time, world.q, world.v, tau), fingers)
         target = HOME.copy()
         target[[6, 13]] = Q_UPPER[6], Q_LOWER[13]
         for _ in range(2500):
@@ -369,10 +346,16 @@ class TestBounds:
             for step in (0.0, 1e-5):
                 data.qpos[world.joints.qpos] = q + step * np.eye(DOF)[joint]
                 mujoco.mj_kinematics(model, data)
-                corners.append(np.array([
-                    data.geom_xpos[g] + data.geom_xmat[g].reshape(3, 3) @ (model.geom_aabb[g, :3] + model.geom_aabb[g, 3:] * s)
-                    for g in moving for s in np.stack(np.meshgrid(*[[-1, 1]] * 3), -1).reshape(-1, 3)
-                ]))  # fmt: skip
+                corners.append(
+                    np.array(
+                        [
+                            data.geom_xpos[g]
+                            + data.geom_xmat[g].reshape(3, 3) @ (model.geom_aabb[g, :3] + model.geom_aabb[g, 3:] * s)
+                            for g in moving
+                            for s in np.stack(np.meshgrid(*[[-1, 1]] * 3), -1).reshape(-1, 3)
+                        ]
+                    )
+                )
             fastest = np.linalg.norm(corners[1] - corners[0], axis=1).max() / 1e-5
             assert fastest <= limits.REACH_M[joint]
             assert fastest > 0.1 * limits.REACH_M[joint]

@@ -13,8 +13,8 @@ from gymnasium.utils.env_checker import check_env
 from minidual.config.scene import CameraConfig, SceneConfig, TaskConfig
 from minidual.errors import UsageError
 from minidual.robot.constants import HOME, Q_UPPER
-from minidual.tasks.gym_env import ROD_CARRY_ID, RodCarryEnv
 from minidual.tasks.rod_carry import RodTrial
+from minidual.trials.gym_env import ROD_CARRY_ID, RodCarryEnv
 
 
 @pytest.fixture(scope="module")
@@ -31,10 +31,14 @@ def action(q=HOME, hands=(1.0, 1.0)):
 def test_gymnasiums_own_checker_passes_with_images_and_rendering():
     small = SceneConfig(camera=CameraConfig(width_px=64, height_px=48))
     made = gymnasium.make(
-        f"minidual.tasks.gym_env:{ROD_CARRY_ID}",
-        scene=small, images=("high", "left"), render_mode="rgb_array", rod_pose=True,
-        render_width_px=160, render_height_px=120,
-    )  # fmt: skip
+        f"minidual.trials.gym_env:{ROD_CARRY_ID}",
+        scene=small,
+        images=("high", "left"),
+        render_mode="rgb_array",
+        rod_pose=True,
+        render_width_px=160,
+        render_height_px=120,
+    )
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")

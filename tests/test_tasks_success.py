@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from minidual.plant.world import ContactWrench
 from minidual.robot.poses import pose, rot_x, rot_z
-from minidual.sim.world import ContactWrench
 from minidual.tasks.rod_carry import RodTrial
 from minidual.tasks.success import RodCarryJudge
 
@@ -111,9 +111,7 @@ def test_one_that_rises_too_little_did_not_rise(scene):
     assert outcome.rise_m == pytest.approx(0.03)
 
 
-@pytest.mark.parametrize(
-    ("pinch", "hand"), [((60.0, 0.0), "right"), ((0.0, 60.0), "left"), ((20.0, 60.0), "left")]
-)
+@pytest.mark.parametrize(("pinch", "hand"), [((60.0, 0.0), "right"), ((0.0, 60.0), "left"), ((20.0, 60.0), "left")])
 def test_one_hand_alone_does_not_hold(scene, pinch, hand):
     _, outcome = judge(cycle(pinch=pinch), scene)
     assert faults(outcome) == {"held"}

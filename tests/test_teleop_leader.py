@@ -13,22 +13,20 @@ import pytest
 
 from minidual.config.scene import SceneConfig
 from minidual.config.teleop import MirrorConfig, TeleopConfig
+from minidual.demos.keyboard import KeyboardLeader
+from minidual.demos.leader import LEADERS, LeaderSetup, make_leader
+from minidual.demos.mirror import LeaderOffsetError, Mirror
 from minidual.errors import EnvironmentMissingError, UsageError
 from minidual.robot.constants import HOME, Q_UPPER
 from minidual.robot.kinematics import Kinematics
-from minidual.tasks.operator import ScriptedOperator
+from minidual.skills.operator import ScriptedOperator
 from minidual.tasks.rod_carry import sample_trial
-from minidual.teleop.keyboard import KeyboardLeader
-from minidual.teleop.leader import LEADERS, LeaderSetup, make_leader
-from minidual.teleop.mirror import LeaderOffsetError, Mirror
 
 
 def test_a_leader_that_stands_elsewhere_is_refused_and_the_joint_named() -> None:
     leader = HOME.copy()
     leader[10] += 0.25
-    with pytest.raises(
-        LeaderOffsetError, match=r"\+0\.250 rad away from the follower at right_panda_joint4"
-    ) as error:
+    with pytest.raises(LeaderOffsetError, match=r"\+0\.250 rad away from the follower at right_panda_joint4") as error:
         Mirror().check_start(leader, HOME)
     assert "calibrate" in (error.value.remedy or "")
     leader[10] = HOME[10] + 0.09
@@ -75,18 +73,13 @@ def test_leaders_are_found_by_name(scene: SceneConfig) -> None:
     np.testing.assert_allclose(reading[0], HOME, atol=1e-6)
     assert not leader.finished(5.0)
     assert leader.finished(8.7)
-    with pytest.raises(
-        UsageError, match=r"(?s)no leader 'keybord'; there are keyboard, scripted.*'keyboard'"
-    ):
+    with pytest.raises(UsageError, match=r"(?s)no leader 'keybord'; there are keyboard, scripted.*'keyboard'"):
         make_leader("keybord", setup, trial)
     assert sorted(LEADERS) == ["keyboard", "scripted"]
 
 
 def test_the_keyboard_needs_a_terminal(tmp_path: Path) -> None:
-    with (
-        (tmp_path / "no_terminal").open("w") as file,
-        pytest.raises(EnvironmentMissingError, match="terminal"),
-    ):
+    with (tmp_path / "no_terminal").open("w") as file, pytest.raises(EnvironmentMissingError, match="terminal"):
         KeyboardLeader(Kinematics(), descriptor=file.fileno())
 
 

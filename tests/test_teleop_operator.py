@@ -11,8 +11,8 @@ from minidual.control.object_path import minimum_jerk
 from minidual.errors import UsageError
 from minidual.robot.constants import A_MAX, HOME, Q_LOWER, Q_UPPER, V_MAX
 from minidual.robot.kinematics import Kinematics
-from minidual.tasks.operator import ScriptedOperator
-from minidual.tasks.posture_ik import PostureIK
+from minidual.skills.operator import ScriptedOperator
+from minidual.skills.posture_ik import PostureIK
 from minidual.tasks.rod_carry import RodTrial, grasp_offsets, level_pose, sample_trial
 
 SEED = 5
@@ -55,10 +55,7 @@ def test_the_hands_hold_the_rod_from_grasp_to_release(operator: ScriptedOperator
     trial = RodTrial("t", 0, (0.52, 0.23, 0.2), (0.5, -0.25, 0.0))
     demo = operator.plan(trial, seed=SEED)
     left_grasp, right_grasp = grasp_offsets(scene)
-    for tick, (x, y, yaw) in (
-        (_tick(operator, "descend"), trial.start),
-        (_tick(operator, "open") - 1, trial.goal),
-    ):
+    for tick, (x, y, yaw) in ((_tick(operator, "descend"), trial.start), (_tick(operator, "open") - 1, trial.goal)):
         T_world_rod = level_pose(x, y, scene.rod.radius_m, yaw)
         left, right = kinematics.tcp_poses(demo.q[tick])
         np.testing.assert_allclose(left, T_world_rod @ left_grasp, atol=1e-5)
@@ -66,9 +63,7 @@ def test_the_hands_hold_the_rod_from_grasp_to_release(operator: ScriptedOperator
     # Between the two the hands must not pull at the rod: their distance is the rod's all the way.
     for tick in range(_tick(operator, "descend"), _tick(operator, "open"), 10):
         left, right = kinematics.tcp_poses(demo.q[tick])
-        assert np.linalg.norm(left[:3, 3] - right[:3, 3]) == pytest.approx(
-            2 * scene.rod.grasp_offset_m, abs=1e-6
-        )
+        assert np.linalg.norm(left[:3, 3] - right[:3, 3]) == pytest.approx(2 * scene.rod.grasp_offset_m, abs=1e-6)
 
 
 def test_grippers_close_once_and_open_once(operator: ScriptedOperator) -> None:
@@ -90,9 +85,7 @@ def test_the_approach_errs_and_is_corrected_before_the_hands_go_down(operator: S
     assert np.abs(error[:2]).max() > 1e-3
     kinematics = Kinematics()
     midpoints = [sum(T[:3, 3] for T in kinematics.tcp_poses(d.q[arrived])) / 2 for d in (erring, clean)]
-    assert np.all(
-        (midpoints[0] - midpoints[1])[:2] / error[:2] > 0.8
-    )  # nearly there, and nearly all of it wrong
+    assert np.all((midpoints[0] - midpoints[1])[:2] / error[:2] > 0.8)  # nearly there, and nearly all of it wrong
     np.testing.assert_allclose(erring.q[corrected:], clean.q[corrected:], atol=1e-4)
 
 

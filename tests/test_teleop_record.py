@@ -19,30 +19,34 @@ import pytest
 
 from minidual.config.root import Config
 from minidual.config.teleop import TeleopConfig
-from minidual.data.episode import read_episode
-from minidual.data.validate import validate_episode
+from minidual.demos import recording as teleop_recording
+from minidual.demos import rig as teleop_rig
+from minidual.demos.episode import read_episode
+from minidual.demos.recording import Recording, record
+from minidual.demos.rig import Attempt, Job, Rig
+from minidual.demos.validate import validate_episode
 from minidual.errors import NothingEvaluatedError, UsageError
-from minidual.pipeline.stage import StageContext
+from minidual.gate.stage import StageContext
+from minidual.plant.world import World
 from minidual.robot.constants import Q_LOWER, Q_UPPER
-from minidual.sim.world import World
-from minidual.stages import teleop_recording, teleop_rig
 from minidual.stages.registry import STAGES
-from minidual.stages.teleop_record import (
-    STAGE,
-    RecordingNumbers,
-    count_recording,
-    record_checks,
-    write_quality,
-)
-from minidual.stages.teleop_recording import Recording, record
-from minidual.stages.teleop_rig import Attempt, Job, Rig
+from minidual.stages.teleop_record import STAGE, RecordingNumbers, count_recording, record_checks, write_quality
 
 CONFIG = Config()
 GOOD = RecordingNumbers(
-    episodes=120, attempts=121, successes=120, files_at_fault=0, jerk_rms_max=21.0, sync_error_max_s=0.0,
-    latency_p50_s=0.0003, latency_p99_s=0.001, episodes_per_min=30.0, recorded_ticks=52200, dataset_rows=52200,
+    episodes=120,
+    attempts=121,
+    successes=120,
+    files_at_fault=0,
+    jerk_rms_max=21.0,
+    sync_error_max_s=0.0,
+    latency_p50_s=0.0003,
+    latency_p99_s=0.001,
+    episodes_per_min=30.0,
+    recorded_ticks=52200,
+    dataset_rows=52200,
     dataset_episodes=120,
-)  # fmt: skip
+)
 
 
 def _job(folder: Path, **teleop: Any) -> Job:
@@ -53,9 +57,7 @@ def _job(folder: Path, **teleop: Any) -> Job:
 def test_good_numbers_pass() -> None:
     checks = record_checks(GOOD, TeleopConfig())
     assert all(c.passed for c in checks if c.limited)
-    assert {"episodes", "schema_ok", "jerk_rms_max", "latency_p99_s", "episodes_per_min"} <= {
-        c.name for c in checks
-    }
+    assert {"episodes", "schema_ok", "jerk_rms_max", "latency_p99_s", "episodes_per_min"} <= {c.name for c in checks}
 
 
 @pytest.mark.parametrize(
@@ -83,9 +85,7 @@ def _contents(path: Path) -> dict[str, Any]:
     found: dict[str, Any] = {}
     with h5py.File(path) as file:
         found["attributes"] = {k: str(v) for k, v in file.attrs.items()}
-        file.visititems(
-            lambda name, item: found.update({name: item[()]} if isinstance(item, h5py.Dataset) else {})
-        )
+        file.visititems(lambda name, item: found.update({name: item[()]} if isinstance(item, h5py.Dataset) else {}))
     return found
 
 
@@ -107,11 +107,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory, shared_model: None) -> tu
 def test_a_recording_holds_sound_demonstrations_only(recorded: tuple[Job, Recording], tmp_path: Path) -> None:
     job, recording = recorded
     assert [a.trial.index for a in recording.kept] == [0, 1]
-    assert sorted(p.name for p in job.folder.rglob("*")) == [
-        "episode_000000.hdf5",
-        "episode_000001.hdf5",
-        "episodes",
-    ]
+    assert sorted(p.name for p in job.folder.rglob("*")) == ["episode_000000.hdf5", "episode_000001.hdf5", "episodes"]
     for attempt in recording.kept:
         assert attempt.path is not None
         assert validate_episode(attempt.path, cameras=("high",), lower=Q_LOWER, upper=Q_UPPER) == []
@@ -121,14 +117,10 @@ def test_a_recording_holds_sound_demonstrations_only(recorded: tuple[Job, Record
         assert episode.images["high"].shape == (len(episode), 96, 128, 3)
         assert episode.meta.extra["start_x_y_yaw"] == list(job.trial(attempt.trial.index).start)
         assert set(np.unique(episode.action_gripper)) == {0.0, 1.0}
-        assert 0.05 < episode.gripper.min() < 0.5 < episode.gripper.max() <= 1.001, (
-            "measured openings, not commands"
-        )
+        assert 0.05 < episode.gripper.min() < 0.5 < episode.gripper.max() <= 1.001, "measured openings, not commands"
     rows = sum(len(read_episode(path, cameras=())) for path in recording.paths)
     numbers = count_recording(recording, dataset_rows=rows, dataset_episodes=2)
-    checks = record_checks(
-        numbers, job.teleop.model_copy(update={"latency_max_s": 1.0, "episodes_per_min": 0.0})
-    )
+    checks = record_checks(numbers, job.teleop.model_copy(update={"latency_max_s": 1.0, "episodes_per_min": 0.0}))
     assert [c.sentence() for c in checks if c.passed is False] == []
     write_quality(recording.attempts, tmp_path / "quality.csv")
     lines = (tmp_path / "quality.csv").read_text().splitlines()
@@ -162,9 +154,7 @@ def test_failed_attempts_are_set_aside_with_their_reason(tmp_path: Path, shared_
     job = _job(tmp_path, episodes_n=1, attempts_max_ratio=1.0)
     rig = Rig(job, ("high",))
     real = rig.world.reset
-    rig.world.reset = lambda q=None, *, rod_xy_yaw=None: real(
-        q, rod_xy_yaw=(rod_xy_yaw[0] + 0.06, *rod_xy_yaw[1:])
-    )  # type: ignore[method-assign]
+    rig.world.reset = lambda q=None, *, rod_xy_yaw=None: real(q, rod_xy_yaw=(rod_xy_yaw[0] + 0.06, *rod_xy_yaw[1:]))  # type: ignore[method-assign]
     attempt = rig.record(0)
     rig.close()
     assert not attempt.success
@@ -225,8 +215,8 @@ _SCRIPT = """
 import sys
 from pathlib import Path
 from minidual.config.root import Config
-from minidual.stages.teleop_recording import record
-from minidual.stages.teleop_rig import Job
+from minidual.demos.recording import record
+from minidual.demos.rig import Job
 c = Config()
 job = Job(Path(sys.argv[1]), c.scene, c.teleop.model_copy(update={"episodes_n": 50}), c.arbiter, 11)
 record(job, workers=1)

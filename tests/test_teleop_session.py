@@ -10,16 +10,16 @@ import pytest
 from minidual.config.arbiter import ArbiterConfig
 from minidual.config.teleop import TeleopConfig
 from minidual.control.loop import JointLoop
+from minidual.demos.leader import ScriptedLeader
+from minidual.demos.mirror import LeaderOffsetError
+from minidual.demos.observation import Observer
+from minidual.demos.session import SessionResult, TeleopSession, Tick
 from minidual.errors import UsageError
+from minidual.plant.world import World
 from minidual.robot.constants import HOME, Array
 from minidual.robot.kinematics import Kinematics
-from minidual.sim.world import World
-from minidual.tasks.operator import ScriptedOperator
+from minidual.skills.operator import ScriptedOperator
 from minidual.tasks.rod_carry import sample_trial
-from minidual.teleop.leader import ScriptedLeader
-from minidual.teleop.mirror import LeaderOffsetError
-from minidual.teleop.observation import Observer
-from minidual.teleop.session import SessionResult, TeleopSession, Tick
 
 SEED = 7
 
@@ -62,9 +62,7 @@ def test_an_episode_succeeds_and_its_actions_lead_to_the_next_state(world: World
     assert _replay_error(world, trial.start, ticks, np.vstack([action[:1], action[:-1]])) > 1e-3
 
 
-def _replay_error(
-    world: World, start: tuple[float, float, float], ticks: list[Tick], actions: Array
-) -> float:
+def _replay_error(world: World, start: tuple[float, float, float], ticks: list[Tick], actions: Array) -> float:
     """Return the largest joint difference between the recorded states and a replay of `actions` (2 s of it)."""
     world.reset(rod_xy_yaw=start)
     loop = JointLoop(world, Kinematics())

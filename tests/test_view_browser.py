@@ -17,7 +17,7 @@ import pytest
 from browser import Browser, find_browser
 
 from minidual.config.view import ViewConfig
-from minidual.view import make_view
+from minidual.show.view import make_view
 
 BROWSER = find_browser()
 pytestmark = pytest.mark.skipif(
@@ -48,13 +48,27 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[subprocess
     """Run `minidual view` and yield its process and the address that it printed."""
     folder = tmp_path_factory.mktemp("runs")
     command = [
-        sys.executable, "-m", "minidual.cli", "view", "--view", "web", "--for-s", "400", "--json",
-        "--view-port", "8500", "--runs-dir", str(folder),
-    ]  # fmt: skip
+        sys.executable,
+        "-m",
+        "minidual.cli",
+        "view",
+        "--view",
+        "web",
+        "--for-s",
+        "400",
+        "--json",
+        "--view-port",
+        "8500",
+        "--runs-dir",
+        str(folder),
+    ]
     process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored under a background job
-    )  # fmt: skip
+    )
     assert process.stderr is not None
     found = None
     for line in process.stderr:
@@ -104,9 +118,10 @@ def test_the_scene_is_in_the_picture_and_nothing_comes_from_the_net(
     assert after
     assert float(after[1]) > float(before[1])  # it is alive
     foreign = [
-        asked[:100] for asked in browser.requests
+        asked[:100]
+        for asked in browser.requests
         if not re.match(r"(https?|ws)://127\.0\.0\.1:\d+/|data:|blob:http://127\.0\.0\.1:|chrome:|about:", asked)
-    ]  # fmt: skip
+    ]
     assert browser.requests
     assert foreign == []
 

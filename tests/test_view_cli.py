@@ -10,9 +10,9 @@ from pipeline_toys import Toy
 from minidual.cli import run_command_line
 from minidual.config.loader import load_config
 from minidual.errors import ExitCode
-from minidual.pipeline.runner import Runner
-from minidual.pipeline.store import RunStore
-from minidual.pipeline.table import StageEntry, StageTable
+from minidual.gate.runner import Runner
+from minidual.gate.store import RunStore
+from minidual.gate.table import StageEntry, StageTable
 from minidual.stages.registry import STAGES
 from minidual.stages.tools import TOOLS
 
@@ -74,18 +74,14 @@ def test_wrong_words_are_refused_before_anything_runs(
     assert run_command_line(["alpha", "--view", "none", *common], table) == ExitCode.PASS
 
 
-def test_a_command_that_moves_nothing_takes_no_view(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_command_that_moves_nothing_takes_no_view(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     table = _table(Toy("alpha"), watchable=False)
     arguments = ["alpha", "--view", "web", "--profile", "smoke", "--runs-dir", str(tmp_path)]
     assert run_command_line(arguments, table) == ExitCode.USAGE
     assert "--view" in capsys.readouterr().err
 
 
-def test_a_fresh_stage_has_nothing_to_show_and_says_so(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_fresh_stage_has_nothing_to_show_and_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["alpha", "--profile", "smoke", "--runs-dir", str(tmp_path)]
     assert run_command_line(arguments, _table(Toy("alpha"))) == ExitCode.PASS
     capsys.readouterr()
@@ -96,9 +92,7 @@ def test_a_fresh_stage_has_nothing_to_show_and_says_so(
     assert json.loads(shown.out)["ran"] is False
 
 
-def test_the_scene_shows_itself_for_the_time_asked_for(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_scene_shows_itself_for_the_time_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     common = ["--runs-dir", str(tmp_path), "--view-port", "8490"]
     assert run_command_line(["view", "--for-s", "0.6", "--json", *common], STAGES, TOOLS) == ExitCode.PASS
     shown = capsys.readouterr()
@@ -115,9 +109,7 @@ def test_the_scene_shows_itself_for_the_time_asked_for(
     assert not list(tmp_path.iterdir())  # a tool that only shows writes nothing
 
 
-def test_an_aside_that_shows_nothing_refuses_a_view(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_aside_that_shows_nothing_refuses_a_view(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["carry", "--tune", "--view", "web", "--runs-dir", str(tmp_path)]
     assert run_command_line(arguments, STAGES, TOOLS) == ExitCode.USAGE
     assert "carry-tune shows nothing to a view" in capsys.readouterr().err

@@ -5,11 +5,11 @@ import numpy.typing as npt
 import pytest
 
 from minidual.config.scene import SceneConfig
-from minidual.sim import render
-from minidual.sim.model import CAMERAS
-from minidual.sim.render import Camera
-from minidual.sim.watch import visual_model
-from minidual.sim.world import World
+from minidual.plant import render
+from minidual.plant.model import CAMERAS
+from minidual.plant.render import Camera
+from minidual.plant.world import World
+from minidual.show.watch_world import visual_model
 
 
 @pytest.fixture(scope="module")

@@ -9,14 +9,14 @@ import pytest
 from minidual.config.scene import SceneConfig
 from minidual.config.view import ViewConfig
 from minidual.errors import EnvironmentMissingError, ExitCode, UsageError
+from minidual.plant.model import build_model
 from minidual.robot.constants import FINGER_JOINT_NAMES, JOINT_NAMES
-from minidual.sim.model import build_model
-from minidual.sim.watch import visual_model
-from minidual.view import NAMES, Overlay, make_view
-from minidual.view.network import free_port, is_loopback, tunnel_command, url
-from minidual.view.pace import Brake, Metronome, SpeedMeter
-from minidual.view.shapes import HIDDEN_GROUP, body_meshes, moving_bodies
-from minidual.view.web_panel import forces_html, state_html
+from minidual.show.view import NAMES, Overlay, make_view
+from minidual.show.view.network import free_port, is_loopback, tunnel_command, url
+from minidual.show.view.pace import Brake, Metronome, SpeedMeter
+from minidual.show.view.shapes import HIDDEN_GROUP, body_meshes, moving_bodies
+from minidual.show.view.web_panel import forces_html, state_html
+from minidual.show.watch_world import visual_model
 
 
 class Clock:
@@ -104,10 +104,12 @@ def test_meshes_are_where_the_model_has_its_geoms() -> None:
     for body in {m.body for m in meshes}:
         points = np.concatenate([m.vertices for m in meshes if m.body == body]).astype(float)
         geoms = [
-            g for g in range(model.ngeom)
-            if model.geom_bodyid[g] == body and model.geom_group[g] < HIDDEN_GROUP
+            g
+            for g in range(model.ngeom)
+            if model.geom_bodyid[g] == body
+            and model.geom_group[g] < HIDDEN_GROUP
             and model.geom_type[g] != mujoco.mjtGeom.mjGEOM_PLANE
-        ]  # fmt: skip
+        ]
         boxes = []
         for g in geoms:
             centre, half = model.geom_aabb[g, :3], model.geom_aabb[g, 3:]
@@ -119,10 +121,7 @@ def test_meshes_are_where_the_model_has_its_geoms() -> None:
         assert (points.min(axis=0) >= found.min(axis=0) - 1e-3).all(), model.body(body).name
         assert (points.max(axis=0) <= found.max(axis=0) + 1e-3).all(), model.body(body).name
         if len(geoms) == 1:  # the box of a turned geom is larger than the geom; its diagonal is not
-            assert (
-                np.linalg.norm(np.ptp(points, axis=0))
-                <= 2.0 * np.linalg.norm(model.geom_aabb[geoms[0], 3:]) * 1.01
-            )
+            assert np.linalg.norm(np.ptp(points, axis=0)) <= 2.0 * np.linalg.norm(model.geom_aabb[geoms[0], 3:]) * 1.01
 
 
 def test_collision_shapes_are_not_shown() -> None:

@@ -15,15 +15,15 @@ from websockets.sync.client import connect
 
 from minidual.config.root import Config
 from minidual.config.view import ViewConfig
-from minidual.evaluation.methods import MethodInputs
-from minidual.evaluation.trials import run_trials
+from minidual.plant.world import World
 from minidual.robot.constants import HOME
-from minidual.sim.watch import Narration, Watcher, overlay, play, visual_model, watched
-from minidual.sim.world import World
+from minidual.show.view import Arrow, Overlay, PathLine, Preview, Slider, make_view
+from minidual.show.view.pace import Metronome
+from minidual.show.view.web import WebView
+from minidual.show.watch_world import Narration, Watcher, overlay, play, visual_model, watched
 from minidual.tasks.rod_carry import sample_trial
-from minidual.view import Arrow, Overlay, PathLine, Preview, Slider, make_view
-from minidual.view.pace import Metronome
-from minidual.view.web import WebView
+from minidual.trials.methods import MethodInputs
+from minidual.trials.trials import run_trials
 
 CONFIG = Config()
 SUBPROTOCOL = "viser-v1.1.1"
@@ -61,9 +61,7 @@ def _connects(host: str, port: int) -> bool:
 
 def test_only_the_loopback_interface_answers(view: WebView, lines: list[str]) -> None:
     assert _connects("127.0.0.1", view.port)
-    mine = {
-        a.address for items in psutil.net_if_addrs().values() for a in items if a.family == socket.AF_INET
-    }
+    mine = {a.address for items in psutil.net_if_addrs().values() for a in items if a.family == socket.AF_INET}
     others = sorted((mine | {"127.0.0.2"}) - {"127.0.0.1"})  # every other address of this machine
     assert others
     assert not any(_connects(host, view.port) for host in others)
@@ -139,10 +137,7 @@ def test_forces_and_plans_are_drawn_and_taken_away(view: WebView) -> None:
     ghost = world.data.qpos.copy()
     ghost[model.joint("left_panda_joint6").qposadr[0]] += 0.5
     preview = Preview((line,), (ghost,))
-    arrows = (
-        Arrow(np.zeros(3), np.array([0.0, 40.0, 0.0]), (1, 2, 3)),
-        Arrow(np.ones(3), np.zeros(3), (1, 2, 3)),
-    )
+    arrows = (Arrow(np.zeros(3), np.array([0.0, 40.0, 0.0]), (1, 2, 3)), Arrow(np.ones(3), np.zeros(3), (1, 2, 3)))
     _show(view, world, arrows=arrows, preview=preview, pinch_n=(1.0, 2.0), internal_n=3.0)
     assert view.alive
     assert scene._arrows.visible
@@ -210,9 +205,7 @@ def test_no_one_can_open_a_public_tunnel(view: WebView) -> None:
 
 
 def test_a_watched_trial_ends_as_an_unwatched_one_to_the_last_bit(view: WebView) -> None:
-    scene = CONFIG.scene.model_copy(
-        update={"task": CONFIG.scene.task.model_copy(update={"time_limit_s": 2.5})}
-    )
+    scene = CONFIG.scene.model_copy(update={"task": CONFIG.scene.task.model_copy(update={"time_limit_s": 2.5})})
     config = CONFIG.model_copy(update={"scene": scene})
     inputs = MethodInputs(config, 5)
     trials = [sample_trial(scene, 5, "view-test", 0)]

@@ -14,20 +14,12 @@ from typing import Annotated, Any
 import typer
 
 import minidual
-from minidual.cli.commands import (
-    Body,
-    config_body,
-    explain_body,
-    run_body,
-    stage_body,
-    status_body,
-    tool_body,
-)
+from minidual.cli.commands import Body, config_body, explain_body, run_body, stage_body, status_body, tool_body
 from minidual.cli.session import Session, Typed
 from minidual.cli.viewing import VIEW_OPTIONS
 from minidual.errors import ExitCode, unknown_name
-from minidual.pipeline.table import StageEntry, StageOption, StageTable
-from minidual.pipeline.tool import ToolEntry, ToolOption, key
+from minidual.gate.table import StageEntry, StageOption, StageTable
+from minidual.gate.tool import ToolEntry, ToolOption, key
 
 _COMMON: dict[str, tuple[Any, Any]] = {
     "profile": (
@@ -37,9 +29,7 @@ _COMMON: dict[str, tuple[Any, Any]] = {
     "settings": (
         Annotated[
             list[str] | None,
-            typer.Option(
-                "--set", metavar="KEY=VALUE", help="Override a configuration value, e.g. plan.queries_n=30."
-            ),
+            typer.Option("--set", metavar="KEY=VALUE", help="Override a configuration value, e.g. plan.queries_n=30."),
         ],
         None,
     ),
@@ -49,10 +39,7 @@ _COMMON: dict[str, tuple[Any, Any]] = {
         None,
     ),
     "seed": (Annotated[int | None, typer.Option(help="The one seed of the run.")], None),
-    "workers": (
-        Annotated[int | None, typer.Option(help="Processes to use; results do not depend on it.")],
-        None,
-    ),
+    "workers": (Annotated[int | None, typer.Option(help="Processes to use; results do not depend on it.")], None),
     "json": (Annotated[bool, typer.Option("--json", help="Print one JSON document to stdout.")], False),
     "debug": (Annotated[bool, typer.Option("--debug", help="Show tracebacks.")], False),
 }
@@ -60,9 +47,7 @@ _FORCE = (Annotated[bool, typer.Option("--force", help="Run even if fresh. Never
 _WAIVE = (
     Annotated[
         str | None,
-        typer.Option(
-            metavar="REASON", help="Open a closed gate; written down, taints everything downstream."
-        ),
+        typer.Option(metavar="REASON", help="Open a closed gate; written down, taints everything downstream."),
     ],
     None,
 )
@@ -70,12 +55,7 @@ _RUNNING: dict[str, tuple[Any, Any]] = {"force": _FORCE, "waive_gate": _WAIVE}
 
 
 def _add(
-    app: typer.Typer,
-    table: StageTable,
-    name: str,
-    summary: str,
-    own: Mapping[str, tuple[Any, Any]],
-    body: Body,
+    app: typer.Typer, table: StageTable, name: str, summary: str, own: Mapping[str, tuple[Any, Any]], body: Body
 ) -> None:
     """Add a command whose options are `own` and the common ones ({name: (annotation, default)})."""
     options = {**own, **_COMMON}
@@ -158,19 +138,23 @@ def build_app(table: StageTable, tools: Sequence[ToolEntry] = ()) -> typer.Typer
         _add(app, table, tool.name, f"{tool.summary}.", options, tool_body(tool))
     until = (Annotated[str | None, typer.Option(metavar="STAGE", help="Last stage to run.")], None)
     _add(
-        app, table, "run", "Run every stage that is not passing and fresh, in order.",
-        {"until": until, **VIEW_OPTIONS, **_RUNNING}, run_body,
-    )  # fmt: skip
-    _add(app, table, "status", "Show where every stage of the run stands.", {}, status_body)
-    stage = (
-        Annotated[str | None, typer.Argument(help="Name of a stage; none walks the debug ladder.")],
-        None,
+        app,
+        table,
+        "run",
+        "Run every stage that is not passing and fresh, in order.",
+        {"until": until, **VIEW_OPTIONS, **_RUNNING},
+        run_body,
     )
+    _add(app, table, "status", "Show where every stage of the run stands.", {}, status_body)
+    stage = (Annotated[str | None, typer.Argument(help="Name of a stage; none walks the debug ladder.")], None)
     _add(
-        app, table, "explain",
+        app,
+        table,
+        "explain",
         "Explain one stage: checks, margins, remedies, staleness, requirements; or what to look at first.",
-        {"stage": stage}, explain_body,
-    )  # fmt: skip
+        {"stage": stage},
+        explain_body,
+    )
     config = typer.Typer(help="The resolved configuration.", no_args_is_help=True, rich_markup_mode=None)
     _add(config, table, "show", "Print the resolved configuration as YAML.", {}, config_body)
     app.add_typer(config, name="config")

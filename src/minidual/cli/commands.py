@@ -10,10 +10,10 @@ from minidual.cli.viewing import live_view
 from minidual.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
-    from minidual.pipeline.gate import StageState
-    from minidual.pipeline.runner import Outcome
-    from minidual.pipeline.table import StageEntry
-    from minidual.pipeline.tool import ToolEntry
+    from minidual.gate.gate import StageState
+    from minidual.gate.runner import Outcome
+    from minidual.gate.table import StageEntry
+    from minidual.gate.tool import ToolEntry
 
 Body = Callable[[Session, Mapping[str, Any]], ExitCode]
 """A command's work: the session and the values of its own options in, an exit code out."""
@@ -24,7 +24,7 @@ def stage_body(entry: StageEntry) -> Body:
 
     def body(session: Session, values: Mapping[str, Any]) -> ExitCode:
         from minidual.cli.tables import print_outcome
-        from minidual.pipeline.tool import key
+        from minidual.gate.tool import key
 
         for aside in entry.asides:
             if aside.is_asked_for(values):
@@ -32,13 +32,9 @@ def stage_body(entry: StageEntry) -> Body:
         _refuse_loose_options(entry, values)
         options = {o.name: values[key(o.name)] for o in entry.options if values[key(o.name)] is not None}
         with live_view(session, values) as view:
-            outcome = session.runner(view).run(
-                entry.name, options, force=values["force"], waiver=values["waive_gate"]
-            )
+            outcome = session.runner(view).run(entry.name, options, force=values["force"], waiver=values["waive_gate"])
         if view is not None and not outcome.ran:
-            session.people.print(
-                f"nothing to watch: {entry.name} is passing and fresh; --force runs it again"
-            )
+            session.people.print(f"nothing to watch: {entry.name} is passing and fresh; --force runs it again")
         following = session.following()
         print_outcome(session.people, outcome, following)
         if session.typed.json:
@@ -55,14 +51,12 @@ def tool_body(tool: ToolEntry) -> Body:
     return lambda session, values: run_tool(tool, session, values)
 
 
-def run_tool(
-    tool: ToolEntry, session: Session, values: Mapping[str, Any], stage: StageEntry | None = None
-) -> ExitCode:
+def run_tool(tool: ToolEntry, session: Session, values: Mapping[str, Any], stage: StageEntry | None = None) -> ExitCode:
     """Run a tool and print what it says; the options of the stage that it is an aside of hold for it too."""
     from minidual.cli.progress import progress_for
     from minidual.config.loader import Override
-    from minidual.pipeline.disk import disk_errors
-    from minidual.pipeline.tool import ToolContext, key
+    from minidual.gate.disk import disk_errors
+    from minidual.gate.tool import ToolContext, key
 
     names = [option.name for option in (*tool.options, *(stage.options if stage else ()))]
     typed = {name: values[key(name)] for name in names if _was_typed(values[key(name)])}
@@ -72,9 +66,17 @@ def run_tool(
         raise UsageError(f"{tool.name} shows nothing to a view", remedy="leave out --view")
     with live_view(session, values, tool.view_default) as view:
         context = ToolContext(
-            config, config.seed, config.workers if view is None else 1, session.loaded.profile,
-            session.store.folder, typed, progress_for(session.people), session.typed.command, tool.name, view,
-        )  # fmt: skip
+            config,
+            config.seed,
+            config.workers if view is None else 1,
+            session.loaded.profile,
+            session.store.folder,
+            typed,
+            progress_for(session.people),
+            session.typed.command,
+            tool.name,
+            view,
+        )
         context.begin()
         with disk_errors(session.store.folder):
             result = tool.load()(context)
@@ -96,7 +98,7 @@ def _was_typed(value: Any) -> bool:
 
 def _refuse_loose_options(entry: StageEntry, values: Mapping[str, Any]) -> None:
     """Refuse an option that goes with an aside which nothing asked for: the stage would ignore it."""
-    from minidual.pipeline.tool import key
+    from minidual.gate.tool import key
 
     own = {option.name for option in entry.options}
     for aside in entry.asides:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from minidual.cli.session import Session
-    from minidual.pipeline.gate import Gate
+    from minidual.gate.gate import Gate
     from minidual.stages.ladder import LevelFound, Walk
 
 _STYLES = {"holds": "bold green", "fails": "bold red", "unproven": "yellow"}
@@ -39,9 +39,7 @@ def explain_ladder(session: Session) -> ExitCode:
         table.add_column(header, overflow="fold", no_wrap=header == "is")
     for level in found.levels:
         name = f"{level.level.number} {level.level.name}"
-        table.add_row(
-            name, Text(level.standing, style=_STYLES[level.standing]), _proofs(level), level.level.question
-        )
+        table.add_row(name, Text(level.standing, style=_STYLES[level.standing]), _proofs(level), level.level.question)
     session.data.print(table)
     print_lowest(session.data, found)
     return ExitCode.PASS
@@ -55,9 +53,7 @@ def print_lowest(console: Console, found: Walk) -> None:
             _say(console, "every level holds", "green")
         return
     words = {"fails": "does not hold", "unproven": "is not proved"}[lowest.standing]
-    _say(
-        console, f"look at level {lowest.level.number}, {lowest.level.name}: the lowest that {words}", "bold"
-    )
+    _say(console, f"look at level {lowest.level.number}, {lowest.level.name}: the lowest that {words}", "bold")
     for line in found.lines:
         _say(console, f"  {line}")
     _say(console, f"next: {found.next_command}")

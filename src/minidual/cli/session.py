@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from minidual.config.loader import LoadedConfig
-    from minidual.pipeline.gate import Gate
-    from minidual.pipeline.runner import Runner
-    from minidual.pipeline.store import RunStore
-    from minidual.pipeline.table import StageTable
-    from minidual.view import View
+    from minidual.gate.gate import Gate
+    from minidual.gate.runner import Runner
+    from minidual.gate.store import RunStore
+    from minidual.gate.table import StageTable
+    from minidual.show.view import View
 
 
 @dataclass(frozen=True)
@@ -88,21 +88,21 @@ class Session:
     def store(self) -> RunStore:
         """The run's folder."""
         from minidual.config.run import locate_run
-        from minidual.pipeline.store import RunStore
+        from minidual.gate.store import RunStore
 
         location = locate_run(self.loaded.profile, self.typed.run, self.typed.runs_dir)
         return RunStore(location.root, location.name)
 
     def gate(self) -> Gate:
         """Return a gate that judges the run as it is now."""
-        from minidual.pipeline.gate import Gate
+        from minidual.gate.gate import Gate
 
         return Gate(self.table, self.store, self.loaded)
 
     def runner(self, view: View | None = None) -> Runner:
         """Return a runner that reports to people and shows the arms to `view`."""
         from minidual.cli.progress import progress_for
-        from minidual.pipeline.runner import Runner
+        from minidual.gate.runner import Runner
 
         progress = progress_for(self.people)
         if view is not None and self.loaded.config.workers > 1:
@@ -122,7 +122,7 @@ class Session:
 
     def print_json(self, document: Any) -> None:
         """Print one JSON document to stdout."""
-        from minidual.pipeline.canonical import canonical
+        from minidual.gate.canonical import canonical
 
         print(json.dumps(canonical(document), indent=2, allow_nan=False, ensure_ascii=False))
 
@@ -142,9 +142,7 @@ class Session:
         except MinidualError as error:
             return self._fail(error, error.message, error.remedy, error.exit_code)
         except Exception as error:
-            message = (
-                f"internal error: {type(error).__name__}: {error}; traceback in {self._write_trace(error)}"
-            )
+            message = f"internal error: {type(error).__name__}: {error}; traceback in {self._write_trace(error)}"
             return self._fail(error, message, "please report it with that file", ExitCode.INTERNAL)
 
     def _fail(self, error: BaseException, message: str, remedy: str | None, code: ExitCode) -> int:
@@ -152,9 +150,7 @@ class Session:
             traceback.print_exception(error, file=sys.stderr)
         if self.typed.json:
             kind = type(error).__name__
-            self.print_json(
-                {"error": {"kind": kind, "message": message, "remedy": remedy}, "exit_code": int(code)}
-            )
+            self.print_json({"error": {"kind": kind, "message": message, "remedy": remedy}, "exit_code": int(code)})
         print(f"minidual: {message}", file=sys.stderr)
         if remedy:
             print(f"  remedy: {remedy}", file=sys.stderr)

@@ -8,11 +8,11 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from minidual.pipeline.check import Check, format_number
-from minidual.pipeline.gate import StageState
-from minidual.pipeline.runner import Outcome
-from minidual.pipeline.table import StageEntry
-from minidual.pipeline.verdict import Verdict
+from minidual.gate.check import Check, format_number
+from minidual.gate.gate import StageState
+from minidual.gate.runner import Outcome
+from minidual.gate.table import StageEntry
+from minidual.gate.verdict import Verdict
 
 _STYLES = {
     "pass": "bold green",
@@ -44,9 +44,7 @@ def checks_table(checks: Sequence[Check], title: str, *, explained: bool = False
     """Return the table of a stage: check, observed, limit, margin, result; why and remedy if `explained`."""
     table = Table(title=title, title_justify="left", show_lines=explained)
     for header in ("check", "observed", "limit", "margin", "result"):
-        table.add_column(
-            header, justify="left" if header in ("check", "result") else "right", overflow="fold"
-        )
+        table.add_column(header, justify="left" if header in ("check", "result") else "right", overflow="fold")
     if explained:
         table.add_column("why, and what to do", overflow="fold", ratio=1)
     for check in checks:
@@ -67,9 +65,7 @@ def checks_table(checks: Sequence[Check], title: str, *, explained: bool = False
 
 def label(verdict: Verdict) -> str:
     """Return the words that keep a verdict from passing for more than it is."""
-    words = (
-        [] if verdict.acceptance_profile else [f"profile '{verdict.profile}': wiring only, never acceptance"]
-    )
+    words = [] if verdict.acceptance_profile else [f"profile '{verdict.profile}': wiring only, never acceptance"]
     words += [f"GATE WAIVED at {waiver.stage}: {waiver.reason}" for waiver in verdict.waivers]
     return "; ".join(words)
 
@@ -137,9 +133,7 @@ def print_explanation(
     if state.verdict is not None:
         verdict = state.verdict
         made = f"verdict: {verdict.status}, {verdict.finished_at}, profile '{verdict.profile}'"
-        console.print(
-            checks_table(verdict.checks, f"{made}, seed {verdict.fingerprint.seed}", explained=True)
-        )
+        console.print(checks_table(verdict.checks, f"{made}, seed {verdict.fingerprint.seed}", explained=True))
         _line(console, label(verdict), "yellow")
         for text in verdict.overrides:
             _line(console, f"  made with {text}")

@@ -12,29 +12,23 @@ from minidual.errors import UsageError
 
 if TYPE_CHECKING:
     from minidual.cli.session import Session
-    from minidual.view import View
+    from minidual.show.view import View
 
 VIEW_OPTIONS: dict[str, tuple[Any, Any]] = {
     "view": (
         Annotated[
-            str | None,
-            typer.Option(metavar="none|native|web", help="Watch the arms: in a window, or in a browser."),
+            str | None, typer.Option(metavar="none|native|web", help="Watch the arms: in a window, or in a browser.")
         ],
         None,
     ),
     "view_host": (
         Annotated[
             str | None,
-            typer.Option(
-                help="Interface for --view web (default 127.0.0.1: this machine and ssh tunnels only)."
-            ),
+            typer.Option(help="Interface for --view web (default 127.0.0.1: this machine and ssh tunnels only)."),
         ],
         None,
     ),
-    "view_port": (
-        Annotated[int | None, typer.Option(help="First port to try for --view web (default 8080).")],
-        None,
-    ),
+    "view_port": (Annotated[int | None, typer.Option(help="First port to try for --view web (default 8080).")], None),
 }
 """Options of every command that moves the arms. They are no configuration: a verdict is the same with a view."""
 
@@ -44,9 +38,9 @@ def live_view(session: Session, values: Mapping[str, Any], default: str = "none"
     """Yield the view that was asked for (None: nobody watches) and close it at the end, whatever happens.
 
     Raises:
-        UsageError: An address without a web view, or what minidual.view.make_view raises.
+        UsageError: An address without a web view, or what minidual.show.view.make_view raises.
     """
-    from minidual.view import make_view
+    from minidual.show.view import make_view
 
     name = values.get("view") or default
     typed = {field: values.get(f"view_{field}") for field in ("host", "port")}
@@ -57,9 +51,7 @@ def live_view(session: Session, values: Mapping[str, Any], default: str = "none"
     if typed:
         from minidual.config.loader import Override
 
-        overrides = [
-            Override(f"view.{field}", value, f"--view-{field} {value}") for field, value in typed.items()
-        ]
+        overrides = [Override(f"view.{field}", value, f"--view-{field} {value}") for field, value in typed.items()]
         config = session.loaded.with_overrides(overrides).config.view
 
     def say(line: str) -> None:

@@ -96,13 +96,18 @@ class SensingConfig(StrictModel):
     def perfect(cls) -> SensingConfig:
         """Return sensing without noise, delay or averaging: every step, the truth."""
         return cls(
-            pose_noise_m=0.0, pose_noise_rad=0.0, pose_rate_hz=0.0, force_noise_n=0.0, delay_s=0.0,
-            force_filter_s=0.0, grasp_memory_s=0.0,
-        )  # fmt: skip
+            pose_noise_m=0.0,
+            pose_noise_rad=0.0,
+            pose_rate_hz=0.0,
+            force_noise_n=0.0,
+            delay_s=0.0,
+            force_filter_s=0.0,
+            grasp_memory_s=0.0,
+        )
 
 
 class PaceConfig(StrictModel):
-    """Limits to which the durations of a carry are planned; see tasks/pace.py."""
+    """Limits to which the durations of a carry are planned; see skills/pace.py."""
 
     joint_speed_share: float = Field(default=0.85, gt=0.0, le=1.0)
     """Largest joint speed, as a share of the joint's limit."""
@@ -118,7 +123,7 @@ class PaceConfig(StrictModel):
 
 
 class CarryFaultConfig(StrictModel):
-    """When a carry gives itself up; each limit reads sensed quantities only. See tasks/faults.py."""
+    """When a carry gives itself up; each limit reads sensed quantities only. See skills/faults.py."""
 
     displaced_m: float = Field(default=0.004, gt=0.0, le=0.1)
     """Distance of a resting object from where it lay, or of a held one from where the hands should have it; more where

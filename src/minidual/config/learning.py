@@ -36,9 +36,7 @@ class TrainConfig(StrictModel):
     )
 
     # Optimisation
-    steps: int = Field(
-        default=12000, ge=1, le=10_000_000, description="optimiser steps; training stops by steps"
-    )
+    steps: int = Field(default=12000, ge=1, le=10_000_000, description="optimiser steps; training stops by steps")
     time_limit_s: float = Field(
         default=1800.0, gt=0.0, description="training beyond this is cut short and fails its check"
     )
@@ -51,33 +49,22 @@ class TrainConfig(StrictModel):
         default=0.999, ge=0.0, lt=1.0, description="moving average of the weights; 0 switches it off"
     )
     precision: Literal["auto", "fp32", "bf16"] = Field(
-        default="auto",
-        description="of the convolutions; auto is bf16 where the processor computes it natively",
+        default="auto", description="of the convolutions; auto is bf16 where the processor computes it natively"
     )
     device: Literal["cpu", "cuda"] = "cpu"
     threads: int = Field(default=2, ge=1, le=256, description="torch threads while training on the CPU")
 
     # Data
-    cameras: tuple[str, ...] = Field(
-        default=("high",), description="cameras the policy looks through; empty means all"
-    )
-    validation_fraction: float = Field(
-        default=0.08, ge=0.0, le=0.5, description="share of the episodes held out"
-    )
+    cameras: tuple[str, ...] = Field(default=("high",), description="cameras the policy looks through; empty means all")
+    validation_fraction: float = Field(default=0.08, ge=0.0, le=0.5, description="share of the episodes held out")
     approach_weight: float = Field(
         default=3.0, gt=0.0, le=100.0, description="sampling weight of ticks before the grasp"
     )
     state_noise_approach_rad: float = Field(default=0.06, ge=0.0, le=0.5)
     state_noise_rad: float = Field(default=0.01, ge=0.0, le=0.5, description="state noise after the grasp")
-    brightness_jitter: float = Field(
-        default=0.08, ge=0.0, le=1.0, description="additive, in units of full scale"
-    )
-    contrast_jitter: float = Field(
-        default=0.15, ge=0.0, lt=1.0, description="multiplicative, 0.15 is 0.85 to 1.15"
-    )
-    std_floor: float = Field(
-        default=1e-2, gt=0.0, description="smallest normalisation std: some joints hardly move"
-    )
+    brightness_jitter: float = Field(default=0.08, ge=0.0, le=1.0, description="additive, in units of full scale")
+    contrast_jitter: float = Field(default=0.15, ge=0.0, lt=1.0, description="multiplicative, 0.15 is 0.85 to 1.15")
+    std_floor: float = Field(default=1e-2, gt=0.0, description="smallest normalisation std: some joints hardly move")
 
     # Bookkeeping
     log_every_steps: int = Field(default=20, ge=1)
@@ -109,14 +96,10 @@ class DeployConfig(StrictModel):
     )
     threads: int = Field(default=1, ge=1, le=64, description="torch threads: more only costs on busy cores")
     device: Literal["cpu", "cuda"] = "cpu"
-    trials: int = Field(
-        default=50, ge=1, le=10_000, description="closed-loop trials on seeds held out from training"
-    )
+    trials: int = Field(default=50, ge=1, le=10_000, description="closed-loop trials on seeds held out from training")
     training_trials: int = Field(
         default=20, ge=0, le=10_000, description="trials on training seeds, reported beside them"
     )
     success_rate_min: float = Field(default=0.5, ge=0.0, le=1.0)
-    judge_success: bool = Field(
-        default=True, description="whether the success rate has a limit; smoke only reports it"
-    )
+    judge_success: bool = Field(default=True, description="whether the success rate has a limit; smoke only reports it")
     inference_hz_min: float = Field(default=30.0, gt=0.0)

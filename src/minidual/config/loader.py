@@ -33,9 +33,7 @@ def parse_override(text: str) -> Override:
     path, equals, value = text.partition("=")
     path = path.strip()
     if not equals or not all(path.split(".")):
-        raise ConfigError(
-            f"--set {text}: not of the form section.key=value", remedy="--set plan.queries_n=30"
-        )
+        raise ConfigError(f"--set {text}: not of the form section.key=value", remedy="--set plan.queries_n=30")
     source = f"--set {text}"
     return Override(path, parse_value(value, source), source)
 
@@ -58,9 +56,7 @@ class LoadedConfig:
         resolved = self.config.model_dump(mode="json")
         for override in overrides:
             _apply(document, override, resolved)
-        return LoadedConfig(
-            _validate(document), self.profile, self.sources, (*self.overrides, *overrides), document
-        )
+        return LoadedConfig(_validate(document), self.profile, self.sources, (*self.overrides, *overrides), document)
 
     def to_yaml(self) -> str:
         """Return the resolved configuration as YAML; it can be given to --profile again."""
@@ -79,9 +75,7 @@ def load_config(profile: str = DEFAULT_PROFILE, overrides: Sequence[Override | s
     document, sources = _read_chain(path, ())
     document.source = path.name
     loaded = LoadedConfig(_validate(document), name, sources, (), document)
-    return loaded.with_overrides(
-        [parse_override(item) if isinstance(item, str) else item for item in overrides]
-    )
+    return loaded.with_overrides([parse_override(item) if isinstance(item, str) else item for item in overrides])
 
 
 def _read_chain(path: Path, below: tuple[Path, ...]) -> tuple[Document, tuple[Path, ...]]:
@@ -182,11 +176,7 @@ def _sentence(problem: Any, document: Document, model: type[BaseModel]) -> tuple
     if problem["type"] == "value_error":
         return f"{where}: {dotted or 'configuration'}: {problem['ctx']['error']}", None
     text = f"{where}: {dotted}: {problem['msg'][:1].lower()}{problem['msg'][1:]}"
-    text = (
-        text.replace("input should", "must")
-        .replace("a valid list", "a list")
-        .replace("an object", "a section")
-    )
+    text = text.replace("input should", "must").replace("a valid list", "a list").replace("an object", "a section")
     if isinstance(value, str):
         text += f", is the text '{value}'"
         number = _as_yaml_number(value) if looks_numeric(value) else None

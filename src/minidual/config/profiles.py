@@ -32,9 +32,7 @@ def find_profile(profile: str, relative_to: Path | None = None) -> tuple[str, Pa
         return profile, SHIPPED_FOLDER / f"{profile}.yaml"
     path = (relative_to or Path.cwd()) / Path(profile).expanduser()
     if not path.is_file():
-        raise ConfigError(
-            f"no profile file {path}", remedy=f"shipped profiles are {', '.join(shipped_profiles())}"
-        )
+        raise ConfigError(f"no profile file {path}", remedy=f"shipped profiles are {', '.join(shipped_profiles())}")
     if path.resolve().parent == SHIPPED_FOLDER:
         return path.stem, path.resolve()
     if path.stem in shipped_profiles():

@@ -24,10 +24,7 @@ class RunLocation:
 
 
 def locate_run(
-    profile: str,
-    run: str | None = None,
-    runs_folder: Path | None = None,
-    environment: Mapping[str, str] | None = None,
+    profile: str, run: str | None = None, runs_folder: Path | None = None, environment: Mapping[str, str] | None = None
 ) -> RunLocation:
     """Return where a run is: `runs_folder`, else $MINIDUAL_RUNS, else ./runs; named `run`, else `profile`."""
     variable = (os.environ if environment is None else environment).get(RUNS_VARIABLE)

@@ -71,9 +71,7 @@ class RodConfig(StrictModel):
     @model_validator(mode="after")
     def _hands_on_rod(self) -> RodConfig:
         if self.grasp_offset_m > self.length_m / 2:
-            raise ValueError(
-                f"grasp_offset_m {self.grasp_offset_m} lies beyond the rod's end at {self.length_m / 2}"
-            )
+            raise ValueError(f"grasp_offset_m {self.grasp_offset_m} lies beyond the rod's end at {self.length_m / 2}")
         return self
 
 

@@ -1,6 +1,6 @@
 """What the robot's geometry does not say: groups, named states and end effectors, as an SRDF says them.
 
-The robot itself holds these to account: `minidual.planning.semantics` refuses a chain that the model does not have,
+The robot itself holds these to account: `minidual.motion.semantics` refuses a chain that the model does not have,
 a state outside the limits or of the wrong length, and a group of other joints than the planner's.
 """
 
@@ -49,9 +49,7 @@ def _chain(arm: str) -> ChainConfig:
 
 
 def _hand(arm: str) -> EndEffectorConfig:
-    return EndEffectorConfig(
-        group=f"{arm}_arm", parent_link=f"{arm}_panda_hand", tcp_link=f"{arm}_panda_hand_tcp"
-    )
+    return EndEffectorConfig(group=f"{arm}_arm", parent_link=f"{arm}_panda_hand", tcp_link=f"{arm}_panda_hand_tcp")
 
 
 def _same(joints: tuple[float, ...], description: str) -> NamedStateConfig:
@@ -61,8 +59,7 @@ def _same(joints: tuple[float, ...], description: str) -> NamedStateConfig:
 _STATES: dict[str, NamedStateConfig] = {
     "home": _same(_HOME, "where every run begins"),
     "ready": _same(
-        (0.0, -0.1848, 0.0, -2.4967, 0.0, 2.3119, 0.7854),
-        "hands down, 25 cm over the table, fingers along x",
+        (0.0, -0.1848, 0.0, -2.4967, 0.0, 2.3119, 0.7854), "hands down, 25 cm over the table, fingers along x"
     ),
     "carry": NamedStateConfig(
         left_rad=(-0.216, 0.0891, -0.0384, -2.3191, 0.0051, 2.4081, -1.0434),
@@ -74,9 +71,7 @@ _STATES: dict[str, NamedStateConfig] = {
         right_rad=(-0.0244, -0.3986, -0.0715, -1.7764, -0.0283, 1.3788, 0.6897),
         description="hands 60 cm over the table, out of the way of what stands on it",
     ),
-    "folded": _same(
-        (0.0, -1.4, 0.0, -2.9, 0.0, 1.6, 0.785), "arms drawn back over their bases, the table free"
-    ),
+    "folded": _same((0.0, -1.4, 0.0, -2.9, 0.0, 1.6, 0.785), "arms drawn back over their bases, the table free"),
 }
 
 

@@ -31,29 +31,12 @@ import numpy as np
 
 from minidual.config.arbiter import ArbiterConfig
 from minidual.control.command_checks import Fault, opening_fault
-from minidual.control.commands import (
-    HOLD,
-    SOURCES,
-    ArbiterOutput,
-    ArbiterState,
-    Command,
-    JointCommand,
-    Refusal,
-)
+from minidual.control.commands import HOLD, SOURCES, ArbiterOutput, ArbiterState, Command, JointCommand, Refusal
 from minidual.control.execution import Execution
 from minidual.control.mailbox import Mailbox
 from minidual.control.underway import Underway
 from minidual.errors import UsageError, unknown_name
-from minidual.robot.constants import (
-    A_MAX,
-    ARMS,
-    DOF,
-    DOF_PER_ARM,
-    Q_LOWER,
-    Q_UPPER,
-    V_MAX,
-    Array,
-)
+from minidual.robot.constants import A_MAX, ARMS, DOF, DOF_PER_ARM, Q_LOWER, Q_UPPER, V_MAX, Array
 
 _STOP_SHARE = 0.5
 """Share of the joints' acceleration limits with which arms in motion are stopped when a switch begins."""
@@ -368,10 +351,7 @@ class CommandArbiter:
         was_aligning = self._state == ArbiterState.ALIGNING
         if fresh:
             newest_s = max(c.stamp_s for c in fresh.values())
-            self._heard_s, self._alive_s = (
-                max(self._heard_s, newest_s),
-                max(self._alive_s, min(now_s, newest_s)),
-            )
+            self._heard_s, self._alive_s = (max(self._heard_s, newest_s), max(self._alive_s, min(now_s, newest_s)))
         driven = self._run_timed(now_s)
         if not fresh:
             if not driven:

@@ -96,10 +96,7 @@ def _trajectory_fault(command: TrajectoryCommand) -> Fault | None:
             f"trajectory {shape}; group {command.group} needs n >= 2 samples of {' or '.join(map(str, widths))}",
         )
     if np.shape(motion.v) != shape or np.shape(motion.a) != shape:
-        return (
-            "wrong_shape",
-            f"q {shape}, v {np.shape(motion.v)}, a {np.shape(motion.a)}; they must be alike",
-        )
+        return ("wrong_shape", f"q {shape}, v {np.shape(motion.v)}, a {np.shape(motion.a)}; they must be alike")
     columns = own_columns(command)
     q, v, a = motion.q[:, columns], motion.v[:, columns], motion.a[:, columns]
     fault = _posture_fault(q, joints) or _common_fault(command)
@@ -131,10 +128,7 @@ def _object_fault(command: ObjectCommand) -> Fault | None:
         if not (all(np.isfinite(x).all() for x in values) and np.isfinite(squeeze)):
             return "not_finite", f"object path or squeeze at {t:.3f} s"
         if not 0.0 <= squeeze <= SQUEEZE_CEILING_N:
-            return (
-                "squeeze_out_of_range",
-                f"{squeeze:.1f} N at {t:.3f} s; 0 to {SQUEEZE_CEILING_N:.0f} N",
-            )
+            return ("squeeze_out_of_range", f"{squeeze:.1f} N at {t:.3f} s; 0 to {SQUEEZE_CEILING_N:.0f} N")
         speed = float(np.linalg.norm(state.twist[:3]))
         if speed > OBJECT_SPEED_MAX_M_PER_S:
             return "too_fast", f"object at {speed:.2f} m/s; limit {OBJECT_SPEED_MAX_M_PER_S}"

@@ -15,13 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from minidual.control.command_checks import Fault
-from minidual.control.commands import (
-    ArbiterOutput,
-    Command,
-    JointCommand,
-    TrajectoryCommand,
-    arms_of,
-)
+from minidual.control.commands import ArbiterOutput, Command, JointCommand, TrajectoryCommand, arms_of
 from minidual.control.execution import TrajectoryExecution
 from minidual.control.joint_control import ComputedTorque
 from minidual.control.object_path import minimum_jerk

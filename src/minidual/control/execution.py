@@ -161,9 +161,7 @@ class ObjectExecution:
         if clock.braking:
             rate, slope = clock.rate, clock.slope
             state = ObjectState(
-                state.T_world_object,
-                state.twist * rate,
-                state.acceleration * rate**2 - state.twist * slope,
+                state.T_world_object, state.twist * rate, state.acceleration * rate**2 - state.twist * slope
             )
         self.desired = state
 

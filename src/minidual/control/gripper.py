@@ -23,9 +23,7 @@ class Grippers:
         speed_m_per_s: Slew rate of each finger.
     """
 
-    def __init__(
-        self, scene: SceneConfig, dt_s: float, *, pinch_force_n: float, speed_m_per_s: float = 0.08
-    ) -> None:
+    def __init__(self, scene: SceneConfig, dt_s: float, *, pinch_force_n: float, speed_m_per_s: float = 0.08) -> None:
         pinch_force_n = min(pinch_force_n, scene.physics.finger_force_max_n)
         self._closed_m = scene.rod.half_width_m - pinch_force_n / scene.physics.finger_kp_n_per_m
         self._step_m = speed_m_per_s * dt_s

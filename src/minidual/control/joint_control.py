@@ -59,16 +59,18 @@ class ComputedTorque:
     """
 
     def __init__(
-        self, kinematics: Kinematics, *, natural_frequency_rad_s: float = 20.0, damping_ratio: float = 1.0,
+        self,
+        kinematics: Kinematics,
+        *,
+        natural_frequency_rad_s: float = 20.0,
+        damping_ratio: float = 1.0,
         friction: JointFriction | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         from minidual.control.kernels import add_friction  # compiled: importing it is not free
 
         self._add_friction = add_friction
         self._model, self._data = kinematics.model, kinematics.data
-        self._gains = np.array(
-            [natural_frequency_rad_s**2, 2.0 * damping_ratio * natural_frequency_rad_s, 1.0]
-        )
+        self._gains = np.array([natural_frequency_rad_s**2, 2.0 * damping_ratio * natural_frequency_rad_s, 1.0])
         self._friction = JointFriction() if friction is None else friction
         self._joints = np.array([self._friction.viscous, self._friction.dry, TAU_MAX])
         self._v = np.zeros(DOF)

@@ -44,16 +44,21 @@ class JointGains:
 
 
 def joint_gains(
-    kinematics: Kinematics, q: Array = HOME, *,
-    natural_frequency_rad_s: float = NATURAL_FREQUENCY_RAD_S, damping_ratio: float = DAMPING_RATIO,
-) -> JointGains:  # fmt: skip
+    kinematics: Kinematics,
+    q: Array = HOME,
+    *,
+    natural_frequency_rad_s: float = NATURAL_FREQUENCY_RAD_S,
+    damping_ratio: float = DAMPING_RATIO,
+) -> JointGains:
     """Return what the joints see at posture q (14,), and the gains that follow."""
     M = kinematics.mass_matrix(q)
     inertia = np.diag(M).copy()
     return JointGains(
-        inertia, 1.0 / np.diag(np.linalg.inv(M)), natural_frequency_rad_s**2 * inertia,
+        inertia,
+        1.0 / np.diag(np.linalg.inv(M)),
+        natural_frequency_rad_s**2 * inertia,
         2.0 * damping_ratio * natural_frequency_rad_s * inertia,
-    )  # fmt: skip
+    )
 
 
 def table() -> list[str]:

@@ -26,18 +26,40 @@ ARM_DOF = DOF // 2
 LAW = np.dtype(
     [
         # What is set once.
-        ("K", "f8", 6), ("D", "f8", 6), ("mass", "f8"), ("inertia", "f8", (3, 3)), ("axis", "f8", 3),
-        ("gravity", "f8", 3), ("R_hand_object", "f8", (2, 3, 3)), ("hand_stiffness", "f8"), ("hand_damping", "f8"),
-        ("posture", "f8", DOF), ("posture_stiffness", "f8"), ("posture_damping", "f8"),
-        ("viscous", "f8", DOF), ("dry", "f8", DOF), ("smooth", "f8"), ("tau_max", "f8", DOF),
+        ("K", "f8", 6),
+        ("D", "f8", 6),
+        ("mass", "f8"),
+        ("inertia", "f8", (3, 3)),
+        ("axis", "f8", 3),
+        ("gravity", "f8", 3),
+        ("R_hand_object", "f8", (2, 3, 3)),
+        ("hand_stiffness", "f8"),
+        ("hand_damping", "f8"),
+        ("posture", "f8", DOF),
+        ("posture_stiffness", "f8"),
+        ("posture_damping", "f8"),
+        ("viscous", "f8", DOF),
+        ("dry", "f8", DOF),
+        ("smooth", "f8"),
+        ("tau_max", "f8", DOF),
         # What is sensed and wanted.
-        ("q", "f8", DOF), ("v", "f8", DOF), ("squeeze", "f8"),
-        ("T", "f8", (4, 4)), ("twist", "f8", 6), ("T_d", "f8", (4, 4)), ("twist_d", "f8", 6), ("a_d", "f8", 6),
-        ("J", "f8", (12, DOF)), ("a_hands", "f8", 12),
+        ("q", "f8", DOF),
+        ("v", "f8", DOF),
+        ("squeeze", "f8"),
+        ("T", "f8", (4, 4)),
+        ("twist", "f8", 6),
+        ("T_d", "f8", (4, 4)),
+        ("twist_d", "f8", 6),
+        ("a_d", "f8", 6),
+        ("J", "f8", (12, DOF)),
+        ("a_hands", "f8", 12),
         # What follows.
-        ("qdd_posture", "f8", DOF), ("qdd", "f8", DOF), ("f", "f8", 12), ("push", "f8", DOF),
+        ("qdd_posture", "f8", DOF),
+        ("qdd", "f8", DOF),
+        ("f", "f8", 12),
+        ("push", "f8", DOF),
     ]
-)  # fmt: skip
+)
 """Memory of the object impedance; the names are those of its law."""
 
 Vector = tuple[float, float, float]
@@ -152,9 +174,7 @@ def turn(wanted: Array, x: Vector, y: Vector, z: Vector) -> Vector:
 
 
 @njit
-def hand_wrenches(
-    force: Vector, moment: Vector, r_left: Vector, r_right: Vector, squeeze: Vector, f: Array
-) -> None:
+def hand_wrenches(force: Vector, moment: Vector, r_left: Vector, r_right: Vector, squeeze: Vector, f: Array) -> None:
     """Fill f (12,) with G^+ w + (I - G^+ G) [-squeeze; 0; squeeze; 0]; `minidual.control.grasp` derives it."""
     m, h = times(0.5, plus(r_left, r_right)), times(0.5, minus(r_left, r_right))
     n = plus(minus(moment, cross(m, force)), times(2.0, cross(h, squeeze)))
@@ -278,9 +298,7 @@ def add_friction(tau: Array, v: Array, joints: Array, smooth: float) -> None:
 
 
 @kernel(types.void(_VECTOR, _VECTOR, _VECTOR, _ROWS, types.float64, types.float64, _ROWS))
-def follow_target(
-    target: Array, q: Array, v: Array, bounds: Array, w: float, dt: float, after: Array
-) -> None:
+def follow_target(target: Array, q: Array, v: Array, bounds: Array, w: float, dt: float, after: Array) -> None:
     """Fill `after` (3, 14) with q, v, a one step later; `minidual.control.reference` states the filter.
 
     bounds (5, 14): a_max, v_max, the distance d under which the spring is linear, and the joints' lower and upper ends.

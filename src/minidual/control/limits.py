@@ -10,17 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from minidual.config.supervisor import SupervisorConfig
-from minidual.robot.constants import (
-    A_MAX,
-    DOF,
-    JERK_MAX,
-    Q_LOWER,
-    Q_UPPER,
-    TAU_MAX,
-    TAU_RATE_MAX,
-    V_MAX,
-    Array,
-)
+from minidual.robot.constants import A_MAX, DOF, JERK_MAX, Q_LOWER, Q_UPPER, TAU_MAX, TAU_RATE_MAX, V_MAX, Array
 
 ROWS: tuple[str, ...] = ("position", "velocity", "torque", "torque_step", "acceleration", "acceleration_step")
 """What is compared each tick, one row of 14 values each; the two steps are differences between two ticks."""
@@ -60,14 +50,16 @@ class TickBounds:
         self.tau_step = config.torque_rate_scale * TAU_RATE_MAX * dt_s
         self.a_max = config.acceleration_scale * A_MAX
         self.a_step = JERK_MAX * dt_s
-        half = np.stack([
-            0.5 * (self.q_upper - self.q_lower) + POSITION_TOLERANCE_RAD,
-            self.v_max,
-            SATURATED * self.tau_max,
-            np.full(DOF, self.tau_step * (1.0 + 1e-9)),
-            self.a_max * (1.0 + 1e-9),
-            self.a_step * (1.0 + 1e-9),
-        ])  # fmt: skip
+        half = np.stack(
+            [
+                0.5 * (self.q_upper - self.q_lower) + POSITION_TOLERANCE_RAD,
+                self.v_max,
+                SATURATED * self.tau_max,
+                np.full(DOF, self.tau_step * (1.0 + 1e-9)),
+                self.a_max * (1.0 + 1e-9),
+                self.a_step * (1.0 + 1e-9),
+            ]
+        )
         self.centre = np.zeros_like(half)
         self.centre[0] = 0.5 * (self.q_lower + self.q_upper)
         self.scale = 1.0 / half

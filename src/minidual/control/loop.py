@@ -9,9 +9,9 @@ from __future__ import annotations
 from minidual.control.gripper import Grippers
 from minidual.control.joint_control import ComputedTorque
 from minidual.control.reference import ReferenceFilter
+from minidual.plant.world import World
 from minidual.robot.constants import Array
 from minidual.robot.kinematics import Kinematics
-from minidual.sim.world import World
 
 JOINT_PINCH_N = 60.0
 """Pinch force of the joint-space modes [N]; 1.5 times what the internal force of a stiff pair can ask for."""

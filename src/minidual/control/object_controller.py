@@ -11,13 +11,7 @@ import numpy as np
 from minidual.control.command_checks import Fault
 from minidual.control.commands import ArbiterOutput, Command, ObjectCommand
 from minidual.control.execution import ObjectExecution
-from minidual.control.object_impedance import (
-    HeldObject,
-    ImpedanceGains,
-    ObjectImpedance,
-    ObjectState,
-    bounded,
-)
+from minidual.control.object_impedance import HeldObject, ImpedanceGains, ObjectImpedance, ObjectState, bounded
 from minidual.errors import UsageError
 from minidual.robot.constants import DOF, Array
 from minidual.robot.kinematics import Kinematics
@@ -70,12 +64,7 @@ class ObjectImpedanceController:
     arms = (0, 1)
 
     def __init__(
-        self,
-        kinematics: Kinematics,
-        dt_s: float,
-        sensor: ObjectSensor,
-        *,
-        drives: Callable[[], bool] = lambda: False,
+        self, kinematics: Kinematics, dt_s: float, sensor: ObjectSensor, *, drives: Callable[[], bool] = lambda: False
     ) -> None:
         self._kinematics, self._sensor, self._drives = kinematics, sensor, drives
         self._squeeze_step = SQUEEZE_RATE_N_PER_S * dt_s
@@ -105,10 +94,7 @@ class ObjectImpedanceController:
     def find_fault(self, command: Command) -> Fault | None:
         """Take object paths that start where the object is."""
         if not isinstance(command, ObjectCommand):
-            return (
-                "wrong_controller",
-                f"controller {self.name} takes object paths, no {type(command).__name__}",
-            )
+            return ("wrong_controller", f"controller {self.name} takes object paths, no {type(command).__name__}")
         measured, _ = self._sensor.read()
         T, T_start = measured.T_world_object, command.motion.at(0.0).T_world_object
         away_m = float(np.linalg.norm(T_start[:3, 3] - T[:3, 3]))
@@ -156,9 +142,8 @@ class ObjectImpedanceController:
         measured, internal_force = self._sensor.read()
         self._reference = q
         return law.torque(
-            q, v, measured, self._desired,
-            internal_force_n=self._squeeze, measured_internal_force_n=internal_force,
-        )  # fmt: skip
+            q, v, measured, self._desired, internal_force_n=self._squeeze, measured_internal_force_n=internal_force
+        )
 
     @property
     def desired(self) -> ObjectState | None:

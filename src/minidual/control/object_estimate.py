@@ -50,9 +50,7 @@ class RestingEstimate:
     def add(self, T_world_object: Array) -> None:
         """Take one more sample (4, 4) into the mean."""
         self.samples_n += 1
-        self.T_world_object, self.innovation = _towards(
-            self.T_world_object, T_world_object, 1.0 / self.samples_n
-        )
+        self.T_world_object, self.innovation = _towards(self.T_world_object, T_world_object, 1.0 / self.samples_n)
 
 
 class HeldEstimate:
@@ -73,9 +71,15 @@ class HeldEstimate:
     """
 
     def __init__(
-        self, kinematics: Kinematics, q: Array, T_world_object: Array, *, delay_ticks: int, least_gain: float,
+        self,
+        kinematics: Kinematics,
+        q: Array,
+        T_world_object: Array,
+        *,
+        delay_ticks: int,
+        least_gain: float,
         samples_n: int = 5,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._model, self._data = kinematics.model, kinematics.data
         self._left, self._right = kinematics.tcp_ids
         frames = [self._data.oMf[i] for i in kinematics.tcp_ids]
@@ -125,9 +129,9 @@ class HeldEstimate:
         x = minus(x, times(inner(x, y), y))
         x = times(1.0 / math.sqrt(inner(x, x)), x)
         z, p = cross(x, y), times(0.5, plus(left, right))
-        T = np.array([
-            [x[0], y[0], z[0], p[0]], [x[1], y[1], z[1], p[1]], [x[2], y[2], z[2], p[2]], [0.0, 0.0, 0.0, 1.0],
-        ])  # fmt: skip
+        T = np.array(
+            [[x[0], y[0], z[0], p[0]], [x[1], y[1], z[1], p[1]], [x[2], y[2], z[2], p[2]], [0.0, 0.0, 0.0, 1.0]]
+        )
         v_left = pin.getFrameVelocity(model, data, self._left, _WORLD_ALIGNED).vector.tolist()
         v_right = pin.getFrameVelocity(model, data, self._right, _WORLD_ALIGNED).vector.tolist()
         # Turning about x and z shows in the two points, turning about y only in the hands' orientations.

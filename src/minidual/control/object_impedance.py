@@ -94,9 +94,8 @@ class ObjectImpedance:
     """
 
     def __init__(
-        self, kinematics: Kinematics, held: HeldObject, gains: ImpedanceGains,
-        friction: JointFriction | None = None,
-    ) -> None:  # fmt: skip
+        self, kinematics: Kinematics, held: HeldObject, gains: ImpedanceGains, friction: JointFriction | None = None
+    ) -> None:
         from minidual.control import kernels  # compiled: importing it is not free
 
         self._model, self._data = kinematics.model, kinematics.data
@@ -107,12 +106,21 @@ class ObjectImpedance:
         self._law = np.zeros(1, kernels.LAW)
         known = kernels.view(self._law)
         for name, value in {
-            "K": gains.stiffness, "mass": held.mass_kg, "inertia": held.inertia_kg_m2, "axis": held.axis,
-            "gravity": GRAVITY, "R_hand_object": [T[:3, :3].T for T in held.T_object_tcps],
-            "hand_stiffness": gains.hand_stiffness_nm_per_rad, "hand_damping": gains.hand_damping_nms_per_rad,
-            "posture_stiffness": gains.posture_stiffness_per_s2, "posture_damping": gains.posture_damping_per_s,
-            "viscous": friction.viscous, "dry": friction.dry, "smooth": friction.smooth_rad_s, "tau_max": TAU_MAX,
-        }.items():  # fmt: skip
+            "K": gains.stiffness,
+            "mass": held.mass_kg,
+            "inertia": held.inertia_kg_m2,
+            "axis": held.axis,
+            "gravity": GRAVITY,
+            "R_hand_object": [T[:3, :3].T for T in held.T_object_tcps],
+            "hand_stiffness": gains.hand_stiffness_nm_per_rad,
+            "hand_damping": gains.hand_damping_nms_per_rad,
+            "posture_stiffness": gains.posture_stiffness_per_s2,
+            "posture_damping": gains.posture_damping_per_s,
+            "viscous": friction.viscous,
+            "dry": friction.dry,
+            "smooth": friction.smooth_rad_s,
+            "tau_max": TAU_MAX,
+        }.items():
             known[name][...] = value
         self._D, self._posture, self._squeezed = known["D"], known["posture"], known["squeeze"]
         self._q, self._v, self._J = known["q"], known["v"], known["J"]
@@ -138,17 +146,22 @@ class ObjectImpedance:
                 mass_at_hand = np.linalg.inv(J[:3, arm] @ np.linalg.solve(M[arm, arm], J[:3, arm].T))
             except np.linalg.LinAlgError as error:
                 raise SingularPostureError(
-                    f"the {name} hand has lost a direction of motion: J M^-1 J^T is singular",
-                    remedy=_BENT,
+                    f"the {name} hand has lost a direction of motion: J M^-1 J^T is singular", remedy=_BENT
                 ) from error
             moving[:3] += np.diag(mass_at_hand)
             moving[3:] += lever**2 * float(np.mean(np.diag(mass_at_hand)))
         self._D[:] = 2.0 * self.gains.damping_ratio * np.sqrt(self.gains.stiffness * moving)
 
     def torque(
-        self, q: Array, v: Array, measured: ObjectState, desired: ObjectState, *,
-        internal_force_n: float, measured_internal_force_n: float,
-    ) -> Array:  # fmt: skip
+        self,
+        q: Array,
+        v: Array,
+        measured: ObjectState,
+        desired: ObjectState,
+        *,
+        internal_force_n: float,
+        measured_internal_force_n: float,
+    ) -> Array:
         """Return motor torques (14,) [Nm], clipped to the motors' limits.
 
         Args:
@@ -162,21 +175,14 @@ class ObjectImpedance:
         kernels, law, hands = self._kernels, self._law, self._hands
         self._q[:], self._v[:] = q, v
         self._T[:], self._twist[:] = measured.T_world_object, measured.twist
-        self._T_d[:], self._twist_d[:], self._a_d[:] = (
-            desired.T_world_object,
-            desired.twist,
-            desired.acceleration,
-        )
+        self._T_d[:], self._twist_d[:], self._a_d[:] = (desired.T_world_object, desired.twist, desired.acceleration)
         self._squeezed[0] = self._squeeze(internal_force_n, measured_internal_force_n)
 
         # Posture first: what the hands would feel of it is taken out again by the least acceleration.
         kernels.posture_acceleration(law)
         hands.update(self._q, self._v, self._qdd_posture)
         if not kernels.impedance(law, *hands.p, *hands.R):
-            raise SingularPostureError(
-                "a hand has lost a direction of motion: J J^T is singular",
-                remedy=_BENT,
-            )
+            raise SingularPostureError("a hand has lost a direction of motion: J J^T is singular", remedy=_BENT)
         tau = pin.rnea(self._model, self._data, self._q, self._v, self._qdd)
         kernels.add_push(law, tau)
         return tau

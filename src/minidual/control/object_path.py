@@ -17,11 +17,7 @@ from minidual.robot.constants import Array
 def minimum_jerk(s: float) -> tuple[float, float, float]:
     """Return the quintic blend 0..1 at s in 0..1 with its first and second derivative by s (rest to rest)."""
     s = min(1.0, max(0.0, s))
-    return (
-        s**3 * (10.0 + s * (6.0 * s - 15.0)),
-        30.0 * s**2 * (1.0 - s) ** 2,
-        60.0 * s * (1.0 + s * (2.0 * s - 3.0)),
-    )
+    return (s**3 * (10.0 + s * (6.0 * s - 15.0)), 30.0 * s**2 * (1.0 - s) ** 2, 60.0 * s * (1.0 + s * (2.0 * s - 3.0)))
 
 
 @dataclass(frozen=True)
@@ -60,11 +56,16 @@ class ObjectPath:
         dx, dy, dz, turn = x1 - x0, y1 - y0, z1 - z0, yaw1 - yaw0
         yaw = yaw0 + blend * turn
         c, s, v, a = math.cos(yaw), math.sin(yaw), rate / span, curvature / span**2
-        T: Array = np.array([
-            [c, -s, 0.0, x0 + blend * dx], [s, c, 0.0, y0 + blend * dy], [0.0, 0.0, 1.0, z0 + blend * dz],
-            [0.0, 0.0, 0.0, 1.0],
-        ])  # fmt: skip
+        T: Array = np.array(
+            [
+                [c, -s, 0.0, x0 + blend * dx],
+                [s, c, 0.0, y0 + blend * dy],
+                [0.0, 0.0, 1.0, z0 + blend * dz],
+                [0.0, 0.0, 0.0, 1.0],
+            ]
+        )
         return ObjectState(
-            T, np.array([v * dx, v * dy, v * dz, 0.0, 0.0, v * turn]),
+            T,
+            np.array([v * dx, v * dy, v * dz, 0.0, 0.0, v * turn]),
             np.array([a * dx, a * dy, a * dz, 0.0, 0.0, a * turn]),
-        )  # fmt: skip
+        )

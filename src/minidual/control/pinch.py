@@ -26,9 +26,14 @@ _GRAVITY = 9.81
 
 
 def pinch_force(
-    squeeze_n: float, mu: float, mass_kg: float = 0.0, *,
-    safety: float = SAFETY, tilt_rad: float = 0.0, acceleration_m_per_s2: float = 0.0,
-) -> float:  # fmt: skip
+    squeeze_n: float,
+    mu: float,
+    mass_kg: float = 0.0,
+    *,
+    safety: float = SAFETY,
+    tilt_rad: float = 0.0,
+    acceleration_m_per_s2: float = 0.0,
+) -> float:
     """Return the normal force of each finger [N] with which the pads carry a squeeze.
 
     Args:
@@ -50,9 +55,14 @@ def pinch_force(
 
 
 def largest_squeeze(
-    pinch_n: float, mu: float, mass_kg: float = 0.0, *,
-    safety: float = SAFETY, tilt_rad: float = 0.0, acceleration_m_per_s2: float = 0.0,
-) -> float:  # fmt: skip
+    pinch_n: float,
+    mu: float,
+    mass_kg: float = 0.0,
+    *,
+    safety: float = SAFETY,
+    tilt_rad: float = 0.0,
+    acceleration_m_per_s2: float = 0.0,
+) -> float:
     """Return the largest squeeze [N] that fingers pressing with pinch_n carry: `pinch_force` turned round.
 
     Zero if the pads cannot even carry the object's weight.

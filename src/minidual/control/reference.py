@@ -32,9 +32,7 @@ class ReferenceFilter:
         acceleration_scale: Fraction of the joints' acceleration limits that may be asked for.
     """
 
-    def __init__(
-        self, dt_s: float, *, bandwidth_rad_s: float = 30.0, acceleration_scale: float = 0.8
-    ) -> None:
+    def __init__(self, dt_s: float, *, bandwidth_rad_s: float = 30.0, acceleration_scale: float = 0.8) -> None:
         from minidual.control.kernels import follow_target  # compiled: importing it is not free
 
         self._follow, self._w, self._dt = follow_target, bandwidth_rad_s, dt_s

@@ -51,9 +51,7 @@ class SoftStop:
         least_s: Shortest time to take.
     """
 
-    def __init__(
-        self, q: Array, v: Array, *, deceleration_share: float = STOP_SHARE, least_s: float = 0.1
-    ) -> None:
+    def __init__(self, q: Array, v: Array, *, deceleration_share: float = STOP_SHARE, least_s: float = 0.1) -> None:
         self._q, self._v = q.copy(), v.copy()
         self.duration_s = max(least_s, float(np.max(1.5 * np.abs(v) / (deceleration_share * A_MAX))))
 
@@ -63,11 +61,7 @@ class SoftStop:
         speed = (1.0 - s) ** 2 * (1.0 + 2.0 * s)
         way = s - s**3 + 0.5 * s**4  # the integral of (1 - s)^2 (1 + 2 s) = 1 - 3 s^2 + 2 s^3
         slope = -6.0 * s + 6.0 * s * s
-        return (
-            self._q + self.duration_s * way * self._v,
-            speed * self._v,
-            slope / self.duration_s * self._v,
-        )
+        return (self._q + self.duration_s * way * self._v, speed * self._v, slope / self.duration_s * self._v)
 
 
 class SoftStopController:
@@ -84,9 +78,7 @@ class SoftStopController:
     name = "soft_stop"
     arms = (0, 1)
 
-    def __init__(
-        self, kinematics: Kinematics, dt_s: float, *, deceleration_share: float = STOP_SHARE
-    ) -> None:
+    def __init__(self, kinematics: Kinematics, dt_s: float, *, deceleration_share: float = STOP_SHARE) -> None:
         self._servo = ComputedTorque(kinematics, natural_frequency_rad_s=_STOP_FREQUENCY_RAD_S)
         self._dt, self._share = dt_s, deceleration_share
         self._motion = SoftStop(np.zeros(DOF), np.zeros(DOF), deceleration_share=deceleration_share)

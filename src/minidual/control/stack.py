@@ -23,14 +23,7 @@ import numpy as np
 
 from minidual.config.arbiter import ArbiterConfig
 from minidual.control.arbiter import CommandArbiter
-from minidual.control.commands import (
-    HOLD,
-    ArbiterOutput,
-    ArbiterState,
-    Command,
-    JointCommand,
-    Refusal,
-)
+from minidual.control.commands import HOLD, ArbiterOutput, ArbiterState, Command, JointCommand, Refusal
 from minidual.control.controller_manager import ControllerManager, ControllerSwitchError
 from minidual.control.controllers import Controller, JointTrajectoryController
 from minidual.control.gripper import Grippers
@@ -90,8 +83,7 @@ class ControlStack:
             )
         self.grippers = Grippers(world.scene, world.dt, pinch_force_n=pinch_force_n)
         table: list[Controller] = [
-            JointTrajectoryController(group, kinematics, world.dt)
-            for group in ("both_arms", "left_arm", "right_arm")
+            JointTrajectoryController(group, kinematics, world.dt) for group in ("both_arms", "left_arm", "right_arm")
         ]
         self.impedance = ObjectImpedanceController(
             kinematics,
@@ -294,9 +286,7 @@ class ControlStack:
         world = self.world
         output = self.arbiter.tick(world.time, world.q, world.v)
         self.output = output
-        if (
-            self.supervisor is not None
-        ):  # should the arbiter fall silent itself, the supervisor stops the arms
+        if self.supervisor is not None:  # should the arbiter fall silent itself, the supervisor stops the arms
             self.supervisor.heard(world.time)
         if output.refusals:
             self.refusals.extend(output.refusals)

@@ -14,16 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from minidual.config.supervisor import SupervisorConfig
-from minidual.robot.constants import (
-    A_MAX,
-    JOINT_DAMPING,
-    Q_LOWER,
-    Q_UPPER,
-    TAU_MAX,
-    TAU_RATE_MAX,
-    V_MAX,
-    Array,
-)
+from minidual.robot.constants import A_MAX, JOINT_DAMPING, Q_LOWER, Q_UPPER, TAU_MAX, TAU_RATE_MAX, V_MAX, Array
 from minidual.robot.kinematics import Kinematics
 
 

@@ -189,18 +189,11 @@ class Supervisor:
         """Say which bound does not hold, or return the torque to apply where no reflex is due."""
         q, v, tau, step, a_ref, a_step = self._rows
         bounds = self.bounds
-        for what, values in (
-            ("measured position", q),
-            ("measured velocity", v),
-            ("torque", tau),
-            ("reference", a_ref),
-        ):
+        for what, values in (("measured position", q), ("measured velocity", v), ("torque", tau), ("reference", a_ref)):
             finite = np.isfinite(values)
             if not finite.all():
                 joint = int(np.argmin(finite))
-                self._trip(
-                    "not_finite", time_s, f"{what} of {JOINT_NAMES[joint]}", float(values[joint]), None
-                )
+                self._trip("not_finite", time_s, f"{what} of {JOINT_NAMES[joint]}", float(values[joint]), None)
         if self._estop is not None:
             self._trip("emergency_stop", time_s, self._estop, 1.0, None)
         if time_s > self._deadline_s:
@@ -281,9 +274,7 @@ class Supervisor:
 
     # How it stops --------------------------------------------------------------------------------------------
 
-    def _trip_ratio(
-        self, name: str, time_s: float, values: Array, bounds: Array, *, tolerance: float = 0.0
-    ) -> None:
+    def _trip_ratio(self, name: str, time_s: float, values: Array, bounds: Array, *, tolerance: float = 0.0) -> None:
         ratio = np.abs(values) / bounds
         joint = int(np.argmax(ratio))
         if ratio[joint] > 1.0 + tolerance:

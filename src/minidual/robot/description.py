@@ -1,6 +1,6 @@
 """The one description of the robot: a URDF of two Pandas, made from the pip-installed `panda_description`.
 
-The same string feeds MuJoCo (`minidual.sim`) and Pinocchio (`minidual.robot.kinematics`), so the two cannot
+The same string feeds MuJoCo (`minidual.plant`) and Pinocchio (`minidual.robot.kinematics`), so the two cannot
 drift apart. Links and joints carry the prefixes `left_` and `right_`; both bases are fixed to the link `world`.
 """
 
@@ -31,9 +31,7 @@ def panda_description_dir() -> Path:
     try:
         files = importlib.metadata.distribution(_DISTRIBUTION).files or []
     except importlib.metadata.PackageNotFoundError as error:
-        raise EnvironmentMissingError(
-            f"the package '{_DISTRIBUTION}' is not installed", remedy=remedy
-        ) from error
+        raise EnvironmentMissingError(f"the package '{_DISTRIBUTION}' is not installed", remedy=remedy) from error
     for file in files:
         if str(file).endswith(_URDF_SUFFIX):
             folder = Path(str(file.locate())).resolve().parents[1]

@@ -7,13 +7,9 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from pinocchio import (
-    computeJointJacobians,
-    forwardKinematics,
-    getFrameClassicalAcceleration,
-    getFrameJacobian,
-)
+from pinocchio import computeJointJacobians, forwardKinematics, getFrameClassicalAcceleration, getFrameJacobian
 
+from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.constants import (
     DOF,
     FINGER_JOINT_NAMES,
@@ -24,6 +20,7 @@ from minidual.robot.constants import (
     Array,
 )
 from minidual.robot.description import dual_panda_urdf
+from minidual.robot.pair import Robot
 
 _WORLD_ALIGNED = pin.LOCAL_WORLD_ALIGNED
 
@@ -51,7 +48,8 @@ class Kinematics:
     One instance holds one Pinocchio workspace: give each thread or process its own.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, robot: Robot = DUAL_PANDA) -> None:
+        self.robot = robot
         self.model = _shared_model()
         self.data = self.model.createData()
         self.tcp_ids: tuple[int, int] = tuple(self.model.getFrameId(n) for n in TCP_NAMES)  # type: ignore[assignment]
@@ -107,9 +105,7 @@ class HandMotion:
         acceleration: (12,) of the hands under the joint acceleration that `update` was given, J a + Jdot v.
     """
 
-    def __init__(
-        self, kinematics: Kinematics, J: Array | None = None, acceleration: Array | None = None
-    ) -> None:
+    def __init__(self, kinematics: Kinematics, J: Array | None = None, acceleration: Array | None = None) -> None:
         self._model, self._data = kinematics.model, kinematics.data
         self._left, self._right = kinematics.tcp_ids
         frames = [self._data.oMf[i] for i in kinematics.tcp_ids]

@@ -54,9 +54,7 @@ def panda_visuals() -> tuple[VisualMesh, ...]:
             colour = tuple(int(c) for c in mesh.visual.material.main_color)
             by_colour.setdefault(colour, []).append(mesh)
         for colour, meshes in by_colour.items():
-            merged = trimesh.util.concatenate(
-                [trimesh.Trimesh(m.vertices, m.faces, process=False) for m in meshes]
-            )
+            merged = trimesh.util.concatenate([trimesh.Trimesh(m.vertices, m.faces, process=False) for m in meshes])
             merged.merge_vertices()
             vertices = np.asarray(merged.vertices)
             if turned:

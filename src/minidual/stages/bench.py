@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from minidual.errors import ExitCode, UsageError
-from minidual.pipeline.tool import ToolContext, ToolResult
+from minidual.gate.tool import ToolContext, ToolResult
 
 
 def bench(context: ToolContext) -> ToolResult:
     """Measure what is named, everything if nothing is; with `check`, numbers over their limits are a failure."""
-    from minidual.evaluation.bench import BENCHES, BenchInputs, parse_benches
+    from minidual.stages.bench_rows import BENCHES, BenchInputs, parse_benches
 
     names = parse_benches(context.options.get("names", ()))
     repeats = context.options.get("repeats")
@@ -21,9 +21,11 @@ def bench(context: ToolContext) -> ToolResult:
         for name in names:
             spec = BENCHES[name]
             inputs = BenchInputs(
-                context.config, context.seed, spec.repeats_n if repeats is None else repeats,
+                context.config,
+                context.seed,
+                spec.repeats_n if repeats is None else repeats,
                 lambda what: task.advance(note=what),
-            )  # fmt: skip
+            )
             table = spec.run(inputs)
             lines += [*table.lines(), ""]
             document[name] = table.to_json()

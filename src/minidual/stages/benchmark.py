@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from minidual.data.smoothness import JERK_FILTER
-from minidual.pipeline.check import Check
-from minidual.pipeline.stage import StageContext, StageResult
+from minidual.demos.smoothness import JERK_FILTER
+from minidual.gate.check import Check
+from minidual.gate.stage import StageContext, StageResult
 
 if TYPE_CHECKING:
     from minidual.config.evaluation import BenchmarkConfig
     from minidual.config.root import Config
-    from minidual.evaluation.benchmark import BenchmarkCell
-    from minidual.evaluation.metrics import MethodSummary
+    from minidual.trials.benchmark import BenchmarkCell
+    from minidual.trials.metrics import MethodSummary
 
 _UNITS = {
     "duration_median_s": ("s", "median over successful trials, start to released at rest"),
@@ -35,25 +35,32 @@ def benchmark_checks(summaries: Sequence[MethodSummary], config: BenchmarkConfig
         limit = config.success_rate_min.get(summary.method)
         checks.append(
             Check(
-                f"{summary.method}.success_rate", summary.success_rate, None if limit is None else ">", limit, "",
-                _interval(summary), "benchmark.csv names what failed first in each trial",
+                f"{summary.method}.success_rate",
+                summary.success_rate,
+                None if limit is None else ">",
+                limit,
+                "",
+                _interval(summary),
+                "benchmark.csv names what failed first in each trial",
             )
-        )  # fmt: skip
+        )
         for name, (unit, why) in _UNITS.items():
             checks.append(Check(f"{summary.method}.{name}", getattr(summary, name), unit=unit, why=why))
     evaluated = min((s.trials_n for s in summaries), default=0)
     checks.append(
         Check(
-            "trials_per_method", evaluated, ">=", config.trials_n, "",
+            "trials_per_method",
+            evaluated,
+            ">=",
+            config.trials_n,
+            "",
             "every method must have run every trial, or the rows cannot be compared",
         )
-    )  # fmt: skip
+    )
     return checks
 
 
-def condition_checks(
-    cells: Sequence[BenchmarkCell], methods: Sequence[str], conditions: Sequence[str]
-) -> list[Check]:
+def condition_checks(cells: Sequence[BenchmarkCell], methods: Sequence[str], conditions: Sequence[str]) -> list[Check]:
     """Return the checks of the table of methods by conditions: it is whole, and its numbers are numbers.
 
     Success under a disturbance is reported with its interval. No limit is set for it.
@@ -69,19 +76,26 @@ def condition_checks(
     holes = [f"{c.method} under {c.condition}: {name}" for c in cells for name in c.not_finite()]
     checks = [
         Check(
-            "cells_settled", len(asked) - len(open_cells), "==", len(asked), "",
+            "cells_settled",
+            len(asked) - len(open_cells),
+            "==",
+            len(asked),
+            "",
             "every method has all its trials under every condition, each push and move took place in those that succeeded, or "
-            "there is a reason why it does not apply"
-            + (f"; open: {', '.join(open_cells[:6])}" if open_cells else ""),
+            "there is a reason why it does not apply" + (f"; open: {', '.join(open_cells[:6])}" if open_cells else ""),
             "minidual benchmark --force",
         ),
         Check(
-            "cells_not_finite", len(holes), "==", 0, "",
+            "cells_not_finite",
+            len(holes),
+            "==",
+            0,
+            "",
             "numbers that the trials should have given, and that do not exist"
             + (f": {', '.join(holes[:6])}" if holes else ""),
             "benchmark.csv names what failed first in each trial",
         ),
-    ]  # fmt: skip
+    ]
     for cell in cells:
         if cell.summary is not None and cell.condition != conditions[0]:
             name = f"{cell.method}.{cell.condition.replace(' ', '_')}.success_rate"
@@ -117,8 +131,8 @@ class BenchmarkStage:
 
     def validate(self, config: Config) -> None:
         """Refuse unknown and repeated methods and conditions, and limits for methods that do not exist."""
-        from minidual.evaluation.conditions import condition, parse_conditions
-        from minidual.evaluation.methods import method_spec, parse_methods
+        from minidual.trials.conditions import condition, parse_conditions
+        from minidual.trials.methods import method_spec, parse_methods
 
         parse_methods(config.benchmark.methods)
         for name in parse_conditions(config.benchmark.conditions):
@@ -128,28 +142,18 @@ class BenchmarkStage:
 
     def run(self, context: StageContext) -> StageResult:
         """Run all trials of all methods under all conditions and write the tables."""
-        from minidual.evaluation.benchmark import (
-            conditions_data,
-            count_trials,
-            run_benchmark,
-            summaries,
-            write_cells,
-        )
-        from minidual.evaluation.comparisons import compare_all, compare_with_clean
-        from minidual.evaluation.conditions import CLEAN, parse_conditions
-        from minidual.evaluation.methods import MethodInputs, parse_methods
-        from minidual.evaluation.tables import write_csv, write_json
-        from minidual.evaluation.trials import TrialResult
+        from minidual.trials.benchmark import conditions_data, count_trials, run_benchmark, summaries, write_cells
+        from minidual.trials.comparisons import compare_all, compare_with_clean
+        from minidual.trials.conditions import CLEAN, parse_conditions
+        from minidual.trials.methods import MethodInputs, parse_methods
+        from minidual.trials.tables import write_csv, write_json
+        from minidual.trials.trials import TrialResult
 
         config, seed, folder = context.config.benchmark, context.seed, context.folder
         methods, conditions = parse_methods(config.methods), parse_conditions(config.conditions)
         inputs = MethodInputs(context.config, seed, context.upstream["train-act"] / "checkpoint")
-        trials_n = {
-            name: config.trials_n if name == CLEAN else config.perturbed_trials_n for name in conditions
-        }
-        with context.progress.task(
-            "benchmark trials", count_trials(methods, trials_n, context.config)
-        ) as task:
+        trials_n = {name: config.trials_n if name == CLEAN else config.perturbed_trials_n for name in conditions}
+        with context.progress.task("benchmark trials", count_trials(methods, trials_n, context.config)) as task:
 
             def on_trial(result: TrialResult) -> None:
                 task.advance(note=f"{result.metrics.method}, {result.metrics.condition}")
@@ -163,9 +167,12 @@ class BenchmarkStage:
         write_csv(folder / "methods.csv", clean)
         write_cells(folder / "conditions.csv", cells)
         write_json(
-            folder / "benchmark.json", [c.summary for c in cells if c.summary is not None], trials,
-            {"seed": seed, "conditions": table}, seed=seed,
-        )  # fmt: skip
+            folder / "benchmark.json",
+            [c.summary for c in cells if c.summary is not None],
+            trials,
+            {"seed": seed, "conditions": table},
+            seed=seed,
+        )
         return StageResult(
             checks=benchmark_checks(clean, config) + condition_checks(cells, methods, conditions),
             data={

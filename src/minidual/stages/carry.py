@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from minidual.data.smoothness import JERK_FILTER
-from minidual.pipeline.check import Check
-from minidual.pipeline.stage import StageContext, StageResult
+from minidual.demos.smoothness import JERK_FILTER
+from minidual.gate.check import Check
+from minidual.gate.stage import StageContext, StageResult
 
 if TYPE_CHECKING:
     from minidual.config.control import CarryLimits
     from minidual.config.root import Config
-    from minidual.evaluation.methods import MethodInputs
-    from minidual.evaluation.metrics import TrialMetrics
-    from minidual.evaluation.trials import TrialResult
     from minidual.tasks.rod_carry import RodTrial
+    from minidual.trials.methods import MethodInputs
+    from minidual.trials.metrics import TrialMetrics
+    from minidual.trials.trials import TrialResult
 
 RECORDED_FAILURES_MAX = 20
 """Recordings of failed trials that the stage keeps; trials.csv has all of them."""
@@ -42,37 +42,60 @@ def carry_checks(
 
     return [
         Check(
-            "success_rate", sum(t.success for t in trials) / len(trials), ">=", limits.success_rate_min, "",
+            "success_rate",
+            sum(t.success for t in trials) / len(trials),
+            ">=",
+            limits.success_rate_min,
+            "",
             "share of trials in which both arms carried the object to its goal and let go",
             "trials.csv names what failed first; minidual carry --set carry.impedance.internal_force_n=...",
         ),
         Check(
-            "tilt_max_rad", float(np.max([t.tilt_max_rad for t in trials])), "<", limits.tilt_max_rad, "rad",
+            "tilt_max_rad",
+            float(np.max([t.tilt_max_rad for t in trials])),
+            "<",
+            limits.tilt_max_rad,
+            "rad",
             "a tilted object slips or spills",
             "raise carry.impedance.stiffness_n_per_m or lower carry.pace.object_acceleration_m_per_s2",
         ),
         Check(
-            "internal_force_min_n", float(np.min([t.internal_force_min_n for t in trials])), ">", force_limit_n, "N",
+            "internal_force_min_n",
+            float(np.min([t.internal_force_min_n for t in trials])),
+            ">",
+            force_limit_n,
+            "N",
             "squeeze between the hands while the object is off the table; below it the object may slip",
             "raise carry.impedance.internal_force_n (at most 80)",
         ),
         Check(
-            "duration_max_s", float(np.max([t.duration_s if t.success else time_limit_s for t in trials])), "<",
-            limits.duration_max_s, "s",
+            "duration_max_s",
+            float(np.max([t.duration_s if t.success else time_limit_s for t in trials])),
+            "<",
+            limits.duration_max_s,
+            "s",
             "from the start to the object released at its goal; a failed trial counts as the time limit",
             "raise the limits of carry.pace",
         ),
         Check(
-            "torque_ratio_max", float(np.max([t.torque_ratio_max for t in trials])), "<", 1.0, "",
+            "torque_ratio_max",
+            float(np.max([t.torque_ratio_max for t in trials])),
+            "<",
+            1.0,
+            "",
             "largest motor torque over its limit; at 1 the drive saturates and control is lost",
             "lower carry.impedance.internal_force_n or the limits of carry.pace",
         ),
         Check(
-            "saturated_max_s", saturated_max_s, "<=", limits.saturation_max_s, "s",
+            "saturated_max_s",
+            saturated_max_s,
+            "<=",
+            limits.saturation_max_s,
+            "s",
             "longest time that a motor stands at its limit, failed trials included: a fault must stop softly",
             "lower carry.faults.deceleration_share",
         ),
-    ]  # fmt: skip
+    ]
 
 
 class CarryStage:
@@ -109,14 +132,14 @@ class CarryStage:
         import numpy as np
 
         from minidual.config.seeds import stream
-        from minidual.evaluation.film import film_trial
-        from minidual.evaluation.methods import MethodInputs
-        from minidual.evaluation.metrics import summarise
-        from minidual.evaluation.tables import write_csv, write_json
-        from minidual.evaluation.trial_figures import draw_trial
-        from minidual.evaluation.trials import run_trials
+        from minidual.show.figures.film import film_trial
+        from minidual.show.figures.trial_figures import draw_trial
         from minidual.tasks.motions import carry_config
         from minidual.tasks.rod_carry import sample_trial
+        from minidual.trials.methods import MethodInputs
+        from minidual.trials.metrics import summarise
+        from minidual.trials.tables import write_csv, write_json
+        from minidual.trials.trials import run_trials
 
         config = carry_config(context.config)
         scene = config.scene
@@ -140,9 +163,7 @@ class CarryStage:
         films = {"median": "carry.mp4", "worst": "worst.mp4"}
         with context.progress.task("films", len(shown)) as task:
             for label, i in shown.items():
-                title = (
-                    f"{config.carry.object}, {config.carry.motion}: {label} trial ({i}): {results[i].text}"
-                )
+                title = f"{config.carry.object}, {config.carry.motion}: {label} trial ({i}): {results[i].text}"
                 draw_trial(logs[i], scene, context.folder / f"{label}.png", title=title)
                 film_trial("impedance", inputs, trials[i], context.folder / films[label])
                 task.advance()
@@ -169,12 +190,7 @@ class CarryStage:
                 unit="N",
                 why="least grip in the air",
             ),
-            Check(
-                "duration_median_s",
-                summary.duration_median_s,
-                unit="s",
-                why="median of the successful trials",
-            ),
+            Check("duration_median_s", summary.duration_median_s, unit="s", why="median of the successful trials"),
             Check("jerk_rms_median", summary.jerk_rms_median, unit="rad/s^3", why=JERK_FILTER),
         ]
         data = {
@@ -190,12 +206,16 @@ class CarryStage:
         return StageResult(checks=checks, data=data)
 
     def _record(
-        self, context: StageContext, inputs: MethodInputs, trials: list[RodTrial], results: list[TrialResult],
+        self,
+        context: StageContext,
+        inputs: MethodInputs,
+        trials: list[RodTrial],
+        results: list[TrialResult],
         shown: dict[str, int],
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Write recordings for `minidual replay` of the median, the worst and the first trials that failed."""
         from minidual.errors import DataError
-        from minidual.evaluation.trial_records import TrialRecords
+        from minidual.trials.trial_records import TrialRecords
 
         failed = [i for i, result in enumerate(results) if not result.success]
         named = [(i, f"trial{i:03d}") for i in failed[:RECORDED_FAILURES_MAX] if i not in shown.values()]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from minidual.errors import ExitCode
-from minidual.pipeline.tool import ToolContext, ToolResult
+from minidual.gate.tool import ToolContext, ToolResult
 
 if TYPE_CHECKING:
     from minidual.config.root import Config
@@ -15,8 +15,9 @@ PERTURB_TRIALS_N = 20
 
 def perturb(context: ToolContext) -> ToolResult:
     """Run the carry under every condition and compare its success with the clean one."""
-    from minidual.evaluation.methods import MethodInputs
-    from minidual.evaluation.perturbation import (
+    from minidual.tasks.motions import carry_config
+    from minidual.trials.methods import MethodInputs
+    from minidual.trials.perturbation import (
         DROP_MAX,
         run_perturbations,
         table_lines,
@@ -24,16 +25,19 @@ def perturb(context: ToolContext) -> ToolResult:
         why_not,
         write_perturbations,
     )
-    from minidual.tasks.motions import carry_config
 
     trials_n = int(context.options.get("trials", PERTURB_TRIALS_N))
     inputs = MethodInputs(carry_config(context.config), context.seed)
     applying = [c for c in touching("impedance").values() if not why_not("impedance", c, inputs.config)]
     with context.progress.task("disturbed carries", len(applying) * trials_n) as task:
         found, trials = run_perturbations(
-            "impedance", inputs, trials_n, workers=context.workers,
-            on_trial=lambda name, result: task.advance(note=name), view=context.view,
-        )  # fmt: skip
+            "impedance",
+            inputs,
+            trials_n,
+            workers=context.workers,
+            on_trial=lambda name, result: task.advance(note=name),
+            view=context.view,
+        )
     write_perturbations(context.output, found, trials)
     failed = [r for r in found if r.fails]
     notes = [
@@ -54,17 +58,19 @@ def tune(context: ToolContext) -> ToolResult:
     """Search squeeze and stiffness by carrying; write them as a profile."""
     import yaml
 
-    from minidual.evaluation.tables import write_text
-    from minidual.evaluation.tuning import CARRIES_N, Tuner, TuningError, write_rows
-    from minidual.evaluation.tuning_figure import draw_tuning
+    from minidual.show.figures.tuning_figure import draw_tuning
     from minidual.tasks.motions import carry_config
+    from minidual.trials.tables import write_text
+    from minidual.trials.tuning import CARRIES_N, Tuner, TuningError, write_rows
 
     config = carry_config(context.config)
     with context.progress.task("tuning") as task:
         tuner = Tuner(
-            config, context.seed, workers=context.workers,
+            config,
+            context.seed,
+            workers=context.workers,
             on_step=lambda s: task.advance(note=f"{s.phase}: {s.force_n:.1f} N, {s.stiffness_n_per_m:.0f} N/m"),
-        )  # fmt: skip
+        )
         try:
             tuning = tuner.run()
         except TuningError:
@@ -93,17 +99,16 @@ def tune(context: ToolContext) -> ToolResult:
             f"use it: {context.command('carry')} --profile {context.folder / 'tuned.yaml'}",
         ],
         data={
-            "settings": tuning.settings, "least_force_n": tuning.least_force_n,
+            "settings": tuning.settings,
+            "least_force_n": tuning.least_force_n,
             "steps": [s.row() for s in tuning.steps],
         },
-    )  # fmt: skip
+    )
 
 
 def _as_typed(config: Config) -> dict[str, Any]:
     """Return what profile and command line have set of the object, its scene and the carry: the gains hold for that."""
-    sections = {
-        name: getattr(config, name).model_dump(mode="json", exclude_unset=True) for name in ("scene", "carry")
-    }
+    sections = {name: getattr(config, name).model_dump(mode="json", exclude_unset=True) for name in ("scene", "carry")}
     return {"carry": {}, **{name: values for name, values in sections.items() if values}}
 
 

@@ -7,33 +7,32 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from minidual.pipeline.check import Check
-from minidual.pipeline.stage import StageContext, StageResult
+from minidual.gate.check import Check
+from minidual.gate.stage import StageContext, StageResult
 
 if TYPE_CHECKING:
     from minidual.config.root import Config
-    from minidual.evaluation.trials import TrialResult
+    from minidual.trials.trials import TrialResult
 
 HELD_OUT, TRAINING = "deploy", "demonstrations"
 """Random streams: trials held out from training, and the very starts that the demonstrations had."""
 
 
 def deploy_checks(
-    successes: int,
-    trials: int,
-    inference_hz: float,
-    *,
-    success_rate_min: float | None,
-    inference_hz_min: float,
+    successes: int, trials: int, inference_hz: float, *, success_rate_min: float | None, inference_hz_min: float
 ) -> list[Check]:
     """Return the checks of the stage; without `success_rate_min` the rate is reported, not judged (smoke)."""
-    from minidual.evaluation.statistics import wilson_interval
+    from minidual.trials.statistics import wilson_interval
 
     low, high = wilson_interval(successes, trials)
     op = None if success_rate_min is None else ">"
     return [
         Check(
-            "success_rate", successes / trials, op, success_rate_min, "",
+            "success_rate",
+            successes / trials,
+            op,
+            success_rate_min,
+            "",
             f"closed-loop success on {trials} starts held out from training",
             "record more demonstrations (teleop-record --episodes 200) or train longer (--set train.steps=...)",
         ),
@@ -41,11 +40,15 @@ def deploy_checks(
         Check("success_high", high, unit="", why="upper end of its 95 % Wilson interval"),
         Check("trials", trials, ">=", 1, "", "a rate over no trials says nothing"),
         Check(
-            "inference_hz", inference_hz, ">", inference_hz_min, "hz",
+            "inference_hz",
+            inference_hz,
+            ">",
+            inference_hz_min,
+            "hz",
             "whole inference with pre- and post-processing must keep up with the arms",
             "use the spatial_softmax backbone, or a smaller image",
         ),
-    ]  # fmt: skip
+    ]
 
 
 class DeployStage:
@@ -70,12 +73,12 @@ class DeployStage:
         from dataclasses import replace
 
         from minidual.config.seeds import stream
-        from minidual.evaluation.film import film_trial
-        from minidual.evaluation.methods import MethodInputs
-        from minidual.evaluation.metrics import summarise
-        from minidual.evaluation.tables import write_csv, write_json
-        from minidual.evaluation.trials import run_trials
+        from minidual.show.figures.film import film_trial
         from minidual.tasks.rod_carry import sample_trial
+        from minidual.trials.methods import MethodInputs
+        from minidual.trials.metrics import summarise
+        from minidual.trials.tables import write_csv, write_json
+        from minidual.trials.trials import run_trials
 
         config = context.config
         settings = config.deploy
@@ -89,9 +92,7 @@ class DeployStage:
         results: dict[str, list[TrialResult]] = {"held_out": [], "training": []}
         with context.progress.task("policy trials", len(held_out) + len(seen)) as task:
             for starts, trials in (("held_out", held_out), ("training", seen)):
-                for result, _ in run_trials(
-                    "act", inputs, trials, workers=context.workers, view=context.view
-                ):
+                for result, _ in run_trials("act", inputs, trials, workers=context.workers, view=context.view):
                     # Nothing disturbs either; in the tables the two sets of starts stand as conditions.
                     results[starts].append(replace(result, metrics=replace(result.metrics, condition=starts)))
                     done = sum(r.success for r in results[starts])
@@ -99,9 +100,7 @@ class DeployStage:
         everything = results["held_out"] + results["training"]
         metrics = [r.metrics for r in everything]
         rng = stream(context.seed, "bootstrap/deploy")
-        summaries = {
-            name: summarise([r.metrics for r in rows], rng) for name, rows in results.items() if rows
-        }
+        summaries = {name: summarise([r.metrics for r in rows], rng) for name, rows in results.items() if rows}
         write_csv(context.folder / "trials.csv", metrics)
         write_json(context.folder / "trials.json", list(summaries.values()), metrics)
         self._film(context, inputs, held_out, results["held_out"], film_trial)
@@ -125,9 +124,7 @@ class DeployStage:
         if "training" in summaries:
             training = summaries["training"]
             checks.append(
-                Check(
-                    "training_success_rate", training.success_rate, why="the same on starts it was trained on"
-                )
+                Check("training_success_rate", training.success_rate, why="the same on starts it was trained on")
             )
             data["training"] = {
                 "trials": training.trials_n,
@@ -138,12 +135,7 @@ class DeployStage:
         errors = [r.metrics.goal_error_m for r in everything if r.lifted]
         if errors:
             checks.append(
-                Check(
-                    "goal_error_median_m",
-                    statistics.median(errors),
-                    unit="m",
-                    why="of trials that lifted the rod",
-                )
+                Check("goal_error_median_m", statistics.median(errors), unit="m", why="of trials that lifted the rod")
             )
         return StageResult(checks=checks, data=data)
 
@@ -160,7 +152,7 @@ class DeployStage:
 
 def _demonstrated(teleop_folder: Path, count: int) -> list[int]:
     """Return the trial indices of the first demonstrations that were kept."""
-    from minidual.data.store import EpisodeStore
+    from minidual.demos.store import EpisodeStore
 
     indices = [meta.trial for meta in EpisodeStore(teleop_folder / "episodes").metas()]
     return indices[:count]
@@ -170,7 +162,7 @@ def measure_inference(checkpoint: Path, context: StageContext, inferences: int =
     """Return whole inferences per second, alone on the machine, as the closed loop runs them."""
     import numpy as np
 
-    from minidual.learning.pilot import load_runtime
+    from minidual.policies.pilot import load_runtime
     from minidual.robot.constants import HOME
 
     runtime = load_runtime(checkpoint, context.config.deploy)
@@ -178,10 +170,7 @@ def measure_inference(checkpoint: Path, context: StageContext, inferences: int =
     state = np.concatenate([HOME, np.ones(2)])
     for _ in range(inferences):
         runtime.reset()
-        runtime.act(
-            {c: rng.integers(0, 255, (*size, 3), dtype=np.uint8) for c, size in runtime.cameras.items()},
-            state,
-        )
+        runtime.act({c: rng.integers(0, 255, (*size, 3), dtype=np.uint8) for c, size in runtime.cameras.items()}, state)
     return runtime.inference_hz
 
 

@@ -6,13 +6,13 @@ import json
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from minidual.pipeline.stage import StageContext, StageResult
+from minidual.gate.stage import StageContext, StageResult
 
 if TYPE_CHECKING:
     from minidual.config.root import Config
-    from minidual.evaluation.environment_pictures import CameraCheck
-    from minidual.evaluation.joint_tracking import Tracking
-    from minidual.evaluation.step_cost import StepCost
+    from minidual.stages.bench_step import StepCost
+    from minidual.stages.env_check_environment_pictures import CameraCheck
+    from minidual.stages.env_check_joint_tracking import Tracking
 
 
 class EnvCheckStage:
@@ -38,18 +38,18 @@ class EnvCheckStage:
 
         from minidual.config.seeds import stream
         from minidual.control.loop import JointLoop
-        from minidual.evaluation import environment as measure
-        from minidual.evaluation import environment_pictures as pictures
-        from minidual.evaluation import joint_tracking as motion
-        from minidual.evaluation.command_latency import LatencyRig, command_latency, emergency_stop
-        from minidual.evaluation.installation import machine, required_libraries, system_packages
-        from minidual.evaluation.joint_response import joint_responses, write_joints
-        from minidual.evaluation.step_cost import control_step_cost
+        from minidual.plant.model import build_model
+        from minidual.plant.world import World
         from minidual.robot.kinematics import Kinematics
-        from minidual.sim.model import build_model
-        from minidual.sim.watch import Narration, watched
-        from minidual.sim.world import World
+        from minidual.show.watch_world import Narration, watched
         from minidual.stages import env_check_checks as checks_of
+        from minidual.stages import env_check_environment as measure
+        from minidual.stages import env_check_environment_pictures as pictures
+        from minidual.stages import env_check_joint_tracking as motion
+        from minidual.stages.bench_step import control_step_cost
+        from minidual.stages.env_check_command_latency import LatencyRig, command_latency, emergency_stop
+        from minidual.stages.env_check_installation import machine, required_libraries, system_packages
+        from minidual.stages.env_check_joint_response import joint_responses, write_joints
 
         config = context.config.env_check
         with context.progress.task("environment", 10) as task:
@@ -57,9 +57,7 @@ class EnvCheckStage:
             model = build_model(context.config.scene, visuals=True)
             joints = measure.drivable_joints(model)
             if len(joints) != checks_of.JOINTS:  # no world can be built on it; this check says why
-                return StageResult(
-                    checks=[*checks_of.library_checks(libraries), checks_of.count_check(len(joints))]
-                )
+                return StageResult(checks=[*checks_of.library_checks(libraries), checks_of.count_check(len(joints))])
             world, kinematics = World(context.config.scene, model=model), Kinematics()
             loop = JointLoop(world, kinematics)
             contacts = measure.arm_contacts(world)
@@ -77,9 +75,7 @@ class EnvCheckStage:
                 steps = motion.single_joint_steps(loop, config.single_step_rad, config.single_duration_s)
                 task.advance(note="each joint alone")
                 doing = "a step"
-                step = motion.step_response(
-                    loop, motion.outward_step(config.step_rad), config.step_duration_s
-                )
+                step = motion.step_response(loop, motion.outward_step(config.step_rad), config.step_duration_s)
                 task.advance(note="step")
                 doing = "all joints swing"
                 sine = motion.sine_response(
@@ -93,11 +89,7 @@ class EnvCheckStage:
             cost = control_step_cost(loop, config.cost_steps_n)
             task.advance(note="step cost")
             rig = LatencyRig(
-                world,
-                kinematics,
-                context.config.arbiter,
-                context.config.supervisor,
-                context.config.teleop.rate_hz,
+                world, kinematics, context.config.arbiter, context.config.supervisor, context.config.teleop.rate_hz
             )
             latency = command_latency(rig)
             stop = emergency_stop(world, kinematics, context.config.supervisor)
@@ -106,17 +98,23 @@ class EnvCheckStage:
             alone = np.array([row.settled_rad for row in responses])
             write_joints(context.folder / "joints.csv", responses)
             frames = pictures.film(
-                world, sine, context.folder / "sine.mp4", fps=config.video_fps,
-                width_px=config.video_width_px, height_px=config.video_height_px,
-            )  # fmt: skip
+                world,
+                sine,
+                context.folder / "sine.mp4",
+                fps=config.video_fps,
+                width_px=config.video_width_px,
+                height_px=config.video_height_px,
+            )
             task.advance(note="film")
             pictures.save_tracking(
-                context.folder / "tracking.png", step, sine, alone,
-                step_limit_rad=config.step_error_max_rad, sine_limit_rad=config.sine_rms_max_rad,
-            )  # fmt: skip
-            pictures.save_joints(
-                context.folder / "joints.png", steps, responses, rise_limit_s=config.rise_max_s
+                context.folder / "tracking.png",
+                step,
+                sine,
+                alone,
+                step_limit_rad=config.step_error_max_rad,
+                sine_limit_rad=config.sine_rms_max_rad,
             )
+            pictures.save_joints(context.folder / "joints.png", steps, responses, rise_limit_s=config.rise_max_s)
             task.advance(note="figures")
 
         checks = [

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from minidual.errors import EnvironmentMissingError
-from minidual.pipeline.tool import ToolContext, ToolResult
+from minidual.gate.tool import ToolContext, ToolResult
 
 if TYPE_CHECKING:
-    from minidual.evaluation.installation import Library, Package
-    from minidual.pipeline.verdict import Verdict
+    from minidual.gate.verdict import Verdict
+    from minidual.stages.env_check_installation import Library, Package
 
 _GIB = 2**30
 
@@ -19,9 +19,9 @@ def print_bill(context: ToolContext) -> ToolResult:
     """Collect versions, draw one picture to learn the renderer, and look at the last verdict of env-check."""
     import psutil
 
-    from minidual.evaluation.environment_pictures import renderer_name
-    from minidual.evaluation.installation import machine, required_libraries, system_name, system_packages
-    from minidual.pipeline.fingerprint import circumstances_now
+    from minidual.gate.fingerprint import circumstances_now
+    from minidual.stages.env_check_environment_pictures import renderer_name
+    from minidual.stages.env_check_installation import machine, required_libraries, system_name, system_packages
 
     try:
         renderer = renderer_name()
@@ -40,9 +40,7 @@ def print_bill(context: ToolContext) -> ToolResult:
     verdict = _last_verdict(context)
     document = {
         "about": about,
-        "libraries": {
-            lib.name: {"wanted": lib.wanted, "found": lib.found, "fits": lib.fits} for lib in libraries
-        },
+        "libraries": {lib.name: {"wanted": lib.wanted, "found": lib.found, "fits": lib.fits} for lib in libraries},
         "packages": {package.name: package.version for package in packages},
         "env_check": None if verdict is None else _summary(verdict),
     }
@@ -71,9 +69,7 @@ def markdown(
     if env_check is None:
         lines.append("env-check has not run here.")
         return lines
-    lines.append(
-        f"env-check: **{env_check['status']}** on {env_check['finished_at']}, profile {env_check['profile']}"
-    )
+    lines.append(f"env-check: **{env_check['status']}** on {env_check['finished_at']}, profile {env_check['profile']}")
     lines += [f"- {sentence}" for sentence in env_check["failed"]]
     return lines
 
@@ -84,7 +80,7 @@ def _cell(text: object) -> str:
 
 def _last_verdict(context: ToolContext) -> Verdict | None:
     from minidual.errors import DataError
-    from minidual.pipeline.verdict import read_verdict
+    from minidual.gate.verdict import read_verdict
 
     path = context.run_folder / "env-check" / "verdict.json"
     try:

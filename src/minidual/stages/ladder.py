@@ -13,9 +13,9 @@ from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
-    from minidual.pipeline.check import Check
-    from minidual.pipeline.gate import Gate, StageState
-    from minidual.pipeline.table import CommandText
+    from minidual.gate.check import Check
+    from minidual.gate.gate import Gate, StageState
+    from minidual.gate.table import CommandText
 
 Standing = Literal["holds", "fails", "unproven"]
 
@@ -44,31 +44,39 @@ class Level:
 
 LADDER: tuple[Level, ...] = (
     Level(
-        0, "simulation and joints", "Does every joint move as the model says, and do the cameras see?",
+        0,
+        "simulation and joints",
+        "Does every joint move as the model says, and do the cameras see?",
         (Proof("env-check"),),
     ),
     Level(
-        1, "one arm", "Does one arm find its way alone?",
+        1,
+        "one arm",
+        "Does one arm find its way alone?",
         (Proof("plan", ("left_arm.*", "right_arm.*", "second_seed.left_arm.*", "second_seed.right_arm.*")),),
     ),
     Level(
-        2, "both arms", "Do both arms move together, and carry an object between them?",
-        (Proof("plan"), Proof("carry")),
+        2, "both arms", "Do both arms move together, and carry an object between them?", (Proof("plan"), Proof("carry"))
     ),
     Level(
-        3, "teleoperation", "Does the follower follow its leader in time, and succeed at the task?",
-        (Proof("teleop-record", ("latency*", "episodes_per_min", "success*", "attempts*", "leader*", "delay*",
-                                 "passiv*", "network*")),),
+        3,
+        "teleoperation",
+        "Does the follower follow its leader in time, and succeed at the task?",
+        (
+            Proof(
+                "teleop-record",
+                ("latency*", "episodes_per_min", "success*", "attempts*", "leader*", "delay*", "passiv*", "network*"),
+            ),
+        ),
     ),
+    Level(4, "data", "Is what was recorded whole, smooth and converted without loss?", (Proof("teleop-record"),)),
     Level(
-        4, "data", "Is what was recorded whole, smooth and converted without loss?",
-        (Proof("teleop-record"),),
-    ),
-    Level(
-        5, "policy", "Does the policy learn from the data, and does what it learned work?",
+        5,
+        "policy",
+        "Does the policy learn from the data, and does what it learned work?",
         (Proof("train-act"), Proof("deploy")),
     ),
-)  # fmt: skip
+)
 """The levels, lowest first."""
 
 
@@ -164,9 +172,7 @@ def walk(gate: Gate, command: CommandText, ladder: Sequence[Level] = LADDER) -> 
     levels: list[LevelFound] = []
     for level in ladder:
         proofs = tuple(
-            _look(gate.state(proof.stage), level, ladder)
-            for proof in level.proofs
-            if proof.stage in gate.table.names
+            _look(gate.state(proof.stage), level, ladder) for proof in level.proofs if proof.stage in gate.table.names
         )
         if proofs:
             levels.append(LevelFound(level, proofs))
@@ -183,9 +189,14 @@ def _look(state: StageState, level: Level, ladder: Sequence[Level]) -> ProofFoun
     own = [check for check in checks if owner(state.name, check.name, ladder) == level.number]
     failing = tuple(check for check in own if check.passed is not True)
     return ProofFound(
-        state.name, state.state, state.reasons, len(own) - len(failing), len(own), failing,
+        state.name,
+        state.state,
+        state.reasons,
+        len(own) - len(failing),
+        len(own),
+        failing,
         verdict is not None and verdict.acceptance,
-    )  # fmt: skip
+    )
 
 
 def _next_stage(gate: Gate, proof: ProofFound) -> str:
@@ -199,9 +210,7 @@ def _why(proof: ProofFound) -> tuple[str, ...]:
         lines: list[str] = []
         for check in proof.failing:
             lines.append(f"{proof.stage}: {check.sentence()}")
-            lines += [
-                f"  {label}: {text}" for label, text in (("why", check.why), ("remedy", check.remedy)) if text
-            ]
+            lines += [f"  {label}: {text}" for label, text in (("why", check.why), ("remedy", check.remedy)) if text]
         return tuple(lines)
     if proof.state in ("pass", "fail"):
         return (f"{proof.stage}: its verdict holds no check for this level",)

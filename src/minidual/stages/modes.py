@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from minidual.errors import ExitCode, GateClosedError, UsageError
-from minidual.pipeline.tool import ToolContext, ToolResult
+from minidual.gate.tool import ToolContext, ToolResult
 
 if TYPE_CHECKING:
     from minidual.control.stack import ControlStack
-    from minidual.evaluation.modes import ModesResult
-    from minidual.evaluation.modes_drivers import Driver
-    from minidual.pipeline.progress import Task
-    from minidual.sim.render import Image
+    from minidual.gate.progress import Task
+    from minidual.plant.render import Image
+    from minidual.trials.modes import ModesResult
+    from minidual.trials.modes_drivers import Driver
 
 _INTERRUPT_SHARE = 0.55
 """The planner's first motion is interrupted after this part of it: a switch of arms in motion."""
@@ -22,7 +22,7 @@ _INTERRUPT_SHARE = 0.55
 
 def modes(context: ToolContext) -> ToolResult:
     """Run the demonstration, write film and log, and hold every switch to its bounds; exit 1 where it ends early."""
-    from minidual.evaluation.modes import DEFAULT_MODES, parse_modes
+    from minidual.trials.modes import DEFAULT_MODES, parse_modes
 
     named = context.options.get("modes")
     wanted = DEFAULT_MODES if named is None else parse_modes(named)
@@ -60,19 +60,19 @@ def find_checkpoint(context: ToolContext) -> Path:
 
 
 def _run(context: ToolContext, wanted: tuple[str, ...], checkpoint: Path | None) -> ModesResult:
+    from minidual.collision.arm_distance import ArmDistance
     from minidual.control.stack import ControlStack
     from minidual.control.supervisor import Supervisor
-    from minidual.evaluation.modes import ModesDemo
-    from minidual.evaluation.modes_film import FILM_FPS, FILM_SIZE, filmed
-    from minidual.pipeline.canonical import canonical, dumps, write_durably
-    from minidual.planning.arm_distance import ArmDistance
+    from minidual.gate.canonical import canonical, dumps, write_durably
+    from minidual.plant.model import build_model
+    from minidual.plant.recorder import Recorder
+    from minidual.plant.render import Camera, write_video
+    from minidual.plant.world import World
     from minidual.robot.kinematics import Kinematics
-    from minidual.sim.model import build_model
-    from minidual.sim.recorder import Recorder
-    from minidual.sim.render import Camera, write_video
-    from minidual.sim.watch import Narration, watched
-    from minidual.sim.world import World
+    from minidual.show.figures.modes_film import FILM_FPS, FILM_SIZE, filmed
+    from minidual.show.watch_world import Narration, watched
     from minidual.tasks.rod_carry import sample_trial
+    from minidual.trials.modes import ModesDemo
 
     config = context.config
     world = World(config.scene, model=build_model(config.scene, visuals=True))
@@ -82,9 +82,7 @@ def _run(context: ToolContext, wanted: tuple[str, ...], checkpoint: Path | None)
     supervisor = Supervisor(
         config.supervisor, dt_s=world.dt, self_distance=ArmDistance(), on_reflex=world.recorder.on_reflex
     )
-    stack = ControlStack(
-        world, Kinematics(), config.arbiter, rate_hz=config.teleop.rate_hz, supervisor=supervisor
-    )
+    stack = ControlStack(world, Kinematics(), config.arbiter, rate_hz=config.teleop.rate_hz, supervisor=supervisor)
     with Camera.recorded(world.model, config.scene.camera) as eyes:
         turns = _turns(context, stack, trial, checkpoint, wanted, lambda name: eyes.picture(world.data, name))
         demo = ModesDemo(stack, turns)
@@ -109,10 +107,7 @@ def _run(context: ToolContext, wanted: tuple[str, ...], checkpoint: Path | None)
         "seed": context.seed,
         **result.to_json(),
         "bounds": [
-            {
-                "mode": s.mode,
-                **{n: {"value": v, "bound": b} for n, v, b in s.bounds(config.arbiter, world.dt)},
-            }
+            {"mode": s.mode, **{n: {"value": v, "bound": b} for n, v, b in s.bounds(config.arbiter, world.dt)}}
             for s in result.switches
         ],
     }
@@ -129,16 +124,16 @@ def _turns(
     picture: Callable[[str], Image],
 ) -> list[tuple[str, Callable[[], Driver]]]:
     """Return who drives in each turn; what several turns share is loaded once."""
-    from minidual.evaluation.modes_drivers import MoveitDriver, PolicyDriver, TeleopDriver
-    from minidual.planning.api import Planner
-    from minidual.tasks.operator import ScriptedOperator
+    from minidual.motion.api import Planner
+    from minidual.skills.operator import ScriptedOperator
+    from minidual.trials.modes_drivers import MoveitDriver, PolicyDriver, TeleopDriver
 
     config, seed = context.config, context.seed
     planner = Planner(config=config.plan.planner)
     operator = ScriptedOperator(config.scene, config.teleop.operator)
     runtime: Any = None
     if checkpoint is not None:
-        from minidual.learning.pilot import load_runtime
+        from minidual.policies.pilot import load_runtime
 
         runtime = load_runtime(checkpoint, config.deploy)
 
@@ -157,7 +152,7 @@ def _turns(
 def _until_stopped(steps: Iterator[tuple[str, str]], stopped: list[str]) -> Iterator[tuple[str, str]]:
     """Pass the steps on until the arms are stopped or a mode fails; say why in `stopped`: log and film are kept."""
     from minidual.control.reflexes import ReflexError
-    from minidual.evaluation.modes import SwitchError
+    from minidual.trials.modes import SwitchError
 
     try:
         yield from steps

@@ -6,15 +6,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from minidual.pipeline.check import Check
-from minidual.pipeline.stage import StageContext, StageResult
+from minidual.gate.check import Check
+from minidual.gate.stage import StageContext, StageResult
 from minidual.stages.plan_held import held_checks, held_data, held_notes, run_held
 
 if TYPE_CHECKING:
     from minidual.config.planning import PlanConfig
     from minidual.config.root import Config
-    from minidual.planning.evaluate import Outcome
-    from minidual.planning.evaluate_carries import CarryPlans
+    from minidual.trials.planning.evaluate import Outcome
+    from minidual.trials.planning.evaluate_carries import CarryPlans
 
 _EXCELLENT_S = {"left_arm": 0.2, "right_arm": 0.2, "both_arms": 2.0}
 _GOAL_S = {"left_arm": 0.01, "right_arm": 0.01, "both_arms": 0.05}
@@ -46,10 +46,10 @@ class PlanStage:
 
     def run(self, context: StageContext) -> StageResult:
         """Plan the queries, compare the engines, plan a few carries, draw the figures."""
-        from minidual.planning.evaluate import engine_agreement, repeats, run_queries
-        from minidual.planning.evaluate_carries import plan_carries
-        from minidual.planning.figures import write_paths, write_times
+        from minidual.show.figures.planning import write_paths, write_times
         from minidual.stages.plan_view import show_plans
+        from minidual.trials.planning.evaluate import engine_agreement, repeats, run_queries
+        from minidual.trials.planning.evaluate_carries import plan_carries
 
         config = context.config.plan
         with context.progress.task("queries", 3 * (config.queries_n + config.second_queries_n)) as task:
@@ -75,26 +75,21 @@ class PlanStage:
         checks = [check for group, done in outcomes.items() for check in group_checks(group, done, config)]
         if config.second_queries_n:
             checks += [
-                check for group, done in second.items()
+                check
+                for group, done in second.items()
                 for check in group_checks(group, done, config, f"second_seed.{group}")
-            ]  # fmt: skip
+            ]
         checks += audit_checks([o for done in (*outcomes.values(), *second.values()) for o in done])
         checks += common_checks(agreement, repeatable, carries, config)
         checks += held_checks(held, config)
         return StageResult(
             checks=checks,
-            data={
-                **_summary(outcomes, carries),
-                "second_seed": _groups(second),
-                "held_moves": held_data(held),
-            },
+            data={**_summary(outcomes, carries), "second_seed": _groups(second), "held_moves": held_data(held)},
             notes=[*_notes(first=outcomes, second=second), *carries.failures, *held_notes(held)],
         )
 
 
-def group_checks(
-    group: str, outcomes: Sequence[Outcome], config: PlanConfig, name: str | None = None
-) -> list[Check]:
+def group_checks(group: str, outcomes: Sequence[Outcome], config: PlanConfig, name: str | None = None) -> list[Check]:
     """Return the checks of one planning group; their names begin with `name` (the group's by default)."""
     import numpy as np
 
@@ -106,34 +101,51 @@ def group_checks(
     goal, reached = _GOAL_S[group], np.median(times) < _GOAL_S[group]
     return [
         Check(
-            f"{name}.success_rate", float(np.mean([o.ok for o in outcomes])), ">=", config.success_rate_min,
+            f"{name}.success_rate",
+            float(np.mean([o.ok for o in outcomes])),
+            ">=",
+            config.success_rate_min,
             why="a query counts only if the timed trajectory is proven free and inside every limit",
             remedy="see the reasons in queries.csv",
         ),
         Check(
-            f"{name}.time_median_s", float(np.median(times)), None if median_max is None else "<", median_max, unit="s",
+            f"{name}.time_median_s",
+            float(np.median(times)),
+            None if median_max is None else "<",
+            median_max,
+            unit="s",
             why=f"excellent < {_EXCELLENT_S[group]} s, goal < {goal} s ({'reached' if reached else 'missed'})",
             remedy=busy,
         ),
         Check(
-            f"{name}.time_p99_s", float(np.percentile(times, 99)), None if p99_max is None else "<", p99_max, unit="s",
+            f"{name}.time_p99_s",
+            float(np.percentile(times, 99)),
+            None if p99_max is None else "<",
+            p99_max,
+            unit="s",
             why="ninety-nine of a hundred queries are answered within this time",
             remedy=busy,
         ),
         Check(
-            f"{name}.time_max_s", float(times.max()), "<", config.time_max_s, unit="s",
+            f"{name}.time_max_s",
+            float(times.max()),
+            "<",
+            config.time_max_s,
+            unit="s",
             why="wall time from the goal going in to the proven trajectory coming out",
             remedy=busy,
         ),
         Check(
-            f"{name}.core_share", core_share,
+            f"{name}.core_share",
+            core_share,
             why="share of a core that the process had while it planned; well below 1 others ran, and the times say less",
         ),
         Check(
-            f"{name}.line_blocked_rate", float(np.mean([o.query.blocked for o in outcomes])),
+            f"{name}.line_blocked_rate",
+            float(np.mean([o.query.blocked for o in outcomes])),
             why="share of the queries that a straight line in joint space cannot solve",
         ),
-    ]  # fmt: skip
+    ]
 
 
 def audit_checks(outcomes: Sequence[Outcome]) -> list[Check]:
@@ -141,42 +153,63 @@ def audit_checks(outcomes: Sequence[Outcome]) -> list[Check]:
     audits = [o.audit for o in outcomes if o.audit is not None]
     return [
         Check(
-            "proof.audited_n", len(audits), "==", sum(o.ok for o in outcomes),
+            "proof.audited_n",
+            len(audits),
+            "==",
+            sum(o.ok for o in outcomes),
             why="every query that was solved is audited; held-object moves and carries are proven but not audited",
         ),
         Check(
-            "proof.audit_states", sum(a.samples_n for a in audits), ">", 0,
+            "proof.audit_states",
+            sum(a.samples_n for a in audits),
+            ">",
+            0,
             why="states at most 0.002 rad apart, of every query that was solved, asked of both engines afterwards",
         ),
         Check(
-            "proof.audit_collisions", sum(a.collisions_n for a in audits), "==", 0,
+            "proof.audit_collisions",
+            sum(a.collisions_n for a in audits),
+            "==",
+            0,
             why="a state that either engine sees colliding would show the continuous proof wrong",
         ),
         Check(
-            "proof.audit_disagreements", sum(a.disagreements_n for a in audits), "==", 0,
+            "proof.audit_disagreements",
+            sum(a.disagreements_n for a in audits),
+            "==",
+            0,
             why="the two engines must agree along every accepted path",
         ),
-    ]  # fmt: skip
+    ]
 
 
 def common_checks(agreement: float, repeatable: bool, carries: CarryPlans, config: PlanConfig) -> list[Check]:
     """Return the checks that belong to no single group."""
     return [
         Check(
-            "engines.agreement", agreement, ">=", config.agreement_min,
+            "engines.agreement",
+            agreement,
+            ">=",
+            config.agreement_min,
             why="two independent collision engines must see the same world",
             remedy="the geometry or the pairs of one engine differ; run the engine tests",
         ),
         Check(
-            "repeatable", repeatable, "==", True,
+            "repeatable",
+            repeatable,
+            "==",
+            True,
             why="the same query and seed must give the same trajectory, bit for bit",
         ),
         Check(
-            "closed_chain.carries_rate", carries.solved_n / carries.planned_n, ">=", config.success_rate_min,
+            "closed_chain.carries_rate",
+            carries.solved_n / carries.planned_n,
+            ">=",
+            config.success_rate_min,
             why="carries of the rod task along waypoints, both hands keeping their grasps, proven free",
             remedy="see the notes of this stage",
         ),
-    ]  # fmt: skip
+    ]
 
 
 def _write_csv(outcomes: Mapping[str, Sequence[Outcome]], path: Path) -> None:
@@ -192,7 +225,7 @@ def _write_csv(outcomes: Mapping[str, Sequence[Outcome]], path: Path) -> None:
 def _write_acm(path: Path) -> None:
     import csv
 
-    from minidual.planning.acm import default_acm
+    from minidual.collision.acm import default_acm
 
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
@@ -235,9 +268,7 @@ def _groups(outcomes: Mapping[str, Sequence[Outcome]]) -> dict[str, Any]:
             "retried_n": sum(r.attempts_n > 1 for r in solved),
             "excellent": bool(np.median(times) < _EXCELLENT_S[group]),
             "goal": bool(np.median(times) < _GOAL_S[group]),
-            "phases_mean_s": {
-                phase: float(np.mean([r.times_s[phase] for r in solved])) for phase in solved[0].times_s
-            }
+            "phases_mean_s": {phase: float(np.mean([r.times_s[phase] for r in solved])) for phase in solved[0].times_s}
             if solved
             else {},
         }

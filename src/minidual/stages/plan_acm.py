@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from pathlib import Path
 
-from minidual.pipeline.tool import ToolContext, ToolResult
+from minidual.gate.tool import ToolContext, ToolResult
 
 _MEANINGS = {
     "rigid": "carried by one joint: they cannot move against each other",
@@ -17,9 +17,9 @@ _MEANINGS = {
 
 def plan_acm(context: ToolContext) -> ToolResult:
     """Return the matrix of the robot, with the rules of --scene laid over it if one is given."""
-    from minidual.planning.acm import acm_report
-    from minidual.planning.scene import PlanningScene
-    from minidual.planning.scene_file import load_scene
+    from minidual.collision.acm import acm_report
+    from minidual.collision.scene import PlanningScene
+    from minidual.collision.scene_file import load_scene
 
     report = acm_report()
     scene = PlanningScene()

@@ -6,14 +6,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from minidual.pipeline.check import Check
-from minidual.pipeline.stage import StageContext
+from minidual.gate.check import Check
+from minidual.gate.stage import StageContext
 
 if TYPE_CHECKING:
     from minidual.config.held_moves import HeldMovesConfig
     from minidual.config.planning import PlanConfig
-    from minidual.planning.evaluate_carries import MoveOutcome
-    from minidual.tasks.held_execution import Execution
+    from minidual.skills.held_execution import Execution
+    from minidual.trials.planning.evaluate_carries import MoveOutcome
 
 _SETS = ("first", "second")
 _SECOND_SEED_OFFSET = 7919
@@ -36,10 +36,10 @@ class HeldResults:
 
 def run_held(context: StageContext) -> HeldResults:
     """Plan the moves of both seeds and drive some; writes held_moves.csv."""
-    from minidual.planning.evaluate_carries import run_moves, table_plans
-    from minidual.sim.watch import Narration, watched
-    from minidual.sim.world import World
-    from minidual.tasks.held_execution import execute
+    from minidual.plant.world import World
+    from minidual.show.watch_world import Narration, watched
+    from minidual.skills.held_execution import execute
+    from minidual.trials.planning.evaluate_carries import run_moves, table_plans
 
     plan, scene = context.config.plan, context.config.scene
     held = plan.held
@@ -47,10 +47,7 @@ def run_held(context: StageContext) -> HeldResults:
     with context.progress.task("held moves", 2 * held.moves_n + held.executed_n) as task:
         for name, offset in zip(_SETS, (0, _SECOND_SEED_OFFSET), strict=True):
             outcomes[name] = run_moves(
-                plan,
-                scene.rod,
-                context.seed + offset,
-                on_move=lambda _o, name=name: task.advance(note=f"{name} seed"),
+                plan, scene.rod, context.seed + offset, on_move=lambda _o, name=name: task.advance(note=f"{name} seed")
             )
         world = World(scene)
         executions = []
@@ -72,8 +69,8 @@ def held_checks(results: HeldResults, config: PlanConfig) -> list[Check]:
 def _planning_checks(outcomes: Mapping[str, Sequence[MoveOutcome]], config: PlanConfig) -> list[Check]:
     import numpy as np
 
-    from minidual.planning.evaluate_carries import excluded
-    from minidual.planning.held_path import RESIDUAL_MAX_M, RESIDUAL_MAX_RAD
+    from minidual.motion.held_path import RESIDUAL_MAX_M, RESIDUAL_MAX_RAD
+    from minidual.trials.planning.evaluate_carries import excluded
 
     every = [o for done in outcomes.values() for o in done]
     solved = [o for o in every if o.ok]
@@ -85,38 +82,58 @@ def _planning_checks(outcomes: Mapping[str, Sequence[MoveOutcome]], config: Plan
     limited = () if limit is None else ("<", limit)
     return [
         Check(
-            "closed_chain.success_rate", _rate(first), ">=", config.success_rate_min,
+            "closed_chain.success_rate",
+            _rate(first),
+            ">=",
+            config.success_rate_min,
             why="moves of a held object up to 0.5 m and 90 degrees, each with a free path as witness, proven free",
             remedy="see the reasons in held_moves.csv",
         ),
         Check(
-            "closed_chain.second_seed_success_rate", _rate(outcomes[_SETS[1]]), ">=", config.success_rate_min,
+            "closed_chain.second_seed_success_rate",
+            _rate(outcomes[_SETS[1]]),
+            ">=",
+            config.success_rate_min,
             why="a set of another seed must do as well",
             remedy="see the reasons in held_moves.csv",
         ),
         Check(
-            "closed_chain.cpu_time_median_s", cpu_median, *limited, unit="s",
+            "closed_chain.cpu_time_median_s",
+            cpu_median,
+            *limited,
+            unit="s",
             why="processor time from the query going in to the proven trajectory coming out: the wall time of a quiet "
             "machine, since one thread does the work",
             remedy="see cpu_s in held_moves.csv",
         ),
         Check(
-            "closed_chain.time_median_s", float(np.median([o.time_s for o in first])), unit="s",
+            "closed_chain.time_median_s",
+            float(np.median([o.time_s for o in first])),
+            unit="s",
             why="wall time of the same; more than the processor time where the machine is busy",
         ),
         Check(
-            "closed_chain.residual_max_m", float(np.max(residuals[:, 0])), "<", RESIDUAL_MAX_M, unit="m",
+            "closed_chain.residual_max_m",
+            float(np.max(residuals[:, 0])),
+            "<",
+            RESIDUAL_MAX_M,
+            unit="m",
             why="how far a hand strays from its grasp, or from the other hand, at 1 kHz and half-way between",
         ),
         Check(
-            "closed_chain.residual_max_rad", float(np.max(residuals[:, 1])), "<", RESIDUAL_MAX_RAD, unit="rad",
+            "closed_chain.residual_max_rad",
+            float(np.max(residuals[:, 1])),
+            "<",
+            RESIDUAL_MAX_RAD,
+            unit="rad",
             why="how far a hand turns away from its grasp (limit 0.05 degrees)",
         ),
         Check(
-            "closed_chain.undecided_n", sum(left_out.values()),
+            "closed_chain.undecided_n",
+            sum(left_out.values()),
             why="moves left out of the two sets because a long search found no free path for them",
         ),
-    ]  # fmt: skip
+    ]
 
 
 def _execution_checks(executions: Sequence[Execution], config: HeldMovesConfig) -> list[Check]:
@@ -125,21 +142,30 @@ def _execution_checks(executions: Sequence[Execution], config: HeldMovesConfig) 
     errors = np.array([[e.error_max_m, e.error_max_rad] for e in executions] or [[np.nan, np.nan]])
     return [
         Check(
-            "closed_chain.driven_n", len(executions), "==", config.executed_n,
+            "closed_chain.driven_n",
+            len(executions),
+            "==",
+            config.executed_n,
             why="every move off the table that is to be driven is planned, proven and driven",
             remedy="see the notes of this stage",
         ),
         Check(
-            "closed_chain.executed_error_max_m", float(np.max(errors[:, 0])), "<",
-            config.executed_error_max_m, unit="m",
+            "closed_chain.executed_error_max_m",
+            float(np.max(errors[:, 0])),
+            "<",
+            config.executed_error_max_m,
+            unit="m",
             why="the rod against the plan at every millisecond of the simulated drive, from closed hands to rest",
         ),
         Check(
-            "closed_chain.executed_error_max_rad", float(np.max(errors[:, 1])), "<",
-            config.executed_error_max_rad, unit="rad",
+            "closed_chain.executed_error_max_rad",
+            float(np.max(errors[:, 1])),
+            "<",
+            config.executed_error_max_rad,
+            unit="rad",
             why="the same for the rod's orientation",
         ),
-    ]  # fmt: skip
+    ]
 
 
 def _rate(outcomes: Sequence[MoveOutcome]) -> float:
@@ -153,7 +179,7 @@ def held_data(results: HeldResults) -> dict[str, Any]:
 
     import numpy as np
 
-    from minidual.planning.evaluate_carries import excluded
+    from minidual.trials.planning.evaluate_carries import excluded
 
     data: dict[str, Any] = {"executions": [dataclasses.asdict(e) for e in results.executions]}
     for name, done in results.outcomes.items():
@@ -189,7 +215,7 @@ def held_notes(results: HeldResults) -> list[str]:
 def _write_csv(outcomes: Mapping[str, Sequence[MoveOutcome]], path: Path) -> None:
     import csv
 
-    from minidual.planning.evaluate_carries import CSV_COLUMNS
+    from minidual.trials.planning.evaluate_carries import CSV_COLUMNS
 
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, fieldnames=CSV_COLUMNS)

@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from minidual.errors import ExitCode, UsageError, unknown_name
-from minidual.pipeline.tool import ToolContext, ToolResult
+from minidual.gate.tool import ToolContext, ToolResult
 
 if TYPE_CHECKING:
-    from minidual.planning.goal_plan import GoalPlanner
-    from minidual.planning.result import PlanResult
-    from minidual.planning.scene import PlanningScene
+    from minidual.collision.scene import PlanningScene
+    from minidual.motion.goal_plan import GoalPlanner
+    from minidual.motion.result import PlanResult
     from minidual.robot.constants import Array
 
 _ENDINGS = {"out": ".json", "csv": ".csv", "picture": ".png"}
@@ -25,7 +25,7 @@ _BUDGET_MAX_S = 600.0
 
 def plan_once(context: ToolContext) -> ToolResult:
     """Plan from --from to --to for --group in --scene; exit 1 where no path was found, 2 where the query is bad."""
-    from minidual.planning.errors import ClosedChainError, LinearMoveError, NoPathInTimeError, TimingError
+    from minidual.collision.errors import ClosedChainError, LinearMoveError, NoPathInTimeError, TimingError
 
     options = context.options
     targets = {name: _target(name, options.get(name), end) for name, end in _ENDINGS.items()}
@@ -48,9 +48,7 @@ def plan_once(context: ToolContext) -> ToolResult:
     notes += _write(targets, context, scene, result, title)
     if context.view is not None:
         _play(context, scene, result, title)
-    clearance = _clearance(
-        planner.planner.engines(scene).verifier.clearance(result.trajectory), scene.min_distance_m
-    )
+    clearance = _clearance(planner.planner.engines(scene).verifier.clearance(result.trajectory), scene.min_distance_m)
     return ToolResult(_lines(title, result, clearance), notes, _document(group, result, targets))
 
 
@@ -60,12 +58,12 @@ def _prepare(context: ToolContext, group: str) -> tuple[GoalPlanner, PlanningSce
         warnings.simplefilter("ignore", SyntaxWarning)  # its docstrings hold unescaped backslashes
         import toppra  # noqa: F401  (a second to load; the times printed are those of planning)
 
-    from minidual.planning.api import Planner
-    from minidual.planning.goal_file import goal_of
-    from minidual.planning.goal_plan import GoalPlanner
-    from minidual.planning.scene import PlanningScene
-    from minidual.planning.scene_file import load_scene
-    from minidual.planning.semantics import Semantics
+    from minidual.collision.scene import PlanningScene
+    from minidual.collision.scene_file import load_scene
+    from minidual.motion.api import Planner
+    from minidual.motion.goal_file import goal_of
+    from minidual.motion.goal_plan import GoalPlanner
+    from minidual.motion.semantics import Semantics
     from minidual.robot.constants import GROUPS, HOME
 
     if group not in GROUPS:
@@ -85,7 +83,7 @@ def _prepare(context: ToolContext, group: str) -> tuple[GoalPlanner, PlanningSce
 
 def _start_group(start: Any, group: str) -> str:
     """Return the group whose joints a start sets."""
-    from minidual.planning.goal_types import JointGoal, StateGoal
+    from minidual.motion.goal_types import JointGoal, StateGoal
     from minidual.robot.constants import DOF
 
     if isinstance(start, StateGoal):
@@ -96,7 +94,7 @@ def _start_group(start: Any, group: str) -> str:
 
 
 def _goal(word: str, planner: GoalPlanner) -> Any:
-    from minidual.planning.goal_file import goal_of
+    from minidual.motion.goal_file import goal_of
 
     return goal_of(word, planner.semantics.state_names)
 
@@ -125,17 +123,12 @@ def _writing(path: Path) -> Generator[Path]:
         yield path
     except OSError as error:
         raise UsageError(
-            f"{path} cannot be written: {error.strerror or error}",
-            remedy="free some space, or name another file",
+            f"{path} cannot be written: {error.strerror or error}", remedy="free some space, or name another file"
         ) from error
 
 
 def _write(
-    targets: dict[str, Path | None],
-    context: ToolContext,
-    scene: PlanningScene,
-    result: PlanResult,
-    title: str,
+    targets: dict[str, Path | None], context: ToolContext, scene: PlanningScene, result: PlanResult, title: str
 ) -> list[str]:
     notes = [*result.rejections]
     if targets["out"] is not None:
@@ -147,7 +140,7 @@ def _write(
             result.trajectory.write_csv(path)
         notes.append(f"trajectory: {path}")
     if targets["picture"] is not None:
-        from minidual.planning.show import write_picture
+        from minidual.show.planning import write_picture
 
         with _writing(targets["picture"]) as path:
             write_picture(path, context.config.scene, scene, result.trajectory, title)
@@ -157,7 +150,7 @@ def _write(
 
 def _play(context: ToolContext, scene: PlanningScene, result: PlanResult, title: str) -> None:
     """Show the plan until the view is closed or Ctrl-C; once where nobody sits at the terminal."""
-    from minidual.planning.show import play
+    from minidual.show.planning import play
 
     rounds = None if sys.stdin is not None and sys.stdin.isatty() else 1
     try:
@@ -189,15 +182,11 @@ def _lines(title: str, result: PlanResult, clearance: str) -> list[str]:
 
 def _clearance(clearance_m: float, min_distance_m: float) -> str:
     """Return the smallest distance along the plan in words; a few centimetres are measured at most."""
-    from minidual.planning.verify import CLEARANCE_MAX_M
+    from minidual.proof.verify import CLEARANCE_MAX_M
 
     far = clearance_m >= CLEARANCE_MAX_M
     text = f"{'at least ' if far else ''}{clearance_m * 1e3:.1f} mm"
-    return (
-        text
-        if min_distance_m == 0.0
-        else f"{text} beyond the {min_distance_m * 1e3:g} mm that the scene asks for"
-    )
+    return text if min_distance_m == 0.0 else f"{text} beyond the {min_distance_m * 1e3:g} mm that the scene asks for"
 
 
 def _document(group: str, result: PlanResult, targets: dict[str, Path | None]) -> dict[str, Any]:

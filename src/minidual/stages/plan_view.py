@@ -5,25 +5,23 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from minidual.pipeline.stage import StageContext
+from minidual.gate.stage import StageContext
 
 if TYPE_CHECKING:
     from minidual.config.scene import SceneConfig
-    from minidual.planning.evaluate import Outcome
-    from minidual.planning.trajectory import Trajectory
-    from minidual.view.protocol import View
+    from minidual.robot.trajectory import Trajectory
+    from minidual.show.view.protocol import View
+    from minidual.trials.planning.evaluate import Outcome
 
 
-def show_trajectory(
-    view: View, scene: SceneConfig, trajectory: Trajectory, title: str, note: str = ""
-) -> None:
+def show_trajectory(view: View, scene: SceneConfig, trajectory: Trajectory, title: str, note: str = "") -> None:
     """Play one trajectory, with the ways of the hands as lines and its end half transparent."""
     from dataclasses import replace
 
-    from minidual.control.narrate import tcp_preview
+    from minidual.plant.world import World
     from minidual.robot.kinematics import Kinematics
-    from minidual.sim.watch import Narration, play, visual_model
-    from minidual.sim.world import World
+    from minidual.show.narrate import tcp_preview
+    from minidual.show.watch_world import Narration, play, visual_model
 
     world = World(scene, model=visual_model(scene))
     end = world.data.qpos.copy()

@@ -1,18 +1,16 @@
 """The one table of stages: name, code, what it requires, and the options of its command.
 
-To add a stage, write `minidual/stages/<name>.py` with a module attribute STAGE (see minidual.pipeline.stage)
+To add a stage, write `minidual/stages/<name>.py` with a module attribute STAGE (see minidual.gate.stage)
 and a row here. To add an option to a command, add a StageOption to its row: it overrides the configuration
 value at `path`, exactly as --set does.
 """
 
 from __future__ import annotations
 
-from minidual.pipeline.table import StageEntry, StageOption, StageTable
-from minidual.pipeline.tool import ToolEntry, ToolOption
+from minidual.gate.table import StageEntry, StageOption, StageTable
+from minidual.gate.tool import ToolEntry, ToolOption
 
-LIBRARIES = (
-    "numpy", "scipy", "mujoco", "pin", "coal", "ompl", "toppra", "torch", "lerobot", "h5py", "av", "gymnasium",
-)  # fmt: skip
+LIBRARIES = ("numpy", "scipy", "mujoco", "pin", "coal", "ompl", "toppra", "torch", "lerobot", "h5py", "av", "gymnasium")
 """Distributions whose versions every verdict records."""
 
 STAGES = StageTable(
@@ -55,9 +53,7 @@ STAGES = StageTable(
                     "minidual.stages.plan_once:plan_once",
                     "Plan one motion, without the gate",
                     (
-                        ToolOption(
-                            "to", "Plan once to this state (home, ready, carry ...) or goal file instead."
-                        ),
+                        ToolOption("to", "Plan once to this state (home, ready, carry ...) or goal file instead."),
                         ToolOption("from", "With --to: start at this state or file (default: home)."),
                         ToolOption("group", "With --to: left_arm, right_arm or both_arms (default)."),
                         ToolOption("scene", "With --to or --acm: planning scene in YAML."),
@@ -95,11 +91,7 @@ STAGES = StageTable(
                     "carry-tune",
                     "minidual.stages.carry_tools:tune",
                     "Search squeeze and stiffness by carrying",
-                    (
-                        ToolOption(
-                            "tune", "Search squeeze and stiffness by carrying, and write a profile.", bool
-                        ),
-                    ),
+                    (ToolOption("tune", "Search squeeze and stiffness by carrying, and write a profile.", bool),),
                     triggers=("tune",),
                 ),
             ),

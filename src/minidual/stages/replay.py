@@ -6,21 +6,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from minidual.errors import ExitCode, UsageError
-from minidual.pipeline.tool import ToolContext, ToolResult
+from minidual.gate.tool import ToolContext, ToolResult
 
 if TYPE_CHECKING:
-    from minidual.evaluation.replay_film import Postures
-    from minidual.sim.recording import Recording
-    from minidual.sim.replay import Replayed
+    from minidual.plant.recording import Recording
+    from minidual.plant.replay import Replayed
+    from minidual.show.figures.replay_film import Postures
 
 _FRAMES = 8
 
 
 def replay_tool(context: ToolContext) -> ToolResult:
     """Replay the file; exit 1 if the physics does not repeat although all versions are the same."""
-    from minidual.evaluation.replay_film import CAMERAS, FILM_FPS, Postures
-    from minidual.sim.recording import read_recording
-    from minidual.sim.replay import replay
+    from minidual.plant.recording import read_recording
+    from minidual.plant.replay import replay
+    from minidual.show.figures.replay_film import CAMERAS, FILM_FPS, Postures
 
     options = context.options
     camera = options.get("camera", "overview")
@@ -31,9 +31,7 @@ def replay_tool(context: ToolContext) -> ToolResult:
         raise UsageError(f"--slowdown is {slowdown:g}; 0.1 <= value <= 100")
     if not 1 <= frames <= 48:
         raise UsageError(f"--frames is {frames}; 1 <= value <= 48")
-    video, picture = (
-        _target(options.get(name), ending) for name, ending in (("video", ".mp4"), ("picture", ".png"))
-    )
+    video, picture = (_target(options.get(name), ending) for name, ending in (("video", ".mp4"), ("picture", ".png")))
     path = Path(options["file"])
     recording = read_recording(path)
     begin, end = options.get("from-s", recording.start_s), options.get("to-s", recording.end_s)
@@ -63,14 +61,9 @@ def _target(text: str | None, ending: str) -> Path | None:
 
 
 def _draw(
-    recording: Recording,
-    postures: Postures | None,
-    video: Path | None,
-    picture: Path | None,
-    camera: str,
-    frames: int,
+    recording: Recording, postures: Postures | None, video: Path | None, picture: Path | None, camera: str, frames: int
 ) -> list[str]:
-    from minidual.evaluation.replay_film import film_postures, sheet_of_postures
+    from minidual.show.figures.replay_film import film_postures, sheet_of_postures
 
     notes: list[str] = []
     if postures is not None and video is not None:
@@ -96,9 +89,7 @@ def _lines(path: Path, recording: Recording, found: Replayed) -> list[str]:
         lines.append("  versions  " + ", ".join(f"{n}: was {a}, is {b}" for n, a, b in found.libraries))
     if found.changed:
         lines.append(f"  model     changed from the scene's: {', '.join(found.changed)}")
-    lines += [f"  first     {sign.text}" for sign in found.signs] or [
-        "  first     nothing went out of bounds"
-    ]
+    lines += [f"  first     {sign.text}" for sign in found.signs] or ["  first     nothing went out of bounds"]
     if recording.kind == "dump":  # the tick of the reflex, which the motors never saw
         lines += [f"  {name}: {_row(values)}" for name, values in recording.details.items()]
     if found.ended is not None:
@@ -118,11 +109,7 @@ def _repeats(found: Replayed) -> str:
     if found.deviates is None:
         return f"to the bit, at {found.compared} of {found.compared} check points"
     time_s, what, size = found.deviates
-    why = (
-        "another version may round differently"
-        if found.libraries
-        else "the state was changed between two steps"
-    )
+    why = "another version may round differently" if found.libraries else "the state was changed between two steps"
     return f"no: {what} is off by {size:.3g} at {time_s:.3f} s, {found.largest:.3g} at most; {why}"
 
 
@@ -140,7 +127,9 @@ def _document(path: Path, recording: Recording, found: Replayed) -> dict[str, ob
         "exact": found.exact,
         "compared": found.compared,
         "largest_deviation": found.largest,
-        "deviates": None if found.deviates is None else dict(zip(("time_s", "what", "size"), found.deviates, strict=True)),
+        "deviates": None
+        if found.deviates is None
+        else dict(zip(("time_s", "what", "size"), found.deviates, strict=True)),
         "versions_differ": [{"name": n, "was": a, "is": b} for n, a, b in found.libraries],
         "model_changed": list(found.changed),
         "first": [
@@ -148,4 +137,4 @@ def _document(path: Path, recording: Recording, found: Replayed) -> dict[str, ob
             for s in found.signs
         ],
         "ended": found.ended,
-    }  # fmt: skip
+    }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from minidual.pipeline.stage import StageContext, StageResult
+from minidual.gate.stage import StageContext, StageResult
 
 if TYPE_CHECKING:
     from minidual.config.root import Config
@@ -24,10 +24,10 @@ class ReportStage:
 
     def run(self, context: StageContext) -> StageResult:
         """Write report.html, report.json, the figures and the large films."""
-        from minidual.evaluation.conditions import parse_conditions
-        from minidual.report.build import build_report
-        from minidual.report.model import ReportInput
+        from minidual.show.report.build import build_report
+        from minidual.show.report.model import ReportInput
         from minidual.stages.registry import STAGES
+        from minidual.trials.conditions import parse_conditions
 
         names = STAGES.upstream(self.name)
         given = ReportInput(

@@ -11,11 +11,11 @@ from types import FrameType
 from typing import TYPE_CHECKING
 
 from minidual.errors import UsageError
-from minidual.pipeline.tool import ToolContext, ToolResult
+from minidual.gate.tool import ToolContext, ToolResult
 
 if TYPE_CHECKING:
     from minidual.robot.constants import Array
-    from minidual.view.overlay import Slider
+    from minidual.show.view.overlay import Slider
 
 SLIDER_SPEED_RAD_S = 0.8
 """A slider that jumps leads its joint no faster than this."""
@@ -27,7 +27,7 @@ _LOST_S = 0.1
 def joint_sliders() -> list[Slider]:
     """Return one slider a joint and one a hand, at home and open."""
     from minidual.robot.constants import ARMS, DOF_PER_ARM, HOME, Q_LOWER, Q_UPPER
-    from minidual.view.overlay import Slider
+    from minidual.show.view.overlay import Slider
 
     sliders = [
         Slider(f"{arm} arm", f"joint {j + 1} [rad]", float(Q_LOWER[i]), float(Q_UPPER[i]), float(HOME[i]))
@@ -79,10 +79,10 @@ def _show(context: ToolContext, stop: threading.Event) -> ToolResult:
     import numpy as np
 
     from minidual.control.loop import JointLoop
+    from minidual.plant.world import World
     from minidual.robot.constants import HOME, Q_LOWER, Q_UPPER
     from minidual.robot.kinematics import Kinematics
-    from minidual.sim.watch import Narration, watched
-    from minidual.sim.world import World
+    from minidual.show.watch_world import Narration, watched
 
     view = context.view
     if view is None:

@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from minidual.errors import NothingEvaluatedError
-from minidual.pipeline.check import Check
-from minidual.pipeline.stage import StageContext, StageResult
+from minidual.gate.check import Check
+from minidual.gate.stage import StageContext, StageResult
 
 if TYPE_CHECKING:
     from minidual.config.root import Config
     from minidual.config.teleop import TeleopConfig
-    from minidual.stages.teleop_recording import Recording
-    from minidual.stages.teleop_rig import Attempt
+    from minidual.demos.recording import Recording
+    from minidual.demos.rig import Attempt
 
 SYNC_LIMIT_S = 0.02
 
@@ -45,48 +45,86 @@ def record_checks(numbers: RecordingNumbers, config: TeleopConfig) -> list[Check
     n = numbers
     return [
         Check(
-            "episodes", n.episodes, ">=", config.episodes_n, "", "demonstrations kept, each of which achieved the task",
+            "episodes",
+            n.episodes,
+            ">=",
+            config.episodes_n,
+            "",
+            "demonstrations kept, each of which achieved the task",
             "read quality.csv: `reason` names what failed; raise teleop.attempts_max_ratio",
         ),
         Check(
-            "schema_ok", n.files_at_fault == 0 and n.episodes > 0, "==", True, "",
+            "schema_ok",
+            n.files_at_fault == 0 and n.episodes > 0,
+            "==",
+            True,
+            "",
             "every file, opened again, holds all fields in the right shapes, finite, in order and inside the limits",
             "read `faults` in the verdict's data; record again with --force",
         ),
         Check(
-            "jerk_rms_max", n.jerk_rms_max, "<", config.jerk_max_rad_s3, "rad/s^3",
+            "jerk_rms_max",
+            n.jerk_rms_max,
+            "<",
+            config.jerk_max_rad_s3,
+            "rad/s^3",
             "roughest demonstration kept; a policy copies the shaking of its teacher",
             "lengthen the phases under teleop.operator, or look for contacts during the motion",
         ),
         Check(
-            "latency_p99_s", n.latency_p99_s, "<", config.latency_max_s, "s",
+            "latency_p99_s",
+            n.latency_p99_s,
+            "<",
+            config.latency_max_s,
+            "s",
             "wall-clock time from reading the leader to the follower's torque, 99th percentile of all ticks",
             "free the machine of other load, or use fewer workers",
         ),
         Check(
-            "episodes_per_min", n.episodes_per_min, ">", config.episodes_per_min, "1/min",
-            "demonstrations kept a minute, once the processes have started", "use more workers, or smaller or fewer cameras",
+            "episodes_per_min",
+            n.episodes_per_min,
+            ">",
+            config.episodes_per_min,
+            "1/min",
+            "demonstrations kept a minute, once the processes have started",
+            "use more workers, or smaller or fewer cameras",
         ),
         Check(
-            "sync_error_max_s", n.sync_error_max_s, "<=", SYNC_LIMIT_S, "s",
-            "joints, pictures and action of a tick belong to one instant", "stamp all of them in the same tick",
+            "sync_error_max_s",
+            n.sync_error_max_s,
+            "<=",
+            SYNC_LIMIT_S,
+            "s",
+            "joints, pictures and action of a tick belong to one instant",
+            "stamp all of them in the same tick",
         ),
         Check(
-            "dataset_rows", n.dataset_rows, "==", n.recorded_ticks, "",
+            "dataset_rows",
+            n.dataset_rows,
+            "==",
+            n.recorded_ticks,
+            "",
             "every recorded tick is a row of the dataset and a frame of its videos",
             "record again with --force; check the free space on the disk",
         ),
         Check(
-            "dataset_episodes", n.dataset_episodes, "==", n.episodes, "",
-            "every demonstration kept is an episode of the dataset", "record again with --force",
+            "dataset_episodes",
+            n.dataset_episodes,
+            "==",
+            n.episodes,
+            "",
+            "every demonstration kept is an episode of the dataset",
+            "record again with --force",
         ),
         Check(
-            "success_rate", n.successes / n.attempts if n.attempts else float("nan"), unit="",
+            "success_rate",
+            n.successes / n.attempts if n.attempts else float("nan"),
+            unit="",
             why="share of attempts that achieved the task; the others are counted and left out",
         ),
         Check("attempts", n.attempts, unit="", why="trials that were led"),
         Check("latency_p50_s", n.latency_p50_s, unit="s", why="median of the same"),
-    ]  # fmt: skip
+    ]
 
 
 class TeleopRecordStage:
@@ -107,31 +145,28 @@ class TeleopRecordStage:
 
     def validate(self, config: Config) -> None:
         """Refuse a leader that does not exist."""
-        from minidual.teleop.leader import require_leader
+        from minidual.demos.leader import require_leader
 
         require_leader(config.teleop.leader)
 
     def run(self, context: StageContext) -> StageResult:
         """Record, convert, film, and write quality.csv and quality.png."""
-        from minidual.data.lerobot_adapter import convert
-        from minidual.stages.teleop_figures import draw_quality
-        from minidual.stages.teleop_recording import record
-        from minidual.stages.teleop_rig import Job, film
+        from minidual.demos.lerobot_adapter import convert
+        from minidual.demos.recording import record
+        from minidual.demos.rig import Job, film
+        from minidual.show.figures.teleop import draw_quality
 
         config = context.config
-        job = Job(
-            context.folder, config.scene, config.teleop, config.arbiter, context.seed, config.supervisor
-        )  # fmt: skip
+        job = Job(context.folder, config.scene, config.teleop, config.arbiter, context.seed, config.supervisor)
         if config.teleop.leader == "keyboard":
-            from minidual.teleop.keyboard import HELP
+            from minidual.demos.keyboard import HELP
 
             context.progress.note(f"keys: {HELP}")
         with context.progress.task("demonstrations", config.teleop.episodes_n) as task:
 
             def tell(attempt: Attempt) -> None:
                 task.advance(
-                    int(attempt.kept),
-                    "" if attempt.kept else f"trial {attempt.trial.index}: {attempt.reason}",
+                    int(attempt.kept), "" if attempt.kept else f"trial {attempt.trial.index}: {attempt.reason}"
                 )
 
             recording = record(job, workers=context.workers, on_attempt=tell, view=context.view)
@@ -142,24 +177,17 @@ class TeleopRecordStage:
                 remedy="read `reason` above; try --set teleop.leader=scripted, or the defaults of teleop.operator",
             )
         with context.progress.task("dataset", len(recording.kept)) as task:
-            dataset = convert(
-                recording.paths, context.folder / "lerobot", progress=lambda done, total: task.advance(1)
-            )
+            dataset = convert(recording.paths, context.folder / "lerobot", progress=lambda done, total: task.advance(1))
         scripted = config.teleop.leader == "scripted"
         if scripted:  # a person does not do the same thing twice
             with context.progress.task("film", 1) as task:
                 film(job, recording.kept[0].trial.index, context.folder / "demonstration.mp4")
                 task.advance()
         draw_quality(
-            recording.attempts,
-            config.scene.task,
-            config.teleop.jerk_max_rad_s3,
-            context.folder / "quality.png",
+            recording.attempts, config.scene.task, config.teleop.jerk_max_rad_s3, context.folder / "quality.png"
         )
         numbers = count_recording(recording, dataset.frames, dataset.episodes)
-        return StageResult(
-            checks=record_checks(numbers, config.teleop), data=_data(recording), notes=_notes(recording)
-        )
+        return StageResult(checks=record_checks(numbers, config.teleop), data=_data(recording), notes=_notes(recording))
 
 
 def count_recording(recording: Recording, dataset_rows: int, dataset_episodes: int) -> RecordingNumbers:
@@ -188,7 +216,7 @@ def count_recording(recording: Recording, dataset_rows: int, dataset_episodes: i
 
 def write_quality(attempts: Sequence[Attempt], path: Path) -> None:
     """Write one row an attempt, the rejected ones included."""
-    from minidual.stages.teleop_recording import quality_row
+    from minidual.demos.recording import quality_row
 
     rows = [quality_row(a) for a in attempts]
     with path.open("w", newline="", encoding="utf-8") as file:
@@ -207,7 +235,7 @@ def _data(recording: Recording) -> dict[str, Any]:
     """Return the numbers for the report."""
     import numpy as np
 
-    from minidual.data.smoothness import JERK_FILTER
+    from minidual.demos.smoothness import JERK_FILTER
 
     kept = recording.kept
     qualities = [a.quality for a in kept if a.quality is not None]

@@ -1,11 +1,11 @@
 """The one table of commands that are no stage: they write no verdict and open no gate.
 
-To add one, write a function `(ToolContext) -> ToolResult` and a row here; see minidual.pipeline.tool.
+To add one, write a function `(ToolContext) -> ToolResult` and a row here; see minidual.gate.tool.
 """
 
 from __future__ import annotations
 
-from minidual.pipeline.tool import ToolEntry, ToolOption
+from minidual.gate.tool import ToolEntry, ToolOption
 
 TOOLS: tuple[ToolEntry, ...] = (
     ToolEntry(

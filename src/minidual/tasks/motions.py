@@ -33,17 +33,19 @@ MOTIONS: dict[str, CarryMotion] = {
     for row in (
         CarryMotion("straight", "50 cm from the left of the table to the right"),
         CarryMotion(
-            "rotate", "40 cm, and turned by 90 degrees in the plane on the way",
+            "rotate",
+            "40 cm, and turned by 90 degrees in the plane on the way",
             # Turned clockwise, the left hand ends farther from the bases and the arms do not cross. Ten centimetres
             # farther to the right the left arm would be stretched: its smallest singular value falls from 0.11 to 0.02.
             {"goal_xy_m": (0.5, -0.15), "goal_yaw_rad": -round(math.pi / 2, 6), "yaw_tolerance_rad": 0.08727},
         ),
         CarryMotion(
-            "over", "50 cm, lifted over a block of 10 cm that stands in the way",
+            "over",
+            "50 cm, lifted over a block of 10 cm that stands in the way",
             {"obstacle": ObstacleConfig(), "lift_height_m": 0.17},
         ),
     )
-}  # fmt: skip
+}
 
 
 def motion_spec(name: str) -> CarryMotion:

@@ -54,39 +54,72 @@ OBJECTS: dict[str, CarryObject] = {
         # Twice the usual safety: pads that press a flat face with 30 N now and then lose it for one step of simulated
         # contact (3 of 10 carries), with 60 N they do not (12 of 12).
         CarryObject(
-            "board", "laminate board, 40 x 5 x 3 cm, 1.0 kg", (20.0, 30.0), (400.0, 600.0),
+            "board",
+            "laminate board, 40 x 5 x 3 cm, 1.0 kg",
+            (20.0, 30.0),
+            (400.0, 600.0),
             rod={
-                "shape": "box", "length_m": 0.40, "width_m": 0.05, "height_m": 0.03, "mass_kg": 1.0, "friction": 0.7,
-                "grasp_offset_m": 0.16, "colour": (0.63, 0.44, 0.26, 1.0),
+                "shape": "box",
+                "length_m": 0.40,
+                "width_m": 0.05,
+                "height_m": 0.03,
+                "mass_kg": 1.0,
+                "friction": 0.7,
+                "grasp_offset_m": 0.16,
+                "colour": (0.63, 0.44, 0.26, 1.0),
             },
-            impedance={"internal_force_n": 27.0, "stiffness_n_per_m": 500.0, "pinch_n": _rounded(pinch_force(27.0, 0.7, 1.0, safety=3.0))},
+            impedance={
+                "internal_force_n": 27.0,
+                "stiffness_n_per_m": 500.0,
+                "pinch_n": _rounded(pinch_force(27.0, 0.7, 1.0, safety=3.0)),
+            },
         ),
         CarryObject(
-            "box", "plastic box, 30 x 6 x 6 cm, 0.5 kg", (40.0, 60.0), (300.0, 500.0),
+            "box",
+            "plastic box, 30 x 6 x 6 cm, 0.5 kg",
+            (40.0, 60.0),
+            (300.0, 500.0),
             rod={
-                "shape": "box", "length_m": 0.30, "width_m": 0.06, "height_m": 0.06, "mass_kg": 0.5, "friction": 0.3,
+                "shape": "box",
+                "length_m": 0.30,
+                "width_m": 0.06,
+                "height_m": 0.06,
+                "mass_kg": 0.5,
+                "friction": 0.3,
                 "colour": (0.36, 0.55, 0.72, 1.0),
             },
-            impedance={"internal_force_n": 42.0, "stiffness_n_per_m": 400.0, "pinch_n": _rounded(pinch_force(42.0, 0.3, 0.5))},
+            impedance={
+                "internal_force_n": 42.0,
+                "stiffness_n_per_m": 400.0,
+                "pinch_n": _rounded(pinch_force(42.0, 0.3, 0.5)),
+            },
             # More than the hand's continuous 70 N and within its 140 N maximum: a carry lasts seconds.
             physics={"finger_force_max_n": 110.0},
         ),
         CarryObject(
-            "glass", "glass tube, 30 cm, 0.15 kg, breaks at 20 N of a hand or 40 N of pinch", (10.0, 15.0),
+            "glass",
+            "glass tube, 30 cm, 0.15 kg, breaks at 20 N of a hand or 40 N of pinch",
+            (10.0, 15.0),
             (100.0, 200.0),
             rod={
-                "radius_m": 0.01, "mass_kg": 0.15, "friction": 0.4, "break_force_n": 20.0, "break_pinch_n": 40.0,
+                "radius_m": 0.01,
+                "mass_kg": 0.15,
+                "friction": 0.4,
+                "break_force_n": 20.0,
+                "break_pinch_n": 40.0,
                 "colour": (0.62, 0.84, 0.86, 0.55),
             },
             impedance={
-                "internal_force_n": 13.0, "stiffness_n_per_m": 200.0, "pinch_n": _rounded(pinch_force(13.0, 0.4, 0.15)),
+                "internal_force_n": 13.0,
+                "stiffness_n_per_m": 200.0,
+                "pinch_n": _rounded(pinch_force(13.0, 0.4, 0.15)),
                 "force_correction_max_n": 3.0,
             },
             # It lands softly: a soft spring follows a fast motion less closely, and what is left is a blow.
             pace={"object_acceleration_m_per_s2": 0.9, "landing_m": 0.003, "landing_s": 0.35},
         ),
     )
-}  # fmt: skip
+}
 
 
 def object_spec(name: str) -> CarryObject:

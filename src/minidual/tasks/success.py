@@ -29,9 +29,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from minidual.config.scene import SceneConfig
+from minidual.plant.model import OBSTACLE
+from minidual.plant.world import World
 from minidual.robot.constants import Array
-from minidual.sim.model import OBSTACLE
-from minidual.sim.world import World
 from minidual.tasks.rod_carry import RodTrial, tilt_rad
 
 _AIRBORNE_M = 0.003
@@ -106,9 +106,7 @@ class RodCarryJudge:
         self._tilt = max(self._tilt, tilt)
         if tilt > task.tilt_max_rad:
             self._fault(
-                "level",
-                world.time,
-                f"tilt {np.degrees(tilt):.1f} deg, limit {np.degrees(task.tilt_max_rad):.1f}",
+                "level", world.time, f"tilt {np.degrees(tilt):.1f} deg, limit {np.degrees(task.tilt_max_rad):.1f}"
             )
         pinch = world.pinch_forces()
         self._observe_damage(world, pinch)
@@ -120,17 +118,13 @@ class RodCarryJudge:
             if pinch[weakest] <= task.pinch_min_n:
                 hand = ("left", "right")[weakest]
                 self._fault(
-                    "held",
-                    world.time,
-                    f"{hand} hand pinches {pinch[weakest]:.1f} N, needs > {task.pinch_min_n:.0f}",
+                    "held", world.time, f"{hand} hand pinches {pinch[weakest]:.1f} N, needs > {task.pinch_min_n:.0f}"
                 )
             squeeze = world.internal_force()
             self._squeeze = min(self._squeeze, squeeze)
             if self.demand_internal_force and squeeze <= task.internal_force_min_n:
                 self._fault(
-                    "squeezed",
-                    world.time,
-                    f"internal force {squeeze:.1f} N, needs > {task.internal_force_min_n:.0f}",
+                    "squeezed", world.time, f"internal force {squeeze:.1f} N, needs > {task.internal_force_min_n:.0f}"
                 )
         elif self._was_airborne:
             if not self._finished(world, pinch):

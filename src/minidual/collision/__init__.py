@@ -1,0 +1,1 @@
+"""Planning scenes, shapes and the two collision engines."""

@@ -1,0 +1,55 @@
+"""Positions and orientations as people write them in scene and goal files."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pinocchio as pin
+from pydantic import model_validator
+
+from minidual.collision.shapes import IDENTITY, Quat
+from minidual.config.base import StrictModel
+
+Finite3 = tuple[float, float, float]
+_LENGTH_TOLERANCE = 1e-3
+
+
+class OrientationFields(StrictModel):
+    """One of two ways to write an orientation; none of them means that it is not said."""
+
+    quat_wxyz: tuple[float, float, float, float] | None = None
+    """Unit quaternion, scalar first; within 0.001 of length 1, then made exactly so."""
+    rpy_rad: Finite3 | None = None
+    """Roll, pitch, yaw: turns about the fixed x, y and z axes, in this order, as in a URDF."""
+
+    @model_validator(mode="after")
+    def _one_way(self) -> OrientationFields:
+        if self.quat_wxyz is not None and self.rpy_rad is not None:
+            raise ValueError("quat_wxyz and rpy_rad are two ways to say one thing; give one of them")
+        if self.quat_wxyz is not None:
+            length = math.sqrt(math.fsum(v * v for v in self.quat_wxyz))
+            if abs(length - 1.0) > _LENGTH_TOLERANCE:
+                raise ValueError(f"quat_wxyz has length {length:.4f}; a rotation has 1 (scalar first: w, x, y, z)")
+        return self
+
+    def quaternion(self) -> Quat | None:
+        """Return the orientation as a unit quaternion wxyz, or None if it is not said."""
+        if self.quat_wxyz is not None:
+            length = math.sqrt(math.fsum(v * v for v in self.quat_wxyz))
+            w, x, y, z = (v / length for v in self.quat_wxyz)
+            return (w, x, y, z)
+        if self.rpy_rad is not None:
+            quat = pin.Quaternion(pin.rpy.rpyToMatrix(np.array(self.rpy_rad))).normalized()
+            return (float(quat.w), float(quat.x), float(quat.y), float(quat.z))
+        return None
+
+
+class PlaceFields(OrientationFields):
+    """Where something is; its own axes are the parent's unless it says otherwise."""
+
+    position_m: Finite3
+
+    def quaternion_or_identity(self) -> Quat:
+        """Return the orientation, the identity if it is not said."""
+        return self.quaternion() or IDENTITY

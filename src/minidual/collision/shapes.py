@@ -1,0 +1,168 @@
+"""Simple solid obstacles, given in the world or in the frame of a link.
+
+Sizes are full lengths in metres (a cube of side 0.1 has `size_m` (0.1, 0.1, 0.1)), quaternions are wxyz. The
+long axis of a cylinder or capsule is its own z axis; a capsule's `length_m` is that of its cylindrical part.
+All are frozen and hashable, so a scene can key the engines built from it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from minidual.errors import UsageError
+from minidual.robot.constants import Array
+from minidual.robot.poses import pose, rotation_from_quat
+
+Vec3 = tuple[float, float, float]
+Quat = tuple[float, float, float, float]
+IDENTITY: Quat = (1.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class _Shape:
+    """Name and place shared by all shapes."""
+
+    name: str
+    position_m: Vec3
+    quat_wxyz: Quat = IDENTITY
+
+    def __post_init__(self) -> None:
+        if not self.name:
+            raise UsageError("an obstacle needs a name")
+        numbers = (*self.position_m, *self.quat_wxyz, *self.lengths())
+        if not all(math.isfinite(v) for v in numbers):
+            raise UsageError(f"obstacle '{self.name}' has a number that is not finite: {numbers}")
+        if abs(math.fsum(v * v for v in self.quat_wxyz) - 1.0) > 1e-6:
+            raise UsageError(f"obstacle '{self.name}': quaternion {self.quat_wxyz} is not of length 1")
+        for value in self.lengths():
+            if value <= 0.0:
+                raise UsageError(f"obstacle '{self.name}' has length {value} m; every length must be > 0")
+
+    def lengths(self) -> tuple[float, ...]:
+        """Return every length of the shape [m]."""
+        raise TypeError(f"{type(self).__name__} is no shape of its own")
+
+    @property
+    def T_parent_shape(self) -> Array:
+        """Pose (4, 4) in the parent frame: the world for an obstacle, the link for an attached object."""
+        return pose(rotation_from_quat(np.array(self.quat_wxyz)), np.array(self.position_m))
+
+
+@dataclass(frozen=True)
+class Box(_Shape):
+    """A box with its edges along its own axes."""
+
+    size_m: Vec3 = (0.1, 0.1, 0.1)
+
+    def lengths(self) -> tuple[float, ...]:
+        """Return the three edge lengths [m]."""
+        return self.size_m
+
+
+@dataclass(frozen=True)
+class Cylinder(_Shape):
+    """A cylinder along its own z axis."""
+
+    radius_m: float = 0.05
+    length_m: float = 0.1
+
+    def lengths(self) -> tuple[float, ...]:
+        """Return radius and length [m]."""
+        return (self.radius_m, self.length_m)
+
+
+@dataclass(frozen=True)
+class Capsule(_Shape):
+    """A cylinder along its own z axis with a half sphere on each end."""
+
+    radius_m: float = 0.05
+    length_m: float = 0.1
+
+    def lengths(self) -> tuple[float, ...]:
+        """Return radius and length of the cylindrical part [m]."""
+        return (self.radius_m, self.length_m)
+
+
+@dataclass(frozen=True)
+class Sphere(_Shape):
+    """A ball."""
+
+    radius_m: float = 0.05
+
+    def lengths(self) -> tuple[float, ...]:
+        """Return the radius [m]."""
+        return (self.radius_m,)
+
+
+@dataclass(frozen=True)
+class Mesh(_Shape):
+    """A solid from a file, as the union of convex pieces (see `minidual.collision.meshes`).
+
+    pieces: Vertices of each piece, (n, 3) float64 [m] in C order as bytes, so that a scene stays hashable.
+    file: Where it came from; for messages only.
+    """
+
+    pieces: tuple[bytes, ...] = ()
+    file: str = ""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.pieces:
+            raise UsageError(f"obstacle '{self.name}': a mesh needs at least one convex piece")
+        for vertices in self.vertices():
+            if len(vertices) < 4 or not np.isfinite(vertices).all():
+                raise UsageError(f"obstacle '{self.name}': a piece of its mesh is no solid of finite vertices")
+
+    def lengths(self) -> tuple[float, ...]:
+        """Return the edge lengths of the axis-aligned box round all pieces [m]."""
+        points = np.vstack(self.vertices()) if self.pieces else np.zeros((1, 3))
+        return tuple(float(v) for v in np.ptp(points, axis=0)) if self.pieces else ()
+
+    def vertices(self) -> tuple[Array, ...]:
+        """Return the vertices of each piece, (n, 3) [m] in the shape's frame."""
+        return tuple(np.frombuffer(piece, dtype=float).reshape(-1, 3) for piece in self.pieces)
+
+
+Shape = Box | Cylinder | Capsule | Sphere | Mesh
+
+
+def bounding_radius(shape: Shape) -> float:
+    """Return the radius [m] of the smallest ball about the shape's centre that holds it."""
+    match shape:
+        case Box():
+            return 0.5 * math.hypot(*shape.size_m)
+        case Cylinder():
+            return math.hypot(shape.radius_m, 0.5 * shape.length_m)
+        case Capsule():
+            return shape.radius_m + 0.5 * shape.length_m
+        case Sphere():
+            return shape.radius_m
+        case Mesh():
+            return float(np.linalg.norm(np.vstack(shape.vertices()), axis=1).max())
+
+
+def grown(shape: Shape, by_m: float) -> Shape:
+    """Return the shape with everything in it that is nearer than `by_m`, and a little more at edges.
+
+    Capsules and spheres grow exactly; boxes, cylinders and meshes keep their edges sharp, where they then hold up to
+    0.73 by_m more than asked: a distance that is asked for is kept, never missed.
+    """
+    if by_m <= 0.0:
+        return shape
+    match shape:
+        case Box():
+            x, y, z = shape.size_m
+            return replace(shape, size_m=(x + 2 * by_m, y + 2 * by_m, z + 2 * by_m))
+        case Cylinder():
+            return replace(shape, radius_m=shape.radius_m + by_m, length_m=shape.length_m + 2 * by_m)
+        case Capsule() | Sphere():
+            return replace(shape, radius_m=shape.radius_m + by_m)
+        case Mesh():
+            # The sum with a cube that holds the ball: every vertex moved to the eight corners.
+            corners = by_m * np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
+            return replace(
+                shape, pieces=tuple((v[:, None] + corners).reshape(-1, 3).tobytes() for v in shape.vertices())
+            )

@@ -1,0 +1,64 @@
+"""What a recording and a policy see at one tick: joints, openings, pictures, all of the same instant."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Self
+
+from minidual.plant.render import Camera, Image
+from minidual.plant.world import World
+from minidual.robot.constants import Array
+
+
+@dataclass(frozen=True)
+class Observation:
+    """One instant.
+
+    Attributes:
+        time_s: Simulated time of joints and pictures [s].
+        q: (14,) measured joint positions [rad].
+        v: (14,) measured joint velocities [rad/s].
+        gripper: (2,) measured openings, 0 closed to 1 open.
+        images: (H, W, 3) uint8 by camera.
+    """
+
+    time_s: float
+    q: Array
+    v: Array
+    gripper: Array
+    images: dict[str, Image] = field(default_factory=dict)
+
+
+class Observer:
+    """Reads a world; use as a context manager or call `close`.
+
+    Args:
+        world: Compiled with `visuals=True` if there are cameras.
+        cameras: Names of the cameras to render, at the scene's camera size.
+    """
+
+    def __init__(self, world: World, cameras: Sequence[str] = ()) -> None:
+        self.world = world
+        self.cameras = tuple(cameras)
+        self._camera = Camera.recorded(world.model, world.scene.camera) if self.cameras else None
+
+    def read(self) -> Observation:
+        """Return the present instant."""
+        world = self.world
+        images: dict[str, Image] = {}
+        if self._camera is not None:
+            images = {name: self._camera.picture(world.data, name).copy() for name in self.cameras}
+        return Observation(world.time, world.q, world.v, world.gripper, images)
+
+    def close(self) -> None:
+        """Free the rendering context."""
+        if self._camera is not None:
+            self._camera.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
+        self.close()

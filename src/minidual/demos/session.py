@@ -1,0 +1,222 @@
+"""One episode of teleoperation: leader -> mirror -> control stack, and what was seen and commanded.
+
+The loop is driven by simulated time: a tick every 1 / rate seconds of the simulation, however fast the machine
+is, so nothing is lost under load and the same trial gives the same episode.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from minidual.config.arbiter import ArbiterConfig
+from minidual.config.teleop import TeleopConfig
+from minidual.control.commands import ArbiterOutput, ArbiterState, JointCommand, Refusal
+from minidual.control.reflexes import ReflexError
+from minidual.control.stack import ControlStack, Guard
+from minidual.demos.leader import Leader
+from minidual.demos.mirror import Mirror
+from minidual.demos.observation import Observation, Observer
+from minidual.errors import MinidualError, UsageError
+from minidual.plant.world import World
+from minidual.robot.constants import Array
+from minidual.robot.kinematics import Kinematics
+from minidual.tasks.rod_carry import RodTrial
+from minidual.tasks.success import Outcome, RodCarryJudge
+
+SOURCE = "teleop"
+
+
+class HandoverError(MinidualError):
+    """The arbiter did not let the leader drive."""
+
+
+@dataclass(frozen=True)
+class Tick:
+    """What was seen at one tick, and the command that leads to the next.
+
+    Attributes:
+        observation: Joints, openings, pictures.
+        action: (14,) joint targets forwarded by the arbiter [rad].
+        action_gripper: (2,) opening commands forwarded by the arbiter.
+    """
+
+    observation: Observation
+    action: Array
+    action_gripper: Array
+
+
+@dataclass
+class SessionResult:
+    """One episode.
+
+    Attributes:
+        q: (T, 14) measured joints [rad], one row a tick; what else was seen went to `on_tick`, since the
+            pictures of a long episode may not fit into memory.
+        outcome: What the judge says.
+        latencies_s: Wall-clock time of each tick from reading the leader to the first torque and its physics
+            step [s]; a property of the machine, never stored in an episode.
+        refusals: What the arbiter refused.
+        ended_by: `leader`, `time_limit`, `stopped` (the leader fell silent) or `reflex`.
+        reflex: What the supervisor stopped the arms for, or an empty string.
+    """
+
+    q: Array
+    outcome: Outcome
+    latencies_s: Array
+    refusals: list[Refusal] = field(default_factory=list)
+    ended_by: str = "leader"
+    reflex: str = ""
+
+    @property
+    def reason(self) -> str:
+        """Why the episode is no demonstration, or an empty string."""
+        if self.reflex:
+            return self.reflex
+        if self.ended_by == "stopped":
+            return "the leader fell silent"
+        if self.refusals:
+            first = self.refusals[0]
+            return f"the arbiter refused {first.name}: {first.detail}"
+        return self.outcome.reason
+
+
+class TeleopSession:
+    """Runs episodes in one world.
+
+    Args:
+        world: The plant.
+        kinematics: Dynamics for the controller.
+        observer: Reads the world, with or without cameras.
+        config: Rate and mirror.
+        arbiter: Bounds of the arbiter.
+        mirror: Offsets; none by default.
+        supervisor: Guards the motors; its reflex ends the episode.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        kinematics: Kinematics,
+        observer: Observer,
+        config: TeleopConfig,
+        arbiter: ArbiterConfig,
+        *,
+        mirror: Mirror | None = None,
+        supervisor: Guard | None = None,
+    ) -> None:
+        self.world, self.observer, self.config = world, observer, config
+        self.mirror = Mirror(config.mirror) if mirror is None else mirror
+        steps = 1.0 / (config.rate_hz * world.dt)
+        self._steps = round(steps)
+        if abs(steps - self._steps) > 1e-6:
+            raise UsageError(
+                f"teleop.rate_hz {config.rate_hz} does not divide the control rate of {1.0 / world.dt:g} Hz",
+                remedy="take a divisor of it, such as 50 or 100",
+            )
+        self.stack = ControlStack(world, kinematics, arbiter, rate_hz=config.rate_hz, supervisor=supervisor)
+
+    def run(
+        self, trial: RodTrial, leader: Leader, *, on_tick: Callable[[int, Tick], None] | None = None
+    ) -> SessionResult:
+        """Run one episode to its end.
+
+        Args:
+            trial: Where the rod starts and must end.
+            leader: Who leads.
+            on_tick: Called with each tick's number and content once its command has been given: to record, to film.
+
+        Raises:
+            LeaderOffsetError: The leader does not stand where the follower does.
+            HandoverError: The arbiter would not give the leader its turn.
+        """
+        world = self.world
+        world.reset(rod_xy_yaw=trial.start)
+        self.stack.reset()
+        judge = RodCarryJudge(world.scene, trial)
+        first = leader.read(0.0)
+        if first is not None:
+            self.mirror.check_start(first[0], world.q)
+        self._hand_over(judge)
+        return self._follow(judge, leader, on_tick)
+
+    def _hand_over(self, judge: RodCarryJudge) -> None:
+        """Step the held arms until the arbiter confirms the leader."""
+        self.stack.request(SOURCE)
+        while True:
+            out = self.stack.arbitrate()
+            if out.switched_to == SOURCE:
+                return
+            if out.state == ArbiterState.STOPPED:
+                raise HandoverError(f"the arbiter did not hand over: {out.refusals[-1].detail}")
+            reflex = self._move(judge)
+            if reflex:
+                raise HandoverError(f"the arbiter did not hand over: {reflex}")
+
+    def _follow(
+        self, judge: RodCarryJudge, leader: Leader, on_tick: Callable[[int, Tick], None] | None
+    ) -> SessionResult:
+        world, period = self.world, 1.0 / self.config.rate_hz
+        limit = round(self._time_limit_s(leader) * self.config.rate_hz)
+        measured: list[Array] = []
+        latencies: list[float] = []
+        refusals: list[Refusal] = []
+        ended_by, reflex, began = "time_limit", "", time.monotonic()
+        for k in range(limit):
+            elapsed = k * period
+            if leader.finished(elapsed):
+                ended_by = "leader"
+                break
+            if leader.realtime:
+                time.sleep(max(0.0, began + elapsed - time.monotonic()))
+            observation = self.observer.read()
+            before = time.perf_counter()
+            out = self._ask(leader, k, elapsed, observation)
+            tick = Tick(observation, out.q_target, out.gripper)
+            reflex = self._advance(judge)
+            latencies.append(time.perf_counter() - before)
+            refusals.extend(out.refusals)
+            measured.append(observation.q)
+            if on_tick is not None:
+                on_tick(k, tick)
+            if out.state == ArbiterState.STOPPED:
+                ended_by = "stopped"
+                break
+            reflex = reflex or self._move(judge, self._steps - 1)
+            if reflex:
+                ended_by = "reflex"
+                break
+        return SessionResult(np.array(measured), judge.outcome(world), np.array(latencies), refusals, ended_by, reflex)
+
+    def _ask(self, leader: Leader, k: int, elapsed_s: float, now: Observation) -> ArbiterOutput:
+        """Let the leader propose, and return what the arbiter forwards."""
+        reading = leader.read(elapsed_s)
+        if reading is not None:
+            command = JointCommand(self.mirror.target(reading[0]), reading[1], now.time_s, k)
+            self.stack.propose(SOURCE, command)
+        return self.stack.arbitrate()
+
+    def _move(self, judge: RodCarryJudge, steps: int | None = None) -> str:
+        """Run a tick's control steps; return the reflex that ended them, or an empty string."""
+        for _ in range(self._steps if steps is None else steps):
+            reflex = self._advance(judge)
+            if reflex:
+                return reflex
+        return ""
+
+    def _advance(self, judge: RodCarryJudge) -> str:
+        """Run one control step; return the reflex that it raised, or an empty string."""
+        reflex = ""
+        try:
+            self.stack.advance()
+        except ReflexError as error:
+            reflex = error.message
+        judge.observe(self.world)
+        return reflex
+
+    def _time_limit_s(self, leader: Leader) -> float:
+        """People need longer than the task's limit allows a method; the judge still says so."""
+        return self.config.person_time_limit_s if leader.realtime else self.world.scene.task.time_limit_s

@@ -1,0 +1,143 @@
+"""One measured value against one limit. What passes is derived here and assigned nowhere."""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+from minidual.errors import DataError
+
+Op = Literal["<", "<=", ">", ">=", "=="]
+Number = float | int | bool
+
+_COMPARE: dict[str, Callable[[Any, Any], bool]] = {
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+    "==": operator.eq,
+}
+_NON_FINITE = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
+
+
+def plain_number(value: Any, what: str) -> Number:
+    """Return `value` as a Python bool, int or float (numpy scalars are unpacked); TypeError otherwise."""
+    if not isinstance(value, bool | int | float) and hasattr(value, "item") and getattr(value, "ndim", 0) == 0:
+        value = value.item()
+    if not isinstance(value, bool | int | float):
+        raise TypeError(f"{what} must be a number or a bool, not {type(value).__name__} ({value!r})")
+    return value
+
+
+def jsonable_number(value: Number) -> Number | str:
+    """Return `value` as JSON can hold it: a non-finite float becomes the string "nan", "inf" or "-inf"."""
+    return str(float(value)) if isinstance(value, float) and not math.isfinite(value) else value
+
+
+@dataclass(frozen=True)
+class Check:
+    """A named observation with its limit.
+
+    `op` None means "reported without a limit": such a check neither passes nor fails, and never counts as
+    evidence. A non-finite `observed` fails every limit. `unit` is a suffix such as "rad" or "n" ("" for a
+    ratio or a count), `why` says in one line what the limit protects, `remedy` what to do when it fails.
+    """
+
+    name: str
+    observed: Number
+    op: Op | None = None
+    limit: Number | None = None
+    unit: str = ""
+    why: str = ""
+    remedy: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.name or any(c.isspace() for c in self.name):
+            raise ValueError(f"a check needs a name without blanks, not {self.name!r}")
+        object.__setattr__(self, "observed", plain_number(self.observed, f"check {self.name}: observed"))
+        if self.op is None:
+            if self.limit is not None:
+                raise ValueError(f"check {self.name}: limit {self.limit} without an operator")
+            return
+        if self.op not in _COMPARE:
+            raise ValueError(f"check {self.name}: no operator {self.op!r}; there are {', '.join(get_args(Op))}")
+        limit = plain_number(self.limit, f"check {self.name}: limit")
+        if not math.isfinite(limit):
+            raise ValueError(f"check {self.name}: the limit must be finite, is {limit}")
+        object.__setattr__(self, "limit", limit)
+
+    @property
+    def limited(self) -> bool:
+        """Whether the check has a limit, so that it can fail."""
+        return self.op is not None
+
+    @property
+    def passed(self) -> bool | None:
+        """True or False against the limit; None without one. A non-finite observation is False."""
+        if self.op is None:
+            return None
+        return math.isfinite(self.observed) and _COMPARE[self.op](self.observed, self.limit)
+
+    @property
+    def margin(self) -> float | None:
+        """Distance to the limit in the check's unit, positive on the good side.
+
+        For "==" it is minus the absolute deviation; None without a limit or for bools.
+        """
+        if self.op is None or self.limit is None or isinstance(self.limit, bool):
+            return None
+        gap = float(self.observed) - float(self.limit)
+        if self.op in (">", ">="):
+            return gap
+        return 0.0 - gap if self.op in ("<", "<=") else 0.0 - abs(gap)  # from 0.0, so that none is -0.0
+
+    def sentence(self) -> str:
+        """Return "tilt_max_rad is 0.12 rad, limit <= 0.0873 rad" for messages."""
+        unit = f" {self.unit}" if self.unit else ""
+        text = f"{self.name} is {format_number(self.observed)}{unit}"
+        if self.op is not None and self.limit is not None:
+            text += f", limit {self.op} {format_number(self.limit)}{unit}"
+        return text
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the check with its derived result and margin, ready for json.dumps(allow_nan=False)."""
+        margin = self.margin
+        return {
+            "name": self.name,
+            "observed": jsonable_number(self.observed),
+            "op": self.op,
+            "limit": self.limit,
+            "unit": self.unit,
+            "passed": self.passed,
+            "margin": None if margin is None else jsonable_number(margin),
+            "why": self.why,
+            "remedy": self.remedy,
+        }
+
+    @classmethod
+    def from_json(cls, record: Mapping[str, Any]) -> Check:
+        """Rebuild a check; DataError if the record is malformed or its result is not what the values say."""
+        try:
+            observed = record["observed"]
+            if isinstance(observed, str):
+                observed = _NON_FINITE[observed]
+            check = cls(
+                record["name"], observed, record["op"], record["limit"], record["unit"], record["why"], record["remedy"]
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise DataError(f"malformed check: {error}") from error
+        if record.get("passed") != check.passed:
+            raise DataError(f"check {check.name} is written as passed={record.get('passed')}, but {check.sentence()}")
+        return check
+
+
+def format_number(value: Number | None) -> str:
+    """Return a short text for tables and messages: four significant digits, bools as yes and no."""
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return str(value) if isinstance(value, int) else f"{value:.4g}"

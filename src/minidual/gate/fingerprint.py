@@ -1,0 +1,168 @@
+"""What a verdict depends on, and the words for how that differs from now."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any, cast
+
+import minidual
+from minidual.gate.canonical import canonical
+
+UNSEEN = "(absent)"
+
+
+@dataclass(frozen=True)
+class Fingerprint:
+    """Everything that determines a result (the first six) and the circumstances (the last four).
+
+    parameters: resolved configuration subtree, as JSON.
+    options: command-line extras that are not configuration.
+    inputs: sha256 of each input artefact, keyed "stage/path" or by absolute path for files from outside.
+    upstream: sha256 of the verdict of every transitively required stage, None where there was none.
+    version, commit, machine, libraries: circumstances; a difference only warns.
+    """
+
+    parameters: dict[str, Any]
+    options: dict[str, Any]
+    inputs: dict[str, str]
+    upstream: dict[str, str | None]
+    seed: int
+    profile: str
+    version: str
+    commit: str | None
+    machine: dict[str, Any]
+    libraries: dict[str, str]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fingerprint as JSON types."""
+        return canonical(asdict(self))
+
+    @classmethod
+    def from_json(cls, record: Mapping[str, Any]) -> Fingerprint:
+        """Rebuild a fingerprint; TypeError or KeyError if malformed."""
+        return cls(**record)
+
+    def differences(self, now: Fingerprint) -> list[str]:
+        """Return one reason for each thing that makes the result of `self` stale `now`."""
+        reasons = [
+            f"{label} {name} was {_short(then)}, is {_short(current)}"
+            for label, before, after in (
+                ("parameter", self.parameters, canonical(now.parameters)),
+                ("option", self.options, canonical(now.options)),
+            )
+            for name, then, current in changes(before, after)
+        ]
+        if self.seed != now.seed:
+            reasons.append(f"the seed was {self.seed}, is {now.seed}")
+        if self.profile != now.profile:
+            reasons.append(f"the profile was '{self.profile}', is '{now.profile}'")
+        for name, then, _current in changes(dict(self.inputs), dict(now.inputs), flat=True):
+            reasons.append(f"input {name} {'is new' if then == UNSEEN else 'changed or is gone'}")
+        for name, then, current in changes(dict(self.upstream), dict(now.upstream), flat=True):
+            if current is None:
+                reasons.append(f"the verdict of upstream stage {name} is gone")
+            else:
+                reasons.append(f"upstream stage {name} {'has run' if then is None else 'ran again'} since")
+        return reasons
+
+    def circumstances(self, now: Fingerprint) -> list[str]:
+        """Return one warning for each circumstance that differs `now` without making the result stale."""
+        warnings: list[str] = []
+        if self.version != now.version:
+            warnings.append(f"made by minidual {self.version}, this is {now.version}")
+        if self.commit != now.commit:
+            warnings.append(f"made at commit {_short_commit(self.commit)}, this is {_short_commit(now.commit)}")
+        for label, before, after in (
+            ("machine", self.machine, now.machine),
+            ("library", self.libraries, now.libraries),
+        ):
+            warnings += [f"{label} {n}: was {_short(a)}, is {_short(b)}" for n, a, b in changes(before, after)]
+        return warnings
+
+
+def changes(
+    before: Mapping[str, Any], after: Mapping[str, Any], *, flat: bool = False, prefix: str = ""
+) -> Iterable[tuple[str, Any, Any]]:
+    """Yield (dotted name, before, after) for every leaf that differs; `flat` does not enter mappings."""
+    for key in [*before, *(key for key in after if key not in before)]:
+        then, current = before.get(key, UNSEEN), after.get(key, UNSEEN)
+        if not flat and isinstance(then, dict) and isinstance(current, dict):
+            inner = cast(dict[str, Any], then), cast(dict[str, Any], current)
+            yield from changes(*inner, prefix=f"{prefix}{key}.")
+        elif then != current or isinstance(then, bool) is not isinstance(current, bool):
+            yield f"{prefix}{key}", then, current
+
+
+def _short_commit(commit: str | None) -> str:
+    if commit is None:
+        return "none"
+    identifier, plus, changes_word = commit.partition("+")
+    return identifier[:10] + plus + changes_word
+
+
+def _short(value: Any) -> str:
+    text = str(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def circumstances_now(libraries: Iterable[str]) -> dict[str, Any]:
+    """Return version, commit, machine and versions of `libraries` (distribution names) as a dict."""
+    return _circumstances(tuple(libraries))
+
+
+@cache
+def _circumstances(libraries: tuple[str, ...]) -> dict[str, Any]:
+    return {
+        "version": minidual.__version__,
+        "commit": _commit(),
+        "machine": {
+            "system": platform.system(),
+            "architecture": platform.machine(),
+            "processor": _processor(),
+            "cores": os.cpu_count(),
+            "python": platform.python_version(),
+        },
+        "libraries": {name: _library_version(name) for name in libraries},
+    }
+
+
+def _library_version(name: str) -> str:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return "not installed"
+
+
+def _commit() -> str | None:
+    """Return the git commit of this package's own checkout ("+changes" if edited), None outside of one."""
+    package = Path(minidual.__file__).parent
+
+    def git(*words: str) -> str:
+        command = ["git", "-C", str(package), *words]
+        return subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
+
+    try:
+        # An installed wheel may lie in a virtual environment inside somebody's repository: ask whether
+        # git knows this very file before believing that the commit is ours.
+        git("ls-files", "--error-unmatch", "__init__.py")
+        commit = git("rev-parse", "HEAD")
+        return f"{commit}+changes" if git("status", "--porcelain", "--", ".") else commit
+    except (OSError, subprocess.SubprocessError):
+        return None
+
+
+def _processor() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    except OSError:
+        pass
+    return platform.processor()

@@ -1,0 +1,185 @@
+"""The state of every stage, and whether the gate of one is open.
+
+States: pass and fail (a fresh verdict says so), error (a verdict without evidence, a corrupt one, or an
+attempt that crashed), stale (parameters, inputs, upstream or artefacts changed), incomplete (began, did not
+finish), blocked (not run, and an upstream stage does not pass), missing (not run, could be).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from minidual.errors import DataError, GateClosedError
+from minidual.gate.canonical import canonical, file_sha256
+from minidual.gate.fingerprint import Fingerprint, circumstances_now
+from minidual.gate.manifest import CONFIG_FILE, manifest_changes
+from minidual.gate.stage import HasInputs
+from minidual.gate.store import RunStore
+from minidual.gate.table import CommandText, StageTable
+from minidual.gate.verdict import Verdict
+
+if TYPE_CHECKING:
+    from minidual.config.loader import LoadedConfig
+
+State = Literal["pass", "fail", "error", "stale", "missing", "incomplete", "blocked"]
+
+
+@dataclass(frozen=True)
+class StageState:
+    """Where a stage stands.
+
+    reasons: why it is not pass or fail, one line each. warnings: what changed without making it stale.
+    """
+
+    name: str
+    state: State
+    reasons: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    verdict: Verdict | None = None
+    verdict_sha256: str | None = None
+    folder: Path | None = None
+    corrupt: bool = False
+
+    def why(self) -> str:
+        """Return what stands against the stage in a few words: the worst check, or the first reasons."""
+        if self.state == "fail" and self.verdict is not None:
+            failed = self.verdict.failed_checks()
+            more = f", and {len(failed) - 1} more" if len(failed) > 1 else ""
+            return failed[0].sentence() + more
+        more = f", and {len(self.reasons) - 2} more reasons" if len(self.reasons) > 2 else ""
+        return "; ".join(self.reasons[:2]) + more
+
+
+@dataclass
+class Gate:
+    """Judges the stages of one run against one configuration.
+
+    options: command-line options typed now, by stage. A stage without an entry is judged with the options
+    that its own verdict was made with: `teleop-record --episodes 10` stays fresh for `train-act`.
+    """
+
+    table: StageTable
+    store: RunStore
+    loaded: LoadedConfig
+    options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict[str, Mapping[str, Any]])
+    _known: dict[str, StageState] = field(default_factory=dict[str, StageState])
+
+    def state(self, name: str) -> StageState:
+        """Return the state of a stage (judged once, then remembered)."""
+        if name not in self._known:
+            self._known[name] = self._judge(name)
+        return self._known[name]
+
+    def forget(self) -> None:
+        """Judge anew from now on, after a stage ran."""
+        self._known.clear()
+
+    def closed_by(self, name: str) -> list[StageState]:
+        """Return the directly required stages that keep the gate of `name` closed; empty if it is open."""
+        return [state for required in self.table[name].requires if (state := self.state(required)).state != "pass"]
+
+    def root_cause(self, name: str) -> StageState | None:
+        """Return the first stage above `name` that does not pass although everything above it does."""
+        for upstream in self.table.upstream(name):
+            if self.state(upstream).state != "pass" and not self.closed_by(upstream):
+                return self.state(upstream)
+        return None
+
+    def closed_error(self, name: str, command: CommandText) -> GateClosedError | DataError:
+        """Return the error for a closed gate: blocking stage, its check, and the command that mends it."""
+        first = self.closed_by(name)[0]
+        cause = self.root_cause(name) or first
+        unfinished = [up for up in self.table.upstream(name) if self.state(up).state != "pass"]
+        mend = command(cause.name if len(unfinished) == 1 else f"run --until {name}")
+        if cause.corrupt:
+            return DataError(cause.why(), remedy=mend)
+        article = "has a problem" if cause.state == "error" else f"is {cause.state}"
+        words = {"pass": "passed", "fail": "failed", "missing": "has not run"}.get(cause.state, article)
+        text = f"the gate of {name} is closed: {cause.name} {words}"
+        if cause.state not in ("missing", "blocked") and cause.why():
+            text += f": {cause.why()}"
+        failed = cause.verdict.failed_checks() if cause.state == "fail" and cause.verdict else []
+        advice = f"{failed[0].remedy.rstrip('.')}, then: " if failed and failed[0].remedy else ""
+        return GateClosedError(text, remedy=f"{advice}{mend}")
+
+    def effective(self, name: str, verdict: Verdict | None) -> tuple[dict[str, Any], LoadedConfig]:
+        """Return (options, configuration with them applied) that `name` is judged or run with."""
+        from minidual.config.loader import Override
+
+        entry = self.table[name]
+        typed = self.options.get(name)
+        options = dict(typed if typed is not None else verdict.options if verdict is not None else {})
+        overrides = [Override(path, value, text) for path, value, text in entry.overrides(options)]
+        return options, self.loaded.with_overrides(overrides)
+
+    def fingerprint(self, name: str, verdict: Verdict | None = None) -> Fingerprint:
+        """Return the fingerprint that a verdict of `name` made now would have."""
+        entry = self.table[name]
+        stage = entry.load()
+        options, loaded = self.effective(name, verdict)
+        inputs: dict[str, str] = {}
+        for required in entry.requires:
+            upstream = self.state(required)
+            if upstream.verdict is not None:
+                for path, artefact in upstream.verdict.artefacts.items():
+                    # The upstream's configuration is part of its verdict; as an input it would say twice,
+                    # and worse, that something changed.
+                    if path != CONFIG_FILE:
+                        inputs[f"{required}/{path}"] = artefact.sha256
+        if isinstance(stage, HasInputs):
+            for path in stage.inputs(loaded.config):
+                if path.is_file():
+                    inputs[str(path.absolute())] = file_sha256(path)
+        return Fingerprint(
+            parameters=canonical(stage.parameters(loaded.config), f"{name}.parameters"),
+            options=canonical(entry.extras(options), f"{name}.options"),
+            inputs=inputs,
+            upstream={up: self.state(up).verdict_sha256 for up in self.table.upstream(name)},
+            seed=loaded.config.seed,
+            profile=loaded.profile,
+            **circumstances_now(self.table.libraries),
+        )
+
+    def _judge(self, name: str) -> StageState:
+        folder = self.store.stage_folder(name)
+        try:
+            found = self.store.verdict(name)
+        except DataError as error:
+            return StageState(name, "error", (error.message,), folder=folder, corrupt=True)
+        if found is None:
+            return self._judge_unfinished(name)
+        verdict, sha256 = found
+        now = self.fingerprint(name, verdict)
+        reasons = manifest_changes(folder, verdict.artefacts)
+        reasons += verdict.fingerprint.differences(now)
+        if verdict.acceptance_profile != self.loaded.config.acceptance:
+            reasons.append(f"acceptance of the profile was {verdict.acceptance_profile}, is not now")
+        waived = {k: v for waiver in verdict.waivers if waiver.stage == name for k, v in waiver.blocking.items()}
+        for upstream in self.closed_by(name):
+            if waived.get(upstream.name) != upstream.state:
+                reasons.append(f"upstream stage {upstream.name} is {upstream.state}")
+        state: State = "stale" if reasons else verdict.status
+        if state == "error":
+            reasons = ["nothing was evaluated: no check with a limit"]
+        warnings = list(verdict.fingerprint.circumstances(now))
+        attempt = self.store.attempt(name)
+        if attempt is not None:
+            warnings.append(f"a later attempt ended as {attempt.state} ({attempt.message or 'under way'})")
+        return StageState(name, state, tuple(reasons), tuple(warnings), verdict, sha256, folder)
+
+    def _judge_unfinished(self, name: str) -> StageState:
+        attempt = self.store.attempt(name)
+        if attempt is not None and attempt.state == "error":
+            return StageState(name, "error", (attempt.message,))
+        if attempt is not None:
+            began = f"begun {attempt.started_at} by process {attempt.pid}" if attempt.started_at else "begun"
+            return StageState(name, "incomplete", (f"{began}, {attempt.message or 'still running'}",))
+        if self.store.half_written(name):
+            return StageState(name, "incomplete", ("its folder has no verdict",))
+        closed = self.closed_by(name)
+        if closed:
+            return StageState(name, "blocked", tuple(f"{item.name} is {item.state}" for item in closed))
+        return StageState(name, "missing", ("it has not run",))

@@ -1,0 +1,221 @@
+"""Run a stage behind its gate, or all of them up to one, and leave a verdict or an honest trace."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from minidual.errors import ExitCode, MinidualError
+from minidual.gate.canonical import canonical
+from minidual.gate.check import Check
+from minidual.gate.clock import now_text
+from minidual.gate.disk import disk_errors
+from minidual.gate.gate import Gate, StageState
+from minidual.gate.manifest import build_manifest
+from minidual.gate.progress import Progress, SilentProgress
+from minidual.gate.stage import StageContext, Validates
+from minidual.gate.store import RunStore
+from minidual.gate.table import StageEntry, StageTable
+from minidual.gate.verdict import Verdict, Waiver
+
+if TYPE_CHECKING:
+    from minidual.config.loader import LoadedConfig
+
+EXIT_OF_STATUS = {"pass": ExitCode.PASS, "fail": ExitCode.ACCEPTANCE_FAILED, "error": ExitCode.NOTHING_EVALUATED}
+
+
+class StageCrashedError(MinidualError):
+    """A stage raised something nobody foresaw. The traceback is in a file; the cause is chained."""
+
+    exit_code = ExitCode.INTERNAL
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A stage after the command: its state, and whether it ran or was found fresh."""
+
+    state: StageState
+    ran: bool
+
+    @property
+    def verdict(self) -> Verdict:
+        """The verdict (a finished or fresh stage always has one)."""
+        if self.state.verdict is None:
+            raise ValueError(f"stage {self.state.name} has no verdict")
+        return self.state.verdict
+
+    @property
+    def exit_code(self) -> ExitCode:
+        """0 for pass, 1 for fail, 5 when nothing was evaluated."""
+        return EXIT_OF_STATUS[self.verdict.status]
+
+
+@dataclass
+class Runner:
+    """Runs stages of one run.
+
+    command: turns "plan" into the full command to type, for remedies.
+    view: handed to the stages as it is. What is watched runs in this process, so with a view there is one worker.
+    """
+
+    table: StageTable
+    store: RunStore
+    loaded: LoadedConfig
+    progress: Progress = field(default_factory=SilentProgress)
+    command: Callable[[str], str] = "minidual {}".format
+    view: Any = None
+
+    def run(
+        self, name: str, options: Mapping[str, Any] | None = None, *, force: bool = False, waiver: str | None = None
+    ) -> Outcome:
+        """Run one stage; a fresh passing one is returned as it is unless `force`.
+
+        Args:
+            name: the stage.
+            options: command-line options typed for this stage.
+            force: run even if passing and fresh. Never opens a gate.
+            waiver: reason that opens a closed gate; it is written into the verdict and all below it.
+
+        Raises:
+            GateClosedError: an upstream stage does not pass and there is no waiver.
+            DataError: an upstream verdict is corrupt.
+            UsageError: another process writes in this run.
+            StageCrashedError: the stage raised an unforeseen exception.
+        """
+        with disk_errors(self.store.folder), self.store.writing(self.command(name)):
+            gate = Gate(self.table, self.store, self.loaded, {name: dict(options or {})})
+            self._validate(gate, name)
+            return self._run_locked(gate, name, force, waiver)
+
+    def run_until(
+        self, last: str | None = None, *, force: bool = False, waiver: str | None = None
+    ) -> Iterator[Outcome]:
+        """Run every stage up to `last` (default: all) that is not passing and fresh; yields each outcome.
+
+        Stops after the first stage that does not pass, unless a waiver carries it on. Holds the run's lock
+        from the first stage to the last.
+        """
+        names = self.table.names if last is None else (*self.table.upstream(last), last)
+        command = "run" if last is None else f"run --until {last}"
+        with disk_errors(self.store.folder), self.store.writing(self.command(command)):
+            gate = Gate(self.table, self.store, self.loaded)
+            for name in names:
+                self._validate(gate, name)
+            for name in names:
+                # A finished stage that stands keeps the options it was typed with; one that must run again
+                # runs as the configuration says.
+                if force or gate.state(name).state != "pass":
+                    gate = Gate(self.table, self.store, self.loaded, {name: {}})
+                outcome = self._run_locked(gate, name, force, waiver)
+                gate = Gate(self.table, self.store, self.loaded)
+                yield outcome
+                if outcome.exit_code != ExitCode.PASS and waiver is None:
+                    return
+
+    def _validate(self, gate: Gate, name: str) -> None:
+        """Raise what is wrong with the options and the configuration of a stage before anything else is said."""
+        stage = self.table[name].load()
+        _, loaded = gate.effective(name, None)
+        if isinstance(stage, Validates):
+            stage.validate(loaded.config)
+
+    def _run_locked(self, gate: Gate, name: str, force: bool, waiver: str | None) -> Outcome:
+        state = gate.state(name)
+        if state.state == "pass" and not force:
+            return Outcome(state, ran=False)
+        closed = gate.closed_by(name)
+        if closed and waiver is None:
+            raise gate.closed_error(name, self.command)
+        self._execute(gate, name, self._waivers(gate, name, closed, waiver))
+        gate.forget()
+        return Outcome(gate.state(name), ran=True)
+
+    def _waivers(self, gate: Gate, name: str, closed: list[StageState], reason: str | None) -> tuple[Waiver, ...]:
+        """Return the waivers that taint `name`: those of everything above it, and its own if one was used."""
+        waivers: list[Waiver] = []
+        for upstream in self.table.upstream(name):
+            verdict = gate.state(upstream).verdict
+            waivers += [item for item in (verdict.waivers if verdict else ()) if item not in waivers]
+        if closed and reason is not None:
+            waivers.append(Waiver(name, reason, {item.name: item.state for item in closed}, now_text()))
+        elif reason is not None:
+            self.progress.note(f"the gate of {name} is open, the waiver is not used")
+        return tuple(waivers)
+
+    def _execute(self, gate: Gate, name: str, waivers: tuple[Waiver, ...]) -> None:
+        entry = self.table[name]
+        stage = entry.load()
+        options, loaded = gate.effective(name, None)
+        fingerprint = gate.fingerprint(name)
+        upstream = {up: gate.state(up) for up in self.table.upstream(name)}
+        folder = self.store.begin(name, loaded.to_yaml())
+        context = StageContext(
+            folder=folder,
+            config=loaded.config,
+            seed=loaded.config.seed,
+            profile=loaded.profile,
+            upstream={up: state.folder for up, state in upstream.items() if state.folder and state.verdict},
+            verdicts={up: state.verdict for up, state in upstream.items() if state.verdict},
+            waivers=waivers,
+            progress=self.progress,
+            options=options,
+            workers=loaded.config.workers if self.view is None else 1,
+            view=self.view,
+        )
+        started_at, started = now_text(), time.monotonic()
+        try:
+            with disk_errors(self.store.folder):
+                result = stage.run(context)
+                verdict = Verdict(
+                    stage=name,
+                    run=self.store.run,
+                    fingerprint=fingerprint,
+                    checks=(*result.checks, *_closing_checks(entry, result.checks, waivers)),
+                    artefacts=build_manifest(folder, result.artefacts),
+                    acceptance_profile=loaded.config.acceptance,
+                    started_at=started_at,
+                    finished_at=now_text(),
+                    duration_s=round(time.monotonic() - started, 3),
+                    options=canonical(options, f"{name}.options"),
+                    overrides=tuple(item.text for item in loaded.overrides),
+                    waivers=waivers,
+                    data=canonical(result.data, f"{name}.data"),
+                    notes=tuple(result.notes),
+                )
+                self.store.publish(name, verdict)
+        except KeyboardInterrupt:
+            self.store.abandon(name, "interrupted", "interrupted at the keyboard")
+            raise
+        except MinidualError as error:
+            self.store.abandon(name, "error", error.message)
+            raise
+        except Exception as error:
+            raise self._crashed(name, error) from error
+
+    def _crashed(self, name: str, error: Exception) -> StageCrashedError:
+        text = f"{name} crashed: {type(error).__name__}: {error}"
+        try:
+            text += f"; traceback in {self.store.write_crash(name, error)}"
+        except OSError as write_error:
+            text += f"; its traceback could not be written ({write_error})"
+        self.store.abandon(name, "error", text)
+        return StageCrashedError(text, remedy="this is a defect in minidual, please report it with that file")
+
+
+def _closing_checks(entry: StageEntry, checks: Sequence[Check], waivers: tuple[Waiver, ...]) -> list[Check]:
+    """Return the check on waivers for a closing stage; it is no evidence of its own, so only beside others."""
+    if not entry.closing or not any(check.limited for check in checks):
+        return []
+    stages = ", ".join(waiver.stage for waiver in waivers)
+    return [
+        Check(
+            "gate.waivers",
+            len(waivers),
+            "==",
+            0,
+            why="evidence behind a waived gate is no acceptance",
+            remedy=f"run {stages} without --waive-gate" if waivers else "",
+        )
+    ]

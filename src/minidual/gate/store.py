@@ -1,0 +1,175 @@
+"""Run folders on disk: finished stages, the one under way, and what a crash leaves behind.
+
+runs/<run>/config.yaml           the configuration of the latest command
+runs/<run>/<stage>/              a finished stage: artefacts, config.yaml and verdict.json
+runs/<run>/.<stage>.tmp/         a stage under way, or what is left of one that did not finish
+runs/<run>/.<stage>.old/         the previous result during the instant of its replacement
+runs/<run>/crash-*.txt           tracebacks
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import traceback
+from collections.abc import Generator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Literal
+
+from minidual.errors import DataError, UsageError
+from minidual.gate.canonical import dumps, parse_json, sync_folder, write_durably
+from minidual.gate.clock import now_stamp, now_text
+from minidual.gate.lock import lock_holder_text, lock_is_held, run_lock
+from minidual.gate.manifest import ATTEMPT_FILE, CONFIG_FILE, VERDICT_FILE
+from minidual.gate.verdict import Verdict, read_verdict
+
+_RUN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """A stage that began and has not finished."""
+
+    stage: str
+    state: Literal["running", "interrupted", "error"]
+    pid: int
+    started_at: str
+    message: str = ""
+
+
+class RunStore:
+    """One run folder.
+
+    Args:
+        root: the folder of all runs; it need not exist yet.
+        run: name of the run; UsageError if it could not be a folder's name.
+    """
+
+    def __init__(self, root: Path, run: str) -> None:
+        if not _RUN_NAME.fullmatch(run):
+            raise UsageError(f"'{run}' cannot be a run's name: letters, digits, '.', '_' and '-', up to 100")
+        self.run = run
+        self.folder = root / run
+
+    def _temporary(self, stage: str) -> Path:
+        return self.folder / f".{stage}.tmp"
+
+    def _old(self, stage: str) -> Path:
+        return self.folder / f".{stage}.old"
+
+    def stage_folder(self, stage: str) -> Path:
+        """Return the folder of the finished stage (it need not exist)."""
+        folder = self.folder / stage
+        if not (folder / VERDICT_FILE).is_file() and (self._old(stage) / VERDICT_FILE).is_file():
+            return self._old(stage)
+        return folder
+
+    def verdict_path(self, stage: str) -> Path:
+        """Return where the verdict of `stage` is or would be."""
+        return self.stage_folder(stage) / VERDICT_FILE
+
+    def verdict(self, stage: str) -> tuple[Verdict, str] | None:
+        """Return (verdict, sha256 of its file), None if there is none; DataError if it is corrupt."""
+        path = self.verdict_path(stage)
+        try:
+            found = read_verdict(path)
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        if found[0].stage != stage:
+            raise DataError(f"{path} is corrupt: it is the verdict of stage {found[0].stage}, not of {stage}")
+        return found
+
+    def attempt(self, stage: str) -> Attempt | None:
+        """Return the unfinished attempt at `stage`, if its folder is there."""
+        folder = self._temporary(stage)
+        if not folder.is_dir():
+            return None
+        path = folder / ATTEMPT_FILE
+        try:
+            attempt = Attempt(**parse_json(path.read_bytes(), path))
+        except (OSError, DataError, TypeError):
+            return Attempt(stage, "interrupted", 0, "", "killed as it began")
+        if attempt.state == "running" and not lock_is_held(self.folder):
+            return Attempt(stage, "interrupted", attempt.pid, attempt.started_at, "the process was killed")
+        return attempt
+
+    def half_written(self, stage: str) -> bool:
+        """Return whether the folder of `stage` exists without a verdict."""
+        return (self.folder / stage).is_dir() and not self.verdict_path(stage).is_file()
+
+    def writer(self) -> str | None:
+        """Return who writes in this run now, None if nobody does."""
+        return lock_holder_text(self.folder) if lock_is_held(self.folder) else None
+
+    @contextmanager
+    def writing(self, command: str) -> Generator[None]:
+        """Hold the run's lock; mends a replacement that was cut short.
+
+        UsageError if another process holds it, or if a file stands where the folder should be.
+        """
+        for place in (self.folder, *self.folder.parents):
+            if place.exists() and not place.is_dir():
+                raise UsageError(
+                    f"runs cannot be kept in {self.folder}: {place} is a file", remedy="give another --runs-dir"
+                )
+        with run_lock(self.folder, command):
+            for old in self.folder.glob(".*.old"):
+                self._mend(old.name[1 : -len(".old")])
+            yield
+
+    def _mend(self, stage: str) -> None:
+        old, folder = self._old(stage), self.folder / stage
+        if (folder / VERDICT_FILE).is_file() or not (old / VERDICT_FILE).is_file():
+            shutil.rmtree(old)
+            return
+        if folder.exists():
+            shutil.rmtree(folder)
+        old.rename(folder)
+
+    def begin(self, stage: str, config_text: str) -> Path:
+        """Return a fresh temporary folder for `stage`, marked as under way; clears what a dead one left."""
+        folder = self._temporary(stage)
+        if folder.exists():
+            shutil.rmtree(folder)
+        folder.mkdir(parents=True)
+        self._mark(Attempt(stage, "running", os.getpid(), now_text()))
+        write_durably(folder / CONFIG_FILE, config_text)
+        write_durably(self.folder / CONFIG_FILE, config_text)
+        return folder
+
+    def _mark(self, attempt: Attempt) -> None:
+        write_durably(self._temporary(attempt.stage) / ATTEMPT_FILE, dumps(asdict(attempt)))
+
+    def abandon(self, stage: str, state: Literal["interrupted", "error"], message: str) -> None:
+        """Mark the attempt at `stage` as ended without a verdict. Its files stay until the next attempt."""
+        try:
+            self._mark(Attempt(stage, state, os.getpid(), now_text(), message))
+        except OSError:
+            # On a full disk even the mark may not fit. The old mark says "running", and without its lock
+            # that reads as "killed": still unfinished, never whole.
+            return
+
+    def publish(self, stage: str, verdict: Verdict) -> Path:
+        """Write the verdict as the last file, put the folder in its place, drop the previous one."""
+        temporary, folder, old = self._temporary(stage), self.folder / stage, self._old(stage)
+        (temporary / ATTEMPT_FILE).unlink(missing_ok=True)
+        write_durably(temporary / VERDICT_FILE, verdict.text())
+        if folder.exists():
+            if old.exists():
+                shutil.rmtree(old)
+            folder.rename(old)
+        temporary.rename(folder)
+        sync_folder(self.folder)
+        if old.exists():
+            shutil.rmtree(old)
+        return folder
+
+    def write_crash(self, name: str, error: BaseException) -> Path:
+        """Write the traceback of `error` into the run folder and return its path."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        path = self.folder / f"crash-{name}-{now_stamp()}-{os.getpid()}.txt"
+        path.write_text("".join(traceback.format_exception(error)), encoding="utf-8")
+        return path

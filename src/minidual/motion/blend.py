@@ -1,0 +1,71 @@
+"""Round the corners of a polyline so that it can be driven without stopping.
+
+Along a straight piece the direction q'(s) is a unit vector u; in a corner of half length d it turns from u1 to u2
+as u1 + (u2 - u1) S(x), x = (s - s0) / 2d, S(x) = 3 x^2 - 2 x^3. Since S is symmetric about its middle the corner
+begins and ends exactly on the two straight pieces; q(s) is twice continuously differentiable and stays in the
+triangle that the corner cuts off.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from minidual.motion.edges import EdgeChecker
+from minidual.motion.smooth_path import SmoothPath
+from minidual.robot.constants import Array
+
+_SHRINK = 0.5
+_D_MIN_RAD = 1e-3
+_OF_SEGMENT = 0.45
+
+
+def blended_path(path: Array, checker: EdgeChecker, radius_rad: float, step_rad: float) -> SmoothPath | None:
+    """Return the rounded polyline, its corners checked and shrunk where they touch; None if a corner stays blocked.
+
+    Args:
+        path: Polyline (n, 14), n >= 2, without repeated vertices.
+        checker: Collision checks.
+        radius_rad: Largest half length of a corner.
+        step_rad: Largest joint step between checks of a corner.
+    """
+    steps = np.diff(path, axis=0)
+    lengths = np.linalg.norm(steps, axis=1)
+    directions = steps / lengths[:, None]
+    halves = np.minimum(radius_rad, _OF_SEGMENT * np.minimum(lengths[:-1], lengths[1:]))
+    for i in range(len(halves)):
+        while not _corner_free(path[i + 1], directions[i], directions[i + 1], halves[i], checker, step_rad):
+            halves[i] *= _SHRINK
+            if halves[i] < _D_MIN_RAD:
+                return None
+    return _assemble(path, lengths, directions, halves)
+
+
+def rounded(path: Array, radius: float) -> SmoothPath:
+    """Return the polyline (n, d) with every corner rounded, whatever stands there; for paths of objects."""
+    steps = np.diff(path, axis=0)
+    lengths = np.linalg.norm(steps, axis=1)
+    halves = np.minimum(radius, _OF_SEGMENT * np.minimum(lengths[:-1], lengths[1:]))
+    return _assemble(path, lengths, steps / lengths[:, None], halves)
+
+
+def _corner_free(vertex: Array, u1: Array, u2: Array, d: float, checker: EdgeChecker, step_rad: float) -> bool:
+    count = max(2, int(np.ceil(2.0 * d / step_rad)))
+    x = np.linspace(0.0, 1.0, count + 1)[1:-1, None]
+    Q = vertex - d * u1 + 2.0 * d * (u1 * x + (u2 - u1) * (x**3 - 0.5 * x**4))
+    return checker.all_free(Q)
+
+
+def _assemble(path: Array, lengths: Array, directions: Array, halves: Array) -> SmoothPath:
+    """Build the piecewise polynomial: straight, corner, straight, ..., straight."""
+    pieces = np.zeros((5, 2 * len(lengths) - 1, path.shape[1]))
+    widths = np.empty(pieces.shape[1])
+    before, after = np.append(0.0, halves), np.append(halves, 0.0)
+    widths[::2], widths[1::2] = lengths - before - after, 2.0 * halves
+    d, turns = halves[:, None], np.diff(directions, axis=0)
+    pieces[4, ::2] = path[:-1] + before[:, None] * directions
+    pieces[4, 1::2] = path[1:-1] - d * directions[:-1]
+    pieces[3, ::2], pieces[3, 1::2] = directions, directions[:-1]
+    # q' = u + turn (3 x^2 - 2 x^3), x = t / 2d, integrated over t
+    pieces[1, 1::2] = turns / (4.0 * d**2)
+    pieces[0, 1::2] = -turns / (16.0 * d**3)
+    return SmoothPath(pieces, np.append(0.0, np.cumsum(widths)))

@@ -1,0 +1,187 @@
+"""RRT-Connect over the poses of a held object, the hands following by inverse kinematics; and making its paths short.
+
+Source: Kuffner and LaValle, "RRT-Connect", ICRA 2000; the leader-follower idea for closed chains after Han and Amato,
+"A kinematics-based probabilistic roadmap method for closed chain systems", 2000.
+"""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from minidual.motion.hands_ik import off_limits
+from minidual.motion.held_space import HeldSpace, Q, X
+from minidual.robot.constants import Array
+
+_EXTEND_M = 0.15
+_CONNECT_M = 0.25
+_ELBOW_SHARE = 0.5
+_ELBOW_RAD = 0.6
+_GOAL_SHARE = 0.3
+_NEXT_N = 8
+_SAME_M = 1e-9
+_ROOM_START_M, _ROOM_GROWTH_M, _ROOM_MAX_M = 0.08, 0.02, 0.35
+_TURN_M = 0.12
+
+
+class _Tree:
+    def __init__(self, roots: Sequence[Array]) -> None:
+        self.points = np.array(roots, dtype=float)
+        self.parents = [-1] * len(roots)
+
+    def nearest(self, space: HeldSpace, z: Array) -> int:
+        return int(np.argmin(space.distance(z, self.points)))
+
+    def near_object(self, x: Array, rng: np.random.Generator, among: int) -> int:
+        """Return one of the `among` points whose object poses are nearest to x."""
+        away = np.linalg.norm(self.points[:, X] - x, axis=1)
+        if among == 1:
+            return int(np.argmin(away))
+        return int(rng.choice(np.argsort(away, kind="stable")[:among]))
+
+    def add(self, z: Array, parent: int) -> int:
+        self.points = np.vstack([self.points, z])
+        self.parents.append(parent)
+        return len(self.parents) - 1
+
+    def branch(self, index: int) -> list[Array]:
+        """Return the points from the root to one point."""
+        points = []
+        while index >= 0:
+            points.append(self.points[index])
+            index = self.parents[index]
+        return points[::-1]
+
+
+def search_object(
+    space: HeldSpace,
+    start: Array,
+    goals: Sequence[Array],
+    rng: np.random.Generator,
+    *,
+    checks_max: int,
+    deadline: float,
+    any_posture: bool = True,
+) -> Array | None:
+    """Return free points (n, 20) from the start to a goal, joined by free edges, or None.
+
+    Args:
+        space: Edges and collisions.
+        start: Point (20,), free.
+        goals: Points (20,) of the same object pose, free; they differ in the joints.
+        rng: Random numbers; the same give the same path.
+        checks_max: State checks after which the search gives up.
+        deadline: time.perf_counter() at which it gives up whatever the count.
+        any_posture: Any joints that hold the object at the goal's pose will do, not only those of `goals`.
+    """
+    here, there = _Tree([start]), _Tree(goals)
+    ends = np.array([start[X], goals[0][X]])
+    enough = space.checker.checks_n + checks_max
+    forward, rounds = True, 0
+    for goal in goals:
+        if space.edge_free(start, goal):
+            return np.array([start, goal])
+    while space.checker.checks_n < enough and time.perf_counter() < deadline:
+        # Near the two ends first; the longer it takes, the farther round.
+        room = min(_ROOM_START_M + _ROOM_GROWTH_M * rounds, _ROOM_MAX_M)
+        rounds += 1
+        if forward and any_posture and rng.random() < _GOAL_SHARE:
+            arrived = _carry_to(space, here, ends[1], rng)
+            if arrived is not None:
+                return np.array(here.branch(arrived))
+        new = _extend(space, here, next(space.samples(rng, ends, room, _TURN_M)), rng)
+        if new is not None:
+            met = _connect(space, there, here.points[new])
+            if met is not None:
+                path = here.branch(new) + there.branch(met)[::-1][1:]
+                return np.array(path if forward else path[::-1])
+        here, there, forward = there, here, not forward
+    return None
+
+
+def _extend(space: HeldSpace, tree: _Tree, x: Array, rng: np.random.Generator) -> int | None:
+    """Grow the tree towards an object pose; return the new point, or None."""
+    swing = rng.random() < _ELBOW_SHARE
+    # Elbows spread only if others than the very nearest point may grow, too.
+    parent = tree.near_object(x, rng, _NEXT_N if swing else 1)
+    new = _step_towards(space, tree.points[parent], x, rng if swing else None)
+    return None if new is None else tree.add(new, parent)
+
+
+def _step_towards(space: HeldSpace, z: Array, x: Array, elbows: np.random.Generator | None) -> Array | None:
+    """Return a point one step from z towards an object pose, its elbows moved at random if asked, or None."""
+    way = x - z[X]
+    share = min(1.0, _EXTEND_M / max(float(np.linalg.norm(way)), _SAME_M))
+    aim = z.copy()
+    aim[X] = x if share == 1.0 else z[X] + share * way
+    aim[Q] += _EXTEND_M * off_limits(z[Q])
+    if elbows is not None:
+        aim[Q] += space.hands.elbow_swing(z[Q], elbows.uniform(-_ELBOW_RAD, _ELBOW_RAD, 2))
+    new = space.solved_free(aim)
+    return new if new is not None and space.edge_free(z, new) else None
+
+
+def _carry_to(space: HeldSpace, tree: _Tree, x: Array, rng: np.random.Generator) -> int | None:
+    """Carry the object straight to a pose from one of the points next to it; return the point there, or None."""
+    current = tree.near_object(x, rng, _NEXT_N)
+    while True:
+        point = tree.points[current]
+        new = _step_towards(space, point, x, None)
+        if new is None:
+            return None
+        current = tree.add(new, current)
+        if np.array_equal(new[X], x):
+            return current
+
+
+def _connect(space: HeldSpace, tree: _Tree, z: Array) -> int | None:
+    """Grow the tree towards a point of the other one; return the point that meets it, or None."""
+    current = tree.nearest(space, z)
+    while True:
+        away = float(space.distance(z, tree.points[current][None])[0])
+        share = min(1.0, _CONNECT_M / max(away, _SAME_M))
+        point = tree.points[current]
+        step = z if share == 1.0 else space.solved_free(point + share * (z - point))
+        if step is None or not space.edge_free(point, step):
+            return None
+        current = tree.add(step, current)
+        if share == 1.0:
+            return current
+
+
+def shorten(space: HeldSpace, path: Array, rng: np.random.Generator, rounds_n: int) -> Array:
+    """Return a shorter path (m, 20): vertices dropped, then random stretches replaced by straight edges."""
+    points = list(path)
+    i = 0
+    while i < len(points) - 2:  # the farthest vertex that can be reached directly
+        for j in range(len(points) - 1, i + 1, -1):
+            if space.edge_free(points[i], points[j]):
+                del points[i + 1 : j]
+                break
+        i += 1
+    for _ in range(rounds_n):
+        if len(points) < 3:
+            break
+        lengths = np.array([float(space.distance(a, b[None])[0]) for a, b in itertools.pairwise(points)])
+        at = np.concatenate([[0.0], np.cumsum(lengths)])
+        s = np.sort(rng.uniform(0.0, at[-1], 2))
+        i, j = (min(int(np.searchsorted(at, v, side="right")) - 1, len(points) - 2) for v in s)
+        if i == j:
+            continue
+        a, b = (
+            space.solved_free(points[k] + (v - at[k]) / lengths[k] * (points[k + 1] - points[k]))
+            for k, v in zip((i, j), s, strict=True)
+        )
+        if a is None or b is None:
+            continue
+        before = float(lengths[i : j + 1].sum())
+        pieces = (points[i], a, b, points[j + 1])
+        after = sum(float(space.distance(p, r[None])[0]) for p, r in itertools.pairwise(pieces))
+        if after > 0.99 * before:
+            continue
+        if all(space.edge_free(p, r) for p, r in ((a, b), (points[i], a), (b, points[j + 1]))):
+            points[i + 1 : j + 1] = [a, b]
+    return np.array(points)

@@ -1,0 +1,269 @@
+"""Straight moves: each tcp goes along a line and turns about one axis, as far as arms and obstacles let it.
+
+The line is followed by inverse kinematics from point to point, each solution starting from the one before. It ends
+where a pose is out of reach, where an arm would have to jump to another posture, or where something touches; the
+fraction that was achieved and the reason are part of the answer. What the tcps do on the timed path is measured
+between the points too, and the whole is proven like every other plan.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from scipy.interpolate import CubicSpline
+
+from minidual.collision.errors import LinearMoveError
+from minidual.errors import UsageError
+from minidual.motion.goals import check_joints, group_arms, require_free
+from minidual.motion.ik import ArmIK, check_pose
+from minidual.motion.object_path import ROTATION_WEIGHT_M
+from minidual.motion.timing import DT_S, MotionLimits, drive, fastest_profile
+from minidual.proof.scene_engines import SceneEngines
+from minidual.proof.verify import Verification
+from minidual.robot.constants import A_MAX, ARMS, DOF, GROUPS, V_MAX, Array
+from minidual.robot.kinematics import Kinematics
+from minidual.robot.poses import pose
+from minidual.robot.trajectory import Trajectory
+
+DEVIATION_MAX_M = 2e-4
+DEVIATION_MAX_RAD = 1e-3
+_STEP_M = 0.005
+_JUMP_MAX_RAD = 0.15
+_REFINEMENTS = 3
+_BACK_OFFS = 6
+_STILL_M = 1e-9
+
+
+@dataclass(frozen=True)
+class TipLimits:
+    """How fast a tcp may go; a radian of turning counts as 0.2 m."""
+
+    speed_m_per_s: float = 0.25
+    acceleration_m_per_s2: float = 0.8
+
+
+@dataclass(frozen=True, eq=False)
+class LinearMove:
+    """A straight move, whole or in part.
+
+    Attributes:
+        trajectory: Timed and proven, from the start to where the move ends; None if it cannot even begin.
+        fraction: Part of the way that it covers, 0 to 1.
+        reason: Why it ends early; empty for a whole move.
+        deviation_m, deviation_rad: Largest distance of a tcp from its line, and of its orientation from the turn.
+        verification: The proof, if there is a trajectory.
+    """
+
+    trajectory: Trajectory | None
+    fraction: float
+    reason: str
+    deviation_m: float = 0.0
+    deviation_rad: float = 0.0
+    verification: Verification | None = None
+
+
+class Line:
+    """The straight way of one tcp: position along a line, orientation about one axis.
+
+    Args:
+        T_start: T_world_tcp (4, 4).
+        T_end: T_world_tcp (4, 4).
+    """
+
+    def __init__(self, T_start: Array, T_end: Array) -> None:
+        self._start = T_start
+        self._shift = T_end[:3, 3] - T_start[:3, 3]
+        self._turn = pin.log3(T_start[:3, :3].T @ T_end[:3, :3])
+
+    @property
+    def length_m(self) -> float:
+        """Length of the way, turning counted by its weight [m]."""
+        return float(np.hypot(np.linalg.norm(self._shift), ROTATION_WEIGHT_M * np.linalg.norm(self._turn)))
+
+    def at(self, x: float) -> Array:
+        """Return T_world_tcp (4, 4) at x in 0..1."""
+        return pose(self._start[:3, :3] @ pin.exp3(x * self._turn), self._start[:3, 3] + x * self._shift)
+
+    def off(self, T: Array, x: float) -> tuple[float, float]:
+        """Return how far a pose is off the line itself [m] and off the orientation at x [rad]."""
+        moved = T[:3, 3] - self._start[:3, 3]
+        length = float(np.linalg.norm(self._shift))
+        along = self._shift * float(moved @ self._shift) / length**2 if length > _STILL_M else np.zeros(3)
+        angle = float(np.linalg.norm(pin.log3(self.at(x)[:3, :3].T @ T[:3, :3])))
+        return float(np.linalg.norm(moved - along)), angle
+
+
+class _Curve:
+    """Columns: 14 joints and the way itself, as functions of the way s [m]."""
+
+    def __init__(self, marks: Array, Q: Array) -> None:
+        self._spline = CubicSpline(marks, Q, bc_type="natural")
+        self.length = float(marks[-1])
+        self.knots = marks[[0, -1]]
+
+    def at(self, s: Array, order: int = 0) -> Array:
+        s = np.asarray(s, dtype=float)
+        own = s if order == 0 else np.full_like(s, 1.0 if order == 1 else 0.0)
+        return np.column_stack([self._spline(s, order), own])
+
+
+class LinearPlanner:
+    """Plans straight moves of one or both tcps. One instance a process: it holds workspaces."""
+
+    def __init__(self, limits: MotionLimits | None = None) -> None:
+        self._ik = {arm: ArmIK(arm) for arm in ARMS}
+        self._kinematics = Kinematics()
+        self._limits = limits or MotionLimits()
+
+    def plan(
+        self,
+        group: str,
+        q_start: Array,
+        targets: Mapping[str, Array],
+        engines: SceneEngines,
+        *,
+        tip_limits: TipLimits | None = None,
+        fraction_min: float = 0.0,
+    ) -> LinearMove:
+        """Return the straight move towards tcp poses.
+
+        Args:
+            group: "left_arm", "right_arm" or "both_arms"; the tcps of a group start and end together.
+            q_start: All 14 joints [rad].
+            targets: {arm: T_world_tcp (4, 4)}, exactly the group's arms.
+            engines: Of the scene.
+            tip_limits: Speed and acceleration of the tcps.
+            fraction_min: Less than this is an error.
+
+        Raises:
+            LinearMoveError: The move ends before fraction_min, strays, or stays where it is without a proof; with
+                numbers and the reason.
+            UsageError, OutOfLimitsError, StartInCollisionError: A bad query.
+        """
+        arms = group_arms(group)
+        if set(targets) != set(arms):
+            raise UsageError(
+                f"the targets name {', '.join(sorted(targets)) or 'no arm'}; {group} needs {', '.join(arms)}"
+            )
+        q_start = check_joints(q_start, "start")
+        require_free(engines.mujoco, q_start, "start")
+        tips = dict(zip(ARMS, self._kinematics.tcp_poses(q_start), strict=True))
+        lines = {arm: Line(tips[arm], check_pose(targets[arm], f"the target of the {arm} hand")) for arm in arms}
+        move = self._move(group, q_start, lines, engines, tip_limits or TipLimits())
+        if move.fraction < fraction_min or (move.trajectory is None and fraction_min > 0.0):
+            raise LinearMoveError(
+                f"the straight move of {group} ends at {move.fraction:.1%} of the way ({fraction_min:.1%} were asked "
+                f"for): {move.reason}",
+                remedy="ask for a shorter move, start from another posture, or plan without `linear`",
+            )
+        return move
+
+    def _move(
+        self, group: str, q_start: Array, lines: Mapping[str, Line], engines: SceneEngines, tips: TipLimits
+    ) -> LinearMove:
+        length = max(line.length_m for line in lines.values())
+        if length < _STILL_M:
+            rest = np.zeros((2, DOF))
+            still = Trajectory(np.array([0.0, DT_S]), np.tile(q_start, (2, 1)), rest, rest.copy(), group)
+            proof = engines.verifier.verify(still)
+            if not proof.ok:
+                raise LinearMoveError(
+                    f"the hands are where the straight move of {group} ends, but staying there is not proven: "
+                    f"{proof.reason}",
+                    remedy="start from another posture",
+                )
+            return LinearMove(still, 1.0, "", verification=proof)
+        step = _STEP_M
+        for _ in range(_REFINEMENTS):
+            marks, Q, reason = self._follow(q_start, lines, engines, length, step)
+            move = self._timed(group, marks, Q, reason, lines, engines, length, tips)
+            if move.deviation_m < DEVIATION_MAX_M and move.deviation_rad < DEVIATION_MAX_RAD:
+                return move
+            step *= 0.5
+        raise LinearMoveError(
+            f"between its points the straight move strays {move.deviation_m * 1e3:.3f} mm and "
+            f"{move.deviation_rad:.5f} rad; allowed are {DEVIATION_MAX_M * 1e3} mm and {DEVIATION_MAX_RAD} rad",
+            remedy="start from a posture farther from a singularity",
+        )
+
+    def _follow(
+        self, q_start: Array, lines: Mapping[str, Line], engines: SceneEngines, length: float, step_m: float
+    ) -> tuple[Array, Array, str]:
+        """Return the way marks (k,) [m] and joints (k, 14) as far as it goes, and why it ends."""
+        count = max(8, int(np.ceil(length / step_m)))
+        marks = np.linspace(0.0, length, count + 1)
+        Q = [q_start]
+        for mark in marks[1:]:
+            q = Q[-1].copy()
+            for arm, line in lines.items():
+                joints = GROUPS[f"{arm}_arm"]
+                solution = self._ik[arm].solve(line.at(float(mark) / length), q[joints])
+                if not solution.reached:
+                    return (
+                        marks[: len(Q)],
+                        np.array(Q),
+                        (
+                            f"the {arm} hand cannot go on: it stays {solution.residual_m * 1e3:.1f} mm and "
+                            f"{solution.residual_rad:.3f} rad away"
+                        ),
+                    )
+                jump = float(np.abs(solution.q - q[joints]).max())
+                if jump > _JUMP_MAX_RAD:
+                    return (
+                        marks[: len(Q)],
+                        np.array(Q),
+                        (
+                            f"the {arm} arm would jump by {jump:.2f} rad within {marks[1] * 1e3:.1f} mm (a joint limit or "
+                            "a singular posture)"
+                        ),
+                    )
+                q[joints] = solution.q
+            near = engines.mujoco.closest(q, 0.001)
+            if near and near[0].distance_m <= 0.0:
+                return marks[: len(Q)], np.array(Q), f"collision: {near[0]}"
+            Q.append(q)
+        return marks, np.array(Q), ""
+
+    def _timed(
+        self,
+        group: str,
+        marks: Array,
+        Q: Array,
+        reason: str,
+        lines: Mapping[str, Line],
+        engines: SceneEngines,
+        length: float,
+        tips: TipLimits,
+    ) -> LinearMove:
+        """Return the move along the points, timed and proven; what the proof refuses ends a little earlier."""
+        joints = np.arange(DOF)[GROUPS[group]]
+        scale = self._limits
+        v_max = np.append(scale.velocity_scale * V_MAX[joints], tips.speed_m_per_s)
+        a_max = np.append(scale.acceleration_scale * A_MAX[joints], tips.acceleration_m_per_s2)
+        for back_off in range(_BACK_OFFS):
+            keep = len(marks) - 2**back_off + 1
+            if keep < 4:
+                break
+            curve = _Curve(marks[:keep], Q[:keep])
+            s, sd = fastest_profile(curve, np.append(joints, DOF), v_max, a_max)
+            trajectory, way = drive(curve, s, sd, group, scale, self._kinematics)
+            deviation = self._deviation(trajectory, way / length, lines)
+            proof = engines.verifier.verify(trajectory)
+            if proof.ok:
+                return LinearMove(trajectory, float(marks[keep - 1] / length), reason, *deviation, verification=proof)
+            reason = reason or f"the proof refuses the rest: {proof.reason}"
+        return LinearMove(None, 0.0, reason or "there is no room to begin")
+
+    def _deviation(self, trajectory: Trajectory, way: Array, lines: Mapping[str, Line]) -> tuple[float, float]:
+        """Return the largest distance from the lines [m] and from their orientations [rad] on the timed path."""
+        worst_m = worst_rad = 0.0
+        rows = np.unique(np.append(np.arange(0, len(way), 5), len(way) - 1))
+        for k in rows:
+            for arm, T in zip(ARMS, self._kinematics.tcp_poses(trajectory.q[k]), strict=True):
+                if arm in lines:
+                    distance, angle = lines[arm].off(T, float(way[k]))
+                    worst_m, worst_rad = max(worst_m, distance), max(worst_rad, angle)
+        return worst_m, worst_rad

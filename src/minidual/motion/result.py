@@ -1,0 +1,63 @@
+"""What a successful query returns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from time import perf_counter
+
+from minidual.proof.verify import Verification
+from minidual.robot.constants import Array
+from minidual.robot.trajectory import Trajectory
+
+PHASES: tuple[str, ...] = ("scene", "ik", "search", "shortcut", "blend", "timing", "verify")
+
+
+@dataclass
+class PhaseTimes:
+    """Wall time by phase [s]; repeated phases add up. `scene` (engines of a new scene) is part of the total."""
+
+    seconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(PHASES, 0.0))
+    started: float = field(default_factory=perf_counter)
+
+    @contextmanager
+    def phase(self, name: str) -> Iterator[None]:
+        """Add the time of the block to a phase."""
+        begin = perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] += perf_counter() - begin
+
+    @property
+    def elapsed_s(self) -> float:
+        """Time since the query began [s]."""
+        return perf_counter() - self.started
+
+
+@dataclass(frozen=True, eq=False)
+class PlanResult:
+    """A verified plan.
+
+    Attributes:
+        trajectory: Timed samples of all 14 joints.
+        path: Polyline (n, 14) after shortcutting.
+        q_goal: Configuration (14,) that was reached.
+        verification: The proof.
+        times_s: Wall time by phase.
+        total_s: Wall time from goal in to verified trajectory out.
+        attempts_n: How many paths were made until one passed the proof.
+        direct: Whether the straight line was free, so that no search was needed.
+        rejections: Why earlier attempts failed.
+    """
+
+    trajectory: Trajectory
+    path: Array
+    q_goal: Array
+    verification: Verification
+    times_s: dict[str, float]
+    total_s: float
+    attempts_n: int
+    direct: bool
+    rejections: tuple[str, ...] = ()

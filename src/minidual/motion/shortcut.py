@@ -1,0 +1,77 @@
+"""Make a polyline shorter: drop vertices, then replace random stretches by straight edges."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from minidual.motion.edges import EdgeChecker
+from minidual.robot.constants import GROUPS, Array
+
+
+def path_length(path: Array) -> float:
+    """Return the Euclidean length of a polyline (n, d) [rad]."""
+    return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+
+
+def shortcut(path: Array, checker: EdgeChecker, rng: np.random.Generator, rounds_n: int) -> Array:
+    """Return a shorter polyline (m, 14) with the same ends, free wherever the checker says so.
+
+    Every other round moves one arm alone: the arms often need a detour at different times, and a straight line
+    for both at once would be blocked by either.
+
+    Args:
+        path: Polyline (n, 14), free.
+        checker: Collision checks.
+        rng: Random numbers.
+        rounds_n: Random stretches to try.
+    """
+    path = _drop_vertices(path, checker)
+    both_move = all(np.ptp(path[:, GROUPS[f"{arm}_arm"]], axis=0).max() > 0.0 for arm in ("left", "right"))
+    parts = [slice(0, 14), GROUPS["left_arm"], slice(0, 14), GROUPS["right_arm"]] if both_move else [slice(0, 14)]
+    for k in range(rounds_n):
+        if len(path) < 3:
+            break
+        path = _cut_stretch(path, checker, rng, parts[k % len(parts)])
+    return _drop_vertices(path, checker)
+
+
+def _drop_vertices(path: Array, checker: EdgeChecker) -> Array:
+    """Connect each kept vertex to the farthest one that it sees in a straight line."""
+    kept = [0]
+    last = len(path) - 1
+    while kept[-1] < last:
+        here = kept[-1]
+        ahead = last
+        while ahead > here + 1 and not checker.edge_free(path[here], path[ahead]):
+            ahead -= 1
+        kept.append(ahead)
+    return path[kept]
+
+
+def _cut_stretch(path: Array, checker: EdgeChecker, rng: np.random.Generator, joints: slice) -> Array:
+    lengths = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    marks = np.concatenate([[0.0], np.cumsum(lengths)])
+    if marks[-1] == 0.0:
+        return path[[0, -1]]
+    s0, s1 = np.sort(rng.uniform(0.0, marks[-1], 2))
+    i0, i1 = (int(np.searchsorted(marks, s, side="right")) - 1 for s in (s0, s1))
+    i1 = min(i1, len(lengths) - 1)
+    if i0 == i1:
+        return path
+    a = path[i0] + (s0 - marks[i0]) / lengths[i0] * (path[i0 + 1] - path[i0])
+    b = path[i1] + (s1 - marks[i1]) / lengths[i1] * (path[i1 + 1] - path[i1])
+    inner = path[i0 + 1 : i1 + 1]
+    if joints == slice(0, 14):
+        stretch = np.array([a, b])
+    else:
+        # The chosen arm goes straight from a to b; the other one keeps its own motion at the same fractions.
+        stretch = np.vstack([a, inner, b])
+        fractions = (np.concatenate([[s0], marks[i0 + 1 : i1 + 1], [s1]]) - s0) / (s1 - s0)
+        stretch[:, joints] = a[joints] + fractions[:, None] * (b - a)[joints]
+    candidate = np.vstack([path[: i0 + 1], stretch, path[i1 + 1 :]])
+    candidate = candidate[np.concatenate([[True], np.abs(np.diff(candidate, axis=0)).max(axis=1) > 1e-9])]
+    if path_length(candidate) > marks[-1] - 1e-6:
+        return path
+    return candidate if all(checker.edge_free(p, r) for p, r in pairwise(stretch)) else path

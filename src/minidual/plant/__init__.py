@@ -1,0 +1,1 @@
+"""The MuJoCo world: model, contacts, cameras."""

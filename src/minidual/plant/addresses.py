@@ -1,0 +1,82 @@
+"""Where each joint lives in `qpos`, `qvel` and `ctrl`, read through the actuators' transmissions.
+
+A joint's number is no address, and an actuator's name need not be its joint's: the only safe map goes from
+actuator to joint through `actuator_trnid`. It is built once, checked, and refuses servo actuators where
+torques will be written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from minidual.errors import UsageError
+
+IntArray = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class JointAddresses:
+    """Addresses of a list of joints, in its order: qpos, qvel and ctrl indices, each (n,)."""
+
+    names: tuple[str, ...]
+    qpos: IntArray
+    qvel: IntArray
+    ctrl: IntArray
+
+
+def _require(table: dict[str, int], name: str, kind: str) -> int:
+    if name not in table:
+        known = ", ".join(sorted(table)[:8]) or "none at all"
+        raise UsageError(
+            f"the model has no {kind} for joint '{name}'; it has {len(table)}: {known}{' ...' if len(table) > 8 else ''}",
+            remedy="check the joint's prefix, and that an actuator's transmission drives it",
+        )
+    return table[name]
+
+
+def map_joints(model: mujoco.MjModel, names: Sequence[str], *, torque: bool) -> JointAddresses:
+    """Return the addresses of `names`.
+
+    Args:
+        model: Compiled model.
+        names: Joint names; their order is the order of the result.
+        torque: Require actuators under which `ctrl` is a torque (no bias term, unit gain). With False,
+            require position servos.
+
+    Raises:
+        UsageError: The model has no actuators, lacks one of the joints or its actuator, or the actuator takes
+            another kind of command.
+    """
+    if model.nu == 0:
+        raise UsageError(
+            "the model has no actuators (model.nu == 0): URDF joints do not become actuators by themselves",
+            remedy="add one motor a joint to the MuJoCo model",
+        )
+    qpos = {model.joint(i).name: int(model.jnt_qposadr[i]) for i in range(model.njnt)}
+    qvel = {model.joint(i).name: int(model.jnt_dofadr[i]) for i in range(model.njnt)}
+    ctrl: dict[str, int] = {}
+    for i in range(model.nu):
+        if int(model.actuator_trntype[i]) == int(mujoco.mjtTrn.mjTRN_JOINT):
+            ctrl[model.joint(int(model.actuator_trnid[i, 0])).name] = i
+    addresses = JointAddresses(
+        names=tuple(names),
+        qpos=np.array([_require(qpos, n, "position") for n in names]),
+        qvel=np.array([_require(qvel, n, "velocity") for n in names]),
+        ctrl=np.array([_require(ctrl, n, "actuator") for n in names]),
+    )
+    for name, index in zip(names, addresses.ctrl, strict=True):
+        is_servo = int(model.actuator_biastype[index]) != int(mujoco.mjtBias.mjBIAS_NONE)
+        if is_servo == torque:
+            have, need = ("a position servo", "a torque motor") if torque else ("a torque motor", "a position servo")
+            raise UsageError(
+                f"actuator '{model.actuator(int(index)).name}' of joint '{name}' is {have}; this needs {need}",
+                remedy="a servo reads ctrl as a position, a motor as a torque: change the actuator, not the command",
+            )
+        if torque and float(model.actuator_gear[index, 0]) * float(model.actuator_gainprm[index, 0]) != 1.0:
+            raise UsageError(f"actuator '{model.actuator(int(index)).name}' scales its torque; gear x gain must be 1")
+    return addresses

@@ -1,0 +1,146 @@
+"""Render the world without a screen, and write films."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterable, Iterator
+from fractions import Fraction
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+
+from minidual.config.scene import CameraConfig
+from minidual.errors import EnvironmentMissingError, unknown_name
+
+os.environ.setdefault("MUJOCO_GL", "egl")  # must be set before mujoco loads its GL backend
+
+import mujoco
+
+from minidual.plant.model import GROUP_COLLISION
+
+Image = npt.NDArray[np.uint8]
+
+
+_SHADOW_CLIP, _SHADOW_SIZE = 2.0, 2048
+"""Reach of the shadow map over the model's extent, and its size. With MuJoCo's own reach of 1 the floor beyond the
+table lies at its edge and is speckled with shadows that nothing casts."""
+
+
+@contextlib.contextmanager
+def _shadow_settings(model: mujoco.MjModel) -> Iterator[None]:
+    """Let an OpenGL context made inside the block have shadows that reach over the floor; the model stays as it was."""
+    before = float(model.vis.map.shadowclip), int(model.vis.quality.shadowsize)
+    model.vis.map.shadowclip, model.vis.quality.shadowsize = _SHADOW_CLIP, _SHADOW_SIZE
+    try:
+        yield
+    finally:
+        model.vis.map.shadowclip, model.vis.quality.shadowsize = before
+
+
+class Camera:
+    """Renders one size of picture of a model; use as a context manager or call `close`.
+
+    Args:
+        model: Compiled with `visuals=True`.
+        width_px: Width.
+        height_px: Height.
+        shadows: Shadows cost several times the picture in software; off for recorded images.
+        supersample: Render this many times larger and average, which smooths edges.
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, width_px: int, height_px: int, *, shadows: bool = False, supersample: int = 1
+    ) -> None:
+        self._supersample = supersample
+        try:
+            with _shadow_settings(model) if shadows else contextlib.nullcontext():
+                self._renderer = mujoco.Renderer(model, height_px * supersample, width_px * supersample)
+        except Exception as error:  # the GL backends raise whatever they like
+            raise EnvironmentMissingError(
+                f"cannot create an off-screen OpenGL context (MUJOCO_GL={os.environ['MUJOCO_GL']}): {error}",
+                remedy="apt-get install libegl1 libgl1-mesa-dri, then MUJOCO_GL=egl",
+            ) from error
+        self._option = mujoco.MjvOption()
+        self._option.geomgroup[GROUP_COLLISION] = 0
+        for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
+            self._renderer.scene.flags[flag] = int(shadows)
+        self._model = model
+        self._names = [model.camera(i).name for i in range(model.ncam)]
+
+    @classmethod
+    def recorded(cls, model: mujoco.MjModel, config: CameraConfig) -> Self:
+        """Return the camera whose pictures are recorded and whose pictures the policy sees: one and the same."""
+        return cls(model, config.width_px, config.height_px, supersample=config.supersample)
+
+    def picture(self, data: mujoco.MjData, camera: str) -> Image:
+        """Return the (H, W, 3) uint8 image that `camera` sees."""
+        self._update(data, camera)
+        image = self._renderer.render()
+        s = self._supersample
+        if s > 1:
+            height, width = image.shape[0] // s, image.shape[1] // s
+            image = image.reshape(height, s, width, s, 3).mean(axis=(1, 3)).astype(np.uint8)
+        return image
+
+    def bodies_seen(self, data: mujoco.MjData, camera: str) -> dict[str, float]:
+        """Return the share of `camera`'s picture (0..1) that each body in it fills."""
+        self._renderer.enable_segmentation_rendering()
+        try:
+            self._update(data, camera)
+            segments = self._renderer.render()
+        finally:
+            self._renderer.disable_segmentation_rendering()
+        geom = int(mujoco.mjtObj.mjOBJ_GEOM)
+        ids, counts = np.unique(segments[..., 0][segments[..., 1] == geom], return_counts=True)
+        seen: dict[str, float] = {}
+        for index, count in zip(ids, counts, strict=True):
+            body = self._model.body(int(self._model.geom_bodyid[index])).name
+            seen[body] = seen.get(body, 0.0) + int(count) / segments[..., 0].size
+        return seen
+
+    def _update(self, data: mujoco.MjData, camera: str) -> None:
+        if camera not in self._names:
+            raise unknown_name("camera", camera, self._names)
+        self._renderer.update_scene(data, camera, scene_option=self._option)
+
+    def close(self) -> None:
+        """Free the OpenGL context."""
+        self._renderer.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
+        self.close()
+
+
+def write_video(path: Path, frames: Iterable[Image], *, fps: int) -> int:
+    """Write (H, W, 3) uint8 frames as H.264 mp4 and return their number.
+
+    The file is written beside its place and renamed, so a film that exists is whole.
+    """
+    import av
+
+    temporary = path.with_name(f".{path.name}.part")
+    count = 0
+    with av.open(str(temporary), mode="w", format="mp4") as container:
+        stream = None
+        for frame in frames:
+            if stream is None:
+                stream = container.add_stream(
+                    "libx264", rate=Fraction(fps), options={"crf": "24", "preset": "veryfast"}
+                )
+                stream.height, stream.width = frame.shape[:2]
+                stream.pix_fmt = "yuv420p"
+            for packet in stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="rgb24")):
+                container.mux(packet)
+            count += 1
+        if stream is not None:
+            for packet in stream.encode():
+                container.mux(packet)
+    temporary.replace(path)
+    return count

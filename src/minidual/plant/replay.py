@@ -1,0 +1,249 @@
+"""Run a recording again and say what happened: does it repeat to the bit, and what went out of bounds first?"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from minidual.errors import UsageError
+from minidual.plant.model import build_model
+from minidual.plant.recording import STATE, Recording, apply_physical_fields, versions
+from minidual.plant.world import World
+from minidual.robot.constants import JOINT_NAMES, Q_LOWER, Q_UPPER, TAU_MAX, V_MAX, Array
+
+_POSITION_TOLERANCE_RAD = 1e-3
+
+
+@dataclass(frozen=True)
+class Sign:
+    """Something out of bounds, the first time that it was.
+
+    Attributes:
+        time_s: When [s].
+        what: Which joint and quantity.
+        value: What it was.
+        bound: What it may be; None where any finite number would do.
+        unit: Of both.
+    """
+
+    time_s: float
+    what: str
+    value: float
+    bound: float | None
+    unit: str
+
+    @property
+    def text(self) -> str:
+        """Return the sign as one line for people."""
+        bound = "" if self.bound is None else f", bound {self.bound:.6g} {self.unit}"
+        return f"{self.time_s:.3f} s  {self.what}: {self.value:.6g} {self.unit}{bound}"
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """What a replay found.
+
+    Attributes:
+        from_s, to_s: Simulated time that was run [s].
+        steps: Number of steps.
+        compared: Number of keyframes compared; the one that the replay starts from is none of them.
+        largest: Largest deviation from a keyframe, in the unit of `largest_at`; 0.0 is equality to the bit.
+        deviates: First keyframe that differs: (time [s], quantity, deviation), or None.
+        changed: Fields of the model that differ from the scene's, by a condition or another version of the robot.
+        libraries: (name, version then, version now) of everything that differs.
+        signs: What was out of bounds first, in order.
+        ended: Why the replay stopped before its end, or None.
+    """
+
+    from_s: float
+    to_s: float
+    steps: int
+    compared: int
+    largest: float
+    deviates: tuple[float, str, float] | None
+    changed: tuple[str, ...]
+    libraries: tuple[tuple[str, str, str], ...]
+    signs: tuple[Sign, ...]
+    ended: str | None
+
+    @property
+    def exact(self) -> bool:
+        """Whether keyframes were compared and every one was met to the bit."""
+        return self.compared > 0 and self.deviates is None
+
+
+def replay(
+    recording: Recording,
+    *,
+    from_s: float | None = None,
+    to_s: float | None = None,
+    on_step: Callable[[World], None] | None = None,
+) -> Replayed:
+    """Run the recorded controls from the recorded start and compare the physics with the recording.
+
+    Args:
+        recording: What to run.
+        from_s: Begin at the last keyframe before this time; the start by default.
+        to_s: End here; the end by default.
+        on_step: Called before the first and after every step with the world.
+
+    Raises:
+        UsageError: The times lie outside the recording.
+        DataError: The recording does not fit the robot of this version.
+    """
+    model = build_model(recording.scene, visuals=False)
+    changed = apply_physical_fields(model, recording.model)
+    world = World(recording.scene, model=model)
+    first, last = _steps(recording, world, from_s, to_s)
+    keyframe = int(np.searchsorted(recording.keyframe_steps, first, side="right")) - 1
+    first = int(recording.keyframe_steps[keyframe])
+    frames = dict(zip(recording.keyframe_steps.tolist(), recording.keyframes, strict=True))
+    mujoco.mj_setState(model, world.data, recording.keyframes[keyframe], STATE)
+    mujoco.mj_forward(model, world.data)
+    mujoco.mj_setState(model, world.data, recording.keyframes[keyframe], STATE)  # forward touches the warm start
+    names = _state_names(world)
+    scratch = mujoco.MjData(model)
+    signs: dict[str, Sign] = {}
+    deviates: tuple[float, str, float] | None = None
+    largest, compared, ended, done = 0.0, 0, None, first
+    with _quiet():
+        if on_step is not None:
+            on_step(world)
+        for step in range(first, last + 1):
+            if step > first and step in frames:
+                compared += 1
+                mujoco.mj_setState(model, scratch, frames[step], STATE)
+                size, name = _deviation(world.data, scratch, names)
+                largest = max(largest, size) if size == size else size
+                if size != 0.0 and deviates is None:
+                    deviates = (float(world.data.time), name, size)
+            if step == last:
+                break
+            controls = recording.controls[step]
+            world.data.ctrl[:] = controls
+            push = int(np.searchsorted(recording.push_steps, step, side="right")) - 1
+            world.data.xfrc_applied[:] = recording.pushes[push] if push >= 0 else 0.0
+            _watch_commands(world, controls, signs)
+            if not np.isfinite(controls).all():
+                ended = f"a command is not finite at {world.time:.3f} s"
+                break
+            before = world.data.time
+            mujoco.mj_step(model, world.data)
+            done = step + 1
+            if world.data.time <= before:  # MuJoCo resets a state that is not finite
+                ended = f"the state is not finite after {before:.3f} s"
+                break
+            _watch_state(world, signs)
+            if on_step is not None:
+                on_step(world)
+    then, now = recording.libraries, versions()
+    differing = tuple((name, str(then.get(name, "none")), now[name]) for name in now if then.get(name) != now[name])
+    start = recording.start_s
+    return Replayed(
+        start + first * recording.dt_s,
+        start + done * recording.dt_s,
+        done - first,
+        compared,
+        largest,
+        deviates,
+        tuple(changed),
+        differing,
+        tuple(sorted(signs.values(), key=lambda sign: sign.time_s)),
+        ended,
+    )
+
+
+def _steps(recording: Recording, world: World, from_s: float | None, to_s: float | None) -> tuple[int, int]:
+    """Return the first step and the one after the last."""
+    if recording.controls.shape[1] != world.model.nu or recording.keyframes.shape[1] != mujoco.mj_stateSize(
+        world.model, STATE
+    ):
+        raise UsageError(
+            f"the recording has {recording.controls.shape[1]} controls and states of "
+            f"{recording.keyframes.shape[1]} numbers; this robot has {world.model.nu} and "
+            f"{mujoco.mj_stateSize(world.model, STATE)}",
+            remedy="replay it with the version that made it",
+        )
+    start, end = recording.start_s, recording.end_s
+    begin = start if from_s is None else from_s
+    stop = end if to_s is None else to_s
+    if not (start - 1e-9 <= begin < stop <= end + 1e-9):
+        raise UsageError(
+            f"cannot replay from {begin:g} s to {stop:g} s: the recording runs from {start:.3f} s to {end:.3f} s",
+            remedy="choose --from-s and --to-s inside it",
+        )
+    return round((begin - start) / recording.dt_s), round((stop - start) / recording.dt_s)
+
+
+def _state_names(world: World) -> list[str]:
+    """Return the name of every number in (time, qpos, qvel)."""
+    model = world.model
+    positions, velocities = [""] * model.nq, [""] * model.nv
+    for i in range(model.njnt):
+        joint = model.joint(i)
+        free = int(model.jnt_type[i]) == int(mujoco.mjtJoint.mjJNT_FREE)
+        place = ["x", "y", "z", "qw", "qx", "qy", "qz"] if free else [""]
+        for k, axis in enumerate(place):
+            positions[int(joint.qposadr[0]) + k] = f"position {axis} of {joint.name}".replace("  ", " ")
+        for k, axis in enumerate(["x", "y", "z", "rx", "ry", "rz"] if free else [""]):
+            velocities[int(joint.dofadr[0]) + k] = f"velocity {axis} of {joint.name}".replace("  ", " ")
+    return ["time", *positions, *velocities]
+
+
+def _deviation(data: mujoco.MjData, recorded: mujoco.MjData, names: list[str]) -> tuple[float, str]:
+    """Return the largest difference of the two states and the name of where it is; 0.0 if they are equal."""
+    here = np.concatenate([[data.time], data.qpos, data.qvel])
+    there = np.concatenate([[recorded.time], recorded.qpos, recorded.qvel])
+    if np.array_equal(here, there):
+        return 0.0, ""
+    difference = np.abs(here - there)
+    index = int(np.argmax(difference))
+    return float(difference[index]), names[index]
+
+
+def _watch_commands(world: World, controls: Array, signs: dict[str, Sign]) -> None:
+    tau = controls[world.joints.ctrl]
+    finite = np.isfinite(controls)
+    if not finite.all():
+        index = int(np.argmin(finite))
+        actuator = world.model.actuator(index).name
+        _note(signs, Sign(world.time, f"command of {actuator} is not finite", float(controls[index]), None, "Nm"))
+        return
+    _note_largest(world.time, "torque asked of", np.abs(tau) / TAU_MAX, tau, TAU_MAX, "Nm", signs, 1.0 + 1e-9)
+
+
+def _watch_state(world: World, signs: dict[str, Sign]) -> None:
+    t, q, v = world.time, world.q, world.v
+    _note_largest(t, "velocity of", np.abs(v) / V_MAX, v, V_MAX, "rad/s", signs, 1.0)
+    beyond = np.maximum(Q_LOWER - q, q - Q_UPPER)
+    joint = int(np.argmax(beyond))
+    if not beyond[joint] <= _POSITION_TOLERANCE_RAD:
+        bound = Q_LOWER[joint] if q[joint] < Q_LOWER[joint] else Q_UPPER[joint]
+        _note(signs, Sign(t, f"position of {JOINT_NAMES[joint]}", float(q[joint]), float(bound), "rad"))
+
+
+def _note_largest(
+    t: float, what: str, ratio: Array, values: Array, bounds: Array, unit: str, signs: dict[str, Sign], limit: float
+) -> None:
+    joint = int(np.argmax(ratio))
+    if not ratio[joint] <= limit:
+        _note(signs, Sign(t, f"{what} {JOINT_NAMES[joint]}", float(values[joint]), float(bounds[joint]), unit))
+
+
+def _note(signs: dict[str, Sign], sign: Sign) -> None:
+    signs.setdefault(sign.what, sign)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep MuJoCo from printing what the replay reports itself."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda _message: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)

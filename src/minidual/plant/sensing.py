@@ -1,0 +1,116 @@
+"""What the controller of a carry may know of the object: its pose and the contact forces, noisy and late.
+
+    pose      sampled by a camera at its own rate:  p + b_p + n_p,  exp(b_R + n_R) R
+    force     of each hand on the object, at every control step:  f + n_f;  pinch of each hand:  max(0, F + n_F)
+
+n is white and Gaussian, b a bias that is drawn once a trial. A sample reaches the controller `delay_s` after it was taken.
+This is the only place that reads the true state of the object for a controller.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from minidual.config.control import SensingConfig
+from minidual.plant.world import World
+from minidual.robot.constants import Array
+
+_BLOCK = 512
+_FORCES = 8  # three components of two hands, then two pinches
+
+
+@dataclass(frozen=True)
+class PoseSample:
+    """One reading of the object's pose.
+
+    Attributes:
+        T_world_object: (4, 4) as measured.
+        age_ticks: Control steps since it was taken; the delay, at the moment at which it arrives.
+    """
+
+    T_world_object: Array
+    age_ticks: int
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What has arrived at one control step.
+
+    Attributes:
+        pose: The pose sample that arrived in this very step, or None between samples.
+        hand_forces: (2, 3) [N], of each hand on the object, world axes.
+        pinch: (2,) [N], of each hand.
+    """
+
+    pose: PoseSample | None
+    hand_forces: Array
+    pinch: Array
+
+
+class Sensors:
+    """Samples the world and hands the samples on when their delay is over.
+
+    The object is taken to have lain still before the first step: until the delay is over, what arrives is the first
+    sample of the pose, and of the forces.
+
+    Args:
+        world: Where the truth is.
+        config: Noise, delay, rate.
+        rng: Stream of this trial's noise. The draws do not depend on the amounts, so one trial under less noise
+            sees the same noise, smaller.
+    """
+
+    def __init__(self, world: World, config: SensingConfig, rng: np.random.Generator) -> None:
+        self._world, self._config, self._rng = world, config, rng
+        self.delay_ticks = round(config.delay_s / world.dt)
+        period = 1.0 / (config.pose_rate_hz * world.dt) if config.pose_rate_hz > 0.0 else 1.0
+        self._period_ticks = max(1, round(period))
+        bias = rng.standard_normal(6)
+        self._bias = np.r_[config.pose_bias_m * bias[:3], config.pose_bias_rad * bias[3:]]
+        self._scale = np.r_[[config.pose_noise_m] * 3, [config.pose_noise_rad] * 3]
+        self._tick = 0
+        self._force_noise, self._force_row = np.zeros((0, _FORCES)), _BLOCK
+        length = self.delay_ticks + 1
+        self._forces = np.zeros((length, _FORCES))
+        self._poses: dict[int, Array] = {}
+        self._first = True
+
+    def sense(self) -> Reading:
+        """Sample the world and return what arrives; call once a control step."""
+        tick, length = self._tick, self.delay_ticks + 1
+        now = self._forces[tick % length]
+        self._sample_forces(now)
+        if self._first:
+            self._forces[:] = now
+        if tick % self._period_ticks == 0:
+            self._poses[tick] = self._sample_pose()
+        arrived: Array | None = self._poses.pop(tick - self.delay_ticks, None)
+        if self._first and arrived is None:
+            arrived = self._poses[tick]  # it lay there before the trial began
+        self._first = False
+        self._tick += 1
+        pose = None if arrived is None else PoseSample(arrived, self.delay_ticks)
+        forces = self._forces[(tick + 1) % length].copy()
+        return Reading(pose, forces[:6].reshape(2, 3), forces[6:])
+
+    def _sample_forces(self, out: Array) -> None:
+        """Write what the hands feel now, noise included, into (8,)."""
+        row = self._force_row
+        if row == _BLOCK:
+            self._force_noise = self._config.force_noise_n * self._rng.standard_normal((_BLOCK, _FORCES))
+            row = 0
+        self._force_row = row + 1
+        out[:6] = self._world.hand_forces().ravel()
+        out[6:] = self._world.pinch_forces()
+        out += self._force_noise[row]
+        np.maximum(out[6:], 0.0, out[6:])
+
+    def _sample_pose(self) -> Array:
+        T = self._world.T_world_rod.copy()
+        error = self._bias + self._scale * self._rng.standard_normal(6)
+        T[:3, 3] += error[:3]
+        T[:3, :3] = pin.exp3(error[3:]) @ T[:3, :3]
+        return T

@@ -1,0 +1,153 @@
+"""Demonstrations in memory: the arrays of a dataset, the phase of each tick, and weighted batches.
+
+All images stay uint8 in the arrays they were read into; only the batch at hand becomes float.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minidual.errors import DataError
+
+JOINTS_N = 14
+GRIPPERS_N = 2
+STATE_DIM = JOINTS_N + GRIPPERS_N
+
+
+@dataclass(frozen=True)
+class Demonstrations:
+    """N ticks of recorded episodes.
+
+    `images` maps camera name to (N, H, W, 3) uint8; `state` and `action` are (N, 16) float32: 14 joint positions
+    in rad, left then right, then 2 gripper values. `episode_index` is (N,), ascending; ticks of an episode are
+    contiguous and in order. `keyframe_ticks` is (N, K): the row index of the K-th gripper switch of the episode,
+    or -1 where the episode has none. `phase` is (N,): how many switches lie behind the tick (0 is the approach).
+    """
+
+    images: dict[str, NDArray[np.uint8]]
+    state: NDArray[np.float32]
+    action: NDArray[np.float32]
+    episode_index: NDArray[np.int64]
+    keyframes_n: int = 2
+    phase: NDArray[np.int64] = field(init=False)
+    keyframe_ticks: NDArray[np.int64] = field(init=False)
+    last_tick: NDArray[np.int64] = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Check shapes and values, then derive the phases.
+
+        Raises:
+            DataError: no ticks, shapes that disagree, a value that is not finite, episodes out of order.
+        """
+        _check(self)
+        phase = np.zeros(len(self), dtype=np.int64)
+        ticks = np.full((len(self), self.keyframes_n), -1, dtype=np.int64)
+        last = np.zeros(len(self), dtype=np.int64)
+        gripper = self.action[:, JOINTS_N:]
+        span = gripper.max(axis=0) - gripper.min(axis=0)
+        for start, stop in self.episode_bounds().values():
+            switches = gripper_switches(gripper[start:stop], span)
+            for tick in switches:
+                # The switching tick itself still belongs to the phase before it.
+                phase[start + tick + 1 : stop] += 1
+            for k, tick in enumerate(switches[: self.keyframes_n]):
+                ticks[start:stop, k] = start + tick
+            last[start:stop] = stop - 1
+        object.__setattr__(self, "phase", phase)
+        object.__setattr__(self, "keyframe_ticks", ticks)
+        object.__setattr__(self, "last_tick", last)
+
+    def __len__(self) -> int:
+        """Return the number of ticks."""
+        return int(self.state.shape[0])
+
+    @property
+    def cameras(self) -> list[str]:
+        """Camera names in their one order: by name."""
+        return sorted(self.images)
+
+    def episode_bounds(self) -> dict[int, tuple[int, int]]:
+        """Return episode number to (first row, one past the last row)."""
+        episodes, first = np.unique(self.episode_index, return_index=True)
+        stops = [*first[1:].tolist(), len(self)]
+        return {int(e): (int(a), int(b)) for e, a, b in zip(episodes, first, stops, strict=True)}
+
+    def rows_of(self, episodes: list[int]) -> NDArray[np.int64]:
+        """Return the row indices of `episodes`, in order."""
+        bounds = self.episode_bounds()
+        return np.concatenate([np.arange(*bounds[e]) for e in episodes]).astype(np.int64)
+
+
+def gripper_switches(gripper: NDArray[np.float32], span: NDArray[np.float32]) -> list[int]:
+    """Return the ticks at which the gripper command changes over, earliest first.
+
+    Works for openings in metres and for 0/1 commands of either sign: a switch is a crossing of the middle between
+    the extremes, and the two grippers count as one event when they switch within 25 ticks of each other.
+
+    Args:
+        gripper: (T, 2) gripper actions of one episode.
+        span: (2,) range of each gripper over the whole dataset; a gripper that never moves is ignored.
+    """
+    crossings: list[int] = []
+    for column in range(gripper.shape[1]):
+        values = gripper[:, column]
+        if span[column] <= 1e-6 or values.max() - values.min() < 0.5 * span[column]:
+            continue
+        above = values > 0.5 * (values.max() + values.min())
+        crossings.extend((np.flatnonzero(above[1:] != above[:-1]) + 1).tolist())
+    events: list[int] = []
+    for tick in sorted(crossings):
+        if not events or tick - events[-1] > 25:
+            events.append(tick)
+    return events
+
+
+def split_episodes(episodes: list[int], fraction: float, rng: np.random.Generator) -> tuple[list[int], list[int]]:
+    """Split episode numbers into (training, validation); a single episode, or fraction 0, leaves none to validate."""
+    count = min(round(fraction * len(episodes)), len(episodes) - 1)
+    if fraction > 0 and len(episodes) > 1:
+        count = max(count, 1)
+    chosen = set(rng.permutation(len(episodes))[:count].tolist())
+    training = [e for i, e in enumerate(episodes) if i not in chosen]
+    return training, [e for i, e in enumerate(episodes) if i in chosen]
+
+
+class WeightedRows:
+    """Draws rows with replacement, each with a probability in proportion to its weight."""
+
+    def __init__(self, rows: NDArray[np.int64], weights: NDArray[np.float64]) -> None:
+        self._rows = rows
+        self._cumulative = np.cumsum(weights)
+
+    def draw(self, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
+        """Return (count,) row indices."""
+        positions = np.searchsorted(self._cumulative, rng.random(count) * self._cumulative[-1], side="right")
+        return self._rows[np.minimum(positions, len(self._rows) - 1)]
+
+
+def _check(demos: Demonstrations) -> None:
+    count = len(demos)
+    if count == 0:
+        raise DataError("the dataset holds no ticks", remedy="minidual teleop-record")
+    for name, array in (("state", demos.state), ("action", demos.action)):
+        if array.shape != (count, STATE_DIM):
+            raise DataError(f"dataset column '{name}' has shape {array.shape}; expected ({count}, {STATE_DIM})")
+        bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
+        if bad.size:
+            raise DataError(
+                f"dataset column '{name}' is not finite in {bad.size} ticks, first in episode "
+                f"{int(demos.episode_index[bad[0]])}",
+                remedy="minidual teleop-record --force",
+            )
+    if not demos.images:
+        raise DataError("the dataset has no camera images", remedy="minidual teleop-record --force")
+    for name, images in demos.images.items():
+        if images.ndim != 4 or images.shape[0] != count or images.shape[3] != 3 or images.dtype != np.uint8:
+            raise DataError(
+                f"camera '{name}' has {images.dtype} images of shape {images.shape}; expected uint8 ({count}, H, W, 3)"
+            )
+    if demos.episode_index.shape != (count,) or np.any(np.diff(demos.episode_index) < 0):
+        raise DataError("dataset column 'episode_index' is not ascending: episodes must be contiguous")

@@ -1,0 +1,75 @@
+"""Normalisation statistics from the training ticks, in the layout LeRobot's processors store."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from minidual.policies.demonstrations import Demonstrations
+
+# LeRobot divides by std + eps; training here must do the same to the last bit that matters.
+LEROBOT_EPS = 1e-8
+IMAGE_SAMPLE = 512
+
+Stats = dict[str, dict[str, Tensor]]
+
+
+def image_key(camera: str) -> str:
+    """Return LeRobot's key of a camera: high becomes observation.images.cam_high."""
+    return f"observation.images.cam_{camera}"
+
+
+def dataset_statistics(demos: Demonstrations, rows: NDArray[np.int64], std_floor: float) -> Stats:
+    """Return mean and std of state, action and images over `rows`.
+
+    State and action: (16,); images: (3, 1, 1) of values in [0, 1], over at most 512 evenly spaced frames. Each std
+    is at least `std_floor`: a joint that hardly moves must not turn encoder noise into large inputs.
+    """
+    stats: Stats = {}
+    for key, array in (("observation.state", demos.state), ("action", demos.action)):
+        values = array[rows].astype(np.float64)
+        stats[key] = _mean_std(values.mean(axis=0), values.std(axis=0), std_floor)
+    chosen = rows[np.linspace(0, len(rows) - 1, min(IMAGE_SAMPLE, len(rows))).astype(np.int64)]
+    for camera in demos.cameras:
+        pixels = demos.images[camera][chosen].reshape(-1, 3)
+        mean = np.array([pixels[:, c].mean(dtype=np.float64) for c in range(3)]) / 255.0
+        std = np.array([pixels[:, c].std(dtype=np.float64) for c in range(3)]) / 255.0
+        stats[image_key(camera)] = _mean_std(mean[:, None, None], std[:, None, None], std_floor)
+    return stats
+
+
+def _mean_std(mean: NDArray[np.float64], std: NDArray[np.float64], floor: float) -> dict[str, Tensor]:
+    return {
+        "mean": torch.from_numpy(mean.astype(np.float32)),
+        "std": torch.from_numpy(np.maximum(std, floor).astype(np.float32)),
+    }
+
+
+def normalise(values: Tensor, stats: dict[str, Tensor]) -> Tensor:
+    """Return (values - mean) / (std + eps), as LeRobot's NormalizerProcessorStep does."""
+    return (values - stats["mean"]) / (stats["std"] + LEROBOT_EPS)
+
+
+def normalise_images(
+    images: Tensor, stats: dict[str, Tensor], contrast: Tensor | None = None, brightness: Tensor | None = None
+) -> Tensor:
+    """Return normalised float images (B, 3, H, W), channels last in memory, from uint8 (B, H, W, 3), in one pass.
+
+    Args:
+        images: uint8 pixels.
+        stats: mean and std, (3, 1, 1), of values in [0, 1].
+        contrast: (B,) factors about mid-grey, or None.
+        brightness: (B,) offsets in units of full scale, or None.
+    """
+    inverse = 1.0 / (stats["std"].view(1, 1, 1, 3) + LEROBOT_EPS)
+    mean = stats["mean"].view(1, 1, 1, 3)
+    pixels = images.float()
+    if contrast is None or brightness is None:
+        normalised = torch.addcmul(-mean * inverse, pixels, inverse / 255.0)
+    else:
+        gain = contrast.view(-1, 1, 1, 1)
+        offset = 0.5 * (1.0 - gain) + brightness.view(-1, 1, 1, 1)
+        normalised = torch.addcmul((offset - mean) * inverse, pixels, gain * inverse / 255.0)
+    return normalised.permute(0, 3, 1, 2)

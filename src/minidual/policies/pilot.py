@@ -1,0 +1,114 @@
+"""A trained policy at the controls: cameras and joints in, joint targets out, through the command arbiter at 50 Hz."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from minidual.config.arbiter import ArbiterConfig
+from minidual.config.learning import DeployConfig
+from minidual.control.commands import ArbiterState, JointCommand
+from minidual.control.reflexes import ReflexError
+from minidual.control.stack import ControlStack, Guard
+from minidual.errors import DataError
+from minidual.plant.world import World
+from minidual.policies.policy import Image, PolicyRuntime
+from minidual.robot.constants import Q_LOWER, Q_UPPER
+from minidual.robot.kinematics import Kinematics
+
+SOURCE = "policy"
+
+
+def load_runtime(checkpoint: Path, config: DeployConfig) -> PolicyRuntime:
+    """Load a checkpoint for closed-loop use, its actions clamped to the joint limits.
+
+    Raises:
+        DataError: The checkpoint is missing or corrupt.
+    """
+    return PolicyRuntime.load(
+        checkpoint,
+        config.device,
+        n_action_steps=config.n_action_steps,
+        blend_ticks=config.blend_ticks,
+        limits=(Q_LOWER, Q_UPPER),
+        threads=config.threads,
+    )
+
+
+class PolicyPilot:
+    """One trial of a policy; it sees pictures and joints, never the rod's pose.
+
+    Args:
+        world: The plant, already reset.
+        kinematics: Dynamics for the joint controller.
+        runtime: The policy.
+        picture: Returns the (H, W, 3) image of a named camera as the world stands.
+        arbiter: Configuration of the arbiter.
+        rate_hz: Rate of policy and arbiter, the one at which the demonstrations were recorded.
+        supervisor: Guards the motors; its reflex ends the trial.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        kinematics: Kinematics,
+        runtime: PolicyRuntime,
+        picture: Callable[[str], Image],
+        arbiter: ArbiterConfig,
+        rate_hz: float,
+        *,
+        supervisor: Guard | None = None,
+    ) -> None:
+        self.world = world
+        self.aborted: str | None = None
+        self._runtime, self._picture = runtime, picture
+        self.stack = ControlStack(world, kinematics, arbiter, rate_hz=rate_hz, supervisor=supervisor)
+        # A switch must drop the chunk that is under way, or it would run on after the switch.
+        self.stack.on_flush(lambda mode: runtime.flush())
+        runtime.reset()
+        self.stack.request(SOURCE)
+        self._steps_per_tick = round(1.0 / (rate_hz * world.dt))
+        self._step = 0
+        self._sequence = 0
+        self.stack.arbitrate()
+        self.refusals = 0
+
+    @property
+    def phase(self) -> str:
+        """State of the arbiter."""
+        return str(self.stack.state)
+
+    @property
+    def done(self) -> bool:
+        """A policy has no end of its own; the judge or the clock ends the trial, or a fault stops it."""
+        return self.aborted is not None
+
+    def step(self) -> None:
+        """Run one control and physics step; every 20 ms a tick of policy and arbiter before it."""
+        if self._step % self._steps_per_tick == 0:
+            self._tick()
+        self._step += 1
+        try:
+            self.stack.advance()
+        except ReflexError as error:
+            self.aborted = error.message
+
+    def _tick(self) -> None:
+        world = self.world
+        if self.stack.state is not ArbiterState.SETTLING and self.aborted is None:
+            state = np.concatenate([world.q, world.gripper])
+            images = {name: partial(self._picture, name) for name in self._runtime.cameras}
+            try:
+                action = self._runtime.act(images, state)
+            except DataError as error:
+                self.aborted = error.message
+                self.stack.request("hold")
+            else:
+                self._sequence += 1
+                command = JointCommand(action[:14], np.clip(action[14:], 0.0, 1.0), world.time, self._sequence)
+                if self.stack.propose(SOURCE, command) is not None:
+                    self.refusals += 1
+        self.stack.arbitrate()

@@ -1,0 +1,1 @@
+"""Separating planes, the certificate of a trajectory, and its audit."""

@@ -1,0 +1,179 @@
+"""Two arms of one model on one table: every name, limit and posture that depends on the arm.
+
+Storage order is fixed: `q` is (n,), the left arm's joints, then the right arm's, in radians; the two grippers are kept
+apart as (2,). Nothing outside `minidual.robot` may assume how many joints an arm has.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+SIDES: tuple[str, str] = ("left", "right")
+"""Prefixes of the arms, in storage order."""
+
+
+@dataclass(frozen=True)
+class HandModel:
+    """A parallel gripper.
+
+    Attributes:
+        name: Row of the table of hands.
+        finger_joints: Names of the two finger joints, without the arm's prefix.
+        finger_links: Names of the two finger links.
+        palm_link: Name of the link that carries them.
+        tcp_link: Name of the tool centre point's link.
+        travel_m: Travel of one finger from the middle plane; the hand opens to twice that.
+        force_max_n: Continuous force of one finger.
+        finger_armature_kg: Reflected rotor inertia of each finger.
+    """
+
+    name: str
+    finger_joints: tuple[str, str]
+    finger_links: tuple[str, str]
+    palm_link: str
+    tcp_link: str
+    travel_m: float
+    force_max_n: float
+    finger_armature_kg: float
+
+
+@dataclass(frozen=True)
+class ArmModel:
+    """One arm with its hand. Limits are tuples with one entry a joint; each row of the table says where they come from.
+
+    Attributes:
+        name: Row of the table of arms.
+        joints: Joint names, base first, without the side's prefix.
+        base_link: Name of the link that stands on the table.
+        home: Home posture [rad].
+        q_lower, q_upper: Position limits [rad].
+        v_max: Velocity limits [rad/s].
+        a_max: Acceleration limits [rad/s^2].
+        jerk_max: Jerk limits [rad/s^3].
+        tau_max: Torque limits [Nm].
+        tau_rate_max: Torque rate limit of every joint [Nm/s].
+        armature: Reflected rotor inertia of every joint [kg m^2].
+        damping: Viscous friction of every joint [Nm s/rad].
+        friction: Dry friction of every joint [Nm].
+        hand: The gripper.
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    base_link: str
+    home: tuple[float, ...]
+    q_lower: tuple[float, ...]
+    q_upper: tuple[float, ...]
+    v_max: tuple[float, ...]
+    a_max: tuple[float, ...]
+    jerk_max: tuple[float, ...]
+    tau_max: tuple[float, ...]
+    tau_rate_max: float
+    armature: float
+    damping: float
+    friction: float
+    hand: HandModel
+
+    def __post_init__(self) -> None:
+        """Raise ValueError where a row has not one entry a joint."""
+        for name in ("home", "q_lower", "q_upper", "v_max", "a_max", "jerk_max", "tau_max"):
+            if len(getattr(self, name)) != len(self.joints):
+                raise ValueError(
+                    f"arm '{self.name}': {name} has {len(getattr(self, name))} of {len(self.joints)} entries"
+                )
+
+
+@dataclass(frozen=True)
+class Robot:
+    """Two arms of one model.
+
+    Attributes:
+        arm: The model of both.
+        base_positions_m: Where each base stands in the world, left then right; both face +x.
+    """
+
+    arm: ArmModel
+    base_positions_m: tuple[tuple[float, float, float], tuple[float, float, float]]
+
+    def _both(self, values: tuple[float, ...]) -> Array:
+        array = np.array(values + values, dtype=float)
+        array.setflags(write=False)
+        return array
+
+    @property
+    def sides(self) -> tuple[str, str]:
+        """Return the prefixes of the arms, in storage order."""
+        return SIDES
+
+    @property
+    def dof_per_arm(self) -> int:
+        """Return the number of joints of one arm."""
+        return len(self.arm.joints)
+
+    @property
+    def dof(self) -> int:
+        """Return the number of joints of both arms."""
+        return 2 * self.dof_per_arm
+
+    @cached_property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of all joints, in storage order."""
+        return tuple(f"{side}_{joint}" for side in SIDES for joint in self.arm.joints)
+
+    @cached_property
+    def finger_joint_names(self) -> tuple[str, ...]:
+        """Names of the four finger joints, in storage order."""
+        return tuple(f"{side}_{joint}" for side in SIDES for joint in self.arm.hand.finger_joints)
+
+    @cached_property
+    def tcp_names(self) -> tuple[str, str]:
+        """Names of the tool centre points."""
+        left, right = (f"{side}_{self.arm.hand.tcp_link}" for side in SIDES)
+        return left, right
+
+    @cached_property
+    def groups(self) -> dict[str, slice]:
+        """Planning and control groups: the joints each one owns, as a slice of q."""
+        n = self.dof_per_arm
+        return {"left_arm": slice(0, n), "right_arm": slice(n, 2 * n), "both_arms": slice(0, 2 * n)}
+
+    @cached_property
+    def home(self) -> Array:
+        """Home posture (n,) [rad]."""
+        return self._both(self.arm.home)
+
+    @cached_property
+    def q_lower(self) -> Array:
+        """Lower position limits (n,) [rad]."""
+        return self._both(self.arm.q_lower)
+
+    @cached_property
+    def q_upper(self) -> Array:
+        """Upper position limits (n,) [rad]."""
+        return self._both(self.arm.q_upper)
+
+    @cached_property
+    def v_max(self) -> Array:
+        """Velocity limits (n,) [rad/s]."""
+        return self._both(self.arm.v_max)
+
+    @cached_property
+    def a_max(self) -> Array:
+        """Acceleration limits (n,) [rad/s^2]."""
+        return self._both(self.arm.a_max)
+
+    @cached_property
+    def jerk_max(self) -> Array:
+        """Jerk limits (n,) [rad/s^3]."""
+        return self._both(self.arm.jerk_max)
+
+    @cached_property
+    def tau_max(self) -> Array:
+        """Torque limits (n,) [Nm]."""
+        return self._both(self.arm.tau_max)

@@ -1,0 +1,159 @@
+"""A timed joint trajectory, ready for a 1 kHz controller."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from minidual.errors import DataError, UsageError
+from minidual.robot.constants import DOF, JOINT_NAMES, Array
+
+
+def _all_finite(x: Array) -> bool:
+    # One value that is none spoils the sum, which is faster to look at; a sum that overflows proves nothing.
+    with np.errstate(all="ignore"):
+        return bool(np.isfinite(x.sum()) or np.isfinite(x).all())
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Samples of all 14 joints on a regular time grid; both ends are at rest.
+
+    A 7-joint plan is a 14-joint trajectory too: the other arm's columns are constant, so it is held.
+
+    Attributes:
+        times: (n,) [s], regular, from 0; n >= 2.
+        q: (n, 14) [rad].
+        v: (n, 14) [rad/s].
+        a: (n, 14) [rad/s^2].
+        group: Planning group that moves.
+    """
+
+    times: Array
+    q: Array
+    v: Array
+    a: Array
+    group: str
+
+    def __post_init__(self) -> None:
+        n = len(self.times)
+        if n < 2 or any(x.shape != (n, DOF) for x in (self.q, self.v, self.a)):
+            raise UsageError(
+                f"a trajectory needs n >= 2 times and q, v, a of shape (n, {DOF}); got {self.times.shape}, "
+                f"{self.q.shape}, {self.v.shape}, {self.a.shape}"
+            )
+        if not all(_all_finite(x) for x in (self.times, self.q, self.v, self.a)):
+            raise DataError("a trajectory holds a value that is not finite")
+        even = np.arange(n) * self.times[1]
+        if self.times[0] != 0.0 or self.times[1] <= 0.0 or np.abs(self.times - even).max() > 1e-9:
+            raise UsageError("the times of a trajectory must start at 0 and grow in equal steps")
+
+    @property
+    def duration_s(self) -> float:
+        """Time of the last sample [s]."""
+        return float(self.times[-1])
+
+    @property
+    def dt_s(self) -> float:
+        """Step between samples [s]."""
+        return float(self.times[1] - self.times[0])
+
+    def sample(self, t: float) -> tuple[Array, Array, Array]:
+        """Return (q, v, a), each (14,), at time t [s]; before the start and after the end the arms rest."""
+        q, v, a = self.sample_many(np.array([t]))
+        return q[0], v[0], a[0]
+
+    def sample_many(self, times: Array) -> tuple[Array, Array, Array]:
+        """Return (q, v, a), each (m, 14), at times (m,) [s].
+
+        q is the cubic Hermite interpolant of the samples' q and v, v its derivative, a linear between samples.
+        """
+        t = np.clip(np.asarray(times, dtype=float), 0.0, self.duration_s)
+        h = self.dt_s
+        i = np.minimum((t / h).astype(int), len(self.times) - 2)
+        x = ((t - self.times[i]) / h)[:, None]
+        q0, q1, v0, v1 = self.q[i], self.q[i + 1], self.v[i] * h, self.v[i + 1] * h
+        q = (
+            q0 * (2 * x**3 - 3 * x**2 + 1)
+            + v0 * (x**3 - 2 * x**2 + x)
+            + q1 * (3 * x**2 - 2 * x**3)
+            + v1 * (x**3 - x**2)
+        )
+        v = ((q0 - q1) * (6 * x**2 - 6 * x) + v0 * (3 * x**2 - 4 * x + 1) + v1 * (3 * x**2 - 2 * x)) / h
+        a = self.a[i] * (1 - x) + self.a[i + 1] * x
+        return q, v, a
+
+    def positions(self, times: Array) -> Array:
+        """Return q (m, 14) at times (m,) [s], the first part of `sample_many`."""
+        t = np.clip(np.asarray(times, dtype=float), 0.0, self.duration_s)
+        h = self.dt_s
+        i = np.minimum((t / h).astype(int), len(self.times) - 2)
+        x = ((t - self.times[i]) / h)[:, None]
+        y = 1.0 - x
+        start, end = self.q[i], self.q[i + 1]
+        return (
+            start * (y * y * (1.0 + 2.0 * x))
+            + end * (x * x * (1.0 + 2.0 * y))
+            + (self.v[i] * (x * y * y * h) - self.v[i + 1] * (x * x * y * h))
+        )
+
+    def variation_rates(self) -> Array:
+        """Return (n - 1, 14) [rad/s]: the largest speed of each joint within each step, exactly bounded.
+
+        Within a step q is a cubic; its derivative lies within the hull of its Bezier coefficients.
+        """
+        h = self.dt_s
+        middle = 3.0 * np.diff(self.q, axis=0) / h - self.v[:-1] - self.v[1:]
+        return np.maximum(np.maximum(np.abs(self.v[:-1]), np.abs(self.v[1:])), np.abs(middle))
+
+    def slowed(self, factor: float) -> Trajectory:
+        """Return the same path in `factor` times the time (factor >= 1), on the same time step."""
+        if not (np.isfinite(factor) and factor >= 1.0):
+            raise UsageError(f"slow-down factor {factor}; it must be finite and >= 1")
+        n = int(np.ceil((len(self.times) - 1) * factor)) + 1
+        exact = (n - 1) / (len(self.times) - 1)
+        times = np.arange(n) * self.dt_s
+        q, v, a = self.sample_many(times / exact)
+        return Trajectory(times, q, v / exact, a / exact**2, self.group)
+
+    def digest(self) -> str:
+        """Return the sha256 of all samples: equal digests mean equal trajectories, bit for bit."""
+        h = hashlib.sha256(self.group.encode())
+        for x in (self.times, self.q, self.v, self.a):
+            h.update(np.ascontiguousarray(x).tobytes())
+        return h.hexdigest()
+
+    def to_json(self, every: int = 1) -> dict[str, Any]:
+        """Return the trajectory as plain JSON data, one of `every` samples, the last one always."""
+        rows = np.unique(np.append(np.arange(0, len(self.times), every), len(self.times) - 1))
+        return {
+            "group": self.group,
+            "joint_names": list(JOINT_NAMES),
+            "times_s": self.times[rows].round(6).tolist(),
+            "q_rad": self.q[rows].round(9).tolist(),
+            "v_rad_per_s": self.v[rows].round(9).tolist(),
+            "a_rad_per_s2": self.a[rows].round(9).tolist(),
+        }
+
+    def write_json(self, path: Path, every: int = 1) -> None:
+        """Write `to_json` to a file."""
+        path.write_text(json.dumps(self.to_json(every)), encoding="utf-8")
+
+    def write_csv(self, path: Path) -> None:
+        """Write time, q, v and a of all samples, one row each."""
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(
+                ["time_s"]
+                + [f"{n}_rad" for n in JOINT_NAMES]
+                + [f"{n}_rad_per_s" for n in JOINT_NAMES]
+                + [f"{n}_rad_per_s2" for n in JOINT_NAMES]
+            )
+            table = np.column_stack([self.times, self.q, self.v, self.a])
+            writer.writerows([f"{x:.9g}" for x in row] for row in table)

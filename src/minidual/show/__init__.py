@@ -1,0 +1,1 @@
+"""Report, live view, figures and films."""

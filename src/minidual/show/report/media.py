@@ -1,0 +1,114 @@
+"""Pictures and films of the stages: embedded into the page when small, copied beside it when not."""
+
+from __future__ import annotations
+
+import base64
+import io
+import shutil
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path, PurePosixPath
+
+from minidual.errors import DataError
+from minidual.show.report.captions import caption
+
+_PICTURES = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg"}
+_FILM = ".mp4"
+_FOLDERS = ("figures", "pictures", "videos", "films")
+EMBED_PICTURE_BYTES = 1_000_000
+EMBED_FILM_BYTES = 1_500_000
+MEDIA_FOLDER = "media"
+
+
+@dataclass(frozen=True)
+class Medium:
+    """A picture or a film on the page.
+
+    Attributes:
+        stage: Stage that made it.
+        name: Its path in the stage's folder.
+        caption: What it shows.
+        source: Data URI, or path relative to the page.
+        poster: Data URI of a still picture; "" for pictures.
+        film: Whether it is a film.
+    """
+
+    stage: str
+    name: str
+    caption: str
+    source: str
+    poster: str = ""
+    film: bool = False
+
+
+def is_shown(name: str) -> bool:
+    """Return whether an artefact belongs on the page: a picture or film at the top of its stage's folder.
+
+    Deeper ones are data (the videos of a dataset), not illustrations.
+    """
+    path = PurePosixPath(name)
+    shown = path.suffix.lower() in (*_PICTURES, _FILM)
+    return shown and (len(path.parts) == 1 or (len(path.parts) == 2 and path.parts[0] in _FOLDERS))
+
+
+def collect_media(
+    stage: str, folder: Path, names: Iterable[str], captions: dict[str, str], page_folder: Path
+) -> list[Medium]:
+    """Return the media of one stage, copying the large ones under `page_folder`/media.
+
+    Args:
+        stage: Name of the stage.
+        folder: Its finished folder.
+        names: Its artefacts, relative to `folder`.
+        captions: Captions by artefact that the stage itself gave, if any.
+        page_folder: Folder of the page.
+
+    Raises:
+        DataError: a file is gone, or is no picture or film.
+    """
+    media: list[Medium] = []
+    for name in sorted(name for name in names if is_shown(name)):
+        path = folder / name
+        if not path.is_file():
+            raise DataError(f"artefact {name} of stage {stage} is gone: {path}")
+        film = path.suffix.lower() == _FILM
+        limit = EMBED_FILM_BYTES if film else EMBED_PICTURE_BYTES
+        kind = "video/mp4" if film else _PICTURES[path.suffix.lower()]
+        if path.stat().st_size <= limit:
+            source = _data_uri(kind, path.read_bytes())
+        else:
+            target = page_folder / MEDIA_FOLDER / f"{stage}-{PurePosixPath(name).name}"
+            target.parent.mkdir(exist_ok=True)
+            shutil.copyfile(path, target)
+            source = target.relative_to(page_folder).as_posix()
+        media.append(
+            Medium(stage, name, captions.get(name) or caption(stage, name), source, _poster(path) if film else "", film)
+        )
+    return media
+
+
+def _data_uri(kind: str, content: bytes) -> str:
+    return f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"
+
+
+def _poster(path: Path) -> str:
+    """Return the frame at 40 % of a film as a JPEG data URI: its first frame seldom shows anything."""
+    import av
+    from av.error import FFmpegError
+
+    try:
+        with av.open(str(path)) as container:
+            stream = container.streams.video[0]
+            wanted = int(0.4 * (stream.frames or 0))
+            frames = deque(islice(container.decode(stream), wanted + 1), maxlen=1)
+            if not frames:
+                raise DataError(f"{path} holds no picture")
+            image = frames[0].to_image()
+    except (FFmpegError, IndexError) as error:
+        raise DataError(f"{path} is no readable film: {error}") from error
+    image.thumbnail((960, 960))
+    content = io.BytesIO()
+    image.save(content, "JPEG", quality=80)
+    return _data_uri("image/jpeg", content.getvalue())

@@ -1,0 +1,166 @@
+"""What the report says, before it is laid out: the state of the run, its stages, and what it was made with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from minidual.gate.check import Check
+from minidual.gate.fingerprint import Fingerprint
+from minidual.gate.verdict import Verdict, Waiver, derive_status
+from minidual.show.report.comparison import Comparison
+from minidual.show.report.robustness import ConditionTable
+from minidual.show.report.trials import CLEAN
+from minidual.show.report.wording import count, joined
+
+OverallState = Literal["pass", "fail", "smoke", "tainted"]
+
+
+@dataclass(frozen=True)
+class ReportInput:
+    """All that the report is built from.
+
+    Attributes:
+        title: Title of the page.
+        stages: (name, summary) of every stage that the report stands on, in order.
+        verdicts: Verdicts of those that have one.
+        folders: Their finished folders.
+        waivers: Waivers that taint the report.
+        methods: Methods that the comparison must hold.
+        acceptance: Whether the profile counts as acceptance.
+        profile: Name of the profile.
+        seed: Seed of the run.
+        conditions: Conditions that the table of disturbances must hold.
+    """
+
+    title: str
+    stages: Sequence[tuple[str, str]]
+    verdicts: Mapping[str, Verdict]
+    folders: Mapping[str, Path]
+    waivers: Sequence[Waiver]
+    methods: Sequence[str]
+    acceptance: bool
+    profile: str
+    seed: int
+    conditions: Sequence[str] = (CLEAN,)
+
+    def all_waivers(self) -> tuple[Waiver, ...]:
+        """Return every waiver, those that only an upstream verdict knows included, each once."""
+        found: list[Waiver] = []
+        for waiver in (*self.waivers, *(w for v in self.verdicts.values() for w in v.waivers)):
+            if waiver not in found:
+                found.append(waiver)
+        return tuple(found)
+
+    def counts_as_acceptance(self) -> bool:
+        """Whether the profile of the report and of every verdict counts as acceptance."""
+        return self.acceptance and all(verdict.acceptance_profile for verdict in self.verdicts.values())
+
+    def not_passing(self) -> list[str]:
+        """Return the stages without a passing verdict."""
+        return [name for name, _ in self.stages if name not in self.verdicts or self.verdicts[name].status != "pass"]
+
+
+@dataclass(frozen=True)
+class Banner:
+    """A warning at the very top. kind: "tainted", "smoke", "fail" or "note"."""
+
+    kind: str
+    title: str
+    lines: tuple[str, ...] = ()
+
+
+def report_checks(given: ReportInput, comparison: Comparison, table: ConditionTable | None = None) -> list[Check]:
+    """Return the report's own checks: nothing is missing from its tables, and every stage passed."""
+    table = table or ConditionTable()
+    holes = comparison.missing() + table.missing()
+    complete = comparison.complete and not holes and (bool(table.rows) or set(given.conditions) <= {CLEAN})
+    shown = f"; missing: {', '.join(holes[:6])}{' ...' if len(holes) > 6 else ''}" if holes else ""
+    short = given.not_passing()
+    return [
+        Check(
+            "tables_complete",
+            complete,
+            "==",
+            True,
+            why="every method has every indicator as a finite number with its interval, undisturbed and under every "
+            f"condition that can touch it{shown}",
+            remedy="run minidual benchmark again, with every method and condition that the tables should hold",
+        ),
+        Check(
+            "missing_cells", len(holes), "==", 0, why="holes in the tables of methods by indicators and by conditions"
+        ),
+        Check(
+            "stages_not_passing",
+            len(short),
+            "==",
+            0,
+            why="a report stands on passing verdicts alone" + (f"; without one: {', '.join(short)}" if short else ""),
+            remedy="minidual status says what to run" if short else "",
+        ),
+    ]
+
+
+def overall_state(given: ReportInput, checks: Sequence[Check]) -> OverallState:
+    """Return the state at the head of the page: a taint hides a pass, so does a failure, so does smoke."""
+    if given.all_waivers():
+        return "tainted"
+    if derive_status(checks) != "pass":
+        return "fail"
+    return "pass" if given.counts_as_acceptance() else "smoke"
+
+
+def banners(given: ReportInput, checks: Sequence[Check]) -> tuple[Banner, ...]:
+    """Return the warnings that stand above everything else, gravest first."""
+    found: list[Banner] = []
+    waivers = given.all_waivers()
+    if waivers:
+        lines = [
+            f"gate of {waiver.stage}, {waiver.at.replace('T', ' ').replace('Z', ' UTC')}: “{waiver.reason}” ("
+            + joined([f"{stage} was {state}" for stage, state in waiver.blocking.items()])
+            + ")"
+            for waiver in waivers
+        ]
+        found.append(
+            Banner(
+                "tainted",
+                f"Tainted: {count(len(waivers), 'gate')} opened by hand. This report cannot pass.",
+                tuple(lines),
+            )
+        )
+    failed = [check for check in checks if check.passed is False]
+    if failed:
+        found.append(Banner("fail", "This report does not pass", tuple(f"{c.sentence()}: {c.why}" for c in failed)))
+    if not given.counts_as_acceptance():
+        meaning = (
+            "Few trials and little training show that the parts fit together. The rates below are not evidence "
+            "of how well anything works."
+        )
+        found.append(Banner("smoke", f"{given.profile}: wiring only, not acceptance", (meaning,)))
+    overrides = sorted({text for verdict in given.verdicts.values() for text in verdict.overrides})
+    if overrides:
+        found.append(
+            Banner("note", f"Not the {given.profile} profile as shipped: values were overridden", tuple(overrides))
+        )
+    commits = sorted({_short_commit(v.fingerprint.commit) for v in given.verdicts.values()})
+    if len(commits) > 1:
+        found.append(Banner("note", f"The stages were made at {count(len(commits), 'commit')}", tuple(commits)))
+    return tuple(found)
+
+
+def _short_commit(commit: str | None) -> str:
+    name, plus, changes = (commit or "unknown").partition("+")
+    return name[:10] + plus + changes
+
+
+def newest(given: ReportInput) -> Verdict | None:
+    """Return the verdict that was finished last; its time dates the report."""
+    return max(given.verdicts.values(), key=lambda verdict: verdict.finished_at, default=None)
+
+
+def made_with(given: ReportInput) -> Fingerprint | None:
+    """Return the circumstances to show: those of the verdict that was finished last."""
+    last = newest(given)
+    return None if last is None else last.fingerprint

@@ -1,0 +1,69 @@
+"""Which port a view can have, who can reach it, and what to type to reach it from elsewhere."""
+
+from __future__ import annotations
+
+import errno
+import getpass
+import ipaddress
+import socket
+
+from minidual.errors import UsageError
+
+PORTS_TRIED = 50
+
+
+def free_port(host: str, first: int, tries: int = PORTS_TRIED) -> int:
+    """Return the first port from `first` on that can be bound on interface `host`.
+
+    Raises:
+        UsageError: The interface is not this machine's, or none of the ports is free.
+    """
+    for port in range(first, min(first + tries, 65536)):
+        try:
+            addresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+            for family, kind, protocol, _, address in addresses:
+                with socket.socket(family, kind, protocol) as probe:
+                    probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                    probe.bind(address)
+        except PermissionError as error:
+            raise UsageError(
+                f"port {port} of {host} may not be bound by this user", remedy="take one from 1024 up: --view-port 8080"
+            ) from error
+        except OSError as error:
+            if error.errno == errno.EADDRINUSE:
+                continue
+            raise UsageError(
+                f"the view cannot bind interface '{host}': {error.strerror or error}",
+                remedy="--view-host 127.0.0.1 for this machine only, or an address that this machine has",
+            ) from error
+        return port
+    raise UsageError(
+        f"no free port for the view among {first} to {min(first + tries, 65536) - 1}",
+        remedy="end the program that holds them, or --view-port N",
+    )
+
+
+def is_loopback(host: str) -> bool:
+    """Return whether an interface is reached from this machine only."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def url(host: str, port: int) -> str:
+    """Return the address to open on this machine."""
+    shown = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(host, f"[{host}]" if ":" in host else host)
+    return f"http://{shown}:{port}"
+
+
+def tunnel_command(port: int) -> str:
+    """Return what to type on another machine so that the same address works there."""
+    return f"ssh -L {port}:127.0.0.1:{port} {_user()}@{socket.gethostname()}"
+
+
+def _user() -> str:
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):  # a container without a passwd entry for this user
+        return "user"

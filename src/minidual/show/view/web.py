@@ -1,0 +1,186 @@
+"""The view in a browser: a small server on the loopback interface, fed by a thread of its own."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+import viser
+
+from minidual.config.view import ViewConfig
+from minidual.show.view.network import free_port, is_loopback, tunnel_command, url
+from minidual.show.view.overlay import Array, Overlay, Slider
+from minidual.show.view.pace import Metronome, SpeedMeter
+from minidual.show.view.web_panel import WebPanel
+from minidual.show.view.web_scene import WebScene
+
+_PANEL_HZ = 6.0
+_UNWATCHED = 10.0
+"""While no browser is connected pictures come this many times more rarely: the next one to connect gets the last."""
+_FAREWELL_S = 0.3
+
+
+class _Server(viser.ViserServer):
+    """A viser server that opens no public tunnel, whoever asks."""
+
+    def request_share_url(self, verbose: bool = True) -> None:
+        """Refuse: the scene leaves this machine only through a tunnel of its user's own."""
+        del verbose
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """What the thread needs of one instant, copied."""
+
+    positions: Array
+    quaternions: Array
+    overlay: Overlay
+
+
+class WebView:
+    """See minidual.show.view.protocol.View.
+
+    `update` leaves a copy in a slot and returns. A thread takes the newest copy and hands it to the server, whose
+    own loop talks to the browsers. A slow, closed or broken client therefore costs the simulation nothing, and an
+    error in the thread ends the view, says so once, and nothing else.
+
+    Args:
+        config: Interface, first port, rate.
+        say: Gets the lines for people.
+
+    Raises:
+        UsageError: The interface cannot be bound, or no port is free.
+    """
+
+    name = "web"
+
+    def __init__(self, config: ViewConfig, say: Callable[[str], None]) -> None:
+        self._say = say
+        port = free_port(config.host, config.port)
+        with _quiet():
+            self._server = _Server(host=config.host, port=port, label="minidual", verbose=False)
+        self.port = self._server.get_port()
+        self.url: str | None = url(config.host, self.port)
+        self._panel = WebPanel(self._server)
+        self._scene: WebScene | None = None
+        self._model: mujoco.MjModel | None = None
+        self._metronome = Metronome(config.rate_hz)
+        self._panel_metronome = Metronome(_PANEL_HZ)
+        self._speed = SpeedMeter()
+        self._slot: _Frame | None = None
+        self._lock = threading.Lock()  # held while the scene is drawn or replaced
+        self._wake = threading.Event()
+        self._ending = False
+        self._broken = False
+        self._thread = threading.Thread(target=self._publish, name="minidual-view", daemon=True)
+        self._thread.start()
+        self._introduce(config)
+
+    def _introduce(self, config: ViewConfig) -> None:
+        if self.port != config.port:
+            self._say(f"port {config.port} is taken; the view is at port {self.port}")
+        self._say(f"view: {self.url}")
+        if is_loopback(config.host):
+            self._say(
+                f"from another machine: {tunnel_command(self.port)}, then open http://127.0.0.1:{self.port} there"
+            )
+        else:
+            self._say(
+                f"warning: the view is bound to {config.host}: whoever reaches port {self.port} of this machine sees "
+                "it and can move its sliders; there is no password"
+            )
+
+    @property
+    def alive(self) -> bool:
+        """Whether a browser can still see it."""
+        return not (self._ending or self._broken)
+
+    @property
+    def clients_n(self) -> int:
+        """Number of browsers connected."""
+        return len(self._server.get_clients())
+
+    def open(self, model: mujoco.MjModel) -> None:
+        """Show `model`."""
+        if model is self._model or not self.alive:
+            return
+        with self._lock:
+            self._slot = None
+            self._scene = WebScene(self._server, model)
+            self._model = model
+
+    def due(self) -> bool:
+        """Return whether a new picture is wanted."""
+        return self._metronome.due() and self._model is not None and self.alive
+
+    def update(self, data: mujoco.MjData, overlay: Overlay) -> None:
+        """Leave a copy of the bodies' poses and the overlay for the thread."""
+        self._slot = _Frame(data.xpos.copy(), data.xquat.copy(), overlay)
+        self._metronome.done(1.0 if self.clients_n else _UNWATCHED)
+        self._wake.set()
+
+    def offer(self, sliders: Sequence[Slider]) -> bool:
+        """Offer values to set."""
+        self._panel.offer(sliders)
+        return True
+
+    def slider_values(self) -> Array:
+        """Return the values of the sliders offered."""
+        return self._panel.values()
+
+    def _publish(self) -> None:
+        try:
+            while not self._ending:
+                self._wake.wait()
+                self._wake.clear()
+                with self._lock:
+                    frame, self._slot = self._slot, None
+                    if frame is not None and self._scene is not None and not self._ending:
+                        self._draw(self._scene, frame)
+        except Exception as error:  # whatever it is, it must not reach what is being watched
+            self._broken = True
+            self._say(f"the view ended early ({type(error).__name__}: {error}); what it showed goes on")
+
+    def _draw(self, scene: WebScene, frame: _Frame) -> None:
+        speed = self._speed.add(frame.overlay.time_s)
+        with self._server.atomic():
+            scene.move(frame.positions, frame.quaternions)
+            scene.draw_forces(frame.overlay.arrows)
+        scene.draw_preview(frame.overlay.preview)
+        if self._panel_metronome.due():
+            self._panel.show(frame.overlay, speed)
+            self._panel_metronome.done()
+
+    def close(self) -> None:
+        """Say good-bye in the page and end the server."""
+        if self._ending:
+            return
+        last = self._slot
+        self._ending = True
+        self._wake.set()
+        self._thread.join(timeout=2.0)
+        with contextlib.suppress(Exception):  # a page that cannot be told is told by the closed connection
+            overlay = last.overlay if last is not None else Overlay(np.nan)
+            self._panel.show(replace(overlay, status="ended: the command has finished"), None)
+            self._server.flush()
+            if self.clients_n:
+                threading.Event().wait(_FAREWELL_S)
+        with _quiet():
+            self._server.stop()
+
+
+@contextlib.contextmanager
+def _quiet() -> Generator[None]:
+    """Keep what viser says about itself from stdout, where data goes; it does not always heed `verbose`."""
+    import rich
+
+    console = rich.get_console()
+    before, console.quiet = console.quiet, True
+    try:
+        yield
+    finally:
+        console.quiet = before

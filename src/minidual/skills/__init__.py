@@ -1,0 +1,1 @@
+"""Phases of handling an object, and what runs them."""

@@ -1,0 +1,172 @@
+"""What a carry proposes to the arbiter: timed joint motions, and motions of the object with the squeeze on it.
+
+And what controller C must know before it can follow those: what is held, and how stiffly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from minidual.config.control import CarryConfig, ImpedanceConfig
+from minidual.config.scene import SceneConfig
+from minidual.control.object_controller import SQUEEZE_RATE_N_PER_S
+from minidual.control.object_impedance import HeldObject, ImpedanceGains, ObjectState
+from minidual.control.object_path import ObjectPath, Waypoint
+from minidual.robot.constants import Array
+from minidual.robot.poses import inverse
+from minidual.skills.pace import object_duration_s
+from minidual.skills.reach import Quintic
+from minidual.tasks.rod_carry import level_part
+
+LANDED_S = 0.1
+"""How long a lowered object is left to come to rest before it is let go."""
+_SQUEEZE_S, _SQUEEZE_SETTLE_S = 0.3, 0.1
+_RELEASE_S = 0.2
+
+
+class JointMove:
+    """A rest-to-rest motion of both arms (`control.commands.TimedMotion`).
+
+    Args:
+        motion: Between two postures (14,).
+        dt_s: Control step, on whose grid it is given.
+
+    Attributes:
+        q, v, a: (n, 14) on the grid.
+        dt_s: Step of the grid.
+        duration_s: When it ends.
+    """
+
+    def __init__(self, motion: Quintic, dt_s: float) -> None:
+        self._motion, self.dt_s, self.duration_s = motion, dt_s, motion.duration_s
+        steps = int(np.ceil(motion.duration_s / dt_s - 1e-6))
+        self.q, self.v, self.a = self.sample_many(np.minimum(np.arange(steps + 1) * dt_s, motion.duration_s))
+
+    def sample_many(self, times: Array) -> tuple[Array, Array, Array]:
+        """Return (q, v, a), each (m, 14), at times (m,) [s]: `Quintic.at`, many at once."""
+        motion, duration = self._motion, self._motion.duration_s
+        s = np.clip(np.asarray(times, dtype=float) / duration, 0.0, 1.0)[:, None]
+        blend = s**3 * (10.0 + s * (6.0 * s - 15.0))
+        rate = 30.0 * s**2 * (1.0 - s) ** 2
+        curvature = 60.0 * s * (1.0 + s * (2.0 * s - 3.0))
+        delta = motion.q1 - motion.q0
+        return motion.q0 + blend * delta, rate / duration * delta, curvature / duration**2 * delta
+
+
+@dataclass(frozen=True)
+class HeldMotion:
+    """The object along a path, with the roll at which it lay when the hands closed (`control.commands.ObjectMotion`).
+
+    Attributes:
+        path: Through level poses.
+        T_level_object: (4, 4), what its pose is away from a level one.
+        duration_s: How long; a path that is over by then is rested at its end.
+        rests_at_s: Time on the path at which the object is kept all the while; None runs the path.
+    """
+
+    path: ObjectPath
+    T_level_object: Array
+    duration_s: float
+    rests_at_s: float | None = None
+
+    def at(self, t_s: float) -> ObjectState:
+        """Return pose, twist and acceleration of the object at a time [s]."""
+        state = self.path.at(t_s if self.rests_at_s is None else self.rests_at_s)
+        return ObjectState(state.T_world_object @ self.T_level_object, state.twist, state.acceleration)
+
+
+@dataclass(frozen=True)
+class Squeeze:
+    """A squeeze that changes evenly from one force to another and then stays.
+
+    Attributes:
+        start_n, end_n: Internal forces [N].
+        ramp_s: How long the change takes; zero is `end_n` throughout.
+    """
+
+    start_n: float
+    end_n: float
+    ramp_s: float = 0.0
+
+    def __call__(self, t_s: float) -> float:
+        """Return the internal force [N] at a time [s]."""
+        share = min(1.0, t_s / self.ramp_s) if self.ramp_s > 0.0 else 1.0
+        return self.start_n + share * (self.end_n - self.start_n)
+
+
+def squeezing(path: ObjectPath, T_level_object: Array, squeeze_n: float) -> tuple[HeldMotion, Squeeze]:
+    """Return what builds up the squeeze, no faster than controller C does, with the object at the path's start."""
+    ramp_s = max(_SQUEEZE_S, squeeze_n / SQUEEZE_RATE_N_PER_S)
+    return (
+        HeldMotion(path, T_level_object, ramp_s + _SQUEEZE_SETTLE_S, rests_at_s=0.0),
+        Squeeze(0.0, squeeze_n, ramp_s),
+    )
+
+
+def carrying(path: ObjectPath, T_level_object: Array, squeeze_n: float) -> tuple[HeldMotion, Squeeze]:
+    """Return what runs the path, until the object has landed."""
+    return HeldMotion(path, T_level_object, path.duration_s + LANDED_S), Squeeze(squeeze_n, squeeze_n)
+
+
+def releasing(path: ObjectPath, T_level_object: Array, squeeze_n: float) -> tuple[HeldMotion, Squeeze]:
+    """Return what takes the squeeze away, no faster than controller C does, with the object at the path's end."""
+    ramp_s = max(_RELEASE_S, squeeze_n / SQUEEZE_RATE_N_PER_S)
+    return (HeldMotion(path, T_level_object, ramp_s, rests_at_s=path.duration_s), Squeeze(squeeze_n, 0.0, ramp_s))
+
+
+def plan_path(
+    scene: SceneConfig, config: CarryConfig, goal: tuple[float, float, float], T_world_object: Array, q: Array
+) -> ObjectPath:
+    """Return the path from where the object lies to the goal, each segment as fast as the limits allow.
+
+    Args:
+        scene: Holds the grasp and the heights.
+        config: Holds the limits, and durations that are fixed.
+        goal: (x [m], y [m], yaw [rad]).
+        T_world_object: (4, 4), where it lies.
+        q: Posture (14,) of the hands on it.
+
+    Raises:
+        GraspUnreachableError: A hand cannot follow.
+    """
+    x, y, z = T_world_object[:3, 3]
+    level = level_part(T_world_object)
+    yaw = float(np.arctan2(level[1, 0], level[0, 0]))
+    gx, gy, goal_yaw = goal
+    high = z + scene.task.lift_height_m
+    rest, landing = scene.rod.rest_height_m, config.pace.landing_m
+    ends = [
+        ((x, y, high), yaw, config.lift_s),
+        ((gx, gy, high), goal_yaw, config.transport_s),
+        ((gx, gy, rest + landing), goal_yaw, config.lower_s),
+    ]
+    if landing > 0.0:
+        ends.append(((gx, gy, rest), goal_yaw, config.pace.landing_s))
+    start = place = Waypoint((x, y, z), yaw, 0.0)
+    waypoints = []
+    for xyz, direction, fixed_s in ends:
+        end = Waypoint(xyz, direction, 0.0)
+        planned_s, q = object_duration_s(scene, place, end, q, config.pace)
+        waypoints.append(Waypoint(xyz, direction, planned_s if fixed_s is None else fixed_s))
+        place = end
+    return ObjectPath(start, waypoints)
+
+
+def held_object(scene: SceneConfig, T_world_object: Array, T_world_tcps: tuple[Array, Array]) -> HeldObject:
+    """Return what the law must know of the task's object at a pose (4, 4), held by hands at two poses."""
+    rod = scene.rod
+    left, right = (inverse(T_world_object) @ T for T in T_world_tcps)
+    return HeldObject(rod.mass_kg, np.diag(rod.inertia_kg_m2), (left, right), np.array([0.0, 1.0, 0.0]))
+
+
+def gains(impedance: ImpedanceConfig) -> ImpedanceGains:
+    """Return the gains of the law as they are configured."""
+    return ImpedanceGains(
+        stiffness=(impedance.stiffness_n_per_m,) * 3 + (impedance.stiffness_nm_per_rad,) * 3,
+        damping_ratio=impedance.damping_ratio,
+        internal_force_n=impedance.internal_force_n,
+        force_gain=impedance.force_gain,
+        force_correction_max_n=impedance.force_correction_max_n,
+    )

@@ -1,0 +1,203 @@
+"""What can go wrong in a carry, what tells it from sensed quantities alone, and what the hands do then.
+
+Every fault stops both arms softly and names itself: what is sensed halts them (control/soft_stop.py), the supervisor and
+the arbiter stop them in their own ways. One table; the monitor below raises each of them within 50 ms of the onset in tests
+that inject it (docs/carry.md has the figures).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from minidual.config.control import CarryFaultConfig
+from minidual.robot.constants import ARMS, DOF_PER_ARM, Array
+
+
+@dataclass(frozen=True)
+class FaultKind:
+    """One row of the table.
+
+    Attributes:
+        sensed_by: What tells it.
+        opens_hands: Whether the hands let go; where the object may still be held they stay closed.
+    """
+
+    sensed_by: str
+    opens_hands: bool
+
+
+FAULTS: dict[str, FaultKind] = {
+    "missed_grasp": FaultKind("a hand closes past the object's width, or does not pinch in time", True),
+    "knocked_away": FaultKind("the object leaves the place where it lay, in two pose samples in a row", True),
+    "object_lost": FaultKind("a hand hardly pinches any more", True),
+    "slip": FaultKind("the object moves in the hands, the hands move along it, or the squeeze breaks down", False),
+    "tilted": FaultKind("the estimated tilt of the object", False),
+    "lost_arm": FaultKind("the motors of an arm do not give the torque they were told", True),
+    "reflex": FaultKind("a bound of the supervisor does not hold; its own soft stop acts at once", False),
+    "interrupted": FaultKind(
+        "the arbiter lets the motion go no further: another mode or a halt is asked for, a command is refused or goes "
+        "stale",
+        False,
+    ),
+    "unreachable": FaultKind("no posture for a grasp or along the path: the hands do not begin it", True),
+    "singular": FaultKind("a hand that holds the object has lost a direction of motion", False),
+}
+
+
+@dataclass(frozen=True)
+class CarryFault:
+    """A fault that a carry found.
+
+    Attributes:
+        name: A key of FAULTS.
+        at_s: When it was detected.
+        detail: What was sensed, with numbers.
+    """
+
+    name: str
+    at_s: float
+    detail: str
+
+    @property
+    def text(self) -> str:
+        """Return it as one line."""
+        return f"{self.name} at {self.at_s:.2f} s: {self.detail}"
+
+
+Finding = tuple[str, str] | None
+"""(name, detail) of what was found, or None."""
+
+
+_SCATTERS = 2.9
+"""Root mean squares of a reading's distance from its mean that it must exceed to mean something: five standard
+deviations a coordinate, which white noise does twice in a row once in a billion samples."""
+_LEARNT = 10
+"""Samples before the scatter of a sensor is known well enough to judge by it."""
+
+
+class _Scatter:
+    """How far readings of an object that lies still stray: a sensor is only as good as it shows itself to be."""
+
+    def __init__(self, least: float) -> None:
+        self._least, self._squares, self._count = least, 0.0, 0
+
+    @property
+    def limit(self) -> float:
+        """Distance that a reading must exceed to be no noise; generous until enough readings were seen."""
+        if self._count < _LEARNT:
+            return 4.0 * self._least
+        return max(self._least, _SCATTERS * float(np.sqrt(self._squares / self._count)))
+
+    def learn(self, distance: float) -> None:
+        """Take in a reading of an object that has not moved."""
+        if distance <= self.limit:
+            self._squares += distance**2
+            self._count += 1
+
+
+class FaultMonitor:
+    """Looks for faults; each method is called once a control step in the phases where it applies.
+
+    A reading that is not a number lies within no limit, so every comparison asks whether all is well.
+
+    Args:
+        config: Limits.
+        dt_s: Control step.
+        width_m: Width of the object between the fingers.
+        pinch_n: Pinch that the hands are told to hold.
+    """
+
+    def __init__(self, config: CarryFaultConfig, *, dt_s: float, width_m: float, pinch_n: float) -> None:
+        self._config, self._width, self._pinch = config, width_m, pinch_n
+        self._needed = max(1, round(config.persistence_s / dt_s))
+        self._counts: dict[str, int] = {}
+        self._spread_m: float | None = None
+        self._motors_missing = False
+        self.lost: npt.NDArray[np.bool_] = np.zeros(len(ARMS), dtype=bool)
+        """(2,) arms whose motors were found not to give what they were told; once lost, an arm stays lost."""
+        self._away_m, self._away_rad = _Scatter(config.displaced_m), _Scatter(config.displaced_rad)
+
+    def _is_away(self, innovation: tuple[float, float]) -> bool:
+        """Return whether a pose sample is farther from where the object should be than its sensor's scatter."""
+        return not (innovation[0] <= self._away_m.limit and innovation[1] <= self._away_rad.limit)
+
+    def _lasts(self, key: str, now: bool, needed: int | None = None) -> bool:
+        """Return whether `now` has held for as many calls in a row as needed."""
+        if not now:
+            self._counts[key] = 0
+            return False
+        count = self._counts[key] = self._counts.get(key, 0) + 1
+        return count >= (self._needed if needed is None else needed)
+
+    def motors(self, commanded: Array, applied: Array) -> Finding:
+        """Compare torques (14,) told and given in the last step; `lost` says which arms are gone."""
+        difference = commanded - applied
+        np.abs(difference, difference)
+        if difference.max() <= self._config.motor_torque_n_m and not self._motors_missing:
+            return None
+        missing = difference.reshape(2, DOF_PER_ARM).max(axis=1)
+        self._motors_missing = not bool((missing <= self._config.motor_torque_n_m).all())
+        found: list[str] = []
+        for arm, name in enumerate(ARMS):  # both: drives that share a supply go together
+            if self._lasts(f"motor {name}", not missing[arm] <= self._config.motor_torque_n_m):
+                self.lost[arm] = True
+                found.append(f"{name} arm: a motor gives {missing[arm]:.1f} Nm less than it was told")
+        return ("lost_arm", "; ".join(found)) if found else None
+
+    def resting(self, innovation: tuple[float, float]) -> Finding:
+        """Judge one fresh pose sample of an object that nobody has touched."""
+        away_m, away_rad = innovation
+        away = self._is_away(innovation)
+        self._away_m.learn(away_m)
+        self._away_rad.learn(away_rad)
+        if self._lasts("resting", away, 2):
+            return "knocked_away", f"the object is {1e3 * away_m:.0f} mm from where it lay"
+        return None
+
+    def closing(self, gap_m: Array, pinch_n: Array, t_s: float) -> Finding:
+        """Judge closing hands by the gap between their fingers (2,), the pinch (2,) and the time since they began."""
+        for arm, name in enumerate(ARMS):
+            through = not float(gap_m[arm]) >= self._width - self._config.gap_margin_m
+            if self._lasts(f"gap {name}", through, 3):
+                return "missed_grasp", (
+                    f"the {name} hand has closed to {1e3 * float(gap_m[arm]):.0f} mm, the object is "
+                    f"{1e3 * self._width:.0f} mm wide"
+                )
+        if t_s > self._config.grasp_timeout_s:
+            felt = ", ".join(f"{f:.1f}" for f in pinch_n)
+            return "missed_grasp", f"pinch {felt} N after {self._config.grasp_timeout_s} s"
+        return None
+
+    def holding(self, pinch_n: Array, gap_m: Array, spread_m: float, tilt_rad: float) -> Finding:
+        """Judge a held object by pinch (2,), finger gaps (2,), the hands' distance and its estimated tilt."""
+        config = self._config
+        least_n, least_m = config.lost_pinch_share * self._pinch, self._width - config.gap_margin_m
+        for name, pinch, gap in zip(ARMS, pinch_n.tolist(), gap_m.tolist(), strict=True):
+            if self._lasts(f"pinch {name}", not pinch >= least_n):
+                return "object_lost", f"the {name} hand pinches {pinch:.1f} of {self._pinch:.0f} N"
+            if self._lasts(f"held gap {name}", not gap >= least_m, 3):
+                return "object_lost", f"the {name} hand has closed to {1e3 * gap:.0f} mm"
+        if self._spread_m is None:
+            self._spread_m = spread_m
+        crept = abs(spread_m - self._spread_m)
+        if self._lasts("spread", not crept <= config.displaced_m, 1):  # of encoders: one reading is enough
+            return "slip", f"the hands have moved {1e3 * crept:.1f} mm along the object"
+        if self._lasts("tilt", not tilt_rad <= config.tilt_rad):
+            return "tilted", f"the object is tilted by {np.degrees(tilt_rad):.0f} deg"
+        return None
+
+    def held_pose(self, innovation: tuple[float, float]) -> Finding:
+        """Judge one fresh pose sample of a held object: how far it is from where the hands should have it."""
+        away_m, away_rad = innovation
+        if self._lasts("held", self._is_away(innovation), 2):
+            return ("slip", f"the object is {1e3 * away_m:.1f} mm, {np.degrees(away_rad):.1f} deg off in the hands")
+        return None
+
+    def squeezing(self, wanted_n: float, felt_n: float) -> Finding:
+        """Compare the squeeze that is wanted, once it is steady, with the one that is felt."""
+        if self._lasts("squeeze", not felt_n >= self._config.squeeze_share * wanted_n):
+            return "slip", f"internal force {felt_n:.1f} of {wanted_n:.0f} N"
+        return None

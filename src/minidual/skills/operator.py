@@ -1,0 +1,182 @@
+"""The scripted operator: joint targets for the whole rod cycle, as a skilled pair of hands would give them.
+
+It knows where the rod starts (it stands in for the person's eyes) and reads no other state of the simulation.
+Every trial has the same phases with the same durations, the same minimum-jerk profile and the same choice of
+posture, so that the motion is a smooth function of the start pose and a policy can learn it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from minidual.config.scene import SceneConfig
+from minidual.config.seeds import stream
+from minidual.config.teleop import OperatorConfig
+from minidual.control.object_path import minimum_jerk
+from minidual.robot.constants import HOME, Array
+from minidual.robot.kinematics import Kinematics
+from minidual.robot.poses import pose, rot_x, rot_z
+from minidual.skills.posture_ik import PostureIK
+from minidual.tasks.rod_carry import RodTrial, grasp_offsets, level_pose
+
+_JOINT_COST = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.1])
+"""The last joint turns the hand and nothing else, so it may move freely. With equal costs the elbow would swing to
+spare it, and close to the table, where the forearm is nearly upright, joint 5 would swing three times as fast."""
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A stretch of the cycle.
+
+    Attributes:
+        name: What happens in it.
+        start_s: When it begins [s]; it may begin before the one before it ends.
+        end_s: When it ends [s].
+    """
+
+    name: str
+    start_s: float
+    end_s: float
+
+
+@dataclass(frozen=True)
+class Demonstration:
+    """What the operator would do in one trial, at a constant rate.
+
+    Attributes:
+        rate_hz: Ticks a second.
+        q: Joint targets (T, 14) [rad]; q[0] is the home posture.
+        gripper: Opening commands (T, 2), 0 closed or 1 open.
+        phases: The stretches, in order.
+    """
+
+    rate_hz: float
+    q: Array
+    gripper: Array
+    phases: tuple[Phase, ...]
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the demonstration [s]."""
+        return len(self.q) / self.rate_hz
+
+    def at(self, elapsed_s: float) -> tuple[Array, Array]:
+        """Return joint targets (14,) and openings (2,) at a time since the start [s]; the last ones after the end."""
+        tick = min(max(round(elapsed_s * self.rate_hz), 0), len(self.q) - 1)
+        return self.q[tick], self.gripper[tick]
+
+
+class ScriptedOperator:
+    """Plans demonstrations of the rod task.
+
+    Args:
+        scene: Rod and task.
+        config: Durations, heights and the deliberate error of the approach.
+        kinematics: Workspace; its own by default.
+    """
+
+    def __init__(
+        self, scene: SceneConfig, config: OperatorConfig | None = None, *, kinematics: Kinematics | None = None
+    ) -> None:
+        self.scene = scene
+        self.config = OperatorConfig() if config is None else config
+        kinematics = Kinematics() if kinematics is None else kinematics
+        self._ik = PostureIK(kinematics, posture=HOME, weights=_JOINT_COST)
+        self._home_poses = kinematics.tcp_poses(HOME)
+        self._grasps = grasp_offsets(scene)
+
+    def phases(self) -> tuple[Phase, ...]:
+        """Return the phases with their times; the same in every trial.
+
+        The correction begins before the approach ends and the descent before the correction does, so that the
+        hands never stand still over the rod. A policy that sees neither speed nor time would find a pause there,
+        learn to wait, and wait for ever.
+        """
+        c = self.config
+        result: list[Phase] = []
+        start = 0.0
+        lead = {"correct": c.overlap_s, "descend": c.overlap_s}
+        for name, duration in (
+            ("approach", c.approach_s),
+            ("correct", c.correct_s),
+            ("descend", c.descend_s),
+            ("close", c.close_s),
+            ("lift", c.lift_s),
+            ("carry", c.carry_s),
+            ("lower", c.lower_s),
+            ("open", c.open_s),
+            ("retreat", c.retreat_s),
+            ("rest", c.rest_s),
+        ):
+            start -= lead.get(name, 0.0)
+            result.append(Phase(name, start, start + duration))
+            start += duration
+        return tuple(result)
+
+    def approach_error(self, seed: int, trial: RodTrial) -> Array:
+        """Return the error (x [m], y [m], yaw [rad]) with which the hands arrive over the rod, drawn per trial."""
+        scale = np.array([self.config.approach_noise_m, self.config.approach_noise_m, self.config.approach_noise_rad])
+        rng = stream(seed, f"operator/{trial.purpose}", trial.index)
+        return scale * np.clip(rng.standard_normal(3), -2.0, 2.0)
+
+    def plan(self, trial: RodTrial, *, seed: int, rate_hz: float = 50.0) -> Demonstration:
+        """Return the demonstration of a trial.
+
+        Args:
+            trial: Start and goal of the rod.
+            seed: The run's seed, for the error of the approach.
+            rate_hz: Ticks a second.
+
+        Raises:
+            UsageError: A pose on the way is out of reach.
+        """
+        phases = self.phases()
+        ticks = round(phases[-1].end_s * rate_hz)
+        times = np.arange(ticks) / rate_hz
+        error = self.approach_error(seed, trial)
+        q = np.empty((ticks, 14))
+        current = HOME.copy()
+        for k, t in enumerate(times):
+            left, right = self._hand_poses(float(t), trial, error, phases)
+            current = self._ik.solve(left, right, current)
+            q[k] = current
+        closed = (times >= _of(phases, "close").start_s - 1e-9) & (times < _of(phases, "open").start_s - 1e-9)
+        gripper = np.where(closed[:, None], 0.0, 1.0) * np.ones(2)
+        return Demonstration(rate_hz, q, gripper, phases)
+
+    def _hand_poses(self, t: float, trial: RodTrial, error: Array, phases: tuple[Phase, ...]) -> tuple[Array, Array]:
+        """Return the poses of both tool centre points at time t."""
+        progress = {p.name: minimum_jerk((t - p.start_s) / (p.end_s - p.start_s))[0] for p in phases}
+        T_world_rod = self._rod_pose(trial, error, progress)
+        grasped = [T_world_rod @ T_rod_tcp for T_rod_tcp in self._grasps]
+        s = progress["approach"]
+        if s >= 1.0:
+            return grasped[0], grasped[1]
+        left, right = (_between(T_home, T_goal, s) for T_home, T_goal in zip(self._home_poses, grasped, strict=True))
+        return left, right
+
+    def _rod_pose(self, trial: RodTrial, error: Array, progress: dict[str, float]) -> Array:
+        """Return the level pose that the hands would give the rod if they held it all the time."""
+        c, lift = self.config, self.scene.task.lift_height_m
+        start = np.array(trial.start) + error * (1.0 - progress["correct"])
+        x, y, yaw = start + (np.array(trial.goal) - start) * progress["carry"]
+        height = (
+            self.scene.rod.radius_m
+            + c.hover_m * (1.0 - progress["descend"] + progress["retreat"])
+            + lift * (progress["lift"] - progress["lower"])
+        )
+        return level_pose(x, y, height, yaw)
+
+
+def _of(phases: tuple[Phase, ...], name: str) -> Phase:
+    return next(p for p in phases if p.name == name)
+
+
+def _between(T_from: Array, T_to: Array, s: float) -> Array:
+    """Return the pose at fraction s between two poses of hands that point down: straight line, turn about z."""
+    position = T_from[:3, 3] + s * (T_to[:3, 3] - T_from[:3, 3])
+    turn_from, turn_to = (np.arctan2(T[1, 0], T[0, 0]) for T in (T_from, T_to))
+    turn = np.arctan2(np.sin(turn_to - turn_from), np.cos(turn_to - turn_from))
+    return pose(rot_z(turn_from + s * turn) @ rot_x(np.pi), position)

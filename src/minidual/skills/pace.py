@@ -1,0 +1,72 @@
+"""How long a motion takes at least: planned to the limits of joints and object, not fixed.
+
+A minimum-jerk motion over a distance d in time T has peak speed 1.875 d / T and peak acceleration 5.7735 d / T^2, so
+
+    T = max( 1.875 d / v_max,  sqrt(5.7735 d / a_max) )
+
+over everything that moves: the object's position and direction, and every joint.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from minidual.config.control import PaceConfig
+from minidual.config.scene import SceneConfig
+from minidual.control.object_path import Waypoint, minimum_jerk
+from minidual.robot.constants import A_MAX, V_MAX, Array
+from minidual.skills.reach import grasp_posture
+from minidual.tasks.rod_carry import level_pose
+
+_PEAK_SPEED = 1.875
+_PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)
+_LEAST_S = 0.25
+_SAMPLES = 12
+
+
+def _time(distance: float | Array, speed: float | Array, acceleration: float | Array) -> float:
+    d = np.abs(distance)
+    return float(np.max(np.maximum(_PEAK_SPEED * d / speed, np.sqrt(_PEAK_ACCELERATION * d / acceleration))))
+
+
+def joint_duration_s(q0: Array, q1: Array, pace: PaceConfig) -> float:
+    """Return the time for a rest-to-rest joint motion between two postures (14,)."""
+    return max(_LEAST_S, _time(q1 - q0, pace.joint_speed_share * V_MAX, pace.joint_acceleration_share * A_MAX))
+
+
+def object_duration_s(
+    scene: SceneConfig, start: Waypoint, end: Waypoint, q_near: Array, pace: PaceConfig
+) -> tuple[float, Array]:
+    """Return the time for a straight motion of the held object between two level poses, and the posture at its end.
+
+    The postures along the way come from inverse kinematics at a few points, from which the joints' speeds follow.
+
+    Args:
+        scene: Holds the grasp.
+        start: Where it begins; times of the waypoints are not used.
+        end: Where it ends.
+        q_near: Posture (14,) at the start.
+        pace: Limits.
+
+    Raises:
+        GraspUnreachableError: A hand cannot follow.
+    """
+    a, b = (np.array([*w.xyz_m, w.yaw_rad]) for w in (start, end))
+    postures = [q_near]
+    for k in range(_SAMPLES + 1):
+        x, y, z, yaw = a + minimum_jerk(k / _SAMPLES)[0] * (b - a)
+        postures.append(grasp_posture(scene, level_pose(x, y, z, yaw), postures[-1]))
+    q = np.array(postures[1:])
+    # Samples are even in time, so differences are the joints' speeds and accelerations for a duration of one second.
+    speed = np.abs(np.diff(q, axis=0)) * _SAMPLES / (pace.joint_speed_share * V_MAX)
+    acceleration = np.abs(np.diff(q, 2, axis=0)) * _SAMPLES**2 / (pace.joint_acceleration_share * A_MAX)
+    distance, turn = float(np.linalg.norm(b[:3] - a[:3])), float(abs(b[3] - a[3]))
+    return max(
+        _LEAST_S,
+        _time(distance, pace.object_speed_m_per_s, pace.object_acceleration_m_per_s2),
+        _time(turn, pace.object_turn_rad_per_s, pace.object_turn_rad_per_s2),
+        float(speed.max()),
+        float(np.sqrt(acceleration.max())),
+    ), q[-1]

@@ -1,0 +1,25 @@
+"""The supervisor that every trial has between its controllers and the motors."""
+
+from __future__ import annotations
+
+from functools import cache
+
+from minidual.collision.arm_distance import ArmDistance
+from minidual.config.supervisor import SupervisorConfig
+from minidual.control.supervisor import Supervisor
+
+
+@cache
+def arm_distance() -> ArmDistance:
+    """Return the distance between the arms, built once a process: it compiles a model of its own."""
+    return ArmDistance()
+
+
+def trial_supervisor(config: SupervisorConfig, dt_s: float) -> Supervisor:
+    """Return a supervisor that also watches the distance between the arms.
+
+    Args:
+        config: Bounds.
+        dt_s: Period of the control loop [s].
+    """
+    return Supervisor(config, dt_s=dt_s, self_distance=arm_distance())

@@ -1,0 +1,207 @@
+"""One 1 kHz step of every controller against bare physics of the same model, in the same run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from minidual.config.root import Config
+from minidual.control.loop import JointLoop
+from minidual.control.object_impedance import ImpedanceGains, ObjectState
+from minidual.robot.constants import DOF, GROUPS
+from minidual.robot.kinematics import HandMotion
+from minidual.stages.bench_rows import BenchInputs, BenchRow, BenchTable
+from minidual.stages.bench_scenes import BenchScene, JointSample, free_scene, held_scene
+from minidual.stages.bench_step import Step, StepCost, step_cost
+
+JOINT_RATIO_MAX, OBJECT_RATIO_MAX = 1.5, 2.0
+"""A whole step of joint control, and of object impedance, over bare physics."""
+
+COLUMNS = ("step_us", "p99_us", "bare_us", "ratio", "real_time", "read_us", "dynamics_us", "algebra_us")
+
+
+@dataclass(frozen=True)
+class Case:
+    """One controller in one situation.
+
+    Attributes:
+        name: For the table.
+        step: One whole step of control and physics.
+        before: Takes the sample that the step follows; not timed, a sample is given to a controller.
+        parts: `read` (and write) of the world, and `dynamics` in Pinocchio.
+        ratio_max: Limit.
+    """
+
+    name: str
+    step: Step
+    before: Step
+    parts: Mapping[str, Step]
+    ratio_max: float
+
+
+MakeCase = Callable[[BenchScene], Case]
+
+
+def trajectory_14(scene: BenchScene) -> Case:
+    """Controller A: both arms follow a timed trajectory of 14 joints."""
+    loop = _loop(scene)
+    now = _Latest(scene.joint_samples())
+    return Case(
+        "A trajectory, 14 joints",
+        lambda: loop.follow(*now.value, scene.gripper),
+        now.take,
+        _joint_parts(scene),
+        JOINT_RATIO_MAX,
+    )
+
+
+def trajectory_7(scene: BenchScene) -> Case:
+    """Controller B: the left arm follows a trajectory of 7 joints, the right one is held."""
+    loop, arm = _loop(scene), GROUPS["left_arm"]
+    q, v, a = scene.q_rest.copy(), np.zeros(DOF), np.zeros(DOF)
+    q_arm, v_arm, a_arm = q[arm], v[arm], a[arm]
+    now = _Latest[JointSample]((q[arm], v[arm], a[arm]) for q, v, a in scene.joint_samples())
+
+    def step() -> None:
+        q_arm[:], v_arm[:], a_arm[:] = now.value
+        loop.follow(q, v, a, scene.gripper)
+
+    return Case("B trajectory, 7 joints of one arm", step, now.take, _joint_parts(scene), JOINT_RATIO_MAX)
+
+
+def targets_14(scene: BenchScene) -> Case:
+    """Controller A behind the reference filter: 14 joint targets at 50 Hz, from leader or policy."""
+    loop = _loop(scene)
+    now = _Latest(scene.joint_targets())
+    return Case(
+        "A targets at 50 Hz, reference filter",
+        lambda: loop.step(now.value, scene.gripper),
+        now.take,
+        _joint_parts(scene),
+        JOINT_RATIO_MAX,
+    )
+
+
+def object_impedance(scene: BenchScene) -> Case:
+    """Controller C: contacts and pose are read, the law is evaluated, hands and arms commanded."""
+    world, law, grippers = scene.world, scene.law, scene.grippers()
+    now = _Latest[ObjectState](scene.object_samples())
+    squeeze_n = scene.squeeze_n
+
+    def step() -> None:
+        measured, felt = scene.sense()
+        tau = law.torque(
+            world.q, world.v, measured, now.value, internal_force_n=squeeze_n, measured_internal_force_n=felt
+        )
+        world.command(tau, grippers.step(scene.gripper))
+        world.step()
+
+    hands, kinematics, rest = HandMotion(scene.kinematics), scene.kinematics, np.zeros(DOF)
+
+    def dynamics() -> None:
+        hands.update(scene.q_rest, rest, rest)
+        kinematics.rnea(scene.q_rest, rest, rest)
+
+    tau, targets = np.zeros(DOF), np.zeros(2)
+
+    def read() -> None:
+        scene.sense()
+        _read_and_write(scene, tau, targets)
+
+    return Case("C object impedance", step, now.take, {"read": read, "dynamics": dynamics}, OBJECT_RATIO_MAX)
+
+
+CASES: tuple[MakeCase, ...] = (trajectory_14, trajectory_7, targets_14, object_impedance)
+
+
+def measure(inputs: BenchInputs) -> BenchTable:
+    """Time all cases in both situations."""
+    gains = gains_of(inputs.config)
+    rows: list[BenchRow] = []
+    for make_scene in (held_scene, free_scene):
+        scene = make_scene(inputs.config.scene, gains)
+        for make in CASES:
+            rows.append(measure_case(scene, make, inputs.repeats_n))
+            inputs.advance(rows[-1].name)
+    return BenchTable(
+        f"One step of {scene.world.dt * 1e3:g} ms: control and physics beside bare mj_step, medians of "
+        f"{inputs.repeats_n} steps in turns of 50",
+        COLUMNS,
+        tuple(rows),
+        (
+            "ratio = step / bare, turn by turn; real_time = simulated time / wall time; algebra = step - bare - read - dynamics.",
+            "held: both hands hold the rod in the air, their contacts are solved. free: open hands, nothing touched;",
+            "object impedance then runs on an imagined object, to show the law beside the cheapest physics there is.",
+        ),
+    )
+
+
+def measure_case(scene: BenchScene, make: MakeCase, steps_n: int) -> BenchRow:
+    """Time one case from where its situation began."""
+    scene.restore()
+    case = make(scene)
+    case.before()
+    cost = step_cost(scene.world, case.step, steps_n, parts=case.parts, before=case.before)
+    # Beside free physics even a perfect law fails: nobody impedes an object that is not there.
+    limited = not (scene.virtual and case.ratio_max == OBJECT_RATIO_MAX)
+    return BenchRow(f"{case.name}, {scene.name}", _numbers(cost), {"ratio": case.ratio_max} if limited else {})
+
+
+def gains_of(config: Config) -> ImpedanceGains:
+    """Return the configured gains of the object impedance."""
+    impedance = config.carry.impedance
+    return ImpedanceGains(
+        stiffness=(impedance.stiffness_n_per_m,) * 3 + (impedance.stiffness_nm_per_rad,) * 3,
+        damping_ratio=impedance.damping_ratio,
+        internal_force_n=impedance.internal_force_n,
+        force_gain=impedance.force_gain,
+        force_correction_max_n=impedance.force_correction_max_n,
+    )
+
+
+class _Latest[T]:
+    """The sample that a step follows; `take` goes on to the next one."""
+
+    def __init__(self, samples: Iterator[T]) -> None:
+        self._samples = samples
+        self.value = next(samples)
+
+    def take(self) -> None:
+        self.value = next(self._samples)
+
+
+def _loop(scene: BenchScene) -> JointLoop:
+    loop = JointLoop(scene.world, scene.kinematics)
+    loop.grippers = scene.grippers()
+    return loop
+
+
+def _joint_parts(scene: BenchScene) -> dict[str, Step]:
+    kinematics, q, rest = scene.kinematics, scene.q_rest, np.zeros(DOF)
+    tau, targets = np.zeros(DOF), np.zeros(2)
+    return {"read": lambda: _read_and_write(scene, tau, targets), "dynamics": lambda: kinematics.rnea(q, rest, rest)}
+
+
+def _read_and_write(scene: BenchScene, tau: np.ndarray, targets: np.ndarray) -> None:
+    """Read the joints and write commands as a step does; the next block begins from the whole step's own state."""
+    world = scene.world
+    _ = world.q, world.v
+    ctrl = world.data.ctrl.copy()
+    world.command(tau, targets)
+    world.data.ctrl[:] = ctrl
+
+
+def _numbers(cost: StepCost) -> dict[str, float]:
+    parts = cost.parts_us
+    return {
+        "step_us": cost.median_us,
+        "p99_us": cost.p99_us,
+        "bare_us": cost.bare_median_us,
+        "ratio": cost.ratio,
+        "real_time": cost.real_time_factor,
+        "read_us": parts["read"],
+        "dynamics_us": parts["dynamics"],
+        "algebra_us": cost.median_us - cost.bare_median_us - parts["read"] - parts["dynamics"],
+    }

@@ -1,0 +1,207 @@
+"""How soon a command reaches the motors, and how soon an emergency stop does: arbiter, controller, supervisor."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from minidual.config.arbiter import ArbiterConfig
+from minidual.config.supervisor import SupervisorConfig
+from minidual.control.commands import JointCommand
+from minidual.control.reflexes import ReflexError
+from minidual.control.stack import ControlStack
+from minidual.control.supervisor import Supervisor
+from minidual.errors import MinidualError
+from minidual.plant.world import World
+from minidual.robot.constants import Array
+from minidual.robot.kinematics import Kinematics
+from minidual.stages.env_check_joint_tracking import sine_reference
+
+_SOURCE = "policy"
+_NUDGE_RAD = 0.02
+_CHANGED_SHARE = 0.5
+"""A torque has answered when it changes in a tick by this share of what the supervisor lets through (1 Nm). The nudge
+asks for twenty times that; what is left of the one before changes it by a hundredth."""
+_SETTLE_STEPS = 120
+_STILL_RAD_S = 0.01
+
+
+@dataclass(frozen=True)
+class CommandLatency:
+    """What a command waits for.
+
+    Attributes:
+        ticks: Control steps from `propose` to the first torque that differs, one entry for every instant of the
+            arbiter's period at which the command can come; 1 is the very next step.
+        period_ticks: Control steps between two ticks of the arbiter.
+        wall_us: Wall time from `propose` to the torques handed to the motors, for commands that come just before a
+            tick of the arbiter [us].
+    """
+
+    ticks: tuple[int, ...]
+    period_ticks: int
+    wall_us: Array
+
+    @property
+    def ticks_max(self) -> int:
+        """The longest wait: a command that comes just after the arbiter has looked."""
+        return max(self.ticks)
+
+    @property
+    def ticks_min(self) -> int:
+        """The shortest wait."""
+        return min(self.ticks)
+
+
+class LatencyRig:
+    """The whole control stack on a world, with one source that drives it.
+
+    Args:
+        world: The plant; its state is reset.
+        kinematics: Dynamics of the controllers.
+        arbiter: Bounds and times.
+        supervisor: Bounds of the supervisor, which is part of the way.
+        rate_hz: Rate of the arbiter.
+    """
+
+    def __init__(
+        self, world: World, kinematics: Kinematics, arbiter: ArbiterConfig, supervisor: SupervisorConfig, rate_hz: float
+    ) -> None:
+        self.world = world
+        world.reset()
+        self.supervisor = Supervisor(supervisor, dt_s=world.dt)
+        self.stack = ControlStack(world, kinematics, arbiter, rate_hz=rate_hz, supervisor=self.supervisor)
+        self.period = round(1.0 / (rate_hz * world.dt))
+        self.target = world.q
+        self._sequence = 0
+        self.stack.request(_SOURCE)
+        for _ in range(2 * _SETTLE_STEPS):
+            self.hold_step()
+        if self.stack.source != _SOURCE:
+            raise MinidualError(f"'{_SOURCE}' did not get the arms: the arbiter is {self.stack.state}")
+
+    def propose(self) -> None:
+        """Offer the present target, stamped now."""
+        self._sequence += 1
+        command = JointCommand(self.target.copy(), np.ones(2), self.world.time, self._sequence)
+        self.stack.propose(_SOURCE, command)
+
+    def hold_step(self) -> None:
+        """Run one step; keep the source alive at every tick of the arbiter."""
+        if self.stack.tick_next:
+            self.propose()
+        self.stack.step()
+
+    def nudge(self, sign: float) -> None:
+        """Move the target of joint 1 of the left arm to either side of home."""
+        self.target[0] = sign * 0.5 * _NUDGE_RAD
+
+
+def command_latency(rig: LatencyRig, *, repeats_n: int = 100) -> CommandLatency:
+    """Measure how long commands take to the motors.
+
+    Every instant of the arbiter's period is tried. The wall time is that of the commands that need not wait.
+    """
+    ticks, sign = [], 1.0
+    for phase in range(rig.period):
+        for _ in range(_SETTLE_STEPS):
+            rig.hold_step()
+        while not rig.stack.tick_next:
+            rig.hold_step()
+        for _ in range(phase):
+            rig.hold_step()
+        sign = -sign
+        rig.nudge(sign)
+        rig.propose()
+        ticks.append(_steps_until_torque(rig))
+    wall = np.empty(repeats_n)
+    for k in range(repeats_n):
+        while not rig.stack.tick_next:
+            rig.hold_step()
+        sign = -sign
+        rig.nudge(sign)
+        wall[k] = _wall_us(rig)
+    return CommandLatency(tuple(ticks), rig.period, wall)
+
+
+def _steps_until_torque(rig: LatencyRig) -> int:
+    """Return the number of steps until the torque answers; a command that never does counts three periods."""
+    changed_nm = _CHANGED_SHARE * rig.supervisor.bounds.tau_step
+    before = rig.stack.applied.copy()
+    for count in range(1, 3 * rig.period + 1):
+        rig.stack.step()
+        if np.max(np.abs(rig.stack.applied - before)) > changed_nm:
+            return count
+        before = rig.stack.applied.copy()
+    return 3 * rig.period
+
+
+def _wall_us(rig: LatencyRig) -> float:
+    """Return the wall time from propose to the call that hands the torques over [us]."""
+    world = rig.world
+    command = world.command
+    reached = [0]
+
+    def stamped(tau: Array, fingers: Array) -> None:
+        reached[0] = time.perf_counter_ns()
+        command(tau, fingers)
+
+    world.command = stamped  # type: ignore[method-assign]
+    try:
+        began = time.perf_counter_ns()
+        rig.propose()
+        rig.stack.step()
+    finally:
+        world.command = command  # type: ignore[method-assign]
+    return (reached[0] - began) / 1e3
+
+
+@dataclass(frozen=True)
+class StopResponse:
+    """What an emergency stop does to moving arms.
+
+    Attributes:
+        ticks: Control steps from the call to the reflex `emergency_stop`; 1 is the next, 0 if it did not come.
+        rest_s: Simulated time until no joint is faster than 0.01 rad/s; NaN if they do not come to rest in 2 s.
+        speed_rad_s: Fastest joint when it was called.
+        torque_step_nm: Largest change of a torque in one tick of the stop.
+    """
+
+    ticks: int
+    rest_s: float
+    speed_rad_s: float
+    torque_step_nm: float
+
+
+def emergency_stop(world: World, kinematics: Kinematics, config: SupervisorConfig) -> StopResponse:
+    """Swing all joints, press the emergency stop where they are fastest, and watch them come to rest."""
+    from minidual.control.joint_control import ComputedTorque
+
+    controller, supervisor = ComputedTorque(kinematics), Supervisor(config, dt_s=world.dt)
+    world.reset(sine_reference(0.3, 0.5, 0.0)[0])
+    fingers = np.full(2, 0.04)
+    pressed: int | None = None
+    speed, ticks, change = 0.0, 0, 0.0
+    applied = np.zeros_like(world.q)
+    for k in range(round(2.5 / world.dt)):
+        t, q, v = world.time, world.q, world.v
+        if k == round(0.5 / world.dt):
+            supervisor.estop("environment check")
+            pressed, speed = k, float(np.max(np.abs(v)))
+        tau = controller.torque(q, v, *sine_reference(0.3, 0.5, t))
+        try:
+            tau = supervisor.guard(t, q, v, tau)
+        except ReflexError as error:
+            tau = error.tau
+            if error.reflex.name == "emergency_stop" and pressed is not None:
+                ticks = k + 1 - pressed
+        if supervisor.reflex is not None:
+            change = max(change, float(np.max(np.abs(tau - applied))))
+        applied = tau
+        world.command(tau, fingers)
+        world.step()
+        if supervisor.reflex is not None and np.max(np.abs(world.v)) < _STILL_RAD_S:
+            return StopResponse(ticks, world.time - supervisor.reflex.time_s, speed, change)
+    return StopResponse(ticks, float("nan"), speed, change)

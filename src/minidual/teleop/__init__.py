@@ -1,1 +1,0 @@
-"""Leaders, their mirror image on the follower, and the session that ties both to the arbiter."""

@@ -1,0 +1,151 @@
+"""Methods by conditions: every method on the same starts under every disturbance that can touch it."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from minidual.config.root import Config
+from minidual.config.seeds import stream
+from minidual.show.view.protocol import View
+from minidual.trials.conditions import CLEAN, condition
+from minidual.trials.methods import MethodInputs
+from minidual.trials.metrics import MethodSummary, TrialMetrics, summarise
+from minidual.trials.perturbation import run_under, undisturbed, why_not
+from minidual.trials.tables import write_text
+from minidual.trials.trials import TrialResult
+
+PURPOSE = "benchmark"
+"""Random stream of the starts: all methods and conditions get the same ones, and no stage before has seen them."""
+
+OVER_SUCCESSES = ("duration_", "path_", "internal_", "pinch_")
+"""How the names of numbers begin that exist only where a trial succeeded."""
+
+
+@dataclass(frozen=True)
+class BenchmarkCell:
+    """One method under one condition.
+
+    Attributes:
+        method: Row of the table of methods.
+        condition: Row of the table of conditions.
+        asked_n: Trials that it should have.
+        summary: What its trials say together; None where the condition does not apply.
+        why_not: Why it does not apply, or an empty string.
+        undisturbed: Indices of successes in which its push or move never took place.
+    """
+
+    method: str
+    condition: str
+    asked_n: int
+    summary: MethodSummary | None
+    why_not: str = ""
+    undisturbed: tuple[int, ...] = ()
+
+    @property
+    def settled(self) -> bool:
+        """Whether it has all its trials, disturbed as it says, or a reason to have none."""
+        if self.summary is None:
+            return bool(self.why_not)
+        return not self.why_not and not self.undisturbed and self.summary.trials_n >= self.asked_n
+
+    def not_finite(self) -> list[str]:
+        """Return the names of numbers that should exist and do not."""
+        s = self.summary
+        if s is None:
+            return []
+        names = [f.name for f in fields(s) if isinstance(getattr(s, f.name), float)]
+        due = [n for n in names if s.successes_n > 0 or not n.startswith(OVER_SUCCESSES)]
+        return [n for n in due if not math.isfinite(getattr(s, n))]
+
+    def record(self) -> dict[str, Any]:
+        """Return the cell as JSON types; a number that does not exist is the word nan."""
+        if self.summary is None:
+            return {"applies": False, "why": self.why_not}
+        kept = ("method", "condition", "trials_n", "failures")
+        values = {k: v for k, v in self.summary.__dict__.items() if k not in kept}
+        plain = {k: "nan" if isinstance(v, float) and not math.isfinite(v) else v for k, v in values.items()}
+        return {"applies": True, "trials": self.summary.trials_n, **plain, "failures": dict(self.summary.failures)}
+
+
+def count_trials(methods: Sequence[str], trials_n: Mapping[str, int], config: Config) -> int:
+    """Return how many trials `run_benchmark` runs: those that do not apply are left out."""
+    return sum(n for m in methods for c, n in trials_n.items() if not why_not(m, condition(c), config))
+
+
+def run_benchmark(
+    methods: Sequence[str],
+    trials_n: Mapping[str, int],
+    inputs: MethodInputs,
+    *,
+    workers: int,
+    on_trial: Callable[[TrialResult], None] | None = None,
+    view: View | None = None,
+) -> tuple[list[BenchmarkCell], list[TrialMetrics]]:
+    """Run every method under every condition.
+
+    Args:
+        methods: Rows of the table of methods.
+        trials_n: {condition: trials of each method}.
+        inputs: What the methods are built from.
+        workers: Processes.
+        on_trial: Called after each trial.
+        view: Where trials are shown, if anywhere.
+
+    Returns:
+        Cells and trials in the order asked for. A cell depends on the seed and on its own method, condition and number
+        of trials, neither on `workers` nor on what else is run: every random stream is named by what it serves.
+    """
+    cells: list[BenchmarkCell] = []
+    everything: list[TrialMetrics] = []
+    for method in methods:
+        for name, n in trials_n.items():
+            reason = why_not(method, condition(name), inputs.config)
+            if reason:
+                cells.append(BenchmarkCell(method, name, n, None, reason))
+                continue
+            rows: list[TrialMetrics] = []
+            for result in run_under(method, inputs, condition(name), PURPOSE, n, workers=workers, view=view):
+                rows.append(result.metrics)
+                if on_trial is not None:
+                    on_trial(result)
+            rng = stream(inputs.seed, f"bootstrap/{PURPOSE}/{method}/{name}")
+            missed = undisturbed(condition(name), rows)
+            cells.append(BenchmarkCell(method, name, n, summarise(rows, rng), undisturbed=missed))
+            everything += rows
+    return cells, everything
+
+
+def summaries(cells: Sequence[BenchmarkCell], name: str = CLEAN) -> list[MethodSummary]:
+    """Return what was measured under one condition."""
+    return [c.summary for c in cells if c.condition == name and c.summary is not None]
+
+
+def write_cells(path: Path, cells: Sequence[BenchmarkCell]) -> Path:
+    """Write one row a method and condition; one that does not apply says why."""
+    rows: list[dict[str, Any]] = []
+    for cell in cells:
+        applies = "yes" if cell.summary is not None else f"no: {cell.why_not}"
+        values = {} if cell.summary is None else cell.summary.to_row()
+        rows.append({"method": cell.method, "condition": cell.condition, "applies": applies, **values})
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    text = io.StringIO()
+    writer = csv.DictWriter(text, fieldnames=names, restval="does not apply", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return write_text(path, text.getvalue())
+
+
+def conditions_data(cells: Sequence[BenchmarkCell]) -> dict[str, Any]:
+    """Return {condition: {summary, trials_n, methods: {method: numbers}}} of the disturbed cells, for the verdict."""
+    table: dict[str, Any] = {}
+    for cell in cells:
+        if cell.condition != CLEAN:
+            entry = {"summary": condition(cell.condition).summary, "trials_n": cell.asked_n, "methods": {}}
+            table.setdefault(cell.condition, entry)["methods"][cell.method] = cell.record()
+    return table

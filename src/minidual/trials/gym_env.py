@@ -1,0 +1,243 @@
+"""The rod task as a Gymnasium environment: joint targets in, joint state and pictures out, at 50 Hz.
+
+It runs on the very loop that teleoperation, policies and the planner use (`minidual.control.loop`), and the same
+judge (`minidual.tasks.success`) says whether a trial succeeded.
+
+    env = gymnasium.make("minidual.trials.gym_env:minidual/RodCarry-v0", images=("high",), render_mode="rgb_array")
+
+The part before the colon is imported, which registers `minidual/RodCarry-v0`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+from gymnasium.envs.registration import register, registry
+
+from minidual.config.scene import SceneConfig
+from minidual.control.loop import JointLoop
+from minidual.errors import UsageError, unknown_name
+from minidual.plant.model import CAMERAS
+from minidual.plant.render import Camera, Image
+from minidual.plant.world import SimulationDivergedError, World
+from minidual.robot.constants import DOF, Q_LOWER, Q_UPPER, Array
+from minidual.robot.kinematics import Kinematics
+from minidual.tasks.rod_carry import RodTrial, grasp_offsets, level_part, sample_trial
+from minidual.tasks.success import RodCarryJudge
+
+ROD_CARRY_ID = "minidual/RodCarry-v0"
+CONTROL_HZ = 50
+"""Rate of actions and observations."""
+
+_OVERTRAVEL_RAD = 0.1
+"""Room beyond the joint limits in the observation space: a collision may push a joint a little over."""
+_FALLEN_M = -0.1
+"""A rod below this height has left the table."""
+
+Observation = dict[str, Any]
+
+
+class RodCarryEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
+    """Two arms carry a rod from the table's left to its right.
+
+    Observation (a dictionary):
+        state: (16,) float32, measured joints left 1-7 and right 1-7 [rad], then the openings of the two hands (0..1).
+        images: only if asked for; {camera: (H, W, 3) uint8}.
+        rod: only if asked for; (7,) float32, the rod's position [m] and quaternion wxyz. Ground truth, which no
+            camera-driven policy may use.
+
+    Action: (16,) float32, joint targets [rad] within the joint limits, then the opening of each hand (below 0.4
+    closes, above 0.6 opens). One action holds for 20 ms.
+
+    Reward: gain of the potential -(mean distance of the hands from their grasps + distance of the rod from its
+    goal, both in metres), plus 1 on success. The potential shapes without changing which policy is best
+    (Ng, Harada, Russell 1999, for a discount of 1).
+
+    An episode ends (`terminated`) when the rod lies released at its goal after it was lifted, when it has left the
+    table, or when the simulation diverged; it is cut (`truncated`) at the task's time limit. A rod put down at the
+    goal is only a success if both hands held it level all the way: `info["success"]` says so, `info["faults"]`
+    names what was missed.
+
+    Args:
+        scene: World and task; the default one if None.
+        render_mode: "rgb_array" makes `render` return the overview camera's picture.
+        images: Cameras to observe, out of high, left, right.
+        rod_pose: Observe the rod's pose.
+        render_width_px: Width of the picture that `render` returns.
+        render_height_px: Its height.
+
+    Raises:
+        UsageError: An unknown camera or render mode.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": CONTROL_HZ}
+
+    def __init__(
+        self,
+        scene: SceneConfig | None = None,
+        *,
+        render_mode: str | None = None,
+        images: Sequence[str] = (),
+        rod_pose: bool = False,
+        render_width_px: int = 640,
+        render_height_px: int = 480,
+    ) -> None:
+        for name in images:
+            if name not in CAMERAS:
+                raise unknown_name("camera", name, CAMERAS)
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            raise unknown_name("render mode", render_mode, self.metadata["render_modes"])
+        self.scene = SceneConfig() if scene is None else scene
+        self.render_mode = render_mode
+        self._images = tuple(images)
+        self._rod_pose = rod_pose
+        self._render_size = (render_width_px, render_height_px)
+        self._world = World(self.scene, visuals=bool(images) or render_mode is not None)
+        self._kinematics = Kinematics()
+        self._loop = JointLoop(self._world, self._kinematics)
+        self._substeps = round(1.0 / (CONTROL_HZ * self._world.dt))
+        self._grasps = grasp_offsets(self.scene)
+        self._camera: Camera | None = None
+        self._render_camera: Camera | None = None
+        self._judge: RodCarryJudge | None = None
+        self._potential = 0.0
+        self.action_space = spaces.Box(
+            np.r_[Q_LOWER, 0.0, 0.0].astype(np.float32), np.r_[Q_UPPER, 1.0, 1.0].astype(np.float32)
+        )
+        self.observation_space = self._make_observation_space()
+
+    @property
+    def world(self) -> World:
+        """The simulated world, for scoring and drawing."""
+        return self._world
+
+    def _make_observation_space(self) -> spaces.Dict:
+        low = np.r_[Q_LOWER - _OVERTRAVEL_RAD, -0.1, -0.1].astype(np.float32)
+        high = np.r_[Q_UPPER + _OVERTRAVEL_RAD, 1.1, 1.1].astype(np.float32)
+        members: dict[str, spaces.Space[Any]] = {"state": spaces.Box(low, high)}
+        if self._rod_pose:
+            bound = np.array([10.0, 10.0, 10.0, 1.0, 1.0, 1.0, 1.0], dtype=np.float32)
+            members["rod"] = spaces.Box(-bound, bound)
+        if self._images:
+            shape = (self.scene.camera.height_px, self.scene.camera.width_px, 3)
+            members["images"] = spaces.Dict({name: spaces.Box(0, 255, shape, dtype=np.uint8) for name in self._images})
+        return spaces.Dict(members)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start a trial drawn from the environment's own stream, or the one given as `options["trial"]`.
+
+        Raises:
+            UsageError: An unknown option, or a trial that is no RodTrial.
+        """
+        super().reset(seed=seed)
+        options = options or {}
+        for name in options:
+            if name != "trial":
+                raise unknown_name("option", name, ["trial"])
+        trial = options.get("trial")
+        if trial is None:
+            trial = sample_trial(self.scene, int(self.np_random.integers(2**62)), "gym", 0)
+        elif not isinstance(trial, RodTrial):
+            raise UsageError(f"options['trial'] is a {type(trial).__name__}; it must be a RodTrial")
+        self._world.reset(rod_xy_yaw=trial.start)
+        self._loop.reset()
+        self._judge = RodCarryJudge(self.scene, trial)
+        self._potential = self._measure_potential()
+        return self._observe(), {"trial": trial}
+
+    def step(self, action: npt.NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Hold one action for 20 ms; values beyond the action space are clipped to it.
+
+        Raises:
+            UsageError: The action has another shape or is not finite, or `reset` was not called.
+        """
+        judge = self._judge
+        if judge is None:
+            raise UsageError("the environment was stepped before it was reset", remedy="call env.reset() first")
+        wanted = np.asarray(action, dtype=float)
+        if wanted.shape != self.action_space.shape or not np.isfinite(wanted).all():
+            raise UsageError(
+                f"an action is (16,) finite numbers; this one has shape {wanted.shape}"
+                + ("" if np.isfinite(wanted).all() else " and is not finite")
+            )
+        wanted = np.clip(wanted, self.action_space.low, self.action_space.high)
+        diverged = False
+        try:
+            for _ in range(self._substeps):
+                self._loop.step(wanted[:DOF], wanted[DOF:])
+                judge.observe(self._world)
+        except SimulationDivergedError:
+            diverged = True
+            self._world.reset(rod_xy_yaw=judge.trial.start)  # a finite last observation
+        outcome = judge.outcome(self._world)
+        success = outcome.success and not diverged
+        fallen = bool(self._world.T_world_rod[2, 3] < _FALLEN_M)
+        terminated = diverged or fallen or judge.finished
+        truncated = not terminated and self._world.time >= self.scene.task.time_limit_s - 1e-9
+        reward = float(success)
+        if not diverged:
+            potential = self._measure_potential()
+            reward += potential - self._potential
+            self._potential = potential
+        info: dict[str, Any] = {"success": success, "trial": judge.trial, "time_s": self._world.time}
+        if terminated or truncated:
+            info["outcome"] = outcome
+            info["faults"] = ("diverged",) if diverged else tuple(fault.name for fault in outcome.faults)
+        return self._observe(), reward, terminated, truncated, info
+
+    def _measure_potential(self) -> float:
+        assert self._judge is not None
+        rod = self._world.T_world_rod
+        level = level_part(rod)
+        hands = [
+            float(np.linalg.norm((level @ grasp)[:3, 3] - tcp[:3, 3]))
+            for grasp, tcp in zip(self._grasps, self._kinematics.tcp_poses(self._world.q), strict=True)
+        ]
+        x, y, _ = self._judge.trial.goal
+        goal = float(np.linalg.norm(rod[:3, 3] - (x, y, self.scene.rod.radius_m)))
+        return -(sum(hands) / len(hands) + goal)
+
+    def _observe(self) -> Observation:
+        world = self._world
+        space = self.observation_space["state"]
+        assert isinstance(space, spaces.Box)
+        state = np.concatenate([world.q, world.gripper]).astype(np.float32)
+        observation: Observation = {"state": np.clip(state, space.low, space.high)}
+        if self._rod_pose:
+            observation["rod"] = self._rod().astype(np.float32)
+        if self._images:
+            if self._camera is None:
+                self._camera = Camera.recorded(world.model, self.scene.camera)
+            camera = self._camera
+            observation["images"] = {name: camera.picture(world.data, name) for name in self._images}
+        return observation
+
+    def _rod(self) -> Array:
+        body = self._world.data.body("rod")
+        return np.clip(np.concatenate([body.xpos, body.xquat]), -10.0, 10.0)
+
+    def render(self) -> Image | None:  # type: ignore[override]
+        """Return the overview camera's picture (H, W, 3) uint8, or None without a render mode."""
+        if self.render_mode is None:
+            return None
+        if self._render_camera is None:
+            self._render_camera = Camera(self._world.model, *self._render_size)
+        return self._render_camera.picture(self._world.data, "overview")
+
+    def close(self) -> None:
+        """Free the OpenGL contexts."""
+        for camera in (self._camera, self._render_camera):
+            if camera is not None:
+                camera.close()
+        self._camera = self._render_camera = None
+
+
+if ROD_CARRY_ID not in registry:
+    register(id=ROD_CARRY_ID, entry_point="minidual.trials.gym_env:RodCarryEnv")

@@ -1,0 +1,325 @@
+"""What one trial showed, and what the trials of one method say together.
+
+Values that do not exist stay NaN in memory, so that a check on them fails; in CSV and JSON they are words
+("no successful trial"), never an empty cell or a null.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minidual.demos.quality import path_length_m
+from minidual.demos.smoothness import min_duration_s, rms_jerk
+from minidual.errors import DataError, NothingEvaluatedError, UsageError
+from minidual.robot.constants import TAU_MAX
+from minidual.trials.statistics import bootstrap_median_interval, wilson_interval
+
+if TYPE_CHECKING:
+    from minidual.tasks.success import Outcome
+
+#: What stands in a table where a value does not exist.
+NO_SUCCESS = "no successful trial"
+NOT_MEASURED = "not measured"
+NO_EVENT = "no push or move"
+
+Cell = float | int | str | bool
+
+
+@dataclass(frozen=True)
+class TrialMetrics:
+    """One trial of one method.
+
+    Attributes:
+        method: Who drove the arms, e.g. ``moveit``, ``impedance``, ``act``.
+        index: Number of the trial in its stream; methods share trials.
+        condition: What the world did to it, e.g. ``clean``.
+        success: The task's one success test.
+        failure: Name of the first fault, empty on success.
+        reason: The fault in words, with numbers, empty on success.
+        failed_at_s: When it failed; NaN on success.
+        duration_s: Start to released and at rest; NaN without success.
+        torque_ratio_max: Largest |torque| / limit over joints and time.
+        jerk_rms: Low-passed RMS jerk; NaN if the trial ended before it could be measured.
+        tilt_max_rad: Largest tilt of the object.
+        path_length_m: Path of a hand, mean of the two.
+        internal_force_min_n: Least squeeze while the object is off the table; NaN where nobody measured it.
+        pinch_force_min_n: Least grip force while it is off the table.
+        goal_error_m: Distance of the object from its goal at the end.
+        aborted: Why the method stopped itself, empty if it did not.
+        disturbed: Whether the push or move of its condition took place; None where the condition has neither.
+    """
+
+    method: str
+    index: int
+    condition: str
+    success: bool
+    failure: str
+    reason: str
+    failed_at_s: float
+    duration_s: float
+    torque_ratio_max: float
+    jerk_rms: float
+    tilt_max_rad: float
+    path_length_m: float
+    internal_force_min_n: float
+    pinch_force_min_n: float
+    goal_error_m: float
+    aborted: str = ""
+    disturbed: bool | None = None
+
+    def to_row(self) -> dict[str, Cell]:
+        """Return the trial for CSV or JSON, with words where a number does not exist."""
+        words = {"failed_at_s": "did not fail", "duration_s": "did not succeed"}
+        row = {f.name: _said(getattr(self, f.name), words.get(f.name, NOT_MEASURED)) for f in fields(self)}
+        return {**row, "disturbed": NO_EVENT if self.disturbed is None else self.disturbed}
+
+
+_OVER_ALL = ("torque_", "jerk_", "tilt_", "goal_")
+"""How the names of indicators begin that are taken over all trials, failed ones too."""
+
+
+@dataclass(frozen=True)
+class MethodSummary:
+    """All trials of one method under one condition.
+
+    Attributes:
+        method: As in the trials.
+        condition: As in the trials.
+        trials_n: Number of trials.
+        successes_n: Number of successes.
+        success_rate: Their ratio.
+        success_low: Lower end of its 95 % Wilson interval.
+        success_high: Upper end.
+        duration_median_s: Median over the successful trials; NaN without any.
+        duration_low_s: Lower end of its 95 % bootstrap interval.
+        duration_high_s: Upper end.
+        torque_ratio_max: Largest over all trials.
+        torque_ratio_median: Median over all trials of each trial's largest.
+        torque_ratio_low: Lower end of its 95 % bootstrap interval.
+        torque_ratio_high: Upper end.
+        jerk_rms_median: Median over all trials long enough to measure, rad/s^3.
+        jerk_rms_low: Lower end of its 95 % bootstrap interval.
+        jerk_rms_high: Upper end.
+        tilt_max_rad: Largest over all trials, failed ones included.
+        tilt_median_rad: Median over all trials of each trial's largest.
+        tilt_low_rad: Lower end of its 95 % bootstrap interval.
+        tilt_high_rad: Upper end.
+        path_length_m: Median over the successful trials; NaN without any.
+        path_length_low_m: Lower end of its 95 % bootstrap interval.
+        path_length_high_m: Upper end.
+        internal_force_min_n: Least over the successful trials.
+        pinch_force_min_n: Least over the successful trials.
+        goal_error_median_m: Median over all trials.
+        failures: Number of trials by name of their first fault.
+        stopped_n: Failed trials in which the method stopped itself: a refusal, where others drop what they hold.
+    """
+
+    method: str
+    condition: str
+    trials_n: int
+    successes_n: int
+    success_rate: float
+    success_low: float
+    success_high: float
+    duration_median_s: float
+    duration_low_s: float
+    duration_high_s: float
+    torque_ratio_max: float
+    torque_ratio_median: float
+    torque_ratio_low: float
+    torque_ratio_high: float
+    jerk_rms_median: float
+    jerk_rms_low: float
+    jerk_rms_high: float
+    tilt_max_rad: float
+    tilt_median_rad: float
+    tilt_low_rad: float
+    tilt_high_rad: float
+    path_length_m: float
+    path_length_low_m: float
+    path_length_high_m: float
+    internal_force_min_n: float
+    pinch_force_min_n: float
+    goal_error_median_m: float
+    failures: tuple[tuple[str, int], ...]
+    stopped_n: int
+
+    def to_row(self) -> dict[str, Cell]:
+        """Return the summary for CSV or JSON, with words where a number does not exist."""
+        missing = NO_SUCCESS if self.successes_n == 0 else NOT_MEASURED
+        row: dict[str, Cell] = {}
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if f.name == "failures":
+                row["failures"] = "; ".join(f"{name} {count}" for name, count in value) or "none"
+            else:
+                row[f.name] = _said(value, NOT_MEASURED if f.name.startswith(_OVER_ALL) else missing)
+        return row
+
+
+def peak_torque_ratio(tau: NDArray[np.floating], limit: NDArray[np.floating] = TAU_MAX) -> float:
+    """Return the largest |tau| / limit over joints and time, for tau (T, 14) and limit (14,), both Nm."""
+    tau = np.asarray(tau, dtype=float)
+    if tau.ndim != 2 or tau.shape[1:] != np.shape(limit) or not len(tau):
+        raise DataError(f"torques have shape {tau.shape}; they must be (T, {len(limit)}) with T at least 1")
+    return float(np.max(np.abs(tau) / limit))
+
+
+def jerk_or_nan(q: NDArray[np.floating], rate_hz: float) -> float:
+    """Return `rms_jerk`, or NaN for a trial that ended before it can be measured (half a second)."""
+    if (len(q) - 1) / rate_hz < min_duration_s():
+        return math.nan
+    return rms_jerk(q, rate_hz)
+
+
+def trial_metrics(
+    method: str,
+    index: int,
+    outcome: Outcome,
+    *,
+    q: NDArray[np.floating],
+    tau: NDArray[np.floating],
+    tcp_positions: NDArray[np.floating],
+    rate_hz: float,
+    condition: str = "clean",
+) -> TrialMetrics:
+    """Return the metrics of one trial from its log and the task's verdict.
+
+    Args:
+        method: Who drove the arms.
+        index: Number of the trial.
+        outcome: The verdict of the task's success test.
+        q: (T, 14) measured joints, rad.
+        tau: (T, 14) torques, Nm.
+        tcp_positions: (T, 2, 3) measured tool centres, metres.
+        rate_hz: Rate of the logs, 1/s.
+        condition: What the world did to the trial.
+
+    Raises:
+        DataError: logs of wrong shape or with values that are not finite.
+    """
+    positions = np.asarray(tcp_positions, dtype=float)
+    for name, log, row in (("q", q, (14,)), ("tau", tau, (14,)), ("tcp_positions", positions, (2, 3))):
+        if log.shape != (len(q), *row):
+            raise DataError(
+                f"the log of {name} of {method}, trial {index}, has shape {log.shape}; it must be {(len(q), *row)}"
+            )
+        if not np.all(np.isfinite(log)):
+            raise DataError(f"the log of {name} of {method}, trial {index}, holds NaN or infinity")
+    first = min(outcome.faults, key=lambda fault: fault.at_s) if outcome.faults else None
+    if outcome.success:
+        failure, detail, failed_at = "", "", math.nan
+    elif first is None:
+        failure, detail, failed_at = "unfinished", "the object was never released at rest", outcome.duration_s
+    else:
+        failure, detail, failed_at = first.name, first.detail, first.at_s
+    return TrialMetrics(
+        method=method,
+        index=index,
+        condition=condition,
+        success=outcome.success,
+        failure=failure,
+        reason=detail,
+        failed_at_s=failed_at,
+        duration_s=outcome.duration_s if outcome.success else math.nan,
+        torque_ratio_max=peak_torque_ratio(tau),
+        jerk_rms=jerk_or_nan(q, rate_hz),
+        tilt_max_rad=outcome.tilt_max_rad,
+        path_length_m=float(path_length_m(positions).mean()),
+        internal_force_min_n=outcome.internal_force_min_n,
+        pinch_force_min_n=outcome.pinch_min_n,
+        goal_error_m=outcome.goal_error_m,
+    )
+
+
+def summarise(trials: Sequence[TrialMetrics], rng: np.random.Generator) -> MethodSummary:
+    """Return what the trials of one method under one condition say together.
+
+    Args:
+        trials: At least one; all of one method and one condition, each trial once.
+        rng: Seeded generator of the bootstrap.
+
+    Raises:
+        NothingEvaluatedError: no trials.
+        UsageError: trials of several methods or conditions, or a trial twice.
+    """
+    if not trials:
+        raise NothingEvaluatedError("no trials to summarise")
+    labels = {(trial.method, trial.condition) for trial in trials}
+    if len(labels) > 1:
+        raise UsageError(f"trials of {len(labels)} methods or conditions in one summary: {sorted(labels)}")
+    if len({trial.index for trial in trials}) != len(trials):
+        raise UsageError(f"method {trials[0].method} ran the same trial twice; a trial would count double")
+    won = [trial for trial in trials if trial.success]
+    low, high = wilson_interval(len(won), len(trials))
+    durations = [trial.duration_s for trial in won]
+    duration_low, duration_high = _interval(durations, rng)
+    torques = [trial.torque_ratio_max for trial in trials]
+    torque_low, torque_high = _interval(torques, rng)
+    jerks = [trial.jerk_rms for trial in trials if math.isfinite(trial.jerk_rms)]
+    jerk_low, jerk_high = _interval(jerks, rng)
+    tilts = [trial.tilt_max_rad for trial in trials]
+    tilt_low, tilt_high = _interval(tilts, rng)
+    paths = [trial.path_length_m for trial in won]
+    path_low, path_high = _interval(paths, rng)
+    counts = Counter(trial.failure for trial in trials if not trial.success)
+    return MethodSummary(
+        method=trials[0].method,
+        condition=trials[0].condition,
+        trials_n=len(trials),
+        successes_n=len(won),
+        success_rate=len(won) / len(trials),
+        success_low=low,
+        success_high=high,
+        duration_median_s=_median(durations),
+        duration_low_s=duration_low,
+        duration_high_s=duration_high,
+        torque_ratio_max=float(np.max(torques)),  # np.max passes a NaN on
+        torque_ratio_median=_median(torques),
+        torque_ratio_low=torque_low,
+        torque_ratio_high=torque_high,
+        jerk_rms_median=_median(jerks),
+        jerk_rms_low=jerk_low,
+        jerk_rms_high=jerk_high,
+        tilt_max_rad=float(np.max(tilts)),
+        tilt_median_rad=_median(tilts),
+        tilt_low_rad=tilt_low,
+        tilt_high_rad=tilt_high,
+        path_length_m=_median(paths),
+        path_length_low_m=path_low,
+        path_length_high_m=path_high,
+        internal_force_min_n=_least([trial.internal_force_min_n for trial in won]),
+        pinch_force_min_n=_least([trial.pinch_force_min_n for trial in won]),
+        goal_error_median_m=_median([trial.goal_error_m for trial in trials]),
+        failures=tuple(sorted(counts.items(), key=lambda item: (-item[1], item[0]))),
+        stopped_n=sum(bool(trial.aborted) and not trial.success for trial in trials),
+    )
+
+
+def _least(values: Sequence[float]) -> float:
+    """Return the least, or NaN of nothing and of anything with a NaN in it, wherever that stands."""
+    return float(np.min(values)) if len(values) else math.nan
+
+
+def _median(values: Sequence[float]) -> float:
+    """Return the median, or NaN of nothing."""
+    return float(np.median(values)) if len(values) else math.nan
+
+
+def _interval(values: Sequence[float], rng: np.random.Generator) -> tuple[float, float]:
+    """Return the interval of the median; NaN of nothing, and of anything that is not finite."""
+    if not values or not np.all(np.isfinite(values)):
+        return math.nan, math.nan
+    return bootstrap_median_interval(values, rng)
+
+
+def _said(value: Cell, words: str) -> Cell:
+    """Return the value, or the words where it is a number that does not exist."""
+    return words if isinstance(value, float) and not math.isfinite(value) else value

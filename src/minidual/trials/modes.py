@@ -1,0 +1,133 @@
+"""One process, one plant, three modes in turn: moveit, teleop and policy hand the arms to one another."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from minidual.config.arbiter import ArbiterConfig
+from minidual.control.commands import SOURCES, ArbiterState
+from minidual.control.stack import ControlStack
+from minidual.errors import UsageError, unknown_name
+from minidual.trials.modes_drivers import Driver, SwitchError
+from minidual.trials.modes_record import Recorder, Switch
+
+DEFAULT_MODES: tuple[str, ...] = ("moveit", "teleop", "policy", "moveit")
+
+
+def parse_modes(text: str) -> tuple[str, ...]:
+    """Return the modes named in `moveit,teleop,moveit`.
+
+    Raises:
+        UsageError: An unknown mode, none, or the same one twice running.
+    """
+    modes = tuple(m.strip() for m in text.split(",") if m.strip())
+    if not modes:
+        raise UsageError("no mode named", remedy=f"--modes {','.join(DEFAULT_MODES)}")
+    for before, mode in zip(("", *modes), modes, strict=False):
+        if mode not in SOURCES:
+            raise unknown_name("mode", mode, SOURCES)
+        if mode == before:
+            raise UsageError(f"mode '{mode}' is named twice running: that is no switch")
+    return modes
+
+
+@dataclass(frozen=True)
+class ModesResult:
+    """The whole demonstration.
+
+    Attributes:
+        switches: In order.
+        outcomes: What came of each mode's turn.
+        faults: Bounds that did not hold; empty is good.
+        refusals: (source, name, detail) of everything that the arbiter refused.
+        duration_s: Simulated time.
+        ended: Why it ended before its last turn did, or an empty string.
+    """
+
+    switches: tuple[Switch, ...]
+    outcomes: tuple[dict[str, object], ...]
+    faults: tuple[str, ...]
+    refusals: tuple[tuple[str, str, str], ...]
+    duration_s: float
+    ended: str = ""
+
+    @property
+    def passed(self) -> bool:
+        """Whether every turn came to its end and every bound held."""
+        return not self.faults and not self.ended
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it as plain data."""
+        return {
+            "switches": [asdict(s) for s in self.switches],
+            "outcomes": list(self.outcomes),
+            "faults": list(self.faults),
+            "refusals": [list(r) for r in self.refusals],
+            "duration_s": self.duration_s,
+            "ended": self.ended or None,
+        }
+
+
+class ModesDemo:
+    """Gives each mode its turn; run through `steps`, then ask for `result`.
+
+    Args:
+        stack: The plant with its arbiter; freshly reset.
+        turns: (mode, maker of its driver), in order.
+    """
+
+    def __init__(self, stack: ControlStack, turns: Sequence[tuple[str, Callable[[], Driver]]]) -> None:
+        self.stack = stack
+        self.recorder = Recorder(stack)
+        self.mode = self.doing = ""
+        """The mode asked for last, and what it does, for people."""
+        self._turns = tuple(turns)
+        self._outcomes: list[dict[str, object]] = []
+
+    def steps(self) -> Iterator[tuple[str, str]]:
+        """Run; yield the mode asked for and what it does, after every control step.
+
+        Raises:
+            SwitchError: The arbiter did not give a mode its turn, took it away, or refused what the planner proposed.
+            ReflexError: The supervisor stopped the arms.
+        """
+        stack = self.stack
+        for mode, make in self._turns:
+            driver = make()
+            self.mode, self.doing = mode, driver.caption
+            self.recorder.requested(mode)
+            stack.request(mode, driver.controllers)
+            while stack.source != mode:
+                self._step(mode)
+                yield mode, driver.caption
+            self.recorder.confirmed()
+            driver.begin()
+            while not driver.done:
+                if stack.tick_next:
+                    driver.tick()
+                self._step(mode)
+                driver.watch()
+                yield mode, driver.caption
+            self._outcomes.append({"mode": mode, **driver.result()})
+
+    def _step(self, mode: str) -> None:
+        stack = self.stack
+        stack.step()
+        self.recorder.observe()
+        if stack.state == ArbiterState.STOPPED:
+            last = stack.refusals[-1].detail if stack.refusals else "no command came"
+            raise SwitchError(f"mode '{mode}' lost its turn at {stack.world.time:.2f} s: {last}")
+
+    def result(self, arbiter: ArbiterConfig, *, ended: str = "") -> ModesResult:
+        """Return what was measured, held to its bounds; `ended` says what ended it too early."""
+        stack, switches = self.stack, tuple(self.recorder.switches)
+        return ModesResult(
+            switches,
+            tuple(self._outcomes),
+            tuple(text for s in switches for text in s.faults(arbiter, stack.world.dt)),
+            tuple((r.source, r.name, r.detail) for r in stack.refusals),
+            stack.world.time,
+            ended,
+        )

@@ -1,0 +1,300 @@
+"""What each mode does in the demonstration of the three modes: who proposes which commands.
+
+moveit  drives to above the rod, or home at the end of the demonstration (one arm after the other, 7 joints each)
+teleop  a scripted leader fetches the rod from where it lies and puts it down at a start pose of the rod task
+policy  the trained policy carries it to the goal, as in `minidual deploy`
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, NoReturn, Protocol
+
+import numpy as np
+
+from minidual.control.commands import JointCommand, Refusal, TrajectoryCommand
+from minidual.control.object_path import minimum_jerk
+from minidual.control.stack import DEFAULT_CONTROLLERS, ControlStack
+from minidual.errors import ExitCode, MinidualError
+from minidual.motion.api import Planner
+from minidual.plant.world import World
+from minidual.robot.constants import ARMS, GROUPS, HOME, Array
+from minidual.skills.operator import ScriptedOperator
+from minidual.tasks.rod_carry import RodTrial, grasp_offsets, level_part
+from minidual.tasks.success import RodCarryJudge
+
+if TYPE_CHECKING:
+    from minidual.policies.policy import Image, PolicyRuntime
+
+_HOVER_M = 0.08
+_JOIN_SPEED_RAD_S = 0.7
+_JOIN_MIN_S = 1.0
+_QUIET_S = 0.5
+
+
+class SwitchError(MinidualError):
+    """A mode did not get the arms, or may not do with them what its turn is for."""
+
+    exit_code = ExitCode.ACCEPTANCE_FAILED
+
+
+class Driver(Protocol):
+    """One mode's turn.
+
+    controllers: The set it drives with. caption: What it does, for people.
+    """
+
+    controllers: tuple[str, ...]
+    caption: str
+
+    def begin(self) -> None:
+        """Called when the switch is confirmed."""
+        ...
+
+    def tick(self) -> None:
+        """Called before each tick of the arbiter: propose."""
+        ...
+
+    def watch(self) -> None:
+        """Called after each control step."""
+        ...
+
+    @property
+    def done(self) -> bool:
+        """Whether the next mode may have the arms."""
+        ...
+
+    def result(self) -> dict[str, object]:
+        """Return what came of it, for the log."""
+        ...
+
+
+class MoveitDriver:
+    """Plans when it gets its turn, proposes the trajectories, and may be interrupted in the middle of one.
+
+    Args:
+        stack: Where to propose.
+        planner: Plans both goals.
+        seed: Of the planner.
+        home: Drive home, arm by arm, under the two single-arm controllers; else to above the rod with both.
+        share: Part of the motion after which the next mode may ask for the arms.
+    """
+
+    def __init__(self, stack: ControlStack, planner: Planner, seed: int, *, home: bool, share: float = 1.0) -> None:
+        self.stack, self._planner, self._seed = stack, planner, seed
+        self._home, self._share = home, share
+        self.controllers = ("left_arm", "right_arm") if home else DEFAULT_CONTROLLERS
+        self.caption = "planned: home, one arm after the other" if home else "planned: to above the rod"
+        self._groups = ["left_arm", "right_arm"] if home else ["both_arms"]
+        self._sequence = 0
+        self._began_s = self._planned_s = 0.0
+        self._motion_s: list[float] = []
+        self._refusals_before = 0
+
+    def begin(self) -> None:
+        """Plan and propose the first trajectory.
+
+        Raises:
+            SwitchError: It is refused; so do `tick` and `watch`.
+        """
+        self._refusals_before = len(self.stack.refusals)
+        self._began_s = self.stack.world.time
+        self._next()
+
+    def tick(self) -> None:
+        """Say that the planner is there, and propose the next trajectory when one has ended."""
+        self.stack.affirm("moveit")
+        if self._groups and not self.stack.executing:
+            self._next()
+
+    def watch(self) -> None:
+        """Look for what is refused only when it is taken."""
+        for refusal in self.stack.refusals[self._refusals_before :]:
+            if refusal.source == "moveit":
+                self._fail(refusal)
+
+    @property
+    def done(self) -> bool:
+        """Whether its share of the motion has been driven."""
+        if self._groups:
+            return False
+        if self._share < 1.0:
+            return self.stack.world.time - self._began_s >= self._share * sum(self._motion_s)
+        return not self.stack.executing
+
+    def result(self) -> dict[str, object]:
+        """Return the plan's length and how far the arms are from home."""
+        return {
+            "trajectories_s": self._motion_s,
+            "planning_s": self._planned_s,
+            "from_home_rad": float(np.abs(self.stack.world.q - HOME).max()),
+        }
+
+    def _next(self) -> None:
+        world: World = self.stack.world
+        group = self._groups.pop(0)
+        if self._home:
+            # The arm that is not planned for is held where it is.
+            result = self._planner.plan_to_joints(group, world.q, HOME[GROUPS[group]], seed=self._seed)
+        else:
+            rod = level_part(world.T_world_rod)
+            rod[2, 3] += _HOVER_M
+            grasps = grasp_offsets(world.scene)
+            targets = {arm: rod @ grasp for arm, grasp in zip(ARMS, grasps, strict=True)}
+            result = self._planner.plan_to_poses(group, world.q, targets, seed=self._seed)
+        self._planned_s += result.total_s
+        self._motion_s.append(result.trajectory.duration_s)
+        self._sequence += 1
+        command = TrajectoryCommand(result.trajectory, np.ones(2), world.time, self._sequence, group)
+        refusal = self.stack.propose("moveit", command)
+        if refusal is not None:
+            self._fail(refusal)
+
+    def _fail(self, refusal: Refusal) -> NoReturn:
+        raise SwitchError(
+            f"trajectory {self._sequence} of mode 'moveit' was refused at {self.stack.world.time:.2f} s "
+            f"({refusal.name}): {refusal.detail}"
+        )
+
+
+@dataclass(frozen=True)
+class _Move:
+    """A stretch of the leader's motion: joint targets and openings, one row a tick."""
+
+    q: Array
+    gripper: Array
+
+
+class TeleopDriver:
+    """A scripted leader that starts wherever the arms are, fetches the rod, and goes home.
+
+    Args:
+        stack: Where to propose.
+        operator: Plans the leader's motion.
+        target: (x, y, yaw) where the rod is to be put down.
+        seed: Of the operator.
+        rate_hz: Ticks a second.
+    """
+
+    controllers = DEFAULT_CONTROLLERS
+    caption = "scripted leader: fetches the rod, puts it at a new start"
+
+    def __init__(
+        self,
+        stack: ControlStack,
+        operator: ScriptedOperator,
+        target: tuple[float, float, float],
+        seed: int,
+        rate_hz: float,
+    ) -> None:
+        self.stack, self._operator, self._target = stack, operator, target
+        self._seed, self._rate = seed, rate_hz
+        self._move = _Move(np.empty((0, 14)), np.empty((0, 2)))
+        self._k = 0
+
+    def begin(self) -> None:
+        """Plan from the present posture and rod."""
+        world: World = self.stack.world
+        rod = level_part(world.T_world_rod)
+        yaw = float(np.arctan2(rod[1, 0], rod[0, 0]))
+        trial = RodTrial("modes", 0, (float(rod[0, 3]), float(rod[1, 3]), yaw), self._target)
+        plan = self._operator.plan(trial, seed=self._seed, rate_hz=self._rate)
+        over = next(p.end_s for p in plan.phases if p.name == "approach")
+        first = round(over * self._rate)
+        q = plan.q[first:]
+        there, back = self._between(world.q, q[0]), self._between(q[-1], HOME)
+        q = np.vstack([there, q, back])
+        gripper = np.ones((len(q), 2))
+        gripper[len(there) : len(q) - len(back)] = plan.gripper[first:]
+        self._move = _Move(q, gripper)
+
+    def _between(self, a: Array, b: Array) -> Array:
+        """Return rest-to-rest joint targets (n, 14) from a to b."""
+        span = max(_JOIN_MIN_S, 1.875 * float(np.abs(b - a).max()) / _JOIN_SPEED_RAD_S)
+        n = round(span * self._rate)
+        blend = np.array([minimum_jerk(k / n)[0] for k in range(n + 1)])
+        return a + blend[:, None] * (b - a)
+
+    def tick(self) -> None:
+        """Propose the leader's present posture."""
+        k = min(self._k, len(self._move.q) - 1)
+        self._k += 1
+        command = JointCommand(self._move.q[k], self._move.gripper[k], self.stack.world.time, self._k)
+        self.stack.propose("teleop", command)
+
+    def watch(self) -> None:
+        """Nothing need be watched."""
+
+    @property
+    def done(self) -> bool:
+        """Whether the leader is home again."""
+        return self._k >= len(self._move.q) + round(0.2 * self._rate)
+
+    def result(self) -> dict[str, object]:
+        """Return where the rod lies now, against where it was to be put."""
+        rod = level_part(self.stack.world.T_world_rod)
+        error = float(np.hypot(rod[0, 3] - self._target[0], rod[1, 3] - self._target[1]))
+        return {"rod_error_m": error}
+
+
+class PolicyDriver:
+    """The policy at the controls; it sees pictures and joints, never the rod's pose.
+
+    Args:
+        stack: Where to propose; its flush drops the policy's chunk.
+        runtime: The policy.
+        picture: Returns the (H, W, 3) image of a named camera as the world stands.
+        trial: Where the rod must go, for the judge.
+    """
+
+    controllers = DEFAULT_CONTROLLERS
+    caption = "ACT policy: carries the rod to the goal"
+
+    def __init__(
+        self, stack: ControlStack, runtime: PolicyRuntime, picture: Callable[[str], Image], trial: RodTrial
+    ) -> None:
+        self.stack, self._runtime, self._picture = stack, runtime, picture
+        self._judge = RodCarryJudge(stack.world.scene, trial)
+        self._sequence = 0
+        self._began_s = self._finished_s = 0.0
+        stack.on_flush(lambda mode: runtime.flush())
+
+    def begin(self) -> None:
+        """Start an episode."""
+        self._runtime.reset()
+        self._began_s = self.stack.world.time
+
+    def tick(self) -> None:
+        """Propose the policy's action."""
+        world: World = self.stack.world
+        state = np.concatenate([world.q, world.gripper])
+        images = {name: partial(self._picture, name) for name in self._runtime.cameras}
+        action = self._runtime.act(images, state)
+        self._sequence += 1
+        command = JointCommand(action[:14], np.clip(action[14:], 0.0, 1.0), world.time, self._sequence)
+        self.stack.propose("policy", command)
+
+    def watch(self) -> None:
+        """Judge the present instant."""
+        world: World = self.stack.world
+        self._judge.observe(world)
+        if not self._judge.finished:
+            self._finished_s = world.time
+
+    @property
+    def done(self) -> bool:
+        """Whether the rod has lain at its goal for a while, or the task's time is over."""
+        world: World = self.stack.world
+        over = world.time - self._began_s >= world.scene.task.time_limit_s
+        return over or (self._judge.finished and world.time - self._finished_s >= _QUIET_S)
+
+    def result(self) -> dict[str, object]:
+        """Return whether the rod lies released at its goal, and how far off."""
+        error, _ = self._judge.goal_errors(self.stack.world)
+        return {
+            "rod_put_down_at_goal": bool(self._judge.finished),
+            "rod_error_m": error,
+            "inference_hz": self._runtime.inference_hz,
+        }

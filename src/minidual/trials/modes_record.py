@@ -1,0 +1,163 @@
+"""What a switch of mode does to the arms, measured at every control step and held to its bounds."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from minidual.config.arbiter import ArbiterConfig
+from minidual.control.commands import ArbiterState
+from minidual.control.stack import ControlStack
+from minidual.robot.constants import JOINT_NAMES, TAU_RATE_MAX, V_MAX, Array
+
+WINDOW_S = 0.5
+"""A switch is watched from its request until this long after the new source's first command went through."""
+_LOG_EVERY = 4
+_DRIVEN = (ArbiterState.ALIGNING, ArbiterState.ACTIVE)
+_COLUMNS = (
+    "time_s",
+    "mode",
+    "active_source",
+    "state",
+    "controllers",
+    "reference_step_max_rad",
+    "torque_step_max_nm",
+    "torque_step_asked_max_nm",
+)
+
+
+@dataclass
+class Switch:
+    """One switch as measured.
+
+    Attributes:
+        mode: The mode asked for.
+        requested_s: When [s].
+        confirmed_s: When the arms were still and the mode was confirmed [s].
+        first_command_s: When its first command went through [s].
+        speed_at_request_rad_s: Fastest joint when it was asked for.
+        first_step_rad: From the measured posture to the first target that went through, worst joint.
+        target_step_rad: Largest step of the arbiter's target between two of its ticks while the source drove.
+        reference_step_rad: Largest step of the joint reference between two control steps.
+        reference_step_ratio: The same over what the joint's velocity limit allows in a control step.
+        torque_step_nm: Largest step of the torque commanded to the motors between two control steps.
+        torque_step_joint: Where.
+        torque_step_asked_nm: The same of what the controllers asked for, before the supervisor bounded it.
+        controllers: What drove after it.
+    """
+
+    mode: str
+    requested_s: float
+    confirmed_s: float = float("nan")
+    first_command_s: float = float("nan")
+    speed_at_request_rad_s: float = 0.0
+    first_step_rad: float = float("nan")
+    target_step_rad: float = 0.0
+    reference_step_rad: float = 0.0
+    reference_step_ratio: float = 0.0
+    torque_step_nm: float = 0.0
+    torque_step_joint: str = ""
+    torque_step_asked_nm: float = 0.0
+    controllers: tuple[str, ...] = ()
+
+    def bounds(self, arbiter: ArbiterConfig, dt_s: float) -> tuple[tuple[str, float, float], ...]:
+        """Return (name, value, bound) of everything that is bounded."""
+        return (
+            ("first_step_rad", self.first_step_rad, arbiter.switch_step_max_rad),
+            ("target_step_rad", self.target_step_rad, arbiter.switch_step_max_rad),
+            ("reference_step_ratio", self.reference_step_ratio, 1.0),
+            ("torque_step_nm", self.torque_step_nm, TAU_RATE_MAX * dt_s),
+        )
+
+    def faults(self, arbiter: ArbiterConfig, dt_s: float) -> list[str]:
+        """Return every bound that does not hold; a value that is not finite holds none."""
+        return [
+            f"switch to {self.mode} at {self.requested_s:.2f} s: {name} {value:.4g}, bound {bound:g}"
+            for name, value, bound in self.bounds(arbiter, dt_s)
+            if not value <= bound + 1e-9
+        ]
+
+
+@dataclass(frozen=True)
+class _Sample:
+    reference: Array
+    applied: Array
+    asked: Array
+    target: Array
+
+
+@dataclass
+class Recorder:
+    """Watches every control step of a stack; call `observe` after each."""
+
+    stack: ControlStack
+    switches: list[Switch] = field(default_factory=list)
+    rows: list[tuple[Any, ...]] = field(default_factory=list)
+    _last: _Sample | None = None
+    _steps: int = 0
+
+    def requested(self, mode: str) -> None:
+        """Begin to watch a switch."""
+        world = self.stack.world
+        speed = float(np.abs(world.v).max())
+        self.switches.append(Switch(mode, world.time, speed_at_request_rad_s=speed))
+
+    def confirmed(self) -> None:
+        """Note that the mode has its turn."""
+        switch = self.switches[-1]
+        switch.confirmed_s = self.stack.world.time
+        switch.controllers = self.stack.manager.active
+
+    def observe(self) -> None:
+        """Take the last control step into account."""
+        stack = self.stack
+        now = _Sample(np.array(stack.reference), np.array(stack.applied), np.array(stack.tau), stack.output.q_target)
+        last = now if self._last is None else self._last
+        reference = np.abs(now.reference - last.reference)
+        applied, asked = np.abs(now.applied - last.applied), np.abs(now.asked - last.asked)
+        if self.switches:
+            self._watch(self.switches[-1], now.target, last.target, reference, applied, asked)
+        if self._steps % _LOG_EVERY == 0:
+            mode = self.switches[-1].mode if self.switches else ""
+            source, state, active = stack.output.active_source or "", str(stack.state), stack.manager.active
+            steps = (float(np.max(x)) for x in (reference, applied, asked))
+            self.rows.append((stack.world.time, mode, source, state, " ".join(active), *steps))
+        self._last = now
+        self._steps += 1
+
+    def _watch(
+        self, switch: Switch, target: Array, last_target: Array, reference: Array, applied: Array, asked: Array
+    ) -> None:
+        stack, now = self.stack, self.stack.world.time
+        driven = stack.output.active_source == switch.mode
+        if driven and np.isnan(switch.first_command_s):
+            switch.first_command_s = now
+            switch.first_step_rad = float(np.max(np.abs(target - stack.world.q)))
+        if now > switch.first_command_s + WINDOW_S:  # not before the first command: its time is NaN
+            return
+        if driven and stack.state in _DRIVEN:
+            switch.target_step_rad = _larger(switch.target_step_rad, np.abs(target - last_target))
+        switch.reference_step_rad = _larger(switch.reference_step_rad, reference)
+        switch.reference_step_ratio = _larger(switch.reference_step_ratio, reference / (V_MAX * stack.world.dt))
+        switch.torque_step_asked_nm = _larger(switch.torque_step_asked_nm, asked)
+        largest = _larger(switch.torque_step_nm, applied)
+        if largest != switch.torque_step_nm:
+            switch.torque_step_nm = largest
+            switch.torque_step_joint = JOINT_NAMES[int(np.argmax(applied))]
+
+    def write_csv(self, path: Path) -> None:
+        """Write what was watched, every fourth control step."""
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(_COLUMNS)
+            for t, mode, source, state, controllers, *steps in self.rows:
+                writer.writerow([f"{t:.3f}", mode, source, state, controllers, *(f"{x:.6g}" for x in steps)])
+
+
+def _larger(so_far: float, steps: Array) -> float:
+    """Return the larger one; NaN stays NaN, so that it fails its bound."""
+    return float(np.maximum(so_far, np.max(steps)))

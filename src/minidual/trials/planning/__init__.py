@@ -1,0 +1,1 @@
+"""Query sets of the planner and their evaluation."""

@@ -1,0 +1,179 @@
+"""Plan a set of queries and write down what happened to each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from time import perf_counter, process_time
+
+import numpy as np
+
+from minidual.collision.errors import PlanningError
+from minidual.collision.scene import PlanningScene
+from minidual.config.planning import PlanConfig
+from minidual.motion.api import Planner
+from minidual.motion.result import PHASES, PlanResult
+from minidual.motion.shortcut import path_length
+from minidual.proof.verify import Audit
+from minidual.robot.constants import GROUPS, HOME, Q_LOWER, Q_UPPER
+from minidual.trials.planning.queries import Query, QueryGenerator
+from minidual.trials.planning.query_set import OBSTACLES_N, stored_set
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """One query and what became of it; `result` is None if it failed, and then `reason` and `message` say why.
+
+    total_s is wall time, cpu_s what of it the process had a processor; scene_s was spent on the scene before.
+    """
+
+    query: Query
+    result: PlanResult | None
+    reason: str
+    message: str
+    total_s: float
+    scene_s: float
+    cpu_s: float
+    audit: Audit | None = None
+
+    @property
+    def ok(self) -> bool:
+        """Whether a proven trajectory was found."""
+        return self.result is not None
+
+    def row(self) -> dict[str, object]:
+        """Return the line of queries.csv."""
+        query, result = self.query, self.result
+        row: dict[str, object] = {
+            "group": query.group,
+            "index": query.index,
+            "seed": query.seed,
+            "ok": self.ok,
+            "reason": self.reason,
+            "kind": query.kind,
+            "goal": "poses" if query.as_poses else "joints",
+            "line_blocked": query.blocked,
+            "total_s": round(self.total_s, 6),
+            "scene_setup_s": round(self.scene_s, 6),
+            "cpu_s": round(self.cpu_s, 6),
+        }
+        row |= {
+            f"{phase}_s": "" if result is None else round(result.times_s[phase], 6)
+            for phase in PHASES
+            if phase != "scene"
+        }
+        if result is None:
+            empty = ("direct", "attempts_n", "path_length_rad", "duration_s", "samples_n")
+            row |= dict.fromkeys((*empty, "velocity_ratio", "acceleration_ratio", "jerk_ratio", "torque_ratio"), "")
+        else:
+            proof = result.verification
+            row |= {
+                "direct": result.direct,
+                "attempts_n": result.attempts_n,
+                "path_length_rad": round(path_length(result.path), 6),
+                "duration_s": round(result.trajectory.duration_s, 6),
+                "samples_n": proof.samples_n,
+                "velocity_ratio": round(proof.velocity_ratio, 6),
+                "acceleration_ratio": round(proof.acceleration_ratio, 6),
+                "jerk_ratio": round(proof.jerk_ratio, 6),
+                "torque_ratio": round(proof.torque_ratio, 6),
+            }
+        row["clearance_m"] = "" if self.audit is None else round(self.audit.clearance_m, 6)
+        row["audited_n"] = "" if self.audit is None else self.audit.samples_n
+        row["audit_collisions_n"] = "" if self.audit is None else self.audit.collisions_n
+        row["message"] = self.message
+        return row
+
+
+def plan_query(planner: Planner, query: Query) -> Outcome:
+    """Plan one query; the clock runs from the goal going in to the proven trajectory coming out.
+
+    The engines of the scene are built before (a scene is known before its goals); that time stands beside.
+    """
+    begin = perf_counter()
+    planner.engines(query.scene)
+    scene_s = perf_counter() - begin
+    begin, cpu_begin = perf_counter(), process_time()
+    try:
+        if query.as_poses:
+            result = planner.plan_to_poses(
+                query.group, query.q_start, query.targets, scene=query.scene, seed=query.seed
+            )
+        else:
+            result = planner.plan_to_joints(
+                query.group, query.q_start, query.q_goal, scene=query.scene, seed=query.seed
+            )
+    except PlanningError as error:
+        spent = perf_counter() - begin, scene_s, process_time() - cpu_begin
+        return Outcome(query, None, error.reason, error.message, *spent)
+    spent = perf_counter() - begin, scene_s, process_time() - cpu_begin
+    return Outcome(query, result, "", "", *spent)
+
+
+def query_source(seed: int, obstacles_n: int, blocked_fraction: float) -> Callable[[str, int], Query]:
+    """Return what gives query `index` of a group: the stored set of the seed if there is one, else the generator."""
+    generator = QueryGenerator(seed, obstacles_n, blocked_fraction)
+    stored = stored_set(seed) if (obstacles_n, blocked_fraction) == (OBSTACLES_N, 1.0) else None
+    if stored is None:
+        return generator.query
+
+    def query(group: str, index: int) -> Query:
+        known = index < stored.size(group)
+        return stored.query(group, index) if known else generator.query(group, index)
+
+    return query
+
+
+def run_queries(
+    config: PlanConfig, seed: int, on_query: Callable[[Outcome], None] | None = None, queries_n: int | None = None
+) -> dict[str, list[Outcome]]:
+    """Plan queries of every group, in one process so that the times mean something, and audit what was proven.
+
+    Args:
+        config: Query set and planner.
+        seed: Seed of the query set.
+        on_query: Called after each.
+        queries_n: Queries per group; `config.queries_n` by default.
+    """
+    planner = Planner(config=config.planner)
+    # Import and compile what the first query would otherwise pay for; whether this one is solved does not matter.
+    with suppress(PlanningError):
+        planner.plan_to_joints("both_arms", HOME, HOME + 0.05)
+    source = query_source(seed, config.obstacles_n, config.blocked_fraction)
+    outcomes: dict[str, list[Outcome]] = {group: [] for group in GROUPS}
+    for group, done in outcomes.items():
+        for index in range(config.queries_n if queries_n is None else queries_n):
+            outcome = plan_query(planner, source(group, index))
+            if outcome.result is not None:
+                verifier = planner.engines(outcome.query.scene).verifier
+                outcome = replace(outcome, audit=verifier.audit(outcome.result.trajectory))
+            done.append(outcome)
+            if on_query is not None:
+                on_query(outcome)
+    return outcomes
+
+
+def repeats(config: PlanConfig, outcome: Outcome) -> bool:
+    """Return whether a fresh planner gives the same trajectory, bit for bit, for a query that was solved."""
+    if outcome.result is None:
+        return False
+    again = plan_query(Planner(config=config.planner), outcome.query).result
+    return again is not None and again.trajectory.digest() == outcome.result.trajectory.digest()
+
+
+def engine_agreement(scene: PlanningScene, states_n: int, seed: int) -> float:
+    """Return the fraction of random states on which both engines say the same.
+
+    Half of the states are uniform within the limits (most collide), half lie round home (most are free).
+    """
+    engines = Planner(scene).engines()
+    rng = np.random.default_rng([seed, 11])
+    half = states_n // 2
+    Q = np.vstack(
+        [
+            rng.uniform(Q_LOWER, Q_UPPER, (half, 14)),
+            np.clip(HOME + rng.uniform(-0.8, 0.8, (states_n - half, 14)), Q_LOWER, Q_UPPER),
+        ]
+    )
+    return float(np.mean(engines.mujoco.collisions(Q) == engines.coal.collisions(Q)))

@@ -1,0 +1,259 @@
+"""Seeded moves of a rod in both hands: where it is, where it shall go, what stands round.
+
+Start and goal are rod poses over the table: the goal is up to 0.5 m and 90 degrees away, turned about the vertical and
+tilted. Every second move has obstacles, and of those the straight way is blocked where such a scene is found. A move
+enters the set only with a witness: a path that long searches found, looking the other way round (from the goal
+to the start) and with their own random numbers, and that was timed and proven free. What has no witness is left out
+and counted.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from minidual.collision.errors import ClosedChainError, PlanningError, TimingError
+from minidual.collision.mujoco_engine import MujocoEngine
+from minidual.collision.scene import TABLE, PlanningScene
+from minidual.collision.shapes import Capsule
+from minidual.config.scene import RodConfig
+from minidual.config.seeds import stream
+from minidual.motion.closed_chain import scene_holding
+from minidual.motion.edges import EdgeChecker
+from minidual.motion.hands_ik import HandsIK
+from minidual.motion.held_planner import HeldPlanner
+from minidual.motion.held_query import HeldQuery
+from minidual.motion.held_search import search_object
+from minidual.motion.held_space import HeldSpace
+from minidual.motion.ik import ArmIK
+from minidual.motion.object_path import ObjectChart, ObjectPath
+from minidual.proof.scene_engines import SceneEngines
+from minidual.robot.constants import ARMS, GROUPS, HOME, Array
+from minidual.robot.kinematics import Kinematics
+from minidual.robot.poses import pose, rot_x, rot_z
+from minidual.trials.planning.queries import random_obstacles
+
+_ROOM_M = 0.01
+_MOVE_MAX_M = 0.5
+_TURN_MAX_RAD = float(np.pi / 2.0)
+_YAW_RAD, _LEAN_RAD = 0.6, 0.25
+_OBSTACLES_N = 3
+_WITNESS_CHECKS_N = 10_000
+_WITNESS_S = 60.0
+_TRIES_N = 200
+_IK_STARTS_N = 6
+_WITNESS_TRIES = ((0.005, 1.0), (0.008, 0.5), (0.002, 0.5))
+"""Padding [m] and closeness of the points that are checked, of the searches for a witness."""
+_EDGE_STEP_RAD = 0.03
+_ROOT_HALF = float(np.sqrt(0.5))
+_LOW, _HIGH = np.array([0.35, -0.3, 0.08]), np.array([0.6, 0.3, 0.4])
+
+
+@dataclass(frozen=True, eq=False)
+class HeldMove:
+    """One move.
+
+    Attributes:
+        index: Number in the set.
+        query: The problem.
+        T_world_start: Pose of the rod at the start.
+        with_obstacles: Whether more than the table stands round.
+        blocked: Whether the straight way, continued from the start, touches something or cannot be followed.
+        distance_m, turn_rad: How far and by how much the rod moves.
+        witness: Points (n, 20) of a path from start to goal that was proven free.
+        undecided_n: Drawn before this one and left out, because no witness was found for them.
+        unreachable_n: Drawn before this one and left out, because no free posture holds the rod at start or goal.
+    """
+
+    index: int
+    query: HeldQuery
+    T_world_start: Array
+    with_obstacles: bool
+    blocked: bool
+    distance_m: float
+    turn_rad: float
+    witness: Array
+    undecided_n: int
+    unreachable_n: int
+
+
+def rod_grasps(rod: RodConfig) -> tuple[Array, Array]:
+    """Return (T_rod_tcp_left, T_rod_tcp_right): hands down, the left one at the +y end."""
+    hand_down = rot_z(np.pi / 2) @ rot_x(np.pi)
+    left, right = (pose(hand_down, (0.0, side * rod.grasp_offset_m, rod.grasp_height_m)) for side in (1.0, -1.0))
+    return left, right
+
+
+def rod_shape(rod: RodConfig) -> Capsule:
+    """Return the rod as a capsule of its length, along its y axis."""
+    return Capsule(
+        "rod",
+        (0.0, 0.0, 0.0),
+        (_ROOT_HALF, -_ROOT_HALF, 0.0, 0.0),
+        radius_m=rod.radius_m,
+        length_m=rod.length_m - 2.0 * rod.radius_m,
+    )
+
+
+class HeldMoveGenerator:
+    """Makes the moves of a seed; the same seed and index give the same move.
+
+    That holds on every machine that makes the 10 000 state checks of a search for a witness within a minute: a search
+    that takes longer is given up, and the draw counts as one without a witness.
+
+    Args:
+        seed: Seed of the set.
+        rod: The object.
+        from_table: Start with the rod level on the table, which it may touch, and nothing else around.
+    """
+
+    def __init__(self, seed: int, rod: RodConfig | None = None, *, from_table: bool = False) -> None:
+        self._seed = seed
+        rod = rod or RodConfig()
+        self._from_table = from_table
+        self._radius_m = rod.radius_m
+        self._grasps = rod_grasps(rod)
+        self._shape = rod_shape(rod)
+        self._kinematics = Kinematics()
+        self._hands = HandsIK(*self._grasps, self._kinematics)
+        self._prover = HeldPlanner()
+        self._ik = {arm: ArmIK(arm) for arm in ARMS}
+
+    def move(self, index: int) -> HeldMove:
+        """Return move `index`: odd ones have obstacles.
+
+        Raises:
+            PlanningError: None was found.
+        """
+        rng = stream(self._seed, "held-move/table" if self._from_table else "held-move", index)
+        with_obstacles = index % 2 == 1 and not self._from_table
+        rests_on = ("table",) if self._from_table else ()
+        undecided = unreachable = 0
+        for _ in range(_TRIES_N):
+            obstacles = random_obstacles(rng, _OBSTACLES_N) if with_obstacles else ()
+            scene = scene_holding(
+                PlanningScene(obstacles=(TABLE, *obstacles)), self._shape, self._grasps[0], rests_on=rests_on
+            )
+            engines = SceneEngines(scene)
+            engine = engines.mujoco
+            start = self._held(rng, engine, self._start(rng), HOME, 0.0 if self._from_table else _ROOM_M)
+            if start is None:
+                unreachable += 1
+                continue
+            for _ in range(4):
+                T_goal = _random_goal(rng, start[0])
+                goal = self._held(rng, engine, T_goal, start[1], _ROOM_M)
+                if goal is None:
+                    unreachable += 1
+                    continue
+                blocked = self._blocked(engine, start, T_goal)
+                if with_obstacles and not blocked:
+                    continue
+                query = HeldQuery(start[1], T_goal, *self._grasps, scene, int(rng.integers(2**31)))
+                witness = self._witness(rng, engines, query, start, goal)
+                if witness is None:
+                    undecided += 1
+                    continue
+                way = ObjectChart(start[0][:3, :3])
+                turn = float(np.linalg.norm(way.coordinates(T_goal)[3:])) / 0.2
+                return HeldMove(
+                    index,
+                    query,
+                    start[0],
+                    with_obstacles,
+                    blocked,
+                    float(np.linalg.norm(T_goal[:3, 3] - start[0][:3, 3])),
+                    turn,
+                    witness,
+                    undecided,
+                    unreachable,
+                )
+        raise PlanningError(
+            f"no held-object move {index} after {_TRIES_N} scenes ({undecided} without a witness, "
+            f"{unreachable} unreachable)",
+            remedy="use fewer obstacles or a shorter object",
+        )
+
+    def _start(self, rng: np.random.Generator) -> Array:
+        """Return a rod pose over the table, yawed and a little tilted; or level on it."""
+        yaw, lean = rng.uniform(-_YAW_RAD, _YAW_RAD), rng.uniform(-_LEAN_RAD, _LEAN_RAD)
+        position = rng.uniform(_LOW, _HIGH)
+        if self._from_table:
+            lean, position[2] = 0.0, self._radius_m
+        return pose(rot_z(yaw) @ rot_x(lean), position)
+
+    def _held(
+        self, rng: np.random.Generator, engine: MujocoEngine, T_world_rod: Array, q_near: Array, room_m: float
+    ) -> tuple[Array, Array] | None:
+        """Return (pose, posture (14,)) with room round it that holds the rod there, the first one found, or None."""
+        for k in range(_IK_STARTS_N):
+            q = np.array(q_near)
+            for arm, grasp in zip(ARMS, self._grasps, strict=True):
+                solver = self._ik[arm]
+                joints = GROUPS[f"{arm}_arm"]
+                begin = q_near[joints] if k == 0 else rng.uniform(solver.lower, solver.upper)
+                solution = solver.solve(T_world_rod @ grasp, begin)
+                if not solution.reached:
+                    break
+                q[joints] = solution.q
+            else:
+                solved = self._hands.solve(T_world_rod, q)
+                if solved is not None and not engine.closest(solved, room_m):
+                    return T_world_rod, solved
+        return None
+
+    def _blocked(self, engine: MujocoEngine, start: tuple[Array, Array], T_goal: Array) -> bool:
+        path = ObjectPath([start[0], T_goal])
+        marks = np.linspace(0.0, path.length, max(8, int(path.length / 0.01)))
+        Q, stuck = self._hands.follow(path.poses(marks), start[1])
+        return stuck is not None or bool(engine.collisions(Q).any())
+
+    def _witness(
+        self,
+        rng: np.random.Generator,
+        engines: SceneEngines,
+        query: HeldQuery,
+        start: tuple[Array, Array],
+        goal: tuple[Array, Array],
+    ) -> Array | None:
+        """Return points (n, 20) from start to goal that can be timed and proven free, searched from the goal, or None."""
+        for padding_m, step_scale in _WITNESS_TRIES:
+            checker = EdgeChecker(engines, padding_m, (start[1], goal[1]), _EDGE_STEP_RAD)
+            space = HeldSpace(self._hands, ObjectChart(start[0][:3, :3]), checker, step_scale)
+            path = search_object(
+                space,
+                space.point(*goal),
+                [space.point(*start)],
+                rng,
+                checks_max=_WITNESS_CHECKS_N,
+                deadline=time.perf_counter() + _WITNESS_S,
+                any_posture=False,
+            )
+            if path is None:
+                continue
+            try:
+                self._prover.prove(query, path[::-1])
+            except (ClosedChainError, TimingError):
+                continue
+            return path[::-1]
+        return None
+
+
+def _random_goal(rng: np.random.Generator, T_world_start: Array) -> Array:
+    """Return a pose up to 0.5 m and 90 degrees away: the distance and the angle are uniform, the axis is random.
+
+    Half of the turns are about the vertical.
+    """
+    direction = rng.normal(size=3)
+    offset = rng.uniform(0.05, _MOVE_MAX_M) * direction / np.linalg.norm(direction)
+    angle = rng.uniform(-_TURN_MAX_RAD, _TURN_MAX_RAD)
+    if rng.random() < 0.5:
+        turn = rot_z(angle)
+    else:
+        axis = rng.normal(size=3)
+        turn = ObjectChart(np.eye(3)).pose(np.concatenate([np.zeros(3), 0.2 * angle * axis / np.linalg.norm(axis)]))[
+            :3, :3
+        ]
+    return pose(turn @ T_world_start[:3, :3], T_world_start[:3, 3] + offset)

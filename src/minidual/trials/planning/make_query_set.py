@@ -1,0 +1,95 @@
+"""Make a stored query set: `python -m minidual.trials.planning.make_query_set SEED [QUERIES]` (minutes to an hour).
+
+For every query the generator's scenes are tried in turn until one is of the wanted kind and a way through it is
+found by a search that is several times longer than the planner's own, with several planners' seeds and less padding.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from minidual.motion.edges import EdgeChecker
+from minidual.motion.search import search
+from minidual.motion.shortcut import shortcut
+from minidual.proof.scene_engines import SceneEngines
+from minidual.robot.constants import GROUPS, Array
+from minidual.trials.planning.queries import Query, QueryGenerator
+from minidual.trials.planning.query_set import OBSTACLES_N, QuerySet, is_free, stored
+
+_CHECKS_N = 250_000
+_ROUNDS = ((0.004, 0.03), (0.002, 0.03), (0.001, 0.02), (0.001, 0.02))
+"""Padding [m] and step [rad] of the searches, one after the other: 1,000,000 state checks in all."""
+_DEADLINE_S = 3600.0
+
+
+def find_way(query: Query) -> Array | None:
+    """Return a polyline (n, 14) on which nothing touches, its corners rounded to what is stored; or None."""
+    engines = SceneEngines(query.scene)
+    for attempt, (padding, step) in enumerate(_ROUNDS):
+        checker = EdgeChecker(engines, padding, (query.q_start, query.q_goal), step)
+        path = search(
+            checker,
+            query.q_start,
+            query.q_goal,
+            GROUPS[query.group],
+            seed=query.seed + 1000 + attempt,
+            checks_max=_CHECKS_N,
+            deadline=time.perf_counter() + _DEADLINE_S,
+        )
+        if path is None:
+            continue
+        path = shortcut(path, checker, np.random.default_rng([query.seed, attempt]), 60)
+        path = stored(path)
+        if is_free(path, engines):
+            return path
+    return None
+
+
+def _solve(job: tuple[int, str, int]) -> tuple[Query, Array, int]:
+    seed, group, index = job
+    generator = QueryGenerator(seed, OBSTACLES_N)
+    attempt, left_out = 0, 0
+    while True:
+        query = generator.query(group, index, attempt)
+        query = replace(query, q_start=stored(query.q_start), q_goal=stored(query.q_goal))
+        path = find_way(query)
+        if path is not None:
+            return query, path, left_out
+        left_out += 1
+        attempt = query.attempt + 1
+
+
+def make(seed: int, queries_n: int, workers_n: int) -> QuerySet:
+    """Return a new set."""
+    jobs = [(seed, group, index) for group in GROUPS for index in range(queries_n)]
+    found: dict[str, list[tuple[Query, Array, int]]] = {group: [] for group in GROUPS}
+    with ProcessPoolExecutor(workers_n) as pool:
+        for done, (job, result) in enumerate(zip(jobs, pool.map(_solve, jobs), strict=True)):
+            found[job[1]].append(result)
+            print(f"{done + 1} of {len(jobs)}: {job[1]} {job[2]}, attempt {result[0].attempt}", file=sys.stderr)
+    return QuerySet(
+        seed,
+        {g: np.array([q.attempt for q, _, _ in rows]) for g, rows in found.items()},
+        {g: np.array([q.seed for q, _, _ in rows]) for g, rows in found.items()},
+        {g: np.array([(q.q_start, q.q_goal) for q, _, _ in rows]) for g, rows in found.items()},
+        {g: [path[1:-1] for _, path, _ in rows] for g, rows in found.items()},
+        {g: sum(left for _, _, left in rows) for g, rows in found.items()},
+    )
+
+
+def main(seed: int, queries_n: int = 100, workers_n: int = 2) -> None:
+    """Make the set of a seed and write it beside the others."""
+    made = make(seed, queries_n, workers_n)
+    file = Path(__file__).with_name("query_sets") / f"seed-{seed}.npz"
+    np.savez_compressed(file, **made.to_arrays())
+    print(f"{file}: {file.stat().st_size} bytes; left out {made.left_out}", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main(*(int(value) for value in sys.argv[1:]))

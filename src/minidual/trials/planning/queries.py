@@ -1,0 +1,275 @@
+"""Seeded planning queries: two collision-free configurations round a table with obstacles.
+
+Each query has its own scene of boxes and cylinders on the table. Start and goal are tcp poses over the table, hands
+down within a tilt, solved by inverse kinematics to free configurations with room round them. They are hard by
+construction (`KINDS`): the straight line in joint space is never free; the arm has to pass an obstacle, or the other
+arm, or the hands change sides. Nothing here plans, so the set cannot favour what the planner finds easy; that a way
+exists is shown by `minidual.trials.planning.query_set`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from minidual.collision.errors import PlanningError
+from minidual.collision.mujoco_engine import MujocoEngine
+from minidual.collision.scene import TABLE, PlanningScene
+from minidual.collision.shapes import Box, Cylinder, Shape
+from minidual.motion.goals import group_arms
+from minidual.motion.ik import ArmIK
+from minidual.robot.constants import ARMS, BASE_POSITIONS_M, GROUPS, HOME, Array
+from minidual.robot.poses import pose, rot_x, rot_z
+
+_ROOM_M = 0.01
+_TILT_RAD = 0.6
+_IK_STARTS_N = 6
+_POSE_TRIES_N = 60
+_STEP_RAD = 0.05
+_SCENE_TRIES_N = 200
+_PAIRS_TRIES_N = 8
+_CROSSED_BY_M = 0.05
+
+KINDS: dict[str, str] = {
+    "past_obstacle": "the straight line in joint space runs into an obstacle on the table",
+    "past_arm": "the straight line runs into the other arm, which is held",
+    "crossing": "the hands change sides, and the straight line is blocked",
+    "any": "nothing is asked for",
+}
+"""What makes a query hard, and how that is known."""
+
+
+@dataclass(frozen=True, eq=False)
+class Query:
+    """One planning problem.
+
+    Attributes:
+        group: Planning group.
+        index: Number within the group.
+        seed: Seed for the planner.
+        scene: Table and obstacles.
+        q_start: Free start (14,) [rad].
+        q_goal: Free goal (14,), a witness that the poses can be reached.
+        targets: Tcp poses of the group's arms at the goal.
+        as_poses: Whether the planner is given the poses (and does its own IK) or the joints.
+        blocked: Whether the straight line from start to goal touches something.
+        kind: What makes it hard, a name of `KINDS`.
+        attempt: Which of the generator's scenes it is.
+    """
+
+    group: str
+    index: int
+    seed: int
+    scene: PlanningScene
+    q_start: Array
+    q_goal: Array
+    targets: dict[str, Array]
+    as_poses: bool
+    blocked: bool
+    kind: str = "any"
+    attempt: int = 0
+
+    def digest(self) -> str:
+        """Return a sha256 of scene, start and goal, rounded to a micrometre and a microradian."""
+        h = hashlib.sha256(repr((self.group, self.index, self.seed, self.as_poses)).encode())
+        for obstacle in self.scene.obstacles:
+            h.update(repr(obstacle).encode())
+        for q in (self.q_start, self.q_goal):
+            h.update(np.round(q, 6).astype("<f8").tobytes())
+        return h.hexdigest()
+
+
+class QueryGenerator:
+    """Makes the queries of a seed; the same seed, group and index always give the same query.
+
+    Args:
+        seed: Seed of the set.
+        obstacles_n: Obstacles of each query.
+        blocked_fraction: Share of the queries that must be hard; the others may be anything.
+    """
+
+    def __init__(self, seed: int, obstacles_n: int = 5, blocked_fraction: float = 1.0) -> None:
+        self._seed = seed
+        self._obstacles_n = obstacles_n
+        self._blocked_fraction = blocked_fraction
+        self._ik = {arm: ArmIK(arm) for arm in ARMS}
+
+    def kind(self, group: str, index: int) -> str:
+        """Return what query `index` of a group must be, a name of `KINDS`."""
+        group_arms(group)
+        if int((index + 1) * self._blocked_fraction) == int(index * self._blocked_fraction):
+            return "any"
+        return self.kind_of(group, index)
+
+    @staticmethod
+    def kind_of(group: str, index: int) -> str:
+        """Return what makes query `index` of a group hard."""
+        if index % 2 == 0:
+            return "past_obstacle"
+        return "crossing" if group == "both_arms" else "past_arm"
+
+    def query(self, group: str, index: int, first_attempt: int = 0) -> Query:
+        """Return query `index` of a group; by index they give joints, joints, poses, poses as the goal.
+
+        Args:
+            group: Planning group.
+            index: Number within the group.
+            first_attempt: Scenes before this one are skipped.
+
+        Raises:
+            UsageError: Unknown group.
+            PlanningError: No such query exists for these settings (too many obstacles, say).
+        """
+        for attempt in range(first_attempt, first_attempt + _SCENE_TRIES_N):
+            query = self.attempt(group, index, attempt)
+            if query is not None:
+                return query
+        raise PlanningError(
+            f"no query {index} for {group} with {self._obstacles_n} obstacles after {_SCENE_TRIES_N} scenes",
+            remedy="use fewer obstacles or a smaller blocked_fraction",
+        )
+
+    def attempt(self, group: str, index: int, attempt: int) -> Query | None:
+        """Return the query that this attempt's scene gives, or None if it gives none of the wanted kind."""
+        arms = group_arms(group)
+        kind = self.kind(group, index)
+        scene = scene_of(self._seed, group, index, attempt, self._obstacles_n)
+        rng = np.random.default_rng([self._seed, list(GROUPS).index(group), index, attempt, 1])
+        engine = MujocoEngine(scene)
+        crossed_at_goal = bool(rng.integers(2))
+        for _ in range(_PAIRS_TRIES_N):
+            crossed = kind == "crossing"
+            start = self._configuration(rng, engine, HOME, ARMS, crossed=crossed and not crossed_at_goal)
+            if start is None:
+                continue
+            goal = self._configuration(rng, engine, start, arms, crossed=crossed and crossed_at_goal)
+            if goal is None:
+                continue
+            between = _touched_between(engine, start, goal)
+            if not _is_kind(kind, arms, between):
+                continue
+            targets = {arm: self._ik[arm].tcp_pose(goal[GROUPS[f"{arm}_arm"]]) for arm in arms}
+            if crossed and not self._swapped(start, targets):
+                continue
+            seed = int(rng.integers(2**31))
+            return Query(
+                group, index, seed, scene, start, goal, targets, goal_as_poses(index), bool(between), kind, attempt
+            )
+        return None
+
+    def _swapped(self, start: Array, targets: dict[str, Array]) -> bool:
+        """Return whether the left hand changes from one side of the right hand to the other."""
+        sides = [
+            hands["left"][1, 3] - hands["right"][1, 3]
+            for hands in ({arm: self._ik[arm].tcp_pose(start[GROUPS[f"{arm}_arm"]]) for arm in ARMS}, targets)
+        ]
+        return sides[0] * sides[1] < 0.0 and min(map(abs, sides)) > _CROSSED_BY_M
+
+    def _configuration(
+        self,
+        rng: np.random.Generator,
+        engine: MujocoEngine,
+        q_base: Array,
+        arms: tuple[str, ...],
+        *,
+        crossed: bool = False,
+    ) -> Array | None:
+        """Return a free configuration whose `arms` reach random poses, the other joints as in q_base; or None."""
+        for _ in range(_POSE_TRIES_N):
+            q = np.array(q_base)
+            for arm in arms:
+                T_world_tcp = random_pose(rng, arm)
+                if crossed:
+                    T_world_tcp[1, 3] = (-1.0 if arm == "left" else 1.0) * rng.uniform(0.03, 0.25)
+                solution = self._reach(rng, arm, T_world_tcp)
+                if solution is None:
+                    break
+                q[GROUPS[f"{arm}_arm"]] = solution
+            else:
+                if not engine.closest(q, _ROOM_M):
+                    return q
+        return None
+
+    def _reach(self, rng: np.random.Generator, arm: str, T_world_tcp: Array) -> Array | None:
+        solver = self._ik[arm]
+        for k in range(_IK_STARTS_N):
+            start = HOME[GROUPS[f"{arm}_arm"]] if k == 0 else rng.uniform(solver.lower, solver.upper)
+            solution = solver.solve(T_world_tcp, start)
+            if solution.reached:
+                return solution.q
+        return None
+
+
+def _touched_between(engine: MujocoEngine, start: Array, goal: Array) -> set[frozenset[str]]:
+    """Return the pairs that touch on the straight line from start to goal."""
+    count = int(np.ceil(np.abs(goal - start).max() / _STEP_RAD))
+    touched: set[frozenset[str]] = set()
+    for x in np.linspace(0.0, 1.0, count + 1)[1:-1]:
+        touched |= engine.touching_pairs(start + x * (goal - start))
+    return touched
+
+
+def _is_kind(kind: str, arms: tuple[str, ...], touched: set[frozenset[str]]) -> bool:
+    """Return whether what stands in the way of the straight line makes the query one of this kind."""
+    mine = tuple(f"{arm}_" for arm in arms)
+    theirs = tuple(f"{arm}_" for arm in ARMS if arm not in arms)
+    if kind == "past_obstacle":
+        return any(
+            any(n.startswith(mine) for n in pair) and any(not n.startswith(("left_", "right_", "table")) for n in pair)
+            for pair in touched
+        )
+    if kind == "past_arm":
+        return any(
+            any(n.startswith(mine) for n in pair) and any(n.startswith(theirs) for n in pair) for pair in touched
+        )
+    if kind == "crossing":
+        return bool(touched)
+    return True
+
+
+def goal_as_poses(index: int) -> bool:
+    """Return whether query `index` gives poses as its goal: two with joints, two with poses, and so on."""
+    return index % 4 >= 2
+
+
+def scene_of(seed: int, group: str, index: int, attempt: int, obstacles_n: int) -> PlanningScene:
+    """Return the scene of one attempt at a query."""
+    rng = np.random.default_rng([seed, list(GROUPS).index(group), index, attempt, 0])
+    return PlanningScene(obstacles=(TABLE, *random_obstacles(rng, obstacles_n)))
+
+
+def random_pose(rng: np.random.Generator, arm: str) -> Array:
+    """Return a tcp pose (4, 4) over the table, hand down within a tilt, on either side of the middle."""
+    side = 1.0 if arm == "left" else -1.0
+    position = np.array([rng.uniform(0.30, 0.65), side * rng.uniform(-0.15, 0.55), rng.uniform(0.08, 0.45)])
+    yaw, about = rng.uniform(-np.pi, np.pi, 2)
+    tilt = rng.uniform(0.0, _TILT_RAD)
+    lean = rot_z(about) @ rot_x(tilt) @ rot_z(-about)
+    return pose(lean @ rot_z(yaw) @ rot_x(np.pi), position)
+
+
+def random_obstacles(rng: np.random.Generator, count: int) -> tuple[Shape, ...]:
+    """Return boxes and cylinders standing on the table in front of the arms, clear of the bases."""
+    shapes: list[Shape] = []
+    for k in range(count):
+        height = float(rng.uniform(0.10, 0.40))
+        while True:
+            x, y = float(rng.uniform(0.25, 0.75)), float(rng.uniform(-0.60, 0.60))
+            if all(np.hypot(x - bx, y - by) > 0.28 for bx, by, _ in BASE_POSITIONS_M.values()):
+                break
+        place = (round(x, 4), round(y, 4), round(0.5 * height, 4))
+        if rng.random() < 0.5:
+            size = (
+                round(float(rng.uniform(0.05, 0.16)), 4),
+                round(float(rng.uniform(0.05, 0.16)), 4),
+                round(height, 4),
+            )
+            half_yaw = 0.5 * float(rng.uniform(-np.pi / 2, np.pi / 2))
+            quat = (float(np.cos(half_yaw)), 0.0, 0.0, float(np.sin(half_yaw)))
+            shapes.append(Box(f"box{k}", place, quat, size))
+        else:
+            radius = round(float(rng.uniform(0.025, 0.07)), 4)
+            shapes.append(Cylinder(f"cylinder{k}", place, radius_m=radius, length_m=round(height, 4)))
+    return tuple(shapes)

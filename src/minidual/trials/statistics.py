@@ -1,0 +1,219 @@
+"""How sure a measured rate, median or difference is, from few trials.
+
+Twenty trials are noise: 13 to 16 successes of 20 can be one and the same method. So every rate has a Wilson
+interval, every median a bootstrap interval, and methods that ran on the same seeds are compared seed by seed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from minidual.errors import NothingEvaluatedError, UsageError
+
+CONFIDENCE = 0.95
+RESAMPLES_N = 5000
+
+
+def wilson_interval(successes: int, n: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
+    """Return the Wilson score interval (low, high) of a success rate.
+
+    Source: E. B. Wilson, "Probable inference, the law of succession, and statistical inference", JASA 22
+    (1927). Unlike rate +- z sqrt(p q / n) it is not empty at 0 or n successes and never leaves [0, 1].
+
+    Args:
+        successes: Number of successes, 0 to n.
+        n: Number of trials, at least 1.
+        confidence: Coverage, between 0 and 1.
+
+    Raises:
+        NothingEvaluatedError: n is 0.
+        UsageError: successes outside 0 to n, or a confidence outside 0 to 1.
+    """
+    if n == 0:
+        raise NothingEvaluatedError("no trials: a success rate of nothing has no interval")
+    if not 0 <= successes <= n:
+        raise UsageError(f"{successes} successes in {n} trials; there must be 0 to {n}")
+    z = _z(confidence)
+    rate = successes / n
+    centre = rate + z * z / (2 * n)
+    half = z * math.sqrt(rate * (1 - rate) / n + z * z / (4 * n * n))
+    scale = 1 + z * z / n
+    # At the ends the bound is exactly 0 or 1; rounding must not put it beyond.
+    low = 0.0 if successes == 0 else (centre - half) / scale
+    high = 1.0 if successes == n else (centre + half) / scale
+    return low, high
+
+
+def bootstrap_median_interval(
+    values: ArrayLike, rng: np.random.Generator, confidence: float = CONFIDENCE, resamples_n: int = RESAMPLES_N
+) -> tuple[float, float]:
+    """Return the percentile bootstrap interval (low, high) of a median.
+
+    Args:
+        values: (N,) finite values, N at least 1.
+        rng: Seeded generator; the same state gives the same interval.
+        confidence: Coverage, between 0 and 1.
+        resamples_n: Number of resamples.
+
+    Raises:
+        NothingEvaluatedError: no values.
+        UsageError: a value that is not finite, or a confidence outside 0 to 1.
+    """
+    sample = np.asarray(values, dtype=float).ravel()
+    if sample.size == 0:
+        raise NothingEvaluatedError("no values: a median of nothing has no interval")
+    if not np.all(np.isfinite(sample)):
+        raise UsageError("a median interval needs finite values; some are NaN or infinite")
+    _z(confidence)
+    medians = np.median(sample[rng.integers(0, sample.size, (resamples_n, sample.size))], axis=1)
+    tail = (1 - confidence) / 2
+    low, high = np.quantile(medians, [tail, 1 - tail])
+    return float(low), float(high)
+
+
+@dataclass(frozen=True)
+class PairedComparison:
+    """Two methods on the same seeds.
+
+    Attributes:
+        both_n: Seeds on which both succeeded.
+        only_first_n: Seeds on which only the first did.
+        only_second_n: Seeds on which only the second did.
+        neither_n: Seeds on which neither did.
+        p_value: Two-sided exact McNemar probability of a split at least this uneven if they were equal.
+    """
+
+    both_n: int
+    only_first_n: int
+    only_second_n: int
+    neither_n: int
+    p_value: float
+
+    @property
+    def trials_n(self) -> int:
+        """Number of paired seeds."""
+        return self.both_n + self.only_first_n + self.only_second_n + self.neither_n
+
+    @property
+    def rate_difference(self) -> float:
+        """Success rate of the first less that of the second."""
+        return (self.only_first_n - self.only_second_n) / self.trials_n
+
+    @property
+    def rate_interval(self) -> tuple[float, float]:
+        """95 % interval (low, high) of `rate_difference`."""
+        return paired_rate_interval(self.both_n, self.only_first_n, self.only_second_n, self.neither_n)
+
+
+def compare_paired(first: Sequence[bool], second: Sequence[bool]) -> PairedComparison:
+    """Compare two methods seed by seed with McNemar's exact test.
+
+    Only the seeds on which they disagree carry evidence: were the methods equal, each of those would be a
+    fair coin. Source: Q. McNemar, Psychometrika 12 (1947); exact binomial form.
+
+    Args:
+        first: Success of the first method on each seed.
+        second: Success of the second, on the same seeds in the same order.
+
+    Raises:
+        NothingEvaluatedError: no pairs.
+        UsageError: the lengths differ.
+    """
+    if len(first) != len(second):
+        raise UsageError(f"paired comparison of {len(first)} against {len(second)} trials; they must be as many")
+    if not len(first):
+        raise NothingEvaluatedError("no paired trials to compare")
+    a, b = np.asarray(first, dtype=bool), np.asarray(second, dtype=bool)
+    only_first, only_second = int(np.sum(a & ~b)), int(np.sum(~a & b))
+    return PairedComparison(
+        both_n=int(np.sum(a & b)),
+        only_first_n=only_first,
+        only_second_n=only_second,
+        neither_n=int(np.sum(~a & ~b)),
+        p_value=_mcnemar_exact(only_first, only_second),
+    )
+
+
+def paired_rate_interval(
+    both: int, only_first: int, only_second: int, neither: int, confidence: float = CONFIDENCE
+) -> tuple[float, float]:
+    """Return the interval (low, high) of the difference of two success rates on the same trials.
+
+    Source: R. G. Newcombe, "Improved confidence intervals for the difference between binomial proportions based on
+    paired data", Statistics in Medicine 17 (1998), method 10. It combines the two Wilson intervals by the correlation of
+    the pairs. A bootstrap would be empty wherever the two never disagree, as two perfect methods do on any few trials.
+
+    Args:
+        both: Trials on which both succeeded.
+        only_first: On which only the first did.
+        only_second: On which only the second did.
+        neither: On which neither did.
+        confidence: Coverage, between 0 and 1.
+
+    Raises:
+        NothingEvaluatedError: no trials.
+        UsageError: a confidence outside 0 to 1.
+    """
+    n = both + only_first + only_second + neither
+    first_low, first_high = wilson_interval(both + only_first, n, confidence)
+    second_low, second_high = wilson_interval(both + only_second, n, confidence)
+    first, second = (both + only_first) / n, (both + only_second) / n
+    phi = _correlation(both, only_first, only_second, neither)
+    # How far each rate may lie from what was measured, on the side on which the difference shrinks or grows.
+    down = (first - first_low, second_high - second)
+    up = (first_high - first, second - second_low)
+    low, high = (math.sqrt(max(0.0, a * a - 2.0 * phi * a * b + b * b)) for a, b in (down, up))
+    return first - second - low, first - second + high
+
+
+def _correlation(both: int, only_first: int, only_second: int, neither: int) -> float:
+    """Return the phi coefficient of a 2 x 2 table, a positive one corrected for continuity; 0 where it has none."""
+    margins = (both + only_first) * (only_second + neither) * (both + only_second) * (only_first + neither)
+    if margins == 0:
+        return 0.0
+    covariance = both * neither - only_first * only_second
+    if covariance > 0:
+        covariance = max(covariance - (both + only_first + only_second + neither) / 2.0, 0.0)
+    return covariance / math.sqrt(margins)
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """Return the probabilities of a family of tests, corrected so that the family errs as rarely as one test would.
+
+    Source: S. Holm, "A simple sequentially rejective multiple test procedure", Scandinavian Journal of Statistics 6
+    (1979). It assumes nothing of how the tests depend on each other.
+
+    Args:
+        p_values: Of all tests of the family, shown or not.
+
+    Raises:
+        UsageError: one that is no probability.
+    """
+    if not all(0.0 <= p <= 1.0 for p in p_values):
+        raise UsageError(f"{next(p for p in p_values if not 0.0 <= p <= 1.0)} is no probability")
+    found = [0.0] * len(p_values)
+    highest = 0.0
+    for rank, i in enumerate(sorted(range(len(p_values)), key=lambda i: p_values[i])):
+        highest = max(highest, min(1.0, (len(p_values) - rank) * p_values[i]))
+        found[i] = highest
+    return found
+
+
+def _mcnemar_exact(only_first: int, only_second: int) -> float:
+    n = only_first + only_second
+    if n == 0:
+        return 1.0
+    tail = sum(math.comb(n, k) for k in range(min(only_first, only_second) + 1))
+    return min(1.0, 2 * tail / 2**n)
+
+
+def _z(confidence: float) -> float:
+    if not 0.0 < confidence < 1.0:
+        raise UsageError(f"confidence is {confidence}; it must lie between 0 and 1")
+    return NormalDist().inv_cdf(0.5 + confidence / 2)

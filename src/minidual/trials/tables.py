@@ -1,0 +1,102 @@
+"""Methods side by side: summaries, paired tests and trials as CSV and JSON, definitions beside the numbers."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from minidual.demos import durable
+from minidual.demos.smoothness import JERK_FILTER
+from minidual.errors import DataError, NothingEvaluatedError, UsageError
+from minidual.trials.comparisons import compare_all, compare_with_clean
+from minidual.trials.metrics import MethodSummary, TrialMetrics
+from minidual.trials.statistics import CONFIDENCE
+
+#: What every number in the tables means, where its name does not say it.
+DEFINITIONS: dict[str, str] = {
+    "jerk_filter": JERK_FILTER,
+    "success_interval": f"Wilson score, {CONFIDENCE:.0%}",
+    "median_interval": f"percentile bootstrap of the median over trials, {CONFIDENCE:.0%}: *_low and *_high",
+    "over_successful_trials": "duration, path length, least internal force, least pinch force",
+    "over_all_trials": "torque, jerk, tilt, goal error",
+    "paired_test": "McNemar, exact, two-sided, on shared starts",
+    "paired_rate_interval": f"Newcombe's score interval of paired proportions (1998, method 10), {CONFIDENCE:.0%}",
+    "paired_duration_interval": "percentile bootstrap of the median difference over starts that both completed",
+}
+
+
+def write_csv(path: Path | str, rows: Sequence[TrialMetrics | MethodSummary]) -> Path:
+    """Write one row a trial or a method; raise NothingEvaluatedError for an empty table."""
+    if not rows:
+        raise NothingEvaluatedError(f"no rows for {path}: nothing was evaluated")
+    cells = [row.to_row() for row in rows]
+    text = io.StringIO()
+    writer = csv.DictWriter(text, fieldnames=list(cells[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(cells)
+    return write_text(Path(path), text.getvalue())
+
+
+def write_json(
+    path: Path | str,
+    summaries: Sequence[MethodSummary],
+    trials: Sequence[TrialMetrics],
+    extra: Mapping[str, Any] | None = None,
+    *,
+    seed: int = 0,
+) -> Path:
+    """Write definitions, summaries, paired comparisons of all methods, and trials as one document.
+
+    Args:
+        path: File to write.
+        summaries: One a method and condition.
+        trials: All trials.
+        extra: Further entries at the top level; they may not replace one of these.
+        seed: Of the bootstraps in the comparisons.
+
+    Raises:
+        NothingEvaluatedError: no trials.
+        UsageError: an entry of `extra` takes a name of the document.
+        DataError: the disk refuses, or `extra` holds NaN.
+    """
+    if not trials:
+        raise NothingEvaluatedError(f"no trials for {path}: nothing was evaluated")
+    document: dict[str, Any] = {
+        "definitions": DEFINITIONS,
+        "methods": [_with_failures(summary) for summary in summaries],
+        "comparisons": compare_all(trials, seed),
+        "losses": compare_with_clean(trials, seed),
+        "trials": [trial.to_row() for trial in trials],
+    }
+    clash = set(document) & set(extra or {})
+    if clash:
+        raise UsageError(f"the document already has an entry {', '.join(sorted(clash))}")
+    try:
+        text = json.dumps({**document, **(extra or {})}, indent=1, allow_nan=False)
+    except ValueError as error:
+        raise DataError(f"{path}: {error}") from error
+    return write_text(Path(path), text + "\n")
+
+
+def _with_failures(summary: MethodSummary) -> dict[str, Any]:
+    return {**summary.to_row(), "failures": dict(summary.failures)}
+
+
+def write_text(path: Path, text: str) -> Path:
+    """Write a file so that it is whole or absent; raise DataError where the disk refuses."""
+    partial = durable.partial_path(path)
+    durable.make_folder(path.parent)
+    try:
+        partial.write_text(text, encoding="utf-8")
+        durable.publish(partial, path)
+    except OSError as error:
+        raise DataError(
+            f"{path} could not be written: {error}", remedy="free space on the disk or choose another folder"
+        ) from error
+    finally:
+        durable.remove(partial)
+    return path

@@ -1,0 +1,340 @@
+"""Find squeeze and stiffness of the object impedance by carrying: soft first, then the force, then the stiffness.
+
+    1  safe       the softest stiffness and the least force: the arms must come through without a saturated motor
+    2  force      the least squeeze that holds: the root of  margin(f) = least measured internal force - what is needed,
+                  raised from 10 N in steps of 10 and closed in on by Brent's method; the result is 1.5 times that
+    3  stiffness  the largest stiffness before oscillation: the root of  oscillation(K) - limit,  found likewise; the
+                  result keeps 20 % away from it (the stiffest that is tried counts as it is if it does not
+                  oscillate) and must track within a centimetre
+
+Every step is five carries from starts of the tuning's own random stream, and counts by its worst. Source of the three
+phases: the usual procedure for object impedance, soft and safe before strong and stiff.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.signal import butter, sosfiltfilt
+
+from minidual.config.change import changed
+from minidual.config.root import Config
+from minidual.errors import MinidualError
+from minidual.plant.world import World
+from minidual.robot.constants import TAU_MAX, Array
+from minidual.tasks.rod_carry import RodTrial, sample_trial, tilt_rad
+from minidual.trials.methods import Method, MethodInputs
+from minidual.trials.trials import Bench
+
+PURPOSE = "tuning"
+"""Random stream of the starts; no acceptance trial comes from it."""
+CARRIES_N = 5
+FORCES_N = (10.0, 20.0, 30.0, 40.0)
+STIFFNESSES_N_PER_M = (150.0, 300.0, 450.0, 600.0)
+"""Raised step by step until something changes; no object is recommended a larger stiffness than the last."""
+FORCE_FACTOR, STIFFNESS_FACTOR = 1.5, 0.8
+FORCE_CEILING_N = 80.0
+OSCILLATION_MAX_M = 0.0003
+"""RMS of the tracking error above `_HIGH_PASS_HZ` that counts as oscillation."""
+TRACKING_MAX_M = 0.01
+COMPARED_N = (20.0, 40.0, 80.0)
+_HIGH_PASS_HZ = 5.0
+_LOG_HZ = 250.0
+_FORCE_STEP_N, _STIFFNESS_STEP_N_PER_M = 0.5, 10.0
+_SAFE_TORQUE = 0.95
+
+
+class TuningError(MinidualError):
+    """No gains were found, and why."""
+
+
+@dataclass(frozen=True)
+class Carried:
+    """One carry of a step.
+
+    Attributes:
+        success: The task's success test.
+        text: What happened, in one line.
+        internal_force_min_n: Least squeeze while the object was in the air; 0 if it never was.
+        tracking_max_m: Largest distance of the object from where it should have been; NaN if it was never carried.
+        oscillation_m: RMS of that distance above 5 Hz; NaN likewise.
+        tilt_max_rad: Largest tilt.
+        torque_ratio_max: Largest torque over its limit.
+        t_s, error_m, force_n, torque_ratio, tilt_rad: (T,) each, while the object was carried, for the figure.
+    """
+
+    success: bool
+    text: str
+    internal_force_min_n: float
+    tracking_max_m: float
+    oscillation_m: float
+    tilt_max_rad: float
+    torque_ratio_max: float
+    t_s: Array
+    error_m: Array
+    force_n: Array
+    torque_ratio: Array
+    tilt_rad: Array
+
+
+@dataclass(frozen=True)
+class TuningStep:
+    """Carries with one force and one stiffness."""
+
+    phase: str
+    force_n: float
+    stiffness_n_per_m: float
+    carries: tuple[Carried, ...]
+
+    @property
+    def holds(self) -> bool:
+        """Whether every carry succeeded."""
+        return all(c.success for c in self.carries)
+
+    def worst(self, name: str, take: Callable[[Any], Any] = np.max) -> float:
+        """Return the worst of one number over the carries; a NaN stays one."""
+        return float(take([getattr(c, name) for c in self.carries]))
+
+    def row(self) -> dict[str, Any]:
+        """Return the line of tuning.csv."""
+        failed = [c.text for c in self.carries if not c.success]
+        return {
+            "phase": self.phase,
+            "internal_force_n": round(self.force_n, 2),
+            "stiffness_n_per_m": round(self.stiffness_n_per_m, 1),
+            "successes": f"{len(self.carries) - len(failed)} of {len(self.carries)}",
+            "internal_force_min_n": _said(self.worst("internal_force_min_n", np.min), 2),
+            "tracking_max_mm": _said(1e3 * self.worst("tracking_max_m"), 2),
+            "oscillation_rms_mm": _said(1e3 * self.worst("oscillation_m"), 3),
+            "tilt_max_deg": _said(float(np.degrees(self.worst("tilt_max_rad"))), 2),
+            "torque_max_percent": _said(100.0 * self.worst("torque_ratio_max"), 0),
+            "first_failure": failed[0] if failed else "",
+        }
+
+
+@dataclass
+class Tuning:
+    """What was found, and every step on the way."""
+
+    force_n: float
+    stiffness_n_per_m: float
+    least_force_n: float
+    last_stiffness_n_per_m: float
+    final: TuningStep
+    compared: list[TuningStep]
+    steps: list[TuningStep] = field(default_factory=list)
+
+    @property
+    def settings(self) -> dict[str, float]:
+        """Return the configuration values that were found."""
+        return gains(self.force_n, self.stiffness_n_per_m)
+
+
+def gains(force_n: float, stiffness_n_per_m: float) -> dict[str, float]:
+    """Return the configuration of a force and a stiffness; the rotational one keeps the ratio of 500 to 20."""
+    return {
+        "carry.impedance.internal_force_n": float(force_n),
+        "carry.impedance.stiffness_n_per_m": float(stiffness_n_per_m),
+        "carry.impedance.stiffness_nm_per_rad": float(stiffness_n_per_m) / 25.0,
+    }
+
+
+class Tuner:
+    """Runs the three phases.
+
+    Args:
+        config: Everything but the gains that are searched.
+        seed: Of the run.
+        workers: Processes; the result does not depend on it.
+        on_step: Called after each step.
+    """
+
+    def __init__(
+        self, config: Config, seed: int, *, workers: int = 1, on_step: Callable[[TuningStep], None] | None = None
+    ) -> None:
+        self._config, self._seed, self._workers, self._on_step = config, seed, workers, on_step
+        self.steps: list[TuningStep] = []
+
+    def run(self) -> Tuning:
+        """Return the gains.
+
+        Raises:
+            TuningError: Not even the softest step is safe, no force up to 40 N holds, or nothing tracks.
+        """
+        soft, stiff = STIFFNESSES_N_PER_M[0], STIFFNESSES_N_PER_M[-1]
+        safe = self.step("safe", FORCES_N[0], soft)
+        if not safe.worst("torque_ratio_max") < _SAFE_TORQUE:
+            raise TuningError(
+                f"the softest carry ({soft:.0f} N/m, {FORCES_N[0]:.0f} N) already takes "
+                f"{100 * safe.worst('torque_ratio_max'):.0f} % of a motor's torque",
+                remedy="carry more slowly: lower carry.pace.object_speed_m_per_s",
+            )
+        start_n_per_m = self._config.carry.impedance.stiffness_n_per_m
+        least = self._least_force(start_n_per_m)
+        # Rounded before they are tried: what is written into the profile is what was carried with.
+        force = round(min(FORCE_FACTOR * least, FORCE_CEILING_N), 1)
+        last = self._last_stiffness(force)
+        stiffness = last if last == stiff else float(round(STIFFNESS_FACTOR * last))
+        final = self.step("final", force, stiffness)
+        if not (final.holds and final.worst("tracking_max_m") < TRACKING_MAX_M):
+            row = final.row()
+            raise TuningError(
+                f"{force:.1f} N and {stiffness:.0f} N/m: {row['successes']} held, tracking "
+                f"{row['tracking_max_mm']} mm (limit {1e3 * TRACKING_MAX_M:.0f}) {row['first_failure']}",
+                remedy="see tuning.csv; carry more slowly or pinch harder (carry.impedance.pinch_n)",
+            )
+        compared = [self.step("compared", f, stiffness) for f in COMPARED_N]
+        return Tuning(force, stiffness, least, last, final, compared, self.steps)
+
+    def step(self, phase: str, force_n: float, stiffness_n_per_m: float) -> TuningStep:
+        """Run the carries of one step."""
+        import joblib
+
+        os.environ["OMP_NUM_THREADS"] = "1"  # more numeric threads only wait for each other
+        config = changed(self._config, gains(force_n, stiffness_n_per_m))
+        inputs = MethodInputs(config, self._seed)
+        trials = [sample_trial(config.scene, self._seed, PURPOSE, i) for i in range(CARRIES_N)]
+        carried = joblib.Parallel(n_jobs=min(self._workers, CARRIES_N))(
+            joblib.delayed(carry_once)(inputs, trial) for trial in trials
+        )
+        step = TuningStep(phase, force_n, stiffness_n_per_m, tuple(carried))
+        self.steps.append(step)
+        if self._on_step is not None:
+            self._on_step(step)
+        return step
+
+    def _least_force(self, stiffness: float) -> float:
+        needed = self._config.scene.task.internal_force_min_n
+
+        def margin(force_n: float) -> float:
+            step = self.step("force", force_n, stiffness)
+            least = step.worst("internal_force_min_n", np.min) - needed
+            return least if step.holds else min(least, -_FORCE_STEP_N)
+
+        _raise_until(margin, FORCES_N, _FORCE_STEP_N)
+        # Brent's method ends on either side of the root; what counts is the least that was seen to hold.
+        held = [s.force_n for s in self.steps if s.phase == "force" and s.holds]
+        if not held:
+            row = self.steps[-1].row()
+            raise TuningError(
+                f"no squeeze up to {FORCES_N[-1]:.0f} N holds: least force {row['internal_force_min_n']} N, needs > "
+                f"{needed:.0f}; {row['first_failure']}",
+                remedy="pinch harder (carry.impedance.pinch_n) or see whether the pads slip (friction)",
+            )
+        return min(held)
+
+    def _last_stiffness(self, force_n: float) -> float:
+        def excess(stiffness: float) -> float:
+            step = self.step("stiffness", force_n, stiffness)
+            oscillation = step.worst("oscillation_m")
+            if not step.holds or not np.isfinite(oscillation):
+                return 1.0  # what cannot be carried is past the limit
+            return oscillation / OSCILLATION_MAX_M - 1.0
+
+        _raise_until(excess, STIFFNESSES_N_PER_M, _STIFFNESS_STEP_N_PER_M)
+        good = [
+            s.stiffness_n_per_m
+            for s in self.steps
+            if s.phase == "stiffness" and s.holds and s.worst("oscillation_m") <= OSCILLATION_MAX_M
+        ]
+        if not good:
+            row = self.steps[-1].row()
+            raise TuningError(
+                f"the object oscillates even at {STIFFNESSES_N_PER_M[0]:.0f} N/m with {force_n:.1f} N "
+                f"({row['oscillation_rms_mm']} mm RMS above {_HIGH_PASS_HZ:.0f} Hz)",
+                remedy="raise carry.impedance.damping_ratio or look at the sensing delay",
+            )
+        return max(good)
+
+
+def _raise_until(value: Callable[[float], float], ladder: Sequence[float], tolerance: float) -> None:
+    """Raise x along a ladder until the value turns positive, then close in on the root with Brent's method."""
+    seen: dict[float, float] = {}
+
+    def remembered(x: float) -> float:
+        if x not in seen:
+            seen[x] = value(x)
+        return seen[x]
+
+    for low, high in zip((None, *ladder), ladder, strict=False):
+        if remembered(high) > 0.0:
+            if low is not None:
+                brentq(remembered, low, high, xtol=tolerance)
+            return
+
+
+def carry_once(inputs: MethodInputs, trial: RodTrial) -> Carried:
+    """Carry once and measure; the true pose of the object is read for the score alone."""
+    bench = Bench("impedance", inputs)
+    every = round(1.0 / (_LOG_HZ * bench.world.dt))
+    rows: list[tuple[float, Array, float, float, float]] = []
+    count = 0
+
+    def watch(world: World, method: Method) -> None:
+        nonlocal count
+        count += 1
+        desired = getattr(method, "desired", None)
+        if count % every or method.phase != "carry" or desired is None:
+            return
+        T = world.T_world_rod
+        rows.append(
+            (
+                world.time,
+                T[:3, 3] - desired.T_world_object[:3, 3],
+                world.internal_force(),
+                float(np.max(np.abs(world.tau) / TAU_MAX)),
+                tilt_rad(T),
+            )
+        )
+
+    result, _ = bench.run(trial, on_step=watch)
+    metrics = result.metrics
+    t, errors, force, torque, tilt = (
+        (np.array(c) for c in zip(*rows, strict=True)) if rows else (np.zeros(0), np.zeros((0, 3)), *[np.zeros(0)] * 3)
+    )
+    size = np.linalg.norm(errors, axis=1)
+    return Carried(
+        result.success,
+        result.text,
+        metrics.internal_force_min_n,
+        float(size.max()) if len(size) else float("nan"),
+        oscillation_m(errors),
+        metrics.tilt_max_rad,
+        metrics.torque_ratio_max,
+        t,
+        size,
+        force,
+        torque,
+        tilt,
+    )
+
+
+def oscillation_m(errors: Array, rate_hz: float = _LOG_HZ) -> float:
+    """Return the RMS of tracking errors (T, 3) [m] above 5 Hz, zero phase; NaN if too short to tell."""
+    if len(errors) < rate_hz / 2:
+        return float("nan")
+    sos = butter(4, _HIGH_PASS_HZ, btype="highpass", fs=rate_hz, output="sos")
+    fast = np.asarray(sosfiltfilt(sos, errors, axis=0))
+    return float(np.sqrt(np.mean(np.sum(fast**2, axis=1))))
+
+
+def _said(value: float, digits: int) -> Any:
+    return round(value, digits) if np.isfinite(value) else "not measured"
+
+
+def write_rows(steps: Sequence[TuningStep]) -> str:
+    """Return tuning.csv."""
+    import csv
+    import io
+
+    rows = [s.row() for s in steps]
+    text = io.StringIO()
+    writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
