@@ -14,7 +14,8 @@ import h5py
 import numpy as np
 import pytest
 
-from minidual.demos import durable, schema
+from minidual import durable
+from minidual.demos import schema
 from minidual.demos.episode import EpisodeWriter, read_episode, read_meta
 from minidual.demos.schema import EpisodeMeta
 from minidual.errors import DataError, UsageError
@@ -168,7 +169,7 @@ def test_a_disk_that_refuses_leaves_a_clear_error_and_no_file(tmp_path: Path, mo
     def refuse(path: Path) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(durable, "fsync_file", refuse)
+    monkeypatch.setattr(durable, "sync", refuse)
     with pytest.raises(DataError, match="No space left") as caught:
         data_samples.write(tmp_path / "e.hdf5", data_samples.arrays(5))
     assert "free space" in (caught.value.remedy or "")
@@ -228,7 +229,7 @@ import sys, time
 sys.path.insert(0, {str(Path(__file__).parent)!r})
 import data_samples
 from pathlib import Path
-from minidual.demos import durable
+from minidual import durable
 from minidual.demos.episode import EpisodeWriter
 from minidual.demos.schema import EpisodeMeta
 folder = Path({str(tmp_path)!r})
@@ -250,7 +251,7 @@ with EpisodeWriter(folder / "episode_000001.hdf5", meta, image_buffer_bytes=1) a
     assert process.stdout is not None
     assert process.stdout.readline().strip() == "ready"
     names = {path.name for path in tmp_path.iterdir()}
-    partial = next(path for path in tmp_path.iterdir() if durable.is_partial(path))
+    partial = next(path for path in tmp_path.iterdir() if path.name.endswith(".partial"))
     assert names == {"episode_000000.hdf5", partial.name}
     assert not durable.is_stale(partial)  # its writer lives
     os.kill(process.pid, signal.SIGKILL)

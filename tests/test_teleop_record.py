@@ -168,7 +168,7 @@ def test_failed_attempts_are_set_aside_with_their_reason(tmp_path: Path, shared_
 
 
 def _fake(outcomes: list[bool], calls: list[list[int]]) -> Any:
-    def record_attempts(job: Job, indices: Any, *, workers: int, view: None = None) -> Any:
+    def record_attempts(job: Job, indices: Any, *, workers: int, observe: None = None) -> Any:
         calls.append(list(indices))
         for index in indices:
             good = outcomes[index]

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from minidual.demos import durable
+from minidual import durable
 from minidual.demos.episode import Episode, read_episode, read_meta
 from minidual.demos.lerobot_mapping import STATE_N, STATE_NAMES, camera_key, split_vector, state_vector
 from minidual.demos.lerobot_reader import ACTION, STATE

@@ -9,23 +9,24 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from minidual.demos import durable
+from minidual import durable
 from minidual.demos.leader import IN_PROCESS, require_leader
 from minidual.demos.rig import REJECTED, Attempt, Job, Rig
-from minidual.show.narrate import StackNarrator
-from minidual.show.view.protocol import View
-from minidual.show.watch_world import watched
+
+Observe = Callable[[Rig, int], AbstractContextManager[object]]
+"""Called with the rig and a trial's number; what it returns is entered while the trial runs."""
 
 _rigs: dict[str, Rig] = {}
 
 
-def _record_in_worker(job: Job, index: int, view: View | None = None) -> Attempt:
+def _record_in_worker(job: Job, index: int, observe: Observe | None = None) -> Attempt:
     key = f"{job.folder}/{job.seed}/{job.teleop}/{job.scene}/{job.arbiter}"
     if key not in _rigs:
         for rig in _rigs.values():
@@ -33,9 +34,8 @@ def _record_in_worker(job: Job, index: int, view: View | None = None) -> Attempt
         _rigs.clear()
         _rigs[key] = Rig(job, job.teleop.cameras)
     rig = _rigs[key]
-    narrate = StackNarrator(rig.session.stack, rig.kinematics, f"teleop-record, trial {index}")
     began = time.perf_counter()
-    with watched(view, rig.world, narrate):
+    with nullcontext() if observe is None else observe(rig, index):
         attempt = rig.record(index)
     return replace(attempt, wall_s=time.perf_counter() - began)
 
@@ -45,10 +45,12 @@ def usable_workers(job: Job, workers: int) -> int:
     return 1 if job.teleop.leader in IN_PROCESS else workers
 
 
-def record_attempts(job: Job, indices: Sequence[int], *, workers: int, view: View | None = None) -> Iterator[Attempt]:
+def record_attempts(
+    job: Job, indices: Sequence[int], *, workers: int, observe: Observe | None = None
+) -> Iterator[Attempt]:
     """Record trials over processes and yield what became of them, in the order of `indices`.
 
-    What a view shows runs in this process, which needs `workers` to be 1.
+    An observer runs in this process, which needs `workers` to be 1.
     """
     import joblib
 
@@ -58,7 +60,7 @@ def record_attempts(job: Job, indices: Sequence[int], *, workers: int, view: Vie
     os.environ.setdefault("LP_NUM_THREADS", "0")  # the software renderer draws in the calling thread
     processes = min(usable_workers(job, workers), max(1, len(indices)))
     yield from joblib.Parallel(n_jobs=processes, return_as="generator", batch_size=1, pre_dispatch="2*n_jobs")(
-        joblib.delayed(_record_in_worker)(job, index, view) for index in indices
+        joblib.delayed(_record_in_worker)(job, index, observe) for index in indices
     )
 
 
@@ -93,7 +95,7 @@ class Recording:
 
 
 def record(
-    job: Job, *, workers: int, on_attempt: Callable[[Attempt], None] | None = None, view: View | None = None
+    job: Job, *, workers: int, on_attempt: Callable[[Attempt], None] | None = None, observe: Observe | None = None
 ) -> Recording:
     """Record until there are `episodes_n` demonstrations, or the allowed attempts are used up.
 
@@ -112,7 +114,9 @@ def record(
     began = time.perf_counter()
     while (missing := wanted - sum(a.kept for a in attempts)) > 0 and len(attempts) < allowed:
         start = len(attempts)
-        for attempt in record_attempts(job, range(start, min(start + missing, allowed)), workers=workers, view=view):
+        for attempt in record_attempts(
+            job, range(start, min(start + missing, allowed)), workers=workers, observe=observe
+        ):
             attempts.append(attempt)
             if on_attempt is not None:
                 on_attempt(attempt)

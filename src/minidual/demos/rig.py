@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from minidual import durable
 from minidual.config.arbiter import ArbiterConfig
 from minidual.config.scene import SceneConfig
 from minidual.config.supervisor import SupervisorConfig
 from minidual.config.teleop import TeleopConfig
-from minidual.demos import durable
 from minidual.demos.episode import EpisodeWriter, read_episode
 from minidual.demos.leader import LeaderSetup, make_leader
 from minidual.demos.observation import Observer
@@ -143,7 +143,7 @@ class Rig:
             target = self.job.folder / KEPT / name
             target.parent.mkdir(exist_ok=True)
             path = path.rename(target)
-            durable.fsync_dir(target.parent)
+            durable.sync(target.parent)
         return self._examined(trial, result, path, success=success, kept=not reason, reason=reason)
 
     def _meta(self, trial: RodTrial) -> EpisodeMeta:

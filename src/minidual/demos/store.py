@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from minidual.demos import durable
+from minidual import durable
 from minidual.demos.episode import EpisodeWriter, read_meta
 from minidual.demos.schema import EpisodeMeta
 from minidual.demos.validate import check_structure
@@ -110,8 +110,8 @@ class EpisodeStore:
         # The reason first: a file set aside without one would be a riddle.
         target.with_name(f"{target.name}.reason.txt").write_text(reason + "\n", encoding="utf-8")
         path.rename(target)
-        durable.fsync_dir(folder)
-        durable.fsync_dir(self.folder)
+        durable.sync(folder)
+        durable.sync(self.folder)
         return target
 
     def _quarantined_indices(self) -> list[int]:

@@ -19,7 +19,8 @@ import h5py
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from minidual.demos import checks, durable, schema
+from minidual import durable
+from minidual.demos import checks, schema
 from minidual.demos.schema import EpisodeMeta
 from minidual.errors import DataError, UsageError
 

@@ -6,7 +6,6 @@ import enum
 import hashlib
 import json
 import math
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
@@ -90,26 +89,3 @@ def file_sha256(path: Path) -> str:
         with path.open("rb") as stream:
             _HASHES[key] = hashlib.file_digest(stream, "sha256").hexdigest()
     return _HASHES[key]
-
-
-def write_durably(path: Path, text: str) -> None:
-    """Write `text` so that a reader, even after a power cut, sees the old file or the whole new one."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with temporary.open("w", encoding="utf-8") as stream:
-            stream.write(text)
-            stream.flush()
-            os.fsync(stream.fileno())
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
-    sync_folder(path.parent)
-
-
-def sync_folder(folder: Path) -> None:
-    """Make renames inside `folder` durable."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

@@ -19,8 +19,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
 
+from minidual.durable import sync, write_text
 from minidual.errors import DataError, UsageError
-from minidual.gate.canonical import dumps, parse_json, sync_folder, write_durably
+from minidual.gate.canonical import dumps, parse_json
 from minidual.gate.clock import now_stamp, now_text
 from minidual.gate.lock import lock_holder_text, lock_is_held, run_lock
 from minidual.gate.manifest import ATTEMPT_FILE, CONFIG_FILE, VERDICT_FILE
@@ -136,12 +137,12 @@ class RunStore:
             shutil.rmtree(folder)
         folder.mkdir(parents=True)
         self._mark(Attempt(stage, "running", os.getpid(), now_text()))
-        write_durably(folder / CONFIG_FILE, config_text)
-        write_durably(self.folder / CONFIG_FILE, config_text)
+        write_text(folder / CONFIG_FILE, config_text)
+        write_text(self.folder / CONFIG_FILE, config_text)
         return folder
 
     def _mark(self, attempt: Attempt) -> None:
-        write_durably(self._temporary(attempt.stage) / ATTEMPT_FILE, dumps(asdict(attempt)))
+        write_text(self._temporary(attempt.stage) / ATTEMPT_FILE, dumps(asdict(attempt)))
 
     def abandon(self, stage: str, state: Literal["interrupted", "error"], message: str) -> None:
         """Mark the attempt at `stage` as ended without a verdict. Its files stay until the next attempt."""
@@ -156,13 +157,13 @@ class RunStore:
         """Write the verdict as the last file, put the folder in its place, drop the previous one."""
         temporary, folder, old = self._temporary(stage), self.folder / stage, self._old(stage)
         (temporary / ATTEMPT_FILE).unlink(missing_ok=True)
-        write_durably(temporary / VERDICT_FILE, verdict.text())
+        write_text(temporary / VERDICT_FILE, verdict.text())
         if folder.exists():
             if old.exists():
                 shutil.rmtree(old)
             folder.rename(old)
         temporary.rename(folder)
-        sync_folder(self.folder)
+        sync(self.folder)
         if old.exists():
             shutil.rmtree(old)
         return folder

@@ -63,7 +63,8 @@ def _run(context: ToolContext, wanted: tuple[str, ...], checkpoint: Path | None)
     from minidual.collision.arm_distance import ArmDistance
     from minidual.control.stack import ControlStack
     from minidual.control.supervisor import Supervisor
-    from minidual.gate.canonical import canonical, dumps, write_durably
+    from minidual.durable import write_text
+    from minidual.gate.canonical import canonical, dumps
     from minidual.plant.model import build_model
     from minidual.plant.recorder import Recorder
     from minidual.plant.render import Camera, write_video
@@ -111,7 +112,7 @@ def _run(context: ToolContext, wanted: tuple[str, ...], checkpoint: Path | None)
             for s in result.switches
         ],
     }
-    write_durably(context.output / "modes.json", dumps(canonical(document)))
+    write_text(context.output / "modes.json", dumps(canonical(document)))
     return result
 
 

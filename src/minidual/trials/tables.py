@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from minidual.demos import durable
+from minidual import durable
 from minidual.demos.smoothness import JERK_FILTER
 from minidual.errors import DataError, NothingEvaluatedError, UsageError
 from minidual.trials.comparisons import compare_all, compare_with_clean
@@ -88,15 +88,11 @@ def _with_failures(summary: MethodSummary) -> dict[str, Any]:
 
 def write_text(path: Path, text: str) -> Path:
     """Write a file so that it is whole or absent; raise DataError where the disk refuses."""
-    partial = durable.partial_path(path)
     durable.make_folder(path.parent)
     try:
-        partial.write_text(text, encoding="utf-8")
-        durable.publish(partial, path)
+        durable.write_text(path, text)
     except OSError as error:
         raise DataError(
             f"{path} could not be written: {error}", remedy="free space on the disk or choose another folder"
         ) from error
-    finally:
-        durable.remove(partial)
     return path
