@@ -14,8 +14,9 @@ from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import TABLE, Attached, PlanningScene
 from minidual.collision.shapes import Box, Capsule, Cylinder, Sphere, bounding_radius
 from minidual.errors import UsageError
-from minidual.plant.model import self_collision_exclusions
+from minidual.robot.arms import PANDA
 from minidual.robot.constants import HOME, Q_LOWER, Q_UPPER
+from minidual.robot.description import never_touching
 
 
 def test_links_are_those_of_the_model():
@@ -91,7 +92,7 @@ def test_both_arms_have_the_same_matrix():
 
 def test_the_pairs_of_the_published_srdf_that_may_touch_cover_ours_that_always_do():
     """Oracle: what we call adjacent or rigid must be disabled in the Panda's own SRDF too."""
-    published = {frozenset(p) for p in self_collision_exclusions()}
+    published = {frozenset(p) for p in never_touching(PANDA)}
     ours = {
         frozenset((a[5:], b[5:]))
         for a, b, r in default_acm().table()

@@ -12,6 +12,7 @@ import pytest
 
 from minidual.errors import EnvironmentMissingError
 from minidual.robot import description
+from minidual.robot.arms import DUAL_PANDA, PANDA
 from minidual.robot.constants import (
     ARMS,
     BASE_POSITIONS_M,
@@ -29,13 +30,13 @@ from minidual.robot.constants import (
     TCP_NAMES,
     V_MAX,
 )
-from minidual.robot.visuals import FACES_PER_ARM, panda_visuals
+from minidual.robot.visuals import FACES_PER_ARM, arm_visuals
 
 
 @pytest.fixture(scope="module")
 def source():
     """The untouched URDF of one arm, by joint name."""
-    path = description.panda_description_dir() / "urdf" / "panda.urdf"
+    path = description.file_at(PANDA.urdf)
     return {joint.attrib["name"]: joint for joint in ET.parse(path).getroot().iter("joint")}
 
 
@@ -76,7 +77,7 @@ def test_mujoco_has_the_limits_damping_and_rotor_inertia(compiled_model):
 
 
 def test_masses_and_inertias_are_those_of_the_urdf(compiled_model, kinematics):
-    full = pin.buildModelFromXML(description.dual_panda_urdf())
+    full = pin.buildModelFromXML(description.pair_urdf(DUAL_PANDA))
     data = full.createData()
     arms = [i for i in range(compiled_model.nbody) if compiled_model.body(i).name.startswith(("left_", "right_"))]
     # Pinocchio folds both fixed bases into the universe, whose mass it does not count.
@@ -102,7 +103,7 @@ def test_constants_cannot_be_changed_by_accident():
 
 
 def test_the_urdf_has_two_prefixed_arms_on_one_world():
-    robot = ET.fromstring(description.dual_panda_urdf())
+    robot = ET.fromstring(description.pair_urdf(DUAL_PANDA))
     links = [link.attrib["name"] for link in robot.iter("link")]
     assert len(links) == len(set(links))
     assert links[0] == "world"
@@ -123,22 +124,23 @@ def test_a_missing_description_package_is_named_with_its_remedy(monkeypatch):
 
     monkeypatch.setattr(importlib.metadata, "distribution", missing)
     with pytest.raises(EnvironmentMissingError, match="example-robot-data") as caught:
-        description.panda_description_dir.__wrapped__()
+        description.file_at.__wrapped__(PANDA.urdf)
     assert "pip install" in caught.value.remedy
     assert caught.value.exit_code == 4
 
 
 def test_an_empty_description_package_is_named(monkeypatch):
     class Empty:
-        files = ()
+        def locate_file(self, path):
+            return f"/nowhere/{path}"
 
     monkeypatch.setattr(importlib.metadata, "distribution", lambda _name: Empty())
     with pytest.raises(EnvironmentMissingError, match=r"panda\.urdf"):
-        description.panda_description_dir.__wrapped__()
+        description.file_at.__wrapped__(PANDA.urdf)
 
 
 def test_visual_meshes_are_few_whole_and_cover_every_link():
-    visuals = panda_visuals()
+    visuals = arm_visuals(PANDA)
     assert {v.link for v in visuals} == {
         *(f"panda_link{i}" for i in range(8)),
         "panda_hand",

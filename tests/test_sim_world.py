@@ -142,7 +142,7 @@ class TestContacts:
         assert left.pinch > 50.0
         assert right.pinch > 50.0
         held = world.data.sensordata.copy()
-        start = int(world.model.sensor("left_leftfinger_contact").adr[0])
+        start = int(world.model.sensor("left_panda_leftfinger_contact").adr[0])
         world.data.sensordata[start : start + 9] = 0.0
         try:
             assert world.pinch_forces()[0] == 0.0

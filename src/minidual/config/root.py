@@ -10,6 +10,7 @@ from minidual.config.control import CarryConfig, EnvCheckConfig
 from minidual.config.evaluation import BenchmarkConfig, ReportConfig
 from minidual.config.learning import DeployConfig, TrainConfig
 from minidual.config.planning import PlanConfig
+from minidual.config.robot import RobotConfig
 from minidual.config.scene import SceneConfig
 from minidual.config.semantics import SemanticsConfig
 from minidual.config.supervisor import SupervisorConfig
@@ -28,6 +29,7 @@ class Config(StrictModel):
     workers: int = Field(default=2, ge=1, le=512)
     """Processes a stage may use. Results do not depend on it."""
 
+    robot: RobotConfig = RobotConfig()
     env_check: EnvCheckConfig = EnvCheckConfig()
     plan: PlanConfig = PlanConfig()
     carry: CarryConfig = CarryConfig()

@@ -2,27 +2,14 @@
 
 from __future__ import annotations
 
-import functools
-import xml.etree.ElementTree as ET
-
 import mujoco
 import numpy as np
 
 from minidual.config.scene import SceneConfig
-from minidual.robot.constants import (
-    ARMS,
-    DOF_PER_ARM,
-    FINGER_ARMATURE_KG,
-    FINGER_JOINT_NAMES,
-    FINGER_TRAVEL_M,
-    JOINT_ARMATURE,
-    JOINT_DAMPING,
-    JOINT_FRICTION,
-    JOINT_NAMES,
-    TAU_MAX,
-)
-from minidual.robot.description import dual_panda_urdf, panda_description_dir
-from minidual.robot.visuals import panda_visuals
+from minidual.robot.arms import DUAL_PANDA
+from minidual.robot.description import never_touching, pair_urdf
+from minidual.robot.pair import Robot
+from minidual.robot.visuals import arm_visuals
 
 GROUP_VISUAL, GROUP_COLLISION, GROUP_MARKER = 1, 3, 2
 CAMERAS: tuple[str, ...] = ("high", "left", "right")
@@ -38,8 +25,6 @@ _FACE_MARGIN_M = 0.0002
 """Distance from which flat faces push. Pads press by micrometres, and between two parallel faces MuJoCo now and then
 sees no contact for a step, in which the fingers leap; faces that never overlap do not show it. It makes a box wider by as
 much on every side."""
-_PAD_POSITION_Z_M = 0.04525  # the URDF's "rubber tip" box, by which the pads are told from the other boxes
-
 _TABLE_HALF = (0.6, 0.8, 0.02)
 _TABLE_CENTRE_X = 0.38
 OBSTACLE = "obstacle"
@@ -47,36 +32,30 @@ OBSTACLE = "obstacle"
 _BLUE = [0.10, 0.25, 0.75, 1.0]
 
 
-@functools.cache
-def self_collision_exclusions() -> tuple[tuple[str, str], ...]:
-    """Return the pairs of links of one arm that can never touch, from the Panda's own SRDF (no prefix)."""
-    root = ET.parse(panda_description_dir() / "srdf" / "panda.srdf").getroot()
-    return tuple((e.attrib["link1"], e.attrib["link2"]) for e in root.iter("disable_collisions"))
-
-
-def build_spec(scene: SceneConfig, *, visuals: bool = True) -> mujoco.MjSpec:
+def build_spec(scene: SceneConfig, robot: Robot = DUAL_PANDA, *, visuals: bool = True) -> mujoco.MjSpec:
     """Return the editable model of the whole scene.
 
     Args:
         scene: Physics, rod and task.
+        robot: The two arms.
         visuals: Leave out the decimated visual meshes where nothing is rendered (faster to compile).
     """
-    spec = mujoco.MjSpec.from_string(dual_panda_urdf().replace('<link name="world"', _URDF_COMPILER, 1))
+    spec = mujoco.MjSpec.from_string(pair_urdf(robot).replace('<link name="world"', _URDF_COMPILER, 1))
     spec.modelname = "minidual"
     spec.compiler.discardvisual = False  # it would drop every geom that does not collide, ours included
     _set_options(spec, scene)
-    _dress_arms(spec, scene, visuals=visuals)
-    _add_surroundings(spec, scene)
+    _dress_arms(spec, scene, robot, visuals=visuals)
+    _add_surroundings(spec, scene, robot)
     _add_rod(spec, scene)
-    _add_actuators(spec, scene)
-    _add_cameras(spec)
-    _add_contact_sensors(spec)
+    _add_actuators(spec, scene, robot)
+    _add_cameras(spec, robot)
+    _add_contact_sensors(spec, robot)
     return spec
 
 
-def build_model(scene: SceneConfig, *, visuals: bool = True) -> mujoco.MjModel:
+def build_model(scene: SceneConfig, robot: Robot = DUAL_PANDA, *, visuals: bool = True) -> mujoco.MjModel:
     """Compile the scene; see `build_spec`."""
-    return build_spec(scene, visuals=visuals).compile()
+    return build_spec(scene, robot, visuals=visuals).compile()
 
 
 def _set_options(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
@@ -95,15 +74,16 @@ def _set_options(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
     visual.map.znear = 0.02
 
 
-def _dress_arms(spec: mujoco.MjSpec, scene: SceneConfig, *, visuals: bool) -> None:
-    for name in JOINT_NAMES:
+def _dress_arms(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot, *, visuals: bool) -> None:
+    for name in robot.joint_names:
         joint = spec.joint(name)
-        joint.armature = JOINT_ARMATURE
-        joint.damping = [JOINT_DAMPING, 0.0, 0.0]
-        joint.frictionloss = JOINT_FRICTION
-    for name in FINGER_JOINT_NAMES:
-        spec.joint(name).armature = FINGER_ARMATURE_KG
-    for arm in ARMS:
+        joint.armature = robot.arm.armature
+        joint.damping = [robot.arm.damping, 0.0, 0.0]
+        joint.frictionloss = robot.arm.friction
+    for name in robot.finger_joint_names:
+        spec.joint(name).armature = robot.hand.finger_armature_kg
+    for arm in robot.sides:
+        fingers = robot.hand_links(arm)[1:]
         for body in spec.bodies:
             if not body.name.startswith(f"{arm}_"):
                 continue
@@ -111,19 +91,19 @@ def _dress_arms(spec: mujoco.MjSpec, scene: SceneConfig, *, visuals: bool) -> No
                 geom.name = f"{body.name}_collision{index}"
                 geom.group = GROUP_COLLISION
                 geom.rgba = [0.6, 0.6, 0.65, 1.0]
-                if "finger" in body.name and abs(geom.pos[2] - _PAD_POSITION_Z_M) < 1e-6:
+                if body.name in fingers and abs(geom.pos[2] - robot.hand.pad_height_m) < 1e-6:
                     geom.name = f"{body.name}_pad"
                     geom.condim = 4
                     geom.friction = [scene.rod.friction, 0.01, 0.0001]
                     geom.solref, geom.solimp = _SOLREF, _SOLIMP
-        for first, second in self_collision_exclusions():
+        for first, second in never_touching(robot.arm):
             spec.add_exclude(bodyname1=f"{arm}_{first}", bodyname2=f"{arm}_{second}")
     if not visuals:
         return
-    for index, mesh in enumerate(panda_visuals()):
+    for index, mesh in enumerate(arm_visuals(robot.arm)):
         name = f"visual{index}_{mesh.link}"
         spec.add_mesh(name=name, uservert=mesh.vertices.ravel(), userface=mesh.faces.ravel())
-        for arm in ARMS:
+        for arm in robot.sides:
             spec.body(f"{arm}_{mesh.link}").add_geom(
                 type=mujoco.mjtGeom.mjGEOM_MESH,
                 meshname=name,
@@ -135,7 +115,7 @@ def _dress_arms(spec: mujoco.MjSpec, scene: SceneConfig, *, visuals: bool) -> No
             )
 
 
-def _add_surroundings(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
+def _add_surroundings(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> None:
     spec.add_texture(
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
@@ -184,8 +164,8 @@ def _add_surroundings(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
                 contype=0,
                 conaffinity=0,
             )
-    for arm in ARMS:
-        spec.add_exclude(bodyname1="table", bodyname2=f"{arm}_panda_link0")  # the bases stand on it
+    for arm in robot.sides:
+        spec.add_exclude(bodyname1="table", bodyname2=f"{arm}_{robot.arm.base_link}")  # the bases stand on it
     rod = scene.rod
     for label, xy, yaw, rgba in (
         ("start", scene.task.start_xy_m, 0.0, [0.85, 0.87, 0.9, 1.0]),
@@ -261,20 +241,19 @@ def _add_rod(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
         )
 
 
-def _add_actuators(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
-    for index, name in enumerate(JOINT_NAMES):
-        limit = float(TAU_MAX[index % DOF_PER_ARM])
+def _add_actuators(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> None:
+    for name, limit in zip(robot.joint_names, robot.tau_max.tolist(), strict=True):
         motor = spec.add_actuator(name=f"{name}_motor", target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         motor.set_to_motor()
         motor.ctrlrange, motor.ctrllimited = [-limit, limit], True
         motor.forcerange, motor.forcelimited = [-limit, limit], True
     physics = scene.physics
-    for name in FINGER_JOINT_NAMES:
+    for name in robot.finger_joint_names:
         servo = spec.add_actuator(name=f"{name}_servo", target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         servo.set_to_position(kp=physics.finger_kp_n_per_m, kv=physics.finger_kv_ns_per_m)
         # A target inside the object sets the pinch force, so the range reaches below closed.
         reach = physics.finger_force_max_n / physics.finger_kp_n_per_m
-        servo.ctrlrange, servo.ctrllimited = [-reach, FINGER_TRAVEL_M], True
+        servo.ctrlrange, servo.ctrllimited = [-reach, robot.hand.travel_m], True
         servo.forcerange = [-physics.finger_force_max_n, physics.finger_force_max_n]
         servo.forcelimited = True
 
@@ -291,35 +270,35 @@ def _look_at(position: tuple[float, float, float], target: tuple[float, float, f
     return quat.tolist()
 
 
-def _add_cameras(spec: mujoco.MjSpec) -> None:
+def _add_cameras(spec: mujoco.MjSpec, robot: Robot) -> None:
     high = (1.15, 0.0, 0.72)
     spec.worldbody.add_camera(name="high", pos=list(high), quat=_look_at(high, (0.44, 0.0, 0.07)), fovy=42.0)
     overview = (1.75, -0.95, 1.05)
     spec.worldbody.add_camera(
         name="overview", pos=list(overview), quat=_look_at(overview, (0.28, 0.0, 0.18)), fovy=40.0
     )
-    for arm in ARMS:
-        # On the wrist, in front of the hand, tilted to see both fingertips.
-        tilt = np.deg2rad(180.0 - 31.0)
+    for arm in robot.sides:
+        tilt = robot.hand.camera_tilt_rad
         about_y = [np.cos(tilt / 2), 0.0, np.sin(tilt / 2), 0.0]
         about_z = [np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)]
         quat = np.empty(4)
         mujoco.mju_mulQuat(quat, np.array(about_y), np.array(about_z))
-        spec.body(f"{arm}_panda_hand").add_camera(name=arm, pos=[0.08, 0.0, 0.03], quat=quat.tolist(), fovy=62.0)
+        palm = spec.body(f"{arm}_{robot.hand.palm_link}")
+        palm.add_camera(name=arm, pos=list(robot.hand.camera_position_m), quat=quat.tolist(), fovy=62.0)
 
 
-def _add_contact_sensors(spec: mujoco.MjSpec) -> None:
+def _add_contact_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
     """One net wrench a finger, of the finger on the rod: force (3,), torque (3,), point (3,), world axes."""
     fields = mujoco.mjtConDataField
     data = sum(1 << int(f) for f in (fields.mjCONDATA_FORCE, fields.mjCONDATA_TORQUE, fields.mjCONDATA_POS))
     netforce = 3
-    for arm in ARMS:
-        for finger in ("leftfinger", "rightfinger"):
+    for arm in robot.sides:
+        for finger in robot.hand.finger_links:
             spec.add_sensor(
                 name=f"{arm}_{finger}_contact",
                 type=mujoco.mjtSensor.mjSENS_CONTACT,
                 objtype=mujoco.mjtObj.mjOBJ_BODY,
-                objname=f"{arm}_panda_{finger}",
+                objname=f"{arm}_{finger}",
                 reftype=mujoco.mjtObj.mjOBJ_BODY,
                 refname="rod",
                 intprm=[data, netforce, 1],

@@ -13,17 +13,7 @@ from minidual.errors import MinidualError, UsageError
 from minidual.plant.addresses import map_joints
 from minidual.plant.model import build_model
 from minidual.robot.arms import DUAL_PANDA
-from minidual.robot.constants import (
-    ARMS,
-    DOF,
-    FINGER_JOINT_NAMES,
-    FINGER_TRAVEL_M,
-    HOME,
-    JOINT_NAMES,
-    Q_LOWER,
-    Q_UPPER,
-    Array,
-)
+from minidual.robot.pair import Array, Robot
 from minidual.robot.poses import quat_from_yaw
 
 if TYPE_CHECKING:
@@ -67,24 +57,32 @@ class World:
 
     Args:
         scene: Physics, rod and task.
+        robot: The two arms.
         visuals: Compile the visual meshes; needed only to render.
         model: Reuse a compiled model (it must come from `build_model`).
     """
 
-    def __init__(self, scene: SceneConfig, *, visuals: bool = False, model: mujoco.MjModel | None = None) -> None:
-        self.scene, self.robot = scene, DUAL_PANDA
-        self.model = build_model(scene, visuals=visuals) if model is None else model
+    def __init__(
+        self,
+        scene: SceneConfig,
+        robot: Robot = DUAL_PANDA,
+        *,
+        visuals: bool = False,
+        model: mujoco.MjModel | None = None,
+    ) -> None:
+        self.scene, self.robot = scene, robot
+        self.model = build_model(scene, robot, visuals=visuals) if model is None else model
         self.data = mujoco.MjData(self.model)
         self._warnings = self.data.warning.number  # a view: counts by kind of warning
         self._no_warnings = bytes(self._warnings.nbytes)
         self.dt = float(self.model.opt.timestep)
-        self.joints = map_joints(self.model, JOINT_NAMES, torque=True)
-        self.fingers = map_joints(self.model, FINGER_JOINT_NAMES, torque=False)
+        self.joints = map_joints(self.model, robot.joint_names, torque=True)
+        self.fingers = map_joints(self.model, robot.finger_joint_names, torque=False)
         self._rod_body = self.model.body("rod").id
         free = self.model.joint("rod_free")
         self._rod_qpos, self._rod_qvel = int(free.qposadr[0]), int(free.dofadr[0])
-        self._hand_bodies = [self.model.body(f"{arm}_panda_hand").id for arm in ARMS]
-        start = int(self.model.sensor("left_leftfinger_contact").adr[0])
+        self._hand_bodies = [self.model.body(name).id for name in robot.palm_names]
+        start = int(self.model.sensor(f"{robot.sides[0]}_{robot.hand.finger_links[0]}_contact").adr[0])
         self._contacts = self.data.sensordata[start : start + 36].reshape(2, 2, 9)  # a view: arm, finger, field
         # Views, made once: a field of MjData costs as much to look up as three of its numbers to read.
         data, rod = self.data, self._rod_body
@@ -113,24 +111,24 @@ class World:
 
     @property
     def q(self) -> Array:
-        """Joint positions (14,) [rad]."""
+        """Joint positions (n,) [rad]."""
         return self._qpos[self.joints.qpos]
 
     @property
     def v(self) -> Array:
-        """Joint velocities (14,) [rad/s]."""
+        """Joint velocities (n,) [rad/s]."""
         return self._qvel[self.joints.qvel]
 
     @property
     def tau(self) -> Array:
-        """Torques (14,) [Nm] that the motors applied in the last step."""
+        """Torques (n,) [Nm] that the motors applied in the last step."""
         return self._force[self.joints.ctrl]
 
     @property
     def gripper(self) -> Array:
         """Opening of each hand (2,), 0 closed to 1 open."""
         fingers = self._qpos[self.fingers.qpos]
-        return (fingers[0::2] + fingers[1::2]) / (2.0 * FINGER_TRAVEL_M)
+        return (fingers[0::2] + fingers[1::2]) / (2.0 * self.robot.hand.travel_m)
 
     @property
     def T_world_rod(self) -> Array:
@@ -210,22 +208,24 @@ class World:
         return any({int(body[c.geom1]), int(body[c.geom2])} == {table, self._rod_body} for c in contacts)
 
     def reset(self, q: Array | None = None, *, rod_xy_yaw: tuple[float, float, float] | None = None) -> None:
-        """Put the arms at q (14,) (home by default), hands open, the rod at (x, y, yaw) on the table.
+        """Put the arms at q (n,) (home by default), hands open, the rod at (x, y, yaw) on the table.
 
         Raises:
             UsageError: q has another shape, is not finite or leaves the joint limits.
         """
-        q = HOME if q is None else np.asarray(q, dtype=float)
-        if q.shape != (DOF,):
-            raise UsageError(f"q has shape {q.shape}; it must be ({DOF},)")
-        bad = ~((q >= Q_LOWER - 1e-9) & (q <= Q_UPPER + 1e-9))
+        robot = self.robot
+        q = robot.home if q is None else np.asarray(q, dtype=float)
+        if q.shape != (robot.dof,):
+            raise UsageError(f"q has shape {q.shape}; it must be ({robot.dof},)")
+        bad = ~((q >= robot.q_lower - 1e-9) & (q <= robot.q_upper + 1e-9))
         if bad.any():
             i = int(np.argmax(bad))
-            raise UsageError(f"{JOINT_NAMES[i]} = {q[i]:.4f} rad; {Q_LOWER[i]:.4f} <= value <= {Q_UPPER[i]:.4f}")
+            lower, upper = robot.q_lower[i], robot.q_upper[i]
+            raise UsageError(f"{robot.joint_names[i]} = {q[i]:.4f} rad; {lower:.4f} <= value <= {upper:.4f}")
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[self.joints.qpos] = q
-        self.data.qpos[self.fingers.qpos] = FINGER_TRAVEL_M
-        self.data.ctrl[self.fingers.ctrl] = FINGER_TRAVEL_M
+        self.data.qpos[self.fingers.qpos] = self.robot.hand.travel_m
+        self.data.ctrl[self.fingers.ctrl] = self.robot.hand.travel_m
         x, y, yaw = (*self.scene.task.start_xy_m, 0.0) if rod_xy_yaw is None else rod_xy_yaw
         address = self._rod_qpos
         self.data.qpos[address : address + 3] = (x, y, self.scene.rod.rest_height_m)
@@ -233,7 +233,7 @@ class World:
         mujoco.mj_forward(self.model, self.data)
 
     def command(self, tau: Array, finger_targets_m: Array) -> None:
-        """Set the motors' torques (14,) [Nm] and each hand's finger target (2,) [m] (same for both fingers).
+        """Set the motors' torques (n,) [Nm] and each hand's finger target (2,) [m] (same for both fingers).
 
         Torques beyond the motors' limits are clipped by the actuators, as the real drives do.
         """

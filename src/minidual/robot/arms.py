@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import functools
+import math
+
+from minidual.config.robot import RobotConfig
 from minidual.registry import Registry
 from minidual.robot.pair import ArmModel, HandModel, Robot
 
+_ROBOTS = "package://example-robot-data/robots"
+
 PANDA_HAND = HandModel(
     name="panda_hand",
+    urdf=f"{_ROBOTS}/panda_description/urdf/panda.urdf",
     finger_joints=("panda_finger_joint1", "panda_finger_joint2"),
     finger_links=("panda_leftfinger", "panda_rightfinger"),
     palm_link="panda_hand",
@@ -16,12 +23,21 @@ PANDA_HAND = HandModel(
     # The URDF's bare finger weighs 15 g; at 1 kHz a 15 g mass between a position servo and a stiff contact chatters: the
     # pinch jumps between 0 and 70 N. It is steady from 0.1 kg up and chatters at 0.05.
     finger_armature_kg=0.2,
+    pad_height_m=0.04525,  # the URDF's "rubber tip" box
+    camera_position_m=(0.08, 0.0, 0.03),  # in front of the hand
+    camera_tilt_rad=math.radians(180.0 - 31.0),  # sees both fingertips
 )
 
 PANDA = ArmModel(
     name="panda",
+    urdf=f"{_ROBOTS}/panda_description/urdf/panda.urdf",
+    srdf=f"{_ROBOTS}/panda_description/srdf/panda.srdf",
+    never_touch=(),
     joints=tuple(f"panda_joint{i}" for i in range(1, 8)),
     base_link="panda_link0",
+    flange_link="panda_link8",
+    mount_rpy_rad=(0.0, 0.0, -0.7853981633974483),
+    base_xy_m=(0.0, 0.25),
     home=(0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785),
     # Position, velocity and torque: the URDF of panda_description (Franka Emika, Apache-2.0).
     q_lower=(-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973),
@@ -40,4 +56,18 @@ PANDA = ArmModel(
 
 ARM_MODELS: Registry[ArmModel] = Registry("arm", {"panda": PANDA}, group="minidual.arms")
 
-DUAL_PANDA = Robot(PANDA, ((0.0, 0.25, 0.0), (0.0, -0.25, 0.0)))
+DUAL_PANDA = Robot(PANDA)
+
+
+@functools.cache
+def _pair(name: str) -> Robot:
+    return DUAL_PANDA if name == "panda" else Robot(ARM_MODELS[name])
+
+
+def robot_from(config: RobotConfig) -> Robot:
+    """Return the pair of arms that a configuration names; the same object for the same name.
+
+    Raises:
+        UsageError: There is no such arm.
+    """
+    return _pair(config.arm)

@@ -1,7 +1,7 @@
-"""The one description of the robot: a URDF of two Pandas, made from the pip-installed `panda_description`.
+"""The URDF of two arms with hands, composed from installed descriptions.
 
-The same string feeds MuJoCo (`minidual.plant`) and Pinocchio (`minidual.robot.kinematics`), so the two cannot
-drift apart. Links and joints carry the prefixes `left_` and `right_`; both bases are fixed to the link `world`.
+The same string feeds MuJoCo (`minidual.plant`) and Pinocchio (`minidual.robot.kinematics`), so they agree. Links and
+joints carry the prefixes `left_` and `right_`; both bases are fixed to the link `world`.
 """
 
 from __future__ import annotations
@@ -10,73 +10,194 @@ import copy
 import functools
 import importlib.metadata
 import xml.etree.ElementTree as ET
+from dataclasses import dataclass
 from pathlib import Path
 
-from minidual.errors import EnvironmentMissingError
-from minidual.robot.constants import ARMS, BASE_POSITIONS_M
+from minidual.errors import EnvironmentMissingError, UsageError
+from minidual.robot.pair import SIDES, ArmModel, Robot
 
-_DISTRIBUTION = "example-robot-data"
-_URDF_SUFFIX = "robots/panda_description/urdf/panda.urdf"
-_PACKAGE_SCHEME = "package://example-robot-data/robots/panda_description/"
+_SCHEME = "package://"
+_PREFIX = "cmeel.prefix/share"
+"""Where the wheels of the cmeel project install what they share."""
+
+
+@dataclass(frozen=True)
+class ArmLink:
+    """One link of an arm or its hand.
+
+    Attributes:
+        name: Without the side's prefix.
+        joints_before: How many joints of the arm move it; a finger's own joint does not count.
+        collides: Whether it has collision geometry.
+    """
+
+    name: str
+    joints_before: int
+    collides: bool
 
 
 @functools.cache
-def panda_description_dir() -> Path:
-    """Return the installed `panda_description` folder.
+def file_at(address: str) -> Path:
+    """Return the file at an absolute path or at package://DISTRIBUTION/path.
 
     Raises:
-        EnvironmentMissingError: The distribution or its Panda is not installed.
+        EnvironmentMissingError: The distribution is not installed or has no such file.
     """
-    remedy = "pip install -r requirements.lock (it holds example-robot-data)"
+    if not address.startswith(_SCHEME):
+        path = Path(address)
+        if not (path.is_absolute() and path.is_file()):
+            raise EnvironmentMissingError(
+                f"no robot description at '{address}'", remedy=f"give an absolute path or {_SCHEME}DISTRIBUTION/path"
+            )
+        return path
+    name = address.removeprefix(_SCHEME).partition("/")[0]
+    remedy = f"pip install -r requirements.lock, or pip install {name}"
     try:
-        files = importlib.metadata.distribution(_DISTRIBUTION).files or []
+        distribution = importlib.metadata.distribution(name)
     except importlib.metadata.PackageNotFoundError as error:
-        raise EnvironmentMissingError(f"the package '{_DISTRIBUTION}' is not installed", remedy=remedy) from error
-    for file in files:
-        if str(file).endswith(_URDF_SUFFIX):
-            folder = Path(str(file.locate())).resolve().parents[1]
-            if (folder / "urdf" / "panda.urdf").is_file():
-                return folder
-    raise EnvironmentMissingError(f"'{_DISTRIBUTION}' holds no {_URDF_SUFFIX}", remedy=remedy)
+        raise EnvironmentMissingError(f"the package '{name}' is not installed", remedy=remedy) from error
+    path = Path(str(distribution.locate_file(f"{_PREFIX}/{address.removeprefix(_SCHEME)}"))).resolve()
+    if not path.is_file():
+        raise EnvironmentMissingError(f"'{name}' has no file {path}", remedy=remedy)
+    return path
+
+
+@functools.cache
+def _document(address: str) -> ET.Element:
+    """Return a URDF with absolute mesh paths."""
+    path = file_at(address)
+    root = ET.parse(path).getroot()
+    for mesh in root.iter("mesh"):
+        name = mesh.attrib["filename"]
+        mesh.set("filename", str(file_at(name) if name.startswith(_SCHEME) else (path.parent / name).resolve()))
+    return root
+
+
+def _ends(joint: ET.Element) -> tuple[str, str]:
+    """Return the (parent, child) links of a joint."""
+    parent, child = joint.find("parent"), joint.find("child")
+    if parent is None or child is None:
+        raise UsageError(f"joint '{joint.get('name')}' of a URDF has no parent or child link")
+    return parent.attrib["link"], child.attrib["link"]
+
+
+def _part(address: str, base: str, tip: str | None) -> list[ET.Element]:
+    """Return links and joints in document order: the chain from base to tip, or all that hangs on the base."""
+    root = _document(address)
+    parent = {child: mother for mother, child in map(_ends, root.findall("joint"))}
+    links = {link.attrib["name"] for link in root.findall("link")}
+    for link in (base, tip):
+        if link is not None and link not in links:
+            raise UsageError(f"{address} has no link '{link}'; it has {', '.join(sorted(links))}")
+
+    def upwards(link: str | None) -> list[str]:
+        chain = []
+        while link is not None:
+            chain.append(link)
+            link = parent.get(link)
+        return chain
+
+    taken = {link for link in links if base in upwards(link)} if tip is None else set(upwards(tip))
+    if base not in taken:
+        raise UsageError(f"{address}: link '{tip}' does not hang on '{base}'")
+    taken -= set(upwards(base)[1:])
+    return [
+        element
+        for element in root
+        if (element.tag == "link" and element.attrib["name"] in taken)
+        or (element.tag == "joint" and taken.issuperset(_ends(element)))
+    ]
+
+
+@functools.cache
+def arm_elements(arm: ArmModel) -> tuple[ET.Element, ...]:
+    """Return the links and joints of one arm with its hand, visuals included, without prefix; read only."""
+    hand = arm.hand
+    mount = ET.Element("joint", name=f"{hand.palm_link}_joint", type="fixed")
+    ET.SubElement(mount, "parent", link=arm.flange_link)
+    ET.SubElement(mount, "child", link=hand.palm_link)
+    ET.SubElement(mount, "origin", rpy=" ".join(map(str, arm.mount_rpy_rad)), xyz="0 0 0")
+    return (*_part(arm.urdf, arm.base_link, arm.flange_link), mount, *_part(hand.urdf, hand.palm_link, None))
+
+
+@functools.cache
+def materials(address: str) -> dict[str, tuple[float, float, float, float]]:
+    """Return the named colours (rgba, 0..1) of a URDF."""
+    colours = {}
+    for material in _document(address).iter("material"):
+        colour = material.find("color")
+        if colour is not None:
+            r, g, b, a = map(float, colour.attrib["rgba"].split())
+            colours[material.attrib["name"]] = (r, g, b, a)
+    return colours
+
+
+@functools.cache
+def arm_links(arm: ArmModel) -> tuple[ArmLink, ...]:
+    """Return the links of one arm and its hand, from the base out."""
+    elements = arm_elements(arm)
+    above = {_ends(e)[1]: e for e in elements if e.tag == "joint"}
+
+    def joints_before(link: str) -> int:
+        count = 0
+        while link in above:
+            count += above[link].attrib["name"] in arm.joints
+            link = _ends(above[link])[0]
+        return count
+
+    return tuple(
+        ArmLink(e.attrib["name"], joints_before(e.attrib["name"]), e.find("collision") is not None)
+        for e in elements
+        if e.tag == "link"
+    )
+
+
+@functools.cache
+def never_touching(arm: ArmModel) -> tuple[tuple[str, str], ...]:
+    """Return the pairs of links of one arm that can never touch, without prefix: the SRDF's and the model's own."""
+    known = {link.name for link in arm_links(arm)}
+    pairs = list(arm.never_touch)
+    if arm.srdf is not None:
+        root = ET.parse(file_at(arm.srdf)).getroot()
+        pairs = [(e.attrib["link1"], e.attrib["link2"]) for e in root.iter("disable_collisions")] + pairs
+    return tuple(pair for pair in pairs if known.issuperset(pair))
 
 
 def _prefixed(element: ET.Element, prefix: str) -> ET.Element:
-    """Return a copy of a link or joint with every name it defines or refers to prefixed."""
+    """Return a copy of a link or joint with every name that it defines or refers to prefixed."""
     element = copy.deepcopy(element)
     element.set("name", prefix + element.attrib["name"])
     for tag in ("parent", "child"):
         for ref in element.iter(tag):
             ref.set("link", prefix + ref.attrib["link"])
-    for mimic in element.iter("mimic"):
-        mimic.set("joint", prefix + mimic.attrib["joint"])
     return element
 
 
 @functools.cache
-def dual_panda_urdf() -> str:
+def pair_urdf(robot: Robot) -> str:
     """Return the URDF of both arms with absolute mesh paths.
 
-    Visual meshes (DAE) are left out: MuJoCo reads none, and `minidual.robot.visuals` supplies them. The
-    coupling of the two fingers (`mimic`) is left out too: each finger is driven by its own position servo.
+    Visual meshes are left out: MuJoCo reads no DAE, and `minidual.robot.visuals` supplies them. So is the coupling of
+    the two fingers (`mimic`): each finger has its own position servo.
     """
-    folder = panda_description_dir()
-    source = ET.parse(folder / "urdf" / "panda.urdf").getroot()
-    robot = ET.Element("robot", name="dual_panda")
-    ET.SubElement(robot, "link", name="world")
-    for arm in ARMS:
-        prefix = f"{arm}_"
-        for element in source:
-            if element.tag not in ("link", "joint"):
-                continue
-            part = _prefixed(element, prefix)
+    root = ET.Element("robot", name=f"dual_{robot.arm.name}")
+    ET.SubElement(root, "link", name="world")
+    for side, position in zip(SIDES, robot.base_positions_m, strict=True):
+        for element in arm_elements(robot.arm):
+            part = _prefixed(element, f"{side}_")
             for tag in ("visual", "mimic", "safety_controller"):
                 for child in part.findall(tag):
                     part.remove(child)
-            for mesh in part.iter("mesh"):
-                mesh.set("filename", mesh.attrib["filename"].replace(_PACKAGE_SCHEME, f"{folder}/"))
-            robot.append(part)
-        base = ET.SubElement(robot, "joint", name=f"{prefix}base", type="fixed")
-        ET.SubElement(base, "origin", xyz=" ".join(str(v) for v in BASE_POSITIONS_M[arm]), rpy="0 0 0")
+            root.append(part)
+        base = ET.SubElement(root, "joint", name=f"{side}_base", type="fixed")
+        ET.SubElement(base, "origin", xyz=" ".join(map(str, position)), rpy="0 0 0")
         ET.SubElement(base, "parent", link="world")
-        ET.SubElement(base, "child", link=f"{prefix}panda_link0")
-    return ET.tostring(robot, encoding="unicode")
+        ET.SubElement(base, "child", link=f"{side}_{robot.arm.base_link}")
+    return ET.tostring(root, encoding="unicode")
+
+
+def dual_panda_urdf() -> str:
+    """Return `pair_urdf` of the default robot; to go."""
+    from minidual.robot.arms import DUAL_PANDA
+
+    return pair_urdf(DUAL_PANDA)

@@ -10,52 +10,43 @@ import pinocchio as pin
 from pinocchio import computeJointJacobians, forwardKinematics, getFrameClassicalAcceleration, getFrameJacobian
 
 from minidual.robot.arms import DUAL_PANDA
-from minidual.robot.constants import (
-    DOF,
-    FINGER_JOINT_NAMES,
-    FINGER_TRAVEL_M,
-    JOINT_ARMATURE,
-    JOINT_NAMES,
-    TCP_NAMES,
-    Array,
-)
-from minidual.robot.description import dual_panda_urdf
-from minidual.robot.pair import Robot
+from minidual.robot.description import pair_urdf
+from minidual.robot.pair import Array, Robot
 
 _WORLD_ALIGNED = pin.LOCAL_WORLD_ALIGNED
 
 
 @functools.cache
-def _shared_model() -> Any:
-    full = pin.buildModelFromXML(dual_panda_urdf())
+def _shared_model(robot: Robot) -> Any:
+    full = pin.buildModelFromXML(pair_urdf(robot))
     q_reference = pin.neutral(full)
     locked = []
-    for name in FINGER_JOINT_NAMES:
+    for name in robot.finger_joint_names:
         joint_id = full.getJointId(name)
-        q_reference[full.joints[joint_id].idx_q] = FINGER_TRAVEL_M
+        q_reference[full.joints[joint_id].idx_q] = robot.hand.travel_m
         locked.append(joint_id)
     model = pin.buildReducedModel(full, locked, q_reference)
     names = tuple(model.names[i] for i in range(1, model.njoints))
-    if names != JOINT_NAMES:
-        raise RuntimeError(f"Pinocchio orders the joints {names}; the toolkit needs {JOINT_NAMES}")
-    model.armature = np.full(DOF, JOINT_ARMATURE)
+    if names != robot.joint_names:
+        raise RuntimeError(f"Pinocchio orders the joints {names}; the toolkit needs {robot.joint_names}")
+    model.armature = np.full(robot.dof, robot.arm.armature)
     return model
 
 
 class Kinematics:
-    """Forward kinematics, Jacobians and inverse dynamics of the 14 arm joints (fingers locked open).
+    """Forward kinematics, Jacobians and inverse dynamics of all n arm joints (fingers locked open).
 
     One instance holds one Pinocchio workspace: give each thread or process its own.
     """
 
     def __init__(self, robot: Robot = DUAL_PANDA) -> None:
         self.robot = robot
-        self.model = _shared_model()
+        self.model = _shared_model(robot)
         self.data = self.model.createData()
-        self.tcp_ids: tuple[int, int] = tuple(self.model.getFrameId(n) for n in TCP_NAMES)  # type: ignore[assignment]
+        self.tcp_ids: tuple[int, int] = tuple(self.model.getFrameId(n) for n in robot.tcp_names)  # type: ignore[assignment]
 
     def tcp_poses(self, q: Array) -> tuple[Array, Array]:
-        """Return (T_world_left_tcp, T_world_right_tcp), each (4, 4), for q (14,)."""
+        """Return (T_world_left_tcp, T_world_right_tcp), each (4, 4), for q (n,)."""
         pin.forwardKinematics(self.model, self.data, q)
         left, right = self.tcp_ids
         return (
@@ -64,7 +55,7 @@ class Kinematics:
         )
 
     def tcp_jacobians(self, q: Array) -> tuple[Array, Array]:
-        """Return the two (6, 14) Jacobians of the tool centre points, [linear; angular], world-aligned."""
+        """Return the two (6, n) Jacobians of the tool centre points, [linear; angular], world-aligned."""
         pin.computeJointJacobians(self.model, self.data, q)
         pin.updateFramePlacements(self.model, self.data)
         left, right = self.tcp_ids
@@ -75,20 +66,20 @@ class Kinematics:
         )
 
     def mass_matrix(self, q: Array) -> Array:
-        """Return the (14, 14) joint-space inertia, rotor inertia included."""
+        """Return the (n, n) joint-space inertia, rotor inertia included."""
         M = pin.crba(self.model, self.data, q)
         return np.triu(M) + np.triu(M, 1).T
 
     def bias(self, q: Array, v: Array) -> Array:
-        """Return Coriolis, centrifugal and gravity torques (14,) [Nm]."""
+        """Return Coriolis, centrifugal and gravity torques (n,) [Nm]."""
         return pin.nonLinearEffects(self.model, self.data, q, v)
 
     def gravity(self, q: Array) -> Array:
-        """Return the torques (14,) [Nm] that hold the arms still against gravity."""
+        """Return the torques (n,) [Nm] that hold the arms still against gravity."""
         return pin.computeGeneralizedGravity(self.model, self.data, q)
 
     def rnea(self, q: Array, v: Array, a: Array) -> Array:
-        """Return the torques (14,) [Nm] that give acceleration a (14,) [rad/s^2] (no joint friction)."""
+        """Return the torques (n,) [Nm] that give acceleration a (n,) [rad/s^2] (no joint friction)."""
         return pin.rnea(self.model, self.data, q, v, a)
 
 
@@ -100,7 +91,7 @@ class HandMotion:
     Attributes:
         p: Positions of the left and the right tool centre point, two (3,) [m].
         R: Their orientations in the world, two (3, 3).
-        J: (12, 14) Jacobian of both, rows [linear; angular] left then right, world-aligned. An arm moves its own hand
+        J: (12, n) Jacobian of both, rows [linear; angular] left then right, world-aligned. An arm moves its own hand
             alone, so J J^T is block-diagonal.
         acceleration: (12,) of the hands under the joint acceleration that `update` was given, J a + Jdot v.
     """
@@ -112,13 +103,13 @@ class HandMotion:
         # Pinocchio's own memory, seen through numpy: to read it again costs nothing.
         self.p: tuple[Array, Array] = tuple(frame.translation for frame in frames)  # type: ignore[assignment]
         self.R: tuple[Array, Array] = tuple(frame.rotation for frame in frames)  # type: ignore[assignment]
-        self.J = np.zeros((12, DOF)) if J is None else J
+        self.J = np.zeros((12, kinematics.robot.dof)) if J is None else J
         self.acceleration = np.zeros(12) if acceleration is None else acceleration
         self._J_left, self._J_right = self.J[:6], self.J[6:]
         self._a_left, self._a_right = self.acceleration[:6], self.acceleration[6:]
 
     def update(self, q: Array, v: Array, a: Array) -> None:
-        """Fill all arrays for joints at q with velocity v and acceleration a, each (14,)."""
+        """Fill all arrays for joints at q with velocity v and acceleration a, each (n,)."""
         model, data, left, right, frame = self._model, self._data, self._left, self._right, _WORLD_ALIGNED
         forwardKinematics(model, data, q, v, a)
         computeJointJacobians(model, data)

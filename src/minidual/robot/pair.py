@@ -23,7 +23,8 @@ class HandModel:
     """A parallel gripper.
 
     Attributes:
-        name: Row of the table of hands.
+        name: For messages.
+        urdf: Description that holds it, as in ArmModel; everything from `palm_link` outwards is taken.
         finger_joints: Names of the two finger joints, without the arm's prefix.
         finger_links: Names of the two finger links.
         palm_link: Name of the link that carries them.
@@ -31,9 +32,13 @@ class HandModel:
         travel_m: Travel of one finger from the middle plane; the hand opens to twice that.
         force_max_n: Continuous force of one finger.
         finger_armature_kg: Reflected rotor inertia of each finger.
+        pad_height_m: z of the collision box in the finger's frame that is the soft pad.
+        camera_position_m: Wrist camera in the palm's frame.
+        camera_tilt_rad: Angle between the camera's view and the palm's z axis, about the palm's y.
     """
 
     name: str
+    urdf: str
     finger_joints: tuple[str, str]
     finger_links: tuple[str, str]
     palm_link: str
@@ -41,6 +46,23 @@ class HandModel:
     travel_m: float
     force_max_n: float
     finger_armature_kg: float
+    pad_height_m: float
+    camera_position_m: tuple[float, float, float]
+    camera_tilt_rad: float
+
+
+@dataclass(frozen=True)
+class Posture:
+    """A named posture of both arms.
+
+    Attributes:
+        left, right: Joint positions of each arm [rad].
+        description: What it is for.
+    """
+
+    left: tuple[float, ...]
+    right: tuple[float, ...]
+    description: str
 
 
 @dataclass(frozen=True)
@@ -49,8 +71,15 @@ class ArmModel:
 
     Attributes:
         name: Row of the table of arms.
+        urdf: Description: an absolute path, or package://DISTRIBUTION/path within an installed distribution. Meshes are
+            package:// addresses or relative to the file.
+        srdf: Pairs of links that never collide, found in the same way; None for none.
+        never_touch: More such pairs; names without the side's prefix.
         joints: Joint names, base first, without the side's prefix.
         base_link: Name of the link that stands on the table.
+        flange_link: Name of the link that carries the hand; only the links from base to flange are taken.
+        mount_rpy_rad: Orientation of the hand's palm in the flange's frame, roll, pitch, yaw.
+        base_xy_m: Where the left base stands; the right one mirrors it in y. Both face +x.
         home: Home posture [rad].
         q_lower, q_upper: Position limits [rad].
         v_max: Velocity limits [rad/s].
@@ -62,11 +91,18 @@ class ArmModel:
         damping: Viscous friction of every joint [Nm s/rad].
         friction: Dry friction of every joint [Nm].
         hand: The gripper.
+        postures: More postures by name, as (name, posture) pairs.
     """
 
     name: str
+    urdf: str
+    srdf: str | None
+    never_touch: tuple[tuple[str, str], ...]
     joints: tuple[str, ...]
     base_link: str
+    flange_link: str
+    mount_rpy_rad: tuple[float, float, float]
+    base_xy_m: tuple[float, float]
     home: tuple[float, ...]
     q_lower: tuple[float, ...]
     q_upper: tuple[float, ...]
@@ -79,6 +115,7 @@ class ArmModel:
     damping: float
     friction: float
     hand: HandModel
+    postures: tuple[tuple[str, Posture], ...] = ()
 
     def __post_init__(self) -> None:
         """Raise ValueError where a row has not one entry a joint."""
@@ -95,16 +132,25 @@ class Robot:
 
     Attributes:
         arm: The model of both.
-        base_positions_m: Where each base stands in the world, left then right; both face +x.
     """
 
     arm: ArmModel
-    base_positions_m: tuple[tuple[float, float, float], tuple[float, float, float]]
 
     def _both(self, values: tuple[float, ...]) -> Array:
         array = np.array(values + values, dtype=float)
         array.setflags(write=False)
         return array
+
+    @property
+    def hand(self) -> HandModel:
+        """Return the gripper of both arms."""
+        return self.arm.hand
+
+    @property
+    def base_positions_m(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+        """Return where each base stands in the world, left then right; both face +x."""
+        x, y = self.arm.base_xy_m
+        return (x, y, 0.0), (x, -y, 0.0)
 
     @property
     def sides(self) -> tuple[str, str]:
@@ -129,12 +175,26 @@ class Robot:
     @cached_property
     def finger_joint_names(self) -> tuple[str, ...]:
         """Names of the four finger joints, in storage order."""
-        return tuple(f"{side}_{joint}" for side in SIDES for joint in self.arm.hand.finger_joints)
+        return tuple(f"{side}_{joint}" for side in SIDES for joint in self.hand.finger_joints)
 
     @cached_property
     def tcp_names(self) -> tuple[str, str]:
         """Names of the tool centre points."""
-        left, right = (f"{side}_{self.arm.hand.tcp_link}" for side in SIDES)
+        return self.both(self.hand.tcp_link)
+
+    @cached_property
+    def palm_names(self) -> tuple[str, str]:
+        """Names of the links that carry the fingers."""
+        return self.both(self.hand.palm_link)
+
+    def hand_links(self, side: str) -> tuple[str, str, str]:
+        """Return the links of one hand that can touch something: palm and both fingers."""
+        first, second = self.hand.finger_links
+        return f"{side}_{self.hand.palm_link}", f"{side}_{first}", f"{side}_{second}"
+
+    def both(self, name: str) -> tuple[str, str]:
+        """Return an arm's own name with the prefix of each side."""
+        left, right = (f"{side}_{name}" for side in SIDES)
         return left, right
 
     @cached_property

@@ -1,17 +1,20 @@
-"""Visual meshes of one Panda, decimated for fast software rendering and split by colour."""
+"""Visual meshes of one arm and its hand, decimated for fast software rendering and split by colour."""
 
 from __future__ import annotations
 
 import functools
+import xml.etree.ElementTree as ET
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from minidual.robot.description import panda_description_dir
+from minidual.robot.description import arm_elements, materials
+from minidual.robot.pair import ArmModel, Array
 
 FACES_PER_ARM = 9000
-"""Target number of triangles an arm: 134,300 in the source; a face costs more than a pixel on a CPU."""
+"""Target number of triangles an arm (the Panda's files have 134,300): a face costs more than a pixel on a CPU."""
 
 
 @dataclass(frozen=True)
@@ -19,7 +22,7 @@ class VisualMesh:
     """One mesh of one colour in the frame of its link.
 
     Attributes:
-        link: Link name without prefix, e.g. `panda_link3`.
+        link: Link name without the side's prefix.
         vertices: (V, 3) [m].
         faces: (F, 3) indices.
         rgba: (4,) in 0..1.
@@ -31,45 +34,55 @@ class VisualMesh:
     rgba: tuple[float, float, float, float]
 
 
-_LINK_MESHES: dict[str, tuple[str, bool]] = {
-    **{f"panda_link{i}": (f"link{i}", False) for i in range(8)},
-    "panda_hand": ("hand", False),
-    "panda_leftfinger": ("finger", False),
-    "panda_rightfinger": ("finger", True),  # the URDF turns the same mesh by pi about z
-}
+_Colour = tuple[float, float, float, float]
+_GREY: _Colour = (0.7, 0.7, 0.7, 1.0)
 
 
 @functools.cache
-def panda_visuals() -> tuple[VisualMesh, ...]:
-    """Return the visual meshes of one arm; about one second the first time in a process."""
+def arm_visuals(arm: ArmModel) -> tuple[VisualMesh, ...]:
+    """Return the visual meshes of one arm with its hand; about one second the first time in a process."""
     import fast_simplification
-    import trimesh
+    import pinocchio as pin
 
-    folder = panda_description_dir() / "meshes" / "visual"
-    parts: list[tuple[str, tuple[int, ...], npt.NDArray[np.float64], npt.NDArray[np.int64]]] = []
-    for link, (stem, turned) in _LINK_MESHES.items():
-        by_colour: dict[tuple[int, ...], list[trimesh.Trimesh]] = {}
-        scene = trimesh.load_scene(folder / f"{stem}.dae")
-        for mesh in scene.dump():
-            colour = tuple(int(c) for c in mesh.visual.material.main_color)
-            by_colour.setdefault(colour, []).append(mesh)
-        for colour, meshes in by_colour.items():
-            merged = trimesh.util.concatenate([trimesh.Trimesh(m.vertices, m.faces, process=False) for m in meshes])
-            merged.merge_vertices()
-            vertices = np.asarray(merged.vertices)
-            if turned:
-                vertices = vertices * np.array([-1.0, -1.0, 1.0])
-            parts.append((link, colour, vertices, np.asarray(merged.faces)))
+    colours = materials(arm.hand.urdf) | materials(arm.urdf)
+    parts: list[tuple[str, _Colour, Array, npt.NDArray[np.int64]]] = []
+    for link in arm_elements(arm):
+        for visual in link.findall("visual"):
+            mesh, origin, material = (visual.find(tag) for tag in ("geometry/mesh", "origin", "material"))
+            if mesh is None:
+                continue
+            place = ET.Element("origin") if origin is None else origin
+            rpy, xyz = (np.array([float(x) for x in place.get(k, "0 0 0").split()]) for k in ("rpy", "xyz"))
+            R = pin.rpy.rpyToMatrix(rpy).round(15)  # pi in the file is a half turn
+            scale = np.array([float(x) for x in mesh.get("scale", "1 1 1").split()])
+            named = None if material is None else colours.get(material.attrib["name"])
+            for colour, vertices, faces in _coloured(Path(mesh.attrib["filename"]), named):
+                parts.append((link.attrib["name"], colour, (vertices * scale) @ R.T + xyz, faces))
     total = sum(len(faces) for *_, faces in parts)
     reduction = max(0.0, 1.0 - FACES_PER_ARM / total)
     visuals = []
-    for link, colour, vertices, faces in parts:
+    for link_name, colour, vertices, faces in parts:
         if len(faces) > 200:
             vertices, faces = fast_simplification.simplify(
                 vertices.astype(np.float32), faces.astype(np.int32), target_reduction=reduction
             )
-        if len(faces) < 4:
-            continue
-        rgba = tuple(c / 255.0 for c in colour)
-        visuals.append(VisualMesh(link, vertices.astype(np.float32), faces.astype(np.int32), rgba))  # type: ignore[arg-type]
+        if len(faces) >= 4:
+            visuals.append(VisualMesh(link_name, vertices.astype(np.float32), faces.astype(np.int32), colour))
     return tuple(visuals)
+
+
+def _coloured(path: Path, colour: _Colour | None) -> list[tuple[_Colour, Array, npt.NDArray[np.int64]]]:
+    """Return (colour, vertices, faces) of a file, one mesh a colour: its own colours, else the one given."""
+    import trimesh
+
+    by_colour: dict[_Colour, list[trimesh.Trimesh]] = {}
+    for mesh in trimesh.load_scene(path).dump():
+        material = getattr(mesh.visual, "material", None)
+        own = None if material is None else tuple(int(c) / 255.0 for c in material.main_color)
+        by_colour.setdefault(own or colour or _GREY, []).append(mesh)
+    coloured = []
+    for shade, meshes in by_colour.items():
+        merged = trimesh.util.concatenate([trimesh.Trimesh(m.vertices, m.faces, process=False) for m in meshes])
+        merged.merge_vertices()
+        coloured.append((shade, np.asarray(merged.vertices), np.asarray(merged.faces)))
+    return coloured
