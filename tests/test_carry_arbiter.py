@@ -22,7 +22,7 @@ from minidual.plant.world import World
 from minidual.robot.constants import HOME, TAU_RATE_MAX, Array
 from minidual.robot.kinematics import Kinematics
 from minidual.show.view.overlay import Overlay
-from minidual.show.watch_trial import TrialWatch
+from minidual.show.watch import trial_hook
 from minidual.skills.carry_motions import JointMove, carrying, plan_path, releasing, squeezing
 from minidual.skills.impedance_carry import SOURCE, ImpedanceCarry
 from minidual.skills.reach import Quintic, approach_postures
@@ -444,7 +444,7 @@ def test_the_squeeze_is_asked_for_no_faster_than_controller_c_gives_it(scene: Sc
 class Screen:
     """A view that is always due, and keeps what it is told."""
 
-    name, url, alive = "screen", None, True
+    name, url, alive, speed_max = "screen", None, True, 0.0
 
     def __init__(self) -> None:
         self.shown: list[Overlay] = []
@@ -465,7 +465,7 @@ class Screen:
 
 def test_who_watches_sees_the_source_the_phase_and_why_it_ended(world: World) -> None:
     screen: Any = Screen()
-    watch = TrialWatch(screen, world, Kinematics(), "impedance")
+    watch = trial_hook(screen, world, Kinematics(), "impedance", "a title")
 
     def look(seen: Ride) -> None:
         if world.time > 0.0 and round(world.time / world.dt) % 100 == 0:

@@ -75,7 +75,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, list[Any], Co
     calls: list[tuple[str, str, list[Any], Config]] = []
 
     def run_trials(
-        method: str, inputs: MethodInputs, trials: list[Any], *, workers: int, condition: str, view: Any = None
+        method: str, inputs: MethodInputs, trials: list[Any], *, workers: int, condition: str, watch: Any = None
     ) -> Iterator[tuple[TrialResult, None]]:
         calls.append((method, condition, [t.start for t in trials], inputs.config))
         for trial in trials:

@@ -46,7 +46,7 @@ def outcomes(monkeypatch):
     failures: dict[str, int] = {}
     asked: list = []
 
-    def run_trials(method, inputs, trials, *, workers, condition, view=None):
+    def run_trials(method, inputs, trials, *, workers, condition, watch=None):
         asked.append((condition, inputs.config, [t.start for t in trials]))
         for trial in trials:
             failed = trial.index < failures.get(condition, 0)

@@ -17,7 +17,8 @@ from minidual.proof.verify import CLEARANCE_MAX_M
 from minidual.robot.constants import HOME, JOINT_NAMES
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.trajectory import Trajectory
-from minidual.show.planning import Poser, plan_preview, play, scene_model, tcp_paths
+from minidual.show.planning import Poser, play, scene_model
+from minidual.show.watch import tcp_preview
 from minidual.stages.plan_once import _clearance
 from minidual.stages.registry import STAGES
 
@@ -223,10 +224,9 @@ def test_what_is_shown_is_where_the_plan_says(scene, furnished, swing):
     assert np.abs(shown - Kinematics().tcp_poses(swing.q[-1])[0][:3, 3]).max() < 1e-9
     for shape in furnished.obstacles[1:]:
         assert np.abs(data.body(f"shown_{shape.name}").xpos - shape.position_m).max() < 1e-12
-    paths = tcp_paths(swing)
-    assert set(paths) == {"left"}  # the right arm stays, so it draws no line
-    preview = plan_preview(poser, swing)
-    assert np.abs(preview.paths[0].points[-1] - shown).max() < 1e-9
+    (line,) = tcp_preview(poser.kinematics, swing.q).paths
+    assert line.name == "left"  # the right arm stays, so it draws no line
+    assert np.abs(line.points[-1] - shown).max() < 1e-9
 
 
 class Watching:
@@ -259,6 +259,8 @@ def test_a_view_plays_the_plan_and_ends(scene, swing):
     assert times[-1] == swing.duration_s  # it stands at the end for a second
     assert view.seen[-1][2].title == "a title"
     assert len({id(o.preview) for _, _, o in view.seen}) == 1
+    ghost = view.seen[0][2].preview.ghosts[0]
+    assert np.abs(ghost - view.seen[-1][1]).max() < 1e-12  # it shows where the plan ends
     closed = Watching(5)
     play(closed, scene, PlanningScene(), swing, "", rounds_n=None)
     assert len(closed.seen) == 5

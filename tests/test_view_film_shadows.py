@@ -9,7 +9,7 @@ from minidual.plant import render
 from minidual.plant.model import CAMERAS
 from minidual.plant.render import Camera
 from minidual.plant.world import World
-from minidual.show.watch_world import visual_model
+from minidual.show.watch import visual_model
 
 
 @pytest.fixture(scope="module")

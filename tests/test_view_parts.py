@@ -1,4 +1,4 @@
-"""Parts of the live view that need neither a browser nor a display: pace, address, shapes, words, choice."""
+"""Parts of the live view that need neither a browser : pace, address, shapes, words, choice."""
 
 import socket
 
@@ -7,16 +7,15 @@ import numpy as np
 import pytest
 
 from minidual.config.scene import SceneConfig
-from minidual.config.view import ViewConfig
-from minidual.errors import EnvironmentMissingError, ExitCode, UsageError
+from minidual.errors import UsageError
 from minidual.plant.model import build_model
 from minidual.robot.constants import FINGER_JOINT_NAMES, JOINT_NAMES
 from minidual.show.view import NAMES, Overlay, make_view
 from minidual.show.view.network import free_port, is_loopback, tunnel_command, url
 from minidual.show.view.pace import Brake, Metronome, SpeedMeter
+from minidual.show.view.panel import table_html
 from minidual.show.view.shapes import HIDDEN_GROUP, body_meshes, moving_bodies
-from minidual.show.view.web_panel import forces_html, state_html
-from minidual.show.watch_world import visual_model
+from minidual.show.watch import visual_model
 
 
 class Clock:
@@ -153,31 +152,20 @@ def test_the_model_with_visuals_has_the_bodies_and_joints_of_the_one_without() -
 
 
 def test_words_are_escaped_and_what_is_not_known_is_not_shown() -> None:
-    shown = state_html(Overlay(1.25, title="<script>x</script>", mode="policy", source="policy"), 0.98)
+    shown = table_html(Overlay(1.25, title="<script>x</script>", mode="policy", source="policy"), 0.98)
     assert "<script>" not in shown
     assert "&lt;script&gt;" in shown
     assert "0.98 x real time" in shown
     assert "1.25 s" in shown
-    assert "not measured" in forces_html(Overlay(0.0))
-    forces = forces_html(Overlay(0.0, pinch_n=(12.0, 160.0), internal_n=-0.01))
+    assert " N<" not in shown  # forces that nobody measured
+    forces = table_html(Overlay(0.0, pinch_n=(12.0, 160.0), internal_n=-0.01), None)
     assert "12.0 N" in forces
-    assert "width:15.0%" in forces  # of 80 N
-    assert "width:100.0%" in forces  # a bar has an end
     assert "-0.0" not in forces
 
 
 def test_no_view_costs_nothing_and_unknown_ones_are_named() -> None:
     assert make_view("none") is None
-    with pytest.raises(UsageError, match="no view 'webb'; there are native, none, web") as caught:
+    with pytest.raises(UsageError, match="no view 'webb'; there are none, web") as caught:
         make_view("webb")
     assert caught.value.remedy == "did you mean 'web'?"
-    assert NAMES == ("none", "native", "web")
-
-
-def test_a_window_without_a_display_is_a_missing_environment(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    with pytest.raises(EnvironmentMissingError, match="there is no display") as caught:
-        make_view("native", ViewConfig())
-    assert caught.value.exit_code == ExitCode.ENVIRONMENT
-    assert "--view web" in str(caught.value.remedy)
+    assert NAMES == ("none", "web")

@@ -16,11 +16,10 @@ from websockets.sync.client import connect
 from minidual.config.root import Config
 from minidual.config.view import ViewConfig
 from minidual.plant.world import World
-from minidual.robot.constants import HOME
 from minidual.show.view import Arrow, Overlay, PathLine, Preview, Slider, make_view
 from minidual.show.view.pace import Metronome
 from minidual.show.view.web import WebView
-from minidual.show.watch_world import Narration, Watcher, overlay, play, visual_model, watched
+from minidual.show.watch import Watcher, overlay, visual_model, watch_trials, watched
 from minidual.tasks.rod_carry import sample_trial
 from minidual.trials.methods import MethodInputs
 from minidual.trials.trials import run_trials
@@ -170,7 +169,7 @@ def test_what_breaks_in_the_view_is_said_once_and_stays_there(
 def test_clients_that_vanish_do_not_hold_the_run_up(view: WebView) -> None:
     world = World(CONFIG.scene)
     clients = []
-    with watched(view, world, Narration):
+    with watched(view, world, Overlay):
         for k in range(600):
             world.step()
             if k % 150 == 0:
@@ -214,7 +213,7 @@ def test_a_watched_trial_ends_as_an_unwatched_one_to_the_last_bit(view: WebView)
     view._metronome = Metronome(1000.0)  # nobody is connected: a tenth of it is what is shown
     update = view.update
     view.update = lambda data, words: (shown.append(words), update(data, words))[1]  # type: ignore[method-assign]
-    seen, seen_log = next(run_trials("impedance", inputs, trials, workers=1, keep_logs=True, view=view))
+    seen, seen_log = next(run_trials("impedance", inputs, trials, workers=1, keep_logs=True, watch=watch_trials(view)))
     assert len(shown) > 5
     assert shown[-1].title == "impedance, trial 1 of 1"
     assert dataclasses.replace(seen, wall_s=0.0) == dataclasses.replace(plain, wall_s=0.0)
@@ -230,7 +229,7 @@ def test_a_watched_trial_ends_as_an_unwatched_one_to_the_last_bit(view: WebView)
 def test_between_pictures_a_step_pays_for_a_look_at_the_clock_only(view: WebView) -> None:
     world = World(CONFIG.scene)
     asked: list[int] = []
-    watcher = Watcher(view, world, lambda: asked.append(1) or Narration())  # type: ignore[func-returns-value]
+    watcher = Watcher(view, world, lambda: asked.append(1) or Overlay())  # type: ignore[func-returns-value]
     watcher(world)
     began = time.perf_counter()
     for _ in range(2000):
@@ -242,31 +241,8 @@ def test_between_pictures_a_step_pays_for_a_look_at_the_clock_only(view: WebView
 
 def test_the_overlay_says_what_the_world_says() -> None:
     world = World(CONFIG.scene)
-    words = overlay(world, Narration("a title", "moveit", "moveit", "active"))
+    words = overlay(world, Overlay(title="a title", mode="moveit", source="moveit", state="active"))
     assert words.time_s == world.time
     assert words.pinch_n == tuple(world.pinch_forces())
     assert words.internal_n == world.internal_force()
     assert (words.title, words.mode, words.source, words.state) == ("a title", "moveit", "moveit", "active")
-
-
-def test_a_film_goes_from_the_first_posture_to_the_last_in_real_time(view: WebView) -> None:
-    times = np.linspace(0.0, 0.5, 6)
-    qs = np.tile(HOME, (6, 1))
-    qs[:, 0] = np.linspace(0.0, 0.4, 6)
-    shown: list[tuple[float, float]] = []
-    view._metronome = Metronome(1000.0)
-    address = int(visual_model(CONFIG.scene).joint("left_panda_joint1").qposadr[0])
-
-    def keep(data: mujoco.MjData, words: Overlay) -> None:
-        shown.append((words.time_s, float(data.qpos[address])))
-
-    view.update = keep  # type: ignore[method-assign]
-    began = time.monotonic()
-    play(view, CONFIG.scene, times, qs, Narration("film"))
-    assert time.monotonic() - began >= 0.5
-    assert shown[-1] == (0.5, 0.4)
-    assert all(q == pytest.approx(0.8 * t) for t, q in shown)
-    view.close()
-    count = len(shown)
-    play(view, CONFIG.scene, times, qs, Narration("film"))  # nobody can see it: no time is spent
-    assert len(shown) == count

@@ -15,12 +15,7 @@ if TYPE_CHECKING:
     from minidual.show.view import View
 
 VIEW_OPTIONS: dict[str, tuple[Any, Any]] = {
-    "view": (
-        Annotated[
-            str | None, typer.Option(metavar="none|native|web", help="Watch the arms: in a window, or in a browser.")
-        ],
-        None,
-    ),
+    "view": (Annotated[str | None, typer.Option(metavar="none|web", help="Watch the arms in a browser.")], None),
     "view_host": (
         Annotated[
             str | None,

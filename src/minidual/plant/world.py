@@ -101,7 +101,7 @@ class World:
         self.recorder: Recorder | None = None
         """Keeps what a replay needs, where one is wanted (see minidual.plant.recorder)."""
         self.observer: Callable[[World], None] | None = None
-        """Called after every step, where somebody watches (see minidual.show.watch_world); it only reads."""
+        """Called after every step, where somebody watches (see minidual.show.watch); it only reads."""
         self.reset()
 
     @property

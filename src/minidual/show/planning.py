@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -16,19 +17,18 @@ from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, Shape, Spher
 from minidual.config.scene import SceneConfig
 from minidual.plant.addresses import map_joints
 from minidual.plant.model import GROUP_COLLISION, GROUP_MARKER, GROUP_VISUAL, build_spec
-from minidual.robot.constants import ARMS, FINGER_JOINT_NAMES, FINGER_TRAVEL_M, JOINT_NAMES, Array
+from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array, Robot
 from minidual.robot.trajectory import Trajectory
-from minidual.show.view.overlay import LEFT_RGB, RIGHT_RGB, Overlay, PathLine, Preview
-
-if TYPE_CHECKING:
-    from minidual.show.view import View
+from minidual.show.view import Overlay, View
+from minidual.show.watch import tcp_preview
+from minidual.trials.planning.evaluate import Outcome
 
 _OBSTACLE_RGBA = (0.78, 0.42, 0.25, 1.0)
 _HELD_RGBA = (0.15, 0.6, 0.4, 1.0)
-_RGB = {"left": LEFT_RGB, "right": RIGHT_RGB}
-_PATH_POINTS = 120
-_STATIC_M = 1e-6
+_LOOK_S = 1.0
+"""A round stands still this long at its end."""
 
 
 def scene_model(config: SceneConfig, scene: PlanningScene) -> mujoco.MjModel:
@@ -71,37 +71,20 @@ class Poser:
 
     Args:
         model: From `scene_model`.
+        robot: Its arms.
     """
 
-    def __init__(self, model: mujoco.MjModel) -> None:
-        self.model = model
+    def __init__(self, model: mujoco.MjModel, robot: Robot = DUAL_PANDA) -> None:
+        self.model, self.kinematics = model, Kinematics(robot)
         self.data = mujoco.MjData(model)
-        self._joints = map_joints(model, JOINT_NAMES, torque=True).qpos
-        self.data.qpos[map_joints(model, FINGER_JOINT_NAMES, torque=False).qpos] = FINGER_TRAVEL_M
+        self._joints = map_joints(model, robot.joint_names, torque=True).qpos
+        self.data.qpos[map_joints(model, robot.finger_joint_names, torque=False).qpos] = robot.arm.hand.travel_m
 
     def place(self, q: Array) -> mujoco.MjData:
-        """Return the state with the arms at q (14,)."""
+        """Return the state with the arms at q (n,)."""
         self.data.qpos[self._joints] = q
         mujoco.mj_kinematics(self.model, self.data)
         return self.data
-
-    def state(self, q: Array) -> Array:
-        """Return the whole state (nq,) with the arms at q (14,)."""
-        return self.place(q).qpos.copy()
-
-
-def tcp_paths(trajectory: Trajectory) -> dict[str, Array]:
-    """Return where the tcps that move go, {arm: (n, 3)} [m]."""
-    kinematics = Kinematics()
-    rows = np.unique(np.linspace(0, len(trajectory.times) - 1, _PATH_POINTS).astype(int))
-    tips = np.array([[T[:3, 3] for T in kinematics.tcp_poses(trajectory.q[k])] for k in rows])
-    return {arm: tips[:, k] for k, arm in enumerate(ARMS) if np.ptp(tips[:, k], axis=0).max() > _STATIC_M}
-
-
-def plan_preview(poser: Poser, trajectory: Trajectory) -> Preview:
-    """Return what a live view shows of a plan: the ways of the tcps and where the arms end."""
-    lines = tuple(PathLine(arm, points, _RGB[arm]) for arm, points in tcp_paths(trajectory).items())
-    return Preview(lines, (poser.state(trajectory.q[-1]),))
 
 
 def play(
@@ -112,43 +95,46 @@ def play(
     title: str,
     *,
     rounds_n: int | None,
+    note: str = "",
     sleep: Callable[[float], None] = time.sleep,
 ) -> None:
-    """Show a plan at its own pace, again and again.
+    """Show a plan in real time, with the paths of the hands and its end half transparent; nothing is simulated.
 
     Args:
-        view: Live view, not open yet.
-        config: Of the world around.
-        scene: That the plan was made in.
+        view: Live view.
+        config: The world around.
+        scene: Obstacles and held objects of the plan.
         trajectory: The plan.
         title: Shown beside it.
-        rounds_n: How often; None goes on until the view is closed.
+        rounds_n: How often; None repeats until the view is closed.
+        note: Shown beside it.
         sleep: Waits [s].
     """
     poser = Poser(scene_model(config, scene))
-    preview = plan_preview(poser, trajectory)
+    end = poser.place(trajectory.q[-1]).qpos.copy()
+    words = Overlay(title=title, mode="moveit", source="planner", state="played, not simulated")
+    words = replace(words, preview=replace(tcp_preview(poser.kinematics, trajectory.q), ghosts=(end,)))
     view.open(poser.model)
-    done = 0
-    while view.alive and (rounds_n is None or done < rounds_n):
-        began = time.monotonic()
-        t = 0.0
-        while view.alive and t < trajectory.duration_s + 1.0:
+    for done in itertools.count(1):
+        status = ", ".join(text for text in (note, f"{trajectory.duration_s:.2f} s of motion, round {done}") if text)
+        began, t = time.monotonic(), 0.0
+        while view.alive and t < trajectory.duration_s + _LOOK_S:
             t = time.monotonic() - began
             if view.due():
-                q, _, _ = trajectory.sample(t)
-                view.update(
-                    poser.place(q),
-                    Overlay(
-                        min(t, trajectory.duration_s),
-                        title=title,
-                        mode="moveit",
-                        source="planner",
-                        status=f"{trajectory.duration_s:.2f} s of motion, round {done + 1}",
-                        preview=preview,
-                    ),
-                )
+                shown_s = min(t, trajectory.duration_s)
+                view.update(poser.place(trajectory.sample(t)[0]), replace(words, time_s=shown_s, status=status))
             sleep(0.005)
-        done += 1
+        if done == rounds_n or not view.alive:
+            return
+
+
+def play_queries(view: View | None, config: SceneConfig, outcomes: Mapping[str, Sequence[Outcome]]) -> None:
+    """Play the first solved query of each group once; without a view do nothing."""
+    for group, done in outcomes.items():
+        first = next((o for o in done if o.result is not None), None)
+        if view is not None and first is not None and first.result is not None:
+            title, note = f"plan, {group}, query {first.query.index}", f"planned in {1e3 * first.total_s:.0f} ms"
+            play(view, config, first.query.scene, first.result.trajectory, title, rounds_n=1, note=note)
 
 
 def write_picture(path: Path, config: SceneConfig, scene: PlanningScene, trajectory: Trajectory, title: str) -> None:
@@ -192,8 +178,8 @@ def _render(poser: Poser, trajectory: Trajectory, camera: mujoco.MjvCamera) -> A
         renderer.update_scene(poser.place(trajectory.q[-1]), camera, scene_option=option)
         for fraction, alpha in ((0.0, 0.35), (1.0 / 3.0, 0.14), (2.0 / 3.0, 0.14)):
             _add_ghost(renderer.scene, poser, trajectory.sample(fraction * trajectory.duration_s)[0], option, alpha)
-        for arm, points in tcp_paths(trajectory).items():
-            _add_line(renderer.scene, points, _RGB[arm])
+        for line in tcp_preview(poser.kinematics, trajectory.q).paths:
+            _add_line(renderer.scene, line.points, line.rgb)
         return renderer.render()
     finally:
         renderer.close()

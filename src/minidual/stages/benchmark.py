@@ -142,6 +142,7 @@ class BenchmarkStage:
 
     def run(self, context: StageContext) -> StageResult:
         """Run all trials of all methods under all conditions and write the tables."""
+        from minidual.show.watch import watch_trials
         from minidual.trials.benchmark import conditions_data, count_trials, run_benchmark, summaries, write_cells
         from minidual.trials.comparisons import compare_all, compare_with_clean
         from minidual.trials.conditions import CLEAN, parse_conditions
@@ -159,7 +160,7 @@ class BenchmarkStage:
                 task.advance(note=f"{result.metrics.method}, {result.metrics.condition}")
 
             cells, trials = run_benchmark(
-                methods, trials_n, inputs, workers=context.workers, on_trial=on_trial, view=context.view
+                methods, trials_n, inputs, workers=context.workers, on_trial=on_trial, watch=watch_trials(context.view)
             )
         clean = summaries(cells)
         table = conditions_data(cells)

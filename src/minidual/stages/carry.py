@@ -134,6 +134,7 @@ class CarryStage:
         from minidual.config.seeds import stream
         from minidual.show.figures.film import film_trial
         from minidual.show.figures.trial_figures import draw_trial
+        from minidual.show.watch import watch_trials
         from minidual.tasks.motions import carry_config
         from minidual.tasks.rod_carry import sample_trial
         from minidual.trials.methods import MethodInputs
@@ -148,7 +149,7 @@ class CarryStage:
         results, logs = [], []
         with context.progress.task("carries", len(trials)) as task:
             for result, log in run_trials(
-                "impedance", inputs, trials, workers=context.workers, keep_logs=True, view=context.view
+                "impedance", inputs, trials, workers=context.workers, keep_logs=True, watch=watch_trials(context.view)
             ):
                 results.append(result)
                 logs.append(log)

@@ -15,6 +15,7 @@ PERTURB_TRIALS_N = 20
 
 def perturb(context: ToolContext) -> ToolResult:
     """Run the carry under every condition and compare its success with the clean one."""
+    from minidual.show.watch import watch_trials
     from minidual.tasks.motions import carry_config
     from minidual.trials.methods import MethodInputs
     from minidual.trials.perturbation import (
@@ -36,7 +37,7 @@ def perturb(context: ToolContext) -> ToolResult:
             trials_n,
             workers=context.workers,
             on_trial=lambda name, result: task.advance(note=name),
-            view=context.view,
+            watch=watch_trials(context.view),
         )
     write_perturbations(context.output, found, trials)
     failed = [r for r in found if r.fails]

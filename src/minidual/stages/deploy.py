@@ -74,6 +74,7 @@ class DeployStage:
 
         from minidual.config.seeds import stream
         from minidual.show.figures.film import film_trial
+        from minidual.show.watch import watch_trials
         from minidual.tasks.rod_carry import sample_trial
         from minidual.trials.methods import MethodInputs
         from minidual.trials.metrics import summarise
@@ -92,7 +93,9 @@ class DeployStage:
         results: dict[str, list[TrialResult]] = {"held_out": [], "training": []}
         with context.progress.task("policy trials", len(held_out) + len(seen)) as task:
             for starts, trials in (("held_out", held_out), ("training", seen)):
-                for result, _ in run_trials("act", inputs, trials, workers=context.workers, view=context.view):
+                for result, _ in run_trials(
+                    "act", inputs, trials, workers=context.workers, watch=watch_trials(context.view)
+                ):
                     # Nothing disturbs either; in the tables the two sets of starts stand as conditions.
                     results[starts].append(replace(result, metrics=replace(result.metrics, condition=starts)))
                     done = sum(r.success for r in results[starts])

@@ -41,7 +41,8 @@ class EnvCheckStage:
         from minidual.plant.model import build_model
         from minidual.plant.world import World
         from minidual.robot.kinematics import Kinematics
-        from minidual.show.watch_world import Narration, watched
+        from minidual.show.view import Overlay
+        from minidual.show.watch import watched
         from minidual.stages import env_check_checks as checks_of
         from minidual.stages import env_check_environment as measure
         from minidual.stages import env_check_environment_pictures as pictures
@@ -68,10 +69,10 @@ class EnvCheckStage:
             task.advance(note="mapping")
             doing = "each joint alone"
 
-            def tell() -> Narration:
-                return Narration("env-check", "joint", "env-check", doing)
+            def tell() -> Overlay:
+                return Overlay(title="env-check", mode="joint", source="env-check", state=doing)
 
-            with watched(context.view, world, tell, speed_max=context.config.view.speed_max):
+            with watched(context.view, world, tell):
                 steps = motion.single_joint_steps(loop, config.single_step_rad, config.single_duration_s)
                 task.advance(note="each joint alone")
                 doing = "a step"

@@ -71,7 +71,8 @@ def _run(context: ToolContext, wanted: tuple[str, ...], checkpoint: Path | None)
     from minidual.plant.world import World
     from minidual.robot.kinematics import Kinematics
     from minidual.show.figures.modes_film import FILM_FPS, FILM_SIZE, filmed
-    from minidual.show.watch_world import Narration, watched
+    from minidual.show.view import Overlay
+    from minidual.show.watch import watched
     from minidual.tasks.rod_carry import sample_trial
     from minidual.trials.modes import ModesDemo
 
@@ -89,13 +90,13 @@ def _run(context: ToolContext, wanted: tuple[str, ...], checkpoint: Path | None)
         demo = ModesDemo(stack, turns)
         stopped: list[str] = []
 
-        def tell() -> Narration:
+        def tell() -> Overlay:
             source = stack.output.active_source or ""
-            return Narration("modes", demo.mode, source, str(stack.state), demo.doing)
+            return Overlay(title="modes", mode=demo.mode, source=source, state=str(stack.state), status=demo.doing)
 
         with (
             Camera(world.model, *FILM_SIZE, shadows=True) as camera,
-            watched(context.view, world, tell, speed_max=config.view.speed_max),
+            watched(context.view, world, tell),
             context.progress.task("modes", len(wanted)) as task,
         ):
             pictures = filmed(_counted(_until_stopped(demo.steps(), stopped), task), stack, camera)

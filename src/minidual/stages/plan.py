@@ -47,7 +47,7 @@ class PlanStage:
     def run(self, context: StageContext) -> StageResult:
         """Plan the queries, compare the engines, plan a few carries, draw the figures."""
         from minidual.show.figures.planning import write_paths, write_times
-        from minidual.stages.plan_view import show_plans
+        from minidual.show.planning import play_queries
         from minidual.trials.planning.evaluate import engine_agreement, repeats, run_queries
         from minidual.trials.planning.evaluate_carries import plan_carries
 
@@ -59,7 +59,7 @@ class PlanStage:
 
             outcomes = run_queries(config, context.seed, advance)
             second = run_queries(config, config.second_seed, advance, config.second_queries_n)
-        show_plans(context, outcomes)
+        play_queries(context.view, context.config.scene, outcomes)
         scene = outcomes["both_arms"][0].query.scene
         agreement = engine_agreement(scene, config.agreement_states_n, context.seed)
         repeatable = all(repeats(config, done[0]) for done in outcomes.values())

@@ -37,7 +37,8 @@ class HeldResults:
 def run_held(context: StageContext) -> HeldResults:
     """Plan the moves of both seeds and drive some; writes held_moves.csv."""
     from minidual.plant.world import World
-    from minidual.show.watch_world import Narration, watched
+    from minidual.show.view import Overlay
+    from minidual.show.watch import watched
     from minidual.skills.held_execution import execute
     from minidual.trials.planning.evaluate_carries import run_moves, table_plans
 
@@ -53,7 +54,9 @@ def run_held(context: StageContext) -> HeldResults:
         executions = []
         driven = table_plans(plan, scene.rod, held.executed_n, context.seed + _DRIVEN_SEED_OFFSET)
         for trajectory in driven.plans:
-            with watched(context.view, world, lambda: Narration("plan, held-object move", "joint", "plan")):
+            with watched(
+                context.view, world, lambda: Overlay(title="plan, held-object move", mode="joint", source="plan")
+            ):
                 executions.append(execute(trajectory, scene, world=world))
             task.advance(note="driven")
     _write_csv(outcomes, context.folder / "held_moves.csv")

@@ -82,11 +82,12 @@ def _show(context: ToolContext, stop: threading.Event) -> ToolResult:
     from minidual.plant.world import World
     from minidual.robot.constants import HOME, Q_LOWER, Q_UPPER
     from minidual.robot.kinematics import Kinematics
-    from minidual.show.watch_world import Narration, watched
+    from minidual.show.view import Overlay
+    from minidual.show.watch import watched
 
     view = context.view
     if view is None:
-        raise UsageError("`minidual view` is there to be looked at", remedy="--view web or --view native")
+        raise UsageError("`minidual view` is there to be looked at", remedy="--view web")
     for_s = float(context.options.get("for-s", np.inf))
     if not for_s > 0.0:
         raise UsageError(f"--for-s {for_s:g} is no time; it must be above 0")
@@ -97,8 +98,9 @@ def _show(context: ToolContext, stop: threading.Event) -> ToolResult:
     wanted = np.array([slider.value for slider in sliders])
     target = HOME.copy()
 
-    def tell() -> Narration:
-        return Narration("the scene", "joint", "sliders" if offered else "home", "following joint targets")
+    def tell() -> Overlay:
+        source = "sliders" if offered else "home"
+        return Overlay(title="the scene", mode="joint", source=source, state="following joint targets")
 
     began = time.monotonic()
     with contextlib.suppress(KeyboardInterrupt), watched(view, world, tell):

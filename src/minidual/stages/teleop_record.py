@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 from collections import Counter
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
     from minidual.config.root import Config
     from minidual.config.teleop import TeleopConfig
     from minidual.demos.recording import Recording
-    from minidual.demos.rig import Attempt, Rig
+    from minidual.demos.rig import Attempt
 
 SYNC_LIMIT_S = 0.02
 
@@ -156,8 +155,7 @@ class TeleopRecordStage:
         from minidual.demos.recording import record
         from minidual.demos.rig import Job, film
         from minidual.show.figures.teleop import draw_quality
-        from minidual.show.narrate import StackNarrator
-        from minidual.show.watch_world import watched
+        from minidual.show.watch import watch_recording
 
         config = context.config
         job = Job(context.folder, config.scene, config.teleop, config.arbiter, context.seed, config.supervisor)
@@ -172,12 +170,7 @@ class TeleopRecordStage:
                     int(attempt.kept), "" if attempt.kept else f"trial {attempt.trial.index}: {attempt.reason}"
                 )
 
-            def watch(rig: Rig, index: int) -> AbstractContextManager[None]:
-                narrator = StackNarrator(rig.session.stack, rig.kinematics, f"teleop-record, trial {index}")
-                return watched(context.view, rig.world, narrator)
-
-            observe = None if context.view is None else watch
-            recording = record(job, workers=context.workers, on_attempt=tell, observe=observe)
+            recording = record(job, workers=context.workers, on_attempt=tell, observe=watch_recording(context.view))
         write_quality(recording.attempts, context.folder / "quality.csv")
         if not recording.kept:
             raise NothingEvaluatedError(

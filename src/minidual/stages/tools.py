@@ -21,7 +21,7 @@ TOOLS: tuple[ToolEntry, ...] = (
     ToolEntry(
         "view",
         "minidual.stages.scene_view:view_scene",
-        "Show the scene in real time, with a slider a joint: in a browser, or in a window",
+        "Show the scene in real time in a browser, with a slider for each joint",
         (ToolOption("for-s", "End by itself after this many seconds (default: Ctrl-C ends it).", float),),
         watchable=True,
         view_default="web",

@@ -12,13 +12,12 @@ from typing import Any
 
 from minidual.config.root import Config
 from minidual.config.seeds import stream
-from minidual.show.view.protocol import View
 from minidual.trials.conditions import CLEAN, condition
 from minidual.trials.methods import MethodInputs
 from minidual.trials.metrics import MethodSummary, TrialMetrics, summarise
 from minidual.trials.perturbation import run_under, undisturbed, why_not
 from minidual.trials.tables import write_text
-from minidual.trials.trials import TrialResult
+from minidual.trials.trials import TrialResult, Watch
 
 PURPOSE = "benchmark"
 """Random stream of the starts: all methods and conditions get the same ones, and no stage before has seen them."""
@@ -85,7 +84,7 @@ def run_benchmark(
     *,
     workers: int,
     on_trial: Callable[[TrialResult], None] | None = None,
-    view: View | None = None,
+    watch: Watch | None = None,
 ) -> tuple[list[BenchmarkCell], list[TrialMetrics]]:
     """Run every method under every condition.
 
@@ -95,7 +94,7 @@ def run_benchmark(
         inputs: What the methods are built from.
         workers: Processes.
         on_trial: Called after each trial.
-        view: Where trials are shown, if anywhere.
+        watch: Where trials are shown, if anywhere.
 
     Returns:
         Cells and trials in the order asked for. A cell depends on the seed and on its own method, condition and number
@@ -110,7 +109,7 @@ def run_benchmark(
                 cells.append(BenchmarkCell(method, name, n, None, reason))
                 continue
             rows: list[TrialMetrics] = []
-            for result in run_under(method, inputs, condition(name), PURPOSE, n, workers=workers, view=view):
+            for result in run_under(method, inputs, condition(name), PURPOSE, n, workers=workers, watch=watch):
                 rows.append(result.metrics)
                 if on_trial is not None:
                     on_trial(result)

@@ -13,13 +13,12 @@ import numpy as np
 
 from minidual.config.root import Config
 from minidual.config.seeds import stream
-from minidual.show.view.protocol import View
 from minidual.tasks.rod_carry import sample_trial
 from minidual.trials.conditions import CLEAN, CONDITIONS, Condition
 from minidual.trials.methods import MethodInputs, method_spec
 from minidual.trials.metrics import MethodSummary, TrialMetrics, summarise
 from minidual.trials.tables import write_csv, write_text
-from minidual.trials.trials import TrialResult, run_trials
+from minidual.trials.trials import TrialResult, Watch, run_trials
 
 DROP_MAX = 0.15
 """A condition may cost less than this share of the clean success rate."""
@@ -102,13 +101,13 @@ def run_under(
     trials_n: int,
     *,
     workers: int,
-    view: View | None = None,
+    watch: Watch | None = None,
 ) -> Iterator[TrialResult]:
     """Run the first trials of a purpose under a condition: its starts are those of every other condition and method."""
     config = condition.config_under(inputs.config)
     trials = [sample_trial(config.scene, inputs.seed, purpose, i) for i in range(trials_n)]
     for result, _ in run_trials(
-        method, replace(inputs, config=config), trials, workers=workers, condition=condition.name, view=view
+        method, replace(inputs, config=config), trials, workers=workers, condition=condition.name, watch=watch
     ):
         yield result
 
@@ -136,7 +135,7 @@ def run_perturbations(
     *,
     workers: int,
     on_trial: Callable[[str, TrialResult], None] | None = None,
-    view: View | None = None,
+    watch: Watch | None = None,
 ) -> tuple[list[Robustness], list[TrialMetrics]]:
     """Run the same trials under every condition that touches the method; results do not depend on `workers`."""
     found: list[Robustness] = []
@@ -150,7 +149,7 @@ def run_perturbations(
             found.append(Robustness(condition, None, float("nan"), "", why_not=reason))
             continue
         results: list[TrialResult] = []
-        for result in run_under(method, inputs, condition, PURPOSE, trials_n, workers=workers, view=view):
+        for result in run_under(method, inputs, condition, PURPOSE, trials_n, workers=workers, watch=watch):
             results.append(result)
             if on_trial is not None:
                 on_trial(name, result)

@@ -18,8 +18,6 @@ from minidual.plant.model import build_model
 from minidual.plant.world import SimulationDivergedError, World
 from minidual.robot.constants import TAU_MAX, Array
 from minidual.robot.kinematics import Kinematics
-from minidual.show.view.protocol import View
-from minidual.show.watch_trial import TrialWatch
 from minidual.tasks.rod_carry import RodTrial, tilt_rad
 from minidual.tasks.success import Fault, Outcome, RodCarryJudge
 from minidual.trials.conditions import CLEAN
@@ -35,6 +33,12 @@ SETTLED_S = 0.5
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _BROKEN: dict[type[MinidualError], str] = {SimulationDivergedError: "diverged", SingularPostureError: "singular"}
 """What may end a trial from below its method, and the name under which it fails then."""
+
+
+StepHook = Callable[[World, Method], None]
+"""Called after each step of a trial; it only reads."""
+Watch = Callable[["Bench", str], StepHook]
+"""Given the bench and a title before each trial that is watched; returns the trial's step hook."""
 
 
 @dataclass
@@ -107,7 +111,7 @@ def run_trial(
     trial: RodTrial,
     *,
     condition: str = CLEAN,
-    on_step: Callable[[World, Method], None] | None = None,
+    on_step: StepHook | None = None,
 ) -> tuple[TrialResult, TrialLog]:
     """Reset the world, run one trial to its end or its time limit, and judge it.
 
@@ -217,7 +221,7 @@ class Bench:
         self.factory = load_factory(method, inputs)
 
     def run(
-        self, trial: RodTrial, *, condition: str = CLEAN, on_step: Callable[[World, Method], None] | None = None
+        self, trial: RodTrial, *, condition: str = CLEAN, on_step: StepHook | None = None
     ) -> tuple[TrialResult, TrialLog]:
         """Run one trial under a condition of the table in `minidual.trials.conditions`."""
         spec = named_condition(condition)
@@ -259,15 +263,12 @@ def _run_in_worker(
 
 
 def _run_watched(
-    method: str, inputs: MethodInputs, trials: Sequence[RodTrial], condition: str, view: View
+    method: str, inputs: MethodInputs, trials: Sequence[RodTrial], condition: str, watch: Watch
 ) -> Iterator[tuple[TrialResult, TrialLog | None]]:
     bench = Bench(method, inputs)
-    watch = TrialWatch(view, bench.world, bench.kinematics, method, speed_max=inputs.config.view.speed_max)
     for number, trial in enumerate(trials, start=1):
-        watch.title = f"{method}, trial {number} of {len(trials)}"
-        if condition != CLEAN:
-            watch.title += f", {condition}"
-        yield bench.run(trial, condition=condition, on_step=watch)
+        title = f"{method}, trial {number} of {len(trials)}" + (f", {condition}" if condition != CLEAN else "")
+        yield bench.run(trial, condition=condition, on_step=watch(bench, title))
 
 
 def run_trials(
@@ -278,14 +279,14 @@ def run_trials(
     workers: int,
     condition: str = CLEAN,
     keep_logs: bool = False,
-    view: View | None = None,
+    watch: Watch | None = None,
 ) -> Iterator[tuple[TrialResult, TrialLog | None]]:
     """Run trials over processes and yield their results in order; the results do not depend on `workers`.
 
-    With a view the trials run in this process, one after another, and give the same results.
+    Watched trials run in this process, one after another, and give the same results.
     """
-    if view is not None:
-        yield from _run_watched(method, inputs, trials, condition, view)
+    if watch is not None:
+        yield from _run_watched(method, inputs, trials, condition, watch)
         return
     import joblib
 

@@ -1,7 +1,35 @@
-"""Live views behind one small protocol: a window, a page in the browser, or nothing at all."""
+"""The live view: the scene in a browser, behind a small protocol."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from minidual.config.view import ViewConfig
+from minidual.errors import unknown_name
 from minidual.show.view.overlay import NO_PREVIEW, Arrow, Overlay, PathLine, Preview, Slider
 from minidual.show.view.protocol import View
-from minidual.show.view.registry import NAMES, make_view
 
 __all__ = ["NAMES", "NO_PREVIEW", "Arrow", "Overlay", "PathLine", "Preview", "Slider", "View", "make_view"]
+
+NAMES = ("none", "web")
+"""Values of `--view`."""
+
+
+def make_view(name: str, config: ViewConfig | None = None, *, say: Callable[[str], None] = print) -> View | None:
+    """Return the view `name`; None for "none".
+
+    Args:
+        name: One of NAMES.
+        config: Interface, port, rate and speed; the defaults bind the loopback interface only.
+        say: Gets the lines for people: the address, warnings, that a view ended early.
+
+    Raises:
+        UsageError: Unknown name, an interface that this machine does not have, or no free port.
+    """
+    if name not in NAMES:
+        raise unknown_name("view", name, NAMES)
+    if name == "none":
+        return None
+    from minidual.show.view.web import WebView  # viser takes a second to load
+
+    return WebView(config or ViewConfig(), say)

@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 
-LEFT_RGB, RIGHT_RGB, OBJECT_RGB = (32, 108, 214), (150, 62, 190), (20, 150, 90)
-"""Colours of what belongs to the left hand, to the right hand and to the carried object."""
+ARM_RGB, OBJECT_RGB = ((32, 108, 214), (150, 62, 190)), (20, 150, 90)
+"""Colours of the left and the right arm, and of the carried object."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Overlay:
         preview: What is planned.
     """
 
-    time_s: float
+    time_s: float = 0.0
     title: str = ""
     mode: str = ""
     source: str = ""

@@ -29,6 +29,11 @@ class View(Protocol):
         ...
 
     @property
+    def speed_max(self) -> float:
+        """Simulated seconds a second that a watched run may not exceed; 0 for no limit."""
+        ...
+
+    @property
     def url(self) -> str | None:
         """Address to open in a browser, if there is one."""
         ...

@@ -15,7 +15,7 @@ from minidual.config.view import ViewConfig
 from minidual.show.view.network import free_port, is_loopback, tunnel_command, url
 from minidual.show.view.overlay import Array, Overlay, Slider
 from minidual.show.view.pace import Metronome, SpeedMeter
-from minidual.show.view.web_panel import WebPanel
+from minidual.show.view.panel import Panel
 from minidual.show.view.web_scene import WebScene
 
 _PANEL_HZ = 6.0
@@ -60,12 +60,13 @@ class WebView:
 
     def __init__(self, config: ViewConfig, say: Callable[[str], None]) -> None:
         self._say = say
+        self.speed_max = config.speed_max
         port = free_port(config.host, config.port)
         with _quiet():
             self._server = _Server(host=config.host, port=port, label="minidual", verbose=False)
         self.port = self._server.get_port()
         self.url: str | None = url(config.host, self.port)
-        self._panel = WebPanel(self._server)
+        self._panel = Panel(self._server)
         self._scene: WebScene | None = None
         self._model: mujoco.MjModel | None = None
         self._metronome = Metronome(config.rate_hz)

@@ -1,0 +1,203 @@
+"""Show a world in a live view while it runs. Watching never changes the simulation: the view has its own model."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+
+from minidual.config.scene import SceneConfig
+from minidual.control.commands import TrajectoryCommand
+from minidual.control.stack import ControlStack
+from minidual.demos.recording import Observe
+from minidual.demos.rig import Rig
+from minidual.plant.model import build_model
+from minidual.plant.world import World
+from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array
+from minidual.show.view import NO_PREVIEW, Arrow, Overlay, PathLine, Preview, View
+from minidual.show.view.overlay import ARM_RGB
+from minidual.show.view.pace import Brake
+from minidual.trials.methods import Method
+from minidual.trials.trials import Bench, StepHook, Watch
+
+_ASIDE_M = np.array([0.05, 0.0, 0.0])
+"""Forces are drawn this far in front of the hands; the object would hide them otherwise."""
+_BRAKE_EVERY_S = 0.01
+_PATH_POINTS = 60
+_STATIC_M = 1e-3
+
+Narrator = Callable[[], Overlay]
+"""Returns title, mode, source, state, status and preview; `overlay` adds what the world knows."""
+
+
+@functools.lru_cache(maxsize=2)
+def _visual_model(scene_json: str) -> mujoco.MjModel:
+    return build_model(SceneConfig.model_validate_json(scene_json), visuals=True)
+
+
+def visual_model(scene: SceneConfig) -> mujoco.MjModel:
+    """Return the model of a scene with visual meshes, compiled once; its bodies are those of the simulated model."""
+    return _visual_model(scene.model_dump_json())
+
+
+def overlay(world: World, words: Overlay) -> Overlay:
+    """Return `words` with the time and the forces of the world."""
+    hands = zip(world.robot.tcp_names, world.hand_forces(), ARM_RGB, strict=True)
+    left, right = world.pinch_forces()
+    return replace(
+        words,
+        time_s=world.time,
+        pinch_n=(float(left), float(right)),
+        internal_n=world.internal_force(),
+        arrows=tuple(Arrow(world.data.body(name).xpos + _ASIDE_M, np.array(f), rgb) for name, f, rgb in hands),
+    )
+
+
+class Watcher:
+    """Shows one world. Call it after every step; between two pictures it only reads the clock.
+
+    Args:
+        view: Opened on the visual model of the world's scene.
+        world: The world.
+        narrate: Called once per picture.
+    """
+
+    def __init__(self, view: View, world: World, narrate: Narrator) -> None:
+        view.open(visual_model(world.scene))
+        self._view, self._narrate = view, narrate
+        self._brake = Brake(view.speed_max) if view.speed_max > 0.0 else None
+        self._braked_s = float("-inf")
+
+    def __call__(self, world: World) -> None:
+        """Show the world if a picture is due."""
+        if self._brake is not None and abs(world.time - self._braked_s) >= _BRAKE_EVERY_S:
+            self._braked_s = world.time
+            self._brake.hold(world.time)
+        if self._view.due():
+            self._view.update(world.data, overlay(world, self._narrate()))
+
+
+@contextmanager
+def watched(view: View | None, world: World, narrate: Narrator) -> Iterator[None]:
+    """Show every step of `world` inside the block. Without a view this does nothing."""
+    if view is None:
+        yield
+        return
+    before, world.observer = world.observer, Watcher(view, world, narrate)
+    try:
+        yield
+    finally:
+        world.observer = before
+
+
+def watch_trials(view: View | None) -> Watch | None:
+    """Return what `run_trials` takes to show its trials in `view`; None without a view."""
+    if view is None:
+        return None
+
+    def watch(bench: Bench, title: str) -> StepHook:
+        return trial_hook(view, bench.world, bench.kinematics, bench.method, title)
+
+    return watch
+
+
+def trial_hook(view: View, world: World, kinematics: Kinematics, name: str, title: str) -> StepHook:
+    """Return a step hook that shows one trial of method `name`."""
+    narrator: Narrator = Overlay
+    watcher = Watcher(view, world, lambda: narrator())
+    driver: Method | None = None
+
+    def hook(world: World, method: Method) -> None:
+        nonlocal driver, narrator
+        if method is not driver:
+            driver, narrator = method, _method_narrator(method, kinematics, name, title)
+        watcher(world)
+
+    return hook
+
+
+def _method_narrator(method: Method, kinematics: Kinematics, name: str, title: str) -> Narrator:
+    stack = getattr(method, "stack", None)
+    if not isinstance(stack, ControlStack):  # it writes torques itself
+        return lambda: Overlay(title=title, mode=name, source=name, state=method.phase, status=method.aborted or "")
+    narrate = StackNarrator(stack, kinematics, title, lambda: method.phase)
+
+    def tell() -> Overlay:
+        words = narrate()
+        return replace(words, status=words.status or method.aborted or "")
+
+    return tell
+
+
+def watch_recording(view: View | None) -> Observe | None:
+    """Return what `record` takes to show its trials in `view`; None without a view."""
+    if view is None:
+        return None
+
+    def observe(rig: Rig, index: int) -> AbstractContextManager[None]:
+        narrate = StackNarrator(rig.session.stack, rig.kinematics, f"teleop-record, trial {index}")
+        return watched(view, rig.world, narrate)
+
+    return observe
+
+
+def tcp_preview(kinematics: Kinematics, qs: Array) -> Preview:
+    """Return the paths of the tool centre points along postures (T, n); an arm that does not move has none."""
+    rows = np.unique(np.linspace(0, len(qs) - 1, min(len(qs), _PATH_POINTS)).round().astype(int))
+    points = np.array([[T[:3, 3] for T in kinematics.tcp_poses(qs[row])] for row in rows])
+    sides = zip(kinematics.robot.sides, points.swapaxes(0, 1), ARM_RGB, strict=True)
+    return Preview(tuple(PathLine(*side) for side in sides if np.ptp(side[1], axis=0).max() > _STATIC_M))
+
+
+class StackNarrator:
+    """Tells what a control stack does: source, arbiter state and the trajectories that are being executed.
+
+    Args:
+        stack: What drives the arms.
+        kinematics: For the paths of the hands.
+        title: What runs.
+        phase: Returns the phase of the driving method.
+    """
+
+    def __init__(
+        self, stack: ControlStack, kinematics: Kinematics, title: str = "", phase: Callable[[], str] | None = None
+    ) -> None:
+        self._stack, self._kinematics, self._title, self._phase = stack, kinematics, title, phase
+        self._drawn: tuple[TrajectoryCommand, ...] = ()
+        self._preview = NO_PREVIEW
+
+    def __call__(self) -> Overlay:
+        """Return what the stack does now."""
+        stack = self._stack
+        state = str(stack.state)
+        phase = self._phase() if self._phase is not None else ""
+        return Overlay(
+            title=self._title,
+            mode=stack.source or "hold",
+            source=stack.output.active_source or "none, posture held",
+            state=f"{state}, {phase}" if phase and phase != state else state,
+            status="" if stack.reflex is None else stack.reflex.message,
+            preview=self._planned(),
+        )
+
+    def _planned(self) -> Preview:
+        """Return the paths of the trajectories in execution, computed once for each."""
+        found = (execution.command for execution in self._stack.arbiter.executions)
+        commands = tuple(command for command in found if isinstance(command, TrajectoryCommand))
+        if [id(command) for command in commands] != [id(command) for command in self._drawn]:
+            self._drawn = commands
+            self._preview = Preview(tuple(line for command in commands for line in self._paths(command)))
+        return self._preview
+
+    def _paths(self, command: TrajectoryCommand) -> tuple[PathLine, ...]:
+        times = np.linspace(0.0, command.motion.duration_s, _PATH_POINTS)
+        qs = np.tile(self._stack.world.q, (len(times), 1))
+        group = self._kinematics.robot.groups[command.group]
+        found = command.motion.sample_many(times)[0]
+        qs[:, group] = found if found.shape[1] == qs[:, group].shape[1] else found[:, group]
+        return tcp_preview(self._kinematics, qs).paths
