@@ -10,7 +10,6 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 from minidual.config.loader import LoadedConfig, load_config
 from minidual.gate.check import Check
@@ -18,7 +17,7 @@ from minidual.gate.gate import Gate
 from minidual.gate.runner import Runner
 from minidual.gate.stage import StageContext, StageResult
 from minidual.gate.store import RunStore
-from minidual.gate.table import StageEntry, StageOption, StageTable
+from minidual.gate.table import Option, StageEntry, StageTable
 
 KNOB = "plan.queries_n"
 Behaviour = Callable[[StageContext], Sequence[Check] | None]
@@ -30,17 +29,12 @@ class Toy:
     def __init__(self, name: str, requires: tuple[str, ...] = ()) -> None:
         self.name = name
         self.requires = requires
-        self.summary = f"Toy stage {name}"
         self.observed: float = 1.0
         self.behaviour: Behaviour | None = None
-        self.external: list[Path] = []
         self.contexts: list[StageContext] = []
 
-    def parameters(self, config: Any) -> dict[str, Any]:
-        return {"plan": {"queries_n": config.plan.queries_n}} if self.name == "first" else {}
-
-    def inputs(self, config: Any) -> list[Path]:
-        return self.external
+    def __call__(self, context: StageContext) -> StageResult:
+        return self.run(context)
 
     def run(self, context: StageContext) -> StageResult:
         self.contexts.append(context)
@@ -63,10 +57,10 @@ class Bench:
         self.first = Toy("first")
         self.second = Toy("second", ("first",))
         self.third = Toy("third", ("second",))
-        options = (StageOption("queries", KNOB, "How many."), StageOption("mood", None, "No configuration.", kind=str))
+        options = (Option("queries", "How many.", int, KNOB), Option("mood", "No configuration."))
         self.table = StageTable(
             (
-                StageEntry("first", self.first, (), "Toy one", options),
+                StageEntry("first", self.first, (), "Toy one", (KNOB,), options=options),
                 StageEntry("second", self.second, ("first",), "Toy two"),
                 StageEntry("third", self.third, ("second",), "Toy three", closing=True),
             ),

@@ -20,8 +20,7 @@ from minidual.stages.bench_control import CASES, COLUMNS, Case, measure_case, tr
 from minidual.stages.bench_rows import BENCHES, BenchInputs, BenchRow, BenchSpec, BenchTable, parse_benches
 from minidual.stages.bench_scenes import BenchScene, free_scene, held_scene
 from minidual.stages.bench_step import step_cost
-from minidual.stages.registry import STAGES
-from minidual.stages.tools import TOOLS
+from minidual.stages.registry import STAGES, TOOLS
 from minidual.tasks.rod_carry import tilt_rad
 
 

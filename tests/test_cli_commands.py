@@ -99,8 +99,8 @@ def test_closed_gate_exits_3_with_the_command_in_full(cli):
 
 
 def test_missing_library_exits_4(cli, monkeypatch):
-    broken = StageEntry("first", "no_such_library_at_all.stage:STAGE", (), "Broken")
-    monkeypatch.setitem(cli.bench.table._entries, "first", broken)
+    broken = StageEntry("first", "no_such_library_at_all.stage:run", (), "Broken")
+    monkeypatch.setitem(cli.bench.table._entries._rows, "first", broken)
     code, _, err = cli("first")
     assert code == 4
     assert "needs the library 'no_such_library_at_all'" in err

@@ -7,8 +7,8 @@ from pipeline_toys import Toy
 
 from minidual.cli import run_command_line
 from minidual.errors import DataError, ExitCode
-from minidual.gate.table import StageEntry, StageOption, StageTable
-from minidual.gate.tool import ToolContext, ToolEntry, ToolOption, ToolResult
+from minidual.gate.table import Option, StageEntry, StageTable, ToolEntry
+from minidual.gate.tool import ToolContext, ToolResult
 
 
 def measure(context: ToolContext) -> ToolResult:
@@ -26,7 +26,7 @@ def refuse(context: ToolContext) -> ToolResult:
     return ToolResult(exit_code=ExitCode.ACCEPTANCE_FAILED)
 
 
-OPTIONS = (ToolOption("fail", "Break off.", bool), ToolOption("names", "Words.", argument=True, many=True))
+OPTIONS = (Option("fail", "Break off.", bool), Option("names", "Words.", argument=True, many=True))
 TOOLS = (
     ToolEntry("measure", f"{__name__}:measure", "Measure", OPTIONS),
     ToolEntry("refuse", f"{__name__}:refuse", "Refuse"),
@@ -35,7 +35,7 @@ ASIDE = ToolEntry(
     "number-tune",
     f"{__name__}:measure",
     "Tune",
-    (ToolOption("tune", "Tune.", bool), ToolOption("how-fast", "Speed.", float)),
+    (Option("tune", "Tune.", bool), Option("how-fast", "Speed.", float)),
     triggers=("tune",),
 )
 
@@ -43,8 +43,8 @@ ASIDE = ToolEntry(
 @pytest.fixture
 def run(tmp_path, capsys):
     stage = Toy("first")
-    options = (StageOption("queries", "plan.queries_n", "How many."),)
-    table = StageTable([StageEntry(stage.name, stage, stage.requires, stage.summary, options, asides=(ASIDE,))])
+    options = (Option("queries", "How many.", int, "plan.queries_n"),)
+    table = StageTable([StageEntry(stage.name, stage, stage.requires, "Toy", options=options, asides=(ASIDE,))])
 
     def call(*words):
         code = run_command_line([*words, "--runs-dir", str(tmp_path), "--run", "r"], table, TOOLS)

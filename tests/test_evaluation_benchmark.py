@@ -16,7 +16,9 @@ from minidual.config.change import changed
 from minidual.config.evaluation import BenchmarkConfig
 from minidual.config.root import Config
 from minidual.errors import UsageError
-from minidual.stages.benchmark import STAGE, benchmark_checks, condition_checks
+from minidual.stages.benchmark import benchmark_checks, condition_checks
+from minidual.stages.config_checks import check_benchmark
+from minidual.stages.registry import STAGES
 from minidual.tasks.rod_carry import sample_trial
 from minidual.trials import perturbation
 from minidual.trials import trials as trials_module
@@ -234,15 +236,15 @@ def test_the_files_hold_every_cell(asked: list[Any], tmp_path: Path) -> None:
 
 
 def test_the_stage_refuses_unknown_conditions_before_anything_runs() -> None:
-    STAGE.validate(Config.model_validate({"benchmark": {"conditions": ["all"]}}))
+    check_benchmark(Config.model_validate({"benchmark": {"conditions": ["all"]}}))
     for names, says in ((["clean", "storm"], "no condition 'storm'"), (["push +x"], "lack 'clean'")):
         with pytest.raises(UsageError, match=says):
-            STAGE.validate(Config.model_validate({"benchmark": {"conditions": names}}))
+            check_benchmark(Config.model_validate({"benchmark": {"conditions": names}}))
     loud = {"benchmark": {"conditions": ["all"]}, "carry": {"sensing": {"pose_noise_m": 0.01}}}
     with pytest.raises(UsageError, match=r"condition 'pose noise x3' sets carry.sensing.pose_noise_m = 0.03"):
-        STAGE.validate(Config.model_validate(loud))
+        check_benchmark(Config.model_validate(loud))
     one, other = Config(), Config.model_validate({"benchmark": {"conditions": ["clean", "push +x"]}})
-    assert STAGE.parameters(one) != STAGE.parameters(other)
+    assert STAGES["benchmark"].parameters(one) != STAGES["benchmark"].parameters(other)
 
 
 def carried(method: str, condition: str, steps: int) -> np.ndarray:

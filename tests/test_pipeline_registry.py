@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import json
 import subprocess
 import sys
+import types
 
 import pytest
 
 from minidual.config.loader import load_config
+from minidual.errors import UsageError
 from minidual.gate.canonical import canonical, digest
+from minidual.gate.table import StageEntry, StageTable
 from minidual.stages.registry import STAGES
 
 ORDER = ("env-check", "plan", "carry", "teleop-record", "train-act", "deploy", "benchmark", "report")
@@ -23,27 +27,27 @@ def test_stages_stand_in_order():
 
 
 @pytest.mark.parametrize("name", ORDER)
-def test_stage_is_what_the_table_says_and_its_parameters_are_json(name):
-    stage = STAGES[name].load()
-    assert (stage.name, tuple(stage.requires)) == (name, STAGES[name].requires)
-    assert stage.summary
+def test_a_stage_loads_and_its_parameters_are_json(name):
+    entry = STAGES[name]
+    assert callable(entry.load())
+    assert entry.summary
     for profile in PROFILES:
-        parameters = canonical(stage.parameters(load_config(profile).config))
+        parameters = canonical(entry.parameters(load_config(profile).config))
         assert json.loads(json.dumps(parameters, allow_nan=False)) == parameters
 
 
 @pytest.mark.parametrize("name", ORDER)
 def test_parameters_follow_options_and_leave_workers_out(name):
-    entry, stage, loaded = STAGES[name], STAGES[name].load(), load_config("smoke")
-    before = digest(stage.parameters(loaded.config))
-    assert digest(stage.parameters(load_config("smoke", ["workers=1"]).config)) == before
+    entry, loaded = STAGES[name], load_config("smoke")
+    before = digest(entry.parameters(loaded.config))
+    assert digest(entry.parameters(load_config("smoke", ["workers=1"]).config)) == before
     for option in entry.options:
         value = ["moveit"] if option.split else "another" if option.kind is str else 7
         changed = load_config("smoke", [f"{option.path}={json.dumps(value)}"])
-        assert digest(stage.parameters(changed.config)) != before, option
+        assert digest(entry.parameters(changed.config)) != before, option
 
 
-def test_loading_every_stage_imports_nothing_heavy():
+def test_asking_every_stage_for_its_parameters_imports_nothing_heavy():
     heavy = ("torch", "mujoco", "lerobot", "matplotlib", "ompl", "toppra", "pinocchio", "h5py")
     script = (
         "import sys\n"
@@ -51,8 +55,37 @@ def test_loading_every_stage_imports_nothing_heavy():
         "from minidual.stages.registry import STAGES\n"
         "config = load_config('smoke').config\n"
         "for entry in STAGES:\n"
-        "    entry.load().parameters(config)\n"
+        "    entry.parameters(config)\n"
         f"print([name for name in {heavy!r} if name in sys.modules])\n"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert done.stdout.strip() == "[]", done.stderr
+
+
+class TestPlugIn:
+    def point(self, monkeypatch, value):
+        module = types.ModuleType("plugged_in_stage")
+        module.ENTRY = StageEntry("shout", f"{__name__}:unused", ("report",), "Shout", question="Is it loud?")
+        module.WRONG = 3
+        monkeypatch.setitem(sys.modules, "plugged_in_stage", module)
+        point = importlib.metadata.EntryPoint("shout", value, "minidual.stages")
+        monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: [point] if group == point.group else [])
+        return StageTable(list(STAGES))
+
+    def test_a_row_of_another_distribution_comes_last(self, monkeypatch):
+        table = self.point(monkeypatch, "plugged_in_stage:ENTRY")
+        table.plug_in("minidual.stages")
+        assert table.names == (*ORDER, "shout")
+        assert table.upstream("shout") == ORDER
+
+    @pytest.mark.parametrize("value", ["plugged_in_stage:WRONG", "plugged_in_stage:NONE", "no_such_module_here:X"])
+    def test_a_row_that_cannot_be_used_is_named(self, monkeypatch, value):
+        table = self.point(monkeypatch, value)
+        with pytest.raises(UsageError, match="stage 'shout' of another distribution"):
+            table.plug_in("minidual.stages")
+
+    def test_a_name_that_is_taken_is_refused(self, monkeypatch):
+        table = self.point(monkeypatch, "plugged_in_stage:ENTRY")
+        table.plug_in("minidual.stages")
+        with pytest.raises(UsageError, match="stands twice"):
+            table.plug_in("minidual.stages")

@@ -7,7 +7,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from pipeline_toys import KNOB, Bench, Toy
+from pipeline_toys import KNOB, Bench
 
 from minidual.errors import (
     ConfigError,
@@ -22,7 +22,7 @@ from minidual.gate.check import Check
 from minidual.gate.lock import run_lock
 from minidual.gate.runner import Runner, StageCrashedError
 from minidual.gate.stage import StageResult
-from minidual.gate.table import StageEntry, StageOption, StageTable
+from minidual.gate.table import Option, StageEntry, StageTable
 
 
 @pytest.fixture
@@ -328,18 +328,14 @@ def test_runs_folder_need_not_exist(tmp_path: Path):
     assert bench.runner().run("first").exit_code == ExitCode.PASS
 
 
-class _Refusing(Toy):
-    """A toy that finds its configuration impossible."""
-
-    def validate(self, config):
-        raise UsageError("no method 'x'; there are a, b")
+def refuse(config):
+    raise UsageError("no method 'x'; there are a, b")
 
 
 def test_what_is_typed_wrongly_is_said_before_the_gate_is_looked_at(bench):
-    bench.second = _Refusing("second", ("first",))
     entries = [
-        StageEntry("first", bench.first, (), "Toy one", (StageOption("queries", KNOB, "How many."),)),
-        StageEntry("second", bench.second, ("first",), "Toy two"),
+        StageEntry("first", bench.first, (), "Toy one", (KNOB,), options=(Option("queries", "How many.", int, KNOB),)),
+        StageEntry("second", bench.second, ("first",), "Toy two", check=f"{__name__}:refuse"),
     ]
     runner = Runner(StageTable(tuple(entries), libraries=("numpy",)), bench.store, bench.loaded())
     with pytest.raises(UsageError, match="no method 'x'"):

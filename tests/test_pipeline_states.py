@@ -116,18 +116,6 @@ def test_rerun_upstream_is_stale_downstream(finished):
     assert "upstream stage first ran again since" in gate.state("third").reasons
 
 
-def test_changed_external_input_is_stale(bench, tmp_path):
-    leader = tmp_path / "leader.csv"
-    leader.write_text("1")
-    bench.first.external = [leader]
-    bench.run_all()
-    assert bench.states() == ["pass"] * 3
-    leader.write_text("2")
-    assert bench.gate().state("first").reasons == (f"input {leader} changed or is gone",)
-    leader.unlink()
-    assert bench.states()[0] == "stale"
-
-
 def test_edited_verdict_is_an_error_not_a_pass(finished):
     path = finished.store.verdict_path("first")
     path.write_text(path.read_text().replace('"seed": ', '"seed": 1'))

@@ -22,7 +22,9 @@ from minidual.robot.constants import GROUPS
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import pose
 from minidual.stages import plan
-from minidual.stages.plan import STAGE, audit_checks, common_checks, group_checks
+from minidual.stages.config_checks import check_plan
+from minidual.stages.plan import audit_checks, common_checks, group_checks, run
+from minidual.stages.registry import STAGES
 from minidual.trials.planning import queries, query_set
 from minidual.trials.planning.evaluate import engine_agreement, plan_query, query_source, repeats, run_queries
 from minidual.trials.planning.evaluate_carries import CarryPlans
@@ -42,7 +44,7 @@ CONFIG = Config(
 @pytest.fixture(scope="module")
 def stage_run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("plan")
-    return folder, STAGE.run(StageContext(folder=folder, config=CONFIG, seed=3, profile="smoke"))
+    return folder, run(StageContext(folder=folder, config=CONFIG, seed=3, profile="smoke"))
 
 
 def failing(checks):
@@ -79,9 +81,11 @@ def test_stage_passes_and_writes_what_it_says(stage_run):
 
 
 def test_parameters_hold_the_planner_but_not_the_workers():
-    a, b = (STAGE.parameters(Config(plan=PlanConfig(planner=PlannerConfig(padding_m=p)))) for p in (0.005, 0.01))
+    a, b = (
+        STAGES["plan"].parameters(Config(plan=PlanConfig(planner=PlannerConfig(padding_m=p)))) for p in (0.005, 0.01)
+    )
     assert a != b
-    assert STAGE.parameters(Config(workers=1)) == STAGE.parameters(Config(workers=2))
+    assert STAGES["plan"].parameters(Config(workers=1)) == STAGES["plan"].parameters(Config(workers=2))
 
 
 @pytest.fixture(scope="module")
@@ -134,10 +138,10 @@ def test_audit_checks_can_fail(outcomes):
 
 def test_a_second_set_that_is_the_first_is_refused():
     with pytest.raises(ConfigError, match=r"seed and plan\.second_seed are both 20261") as caught:
-        STAGE.validate(Config(seed=20261, plan=PlanConfig(second_queries_n=1)))
+        check_plan(Config(seed=20261, plan=PlanConfig(second_queries_n=1)))
     assert "plan.second_seed=20262" in caught.value.remedy
-    STAGE.validate(Config(seed=20261, plan=PlanConfig(second_queries_n=0)))
-    STAGE.validate(Config(seed=20260, plan=PlanConfig(second_queries_n=1)))
+    check_plan(Config(seed=20261, plan=PlanConfig(second_queries_n=0)))
+    check_plan(Config(seed=20260, plan=PlanConfig(second_queries_n=1)))
 
 
 def test_notes_tell_of_both_seeds(outcomes):

@@ -21,8 +21,7 @@ from minidual.plant.recording import read_recording, write_recording
 from minidual.plant.replay import replay
 from minidual.plant.world import SimulationDivergedError, World
 from minidual.robot.constants import DOF, HOME
-from minidual.stages.registry import STAGES
-from minidual.stages.tools import TOOLS
+from minidual.stages.registry import STAGES, TOOLS
 
 STEPS = 700
 

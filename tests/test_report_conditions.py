@@ -22,7 +22,7 @@ from minidual.show.report.disturbance import sentences
 from minidual.show.report.model import ReportInput, report_checks
 from minidual.show.report.robustness import ConditionTable, tabulate
 from minidual.show.report.trials import CLEAN
-from minidual.stages.report import STAGE
+from minidual.stages.registry import STAGES
 from minidual.trials import conditions
 
 
@@ -248,4 +248,4 @@ def test_the_figure_has_a_line_for_every_cell_that_ran_and_says_which_did_not(da
 
 def test_the_result_depends_on_the_conditions() -> None:
     other = Config.model_validate({"benchmark": {"conditions": ["clean", "push +x"]}})
-    assert STAGE.parameters(Config()) != STAGE.parameters(other)
+    assert STAGES["report"].parameters(Config()) != STAGES["report"].parameters(other)

@@ -10,10 +10,10 @@ from minidual.config.root import Config
 from minidual.gate.stage import StageContext, StageResult
 from minidual.show.report.model import ReportInput
 from minidual.stages.registry import STAGES
-from minidual.stages.report import STAGE
+from minidual.stages.report import run
 
 
-def run(given: ReportInput, folder: Path, **other: object) -> StageResult:
+def run_report(given: ReportInput, folder: Path, **other: object) -> StageResult:
     folder.mkdir()
     config = Config()
     context = StageContext(
@@ -25,16 +25,16 @@ def run(given: ReportInput, folder: Path, **other: object) -> StageResult:
         verdicts=given.verdicts,
         **other,
     )
-    return STAGE.run(context)
+    return run(context)
 
 
 def test_the_registry_and_the_stage_agree() -> None:
-    assert STAGES["report"].load() is STAGE
+    assert STAGES["report"].load() is run
     assert STAGES.upstream("report") == tuple(name for name, _ in samples.STAGES)
 
 
 def test_the_stage_writes_the_page_and_derives_its_checks(tmp_path: Path) -> None:
-    result = run(samples.make_run(tmp_path), tmp_path / "out")
+    result = run_report(samples.make_run(tmp_path), tmp_path / "out")
     assert {check.name: check.passed for check in result.checks} == {
         "tables_complete": True,
         "missing_cells": True,
@@ -46,7 +46,7 @@ def test_the_stage_writes_the_page_and_derives_its_checks(tmp_path: Path) -> Non
 
 
 def test_a_waiver_reaches_the_page(tmp_path: Path) -> None:
-    result = run(samples.make_run(tmp_path), tmp_path / "out", waivers=(samples.WAIVER,))
+    result = run_report(samples.make_run(tmp_path), tmp_path / "out", waivers=(samples.WAIVER,))
     assert result.data["state"] == "tainted"
     assert samples.WAIVER.reason in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
@@ -54,5 +54,5 @@ def test_a_waiver_reaches_the_page(tmp_path: Path) -> None:
 def test_the_result_depends_on_title_and_methods() -> None:
     one, other = Config(), Config.model_validate({"report": {"title": "Another"}})
     fewer = Config.model_validate({"benchmark": {"methods": ["act"]}})
-    assert STAGE.parameters(one) != STAGE.parameters(other)
-    assert STAGE.parameters(one) != STAGE.parameters(fewer)
+    assert STAGES["report"].parameters(one) != STAGES["report"].parameters(other)
+    assert STAGES["report"].parameters(one) != STAGES["report"].parameters(fewer)

@@ -13,7 +13,8 @@ from minidual.config.root import Config
 from minidual.errors import UsageError
 from minidual.gate.canonical import digest
 from minidual.gate.progress import SilentProgress
-from minidual.stages.carry import STAGE, CarryStage
+from minidual.stages.carry import _record
+from minidual.stages.registry import STAGES
 from minidual.tasks.rod_carry import sample_trial
 from minidual.trials.methods import MethodInputs
 from minidual.trials.trial_records import TrialRecords
@@ -23,15 +24,15 @@ from minidual.trials.trials import run_trials
 @pytest.mark.parametrize("setting", ["carry.object=glas", "carry.motion=overr"])
 def test_an_unknown_object_or_motion_is_refused_before_anything_runs(setting: str) -> None:
     with pytest.raises(UsageError, match="there are"):
-        STAGE.validate(load_config("smoke", [setting]).config)
+        STAGES["carry"].checked(load_config("smoke", [setting]).config)
 
 
 def test_the_parameters_are_those_that_the_object_stands_for() -> None:
-    glass = STAGE.parameters(load_config("standard", ["carry.object=glass"]).config)
+    glass = STAGES["carry"].parameters(load_config("standard", ["carry.object=glass"]).config)
     assert glass["scene"].task.internal_force_min_n == 10.0
     assert glass["carry"].impedance.internal_force_n == 13.0
     digests = {
-        digest(STAGE.parameters(load_config("standard", [f"carry.{what}"]).config))
+        digest(STAGES["carry"].parameters(load_config("standard", [f"carry.{what}"]).config))
         for what in ("object=rod", "object=glass", "motion=rotate", "sensing.delay_s=0.02")
     }
     assert len(digests) == 4
@@ -80,8 +81,8 @@ def test_a_trial_that_is_both_median_and_worst_is_recorded_as_both(
     monkeypatch.setattr("minidual.trials.trial_records.TrialRecords", Records)
     context: Any = SimpleNamespace(folder=tmp_path, progress=SilentProgress())
     trials: list[Any] = [0, 1, 2]
-    CarryStage()._record(context, None, trials, results, {"median": 0, "worst": 0})  # type: ignore[arg-type]
+    _record(context, None, trials, results, {"median": 0, "worst": 0})  # type: ignore[arg-type]
     assert written == [(1, "trial001.npz"), (2, "trial002.npz"), (0, "median.npz"), (0, "worst.npz")]
     written.clear()
-    CarryStage()._record(context, None, trials, results, {"median": 1, "worst": 2})  # type: ignore[arg-type]
+    _record(context, None, trials, results, {"median": 1, "worst": 2})  # type: ignore[arg-type]
     assert written == [(1, "median.npz"), (2, "worst.npz")]

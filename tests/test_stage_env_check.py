@@ -33,7 +33,7 @@ from minidual.stages import env_check_environment as measure
 from minidual.stages import env_check_installation as installation
 from minidual.stages import env_check_joint_tracking as motion
 from minidual.stages.bench_step import StepCost, control_step_cost
-from minidual.stages.env_check import STAGE
+from minidual.stages.env_check import run
 from minidual.stages.env_check_bill import markdown
 from minidual.stages.env_check_command_latency import (
     CommandLatency,
@@ -55,7 +55,7 @@ QUICK = EnvCheckConfig(
 def run_stage(folder, **changes):
     config = Config(env_check=QUICK.model_copy(update=changes))
     context = StageContext(folder=folder, config=config, seed=config.seed, profile="standard")
-    return STAGE.run(context)
+    return run(context)
 
 
 def failed(result):
@@ -540,4 +540,4 @@ class TestBill:
 
 def test_the_scene_is_part_of_what_makes_the_verdict_stale():
     one, other = Config(), Config(scene=SceneConfig(physics=PhysicsConfig(impratio=50.0)))
-    assert STAGE.parameters(one) != STAGE.parameters(other)
+    assert STAGES["env-check"].parameters(one) != STAGES["env-check"].parameters(other)

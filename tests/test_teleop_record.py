@@ -30,7 +30,7 @@ from minidual.gate.stage import StageContext
 from minidual.plant.world import World
 from minidual.robot.constants import Q_LOWER, Q_UPPER
 from minidual.stages.registry import STAGES
-from minidual.stages.teleop_record import STAGE, RecordingNumbers, count_recording, record_checks, write_quality
+from minidual.stages.teleop_record import RecordingNumbers, count_recording, record_checks, run, write_quality
 
 CONFIG = Config()
 GOOD = RecordingNumbers(
@@ -195,7 +195,7 @@ def test_attempts_are_bounded_and_their_commonest_reason_reported(
     monkeypatch.setattr(teleop_recording, "record_attempts", _fake([False] * 50, calls))
     config = CONFIG.model_copy(update={"teleop": CONFIG.teleop.model_copy(update={"episodes_n": 4})})
     with pytest.raises(NothingEvaluatedError, match=r"none of 6 attempts.*6 x held at 3\.00 s: left hand"):
-        STAGE.run(StageContext(tmp_path, config, config.seed, "standard"))
+        run(StageContext(tmp_path, config, config.seed, "standard"))
     assert sum(map(len, calls)) == 6
     assert (tmp_path / "quality.csv").read_text().count("left hand") == 6
 
@@ -207,8 +207,7 @@ def test_an_unknown_leader_is_refused_before_anything_is_built(tmp_path: Path) -
 
 
 def test_the_stage_stands_in_the_table_and_names_what_it_depends_on() -> None:
-    assert STAGES["teleop-record"].requires == STAGE.requires
-    assert {"teleop", "scene", "arbiter", "supervisor"} == set(STAGE.parameters(CONFIG))
+    assert {"teleop", "scene", "arbiter", "supervisor"} == set(STAGES["teleop-record"].parameters(CONFIG))
 
 
 _SCRIPT = """

@@ -13,8 +13,7 @@ from minidual.errors import ExitCode
 from minidual.gate.runner import Runner
 from minidual.gate.store import RunStore
 from minidual.gate.table import StageEntry, StageTable
-from minidual.stages.registry import STAGES
-from minidual.stages.tools import TOOLS
+from minidual.stages.registry import STAGES, TOOLS
 
 MOVES_ARMS = {"env-check", "plan", "carry", "teleop-record", "deploy", "benchmark"}
 

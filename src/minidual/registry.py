@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.metadata
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, cast
 
 from minidual.errors import UsageError, unknown_name
@@ -82,9 +82,35 @@ class Registry[T](Mapping[str, T]):
                 self._rows[entry.name] = entry
         return self._rows
 
+    def names(self, text: str | Sequence[str]) -> tuple[str, ...]:
+        """Return the rows named in "a,b", or in a sequence of names.
+
+        Raises:
+            UsageError: A name is unknown or repeated, or there is none.
+        """
+        names = [n.strip() for n in (text.split(",") if isinstance(text, str) else text) if n.strip()]
+        if not names:
+            raise UsageError(f"no {self.kind} named", remedy=f"name some of {', '.join(self)}")
+        for name in names:
+            if name not in self:
+                raise unknown_name(self.kind, name, self)
+            if names.count(name) > 1:
+                raise UsageError(f"{self.kind} '{name}' is named twice in {', '.join(names)}")
+        return tuple(names)
+
     def _load(self, name: str, target: str) -> T:
-        module, _, attribute = target.partition(":")
         try:
-            return cast(T, getattr(importlib.import_module(module), attribute))
+            return cast(T, load_target(target))
         except (ImportError, AttributeError) as error:
             raise UsageError(f"{self.kind} '{name}' cannot be loaded from {target}: {error}") from error
+
+
+def load_target(target: str) -> Any:
+    """Import the attribute that "module:attribute" names.
+
+    Raises:
+        ImportError: There is no such module.
+        AttributeError: The module has no such attribute.
+    """
+    module, _, attribute = target.partition(":")
+    return getattr(importlib.import_module(module), attribute)

@@ -17,9 +17,8 @@ import minidual
 from minidual.cli.commands import Body, config_body, explain_body, run_body, stage_body, status_body, tool_body
 from minidual.cli.session import Session, Typed
 from minidual.cli.viewing import VIEW_OPTIONS
-from minidual.errors import ExitCode, unknown_name
-from minidual.gate.table import StageEntry, StageOption, StageTable
-from minidual.gate.tool import ToolEntry, ToolOption, key
+from minidual.errors import ExitCode, UsageError, unknown_name
+from minidual.gate.table import Option, StageEntry, StageTable, ToolEntry
 
 _COMMON: dict[str, tuple[Any, Any]] = {
     "profile": (
@@ -77,11 +76,7 @@ def _add(
     app.command(name, help=summary)(command)
 
 
-def _stage_option(option: StageOption) -> tuple[Any, Any]:
-    return Annotated[option.kind | None, typer.Option(f"--{option.name}", help=option.help)], None
-
-
-def _tool_option(option: ToolOption) -> tuple[Any, Any]:
+def _typed(option: Option) -> tuple[Any, Any]:
     if option.argument:
         kind: Any = list[option.kind] if option.many else option.kind
         argument = typer.Argument(metavar=option.name.upper(), help=option.help)
@@ -97,8 +92,8 @@ def _tool_option(option: ToolOption) -> tuple[Any, Any]:
 
 def _stage_options(entry: StageEntry) -> dict[str, tuple[Any, Any]]:
     """Return the options of a stage and of its asides; one that both have is the stage's."""
-    asides = {key(option.name): _tool_option(option) for aside in entry.asides for option in aside.options}
-    return {**asides, **{key(option.name): _stage_option(option) for option in entry.options}}
+    asides = [option for aside in entry.asides for option in aside.options]
+    return {option.key: _typed(option) for option in (*asides, *entry.options)}
 
 
 def _show_version(wanted: bool) -> None:
@@ -133,7 +128,7 @@ def build_app(table: StageTable, tools: Sequence[ToolEntry] = ()) -> typer.Typer
         own = {**_stage_options(entry), **(VIEW_OPTIONS if watchable else {}), **_RUNNING}
         _add(app, table, entry.name, f"{entry.summary}.", own, stage_body(entry))
     for tool in tools:
-        options = {key(option.name): _tool_option(option) for option in tool.options}
+        options = {option.key: _typed(option) for option in tool.options}
         options |= VIEW_OPTIONS if tool.watchable else {}
         _add(app, table, tool.name, f"{tool.summary}.", options, tool_body(tool))
     until = (Annotated[str | None, typer.Option(metavar="STAGE", help="Last stage to run.")], None)
@@ -190,10 +185,14 @@ def _on_termination(number: int, frame: FrameType | None) -> None:
 
 def main() -> None:
     """Entry point of the `minidual` command."""
-    from minidual.stages.registry import STAGES
-    from minidual.stages.tools import TOOLS
+    from minidual.stages.registry import STAGES, TOOLS
 
     signal.signal(signal.SIGTERM, _on_termination)
     # Some libraries' docstrings hold invalid escapes, and Python says so whenever it compiles them.
     warnings.simplefilter("ignore", SyntaxWarning)
+    try:
+        STAGES.plug_in("minidual.stages")
+    except UsageError as error:
+        print(f"minidual: {error}", file=sys.stderr)
+        sys.exit(int(error.exit_code))
     sys.exit(run_command_line(sys.argv[1:], STAGES, TOOLS))

@@ -12,8 +12,7 @@ from minidual.errors import ExitCode, UsageError
 if TYPE_CHECKING:
     from minidual.gate.gate import StageState
     from minidual.gate.runner import Outcome
-    from minidual.gate.table import StageEntry
-    from minidual.gate.tool import ToolEntry
+    from minidual.gate.table import StageEntry, ToolEntry
 
 Body = Callable[[Session, Mapping[str, Any]], ExitCode]
 """A command's work: the session and the values of its own options in, an exit code out."""
@@ -24,13 +23,12 @@ def stage_body(entry: StageEntry) -> Body:
 
     def body(session: Session, values: Mapping[str, Any]) -> ExitCode:
         from minidual.cli.tables import print_outcome
-        from minidual.gate.tool import key
 
         for aside in entry.asides:
             if aside.is_asked_for(values):
                 return run_tool(aside, session, values, entry)
         _refuse_loose_options(entry, values)
-        options = {o.name: values[key(o.name)] for o in entry.options if values[key(o.name)] is not None}
+        options = {o.name: values[o.key] for o in entry.options if values[o.key] is not None}
         with live_view(session, values) as view:
             outcome = session.runner(view).run(entry.name, options, force=values["force"], waiver=values["waive_gate"])
         if view is not None and not outcome.ran:
@@ -56,10 +54,10 @@ def run_tool(tool: ToolEntry, session: Session, values: Mapping[str, Any], stage
     from minidual.cli.progress import progress_for
     from minidual.config.loader import Override
     from minidual.gate.disk import disk_errors
-    from minidual.gate.tool import ToolContext, key
+    from minidual.gate.tool import ToolContext
 
-    names = [option.name for option in (*tool.options, *(stage.options if stage else ()))]
-    typed = {name: values[key(name)] for name in names if _was_typed(values[key(name)])}
+    known = (*tool.options, *(stage.options if stage else ()))
+    typed = {option.name: values[option.key] for option in known if _was_typed(values[option.key])}
     overrides = [Override(*item) for item in stage.overrides(typed)] if stage else []
     config = session.loaded.with_overrides(overrides).config
     if values.get("view") not in (None, "none") and not tool.watchable:
@@ -98,12 +96,10 @@ def _was_typed(value: Any) -> bool:
 
 def _refuse_loose_options(entry: StageEntry, values: Mapping[str, Any]) -> None:
     """Refuse an option that goes with an aside which nothing asked for: the stage would ignore it."""
-    from minidual.gate.tool import key
-
     own = {option.name for option in entry.options}
     for aside in entry.asides:
         for option in aside.options:
-            if option.name not in own and _was_typed(values[key(option.name)]):
+            if option.name not in own and _was_typed(values[option.key]):
                 owners = [a for a in entry.asides if option.name in {o.name for o in a.options}]
                 triggers = " or ".join(f"--{name}" for a in owners for name in a.triggers)
                 raise UsageError(f"--{option.name} goes with {triggers} of {entry.name}")
@@ -196,7 +192,7 @@ def _state_json(state: StageState) -> dict[str, Any]:
 
 def explain_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
     """Explain one stage, or without one walk the debug ladder."""
-    from minidual.cli.ladder import explain_ladder, print_lowest, walk_of
+    from minidual.cli.ladder import explain_ladder, ladder_json, print_lowest
     from minidual.cli.tables import print_explanation
 
     if values["stage"] is None:
@@ -213,7 +209,7 @@ def explain_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
                 "requires": {item.name: item.state for item in upstream},
                 "folder": state.folder,
                 "verdict": state.verdict.to_json() if state.verdict else None,
-                "ladder": walk_of(session, gate).to_json(),
+                "ladder": ladder_json(session, gate),
             }
         )
         return ExitCode.PASS
@@ -226,7 +222,7 @@ def explain_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
         following = f"next: {session.typed.command(entry.name)}"
     print_explanation(session.data, entry, state, upstream, following)
     if state.state != "pass":
-        print_lowest(session.data, walk_of(session, gate))
+        print_lowest(session, gate)
     return ExitCode.PASS
 
 

@@ -1,73 +1,98 @@
-"""What `minidual explain` says without a stage, and adds about a stage that does not pass: the debug ladder."""
+"""The debug ladder: the stages from the bottom up, and the lowest one that does not hold.
+
+Faults travel upwards: a policy that misses its object may be a camera, a plan or a joint. So `minidual explain` without
+a stage points at the lowest stage that does not pass, and `minidual explain STAGE` repeats it.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 from rich.text import Text
 
-from minidual.errors import ExitCode, UsageError
+from minidual.cli.tables import state_text
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from minidual.cli.session import Session
-    from minidual.gate.gate import Gate
-    from minidual.stages.ladder import LevelFound, Walk
-
-_STYLES = {"holds": "bold green", "fails": "bold red", "unproven": "yellow"}
+    from minidual.errors import ExitCode
+    from minidual.gate.gate import Gate, StageState
 
 
-def walk_of(session: Session, gate: Gate) -> Walk:
-    """Return the ladder of the session's run."""
-    from minidual.stages.ladder import walk
+def lowest(session: Session, gate: Gate) -> StageState | None:
+    """Return the first stage of the table that does not pass, or None."""
+    return next((state for name in session.table.names if (state := gate.state(name)).state != "pass"), None)
 
-    return walk(gate, session.typed.command)
+
+def reasons(state: StageState) -> list[str]:
+    """Return what stands against a stage, one line each: failed checks with why and remedy, or why it is not fresh."""
+    if state.state != "fail" or state.verdict is None:
+        return [f"{state.name} is {state.state}", *(f"  {reason}" for reason in state.reasons)]
+    lines: list[str] = []
+    for check in state.verdict.failed_checks():
+        lines.append(f"{state.name}: {check.sentence()}")
+        lines += [f"  {label}: {text}" for label, text in (("why", check.why), ("remedy", check.remedy)) if text]
+    return lines
+
+
+def ladder_json(session: Session, gate: Gate) -> dict[str, Any]:
+    """Return the ladder as JSON types."""
+    found = lowest(session, gate)
+    levels = [
+        {
+            "stage": entry.name,
+            "question": entry.question,
+            "state": gate.state(entry.name).state,
+            **_counts(gate, entry.name),
+        }
+        for entry in session.table
+    ]
+    return {
+        "levels": levels,
+        "lowest": None if found is None else found.name,
+        "because": [] if found is None else reasons(found),
+        "next": None if found is None else session.typed.command(found.name),
+    }
 
 
 def explain_ladder(session: Session) -> ExitCode:
-    """Show all levels and the lowest that does not hold."""
-    found = walk_of(session, session.gate())
-    if not found.levels:
-        raise UsageError(f"name a stage; there are {', '.join(session.table.names)}")
+    """Show all stages and the lowest that does not hold."""
+    from minidual.errors import ExitCode
+
+    gate = session.gate()
     if session.typed.json:
-        session.print_json({"run": session.store.run, "profile": session.loaded.profile, **found.to_json()})
+        session.print_json({"run": session.store.run, "profile": session.loaded.profile, **ladder_json(session, gate)})
         return ExitCode.PASS
     table = Table(title=f"debug ladder of run {session.store.run}, from the bottom up", title_justify="left")
-    for header in ("level", "is", "proved by", "question"):
-        table.add_column(header, overflow="fold", no_wrap=header == "is")
-    for level in found.levels:
-        name = f"{level.level.number} {level.level.name}"
-        table.add_row(name, Text(level.standing, style=_STYLES[level.standing]), _proofs(level), level.level.question)
+    for header in ("stage", "is", "checks", "question"):
+        table.add_column(header, overflow="fold", no_wrap=header == "stage")
+    for entry in session.table:
+        counts = _counts(gate, entry.name)
+        checks = f"{counts['passed']}/{counts['limited']}" if counts["limited"] else ""
+        wiring = " (wiring only)" if counts["limited"] and not counts["acceptance"] else ""
+        table.add_row(entry.name, state_text(gate.state(entry.name).state), checks + wiring, entry.question)
     session.data.print(table)
-    print_lowest(session.data, found)
+    print_lowest(session, gate)
     return ExitCode.PASS
 
 
-def print_lowest(console: Console, found: Walk) -> None:
-    """Print which level to look at, why, and what to type."""
-    lowest = found.lowest
-    if lowest is None:
-        if found.levels:
-            _say(console, "every level holds", "green")
+def print_lowest(session: Session, gate: Gate) -> None:
+    """Print which stage to look at, why, and what to type."""
+    found = lowest(session, gate)
+    if found is None:
+        session.data.print(Text("every stage holds", style="green"))
         return
-    words = {"fails": "does not hold", "unproven": "is not proved"}[lowest.standing]
-    _say(console, f"look at level {lowest.level.number}, {lowest.level.name}: the lowest that {words}", "bold")
-    for line in found.lines:
-        _say(console, f"  {line}")
-    _say(console, f"next: {found.next_command}")
+    lines = [Text(f"look at {found.name} first: the lowest stage that does not pass", style="bold")]
+    lines += [Text(f"  {line}") for line in reasons(found)]
+    for line in (*lines, Text(f"next: {session.typed.command(found.name)}")):
+        session.data.print(line, soft_wrap=True)
 
 
-def _proofs(found: LevelFound) -> str:
-    parts: list[str] = []
-    for proof in found.proofs:
-        words = [f"{proof.passed}/{proof.limited}" if proof.limited else ""]
-        words += ["" if proof.state in ("pass", "fail") else proof.state]
-        words += ["" if proof.acceptance or not proof.limited else "(wiring only)"]
-        parts.append(" ".join([proof.stage, *(word for word in words if word)]))
-    return "\n".join(parts)
-
-
-def _say(console: Console, text: str, style: str = "") -> None:
-    console.print(Text(text, style=style), soft_wrap=True)
+def _counts(gate: Gate, name: str) -> dict[str, Any]:
+    verdict = gate.state(name).verdict
+    checks = [] if verdict is None else [check for check in verdict.checks if check.limited]
+    return {
+        "passed": sum(check.passed is True for check in checks),
+        "limited": len(checks),
+        "acceptance": verdict is not None and verdict.acceptance,
+    }

@@ -13,10 +13,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from minidual.errors import DataError, GateClosedError
-from minidual.gate.canonical import canonical, file_sha256
+from minidual.gate.canonical import canonical
 from minidual.gate.fingerprint import Fingerprint, circumstances_now
 from minidual.gate.manifest import CONFIG_FILE, manifest_changes
-from minidual.gate.stage import HasInputs
 from minidual.gate.store import RunStore
 from minidual.gate.table import CommandText, StageTable
 from minidual.gate.verdict import Verdict
@@ -118,7 +117,6 @@ class Gate:
     def fingerprint(self, name: str, verdict: Verdict | None = None) -> Fingerprint:
         """Return the fingerprint that a verdict of `name` made now would have."""
         entry = self.table[name]
-        stage = entry.load()
         options, loaded = self.effective(name, verdict)
         inputs: dict[str, str] = {}
         for required in entry.requires:
@@ -129,12 +127,8 @@ class Gate:
                     # and worse, that something changed.
                     if path != CONFIG_FILE:
                         inputs[f"{required}/{path}"] = artefact.sha256
-        if isinstance(stage, HasInputs):
-            for path in stage.inputs(loaded.config):
-                if path.is_file():
-                    inputs[str(path.absolute())] = file_sha256(path)
         return Fingerprint(
-            parameters=canonical(stage.parameters(loaded.config), f"{name}.parameters"),
+            parameters=canonical(entry.parameters(loaded.config), f"{name}.parameters"),
             options=canonical(entry.extras(options), f"{name}.options"),
             inputs=inputs,
             upstream={up: self.state(up).verdict_sha256 for up in self.table.upstream(name)},

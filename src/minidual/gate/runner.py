@@ -15,7 +15,7 @@ from minidual.gate.disk import disk_errors
 from minidual.gate.gate import Gate, StageState
 from minidual.gate.manifest import build_manifest
 from minidual.gate.progress import Progress, SilentProgress
-from minidual.gate.stage import StageContext, Validates
+from minidual.gate.stage import StageContext
 from minidual.gate.store import RunStore
 from minidual.gate.table import StageEntry, StageTable
 from minidual.gate.verdict import Verdict, Waiver
@@ -116,10 +116,8 @@ class Runner:
 
     def _validate(self, gate: Gate, name: str) -> None:
         """Raise what is wrong with the options and the configuration of a stage before anything else is said."""
-        stage = self.table[name].load()
         _, loaded = gate.effective(name, None)
-        if isinstance(stage, Validates):
-            stage.validate(loaded.config)
+        self.table[name].checked(loaded.config)
 
     def _run_locked(self, gate: Gate, name: str, force: bool, waiver: str | None) -> Outcome:
         state = gate.state(name)
@@ -146,18 +144,19 @@ class Runner:
 
     def _execute(self, gate: Gate, name: str, waivers: tuple[Waiver, ...]) -> None:
         entry = self.table[name]
-        stage = entry.load()
+        run = entry.load()
         options, loaded = gate.effective(name, None)
         fingerprint = gate.fingerprint(name)
         upstream = {up: gate.state(up) for up in self.table.upstream(name)}
         folder = self.store.begin(name, loaded.to_yaml())
         context = StageContext(
             folder=folder,
-            config=loaded.config,
+            config=entry.resolved(loaded.config),
             seed=loaded.config.seed,
             profile=loaded.profile,
             upstream={up: state.folder for up, state in upstream.items() if state.folder and state.verdict},
             verdicts={up: state.verdict for up, state in upstream.items() if state.verdict},
+            summaries={up: self.table[up].summary for up in upstream},
             waivers=waivers,
             progress=self.progress,
             options=options,
@@ -167,7 +166,7 @@ class Runner:
         started_at, started = now_text(), time.monotonic()
         try:
             with disk_errors(self.store.folder):
-                result = stage.run(context)
+                result = run(context)
                 verdict = Verdict(
                     stage=name,
                     run=self.store.run,

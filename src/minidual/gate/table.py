@@ -1,32 +1,55 @@
-"""The table of stages: names in order, what each requires, and where its code is. Code loads on demand."""
+"""The rows of the command line: options, stages and tools. Code loads on demand."""
 
 from __future__ import annotations
 
-import importlib
+import contextlib
+import importlib.metadata
+import keyword
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
-from minidual.errors import EnvironmentMissingError, unknown_name
-from minidual.gate.stage import Stage
-from minidual.gate.tool import ToolEntry
+from minidual.errors import EnvironmentMissingError, MinidualError, UsageError
+from minidual.gate.stage import StageFunction
+from minidual.gate.tool import ToolFunction
+from minidual.registry import Registry, load_target
+
+if TYPE_CHECKING:
+    from minidual.config.root import Config
+
+CommandText = Callable[[str], str]
+"""Turns "plan" into the full command to type, with the profile and run flags in use."""
 
 
 @dataclass(frozen=True)
-class StageOption:
-    """A command-line option of one stage that stands for a configuration value.
+class Option:
+    """An option of a command, or with `argument` a word that stands by itself (`minidual replay FILE`).
 
-    name: as typed, without dashes ("episodes").
-    path: dotted configuration path that it overrides ("teleop.episodes_n"); None for an extra that is no
-        configuration and enters the fingerprint as it is.
-    kind: `int`, `float` or `str`; `split` turns "a,b" into a list.
+    Attributes:
+        name: As typed, without dashes.
+        help: One line.
+        kind: `int`, `float`, `str` or `bool` (a flag).
+        path: Dotted configuration path that it overrides; None for one that is no configuration.
+        split: Turns "a,b" into a list.
+        argument: Typed without a name.
+        many: An argument that may be repeated; its value is a tuple.
+        required: An argument that cannot be left out.
     """
 
     name: str
-    path: str | None
     help: str
-    kind: type[int] | type[float] | type[str] = int
+    kind: type[int] | type[float] | type[str] | type[bool] = str
+    path: str | None = None
     split: bool = False
+    argument: bool = False
+    many: bool = False
+    required: bool = False
+
+    @property
+    def key(self) -> str:
+        """Its name in Python (`from` is a keyword, so it becomes `from_`)."""
+        name = self.name.replace("-", "_")
+        return f"{name}_" if keyword.iskeyword(name) else name
 
     def value(self, typed: Any) -> Any:
         """Return the configuration value for what was typed."""
@@ -34,44 +57,107 @@ class StageOption:
 
 
 @dataclass(frozen=True)
-class StageEntry:
-    """One row of the table.
+class ToolEntry:
+    """A command that writes no verdict, or with `triggers` an aside of a stage's command.
 
-    target: "module:ATTRIBUTE" that holds the stage, or the stage itself.
-    closing: the stage that ends the pipeline; a waiver anywhere above it is a failed check in it.
-    asides: what the command does instead of running the stage when one of their options is typed.
-    watchable: it moves the arms and shows them to `context.view`: the command takes --view.
+    Attributes:
+        name: The command, or for an aside the name of its folder ("carry-tune").
+        target: "module:function", see `minidual.gate.tool`.
+        summary: One line.
+        options: What may be typed.
+        triggers: Options any of which asks for the aside; its other options only go with those.
+        watchable: It shows moving arms, so the command takes --view.
+        view_default: The view without --view.
     """
 
     name: str
-    target: str | Stage
+    target: str | ToolFunction
+    summary: str
+    options: tuple[Option, ...] = ()
+    triggers: tuple[str, ...] = ()
+    watchable: bool = False
+    view_default: str = "none"
+
+    def load(self) -> ToolFunction:
+        """Return the function."""
+        return cast(ToolFunction, _loaded(self.name, self.target))
+
+    def is_asked_for(self, values: Mapping[str, Any]) -> bool:
+        """Return whether one of its triggers was typed."""
+        keys = [option.key for option in self.options if option.name in self.triggers]
+        return any(values.get(key) not in (None, False) for key in keys)
+
+
+@dataclass(frozen=True)
+class StageEntry:
+    """One stage: its name, requirements and summary stand here and nowhere else.
+
+    Attributes:
+        name: The command.
+        target: "module:function", see `minidual.gate.stage`.
+        requires: Stages whose passing, fresh verdicts open its gate.
+        summary: One line.
+        reads: Dotted configuration paths that the result depends on. A change there makes the verdict stale, so
+            `workers` and cosmetic switches are left out. Seed and profile always count.
+        resolve: "module:function" from Config to Config: fills in what names in the configuration stand for. It is
+            called for `status` too, so its module must import quickly.
+        check: "module:function" that takes the Config and raises UsageError for a name or value that the models cannot
+            know to be wrong. It is called for every stage of a run before the first one begins.
+        question: What the stage answers on the debug ladder.
+        options: What may be typed.
+        asides: What the command does instead of running the stage when one of their triggers is typed.
+        watchable: It shows moving arms, so the command takes --view.
+        closing: It ends the pipeline; a waiver anywhere above it is a failed check in it.
+    """
+
+    name: str
+    target: str | StageFunction
     requires: tuple[str, ...]
     summary: str
-    options: tuple[StageOption, ...] = ()
-    closing: bool = False
+    reads: tuple[str, ...] = ()
+    resolve: str | None = None
+    check: str | None = None
+    question: str = ""
+    options: tuple[Option, ...] = ()
     asides: tuple[ToolEntry, ...] = ()
     watchable: bool = False
+    closing: bool = False
 
-    def load(self) -> Stage:
-        """Return the stage; EnvironmentMissingError names a library that it needs and that is not there."""
-        if not isinstance(self.target, str):
-            return self.target
-        module_name, _, attribute = self.target.partition(":")
-        try:
-            stage = cast(Stage, getattr(importlib.import_module(module_name), attribute))
-        except ModuleNotFoundError as error:
-            if (error.name or "").startswith("minidual"):
-                raise
-            raise EnvironmentMissingError(
-                f"stage {self.name} needs the library '{error.name}', which is not installed",
-                remedy="install minidual with its dependencies again (`make setup` in a checkout)",
-            ) from error
-        if (stage.name, tuple(stage.requires)) != (self.name, self.requires):
-            raise ValueError(
-                f"{self.target} is stage {stage.name} requiring {stage.requires}; the table says "
-                f"{self.name} requiring {self.requires}"
-            )
-        return stage
+    def load(self) -> StageFunction:
+        """Return the function; EnvironmentMissingError names a library that it needs and that is not there."""
+        return cast(StageFunction, _loaded(self.name, self.target))
+
+    def resolved(self, config: Config) -> Config:
+        """Return the configuration that the stage runs under.
+
+        Raises:
+            UsageError: A name or value is wrong.
+        """
+        return config if self.resolve is None else cast("Config", _loaded(self.name, self.resolve)(config))
+
+    def checked(self, config: Config) -> Config:
+        """Return `resolved`, after asking `check`.
+
+        Raises:
+            UsageError: A name or value is wrong.
+        """
+        if self.check is not None:
+            _loaded(self.name, self.check)(config)
+        return self.resolved(config)
+
+    def parameters(self, config: Config) -> dict[str, Any]:
+        """Return what the result depends on, nested as in the configuration."""
+        with contextlib.suppress(MinidualError):  # refused before the stage runs; until then, what was typed
+            config = self.resolved(config)
+        found: dict[str, Any] = {}
+        for path in self.reads:
+            value: Any = config
+            *sections, last = path.split(".")
+            place = found
+            for section in sections:
+                value, place = getattr(value, section), place.setdefault(section, {})
+            place[last] = getattr(value, last)
+        return found
 
     def overrides(self, options: Mapping[str, Any]) -> list[tuple[str, Any, str]]:
         """Return (dotted path, value, text as typed) for those `options` that stand for configuration."""
@@ -88,24 +174,56 @@ class StageEntry:
         return {name: value for name, value in options.items() if paths.get(name) is None}
 
 
+def _loaded(name: str, target: str | Callable[..., Any]) -> Callable[..., Any]:
+    try:
+        return load_target(target) if isinstance(target, str) else target
+    except ModuleNotFoundError as error:
+        if (error.name or "").startswith("minidual"):
+            raise
+        raise EnvironmentMissingError(
+            f"stage {name} needs the library '{error.name}', which is not installed",
+            remedy="install minidual with its dependencies again (`make setup` in a checkout)",
+        ) from error
+
+
 class StageTable:
     """Stages in the order in which they run.
 
     Args:
-        entries: rows; names unique, and each requires only stages above it (ValueError otherwise).
-        libraries: distributions whose versions are written into every verdict.
+        entries: Rows; names unique, and each requires only stages above it (ValueError otherwise).
+        libraries: Distributions whose versions are written into every verdict.
     """
 
     def __init__(self, entries: Sequence[StageEntry], libraries: Sequence[str] = ()) -> None:
-        self._entries: dict[str, StageEntry] = {}
+        self._entries: Registry[StageEntry] = Registry("stage")
         self.libraries = tuple(libraries)
         for entry in entries:
-            if entry.name in self._entries:
-                raise ValueError(f"stage '{entry.name}' stands twice in the table")
-            for name in entry.requires:
-                if name not in self._entries:
-                    raise ValueError(f"stage '{entry.name}' requires '{name}', which does not stand above it")
-            self._entries[entry.name] = entry
+            self.add(entry)
+
+    def add(self, entry: StageEntry) -> None:
+        """Add a row at the end."""
+        for name in entry.requires:
+            if name not in self._entries:
+                raise ValueError(f"stage '{entry.name}' requires '{name}', which does not stand above it")
+        self._entries.add(entry.name, entry)
+
+    def plug_in(self, group: str) -> None:
+        """Add the rows that other distributions declare as entry points of `group`.
+
+        Raises:
+            UsageError: A row cannot be loaded, is not a StageEntry, or does not fit the table.
+        """
+        for point in importlib.metadata.entry_points(group=group):
+            try:
+                entry = point.load()
+                if not isinstance(entry, StageEntry):
+                    raise TypeError(f"{point.value} is a {type(entry).__name__}, not a StageEntry")
+                self.add(entry)
+            except (ImportError, AttributeError, TypeError, ValueError) as error:
+                raise UsageError(
+                    f"stage '{point.name}' of another distribution cannot be used: {error}",
+                    remedy="mend or uninstall that distribution",
+                ) from error
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -116,29 +234,13 @@ class StageTable:
         return iter(self._entries.values())
 
     def __getitem__(self, name: str) -> StageEntry:
-        if name not in self._entries:
-            raise unknown_name("stage", name, self._entries)
         return self._entries[name]
 
     def upstream(self, name: str) -> tuple[str, ...]:
         """Return every stage that `name` requires, directly or not, in order."""
         needed: set[str] = set()
-
-        def visit(stage: str) -> None:
-            for required in self[stage].requires:
-                if required not in needed:
-                    needed.add(required)
-                    visit(required)
-
-        visit(name)
+        wanted = list(self[name].requires)
+        while wanted:
+            needed.add(stage := wanted.pop())
+            wanted += self[stage].requires
         return tuple(stage for stage in self._entries if stage in needed)
-
-    def after(self, name: str) -> str | None:
-        """Return the stage that follows `name` in the table, if any."""
-        names = self.names
-        place = names.index(name) + 1
-        return names[place] if place < len(names) else None
-
-
-CommandText = Callable[[str], str]
-"""Turns "plan" into the full command to type, with the profile and run flags in use."""

@@ -17,37 +17,17 @@ stopped leaves nothing that looks whole.
 
 from __future__ import annotations
 
-import importlib
-import keyword
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 from minidual.errors import ExitCode
 from minidual.gate.progress import Progress, SilentProgress
 
 if TYPE_CHECKING:
     from minidual.config.root import Config
-
-
-@dataclass(frozen=True)
-class ToolOption:
-    """An option of a tool, or with `argument` a word that stands by itself (`minidual replay FILE`).
-
-    name: as typed, without dashes.
-    kind: `int`, `float`, `str` or `bool` (a flag).
-    many: an argument that may be given any number of times; its value is a tuple.
-    required: an argument that cannot be left out.
-    """
-
-    name: str
-    help: str
-    kind: type[int] | type[float] | type[str] | type[bool] = str
-    argument: bool = False
-    many: bool = False
-    required: bool = False
 
 
 @dataclass(frozen=True)
@@ -112,37 +92,4 @@ class ToolResult:
     exit_code: ExitCode = ExitCode.PASS
 
 
-@dataclass(frozen=True)
-class ToolEntry:
-    """One tool.
-
-    name: the command, or for an aside of a stage the name of its folder ("carry-tune").
-    target: "module:function".
-    triggers: for an aside, options any of which asks for it; the others only go with those.
-    watchable: it moves the arms and shows them to `context.view`: the command, or for an aside its stage's, takes
-        --view.
-    view_default: the view without --view.
-    """
-
-    name: str
-    target: str
-    summary: str
-    options: tuple[ToolOption, ...] = ()
-    triggers: tuple[str, ...] = ()
-    watchable: bool = False
-    view_default: str = "none"
-
-    def load(self) -> Callable[[ToolContext], ToolResult]:
-        """Return the function."""
-        module, _, function = self.target.partition(":")
-        return cast(Callable[[ToolContext], ToolResult], getattr(importlib.import_module(module), function))
-
-    def is_asked_for(self, values: Mapping[str, Any]) -> bool:
-        """Return whether an option that asks for this aside was typed."""
-        return any(values.get(key(name)) not in (None, False) for name in self.triggers)
-
-
-def key(name: str) -> str:
-    """Return the Python name of an option (`from` is no name in Python, so it becomes `from_`)."""
-    name = name.replace("-", "_")
-    return f"{name}_" if keyword.iskeyword(name) else name
+ToolFunction = Callable[[ToolContext], ToolResult]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from minidual.demos.smoothness import JERK_FILTER
 from minidual.gate.check import Check
@@ -11,7 +11,6 @@ from minidual.gate.stage import StageContext, StageResult
 
 if TYPE_CHECKING:
     from minidual.config.evaluation import BenchmarkConfig
-    from minidual.config.root import Config
     from minidual.trials.benchmark import BenchmarkCell
     from minidual.trials.metrics import MethodSummary
 
@@ -110,80 +109,47 @@ def _interval(summary: MethodSummary) -> str:
     )
 
 
-class BenchmarkStage:
-    """See the module."""
+def run(context: StageContext) -> StageResult:
+    """Run all trials of all methods under all conditions and write the tables."""
+    from minidual.show.watch import watch_trials
+    from minidual.trials.benchmark import conditions_data, count_trials, run_benchmark, summaries, write_cells
+    from minidual.trials.comparisons import compare_all, compare_with_clean
+    from minidual.trials.conditions import CLEAN, parse_conditions
+    from minidual.trials.methods import MethodInputs, parse_methods
+    from minidual.trials.tables import write_csv, write_json
+    from minidual.trials.trials import TrialResult
 
-    name = "benchmark"
-    requires = ("carry", "deploy")
-    summary = "Compare planning, object impedance and the policy on one task, undisturbed and disturbed"
+    config, seed, folder = context.config.benchmark, context.seed, context.folder
+    methods, conditions = parse_methods(config.methods), parse_conditions(config.conditions)
+    inputs = MethodInputs(context.config, seed, context.upstream["train-act"] / "checkpoint")
+    trials_n = {name: config.trials_n if name == CLEAN else config.perturbed_trials_n for name in conditions}
+    with context.progress.task("benchmark trials", count_trials(methods, trials_n, context.config)) as task:
 
-    def parameters(self, config: Config) -> dict[str, Any]:
-        """Return what the result depends on."""
-        return {
-            "benchmark": config.benchmark,
-            "carry": config.carry,
-            "plan": config.plan.planner,
-            "deploy": config.deploy,
-            "scene": config.scene,
-            "arbiter": config.arbiter,
-            "supervisor": config.supervisor,
-        }
+        def on_trial(result: TrialResult) -> None:
+            task.advance(note=f"{result.metrics.method}, {result.metrics.condition}")
 
-    def validate(self, config: Config) -> None:
-        """Refuse unknown and repeated methods and conditions, and limits for methods that do not exist."""
-        from minidual.trials.conditions import condition, parse_conditions
-        from minidual.trials.methods import method_spec, parse_methods
-
-        parse_methods(config.benchmark.methods)
-        for name in parse_conditions(config.benchmark.conditions):
-            condition(name).config_under(config)
-        for name in config.benchmark.success_rate_min:
-            method_spec(name)
-
-    def run(self, context: StageContext) -> StageResult:
-        """Run all trials of all methods under all conditions and write the tables."""
-        from minidual.show.watch import watch_trials
-        from minidual.trials.benchmark import conditions_data, count_trials, run_benchmark, summaries, write_cells
-        from minidual.trials.comparisons import compare_all, compare_with_clean
-        from minidual.trials.conditions import CLEAN, parse_conditions
-        from minidual.trials.methods import MethodInputs, parse_methods
-        from minidual.trials.tables import write_csv, write_json
-        from minidual.trials.trials import TrialResult
-
-        config, seed, folder = context.config.benchmark, context.seed, context.folder
-        methods, conditions = parse_methods(config.methods), parse_conditions(config.conditions)
-        inputs = MethodInputs(context.config, seed, context.upstream["train-act"] / "checkpoint")
-        trials_n = {name: config.trials_n if name == CLEAN else config.perturbed_trials_n for name in conditions}
-        with context.progress.task("benchmark trials", count_trials(methods, trials_n, context.config)) as task:
-
-            def on_trial(result: TrialResult) -> None:
-                task.advance(note=f"{result.metrics.method}, {result.metrics.condition}")
-
-            cells, trials = run_benchmark(
-                methods, trials_n, inputs, workers=context.workers, on_trial=on_trial, watch=watch_trials(context.view)
-            )
-        clean = summaries(cells)
-        table = conditions_data(cells)
-        write_csv(folder / "benchmark.csv", trials)
-        write_csv(folder / "methods.csv", clean)
-        write_cells(folder / "conditions.csv", cells)
-        write_json(
-            folder / "benchmark.json",
-            [c.summary for c in cells if c.summary is not None],
-            trials,
-            {"seed": seed, "conditions": table},
-            seed=seed,
+        cells, trials = run_benchmark(
+            methods, trials_n, inputs, workers=context.workers, on_trial=on_trial, watch=watch_trials(context.view)
         )
-        return StageResult(
-            checks=benchmark_checks(clean, config) + condition_checks(cells, methods, conditions),
-            data={
-                "methods": {c.method: c.record() for c in cells if c.condition == CLEAN},
-                "conditions": table,
-                "comparisons": compare_all(trials, seed),
-                "losses": compare_with_clean(trials, seed),
-                "jerk_filter": JERK_FILTER,
-            },
-        )
-
-
-STAGE = BenchmarkStage()
+    clean = summaries(cells)
+    table = conditions_data(cells)
+    write_csv(folder / "benchmark.csv", trials)
+    write_csv(folder / "methods.csv", clean)
+    write_cells(folder / "conditions.csv", cells)
+    write_json(
+        folder / "benchmark.json",
+        [c.summary for c in cells if c.summary is not None],
+        trials,
+        {"seed": seed, "conditions": table},
+        seed=seed,
+    )
+    return StageResult(
+        checks=benchmark_checks(clean, config) + condition_checks(cells, methods, conditions),
+        data={
+            "methods": {c.method: c.record() for c in cells if c.condition == CLEAN},
+            "conditions": table,
+            "comparisons": compare_all(trials, seed),
+            "losses": compare_with_clean(trials, seed),
+            "jerk_filter": JERK_FILTER,
+        },
+    )

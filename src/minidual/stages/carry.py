@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from minidual.demos.smoothness import JERK_FILTER
 from minidual.gate.check import Check
@@ -11,7 +11,6 @@ from minidual.gate.stage import StageContext, StageResult
 
 if TYPE_CHECKING:
     from minidual.config.control import CarryLimits
-    from minidual.config.root import Config
     from minidual.tasks.rod_carry import RodTrial
     from minidual.trials.methods import MethodInputs
     from minidual.trials.metrics import TrialMetrics
@@ -98,139 +97,106 @@ def carry_checks(
     ]
 
 
-class CarryStage:
-    """See the module."""
+def run(context: StageContext) -> StageResult:
+    """Run the trials; plot, film and record the median and the worst, and record what failed."""
+    import numpy as np
 
-    name = "carry"
-    requires = ("plan",)
-    summary = "Carry an object with both arms under object impedance and internal force control"
+    from minidual.config.seeds import stream
+    from minidual.show.figures.film import film_trial
+    from minidual.show.figures.trial_figures import draw_trial
+    from minidual.show.watch import watch_trials
+    from minidual.tasks.rod_carry import sample_trial
+    from minidual.trials.methods import MethodInputs
+    from minidual.trials.metrics import summarise
+    from minidual.trials.tables import write_csv, write_json
+    from minidual.trials.trials import run_trials
 
-    def validate(self, config: Config) -> None:
-        """Refuse objects and motions that do not exist."""
-        from minidual.tasks.motions import motion_spec
-        from minidual.tasks.objects import object_spec
+    config = context.config
+    scene = config.scene
+    inputs = MethodInputs(config, context.seed)
+    trials = [sample_trial(scene, context.seed, "carry", i) for i in range(config.carry.trials_n)]
+    results, logs = [], []
+    with context.progress.task("carries", len(trials)) as task:
+        for result, log in run_trials(
+            "impedance", inputs, trials, workers=context.workers, keep_logs=True, watch=watch_trials(context.view)
+        ):
+            results.append(result)
+            logs.append(log)
+            task.advance(note="" if result.success else f"trial {result.metrics.index}: {result.text}")
+    metrics = [r.metrics for r in results]
+    summary = summarise(metrics, stream(context.seed, "bootstrap/carry"))
+    write_csv(context.folder / "trials.csv", metrics)
+    write_json(context.folder / "trials.json", [summary], metrics)
 
-        object_spec(config.carry.object)
-        motion_spec(config.carry.motion)
+    order = np.argsort([-m.tilt_max_rad if m.success else -np.inf for m in metrics], kind="stable")
+    shown = {"median": int(order[len(order) // 2]), "worst": int(order[0])}
+    films = {"median": "carry.mp4", "worst": "worst.mp4"}
+    with context.progress.task("films", len(shown)) as task:
+        for label, i in shown.items():
+            title = f"{config.carry.object}, {config.carry.motion}: {label} trial ({i}): {results[i].text}"
+            draw_trial(logs[i], scene, context.folder / f"{label}.png", title=title)
+            film_trial("impedance", inputs, trials[i], context.folder / films[label])
+            task.advance()
+    _record(context, inputs, trials, results, shown)
 
-    def parameters(self, config: Config) -> dict[str, Any]:
-        """Return what the result depends on: the values that the object and the motion stand for."""
-        from minidual.tasks.motions import MOTIONS, carry_config
-        from minidual.tasks.objects import OBJECTS
-
-        if config.carry.object in OBJECTS and config.carry.motion in MOTIONS:  # `validate` refuses others
-            config = carry_config(config)
-        return {
-            "carry": config.carry,
-            "scene": config.scene,
-            "arbiter": config.arbiter,
-            "supervisor": config.supervisor,
-        }
-
-    def run(self, context: StageContext) -> StageResult:
-        """Run the trials; plot, film and record the median and the worst, and record what failed."""
-        import numpy as np
-
-        from minidual.config.seeds import stream
-        from minidual.show.figures.film import film_trial
-        from minidual.show.figures.trial_figures import draw_trial
-        from minidual.show.watch import watch_trials
-        from minidual.tasks.motions import carry_config
-        from minidual.tasks.rod_carry import sample_trial
-        from minidual.trials.methods import MethodInputs
-        from minidual.trials.metrics import summarise
-        from minidual.trials.tables import write_csv, write_json
-        from minidual.trials.trials import run_trials
-
-        config = carry_config(context.config)
-        scene = config.scene
-        inputs = MethodInputs(config, context.seed)
-        trials = [sample_trial(scene, context.seed, "carry", i) for i in range(config.carry.trials_n)]
-        results, logs = [], []
-        with context.progress.task("carries", len(trials)) as task:
-            for result, log in run_trials(
-                "impedance", inputs, trials, workers=context.workers, keep_logs=True, watch=watch_trials(context.view)
-            ):
-                results.append(result)
-                logs.append(log)
-                task.advance(note="" if result.success else f"trial {result.metrics.index}: {result.text}")
-        metrics = [r.metrics for r in results]
-        summary = summarise(metrics, stream(context.seed, "bootstrap/carry"))
-        write_csv(context.folder / "trials.csv", metrics)
-        write_json(context.folder / "trials.json", [summary], metrics)
-
-        order = np.argsort([-m.tilt_max_rad if m.success else -np.inf for m in metrics], kind="stable")
-        shown = {"median": int(order[len(order) // 2]), "worst": int(order[0])}
-        films = {"median": "carry.mp4", "worst": "worst.mp4"}
-        with context.progress.task("films", len(shown)) as task:
-            for label, i in shown.items():
-                title = f"{config.carry.object}, {config.carry.motion}: {label} trial ({i}): {results[i].text}"
-                draw_trial(logs[i], scene, context.folder / f"{label}.png", title=title)
-                film_trial("impedance", inputs, trials[i], context.folder / films[label])
-                task.advance()
-        self._record(context, inputs, trials, results, shown)
-
-        checks = carry_checks(
-            metrics,
-            config.carry.limits,
-            force_limit_n=scene.task.internal_force_min_n,
-            time_limit_s=scene.task.time_limit_s,
-            saturated_max_s=float(np.max([r.saturated_max_s for r in results])),
-        )
-        checks += [
-            Check("success_low", summary.success_low, unit="", why="lower end of the 95 % Wilson interval"),
-            Check(
-                "goal_error_max_m",
-                float(np.max([m.goal_error_m for m in metrics])),
-                unit="m",
-                why="largest distance from the goal",
-            ),
-            Check(
-                "pinch_force_min_n",
-                float(np.min([m.pinch_force_min_n for m in metrics])),
-                unit="N",
-                why="least grip in the air",
-            ),
-            Check("duration_median_s", summary.duration_median_s, unit="s", why="median of the successful trials"),
-            Check("jerk_rms_median", summary.jerk_rms_median, unit="rad/s^3", why=JERK_FILTER),
-        ]
-        data = {
-            "object": config.carry.object,
-            "motion": config.carry.motion,
-            "trials": len(metrics),
-            "success_low": summary.success_low,
-            "success_high": summary.success_high,
-            "failures": dict(summary.failures),
-            "stopped": {str(r.metrics.index): r.aborted for r in results if r.aborted},
-            "shown": shown,
-        }
-        return StageResult(checks=checks, data=data)
-
-    def _record(
-        self,
-        context: StageContext,
-        inputs: MethodInputs,
-        trials: list[RodTrial],
-        results: list[TrialResult],
-        shown: dict[str, int],
-    ) -> None:
-        """Write recordings for `minidual replay` of the median, the worst and the first trials that failed."""
-        from minidual.errors import DataError
-        from minidual.trials.trial_records import TrialRecords
-
-        failed = [i for i, result in enumerate(results) if not result.success]
-        named = [(i, f"trial{i:03d}") for i in failed[:RECORDED_FAILURES_MAX] if i not in shown.values()]
-        named += [(i, label) for label, i in shown.items()]  # one trial may be both
-        records = TrialRecords("impedance", inputs)
-        with context.progress.task("recordings", len(named)) as task:
-            for i, label in named:
-                again = records.write(trials[i], context.folder / f"{label}.npz")
-                if again.text != results[i].text:
-                    raise DataError(
-                        f"trial {i} ended otherwise when it was recorded: {again.text}; before: {results[i].text}",
-                        remedy="trials must depend on their seed alone; report this",
-                    )
-                task.advance()
+    checks = carry_checks(
+        metrics,
+        config.carry.limits,
+        force_limit_n=scene.task.internal_force_min_n,
+        time_limit_s=scene.task.time_limit_s,
+        saturated_max_s=float(np.max([r.saturated_max_s for r in results])),
+    )
+    checks += [
+        Check("success_low", summary.success_low, unit="", why="lower end of the 95 % Wilson interval"),
+        Check(
+            "goal_error_max_m",
+            float(np.max([m.goal_error_m for m in metrics])),
+            unit="m",
+            why="largest distance from the goal",
+        ),
+        Check(
+            "pinch_force_min_n",
+            float(np.min([m.pinch_force_min_n for m in metrics])),
+            unit="N",
+            why="least grip in the air",
+        ),
+        Check("duration_median_s", summary.duration_median_s, unit="s", why="median of the successful trials"),
+        Check("jerk_rms_median", summary.jerk_rms_median, unit="rad/s^3", why=JERK_FILTER),
+    ]
+    data = {
+        "object": config.carry.object,
+        "motion": config.carry.motion,
+        "trials": len(metrics),
+        "success_low": summary.success_low,
+        "success_high": summary.success_high,
+        "failures": dict(summary.failures),
+        "stopped": {str(r.metrics.index): r.aborted for r in results if r.aborted},
+        "shown": shown,
+    }
+    return StageResult(checks=checks, data=data)
 
 
-STAGE = CarryStage()
+def _record(
+    context: StageContext,
+    inputs: MethodInputs,
+    trials: list[RodTrial],
+    results: list[TrialResult],
+    shown: dict[str, int],
+) -> None:
+    """Write recordings for `minidual replay` of the median, the worst and the first trials that failed."""
+    from minidual.errors import DataError
+    from minidual.trials.trial_records import TrialRecords
+
+    failed = [i for i, result in enumerate(results) if not result.success]
+    named = [(i, f"trial{i:03d}") for i in failed[:RECORDED_FAILURES_MAX] if i not in shown.values()]
+    named += [(i, label) for label, i in shown.items()]  # one trial may be both
+    records = TrialRecords("impedance", inputs)
+    with context.progress.task("recordings", len(named)) as task:
+        for i, label in named:
+            again = records.write(trials[i], context.folder / f"{label}.npz")
+            if again.text != results[i].text:
+                raise DataError(
+                    f"trial {i} ended otherwise when it was recorded: {again.text}; before: {results[i].text}",
+                    remedy="trials must depend on their seed alone; report this",
+                )
+            task.advance()

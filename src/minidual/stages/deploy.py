@@ -11,7 +11,6 @@ from minidual.gate.check import Check
 from minidual.gate.stage import StageContext, StageResult
 
 if TYPE_CHECKING:
-    from minidual.config.root import Config
     from minidual.trials.trials import TrialResult
 
 HELD_OUT, TRAINING = "deploy", "demonstrations"
@@ -51,106 +50,86 @@ def deploy_checks(
     ]
 
 
-class DeployStage:
-    """See the module."""
+def run(context: StageContext) -> StageResult:
+    """Run held-out and training starts, then film a success and a failure."""
+    from dataclasses import replace
 
-    name = "deploy"
-    requires = ("train-act",)
-    summary = "Drive the arms with the trained policy on held-out starts"
+    from minidual.config.seeds import stream
+    from minidual.show.figures.film import film_trial
+    from minidual.show.watch import watch_trials
+    from minidual.tasks.rod_carry import sample_trial
+    from minidual.trials.methods import MethodInputs
+    from minidual.trials.metrics import summarise
+    from minidual.trials.tables import write_csv, write_json
+    from minidual.trials.trials import run_trials
 
-    def parameters(self, config: Config) -> dict[str, Any]:
-        """Return what the result depends on."""
-        return {
-            "deploy": config.deploy,
-            "scene": config.scene,
-            "arbiter": config.arbiter,
-            "supervisor": config.supervisor,
-            "rate_hz": config.teleop.rate_hz,
+    config = context.config
+    settings = config.deploy
+    checkpoint = context.upstream["train-act"] / "checkpoint"
+    inputs = MethodInputs(config, context.seed, checkpoint)
+    held_out = [sample_trial(config.scene, context.seed, HELD_OUT, i) for i in range(settings.trials)]
+    seen = [
+        sample_trial(config.scene, context.seed, TRAINING, i, widen=config.teleop.widen)
+        for i in _demonstrated(context.upstream["teleop-record"], settings.training_trials)
+    ]
+    results: dict[str, list[TrialResult]] = {"held_out": [], "training": []}
+    with context.progress.task("policy trials", len(held_out) + len(seen)) as task:
+        for starts, trials in (("held_out", held_out), ("training", seen)):
+            for result, _ in run_trials(
+                "act", inputs, trials, workers=context.workers, watch=watch_trials(context.view)
+            ):
+                # Nothing disturbs either; in the tables the two sets of starts stand as conditions.
+                results[starts].append(replace(result, metrics=replace(result.metrics, condition=starts)))
+                done = sum(r.success for r in results[starts])
+                task.advance(note=f"{starts} {done}/{len(results[starts])}")
+    everything = results["held_out"] + results["training"]
+    metrics = [r.metrics for r in everything]
+    rng = stream(context.seed, "bootstrap/deploy")
+    summaries = {name: summarise([r.metrics for r in rows], rng) for name, rows in results.items() if rows}
+    write_csv(context.folder / "trials.csv", metrics)
+    write_json(context.folder / "trials.json", list(summaries.values()), metrics)
+    _film(context, inputs, held_out, results["held_out"], film_trial)
+
+    successes = sum(r.success for r in results["held_out"])
+    inference_hz = measure_inference(checkpoint, context)
+    checks = deploy_checks(
+        successes,
+        len(held_out),
+        inference_hz,
+        success_rate_min=settings.success_rate_min if settings.judge_success else None,
+        inference_hz_min=settings.inference_hz_min,
+    )
+    summary = summaries["held_out"]
+    data: dict[str, Any] = {
+        "trials": summary.trials_n,
+        "success_low": summary.success_low,
+        "success_high": summary.success_high,
+        "failures": dict(summary.failures),
+    }
+    if "training" in summaries:
+        training = summaries["training"]
+        checks.append(Check("training_success_rate", training.success_rate, why="the same on starts it was trained on"))
+        data["training"] = {
+            "trials": training.trials_n,
+            "success_rate": training.success_rate,
+            "success_low": training.success_low,
+            "success_high": training.success_high,
         }
-
-    def run(self, context: StageContext) -> StageResult:
-        """Run held-out and training starts, then film a success and a failure."""
-        from dataclasses import replace
-
-        from minidual.config.seeds import stream
-        from minidual.show.figures.film import film_trial
-        from minidual.show.watch import watch_trials
-        from minidual.tasks.rod_carry import sample_trial
-        from minidual.trials.methods import MethodInputs
-        from minidual.trials.metrics import summarise
-        from minidual.trials.tables import write_csv, write_json
-        from minidual.trials.trials import run_trials
-
-        config = context.config
-        settings = config.deploy
-        checkpoint = context.upstream["train-act"] / "checkpoint"
-        inputs = MethodInputs(config, context.seed, checkpoint)
-        held_out = [sample_trial(config.scene, context.seed, HELD_OUT, i) for i in range(settings.trials)]
-        seen = [
-            sample_trial(config.scene, context.seed, TRAINING, i, widen=config.teleop.widen)
-            for i in _demonstrated(context.upstream["teleop-record"], settings.training_trials)
-        ]
-        results: dict[str, list[TrialResult]] = {"held_out": [], "training": []}
-        with context.progress.task("policy trials", len(held_out) + len(seen)) as task:
-            for starts, trials in (("held_out", held_out), ("training", seen)):
-                for result, _ in run_trials(
-                    "act", inputs, trials, workers=context.workers, watch=watch_trials(context.view)
-                ):
-                    # Nothing disturbs either; in the tables the two sets of starts stand as conditions.
-                    results[starts].append(replace(result, metrics=replace(result.metrics, condition=starts)))
-                    done = sum(r.success for r in results[starts])
-                    task.advance(note=f"{starts} {done}/{len(results[starts])}")
-        everything = results["held_out"] + results["training"]
-        metrics = [r.metrics for r in everything]
-        rng = stream(context.seed, "bootstrap/deploy")
-        summaries = {name: summarise([r.metrics for r in rows], rng) for name, rows in results.items() if rows}
-        write_csv(context.folder / "trials.csv", metrics)
-        write_json(context.folder / "trials.json", list(summaries.values()), metrics)
-        self._film(context, inputs, held_out, results["held_out"], film_trial)
-
-        successes = sum(r.success for r in results["held_out"])
-        inference_hz = measure_inference(checkpoint, context)
-        checks = deploy_checks(
-            successes,
-            len(held_out),
-            inference_hz,
-            success_rate_min=settings.success_rate_min if settings.judge_success else None,
-            inference_hz_min=settings.inference_hz_min,
+    errors = [r.metrics.goal_error_m for r in everything if r.lifted]
+    if errors:
+        checks.append(
+            Check("goal_error_median_m", statistics.median(errors), unit="m", why="of trials that lifted the rod")
         )
-        summary = summaries["held_out"]
-        data: dict[str, Any] = {
-            "trials": summary.trials_n,
-            "success_low": summary.success_low,
-            "success_high": summary.success_high,
-            "failures": dict(summary.failures),
-        }
-        if "training" in summaries:
-            training = summaries["training"]
-            checks.append(
-                Check("training_success_rate", training.success_rate, why="the same on starts it was trained on")
-            )
-            data["training"] = {
-                "trials": training.trials_n,
-                "success_rate": training.success_rate,
-                "success_low": training.success_low,
-                "success_high": training.success_high,
-            }
-        errors = [r.metrics.goal_error_m for r in everything if r.lifted]
-        if errors:
-            checks.append(
-                Check("goal_error_median_m", statistics.median(errors), unit="m", why="of trials that lifted the rod")
-            )
-        return StageResult(checks=checks, data=data)
+    return StageResult(checks=checks, data=data)
 
-    @staticmethod
-    def _film(
-        context: StageContext, inputs: Any, trials: Sequence[Any], results: Sequence[TrialResult], film: Any
-    ) -> None:
-        for label, wanted in (("success", True), ("failure", False)):
-            index = next((i for i, r in enumerate(results) if r.success is wanted), None)
-            if index is not None:
-                filmed = film("act", inputs, trials[index], context.folder / f"{label}.mp4")
-                context.progress.note(f"{label}.mp4 shows trial {index}: {filmed.text}")
+
+@staticmethod
+def _film(context: StageContext, inputs: Any, trials: Sequence[Any], results: Sequence[TrialResult], film: Any) -> None:
+    for label, wanted in (("success", True), ("failure", False)):
+        index = next((i for i, r in enumerate(results) if r.success is wanted), None)
+        if index is not None:
+            filmed = film("act", inputs, trials[index], context.folder / f"{label}.mp4")
+            context.progress.note(f"{label}.mp4 shows trial {index}: {filmed.text}")
 
 
 def _demonstrated(teleop_folder: Path, count: int) -> list[int]:
@@ -175,6 +154,3 @@ def measure_inference(checkpoint: Path, context: StageContext, inferences: int =
         runtime.reset()
         runtime.act({c: rng.integers(0, 255, (*size, 3), dtype=np.uint8) for c, size in runtime.cameras.items()}, state)
     return runtime.inference_hz
-
-
-STAGE = DeployStage()

@@ -12,7 +12,6 @@ from minidual.stages.plan_held import held_checks, held_data, held_notes, run_he
 
 if TYPE_CHECKING:
     from minidual.config.planning import PlanConfig
-    from minidual.config.root import Config
     from minidual.trials.planning.evaluate import Outcome
     from minidual.trials.planning.evaluate_carries import CarryPlans
 
@@ -22,71 +21,49 @@ _CARRIES_N = 5
 _JSON_EVERY = 10
 
 
-class PlanStage:
-    """Plans every query of the set and gates on proven trajectories, never on the planner's own word."""
+def run(context: StageContext) -> StageResult:
+    """Plan the queries, compare the engines, plan a few carries, draw the figures."""
+    from minidual.show.figures.planning import write_paths, write_times
+    from minidual.show.planning import play_queries
+    from minidual.trials.planning.evaluate import engine_agreement, repeats, run_queries
+    from minidual.trials.planning.evaluate_carries import plan_carries
 
-    name = "plan"
-    requires = ("env-check",)
-    summary = "Plan collision-free motions for left_arm, right_arm and both_arms"
+    config = context.config.plan
+    with context.progress.task("queries", 3 * (config.queries_n + config.second_queries_n)) as task:
 
-    def validate(self, config: Config) -> None:
-        """Refuse a second query set that is the first one."""
-        from minidual.errors import ConfigError
+        def advance(outcome: Outcome) -> None:
+            task.advance(note=outcome.query.group)
 
-        plan = config.plan
-        if plan.second_queries_n and config.seed == plan.second_seed:
-            raise ConfigError(
-                f"seed and plan.second_seed are both {config.seed}: the second query set would be the first one",
-                remedy=f"choose another --seed, or --set plan.second_seed={config.seed + 1}",
-            )
-
-    def parameters(self, config: Config) -> dict[str, Any]:
-        """Return what the result depends on: query set, planner, rod and task."""
-        return {"plan": config.plan, "rod": config.scene.rod, "task": config.scene.task}
-
-    def run(self, context: StageContext) -> StageResult:
-        """Plan the queries, compare the engines, plan a few carries, draw the figures."""
-        from minidual.show.figures.planning import write_paths, write_times
-        from minidual.show.planning import play_queries
-        from minidual.trials.planning.evaluate import engine_agreement, repeats, run_queries
-        from minidual.trials.planning.evaluate_carries import plan_carries
-
-        config = context.config.plan
-        with context.progress.task("queries", 3 * (config.queries_n + config.second_queries_n)) as task:
-
-            def advance(outcome: Outcome) -> None:
-                task.advance(note=outcome.query.group)
-
-            outcomes = run_queries(config, context.seed, advance)
-            second = run_queries(config, config.second_seed, advance, config.second_queries_n)
-        play_queries(context.view, context.config.scene, outcomes)
-        scene = outcomes["both_arms"][0].query.scene
-        agreement = engine_agreement(scene, config.agreement_states_n, context.seed)
-        repeatable = all(repeats(config, done[0]) for done in outcomes.values())
-        carries = plan_carries(config, context.config.scene, _CARRIES_N, context.seed)
-        held = run_held(context)
-        _write_csv(outcomes, context.folder / "queries.csv")
-        if config.second_queries_n:
-            _write_csv(second, context.folder / "queries_second_seed.csv")
-        _write_acm(context.folder / "allowed_collisions.csv")
-        _write_examples(outcomes, context.folder)
-        write_paths(outcomes, context.folder / "paths.png")
-        write_times(outcomes, context.folder / "times.png", config.time_median_max_s.model_dump())
-        checks = [check for group, done in outcomes.items() for check in group_checks(group, done, config)]
-        if config.second_queries_n:
-            checks += [
-                check
-                for group, done in second.items()
-                for check in group_checks(group, done, config, f"second_seed.{group}")
-            ]
-        checks += audit_checks([o for done in (*outcomes.values(), *second.values()) for o in done])
-        checks += common_checks(agreement, repeatable, carries, config)
-        checks += held_checks(held, config)
-        return StageResult(
-            checks=checks,
-            data={**_summary(outcomes, carries), "second_seed": _groups(second), "held_moves": held_data(held)},
-            notes=[*_notes(first=outcomes, second=second), *carries.failures, *held_notes(held)],
-        )
+        outcomes = run_queries(config, context.seed, advance)
+        second = run_queries(config, config.second_seed, advance, config.second_queries_n)
+    play_queries(context.view, context.config.scene, outcomes)
+    scene = outcomes["both_arms"][0].query.scene
+    agreement = engine_agreement(scene, config.agreement_states_n, context.seed)
+    repeatable = all(repeats(config, done[0]) for done in outcomes.values())
+    carries = plan_carries(config, context.config.scene, _CARRIES_N, context.seed)
+    held = run_held(context)
+    _write_csv(outcomes, context.folder / "queries.csv")
+    if config.second_queries_n:
+        _write_csv(second, context.folder / "queries_second_seed.csv")
+    _write_acm(context.folder / "allowed_collisions.csv")
+    _write_examples(outcomes, context.folder)
+    write_paths(outcomes, context.folder / "paths.png")
+    write_times(outcomes, context.folder / "times.png", config.time_median_max_s.model_dump())
+    checks = [check for group, done in outcomes.items() for check in group_checks(group, done, config)]
+    if config.second_queries_n:
+        checks += [
+            check
+            for group, done in second.items()
+            for check in group_checks(group, done, config, f"second_seed.{group}")
+        ]
+    checks += audit_checks([o for done in (*outcomes.values(), *second.values()) for o in done])
+    checks += common_checks(agreement, repeatable, carries, config)
+    checks += held_checks(held, config)
+    return StageResult(
+        checks=checks,
+        data={**_summary(outcomes, carries), "second_seed": _groups(second), "held_moves": held_data(held)},
+        notes=[*_notes(first=outcomes, second=second), *carries.failures, *held_notes(held)],
+    )
 
 
 def group_checks(group: str, outcomes: Sequence[Outcome], config: PlanConfig, name: str | None = None) -> list[Check]:
@@ -292,6 +269,3 @@ def _notes(**sets: Mapping[str, Sequence[Outcome]]) -> list[str]:
         if not entry["goal"]
     ]
     return [*failed, *missed]
-
-
-STAGE = PlanStage()

@@ -1,14 +1,13 @@
-"""The one table of stages: name, code, what it requires, and the options of its command.
+"""The table of stages.
 
-To add a stage, write `minidual/stages/<name>.py` with a module attribute STAGE (see minidual.gate.stage)
-and a row here. To add an option to a command, add a StageOption to its row: it overrides the configuration
-value at `path`, exactly as --set does.
+To add a stage, write a module with a function `run` (see minidual.gate.stage) and a row here, or publish a row as an
+entry point of the group "minidual.stages" (docs/howto-stage.md). An option with a `path` overrides that configuration
+value, as --set does.
 """
 
 from __future__ import annotations
 
-from minidual.gate.table import StageEntry, StageOption, StageTable
-from minidual.gate.tool import ToolEntry, ToolOption
+from minidual.gate.table import Option, StageEntry, StageTable, ToolEntry
 
 LIBRARIES = ("numpy", "scipy", "mujoco", "pin", "coal", "ompl", "toppra", "torch", "lerobot", "h5py", "av", "gymnasium")
 """Distributions whose versions every verdict records."""
@@ -17,15 +16,17 @@ STAGES = StageTable(
     (
         StageEntry(
             "env-check",
-            "minidual.stages.env_check:STAGE",
+            "minidual.stages.env_check:run",
             (),
             "Simulation and joints: every joint read, mapped and driven, tracking, contacts, libraries",
+            reads=("env_check", "scene", "arbiter", "supervisor", "teleop.rate_hz"),
+            question="Does every joint move as the model says, and do the cameras see?",
             asides=(
                 ToolEntry(
                     "env-check-bill",
                     "minidual.stages.env_check_bill:print_bill",
                     "Print versions, libraries and machine for a bug report",
-                    (ToolOption("markdown", "Print a bill of versions for a bug report instead.", bool),),
+                    (Option("markdown", "Print a bill of versions for a bug report instead.", bool),),
                     triggers=("markdown",),
                 ),
             ),
@@ -33,18 +34,21 @@ STAGES = StageTable(
         ),
         StageEntry(
             "plan",
-            "minidual.stages.plan:STAGE",
+            "minidual.stages.plan:run",
             ("env-check",),
             "Plan collision-free motions for left_arm, right_arm and both_arms",
-            (StageOption("queries", "plan.queries_n", "Queries per planning group."),),
+            reads=("plan", "scene.rod", "scene.task"),
+            check="minidual.stages.config_checks:check_plan",
+            question="Do one arm and both arms find their way?",
+            options=(Option("queries", "Queries per planning group.", int, "plan.queries_n"),),
             asides=(
                 ToolEntry(
                     "plan-acm",
                     "minidual.stages.plan_acm:plan_acm",
                     "Print the pairs of links that are not checked, and why",
                     (
-                        ToolOption("acm", "Print the pairs that are not checked, and why, instead.", bool),
-                        ToolOption("scene", "With --to or --acm: planning scene in YAML."),
+                        Option("acm", "Print the pairs that are not checked, and why, instead.", bool),
+                        Option("scene", "With --to or --acm: planning scene in YAML."),
                     ),
                     triggers=("acm",),
                 ),
@@ -53,14 +57,14 @@ STAGES = StageTable(
                     "minidual.stages.plan_once:plan_once",
                     "Plan one motion, without the gate",
                     (
-                        ToolOption("to", "Plan once to this state (home, ready, carry ...) or goal file instead."),
-                        ToolOption("from", "With --to: start at this state or file (default: home)."),
-                        ToolOption("group", "With --to: left_arm, right_arm or both_arms (default)."),
-                        ToolOption("scene", "With --to or --acm: planning scene in YAML."),
-                        ToolOption("out", "With --to: write the trajectory here (.json)."),
-                        ToolOption("csv", "With --to: write the trajectory here (.csv)."),
-                        ToolOption("picture", "With --to: draw the path here (.png)."),
-                        ToolOption("budget-s", "With --to: give up after this wall time.", float),
+                        Option("to", "Plan once to this state (home, ready, carry ...) or goal file instead."),
+                        Option("from", "With --to: start at this state or file (default: home)."),
+                        Option("group", "With --to: left_arm, right_arm or both_arms (default)."),
+                        Option("scene", "With --to or --acm: planning scene in YAML."),
+                        Option("out", "With --to: write the trajectory here (.json)."),
+                        Option("csv", "With --to: write the trajectory here (.csv)."),
+                        Option("picture", "With --to: draw the path here (.png)."),
+                        Option("budget-s", "With --to: give up after this wall time.", float),
                     ),
                     triggers=("to",),
                     watchable=True,
@@ -70,20 +74,23 @@ STAGES = StageTable(
         ),
         StageEntry(
             "carry",
-            "minidual.stages.carry:STAGE",
+            "minidual.stages.carry:run",
             ("plan",),
             "Carry the rod with both arms under object impedance control",
-            (
-                StageOption("trials", "carry.trials_n", "Randomised carries to try."),
-                StageOption("object", "carry.object", "What is carried: rod, board, box, glass.", kind=str),
-                StageOption("motion", "carry.motion", "How it travels: straight, rotate, over.", kind=str),
+            reads=("carry", "scene", "arbiter", "supervisor"),
+            resolve="minidual.tasks.motions:carry_config",
+            question="Do both arms carry an object between them?",
+            options=(
+                Option("trials", "Randomised carries to try.", int, "carry.trials_n"),
+                Option("object", "What is carried: rod, board, box, glass.", str, "carry.object"),
+                Option("motion", "How it travels: straight, rotate, over.", str, "carry.motion"),
             ),
             asides=(
                 ToolEntry(
                     "carry-perturb",
                     "minidual.stages.carry_tools:perturb",
                     "Carry under pushes, other masses and frictions, and worse sensing",
-                    (ToolOption("perturb", "Carry under every disturbance (20 trials each) instead.", bool),),
+                    (Option("perturb", "Carry under every disturbance (20 trials each) instead.", bool),),
                     triggers=("perturb",),
                     watchable=True,
                 ),
@@ -91,7 +98,7 @@ STAGES = StageTable(
                     "carry-tune",
                     "minidual.stages.carry_tools:tune",
                     "Search squeeze and stiffness by carrying",
-                    (ToolOption("tune", "Search squeeze and stiffness by carrying, and write a profile.", bool),),
+                    (Option("tune", "Search squeeze and stiffness by carrying, and write a profile.", bool),),
                     triggers=("tune",),
                 ),
             ),
@@ -99,44 +106,54 @@ STAGES = StageTable(
         ),
         StageEntry(
             "teleop-record",
-            "minidual.stages.teleop_record:STAGE",
+            "minidual.stages.teleop_record:run",
             ("carry",),
             "Teleoperate, record demonstrations, convert and grade the dataset",
-            (StageOption("episodes", "teleop.episodes_n", "Demonstrations to record."),),
+            reads=("teleop", "scene", "arbiter", "supervisor"),
+            check="minidual.stages.config_checks:check_leader",
+            question="Does the follower follow its leader, and is what was recorded whole and smooth?",
+            options=(Option("episodes", "Demonstrations to record.", int, "teleop.episodes_n"),),
             watchable=True,
         ),
         StageEntry(
             "train-act",
-            "minidual.stages.train_act:STAGE",
+            "minidual.stages.train_act:run",
             ("teleop-record",),
             "Train the ACT policy on the recorded dataset",
+            reads=("train",),
+            question="Does the policy learn from the data?",
         ),
         StageEntry(
             "deploy",
-            "minidual.stages.deploy:STAGE",
+            "minidual.stages.deploy:run",
             ("train-act",),
             "Let the policy drive the arms on seeds it never saw",
-            (StageOption("trials", "deploy.trials", "Held-out trials."),),
+            reads=("deploy", "scene", "arbiter", "supervisor", "teleop.rate_hz"),
+            question="Does what it learned work on starts it never saw?",
+            options=(Option("trials", "Held-out trials.", int, "deploy.trials"),),
             watchable=True,
         ),
         StageEntry(
             "benchmark",
-            "minidual.stages.benchmark:STAGE",
+            "minidual.stages.benchmark:run",
             ("carry", "deploy"),
             "Compare the methods on the same task, seeds and success test, undisturbed and disturbed",
-            (
-                StageOption(
+            reads=("benchmark", "carry", "plan.planner", "deploy", "scene", "arbiter", "supervisor"),
+            check="minidual.stages.config_checks:check_benchmark",
+            question="How do the methods compare?",
+            options=(
+                Option(
                     "methods",
-                    "benchmark.methods",
                     "Methods to compare, separated by commas: moveit,impedance,act.",
-                    kind=str,
+                    str,
+                    "benchmark.methods",
                     split=True,
                 ),
-                StageOption(
+                Option(
                     "conditions",
-                    "benchmark.conditions",
                     "Disturbances, separated by commas: clean,push_+x,friction_0.3; or all.",
-                    kind=str,
+                    str,
+                    "benchmark.conditions",
                     split=True,
                 ),
             ),
@@ -144,11 +161,60 @@ STAGES = StageTable(
         ),
         StageEntry(
             "report",
-            "minidual.stages.report:STAGE",
+            "minidual.stages.report:run",
             ("benchmark",),
             "Build the report from the verdicts: one offline HTML and report.json",
+            reads=("report", "benchmark.methods", "benchmark.conditions"),
+            question="Does the report hold every number?",
             closing=True,
         ),
     ),
     libraries=LIBRARIES,
 )
+
+TOOLS: tuple[ToolEntry, ...] = (
+    ToolEntry(
+        "bench",
+        "minidual.stages.bench:bench",
+        "Time beside a yardstick of the same run: one control step against bare physics, and where the rest goes",
+        (
+            Option("names", "What to time (default: everything).", argument=True, many=True),
+            Option("repeats", "How often each thing is timed.", int),
+            Option("check", "Exit 1 if a number exceeds its limit.", bool),
+        ),
+    ),
+    ToolEntry(
+        "view",
+        "minidual.stages.scene_view:view_scene",
+        "Show the scene in real time in a browser, with a slider for each joint",
+        (Option("for-s", "End by itself after this many seconds (default: Ctrl-C ends it).", float),),
+        watchable=True,
+        view_default="web",
+    ),
+    ToolEntry(
+        "replay",
+        "minidual.stages.replay:replay_tool",
+        "Run a dumped state or a recorded trial again: does it repeat, and what went out of bounds first",
+        (
+            Option("file", "A dump or a recorded trial (.npz).", argument=True, required=True),
+            Option("from-s", "Begin at this simulated time.", float),
+            Option("to-s", "End at this simulated time.", float),
+            Option("video", "Write a film here (.mp4)."),
+            Option("slowdown", "Film this many times slower than life.", float),
+            Option("picture", "Write a sheet of frames here (.png)."),
+            Option("frames", "Frames on the sheet.", int),
+            Option("camera", "overview, high, left or right."),
+        ),
+    ),
+    ToolEntry(
+        "modes",
+        "minidual.stages.modes:modes",
+        "Planner, leader and policy hand the arms to one another in one process: film, log, bounds of every switch",
+        (
+            Option("modes", "Modes in turn, separated by commas (default: moveit,teleop,policy,moveit)."),
+            Option("checkpoint", "Folder of the policy (default: the run's train-act)."),
+        ),
+        watchable=True,
+    ),
+)
+"""Commands that write no verdict and open no gate: a function `(ToolContext) -> ToolResult` and a row."""

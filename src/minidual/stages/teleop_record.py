@@ -14,7 +14,6 @@ from minidual.gate.check import Check
 from minidual.gate.stage import StageContext, StageResult
 
 if TYPE_CHECKING:
-    from minidual.config.root import Config
     from minidual.config.teleop import TeleopConfig
     from minidual.demos.recording import Recording
     from minidual.demos.rig import Attempt
@@ -127,68 +126,42 @@ def record_checks(numbers: RecordingNumbers, config: TeleopConfig) -> list[Check
     ]
 
 
-class TeleopRecordStage:
-    """See the module."""
+def run(context: StageContext) -> StageResult:
+    """Record, convert, film, and write quality.csv and quality.png."""
+    from minidual.demos.lerobot_adapter import convert
+    from minidual.demos.recording import record
+    from minidual.demos.rig import Job, film
+    from minidual.show.figures.teleop import draw_quality
+    from minidual.show.watch import watch_recording
 
-    name = "teleop-record"
-    requires = ("carry",)
-    summary = "Teleoperate, record demonstrations, convert and grade the dataset"
+    config = context.config
+    job = Job(context.folder, config.scene, config.teleop, config.arbiter, context.seed, config.supervisor)
+    if config.teleop.leader == "keyboard":
+        from minidual.demos.keyboard import HELP
 
-    def parameters(self, config: Config) -> dict[str, Any]:
-        """Return what the result depends on."""
-        return {
-            "teleop": config.teleop,
-            "scene": config.scene,
-            "arbiter": config.arbiter,
-            "supervisor": config.supervisor,
-        }
+        context.progress.note(f"keys: {HELP}")
+    with context.progress.task("demonstrations", config.teleop.episodes_n) as task:
 
-    def validate(self, config: Config) -> None:
-        """Refuse a leader that does not exist."""
-        from minidual.demos.leader import require_leader
+        def tell(attempt: Attempt) -> None:
+            task.advance(int(attempt.kept), "" if attempt.kept else f"trial {attempt.trial.index}: {attempt.reason}")
 
-        require_leader(config.teleop.leader)
-
-    def run(self, context: StageContext) -> StageResult:
-        """Record, convert, film, and write quality.csv and quality.png."""
-        from minidual.demos.lerobot_adapter import convert
-        from minidual.demos.recording import record
-        from minidual.demos.rig import Job, film
-        from minidual.show.figures.teleop import draw_quality
-        from minidual.show.watch import watch_recording
-
-        config = context.config
-        job = Job(context.folder, config.scene, config.teleop, config.arbiter, context.seed, config.supervisor)
-        if config.teleop.leader == "keyboard":
-            from minidual.demos.keyboard import HELP
-
-            context.progress.note(f"keys: {HELP}")
-        with context.progress.task("demonstrations", config.teleop.episodes_n) as task:
-
-            def tell(attempt: Attempt) -> None:
-                task.advance(
-                    int(attempt.kept), "" if attempt.kept else f"trial {attempt.trial.index}: {attempt.reason}"
-                )
-
-            recording = record(job, workers=context.workers, on_attempt=tell, observe=watch_recording(context.view))
-        write_quality(recording.attempts, context.folder / "quality.csv")
-        if not recording.kept:
-            raise NothingEvaluatedError(
-                f"none of {len(recording.attempts)} attempts became a demonstration; {_commonest(recording.attempts)}",
-                remedy="read `reason` above; try --set teleop.leader=scripted, or the defaults of teleop.operator",
-            )
-        with context.progress.task("dataset", len(recording.kept)) as task:
-            dataset = convert(recording.paths, context.folder / "lerobot", progress=lambda done, total: task.advance(1))
-        scripted = config.teleop.leader == "scripted"
-        if scripted:  # a person does not do the same thing twice
-            with context.progress.task("film", 1) as task:
-                film(job, recording.kept[0].trial.index, context.folder / "demonstration.mp4")
-                task.advance()
-        draw_quality(
-            recording.attempts, config.scene.task, config.teleop.jerk_max_rad_s3, context.folder / "quality.png"
+        recording = record(job, workers=context.workers, on_attempt=tell, observe=watch_recording(context.view))
+    write_quality(recording.attempts, context.folder / "quality.csv")
+    if not recording.kept:
+        raise NothingEvaluatedError(
+            f"none of {len(recording.attempts)} attempts became a demonstration; {_commonest(recording.attempts)}",
+            remedy="read `reason` above; try --set teleop.leader=scripted, or the defaults of teleop.operator",
         )
-        numbers = count_recording(recording, dataset.frames, dataset.episodes)
-        return StageResult(checks=record_checks(numbers, config.teleop), data=_data(recording), notes=_notes(recording))
+    with context.progress.task("dataset", len(recording.kept)) as task:
+        dataset = convert(recording.paths, context.folder / "lerobot", progress=lambda done, total: task.advance(1))
+    scripted = config.teleop.leader == "scripted"
+    if scripted:  # a person does not do the same thing twice
+        with context.progress.task("film", 1) as task:
+            film(job, recording.kept[0].trial.index, context.folder / "demonstration.mp4")
+            task.advance()
+    draw_quality(recording.attempts, config.scene.task, config.teleop.jerk_max_rad_s3, context.folder / "quality.png")
+    numbers = count_recording(recording, dataset.frames, dataset.episodes)
+    return StageResult(checks=record_checks(numbers, config.teleop), data=_data(recording), notes=_notes(recording))
 
 
 def count_recording(recording: Recording, dataset_rows: int, dataset_episodes: int) -> RecordingNumbers:
@@ -261,6 +234,3 @@ def _notes(recording: Recording) -> list[str]:
     if not rejected:
         return [f"all {len(recording.attempts)} attempts were kept"]
     return [f"{len(rejected)} of {len(recording.attempts)} attempts were left out; {_commonest(rejected)}"]
-
-
-STAGE = TeleopRecordStage()

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import shutil
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from minidual.gate.check import Check
 from minidual.gate.stage import StageContext, StageResult
 
 if TYPE_CHECKING:
     from minidual.config.learning import TrainConfig
-    from minidual.config.root import Config
     from minidual.policies.acceptance import EmittedActions
     from minidual.policies.train import TrainResult
 
@@ -88,68 +87,54 @@ def train_checks(result: TrainResult, emitted: EmittedActions, config: TrainConf
     return checks
 
 
-class TrainActStage:
-    """See the module."""
+def run(context: StageContext) -> StageResult:
+    """Read the dataset, train, reload the checkpoint as deployment does, and write the records."""
+    from minidual.policies.factory import require_device
 
-    name = "train-act"
-    requires = ("teleop-record",)
-    summary = "Train the ACT policy on the recorded dataset"
+    config = context.config.train
+    require_device(config.device)  # before the dataset is read: this is quick to mend
 
-    def parameters(self, config: Config) -> dict[str, Any]:
-        """Return what the result depends on."""
-        return {"train": config.train}
+    from minidual.policies.acceptance import exercise_checkpoint
+    from minidual.policies.dataset import load_demonstrations
+    from minidual.policies.records import draw_loss, write_loss_csv, write_train_json
+    from minidual.policies.train import train
+    from minidual.robot.constants import Q_LOWER, Q_UPPER
 
-    def run(self, context: StageContext) -> StageResult:
-        """Read the dataset, train, reload the checkpoint as deployment does, and write the records."""
-        from minidual.policies.factory import require_device
+    with context.progress.task("reading frames") as task:
+        seen = 0
 
-        config = context.config.train
-        require_device(config.device)  # before the dataset is read: this is quick to mend
+        def count(done: int, _total: int) -> None:
+            nonlocal seen
+            task.advance(done - seen)
+            seen = done
 
-        from minidual.policies.acceptance import exercise_checkpoint
-        from minidual.policies.dataset import load_demonstrations
-        from minidual.policies.records import draw_loss, write_loss_csv, write_train_json
-        from minidual.policies.train import train
-        from minidual.robot.constants import Q_LOWER, Q_UPPER
+        demos = load_demonstrations(context.upstream["teleop-record"] / "lerobot", config.cameras, count)
+    checkpoint = context.folder / "checkpoint"
+    # Beside the temporary folder, which the next attempt empties: an interrupted training goes on from here.
+    # The file carries a fingerprint of data, settings and seed, so it is never used for another training.
+    resume = context.folder.parent / ".train-act.progress"
+    with context.progress.task("training steps", config.steps) as task:
+        result = train(
+            demos,
+            config,
+            context.seed,
+            checkpoint,
+            resume_dir=resume,
+            advance=lambda steps, loss: task.advance(steps, f"loss {loss:.4f}"),
+        )
+    emitted = exercise_checkpoint(checkpoint, demos, Q_LOWER, Q_UPPER, device=config.device)
 
-        with context.progress.task("reading frames") as task:
-            seen = 0
-
-            def count(done: int, _total: int) -> None:
-                nonlocal seen
-                task.advance(done - seen)
-                seen = done
-
-            demos = load_demonstrations(context.upstream["teleop-record"] / "lerobot", config.cameras, count)
-        checkpoint = context.folder / "checkpoint"
-        # Beside the temporary folder, which the next attempt empties: an interrupted training goes on from here.
-        # The file carries a fingerprint of data, settings and seed, so it is never used for another training.
-        resume = context.folder.parent / f".{self.name}.progress"
-        with context.progress.task("training steps", config.steps) as task:
-            result = train(
-                demos,
-                config,
-                context.seed,
-                checkpoint,
-                resume_dir=resume,
-                advance=lambda steps, loss: task.advance(steps, f"loss {loss:.4f}"),
-            )
-        emitted = exercise_checkpoint(checkpoint, demos, Q_LOWER, Q_UPPER, device=config.device)
-
-        write_loss_csv(result.curve, context.folder / "loss.csv")
-        draw_loss(result, context.folder / "loss.png")
-        extra = {
-            "backbone": config.backbone,
-            "seed": context.seed,
-            "cameras": {c: list(demos.images[c].shape[1:3]) for c in demos.cameras},
-            "inference_hz": emitted.inference_hz,
-        }
-        record = write_train_json(result, extra, context.folder / "train.json")
-        shutil.rmtree(resume, ignore_errors=True)
-        notes = [f"image encoder: {config.backbone}, {'bfloat16' if result.bf16 else 'float32'} convolutions"]
-        if result.resumed_from_step:
-            notes.append(f"continued an interrupted training from step {result.resumed_from_step}")
-        return StageResult(checks=train_checks(result, emitted, config), data=record, notes=notes)
-
-
-STAGE = TrainActStage()
+    write_loss_csv(result.curve, context.folder / "loss.csv")
+    draw_loss(result, context.folder / "loss.png")
+    extra = {
+        "backbone": config.backbone,
+        "seed": context.seed,
+        "cameras": {c: list(demos.images[c].shape[1:3]) for c in demos.cameras},
+        "inference_hz": emitted.inference_hz,
+    }
+    record = write_train_json(result, extra, context.folder / "train.json")
+    shutil.rmtree(resume, ignore_errors=True)
+    notes = [f"image encoder: {config.backbone}, {'bfloat16' if result.bf16 else 'float32'} convolutions"]
+    if result.resumed_from_step:
+        notes.append(f"continued an interrupted training from step {result.resumed_from_step}")
+    return StageResult(checks=train_checks(result, emitted, config), data=record, notes=notes)

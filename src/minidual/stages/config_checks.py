@@ -1,0 +1,33 @@
+"""What is wrong with a configuration and no model can know, asked before a run begins."""
+
+from __future__ import annotations
+
+from minidual.config.root import Config
+from minidual.demos.leader import require_leader
+from minidual.errors import ConfigError
+from minidual.trials.conditions import condition, parse_conditions
+from minidual.trials.methods import method_spec, parse_methods
+
+
+def check_plan(config: Config) -> None:
+    """Refuse a second query set that is the first one."""
+    plan = config.plan
+    if plan.second_queries_n and config.seed == plan.second_seed:
+        raise ConfigError(
+            f"seed and plan.second_seed are both {config.seed}: the second query set would be the first one",
+            remedy=f"choose another --seed, or --set plan.second_seed={config.seed + 1}",
+        )
+
+
+def check_leader(config: Config) -> None:
+    """Refuse a leader that does not exist."""
+    require_leader(config.teleop.leader)
+
+
+def check_benchmark(config: Config) -> None:
+    """Refuse unknown and repeated methods and conditions, and limits for methods that do not exist."""
+    parse_methods(config.benchmark.methods)
+    for name in parse_conditions(config.benchmark.conditions):
+        condition(name).config_under(config)
+    for name in config.benchmark.success_rate_min:
+        method_spec(name)
