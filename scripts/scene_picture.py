@@ -20,7 +20,6 @@ _FRAME_PX = (120, 30, 1080, 570)  # left, upper, right, lower: the part of the p
 
 def render(path: Path) -> None:
     """Write the picture as a JPEG to `path`."""
-    import mujoco
     from PIL import Image
 
     scene = SceneConfig()
@@ -32,10 +31,7 @@ def render(path: Path) -> None:
     ]
     world.reset(np.concatenate(hands))
     world.data.qpos[world.fingers.qpos] = scene.rod.radius_m
-    rod = int(world.model.joint("rod_free").qposadr[0])
-    world.data.qpos[rod : rod + 3] = T_world_rod[:3, 3]
-    mujoco.mju_mat2Quat(world.data.qpos[rod + 3 : rod + 7], T_world_rod[:3, :3].ravel())
-    mujoco.mj_forward(world.model, world.data)
+    world.place(None, T_world_rod)
     buffer = world.model.vis.global_  # room for twice the size in each direction
     buffer.offwidth, buffer.offheight = 2 * _SIZE_PX[0], 2 * _SIZE_PX[1]
     with Camera(world.model, *_SIZE_PX, shadows=True, supersample=2) as camera:

@@ -70,7 +70,7 @@ def ride(
 ) -> Ride:
     """Carry to the end and a little further; `do` something when a phase has lasted for a while, `each` every tick."""
     trial = sample_trial(world.scene, 5, "arbiter", 0)
-    world.reset(rod_xy_yaw=trial.start)
+    world.reset(poses={"rod": trial.start})
     seen = Ride(ImpedanceCarry(world, Kinematics(), CarryConfig(), trial, seed=5, supervisor=supervisor))
     began_s: float | None = None
     done_s = np.inf
@@ -132,7 +132,7 @@ def test_in_the_air_the_motors_are_told_the_law_of_the_path_to_the_bit(world: Wo
     given: list[tuple[Array, Array, ObjectState, float]] = []
     told: list[Array] = []
     trial = sample_trial(world.scene, 5, "arbiter", 1)
-    world.reset(rod_xy_yaw=trial.start)
+    world.reset(poses={"rod": trial.start})
     carry = ImpedanceCarry(world, Kinematics(), CarryConfig(), trial, seed=5)
     while carry.phase != "unload":
         q, v, before = world.q, world.v, carry.phase
@@ -203,9 +203,9 @@ def test_a_request_of_another_mode_ends_the_carry_by_name_and_drops_nothing(
     given = seen.given.index("teleop")
     assert SOURCE not in seen.given[given:], "two sources took turns"
     if phase == "carry":
-        assert not world.rod_on_table()
-        assert world.pinch_forces().min() > 20.0
-        assert tilt_rad(world.T_world_rod) < 0.02
+        assert not world.on_table()
+        assert world.pinch().min() > 20.0
+        assert tilt_rad(world.object_pose()) < 0.02
 
 
 def test_a_request_in_the_middle_of_the_lift_may_have_to_be_made_again(world: World) -> None:
@@ -223,8 +223,8 @@ def test_a_request_in_the_middle_of_the_lift_may_have_to_be_made_again(world: Wo
         carry.step()
     assert stack.source == "teleop"
     assert stack.manager.active == DEFAULT_CONTROLLERS
-    assert not world.rod_on_table()
-    assert world.pinch_forces().min() > 20.0
+    assert not world.on_table()
+    assert world.pinch().min() > 20.0
 
 
 def test_a_hold_in_the_air_keeps_the_object_squeezed(world: World) -> None:
@@ -246,7 +246,7 @@ def test_a_halt_by_somebody_else_is_named_as_one(world: World, phase: str) -> No
     assert seen.active[-1] == ("soft_stop",)
     assert np.abs(world.v).max() < 0.05
     if phase == "carry":
-        assert world.pinch_forces().min() > 20.0, "the hands let go"
+        assert world.pinch().min() > 20.0, "the hands let go"
 
 
 def test_an_object_lost_while_the_arbiter_brakes_halts_the_arms(world: World) -> None:
@@ -254,7 +254,7 @@ def test_an_object_lost_while_the_arbiter_brakes_halts_the_arms(world: World) ->
 
     def snatch(seen: Ride) -> None:
         seen.carry.stack.request("teleop")
-        world.data.joint("rod_free").qpos[:3] = (0.9, 0.6, 0.2)
+        world.truth().qpos[:3] = (0.9, 0.6, 0.2)
 
     seen = ride(world, at=("carry", 1.4), do=snatch)
     assert seen.carry.fault is not None
@@ -276,7 +276,7 @@ def test_an_object_lost_after_a_hold_halts_the_arms(world: World) -> None:
         if seen.carry.done and not np.isfinite(lost_s):
             assert seen.carry.stack.manager.active == OBJECT_CONTROLLERS
             assert world.internal_force() > 35.0
-            world.data.joint("rod_free").qpos[:3] = (0.9, 0.6, 0.2)
+            world.truth().qpos[:3] = (0.9, 0.6, 0.2)
             lost_s = world.time
 
     seen = ride(world, at=("carry", 1.4), do=lambda seen: seen.carry.stack.request("hold"), each=snatch)
@@ -300,7 +300,7 @@ def test_an_object_that_stays_is_held_for_as_long_as_nobody_asks_for_the_arms(wo
         seen.step()
     assert seen.active[-1] == OBJECT_CONTROLLERS
     assert world.internal_force() > 35.0
-    assert not world.rod_on_table()
+    assert not world.on_table()
 
 
 def falls_silent(seen: Ride) -> None:
@@ -321,7 +321,7 @@ def test_a_carry_that_falls_silent_is_braked_and_keeps_what_it_holds(world: Worl
     assert carry.stack.source is None
     assert seen.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
     if phase == "carry":
-        assert not world.rod_on_table()
+        assert not world.on_table()
         assert world.internal_force() > 35.0
 
 
@@ -348,8 +348,8 @@ def test_an_object_command_that_comes_late_is_refused_and_ends_the_carry(
     assert seen.carry.fault is not None
     assert seen.carry.fault.name == "interrupted"
     assert seen.carry.fault.detail.startswith("stale: ObjectCommand is 0.2")
-    assert world.T_world_rod[2, 3] < world.scene.rod.rest_height_m + 0.002
-    assert world.pinch_forces().min() > 20.0
+    assert world.object_pose()[2, 3] < world.scene.rod.rest_height_m + 0.002
+    assert world.pinch().min() > 20.0
     assert seen.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
 
 
@@ -397,7 +397,7 @@ def test_an_emergency_stop_stops_every_phase_and_leaves_the_hands(world: World, 
     closed = phase in ("close", "squeeze", "carry", "unload")
     assert np.array_equal(openings, np.zeros(2) if closed else np.ones(2)), "the hands changed their mind"
     if phase == "carry":
-        assert not world.rod_on_table()
+        assert not world.on_table()
 
 
 # What is proposed -------------------------------------------------------------------------------------------

@@ -72,7 +72,7 @@ def run(
     """
     trial = sample_trial(world.scene, 5, "faults", index)
     with untouched(world):
-        world.reset(rod_xy_yaw=trial.start)
+        world.reset(poses={"rod": trial.start})
         carry = ImpedanceCarry(world, Kinematics(), CarryConfig(), trial, seed=5)
         found, began, disturbed = Run(carry, np.inf), None, False
         told, run_length = Kinematics().gravity(world.q), np.zeros(DOF)
@@ -97,13 +97,13 @@ def run(
 
 def rod_moves(velocity: tuple[float, float, float]) -> Callable[[World], None]:
     def disturb(world: World) -> None:
-        world.data.joint("rod_free").qvel[:3] = velocity
+        world.truth().qvel[:3] = velocity
 
     return disturb
 
 
 def rod_vanishes(world: World) -> None:
-    world.data.joint("rod_free").qpos[:3] = (0.9, 0.6, 0.2)
+    world.truth().qpos[:3] = (0.9, 0.6, 0.2)
 
 
 def grows_smooth(friction: float) -> Callable[[World], None]:
@@ -338,12 +338,12 @@ def test_an_unreachable_goal_is_told_before_the_object_is_lifted(scene: SceneCon
     far = scene.model_copy(update={"task": scene.task.model_copy(update={"goal_xy_m": (0.9, -0.6)})})
     world = World(far)
     trial = sample_trial(far, 5, "faults", 0)
-    world.reset(rod_xy_yaw=trial.start)
+    world.reset(poses={"rod": trial.start})
     carry = ImpedanceCarry(world, Kinematics(), CarryConfig(), trial, seed=5)
     highest = 0.0
     while not carry.done:
         carry.step()
-        highest = max(highest, float(world.T_world_rod[2, 3]))
+        highest = max(highest, float(world.object_pose()[2, 3]))
     assert carry.fault is not None
     assert carry.fault.name == "unreachable"
     assert highest < far.rod.radius_m + 0.002
@@ -351,7 +351,7 @@ def test_an_unreachable_goal_is_told_before_the_object_is_lifted(scene: SceneCon
 
 def test_a_rod_out_of_reach_is_a_fault_before_the_arms_move(world: World) -> None:
     trial = RodTrial("faults", 0, (0.95, 0.6, 0.0), (0.5, 0.0, 0.0))
-    world.reset(rod_xy_yaw=trial.start)
+    world.reset(poses={"rod": trial.start})
     carry = ImpedanceCarry(world, Kinematics(), CarryConfig(), trial, seed=5)
     q = world.q
     while not carry.done:
@@ -387,8 +387,8 @@ def test_a_singular_posture_stops_the_arms_softly_with_the_object_held(
     assert found.latency_s <= 0.001 + 1e-9
     assert found.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
     assert np.abs(found.speeds[-1]).max() < 0.05
-    assert world.pinch_forces().min() > 20.0
-    assert not world.rod_on_table()
+    assert world.pinch().min() > 20.0
+    assert not world.on_table()
 
 
 def test_a_singular_posture_when_the_law_is_to_take_over_leaves_the_object_where_it_lies(
@@ -404,4 +404,4 @@ def test_a_singular_posture_when_the_law_is_to_take_over_leaves_the_object_where
     assert found.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
     assert np.abs(found.speeds[-1]).max() < 0.05
     assert found.carry.stack.manager.active == ("soft_stop",)
-    assert world.rod_on_table()
+    assert world.on_table()

@@ -30,7 +30,7 @@ def carried(config: Config, *, until: str | None = None) -> tuple[Outcome, Imped
     """Carry to the end, or until the judge has noted a fault of that name."""
     world = World(config.scene)
     trial = sample_trial(config.scene, 7, "objects", 0)
-    world.reset(rod_xy_yaw=trial.start)
+    world.reset(poses={"rod": trial.start})
     carry = ImpedanceCarry(world, Kinematics(), config.carry, trial, seed=7)
     judge = RodCarryJudge(config.scene, trial, demand_internal_force=True)
     while not carry.done and not judge.finished:
@@ -73,11 +73,11 @@ def test_what_the_law_is_told_of_mass_and_inertia_is_what_the_simulator_has(name
     assert body.mass[0] == pytest.approx(rod.mass_kg, rel=1e-12)
     # MuJoCo keeps principal axes of its own; the sets of moments must agree.
     assert np.allclose(sorted(body.inertia), sorted(rod.inertia_kg_m2), rtol=1e-9)
-    assert world.T_world_rod[2, 3] == rod.rest_height_m
+    assert world.object_pose()[2, 3] == rod.rest_height_m
     while world.time < 0.2:
         world.step()
-    assert world.rod_on_table()
-    assert abs(world.T_world_rod[2, 3] - rod.rest_height_m) < 2e-4  # it stands on the table, not in it or above it
+    assert world.on_table()
+    assert abs(world.object_pose()[2, 3] - rod.rest_height_m) < 2e-4  # it stands on the table, not in it or above it
 
 
 def test_what_somebody_has_set_stays_and_a_second_call_changes_nothing() -> None:
@@ -147,7 +147,7 @@ def test_the_object_is_turned_by_ninety_degrees() -> None:
     config = configured(motion="rotate")
     outcome, carry = carried(config)
     assert outcome.success, outcome.reason
-    axis = carry.world.T_world_rod[:3, 1]
+    axis = carry.world.object_pose()[:3, 1]
     assert abs(axis[0]) > 0.999  # it lay along y, and lies along x
     assert outcome.yaw_error_rad < 0.02
     assert outcome.duration_s < 8.0

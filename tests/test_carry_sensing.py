@@ -27,15 +27,18 @@ class Bench:
     """What sensors may ask of a world, and nothing else."""
 
     dt: float = 0.001
-    T_world_rod: np.ndarray = field(default_factory=lambda: pose(rot_z(0.3), (0.5, 0.1, 0.01)))
+    T: np.ndarray = field(default_factory=lambda: pose(rot_z(0.3), (0.5, 0.1, 0.01)))
     forces: np.ndarray = field(default_factory=lambda: np.array([[1.0, -40.0, 2.0], [0.0, 40.0, 2.0]]))
-    pinch: tuple[float, float] = (60.0, 50.0)
+    pinches: tuple[float, float] = (60.0, 50.0)
 
-    def hand_forces(self) -> np.ndarray:
+    def object_pose(self, name: object = None) -> np.ndarray:
+        return self.T
+
+    def object_forces(self, name: object = None) -> np.ndarray:
         return self.forces
 
-    def pinch_forces(self) -> np.ndarray:
-        return np.array(self.pinch)
+    def pinch(self, name: object = None) -> np.ndarray:
+        return np.array(self.pinches)
 
 
 def sensors(world: Any, rng: int = 0, **changes: float) -> Sensors:
@@ -47,10 +50,8 @@ def test_noise_has_the_stated_deviation_no_bias_and_no_memory() -> None:
     senses = sensors(bench, pose_rate_hz=0.0)
     readings = [senses.sense() for _ in range(6000)]
     forces = np.array([r.hand_forces for r in readings[100:]]).reshape(-1, 6) - bench.forces.ravel()
-    positions = np.array([r.pose.T_world_object[:3, 3] for r in readings if r.pose]) - bench.T_world_rod[:3, 3]
-    turns = np.array(
-        [rotation_log(r.pose.T_world_object[:3, :3] @ bench.T_world_rod[:3, :3].T) for r in readings if r.pose]
-    )
+    positions = np.array([r.pose.T_world_object[:3, 3] for r in readings if r.pose]) - bench.T[:3, 3]
+    turns = np.array([rotation_log(r.pose.T_world_object[:3, :3] @ bench.T[:3, :3].T) for r in readings if r.pose])
     for errors, deviation in ((forces, 1.0), (positions, 0.0005), (turns, np.radians(0.3))):
         n = len(errors)
         assert np.allclose(errors.std(axis=0), deviation, rtol=0.04)
@@ -58,7 +59,7 @@ def test_noise_has_the_stated_deviation_no_bias_and_no_memory() -> None:
         neighbours = (errors[1:] * errors[:-1]).mean(axis=0) / deviation**2
         assert np.abs(neighbours).max() < 4.5 / np.sqrt(n)
     pinch = np.array([r.pinch for r in readings[100:]])
-    assert np.allclose(pinch.mean(axis=0), bench.pinch, atol=0.1)
+    assert np.allclose(pinch.mean(axis=0), bench.pinches, atol=0.1)
     assert np.allclose(pinch.std(axis=0), 1.0, rtol=0.05)
 
 
@@ -68,7 +69,7 @@ def test_a_bias_stays_for_a_trial_and_differs_between_trials() -> None:
         senses = sensors(Bench(), trial, pose_noise_m=0.0, pose_noise_rad=0.0, pose_bias_m=0.001)
         found = [r.pose.T_world_object[:3, 3] for r in (senses.sense() for _ in range(60)) if r.pose]
         assert np.ptp(np.array(found), axis=0).max() < 1e-12
-        offsets.append(found[0] - Bench().T_world_rod[:3, 3])
+        offsets.append(found[0] - Bench().T[:3, 3])
     assert np.allclose(np.std(offsets, axis=0), 0.001, rtol=0.2)
 
 
@@ -81,7 +82,7 @@ def test_the_delay_is_exact_in_steps(delay_s: float) -> None:
     fresh = []
     for k in range(100):  # step k: the truth says k
         bench.forces = np.full((2, 3), float(k))
-        bench.T_world_rod = pose(np.eye(3), (float(k), 0.0, 0.0))
+        bench.T = pose(np.eye(3), (float(k), 0.0, 0.0))
         reading = senses.sense()
         assert reading.hand_forces[0, 0] == max(0, k - ticks)
         if reading.pose is not None and k:
@@ -96,19 +97,19 @@ def test_switched_off_it_is_the_truth() -> None:
     bench = Bench()
     senses = Sensors(bench, SensingConfig.perfect(), np.random.default_rng(0))  # type: ignore[arg-type]
     for k in range(30):
-        bench.T_world_rod = pose(rot_z(0.01 * k), (0.1 * k, 0.0, 0.0))
+        bench.T = pose(rot_z(0.01 * k), (0.1 * k, 0.0, 0.0))
         reading = senses.sense()
         assert reading.pose is not None
-        assert np.allclose(reading.pose.T_world_object, bench.T_world_rod, atol=1e-15)
+        assert np.allclose(reading.pose.T_world_object, bench.T, atol=1e-15)
         assert np.array_equal(reading.hand_forces, bench.forces)
-        assert np.array_equal(reading.pinch, bench.pinch)
+        assert np.array_equal(reading.pinch, bench.pinches)
 
 
 def test_same_stream_same_noise_and_the_draws_do_not_depend_on_the_amounts() -> None:
     def errors(seed: int, noise_m: float) -> np.ndarray:
         senses = Sensors(Bench(), SensingConfig(pose_noise_m=noise_m), stream(seed, "sensing/x", 3))  # type: ignore[arg-type]
         readings = [senses.sense() for _ in range(200)]
-        return np.array([r.pose.T_world_object[:3, 3] for r in readings if r.pose]) - Bench().T_world_rod[:3, 3]
+        return np.array([r.pose.T_world_object[:3, 3] for r in readings if r.pose]) - Bench().T[:3, 3]
 
     assert np.array_equal(errors(1, 0.0005), errors(1, 0.0005))
     assert not np.array_equal(errors(1, 0.0005), errors(2, 0.0005))
@@ -127,8 +128,8 @@ def test_the_mean_of_a_resting_object_falls_with_the_root_of_the_samples() -> No
             sample = senses.sense().pose
             assert sample is not None
             estimate.add(sample.T_world_object)
-        errors.append(estimate.T_world_object[:3, 3] - bench.T_world_rod[:3, 3])
-        turns.append(rotation_log(estimate.T_world_object[:3, :3] @ bench.T_world_rod[:3, :3].T))
+        errors.append(estimate.T_world_object[:3, 3] - bench.T[:3, 3])
+        turns.append(rotation_log(estimate.T_world_object[:3, :3] @ bench.T[:3, :3].T))
     assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(0.0005 / 10, rel=0.25)
     assert np.sqrt(np.mean(np.square(turns))) == pytest.approx(np.radians(0.3) / 10, rel=0.25)
 
@@ -194,13 +195,14 @@ class Blind:
     """A world that refuses to say anything about the object."""
 
     HIDDEN = (
-        "T_world_rod",
-        "rod_twist",
-        "pinch_forces",
+        "truth",
+        "object_pose",
+        "object_twist",
+        "object_forces",
+        "pinch",
         "contact_wrenches",
         "internal_force",
-        "hand_forces",
-        "rod_on_table",
+        "on_table",
         "contact_pairs",
         "contact_count",
         "touches",
@@ -218,7 +220,7 @@ class Blind:
 
 
 def _errors(world: World, carry: ImpedanceCarry) -> tuple[float, float]:
-    T, estimate = world.T_world_rod, carry.estimate.T_world_object
+    T, estimate = world.object_pose(), carry.estimate.T_world_object
     return (
         float(np.linalg.norm(T[:3, 3] - estimate[:3, 3])),
         float(np.linalg.norm(rotation_log(T[:3, :3].T @ estimate[:3, :3]))),
@@ -229,7 +231,7 @@ def test_a_whole_carry_never_reads_the_truth_and_its_estimate_beats_the_raw_read
     world: World, scene: SceneConfig
 ) -> None:
     trial = sample_trial(scene, 11, "sensing-test", 0)
-    world.reset(rod_xy_yaw=trial.start)
+    world.reset(poses={"rod": trial.start})
     rng = stream(11, "sensing/sensing-test", 0)
     senses = Sensors(world, SensingConfig(), rng)
     heard: list[Any] = []
@@ -247,9 +249,9 @@ def test_a_whole_carry_never_reads_the_truth_and_its_estimate_beats_the_raw_read
         carry.step()
         if carry.phase == "carry":
             fused.append(_errors(world, carry))
-            speeds.append(carry.estimate.twist - world.rod_twist)
+            speeds.append(carry.estimate.twist - world.object_twist())
             if heard[-1].pose is not None:
-                seen = inverse(world.T_world_rod) @ heard[-1].pose.T_world_object
+                seen = inverse(world.object_pose()) @ heard[-1].pose.T_world_object
                 raw.append((np.linalg.norm(seen[:3, 3]), np.linalg.norm(rotation_log(seen[:3, :3]))))
     assert carry.fault is None
     fused_rms, raw_rms = (np.sqrt(np.mean(np.square(e), axis=0)) for e in (fused, raw))
@@ -261,15 +263,15 @@ def test_a_whole_carry_never_reads_the_truth_and_its_estimate_beats_the_raw_read
 
 
 def test_the_blind_world_does_refuse(world: World) -> None:
-    with pytest.raises(AssertionError, match="T_world_rod"):
-        _ = Blind(world).T_world_rod
+    with pytest.raises(AssertionError, match="object_pose"):
+        _ = Blind(world).object_pose()
     assert np.array_equal(Blind(world).q, HOME)
 
 
 def test_noise_belongs_to_the_trial_and_the_seed(world: World, scene: SceneConfig) -> None:
     def where(seed: int, index: int) -> bytes:
         trial = sample_trial(scene, 11, "sensing-test", 0)
-        world.reset(rod_xy_yaw=trial.start)
+        world.reset(poses={"rod": trial.start})
         carry = ImpedanceCarry(world, Kinematics(), CarryConfig(), replace(trial, index=index), seed=seed)
         for _ in range(300):
             carry.step()

@@ -292,7 +292,7 @@ def test_seven_joints_move_and_the_other_arm_is_held(plant: ArmsPlant, controlle
 
 def _grasped(world: World, kinematics: Kinematics) -> HeldObject:
     rod = world.scene.rod
-    grasps: Any = tuple(inverse(world.T_world_rod) @ T for T in kinematics.tcp_poses(world.q))
+    grasps: Any = tuple(inverse(world.object_pose()) @ T for T in kinematics.tcp_poses(world.q))
     across = rod.mass_kg * rod.length_m**2 / 12.0
     inertia = np.diag([across, 1e-5, across])
     return HeldObject(rod.mass_kg, inertia, grasps, np.array([0.0, 1.0, 0.0]))
@@ -311,11 +311,11 @@ def test_object_impedance_lifts_the_rod_and_hands_it_back(
     stack.propose("moveit", trajectory(stack, still, gripper=np.zeros(2)))
     while stack.executing:
         stack.step()
-    assert world.pinch_forces().min() > 30.0
+    assert world.pinch().min() > 30.0
 
     stack.impedance.configure(_grasped(world, kinematics))
     stack.switch_controllers(("object_impedance",))
-    x, y, z = world.T_world_rod[:3, 3]
+    x, y, z = world.object_pose()[:3, 3]
     path = ObjectPath(
         Waypoint((x, y, z), 0.0, 0.0),
         [
@@ -325,7 +325,7 @@ def test_object_impedance_lifts_the_rod_and_hands_it_back(
         ],
     )
     # The rod may have rolled in the fingers: the path keeps the roll it has.
-    roll = world.T_world_rod[:3, :3]
+    roll = world.object_pose()[:3, :3]
 
     class Rolled:
         duration_s = path.duration_s
@@ -347,7 +347,7 @@ def test_object_impedance_lifts_the_rod_and_hands_it_back(
     assert stack.refusals == []
     assert jumps[0] < 1.0, "the torques jumped when the impedance took over"
     assert min(forces[600:]) > 20.0
-    np.testing.assert_allclose(world.T_world_rod[:3, 3], (x, y - 0.1, z + 0.06), atol=5e-3)
+    np.testing.assert_allclose(world.object_pose()[:3, 3], (x, y - 0.1, z + 0.06), atol=5e-3)
 
     # Joint commands are not for this controller; a path that starts elsewhere is refused.
     stack.propose("moveit", JointCommand(world.q, np.zeros(2), world.time, 3))
@@ -367,7 +367,7 @@ def test_object_impedance_lifts_the_rod_and_hands_it_back(
         last = stack.tau
     assert stack.manager.active == ("both_arms",)
     assert largest < 1.0
-    assert world.T_world_rod[2, 3] > z + 0.05, "the rod was dropped"
+    assert world.object_pose()[2, 3] > z + 0.05, "the rod was dropped"
 
 
 # The manager ------------------------------------------------------------------------------------------------
@@ -615,7 +615,7 @@ class _Deaf:
     grip_limit_n = float("inf")
 
     def __init__(self, world: World) -> None:
-        self.force_n, self._T = 40.0, world.T_world_rod
+        self.force_n, self._T = 40.0, world.object_pose()
 
     def read(self) -> tuple[ObjectState, float]:
         return ObjectState(self._T), self.force_n

@@ -160,7 +160,7 @@ def test_energy_does_not_grow_when_a_held_rod_is_let_swing(scene: SceneConfig) -
     world, kinematics = World(scene), Kinematics()
     config = CarryConfig(lift_s=0.6, transport_s=2.2, sensing=SensingConfig.perfect())
     trial = RodTrial("test", 0, (*scene.task.start_xy_m, 0.0), (*scene.task.start_xy_m, 0.0))
-    world.reset(rod_xy_yaw=trial.start)
+    world.reset(poses={"rod": trial.start})
     carry = ImpedanceCarry(world, kinematics, config, trial)
     while carry.phase != "carry":
         carry.step()
@@ -206,7 +206,7 @@ def test_one_real_carry_passes_and_is_the_same_twice(scene: SceneConfig) -> None
     for _ in range(2):
         world = World(scene)
         trial = sample_trial(scene, 5, "test", 0)
-        world.reset(rod_xy_yaw=trial.start)
+        world.reset(poses={"rod": trial.start})
         carry = ImpedanceCarry(world, Kinematics(), CarryConfig(transport_s=1.8), trial)
         judge = RodCarryJudge(scene, trial, demand_internal_force=True)
         while not carry.done and world.time < 14.0:
@@ -222,12 +222,12 @@ def test_one_real_carry_passes_and_is_the_same_twice(scene: SceneConfig) -> None
 def test_a_missing_rod_is_named_and_stops_the_trial(scene: SceneConfig) -> None:
     world = World(scene)
     trial = sample_trial(scene, 5, "test", 1)
-    world.reset(rod_xy_yaw=trial.start)
+    world.reset(poses={"rod": trial.start})
     carry = ImpedanceCarry(world, Kinematics(), CarryConfig(), trial)
     judge = RodCarryJudge(scene, trial, demand_internal_force=True)
     while not carry.done and world.time < 14.0:
         if carry.phase == "close":  # somebody takes the rod away from between the fingers
-            world.data.joint("rod_free").qpos[:3] = (0.5, 0.6, scene.rod.radius_m)
+            world.truth().qpos[:3] = (0.5, 0.6, scene.rod.radius_m)
         carry.step()
         judge.observe(world)
     assert carry.aborted is not None

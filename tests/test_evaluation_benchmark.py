@@ -253,7 +253,7 @@ def carried(method: str, condition: str, steps: int) -> np.ndarray:
     bench = Bench(method, MethodInputs(config, SEED))
     trial = sample_trial(config.scene, SEED, "benchmark", 0)
     with CONDITIONS[condition].applied(bench.world.model, 0):
-        bench.world.reset(rod_xy_yaw=trial.start)
+        bench.world.reset(poses={"rod": trial.start})
         run = bench.factory(bench.world, bench.kinematics, trial)
         for _ in range(steps):
             run.step()
@@ -284,8 +284,8 @@ def test_planning_starts_from_the_reading_that_impedance_starts_from() -> None:
     for method in ("moveit", "impedance"):
         bench = Bench(method, MethodInputs(Config(), SEED))
         trial = sample_trial(Config().scene, SEED, "benchmark", 0)
-        bench.world.reset(rod_xy_yaw=trial.start)
-        truth = bench.world.T_world_rod
+        bench.world.reset(poses={"rod": trial.start})
+        truth = bench.world.object_pose()
         run: Any = bench.factory(bench.world, bench.kinematics, trial)
         seen.append(run.T_world_object if method == "moveit" else run.estimate.T_world_object)
     np.testing.assert_array_equal(seen[0], seen[1])

@@ -77,15 +77,14 @@ def test_a_push_gives_the_object_its_impulse(model):
     """A free object pushed by F for dt, and by half of it during two ramps, gains F (dt + ramp) / m."""
     world = World(Config().scene, model=model)
     world.reset()
-    address = int(model.joint("rod_free").qposadr[0])
     pusher = _Pusher(Push((20.0, 0.0, 0.0), 0.02, ramp_s=0.005), delay_s=0.01)
     pusher(world)  # sees it at rest
-    world.data.qpos[address + 2] += 0.3  # somebody lifted it
+    world.truth().qpos[2] += 0.3  # somebody lifted it
     gained = []
     for _ in range(60):
         mujoco.mj_step(model, world.data)
         pusher(world)
-        gained.append(world.rod_twist[0])
+        gained.append(world.object_twist()[0])
         assert pusher.took_place == (len(gained) > 40), "it begins after 11 steps and lasts 30"
     assert gained[-1] == pytest.approx(20.0 * 0.025 / 0.2, rel=0.01)
     assert not world.data.xfrc_applied.any()
@@ -105,11 +104,10 @@ def test_an_object_on_the_table_is_not_pushed(model):
 def test_a_push_on_an_object_that_was_put_down_again_did_not_take_place(model):
     world = World(Config().scene, model=model)
     world.reset()
-    address = int(model.joint("rod_free").qposadr[0])
     pusher = _Pusher(Push((20.0, 0.0, 0.0), 0.02, ramp_s=0.005), delay_s=0.01)
     pusher(world)
     for lifted in (0.3, -0.3):
-        world.data.qpos[address + 2] += lifted
+        world.truth().qpos[2] += lifted
         mujoco.mj_step(model, world.data)
         pusher(world)
     for _ in range(60):
@@ -134,21 +132,21 @@ def test_a_change_that_breaks_half_way_is_taken_back(model, monkeypatch):
 def test_an_object_is_moved_once_and_lies_still_afterwards(model):
     world = World(Config().scene, model=model)
     world.reset()
-    before = world.T_world_rod
+    before = world.object_pose()
     act = condition("moved 20 mm").disturbance(np.random.default_rng(1))
     for _ in range(450):
         world.step()
         act(world)
-    np.testing.assert_allclose(world.T_world_rod, before, atol=1e-4)
+    np.testing.assert_allclose(world.object_pose(), before, atol=1e-4)
     assert not act.took_place
     for _ in range(300):
         world.step()
         act(world)
     assert act.took_place
-    moved = world.T_world_rod[:3, 3] - before[:3, 3]
+    moved = world.object_pose()[:3, 3] - before[:3, 3]
     assert np.linalg.norm(moved[:2]) == pytest.approx(0.020, abs=2e-4)
     assert abs(moved[2]) < 1e-4
-    np.testing.assert_allclose(world.T_world_rod[:3, :3], before[:3, :3], atol=1e-2)
+    np.testing.assert_allclose(world.object_pose()[:3, :3], before[:3, :3], atol=1e-2)
 
 
 def test_the_first_condition_is_clean_and_names_are_checked():

@@ -60,7 +60,7 @@ class Stage:
         scene = world.scene
         self.world = world
         self.trial: RodTrial = sample_trial(scene, SEED, "modes", 0)
-        world.reset(rod_xy_yaw=self.trial.goal)
+        world.reset(poses={"rod": self.trial.goal})
         guard = Supervisor(dt_s=world.dt) if supervised else None
         self.stack = ControlStack(world, Kinematics(), supervisor=guard)
         self.runtime: Any = Mimic()

@@ -256,15 +256,15 @@ def test_both_hands_keep_their_grasps_while_they_carry(carried):
 
 
 def test_the_carry_is_driven_in_the_simulator(carried, world):
-    world.reset(rod_xy_yaw=(0.5, 0.25, 0.1))
+    world.reset(poses={"rod": (0.5, 0.25, 0.1)})
     lifted = []
-    driven = execute(carried, world, on_step=lambda stage: lifted.append(world.T_world_rod[2, 3]))
+    driven = execute(carried, world, on_step=lambda stage: lifted.append(world.object_pose()[2, 3]))
     assert [d.stage for d in driven] == [s.stage for s in carried.segments]
     assert max(lifted) > 0.1
     assert max(d.tracking_max_rad for d in driven) < 0.02
     assert max(d.object_off_max_m for d in driven if d.object_off_max_m is not None) < 0.002
-    assert np.linalg.norm(world.T_world_rod[:3, 3] - GOAL.T_world_object[:3, 3]) < 0.002
-    assert abs(world.T_world_rod[2, 1]) < np.sin(np.deg2rad(1.0))
+    assert np.linalg.norm(world.object_pose()[:3, 3] - GOAL.T_world_object[:3, 3]) < 0.002
+    assert abs(world.object_pose()[2, 1]) < np.sin(np.deg2rad(1.0))
     assert np.abs(world.q - HOME).max() < 0.02
 
 
@@ -339,11 +339,11 @@ def test_the_rod_changes_hands_in_the_air(planner, world):
         [Place("goal", lying(0.45, -0.2))],
     )
     solution = task.solve(start, tools(planner))
-    world.reset(rod_xy_yaw=(0.45, 0.25, 0.0))
+    world.reset(poses={"rod": (0.45, 0.25, 0.0)})
     heights = {}
-    execute(solution, world, on_step=lambda stage: heights.setdefault(stage, []).append(world.T_world_rod[2, 3]))
+    execute(solution, world, on_step=lambda stage: heights.setdefault(stage, []).append(world.object_pose()[2, 3]))
     assert min(heights["let_go"]) > 0.25  # the second hand has it
-    assert np.linalg.norm(world.T_world_rod[:3, 3] - lying(0.45, -0.2)[:3, 3]) < 0.01
+    assert np.linalg.norm(world.object_pose()[:3, 3] - lying(0.45, -0.2)[:3, 3]) < 0.01
 
 
 @pytest.mark.slow
@@ -351,6 +351,6 @@ def test_one_hand_carries_too(planner, world):
     start = State(np.array(HOME), lying(0.45, 0.25, np.pi / 2))
     place = Place("p", lying(0.45, 0.05, np.pi / 2))
     solution = carry_task(one_hand_grips("left"), [place]).solve(start, tools(planner))
-    world.reset(rod_xy_yaw=(0.45, 0.25, np.pi / 2))
+    world.reset(poses={"rod": (0.45, 0.25, np.pi / 2)})
     execute(solution, world)
-    assert np.linalg.norm(world.T_world_rod[:3, 3] - place.T_world_object[:3, 3]) < 0.005
+    assert np.linalg.norm(world.object_pose()[:3, 3] - place.T_world_object[:3, 3]) < 0.005

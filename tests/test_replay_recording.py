@@ -61,7 +61,7 @@ def trial(tmp_path_factory, scene, compiled_model):
     path = tmp_path_factory.mktemp("replay") / "trial.npz"
     recorder = move(world, Kinematics())
     recorder.write(path, "a test", details={"index": 3})
-    return path, world.q, world.T_world_rod
+    return path, world.q, world.object_pose()
 
 
 class TestRepeating:
@@ -71,7 +71,7 @@ class TestRepeating:
         assert (recorded.steps, recorded.seed, recorded.kind) == (STEPS, 5, "trial")
         assert recorded.details == {"index": 3}
         ends = []
-        found = replay(recorded, on_step=lambda world: ends.append((world.q, world.T_world_rod)))
+        found = replay(recorded, on_step=lambda world: ends.append((world.q, world.object_pose())))
         assert found.exact
         assert found.largest == 0.0
         assert found.compared == len(recorded.keyframes) - 1 == STEPS // 100  # the start agrees by itself

@@ -69,7 +69,7 @@ def test_shares_of_a_picture_are_those_of_its_bodies(visual_world):
 
 def test_the_camera_check_notices_a_rod_that_is_not_there(visual_world):
     assert check_cameras(visual_world).rod_share > 0.001
-    visual_world.reset(rod_xy_yaw=(-3.0, 0.0, 0.0))
+    visual_world.reset(poses={"rod": (-3.0, 0.0, 0.0)})
     assert check_cameras(visual_world).rod_share == 0.0
 
 

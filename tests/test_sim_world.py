@@ -9,6 +9,7 @@ from arm_scripts import pinch_rod
 
 from minidual.control.loop import JointLoop
 from minidual.errors import UsageError
+from minidual.plant.bodies import contact_sensor
 from minidual.plant.world import SimulationDivergedError, World
 from minidual.robot.constants import DOF, HOME, TAU_MAX
 
@@ -38,12 +39,12 @@ class TestReset:
         assert np.array_equal(world.q, HOME)
         assert not world.v.any()
         assert world.gripper == pytest.approx([1.0, 1.0])
-        assert world.T_world_rod[:3, 3] == pytest.approx([*scene.task.start_xy_m, scene.rod.radius_m])
-        assert world.rod_on_table()
+        assert world.object_pose()[:3, 3] == pytest.approx([*scene.task.start_xy_m, scene.rod.radius_m])
+        assert world.on_table()
 
     def test_rolling_out_twice_from_a_reset_gives_the_same_bytes(self, world):
         def rollout():
-            world.reset(rod_xy_yaw=(0.48, 0.2, 0.1))
+            world.reset(poses={"rod": (0.48, 0.2, 0.1)})
             run(world, 200, 0.05 * TAU_MAX)
             return world.data.qpos.tobytes() + world.data.qvel.tobytes() + world.data.sensordata.tobytes()
 
@@ -52,8 +53,8 @@ class TestReset:
         assert rollout() == first
 
     def test_the_rod_lies_where_it_was_put(self, world):
-        world.reset(rod_xy_yaw=(0.45, 0.1, 0.3))
-        assert world.T_world_rod[:3, 1] == pytest.approx([-np.sin(0.3), np.cos(0.3), 0.0])
+        world.reset(poses={"rod": (0.45, 0.1, 0.3)})
+        assert world.object_pose()[:3, 1] == pytest.approx([-np.sin(0.3), np.cos(0.3), 0.0])
 
     def test_a_bad_posture_is_refused_by_name(self, world):
         q = HOME.copy()
@@ -79,30 +80,30 @@ class TestReadings:
         assert np.array_equal(world.tau, TAU_MAX)
 
     def test_the_rods_twist_is_the_rate_of_its_pose(self, world):
-        address = int(world.model.joint("rod_free").dofadr[0])
-        world.data.qpos[int(world.model.joint("rod_free").qposadr[0]) + 2] = 0.5
-        world.data.qpos[int(world.model.joint("rod_free").qposadr[0]) + 3 :][:4] = [0.8, 0.0, 0.6, 0.0]
-        world.data.qvel[address : address + 6] = [0.1, -0.2, 0.3, 1.0, 2.0, -1.0]
+        rod = world.truth()
+        rod.qpos[2] = 0.5
+        rod.qpos[3:] = [0.8, 0.0, 0.6, 0.0]
+        rod.qvel[:] = [0.1, -0.2, 0.3, 1.0, 2.0, -1.0]
         mujoco.mj_forward(world.model, world.data)
-        before, twist = world.T_world_rod, world.rod_twist
+        before, twist = world.object_pose(), world.object_twist()
         h = 1e-7
         mujoco.mj_integratePos(world.model, world.data.qpos, world.data.qvel, h)
         mujoco.mj_forward(world.model, world.data)
-        rate = (world.T_world_rod - before) / h
+        rate = (world.object_pose() - before) / h
         assert rate[:3, 3] == pytest.approx(twist[:3], abs=1e-6)
         spin = rate[:3, :3] @ before[:3, :3].T
         assert [spin[2, 1], spin[0, 2], spin[1, 0]] == pytest.approx(twist[3:], abs=1e-5)
 
     def test_a_rod_in_the_air_is_not_on_the_table(self, world):
-        world.data.qpos[int(world.model.joint("rod_free").qposadr[0]) + 2] = 0.3
+        world.truth().qpos[2] = 0.3
         mujoco.mj_forward(world.model, world.data)
-        assert not world.rod_on_table()
+        assert not world.on_table()
         assert world.contact_count == 0
 
 
 class TestContacts:
     def test_nobody_pinches_an_untouched_rod(self, world):
-        assert world.pinch_forces().tolist() == [0.0, 0.0]
+        assert world.pinch().tolist() == [0.0, 0.0]
         assert world.internal_force() == 0.0
 
     def test_the_pinch_is_steady_and_as_strong_as_asked(self, pinched):
@@ -110,7 +111,7 @@ class TestContacts:
         forces = []
         for _ in range(300):
             loop.step(q, np.zeros(2))
-            forces.append(world.pinch_forces())
+            forces.append(world.pinch())
         # Bare 15 g fingers chatter here, between nothing and the fingers' limit.
         assert np.ptp(forces, axis=0).max() < 0.5
         assert np.mean(forces, axis=0) == pytest.approx([60.0, 60.0], abs=1.0)
@@ -118,7 +119,7 @@ class TestContacts:
     def test_sensors_add_up_to_the_contacts_themselves(self, pinched):
         world, *_ = pinched
         model, data = world.model, world.data
-        centre = world.T_world_rod[:3, 3]
+        centre = world.object_pose()[:3, 3]
         for arm, wrench in zip(("left", "right"), world.contact_wrenches(), strict=True):
             force, torque = np.zeros(3), np.zeros(3)
             for i in range(data.ncon):
@@ -142,11 +143,11 @@ class TestContacts:
         assert left.pinch > 50.0
         assert right.pinch > 50.0
         held = world.data.sensordata.copy()
-        start = int(world.model.sensor("left_panda_leftfinger_contact").adr[0])
+        start = int(world.model.sensor(contact_sensor("rod", "left", "panda_leftfinger")).adr[0])
         world.data.sensordata[start : start + 9] = 0.0
         try:
-            assert world.pinch_forces()[0] == 0.0
-            assert world.pinch_forces()[1] > 50.0
+            assert world.pinch()[0] == 0.0
+            assert world.pinch()[1] > 50.0
         finally:
             world.data.sensordata[:] = held
 
@@ -156,7 +157,7 @@ class TestContacts:
 
         world, loop, q = pinched
         kinematics = Kinematics()
-        axis = world.T_world_rod[:3, 1]
+        axis = world.object_pose()[:3, 1]
         state = world.data.qpos.copy(), world.data.qvel.copy(), world.data.ctrl.copy()
         readings = {}
         for push in (15.0, -15.0):
@@ -176,8 +177,8 @@ class TestContacts:
     def test_one_hand_alone_squeezes_nothing(self, scene, compiled_model, kinematics):
         world = World(scene, model=compiled_model)
         pinch_rod(JointLoop(world, kinematics), scene, kinematics, hands=np.array([0.0, 1.0]))
-        assert world.pinch_forces()[0] > 50.0
-        assert world.pinch_forces()[1] == 0.0
+        assert world.pinch()[0] > 50.0
+        assert world.pinch()[1] == 0.0
         assert world.internal_force() <= 1e-9
 
 

@@ -55,7 +55,7 @@ class Still:
 @pytest.fixture
 def trial(world: World) -> RodTrial:
     trial = sample_trial(world.scene, SEED, "benchmark", 0)
-    world.reset(rod_xy_yaw=trial.start)
+    world.reset(poses={"rod": trial.start})
     return trial
 
 
@@ -132,7 +132,7 @@ def test_a_planned_trial_keeps_the_distance_that_the_supervisor_watches(
                 raise PlanningError("no path")
             return segments
 
-        world.reset(rod_xy_yaw=trial.start)
+        world.reset(poses={"rod": trial.start})
         with monkeypatch.context() as patch:
             patch.setattr(PlannedCarry, "_plan", fails)
             patch.setattr(planned_carry, "_nearest", lambda segments, told=told: next(told))
@@ -140,7 +140,7 @@ def test_a_planned_trial_keeps_the_distance_that_the_supervisor_watches(
         assert carry.aborted == aborted
 
     # What no plan keeps is said, and nothing moves.
-    world.reset(rod_xy_yaw=trial.start)
+    world.reset(poses={"rod": trial.start})
     wide = trial_supervisor(SupervisorConfig(self_collision_min_m=0.14), world.dt)
     carry = PlannedCarry(world, Kinematics(), planner, carrier, trial, SEED, supervisor=wide)
     assert carry.done
@@ -190,7 +190,7 @@ def test_every_method_is_built_with_a_supervisor(method: str, monkeypatch: pytes
     bench = Bench(method, MethodInputs(config, SEED))
     world = bench.world
     trial = sample_trial(config.scene, SEED, "benchmark", 1)
-    world.reset(rod_xy_yaw=trial.start)
+    world.reset(poses={"rod": trial.start})
     run = bench.factory(world, bench.kinematics, trial)
     for _ in range(30):
         run.step()

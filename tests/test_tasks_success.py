@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from minidual.plant.world import ContactWrench
+from minidual.plant.bodies import ContactWrench
 from minidual.robot.poses import pose, rot_x, rot_z
 from minidual.tasks.rod_carry import RodTrial
 from minidual.tasks.success import RodCarryJudge
@@ -27,37 +27,35 @@ class Instant:
     height: float = 0.0
     tilt: float = 0.0
     yaw: float = 0.0
-    pinch: tuple[float, float] = (0.0, 0.0)
+    pinches: tuple[float, float] = (0.0, 0.0)
     squeeze: float = 0.0
     speed: float = 0.0
-    on_table: bool | None = None
+    rests: bool | None = None
     touch: tuple[float, float] | None = None
 
-    @property
-    def T_world_rod(self):
+    def object_pose(self, name=None):
         return pose(rot_z(self.yaw) @ rot_x(self.tilt), (*self.xy, RADIUS + self.height))
 
-    @property
-    def rod_twist(self):
+    def object_twist(self, name=None):
         return np.array([self.speed, 0.0, 0.0, 0.0, 0.0, 0.0])
 
-    def pinch_forces(self):
-        return np.array(self.pinch)
+    def pinch(self, name=None):
+        return np.array(self.pinches)
 
-    def internal_force(self):
+    def internal_force(self, name=None):
         return self.squeeze
 
-    def contact_wrenches(self):
-        touch = self.pinch if self.touch is None else self.touch
+    def contact_wrenches(self, name=None):
+        touch = self.pinches if self.touch is None else self.touch
         return tuple(ContactWrench(np.array([0.0, 0.0, f]), np.zeros(3), f) for f in touch)
 
-    def rod_on_table(self):
-        return self.height < 1e-3 if self.on_table is None else self.on_table
+    def on_table(self, name=None):
+        return self.height < 1e-3 if self.rests is None else self.rests
 
 
 def cycle(**held: object) -> list[Instant]:
     """A clean cycle: grasp 1 s, lift to 10 cm, carry 50 cm, lower, release, rest. `held` overrides it in the air."""
-    grip = {"pinch": (60.0, 60.0), "squeeze": 40.0}
+    grip = {"pinches": (60.0, 60.0), "squeeze": 40.0}
     instants = [Instant() for _ in range(50)]
     instants += [Instant(**grip) for _ in range(50)]
     instants += [Instant(height=0.1 * k / 100, speed=0.1, **grip) for k in range(1, 101)]
@@ -113,14 +111,14 @@ def test_one_that_rises_too_little_did_not_rise(scene):
 
 @pytest.mark.parametrize(("pinch", "hand"), [((60.0, 0.0), "right"), ((0.0, 60.0), "left"), ((20.0, 60.0), "left")])
 def test_one_hand_alone_does_not_hold(scene, pinch, hand):
-    _, outcome = judge(cycle(pinch=pinch), scene)
+    _, outcome = judge(cycle(pinches=pinch), scene)
     assert faults(outcome) == {"held"}
     assert hand in outcome.reason
 
 
 def test_a_grip_lost_for_an_instant_in_the_air_counts(scene):
     instants = cycle()
-    instants[300] = replace(instants[300], pinch=(60.0, 3.0))
+    instants[300] = replace(instants[300], pinches=(60.0, 3.0))
     _, outcome = judge(instants, scene)
     assert faults(outcome) == {"held"}
     assert outcome.faults[0].at_s == pytest.approx(3.0)
@@ -149,14 +147,14 @@ def test_three_centimetres_beside_the_goal_is_not_there(scene):
 
 
 def test_a_rod_still_held_is_not_released(scene):
-    held = [replace(i, pinch=(60.0, 60.0)) if k > 500 else i for k, i in enumerate(cycle())]
+    held = [replace(i, pinches=(60.0, 60.0)) if k > 500 else i for k, i in enumerate(cycle())]
     referee, outcome = judge(held, scene)
     assert faults(outcome) == {"released"}
     assert not referee.finished
 
 
 def test_a_finger_leaning_on_the_rod_is_not_released(scene):
-    leaning = [replace(i, touch=(0.5, 0.0)) if i.pinch == (0.0, 0.0) else i for i in cycle()]
+    leaning = [replace(i, touch=(0.5, 0.0)) if i.pinches == (0.0, 0.0) else i for i in cycle()]
     assert faults(judge(leaning, scene)[1]) == {"released"}
 
 
@@ -169,7 +167,7 @@ def test_a_rolling_rod_is_not_at_rest(scene):
 
 def test_a_rod_let_go_in_the_air_is_not_put_down_for_the_instant_it_hangs(scene):
     instants = cycle()
-    hanging = Instant(time=instants[-1].time + DT, xy=GOAL, height=0.002, on_table=False)
+    hanging = Instant(time=instants[-1].time + DT, xy=GOAL, height=0.002, rests=False)
     released = [i for i in instants if i.time < 5.2 - 1e-9] + [replace(hanging, time=5.2)]
     referee, outcome = judge(released, scene)
     assert not referee.finished
@@ -178,7 +176,7 @@ def test_a_rod_let_go_in_the_air_is_not_put_down_for_the_instant_it_hangs(scene)
 
 def test_touching_the_rod_again_takes_the_finish_back(scene):
     instants = cycle()
-    touched = replace(instants[-1], time=instants[-1].time + DT, pinch=(30.0, 0.0))
+    touched = replace(instants[-1], time=instants[-1].time + DT, pinches=(30.0, 0.0))
     referee, outcome = judge([*instants, touched], scene)
     assert not referee.finished
     assert faults(outcome) == {"released"}
@@ -231,7 +229,7 @@ def test_a_broken_object_stays_broken(scene):
     glass = scene.model_copy(update={"rod": scene.rod.model_copy(update={"break_pinch_n": 65.0})})
     assert judge(cycle(), glass)[1].success
     instants = cycle()
-    instants[120] = replace(instants[120], pinch=(66.0, 60.0))  # for an instant, while it is lifted
+    instants[120] = replace(instants[120], pinches=(66.0, 60.0))  # for an instant, while it is lifted
     _, outcome = judge(instants, glass)
     assert faults(outcome) == {"whole"}
     assert outcome.faults[0].at_s == pytest.approx(1.2)

@@ -154,7 +154,12 @@ def test_failed_attempts_are_set_aside_with_their_reason(tmp_path: Path, shared_
     job = _job(tmp_path, episodes_n=1, attempts_max_ratio=1.0)
     rig = Rig(job, ("high",))
     real = rig.world.reset
-    rig.world.reset = lambda q=None, *, rod_xy_yaw=None: real(q, rod_xy_yaw=(rod_xy_yaw[0] + 0.06, *rod_xy_yaw[1:]))  # type: ignore[method-assign]
+
+    def aside(q=None, *, poses):
+        ((name, (x, y, yaw)),) = poses.items()
+        real(q, poses={name: (x + 0.06, y, yaw)})
+
+    rig.world.reset = aside  # type: ignore[method-assign]
     attempt = rig.record(0)
     rig.close()
     assert not attempt.success

@@ -64,7 +64,7 @@ def test_an_episode_succeeds_and_its_actions_lead_to_the_next_state(world: World
 
 def _replay_error(world: World, start: tuple[float, float, float], ticks: list[Tick], actions: Array) -> float:
     """Return the largest joint difference between the recorded states and a replay of `actions` (2 s of it)."""
-    world.reset(rod_xy_yaw=start)
+    world.reset(poses={"rod": start})
     loop = JointLoop(world, Kinematics())
     for _ in range(20):  # the tick in which the arbiter hands over
         loop.step(HOME, np.ones(2))

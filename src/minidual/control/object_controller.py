@@ -47,7 +47,7 @@ class WorldObjectSensor:
     def read(self) -> tuple[ObjectState, float]:
         """Return the rod's state and the internal force [N]."""
         world = self._world
-        return ObjectState(world.T_world_rod, world.rod_twist), world.internal_force()
+        return ObjectState(world.object_pose(), world.object_twist()), world.internal_force()
 
 
 class ObjectImpedanceController:

@@ -134,7 +134,7 @@ class TeleopSession:
             HandoverError: The arbiter would not give the leader its turn.
         """
         world = self.world
-        world.reset(rod_xy_yaw=trial.start)
+        world.reset(poses={world.objects[0]: trial.start})
         self.stack.reset()
         judge = RodCarryJudge(world.scene, trial)
         first = leader.read(0.0)

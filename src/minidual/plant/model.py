@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from minidual.config.scene import SceneConfig
+from minidual.plant.bodies import contact_sensor, free_bodies
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.description import never_touching, pair_urdf
 from minidual.robot.pair import Robot
@@ -202,7 +203,7 @@ def _add_rod(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
     """The rod's own y axis is its long axis; its body frame sits at the centre of mass."""
     rod = scene.rod
     body = spec.worldbody.add_body(name="rod", pos=[*scene.task.start_xy_m, rod.rest_height_m])
-    body.add_freejoint(name="rod_free")
+    body.add_freejoint(name=f"{body.name}_free")
     along_y = [np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0]
     if rod.shape == "cylinder":
         shape = {"type": mujoco.mjtGeom.mjGEOM_CYLINDER, "quat": along_y}
@@ -288,18 +289,19 @@ def _add_cameras(spec: mujoco.MjSpec, robot: Robot) -> None:
 
 
 def _add_contact_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
-    """One net wrench a finger, of the finger on the rod: force (3,), torque (3,), point (3,), world axes."""
+    """One net wrench a finger and object, of the finger on it: force (3,), torque (3,), point (3,), world axes."""
     fields = mujoco.mjtConDataField
     data = sum(1 << int(f) for f in (fields.mjCONDATA_FORCE, fields.mjCONDATA_TORQUE, fields.mjCONDATA_POS))
     netforce = 3
-    for arm in robot.sides:
-        for finger in robot.hand.finger_links:
-            spec.add_sensor(
-                name=f"{arm}_{finger}_contact",
-                type=mujoco.mjtSensor.mjSENS_CONTACT,
-                objtype=mujoco.mjtObj.mjOBJ_BODY,
-                objname=f"{arm}_{finger}",
-                reftype=mujoco.mjtObj.mjOBJ_BODY,
-                refname="rod",
-                intprm=[data, netforce, 1],
-            )
+    for name in [body.name for body in free_bodies(spec)]:
+        for side in robot.sides:
+            for finger in robot.hand.finger_links:
+                spec.add_sensor(
+                    name=contact_sensor(name, side, finger),
+                    type=mujoco.mjtSensor.mjSENS_CONTACT,
+                    objtype=mujoco.mjtObj.mjOBJ_BODY,
+                    objname=f"{side}_{finger}",
+                    reftype=mujoco.mjtObj.mjOBJ_BODY,
+                    refname=name,
+                    intprm=[data, netforce, 1],
+                )

@@ -103,13 +103,13 @@ class Sensors:
             self._force_noise = self._config.force_noise_n * self._rng.standard_normal((_BLOCK, _FORCES))
             row = 0
         self._force_row = row + 1
-        out[:6] = self._world.hand_forces().ravel()
-        out[6:] = self._world.pinch_forces()
+        out[:6] = self._world.object_forces().ravel()
+        out[6:] = self._world.pinch()
         out += self._force_noise[row]
         np.maximum(out[6:], 0.0, out[6:])
 
     def _sample_pose(self) -> Array:
-        T = self._world.T_world_rod.copy()
+        T = self._world.object_pose().copy()
         error = self._bias + self._scale * self._rng.standard_normal(6)
         T[:3, 3] += error[:3]
         T[:3, :3] = pin.exp3(error[3:]) @ T[:3, :3]

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
 from minidual.config.scene import SceneConfig
-from minidual.errors import MinidualError, UsageError
+from minidual.errors import MinidualError, UsageError, unknown_name
 from minidual.plant.addresses import map_joints
+from minidual.plant.bodies import ContactWrench, NamedObject, ObjectPose, object_names
 from minidual.plant.model import build_model
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.pair import Array, Robot
-from minidual.robot.poses import quat_from_yaw
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -35,28 +35,14 @@ _NOT_FINITE: tuple[tuple[mujoco.mjtWarning, str], ...] = (
 """MuJoCo only counts these: it resets the state, or sets bad commands to zero, and carries on."""
 
 
-@dataclass(frozen=True)
-class ContactWrench:
-    """Net contact of the two fingers of one hand on the rod, world axes.
-
-    Attributes:
-        force: (3,) [N], of the hand on the rod.
-        torque: (3,) [Nm], about the rod's centre of mass.
-        pinch: Normal force of the weaker finger [N]; zero unless both touch.
-    """
-
-    force: Array
-    torque: Array
-    pinch: float
-
-
 class World:
-    """Two arms, two grippers, a rod and a table at 1 kHz.
+    """Two arms, two grippers, a table and named objects at 1 kHz.
 
-    Write torques and finger targets with `command`, then `step`. Readings are copies.
+    Write torques and finger targets with `command`, then `step`. Readings are copies. Where a method takes the name of an
+    object, None stands for the only one.
 
     Args:
-        scene: Physics, rod and task.
+        scene: Physics, objects and task.
         robot: The two arms.
         visuals: Compile the visual meshes; needed only to render.
         model: Reuse a compiled model (it must come from `build_model`).
@@ -78,25 +64,15 @@ class World:
         self.dt = float(self.model.opt.timestep)
         self.joints = map_joints(self.model, robot.joint_names, torque=True)
         self.fingers = map_joints(self.model, robot.finger_joint_names, torque=False)
-        self._rod_body = self.model.body("rod").id
-        free = self.model.joint("rod_free")
-        self._rod_qpos, self._rod_qvel = int(free.qposadr[0]), int(free.dofadr[0])
-        self._hand_bodies = [self.model.body(name).id for name in robot.palm_names]
-        start = int(self.model.sensor(f"{robot.sides[0]}_{robot.hand.finger_links[0]}_contact").adr[0])
-        self._contacts = self.data.sensordata[start : start + 36].reshape(2, 2, 9)  # a view: arm, finger, field
-        # Views, made once: a field of MjData costs as much to look up as three of its numbers to read.
-        data, rod = self.data, self._rod_body
+        self.objects = object_names(self.model)
+        """Names of the objects."""
+        self._objects: dict[str | None, NamedObject] = {
+            name: NamedObject(self.model, self.data, name, robot) for name in self.objects
+        }
+        if len(self.objects) == 1:
+            self._objects[None] = self._objects[self.objects[0]]
+        data = self.data  # views, made once: looking up a field of MjData costs as much as reading three numbers
         self._qpos, self._qvel, self._ctrl, self._force = data.qpos, data.qvel, data.ctrl, data.actuator_force
-        self._rod_R, self._rod_p = data.xmat[rod].reshape(3, 3), data.xpos[rod]
-        self._rod_axis = self._rod_R[:, 1]
-        self._twist = np.zeros(6)
-        self._twist_v, self._twist_w = self._twist[:3], self._twist[3:]
-        self._T = np.eye(4)
-        self._T_rotation, self._T_position = self._T[:3, :3], self._T[:3, 3]
-        self._rod_v, self._rod_w = np.split(self._qvel[self._rod_qvel : self._rod_qvel + 6], 2)
-        self._contact_forces = self._contacts[:, :, :3]
-        self._readings, self._along = self._contacts.reshape(4, 9), np.zeros(9)
-        self._hand_axes = [data.xmat[body].reshape(3, 3)[:, 1] for body in self._hand_bodies]
         self._finger_ctrl = tuple(np.ascontiguousarray(self.fingers.ctrl.reshape(2, 2).T))  # a strided index is slow
         self.recorder: Recorder | None = None
         """Keeps what a replay needs, where one is wanted (see minidual.plant.recorder)."""
@@ -130,19 +106,49 @@ class World:
         fingers = self._qpos[self.fingers.qpos]
         return (fingers[0::2] + fingers[1::2]) / (2.0 * self.robot.hand.travel_m)
 
-    @property
-    def T_world_rod(self) -> Array:
-        """Pose (4, 4) of the rod; its y axis is the long axis."""
-        self._T_rotation[:] = self._rod_R
-        self._T_position[:] = self._rod_p
-        return self._T.copy()
+    def truth(self, name: str | None = None) -> NamedObject:
+        """Return the truth of an object.
 
-    @property
-    def rod_twist(self) -> Array:
-        """Twist (6,) of the rod at its centre of mass, world axes."""
-        self._twist_v[:] = self._rod_v
-        self._rod_R.dot(self._rod_w, self._twist_w)  # MuJoCo keeps a free joint's angular velocity in the body frame
-        return self._twist.copy()
+        Raises:
+            UsageError: There is no such object, or None is given where there are several.
+        """
+        found = self._objects.get(name)
+        if found is None:
+            if name is None:
+                raise UsageError(f"the scene holds {len(self.objects)} objects ({', '.join(self.objects)}); name one")
+            raise unknown_name("object", name, self.objects)
+        return found
+
+    def object_pose(self, name: str | None = None) -> Array:
+        """Return the true pose (4, 4) of an object in the world."""
+        return self.truth(name).pose()
+
+    def object_twist(self, name: str | None = None) -> Array:
+        """Return the true twist (6,) of an object at its centre of mass, world axes."""
+        return self.truth(name).twist()
+
+    def object_forces(self, name: str | None = None) -> Array:
+        """Return the net force of each hand on an object (2, 3) [N], world axes, left then right."""
+        return self.truth(name).forces()
+
+    def pinch(self, name: str | None = None) -> Array:
+        """Return the pinch of each hand on an object (2,) [N]: normal force of its weaker finger."""
+        return self.truth(name).pinch()
+
+    def contact_wrenches(self, name: str | None = None) -> tuple[ContactWrench, ContactWrench]:
+        """Return the net wrench of each hand on an object."""
+        return self.truth(name).wrenches()
+
+    def internal_force(self, name: str | None = None) -> float:
+        """Return the squeeze along an object's y axis [N]; see `NamedObject.internal_force`."""
+        return self.truth(name).internal_force()
+
+    def place(self, name: str | None, pose: ObjectPose) -> None:
+        """Put an object somewhere between two steps, at rest."""
+        found = self.truth(name)
+        found.put(pose)
+        found.qvel[:] = 0.0
+        mujoco.mj_forward(self.model, self.data)
 
     @property
     def contact_count(self) -> int:
@@ -157,61 +163,27 @@ class World:
             for c in self.data.contact[: self.data.ncon]
         ]
 
-    def pinch_forces(self) -> Array:
-        """Return the pinch force of each hand on the rod (2,) [N]: normal force of its weaker finger."""
-        forces = self._contact_forces
-        pinches = []
-        for arm, axis in enumerate(self._hand_axes):  # fingers move along the hand's y
-            left, right = forces[arm].dot(axis).tolist()
-            # The left finger (+y) pushes towards -y, the right one towards +y.
-            pinches.append(max(0.0, min(-left, right)))
-        return np.array(pinches)
-
-    def hand_forces(self) -> Array:
-        """Return the net force of each hand on the rod (2, 3) [N], world axes, left then right."""
-        return self._contact_forces[:, 0] + self._contact_forces[:, 1]
-
     def touches(self, geom: str) -> bool:
         """Return whether anything touches a geom, by its name."""
         index = self.model.geom(geom).id
         return bool((self.data.contact.geom[: self.data.ncon] == index).any())
 
-    def contact_wrenches(self) -> tuple[ContactWrench, ContactWrench]:
-        """Return the net wrench of each hand on the rod."""
-        centre = self.data.xpos[self._rod_body]
-        pinch = self.pinch_forces()
-        result = []
-        for arm in range(2):
-            force = self._contacts[arm, :, :3].sum(axis=0)
-            torque = np.zeros(3)
-            for f in range(2):
-                reading = self._contacts[arm, f]
-                torque += reading[3:6] + np.cross(reading[6:9] - centre, reading[:3])
-            result.append(ContactWrench(force, torque, float(pinch[arm])))
-        return result[0], result[1]
-
-    def internal_force(self) -> float:
-        """Return the squeeze along the rod [N]: the smaller of the two hands' axial forces towards each other.
-
-        Positive when the hands press towards each other, negative when they pull. One hand alone gives at most
-        zero: the internal force is what both carry.
-        """
-        self._along[:3] = self._rod_axis  # picks the forces out of the four fingers' readings in one product
-        a, b, c, d = self._readings.dot(self._along).tolist()
-        return min(-a - b, c + d)  # the left hand holds the +y end
-
-    def rod_on_table(self) -> bool:
-        """Return whether the rod touches the table."""
+    def on_table(self, name: str | None = None) -> bool:
+        """Return whether an object touches the table."""
+        pair = {int(self.model.body("table").id), self.truth(name).body}
         body = self.model.geom_bodyid
-        table = self.model.body("table").id
         contacts = self.data.contact[: self.data.ncon]
-        return any({int(body[c.geom1]), int(body[c.geom2])} == {table, self._rod_body} for c in contacts)
+        return any({int(body[c.geom1]), int(body[c.geom2])} == pair for c in contacts)
 
-    def reset(self, q: Array | None = None, *, rod_xy_yaw: tuple[float, float, float] | None = None) -> None:
-        """Put the arms at q (n,) (home by default), hands open, the rod at (x, y, yaw) on the table.
+    def reset(self, q: Array | None = None, *, poses: Mapping[str, ObjectPose] | None = None) -> None:
+        """Put the arms at q (n,) (home by default), hands open, and the objects where `poses` says.
+
+        Args:
+            q: Joint positions [rad].
+            poses: By name of the object; those not named lie where the scene starts them.
 
         Raises:
-            UsageError: q has another shape, is not finite or leaves the joint limits.
+            UsageError: q has another shape, is not finite or leaves the joint limits; or there is no such object.
         """
         robot = self.robot
         q = robot.home if q is None else np.asarray(q, dtype=float)
@@ -220,16 +192,16 @@ class World:
         bad = ~((q >= robot.q_lower - 1e-9) & (q <= robot.q_upper + 1e-9))
         if bad.any():
             i = int(np.argmax(bad))
-            lower, upper = robot.q_lower[i], robot.q_upper[i]
-            raise UsageError(f"{robot.joint_names[i]} = {q[i]:.4f} rad; {lower:.4f} <= value <= {upper:.4f}")
+            raise UsageError(
+                f"{robot.joint_names[i]} = {q[i]:.4f} rad; {robot.q_lower[i]:.4f} <= value <= {robot.q_upper[i]:.4f}"
+            )
+        put = {self.truth(name): pose for name, pose in (poses or {}).items()}
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[self.joints.qpos] = q
-        self.data.qpos[self.fingers.qpos] = self.robot.hand.travel_m
-        self.data.ctrl[self.fingers.ctrl] = self.robot.hand.travel_m
-        x, y, yaw = (*self.scene.task.start_xy_m, 0.0) if rod_xy_yaw is None else rod_xy_yaw
-        address = self._rod_qpos
-        self.data.qpos[address : address + 3] = (x, y, self.scene.rod.rest_height_m)
-        self.data.qpos[address + 3 : address + 7] = quat_from_yaw(yaw)
+        self.data.qpos[self.fingers.qpos] = robot.hand.travel_m
+        self.data.ctrl[self.fingers.ctrl] = robot.hand.travel_m
+        for found, pose in put.items():
+            found.put(pose)
         mujoco.mj_forward(self.model, self.data)
 
     def command(self, tau: Array, finger_targets_m: Array) -> None:

@@ -16,6 +16,7 @@ from minidual.collision.scene import TABLE, PlanningScene
 from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, Shape, Sphere
 from minidual.config.scene import SceneConfig
 from minidual.plant.addresses import map_joints
+from minidual.plant.bodies import free_bodies
 from minidual.plant.model import GROUP_COLLISION, GROUP_MARKER, GROUP_VISUAL, build_spec
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
@@ -32,11 +33,11 @@ _LOOK_S = 1.0
 
 
 def scene_model(config: SceneConfig, scene: PlanningScene) -> mujoco.MjModel:
-    """Return the simulated world, with visual meshes, holding what the planning scene holds (and no rod)."""
+    """Return the simulated world, with visual meshes, holding what the planning scene holds (and no object of a task)."""
     spec = build_spec(config, visuals=True)
-    rod = spec.body("rod")
-    for geom in rod.geoms:
-        geom.rgba = [0.0, 0.0, 0.0, 0.0]
+    for body in free_bodies(spec):
+        for geom in body.geoms:
+            geom.rgba = [0.0, 0.0, 0.0, 0.0]
     for shape in scene.obstacles:
         if shape == TABLE:
             continue

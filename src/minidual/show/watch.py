@@ -47,8 +47,8 @@ def visual_model(scene: SceneConfig) -> mujoco.MjModel:
 
 def overlay(world: World, words: Overlay) -> Overlay:
     """Return `words` with the time and the forces of the world."""
-    hands = zip(world.robot.tcp_names, world.hand_forces(), ARM_RGB, strict=True)
-    left, right = world.pinch_forces()
+    hands = zip(world.robot.tcp_names, world.object_forces(), ARM_RGB, strict=True)
+    left, right = world.pinch()
     return replace(
         words,
         time_s=world.time,

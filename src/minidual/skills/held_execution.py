@@ -73,13 +73,13 @@ def execute(
         raise ValueError(f"the plan starts with the rod tilted: {T_start[2, :3]}; it must lie level on the table")
     world = world or World(scene)
     yaw = float(np.arctan2(T_start[1, 0], T_start[0, 0]))
-    world.reset(plan.q[0], rod_xy_yaw=(float(T_start[0, 3]), float(T_start[1, 3]), yaw))
+    world.reset(plan.q[0], poses={world.objects[0]: (float(T_start[0, 3]), float(T_start[1, 3]), yaw)})
     loop = JointLoop(world, Kinematics())
     still = np.zeros(DOF)
     for _ in range(round(close_s / world.dt)):
         loop.follow(plan.q[0], still, still, _CLOSED)
-    errors = [deviation(world.T_world_rod, T_start)]
-    pinch = [float(world.pinch_forces().min())]
+    errors = [deviation(world.object_pose(), T_start)]
+    pinch = [float(world.pinch().min())]
     duration = plan.duration_s
     steps = round((duration + SETTLE_S) / world.dt)
     times = np.minimum(np.arange(1, steps + 1) * world.dt, duration)
@@ -88,8 +88,8 @@ def execute(
     rows = np.minimum(np.round(times / plan.dt_s).astype(int), len(plan.times) - 1)
     for k in range(steps):
         loop.follow(q[k], v[k], a[k], _CLOSED)
-        errors.append(deviation(world.T_world_rod, plan.Ts_world_object[rows[k]]))
-        pinch.append(float(world.pinch_forces().min()))
+        errors.append(deviation(world.object_pose(), plan.Ts_world_object[rows[k]]))
+        pinch.append(float(world.pinch().min()))
     deviations = np.array(errors)
     worst = np.argmax(deviations, axis=0)
     return Execution(

@@ -71,7 +71,7 @@ class PlannedCarry:
     ) -> None:
         self.world = world
         self.aborted: str | None = None
-        self.T_world_object = world.T_world_rod if T_world_object is None else T_world_object
+        self.T_world_object = world.object_pose() if T_world_object is None else T_world_object
         self.stack = ControlStack(world, kinematics, arbiter, supervisor=supervisor)
         self._segments: list[tuple[str, Trajectory, float]] = []
         self._proposed = 0

@@ -116,7 +116,7 @@ class BenchScene:
 
     def sense(self) -> tuple[ObjectState, float]:
         """Return object and squeeze [N] as the controller senses them: both are read, even if one is imagined."""
-        T, twist, squeeze = self.world.T_world_rod, self.world.rod_twist, self.world.internal_force()
+        T, twist, squeeze = self.world.object_pose(), self.world.object_twist(), self.world.internal_force()
         if self.virtual:
             T, twist = self.rest, _AT_REST
         return ObjectState(T, twist, _AT_REST), squeeze
@@ -145,13 +145,13 @@ def held_scene(scene: SceneConfig, gains: ImpedanceGains) -> BenchScene:
         GraspFailedError: The rod was not lifted.
     """
     world, kinematics = World(scene), Kinematics()
-    _, q_grasp = approach_postures(scene, level_part(world.T_world_rod))
+    _, q_grasp = approach_postures(scene, level_part(world.object_pose()))
     world.reset(q_grasp)
     loop = JointLoop(world, kinematics)
     for _ in range(_CLOSE_STEPS):
         loop.step(q_grasp, _CLOSED)
 
-    T_world_rod, level = world.T_world_rod, level_part(world.T_world_rod)
+    T_world_rod, level = world.object_pose(), level_part(world.object_pose())
     law = ObjectImpedance(kinematics, held_rod(scene, T_world_rod, kinematics.tcp_poses(world.q)), gains)
     law.engage(world.q)
     x, y, z = T_world_rod[:3, 3]
@@ -175,7 +175,7 @@ def held_scene(scene: SceneConfig, gains: ImpedanceGains) -> BenchScene:
         )
         world.command(tau, grippers.step(_CLOSED))
         world.step()
-    lifted = float(world.T_world_rod[2, 3] - z)
+    lifted = float(world.object_pose()[2, 3] - z)
     if not lifted > 0.9 * _LIFT_M:
         raise GraspFailedError(
             f"the rod rose {lifted:.3f} m of {_LIFT_M} m",

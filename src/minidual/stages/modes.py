@@ -79,7 +79,7 @@ def _run(context: ToolContext, wanted: tuple[str, ...], checkpoint: Path | None)
     config = context.config
     world = World(config.scene, model=build_model(config.scene, visuals=True))
     trial = sample_trial(config.scene, context.seed, "modes", 0)
-    world.reset(rod_xy_yaw=trial.goal)  # as the last carry left it
+    world.reset(poses={world.objects[0]: trial.goal})  # as the last carry left it
     world.recorder = Recorder(world, window_s=1.0, seed=context.seed, folder=context.run_folder / "dumps")
     supervisor = Supervisor(
         config.supervisor, dt_s=world.dt, self_distance=ArmDistance(), on_reflex=world.recorder.on_reflex

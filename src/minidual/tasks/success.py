@@ -98,7 +98,7 @@ class RodCarryJudge:
     def observe(self, world: World) -> None:
         """Take one instant into account."""
         task, rod = self.scene.task, self.scene.rod
-        T = world.T_world_rod
+        T = world.object_pose()
         tilt = tilt_rad(T)
         rest = rod.rest_height_m
         low_end = T[2, 3] - 0.5 * rod.length_m * abs(T[2, 1]) - rest
@@ -108,7 +108,7 @@ class RodCarryJudge:
             self._fault(
                 "level", world.time, f"tilt {np.degrees(tilt):.1f} deg, limit {np.degrees(task.tilt_max_rad):.1f}"
             )
-        pinch = world.pinch_forces()
+        pinch = world.pinch()
         self._observe_damage(world, pinch)
         if low_end > _AIRBORNE_M:
             self._was_airborne = True
@@ -144,7 +144,7 @@ class RodCarryJudge:
                 f"the object broke: pinch {float(pinch.max()):.1f} N, it stands {rod.break_pinch_n:.0f}",
             )
         if rod.break_force_n is not None:
-            force = float(np.linalg.norm(world.hand_forces(), axis=1).max())
+            force = float(np.linalg.norm(world.object_forces(), axis=1).max())
             if force > rod.break_force_n:
                 self._fault(
                     "whole",
@@ -161,9 +161,9 @@ class RodCarryJudge:
             position_error < self.scene.task.goal_tolerance_m
             and (tolerance is None or yaw_error < tolerance)
             and float(pinch.max()) < 0.1
-            and float(np.linalg.norm(world.rod_twist[:3])) < self.scene.task.rest_speed_m_per_s
+            and float(np.linalg.norm(world.object_twist()[:3])) < self.scene.task.rest_speed_m_per_s
             and not self._touched(world)
-            and world.rod_on_table()
+            and world.on_table()
         )
 
     @staticmethod
@@ -173,7 +173,7 @@ class RodCarryJudge:
 
     def goal_errors(self, world: World) -> tuple[float, float]:
         """Return the distance to the goal [m] and the yaw error [rad] of the rod as it lies."""
-        T = world.T_world_rod
+        T = world.object_pose()
         x, y, yaw = self.trial.goal
         axis = T[:3, 1]
         return (
@@ -217,11 +217,11 @@ class RodCarryJudge:
                 f"{np.degrees(yaw_error):.1f} deg off its direction, limit {np.degrees(task.yaw_tolerance_rad):.0f}",
             )
         demand("released", not self._touched(world), "a hand still touches the rod")
-        speed = float(np.linalg.norm(world.rod_twist[:3]))
+        speed = float(np.linalg.norm(world.object_twist()[:3]))
         demand(
             "at_rest",
-            speed < task.rest_speed_m_per_s and world.rod_on_table(),
-            f"speed {speed:.3f} m/s, on the table: {world.rod_on_table()}",
+            speed < task.rest_speed_m_per_s and world.on_table(),
+            f"speed {speed:.3f} m/s, on the table: {world.on_table()}",
         )
         duration = now if self._done_at is None else self._done_at
         demand("on_time", duration <= task.time_limit_s, f"{duration:.1f} s, limit {task.time_limit_s:.0f}")

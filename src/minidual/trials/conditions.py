@@ -20,6 +20,7 @@ from pydantic import ValidationError
 from minidual.config.change import changed
 from minidual.config.root import Config
 from minidual.errors import UsageError, unknown_name
+from minidual.plant.bodies import object_names
 from minidual.plant.world import World
 from minidual.robot.constants import DOF, JOINT_NAMES, Array
 
@@ -183,7 +184,7 @@ class Condition:
             _derive(model)
 
     def _change(self, model: mujoco.MjModel, index: int) -> None:
-        rod = model.body("rod").id
+        rod = int(model.body(object_names(model)[0]).id)
         model.body_mass[rod] *= self.mass_factor
         model.body_inertia[rod] *= self.mass_factor
         if self.friction is not None:
@@ -244,7 +245,7 @@ class _Pusher:
         self.took_place = False
 
     def __call__(self, world: World) -> None:
-        body = world.model.body("rod").id
+        body = world.truth().body
         height = float(world.data.xpos[body, 2])
         if self._rest_m is None:
             self._rest_m = height
@@ -270,8 +271,7 @@ class _Mover:
     def __call__(self, world: World) -> None:
         if self.took_place or world.time < _MOVED_AT_S:
             return
-        address = int(world.model.joint("rod_free").qposadr[0])
-        world.data.qpos[address : address + 2] += self._by
+        world.truth().qpos[:2] += self._by
         self.took_place = True
 
 

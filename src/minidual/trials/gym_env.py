@@ -146,7 +146,7 @@ class RodCarryEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
             trial = sample_trial(self.scene, int(self.np_random.integers(2**62)), "gym", 0)
         elif not isinstance(trial, RodTrial):
             raise UsageError(f"options['trial'] is a {type(trial).__name__}; it must be a RodTrial")
-        self._world.reset(rod_xy_yaw=trial.start)
+        self._world.reset(poses={self._world.objects[0]: trial.start})
         self._loop.reset()
         self._judge = RodCarryJudge(self.scene, trial)
         self._potential = self._measure_potential()
@@ -175,10 +175,10 @@ class RodCarryEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
                 judge.observe(self._world)
         except SimulationDivergedError:
             diverged = True
-            self._world.reset(rod_xy_yaw=judge.trial.start)  # a finite last observation
+            self._world.reset(poses={self._world.objects[0]: judge.trial.start})  # a finite last observation
         outcome = judge.outcome(self._world)
         success = outcome.success and not diverged
-        fallen = bool(self._world.T_world_rod[2, 3] < _FALLEN_M)
+        fallen = bool(self._world.object_pose()[2, 3] < _FALLEN_M)
         terminated = diverged or fallen or judge.finished
         truncated = not terminated and self._world.time >= self.scene.task.time_limit_s - 1e-9
         reward = float(success)
@@ -194,7 +194,7 @@ class RodCarryEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
     def _measure_potential(self) -> float:
         assert self._judge is not None
-        rod = self._world.T_world_rod
+        rod = self._world.object_pose()
         level = level_part(rod)
         hands = [
             float(np.linalg.norm((level @ grasp)[:3, 3] - tcp[:3, 3]))
@@ -220,7 +220,7 @@ class RodCarryEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         return observation
 
     def _rod(self) -> Array:
-        body = self._world.data.body("rod")
+        body = self._world.data.body(self._world.objects[0])
         return np.clip(np.concatenate([body.xpos, body.xquat]), -10.0, 10.0)
 
     def render(self) -> Image | None:  # type: ignore[override]

@@ -139,7 +139,7 @@ class MoveitDriver:
             # The arm that is not planned for is held where it is.
             result = self._planner.plan_to_joints(group, world.q, HOME[GROUPS[group]], seed=self._seed)
         else:
-            rod = level_part(world.T_world_rod)
+            rod = level_part(world.object_pose())
             rod[2, 3] += _HOVER_M
             grasps = grasp_offsets(world.scene)
             targets = {arm: rod @ grasp for arm, grasp in zip(ARMS, grasps, strict=True)}
@@ -197,7 +197,7 @@ class TeleopDriver:
     def begin(self) -> None:
         """Plan from the present posture and rod."""
         world: World = self.stack.world
-        rod = level_part(world.T_world_rod)
+        rod = level_part(world.object_pose())
         yaw = float(np.arctan2(rod[1, 0], rod[0, 0]))
         trial = RodTrial("modes", 0, (float(rod[0, 3]), float(rod[1, 3]), yaw), self._target)
         plan = self._operator.plan(trial, seed=self._seed, rate_hz=self._rate)
@@ -234,7 +234,7 @@ class TeleopDriver:
 
     def result(self) -> dict[str, object]:
         """Return where the rod lies now, against where it was to be put."""
-        rod = level_part(self.stack.world.T_world_rod)
+        rod = level_part(self.stack.world.object_pose())
         error = float(np.hypot(rod[0, 3] - self._target[0], rod[1, 3] - self._target[1]))
         return {"rod_error_m": error}
 

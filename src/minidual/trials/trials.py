@@ -119,7 +119,7 @@ def run_trial(
     """
     scene = world.scene
     began = time.perf_counter()
-    world.reset(rod_xy_yaw=trial.start)
+    world.reset(poses={world.objects[0]: trial.start})
     judge = RodCarryJudge(scene, trial, demand_internal_force=method_spec(method_name).demands_internal_force)
     method = factory(world, kinematics, trial)
     every = round(1.0 / (LOG_RATE_HZ * world.dt))
@@ -190,7 +190,7 @@ def _with_fault(outcome: Outcome, broken: Fault | None) -> Outcome:
 def _sample(world: World, kinematics: Kinematics, phase: str) -> tuple[Any, ...]:
     q = world.q
     left, right = kinematics.tcp_poses(q)
-    T = world.T_world_rod
+    T = world.object_pose()
     return (
         world.time,
         q,
@@ -198,7 +198,7 @@ def _sample(world: World, kinematics: Kinematics, phase: str) -> tuple[Any, ...]
         np.array([left[:3, 3], right[:3, 3]]),
         T[:3, 3],
         tilt_rad(T),
-        world.pinch_forces(),
+        world.pinch(),
         world.internal_force(),
         phase,
     )

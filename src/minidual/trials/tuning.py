@@ -281,7 +281,7 @@ def carry_once(inputs: MethodInputs, trial: RodTrial) -> Carried:
         desired = getattr(method, "desired", None)
         if count % every or method.phase != "carry" or desired is None:
             return
-        T = world.T_world_rod
+        T = world.object_pose()
         rows.append(
             (
                 world.time,

@@ -67,7 +67,7 @@ def _drive(
         worst_rad = max(worst_rad, float(np.max(np.abs(world.q - q))))
         if segment.Ts_world_object is not None and segment.trajectory is not None:
             row = min(round(t / segment.trajectory.dt_s), len(segment.Ts_world_object) - 1)
-            off = float(np.linalg.norm(world.T_world_rod[:3, 3] - segment.Ts_world_object[row, :3, 3]))
+            off = float(np.linalg.norm(world.object_pose()[:3, 3] - segment.Ts_world_object[row, :3, 3]))
             worst_m = off if worst_m is None else max(worst_m, off)
         if on_step is not None:
             on_step(segment.stage)

@@ -1,0 +1,134 @@
+"""A named object of the simulated world: its true pose and motion, and the contacts of both hands on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from minidual.robot.pair import Array, Robot
+
+ObjectPose = Array | tuple[float, float, float]
+"""Where an object is put: a pose (4, 4), or (x, y, yaw) [m, m, rad] resting on the table."""
+
+
+def object_names(model: mujoco.MjModel) -> tuple[str, ...]:
+    """Return the names of the bodies that move freely, in the model's order."""
+    free = [i for i in range(model.njnt) if int(model.jnt_type[i]) == int(mujoco.mjtJoint.mjJNT_FREE)]
+    return tuple(model.body(int(model.jnt_bodyid[i])).name for i in free)
+
+
+def free_bodies(spec: mujoco.MjSpec) -> list[Any]:
+    """Return the bodies of an editable model that move freely: the objects of a task."""
+    free = int(mujoco.mjtJoint.mjJNT_FREE)
+    return [body for body in spec.bodies if any(int(joint.type) == free for joint in body.joints)]
+
+
+def contact_sensor(name: str, side: str, finger_link: str) -> str:
+    """Return the name of the sensor that reads the contact of a finger on an object."""
+    return f"{name}_{side}_{finger_link}"
+
+
+@dataclass(frozen=True)
+class ContactWrench:
+    """Net contact of the two fingers of one hand on an object, world axes.
+
+    Attributes:
+        force: (3,) [N], of the hand on the object.
+        torque: (3,) [Nm], about the object's centre of mass.
+        pinch: Normal force of the weaker finger [N]; zero unless both touch.
+    """
+
+    force: Array
+    torque: Array
+    pinch: float
+
+
+class NamedObject:
+    """Reads one object. Views into MjData are made once: looking up a field costs as much as reading three numbers.
+
+    Args:
+        model: Compiled model.
+        data: Its state.
+        name: Name of the body.
+        robot: The arms.
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, name: str, robot: Robot) -> None:
+        self.body = int(model.body(name).id)
+        joint = int(model.body_jntadr[self.body])
+        position, velocity = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+        self.qpos, self.qvel = data.qpos[position : position + 7], data.qvel[velocity : velocity + 6]
+        self._rest_height_m = float(model.qpos0[position + 2])
+        self._R, self._p = data.xmat[self.body].reshape(3, 3), data.xpos[self.body]
+        self._axis = self._R[:, 1]
+        hand = robot.hand
+        first = int(model.sensor(contact_sensor(name, robot.sides[0], hand.finger_links[0])).adr[0])
+        self._contacts = data.sensordata[first : first + 36].reshape(2, 2, 9)  # arm, finger, field
+        self._forces = self._contacts[:, :, :3]
+        self._readings, self._along = self._contacts.reshape(4, 9), np.zeros(9)
+        palms = [int(model.body(palm).id) for palm in robot.palm_names]
+        self._hand_axes = [data.xmat[palm].reshape(3, 3)[:, 1] for palm in palms]  # the fingers move along them
+        self._v, self._w = self.qvel[:3], self.qvel[3:]
+        self._twist, self._T = np.zeros(6), np.eye(4)
+        self._twist_v, self._twist_w = self._twist[:3], self._twist[3:]
+        self._T_rotation, self._T_position = self._T[:3, :3], self._T[:3, 3]
+
+    def pose(self) -> Array:
+        """Return the pose (4, 4) in the world."""
+        self._T_rotation[:] = self._R
+        self._T_position[:] = self._p
+        return self._T.copy()
+
+    def twist(self) -> Array:
+        """Return the twist (6,) at the centre of mass, world axes."""
+        self._twist_v[:] = self._v
+        self._R.dot(self._w, self._twist_w)  # MuJoCo keeps a free joint's angular velocity in the body frame
+        return self._twist.copy()
+
+    def put(self, pose: ObjectPose) -> None:
+        """Write a pose into the state; the velocity stays."""
+        if isinstance(pose, tuple):
+            x, y, yaw = pose
+            self.qpos[:3] = (x, y, self._rest_height_m)
+            self.qpos[3:] = (np.cos(yaw / 2.0), 0.0, 0.0, np.sin(yaw / 2.0))
+        else:
+            self.qpos[:3] = pose[:3, 3]
+            mujoco.mju_mat2Quat(self.qpos[3:], np.ascontiguousarray(pose[:3, :3]).ravel())
+
+    def forces(self) -> Array:
+        """Return the net force of each hand on the object (2, 3) [N], world axes."""
+        return self._forces[:, 0] + self._forces[:, 1]
+
+    def pinch(self) -> Array:
+        """Return the pinch of each hand (2,) [N]: normal force of its weaker finger."""
+        pinches = []
+        for arm, axis in enumerate(self._hand_axes):
+            left, right = self._forces[arm].dot(axis).tolist()
+            # The left finger (+y) pushes towards -y, the right one towards +y.
+            pinches.append(max(0.0, min(-left, right)))
+        return np.array(pinches)
+
+    def wrenches(self) -> tuple[ContactWrench, ContactWrench]:
+        """Return the net wrench of each hand on the object."""
+        pinch = self.pinch()
+        result = []
+        for arm in range(2):
+            force = self._forces[arm].sum(axis=0)
+            torque = np.zeros(3)
+            for reading in self._contacts[arm]:
+                torque += reading[3:6] + np.cross(reading[6:9] - self._p, reading[:3])
+            result.append(ContactWrench(force, torque, float(pinch[arm])))
+        return result[0], result[1]
+
+    def internal_force(self) -> float:
+        """Return the squeeze along the object's y axis [N]; the left hand holds the +y end.
+
+        It is the smaller of the two hands' axial forces towards each other: positive when they press, negative when
+        they pull. One hand alone gives at most zero.
+        """
+        self._along[:3] = self._axis  # picks the forces out of the four fingers' readings in one product
+        a, b, c, d = self._readings.dot(self._along).tolist()
+        return min(-a - b, c + d)
