@@ -7,31 +7,40 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from minidual.config.robot import RobotConfig
+from minidual.config.scene import SceneConfig
+from minidual.plant.world import World
 from minidual.robot import poses
-from minidual.robot.constants import ARMS, DOF, Q_LOWER, Q_UPPER, V_MAX
+from minidual.robot.arms import DUAL_PANDA, robot_from
+from minidual.robot.kinematics import Kinematics
+
+DOF, ARMS = DUAL_PANDA.dof, DUAL_PANDA.sides
 
 RNG_SEED = 11
+ARM_NAMES = ("panda", "xarm7", "ur5")
 
 
-def random_states(n):
+def random_states(n, robot=DUAL_PANDA):
     rng = np.random.default_rng(RNG_SEED)
-    return [(rng.uniform(Q_LOWER, Q_UPPER), rng.uniform(-V_MAX, V_MAX)) for _ in range(n)]
+    return [(rng.uniform(robot.q_lower, robot.q_upper), rng.uniform(-robot.v_max, robot.v_max)) for _ in range(n)]
 
 
-@pytest.mark.parametrize("state", random_states(5))
-def test_mujoco_and_pinocchio_agree_to_rounding(world, kinematics, state):
-    q, v = state
-    world.reset(q)
-    world.data.qvel[world.joints.qvel] = v
-    mujoco.mj_forward(world.model, world.data)
-    for arm, T in zip(ARMS, kinematics.tcp_poses(q), strict=True):
-        body = world.data.body(f"{arm}_panda_hand_tcp")
-        assert np.abs(T[:3, 3] - body.xpos).max() < 1e-12
-        assert np.abs(T[:3, :3] - body.xmat.reshape(3, 3)).max() < 1e-12
-    M = np.zeros((world.model.nv, world.model.nv))
-    mujoco.mj_fullM(world.model, world.data, M)
-    assert np.abs(M[np.ix_(world.joints.qvel, world.joints.qvel)] - kinematics.mass_matrix(q)).max() < 1e-12
-    assert np.abs(world.data.qfrc_bias[world.joints.qvel] - kinematics.bias(q, v)).max() < 1e-10
+@pytest.mark.parametrize("arm", ARM_NAMES)
+def test_mujoco_and_pinocchio_agree_to_rounding(arm):
+    robot = robot_from(RobotConfig(arm=arm))
+    world, kinematics = World(SceneConfig(), robot), Kinematics(robot)
+    for q, v in random_states(5, robot):
+        world.reset(q)
+        world.data.qvel[world.joints.qvel] = v
+        mujoco.mj_forward(world.model, world.data)
+        for name, T in zip(robot.tcp_names, kinematics.tcp_poses(q), strict=True):
+            body = world.data.body(name)
+            assert np.abs(T[:3, 3] - body.xpos).max() < 1e-12
+            assert np.abs(T[:3, :3] - body.xmat.reshape(3, 3)).max() < 1e-12
+        M = np.zeros((world.model.nv, world.model.nv))
+        mujoco.mj_fullM(world.model, world.data, M)
+        assert np.abs(M[np.ix_(world.joints.qvel, world.joints.qvel)] - kinematics.mass_matrix(q)).max() < 1e-12
+        assert np.abs(world.data.qfrc_bias[world.joints.qvel] - kinematics.bias(q, v)).max() < 1e-10
 
 
 @pytest.mark.parametrize("state", random_states(3))

@@ -14,6 +14,7 @@ _ROBOTS = "package://example-robot-data/robots"
 PANDA_HAND = HandModel(
     name="panda_hand",
     urdf=f"{_ROBOTS}/panda_description/urdf/panda.urdf",
+    srdf=f"{_ROBOTS}/panda_description/srdf/panda.srdf",
     finger_joints=("panda_finger_joint1", "panda_finger_joint2"),
     finger_links=("panda_leftfinger", "panda_rightfinger"),
     palm_link="panda_hand",
@@ -54,7 +55,72 @@ PANDA = ArmModel(
     hand=PANDA_HAND,
 )
 
-ARM_MODELS: Registry[ArmModel] = Registry("arm", {"panda": PANDA}, group="minidual.arms")
+_TURN = 2.0 * math.pi
+
+XARM7 = ArmModel(
+    name="xarm7",
+    urdf=f"{_ROBOTS}/xarm_description/urdf/xarm7.urdf",
+    srdf=f"{_ROBOTS}/xarm_description/srdf/xarm7.srdf",
+    never_touch=(),
+    joints=tuple(f"joint{i}" for i in range(1, 8)),
+    base_link="link_base",
+    flange_link="link7",
+    mount_rpy_rad=(0.0, 0.0, 0.0),
+    # Nearer to the table's middle than the Panda, whose reach is 0.86 m against 0.69 m.
+    base_xy_m=(0.08, 0.22),
+    home=(0.0, -0.6, 0.0, 0.9, 0.0, 1.5, 0.0),
+    # Position, velocity and torque: the URDF of xarm_description (UFACTORY, BSD-3-Clause).
+    q_lower=(-_TURN, -2.059, -_TURN, -0.19198, -_TURN, -1.69297, -_TURN),
+    q_upper=(_TURN, 2.0944, _TURN, 3.927, _TURN, math.pi, _TURN),
+    v_max=(3.14,) * 7,
+    tau_max=(50.0, 50.0, 30.0, 30.0, 30.0, 20.0, 20.0),
+    # 1146 deg/s^2 and 28647 deg/s^3: UFACTORY documentation, "Guide to run robotic arm at the maximum speed".
+    a_max=(20.0,) * 7,
+    jerk_max=(500.0,) * 7,
+    tau_rate_max=1000.0,  # assumed: the Panda's
+    # Rotor inertia: MuJoCo Menagerie. The URDF's friction (10, 5 and 2 Nms/rad, 1 Nm) is a simulator's stabiliser; its
+    # drives are assumed to compensate their own down to the Panda's.
+    armature=0.1,
+    damping=0.1,
+    friction=0.0,
+    hand=PANDA_HAND,
+)
+
+UR5 = ArmModel(
+    name="ur5",
+    urdf=f"{_ROBOTS}/ur_description/urdf/ur5_robot.urdf",
+    srdf=f"{_ROBOTS}/ur_description/srdf/ur5.srdf",
+    never_touch=(),
+    joints=(
+        "shoulder_pan_joint",
+        "shoulder_lift_joint",
+        "elbow_joint",
+        "wrist_1_joint",
+        "wrist_2_joint",
+        "wrist_3_joint",
+    ),
+    base_link="base_link",
+    flange_link="tool0",
+    mount_rpy_rad=(0.0, 0.0, -0.5 * math.pi),
+    base_xy_m=(0.0, 0.3),
+    home=(-0.308, -1.8884, 1.6495, -1.332, -1.5708, -0.308),
+    # Position, velocity and torque: the URDF of ur_description (Universal Robots, BSD).
+    q_lower=(-_TURN, -_TURN, -math.pi, -_TURN, -_TURN, -_TURN),
+    q_upper=(_TURN, _TURN, math.pi, _TURN, _TURN, _TURN),
+    v_max=(3.15, 3.15, 3.15, 3.2, 3.2, 3.2),
+    tau_max=(150.0, 150.0, 150.0, 28.0, 28.0, 28.0),
+    # The maker gives none; MoveIt's configuration of the arm takes 10 rad/s^2. Jerk and torque rate are assumed.
+    a_max=(10.0,) * 6,
+    jerk_max=(5000.0,) * 6,
+    tau_rate_max=1000.0,
+    armature=0.1,  # MuJoCo Menagerie's value for the UR5e
+    damping=0.1,
+    friction=0.0,
+    hand=PANDA_HAND,
+)
+
+ARM_MODELS: Registry[ArmModel] = Registry("arm", {"panda": PANDA, "xarm7": XARM7, "ur5": UR5}, group="minidual.arms")
+
 
 DUAL_PANDA = Robot(PANDA)
 

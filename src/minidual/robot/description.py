@@ -154,12 +154,16 @@ def arm_links(arm: ArmModel) -> tuple[ArmLink, ...]:
 
 @functools.cache
 def never_touching(arm: ArmModel) -> tuple[tuple[str, str], ...]:
-    """Return the pairs of links of one arm that can never touch, without prefix: the SRDF's and the model's own."""
+    """Return the pairs of links of one arm and hand that can never touch, without prefix.
+
+    They are those of both SRDF files, then the arm's own.
+    """
     known = {link.name for link in arm_links(arm)}
-    pairs = list(arm.never_touch)
-    if arm.srdf is not None:
-        root = ET.parse(file_at(arm.srdf)).getroot()
-        pairs = [(e.attrib["link1"], e.attrib["link2"]) for e in root.iter("disable_collisions")] + pairs
+    pairs: dict[tuple[str, str], None] = {}
+    for address in filter(None, (arm.srdf, arm.hand.srdf)):
+        for element in ET.parse(file_at(address)).getroot().iter("disable_collisions"):
+            pairs[element.attrib["link1"], element.attrib["link2"]] = None
+    pairs.update(dict.fromkeys(arm.never_touch))
     return tuple(pair for pair in pairs if known.issuperset(pair))
 
 

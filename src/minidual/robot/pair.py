@@ -24,7 +24,7 @@ class HandModel:
 
     Attributes:
         name: For messages.
-        urdf: Description that holds it, as in ArmModel; everything from `palm_link` outwards is taken.
+        urdf, srdf: Descriptions that hold it, as in ArmModel; everything from `palm_link` outwards is taken.
         finger_joints: Names of the two finger joints, without the arm's prefix.
         finger_links: Names of the two finger links.
         palm_link: Name of the link that carries them.
@@ -39,6 +39,7 @@ class HandModel:
 
     name: str
     urdf: str
+    srdf: str | None
     finger_joints: tuple[str, str]
     finger_links: tuple[str, str]
     palm_link: str

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -35,13 +37,14 @@ class VisualMesh:
 
 
 _Colour = tuple[float, float, float, float]
+_SHRINK_MAX_M = 0.01
+"""A link that becomes shorter by more than this was cut, not simplified."""
 _GREY: _Colour = (0.7, 0.7, 0.7, 1.0)
 
 
 @functools.cache
 def arm_visuals(arm: ArmModel) -> tuple[VisualMesh, ...]:
     """Return the visual meshes of one arm with its hand; about one second the first time in a process."""
-    import fast_simplification
     import pinocchio as pin
 
     colours = materials(arm.hand.urdf) | materials(arm.urdf)
@@ -61,13 +64,12 @@ def arm_visuals(arm: ArmModel) -> tuple[VisualMesh, ...]:
     total = sum(len(faces) for *_, faces in parts)
     reduction = max(0.0, 1.0 - FACES_PER_ARM / total)
     visuals = []
-    for link_name, colour, vertices, faces in parts:
-        if len(faces) > 200:
-            vertices, faces = fast_simplification.simplify(
-                vertices.astype(np.float32), faces.astype(np.int32), target_reduction=reduction
-            )
-        if len(faces) >= 4:
-            visuals.append(VisualMesh(link_name, vertices.astype(np.float32), faces.astype(np.int32), colour))
+    for name, of_link in itertools.groupby(parts, key=lambda part: part[0]):
+        _, colours_of, vertices, faces = zip(*of_link, strict=True)
+        meshes = _decimated(list(zip(vertices, faces, strict=True)), reduction)
+        for colour, (points, triangles) in zip(colours_of, meshes, strict=True):
+            if len(triangles) >= 4:
+                visuals.append(VisualMesh(name, points.astype(np.float32), triangles.astype(np.int32), colour))
     return tuple(visuals)
 
 
@@ -86,3 +88,24 @@ def _coloured(path: Path, colour: _Colour | None) -> list[tuple[_Colour, Array, 
         merged.merge_vertices()
         coloured.append((shade, np.asarray(merged.vertices), np.asarray(merged.faces)))
     return coloured
+
+
+def _decimated(meshes: list[tuple[Any, Any]], reduction: float) -> list[tuple[Any, Any]]:
+    """Return one link's (vertices, faces) with fewer faces; more cautiously where haste cut off part of the link."""
+    import fast_simplification
+
+    def size(parts: list[tuple[Any, Any]]) -> Array:
+        return np.ptp(np.concatenate([vertices for vertices, _ in parts]), axis=0)
+
+    for aggressiveness in (7, 3, 1):
+        fewer = [
+            fast_simplification.simplify(
+                vertices.astype(np.float32), faces.astype(np.int32), target_reduction=reduction, agg=aggressiveness
+            )
+            if len(faces) > 200
+            else (vertices, faces)
+            for vertices, faces in meshes
+        ]
+        if (size(fewer) > size(meshes) - _SHRINK_MAX_M).all():
+            return fewer
+    return meshes
