@@ -265,7 +265,7 @@ def test_an_execution_that_strays_is_seen(driven):
     elsewhere = plans[0].Ts_world_object.copy()
     elsewhere[200:, 0, 3] += 0.003
     assert execute(dataclasses.replace(plans[0], Ts_world_object=elsewhere), scene).error_max_m > 0.0025
-    dropped = execute(plans[0], scene, close_s=0.0)
+    dropped = execute(plans[0], scene, close_s=0.001)
     assert dropped.error_max_m > 0.002
     tilted = plans[0].Ts_world_object.copy()
     tilted[0, :3, :3] = rot_x(0.2)

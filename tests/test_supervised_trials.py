@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from minidual.collision.errors import PlanningError
 from minidual.config.arbiter import ArbiterConfig
 from minidual.config.root import Config
 from minidual.config.supervisor import SupervisorConfig
@@ -22,7 +21,6 @@ from minidual.plant.world import World
 from minidual.policies.pilot import PolicyPilot
 from minidual.robot.constants import HOME, Array
 from minidual.robot.kinematics import Kinematics
-from minidual.skills import planned_carry
 from minidual.skills.operator import ScriptedOperator
 from minidual.skills.planned_carry import PlannedCarry, make_planners
 from minidual.skills.supervised import arm_distance, trial_supervisor
@@ -100,51 +98,21 @@ def test_a_reflex_ends_a_planned_trial(world: World, trial: RodTrial) -> None:
     assert "phase 'approach': reflex joint_velocity" in (carry.aborted or "")
 
 
-def test_a_planned_trial_keeps_the_distance_that_the_supervisor_watches(
-    world: World, trial: RodTrial, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_planned_trial_keeps_the_distance_that_the_supervisor_watches(world: World, trial: RodTrial) -> None:
     planner, carrier = make_planners(Config().plan.planner)
     supervisor = trial_supervisor(SupervisorConfig(), world.dt)
-    seeds, told = [], iter([(0.002, "elbow with elbow"), (0.014, "elbow with elbow"), (0.016, "none")])
-    plan = PlannedCarry._plan
-
-    def noted(self: PlannedCarry, *args: Any) -> Any:
-        seeds.append(args[-1])
-        return plan(self, *args)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(PlannedCarry, "_plan", noted)
-        patch.setattr(planned_carry, "_nearest", lambda segments: next(told))
-        carry = PlannedCarry(world, Kinematics(), planner, carrier, trial, SEED, supervisor=supervisor)
-    assert carry.aborted is None
-    assert len(set(seeds)) == 3, "10 mm and a margin of 5 mm: the third plan is the first that keeps them"
+    carry = PlannedCarry(world, Kinematics(), planner, carrier, trial, SEED, supervisor=supervisor)
+    assert carry.solution is not None
     distance = arm_distance()
-    gaps = [distance(q) for _, motion, _ in carry._segments for q in motion.q]
-    assert planned_carry._nearest(carry._segments)[0] == pytest.approx(min(g for _, g in gaps), abs=1e-3)
-
-    # A seed under which nothing is found is passed over; a planner that finds nothing at first has failed.
-    segments = list(carry._segments)
-    for failing, aborted in ((2, None), (1, "no path")):
-        calls, told = iter(range(1, 9)), iter([(0.002, "elbow with elbow"), (0.016, "none")])
-
-        def fails(self: PlannedCarry, *args: Any, calls: Any = calls, failing: int = failing) -> Any:
-            if next(calls) == failing:
-                raise PlanningError("no path")
-            return segments
-
-        world.reset(poses={"rod": trial.start})
-        with monkeypatch.context() as patch:
-            patch.setattr(PlannedCarry, "_plan", fails)
-            patch.setattr(planned_carry, "_nearest", lambda segments, told=told: next(told))
-            carry = PlannedCarry(world, Kinematics(), planner, carrier, trial, SEED, supervisor=supervisor)
-        assert carry.aborted == aborted
+    gaps = [distance(q)[1] for segment in carry.solution.segments for q in segment.trajectory.q]
+    assert min(gaps) > supervisor.config.self_collision_min_m + 0.004
 
     # What no plan keeps is said, and nothing moves.
     world.reset(poses={"rod": trial.start})
     wide = trial_supervisor(SupervisorConfig(self_collision_min_m=0.14), world.dt)
     carry = PlannedCarry(world, Kinematics(), planner, carrier, trial, SEED, supervisor=wide)
     assert carry.done
-    assert "no plan in 5 keeps 145 mm between the arms" in (carry.aborted or "")
+    assert "they must keep 145" in (carry.aborted or "")
 
 
 @pytest.mark.parametrize(("config", "ended_by"), [(FRAIL, "reflex"), (SupervisorConfig(), "leader")])

@@ -15,17 +15,13 @@ class OperatorConfig(StrictModel):
     approach_s: float = Field(default=1.8, ge=0.5, le=20.0)
     correct_s: float = Field(default=0.6, ge=0.1, le=20.0)
     descend_s: float = Field(default=0.9, ge=0.2, le=20.0)
-    close_s: float = Field(default=0.7, ge=0.4, le=20.0)
     lift_s: float = Field(default=0.8, ge=0.2, le=20.0)
     carry_s: float = Field(default=2.0, ge=0.5, le=20.0)
     lower_s: float = Field(default=0.8, ge=0.2, le=20.0)
-    open_s: float = Field(default=0.5, ge=0.3, le=20.0)
     retreat_s: float = Field(default=0.5, ge=0.2, le=20.0)
     rest_s: float = Field(default=0.1, ge=0.02, le=20.0)
     overlap_s: float = Field(default=0.3, ge=0.0, le=1.0)
     """How early the correction begins before the approach ends, and the descent before the correction does."""
-    hover_m: float = Field(default=0.08, gt=0.02, le=0.3)
-    """Height over the grasp from which the hands go straight down, and to which they retreat."""
     approach_noise_m: float = Field(default=0.010, ge=0.0, le=0.05)
     """Standard deviation of the error with which the hands arrive over the rod; corrected before they go down."""
     approach_noise_rad: float = Field(default=0.04, ge=0.0, le=0.2)

@@ -17,13 +17,12 @@ from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.robot.constants import Array
 from minidual.robot.poses import inverse
 from minidual.skills.pace import object_duration_s
+from minidual.skills.phases import PHASES
 from minidual.skills.reach import Quintic
 from minidual.tasks.rod_carry import level_part
 
 LANDED_S = 0.1
 """How long a lowered object is left to come to rest before it is let go."""
-_SQUEEZE_S, _SQUEEZE_SETTLE_S = 0.3, 0.1
-_RELEASE_S = 0.2
 
 
 class JointMove:
@@ -98,9 +97,9 @@ class Squeeze:
 
 def squeezing(path: ObjectPath, T_level_object: Array, squeeze_n: float) -> tuple[HeldMotion, Squeeze]:
     """Return what builds up the squeeze, no faster than controller C does, with the object at the path's start."""
-    ramp_s = max(_SQUEEZE_S, squeeze_n / SQUEEZE_RATE_N_PER_S)
+    ramp_s = max(PHASES["squeeze"].force_s, squeeze_n / SQUEEZE_RATE_N_PER_S)
     return (
-        HeldMotion(path, T_level_object, ramp_s + _SQUEEZE_SETTLE_S, rests_at_s=0.0),
+        HeldMotion(path, T_level_object, ramp_s + PHASES["settle"].force_s, rests_at_s=0.0),
         Squeeze(0.0, squeeze_n, ramp_s),
     )
 
@@ -112,7 +111,7 @@ def carrying(path: ObjectPath, T_level_object: Array, squeeze_n: float) -> tuple
 
 def releasing(path: ObjectPath, T_level_object: Array, squeeze_n: float) -> tuple[HeldMotion, Squeeze]:
     """Return what takes the squeeze away, no faster than controller C does, with the object at the path's end."""
-    ramp_s = max(_RELEASE_S, squeeze_n / SQUEEZE_RATE_N_PER_S)
+    ramp_s = max(PHASES["unload"].force_s, squeeze_n / SQUEEZE_RATE_N_PER_S)
     return (HeldMotion(path, T_level_object, ramp_s, rests_at_s=path.duration_s), Squeeze(squeeze_n, 0.0, ramp_s))
 
 

@@ -38,16 +38,13 @@ from minidual.skills.carry_stop import CarryStop
 from minidual.skills.carry_watch import CarryWatch
 from minidual.skills.faults import CarryFault
 from minidual.skills.pace import joint_duration_s
+from minidual.skills.phases import PHASES
+from minidual.skills.pipeline.drive import SOURCE
 from minidual.skills.reach import GraspUnreachableError, Quintic, approach_postures, grasp_posture
 from minidual.tasks.rod_carry import RodTrial, level_part
 
-SOURCE = "moveit"
-"""As which source of the arbiter a carry proposes: its motions are made before they run, as a planner's are."""
-
 _OPEN, _CLOSED = np.ones(2), np.zeros(2)
-_OPENING_S = 0.3
 _STOPPED_S = 0.5
-_RETREAT_M = 0.10
 
 
 class ImpedanceCarry:
@@ -276,11 +273,11 @@ class ImpedanceCarry:
             self._watch.let_go()
             self.stack.switch_controllers(DEFAULT_CONTROLLERS)
             self._q_last = self.world.q
-            self._move("open", self._q_last, duration_s=_OPENING_S)
+            self._move("open", self._q_last, duration_s=PHASES["open"].force_s)
 
     def _open(self, t: float) -> None:
         if not self.stack.executing:
-            q_above = self._grasp(self._q_last, above_m=_RETREAT_M)
+            q_above = self._grasp(self._q_last, above_m=PHASES["retreat"].rise_m)
             if q_above is not None:
                 self._move("retreat", q_above)
 

@@ -18,6 +18,7 @@ from minidual.control.object_path import minimum_jerk
 from minidual.robot.constants import HOME, Array
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import pose, rot_x, rot_z
+from minidual.skills.phases import PHASES
 from minidual.skills.posture_ik import PostureIK
 from minidual.tasks.rod_carry import RodTrial, grasp_offsets, level_pose
 
@@ -102,11 +103,11 @@ class ScriptedOperator:
             ("approach", c.approach_s),
             ("correct", c.correct_s),
             ("descend", c.descend_s),
-            ("close", c.close_s),
+            ("close", PHASES["close"].hold_s),
             ("lift", c.lift_s),
             ("carry", c.carry_s),
             ("lower", c.lower_s),
-            ("open", c.open_s),
+            ("open", PHASES["open"].hold_s),
             ("retreat", c.retreat_s),
             ("rest", c.rest_s),
         ):
@@ -159,12 +160,12 @@ class ScriptedOperator:
 
     def _rod_pose(self, trial: RodTrial, error: Array, progress: dict[str, float]) -> Array:
         """Return the level pose that the hands would give the rod if they held it all the time."""
-        c, lift = self.config, self.scene.task.lift_height_m
+        lift = self.scene.task.lift_height_m
         start = np.array(trial.start) + error * (1.0 - progress["correct"])
         x, y, yaw = start + (np.array(trial.goal) - start) * progress["carry"]
         height = (
             self.scene.rod.radius_m
-            + c.hover_m * (1.0 - progress["descend"] + progress["retreat"])
+            + PHASES["approach"].rise_m * (1.0 - progress["descend"] + progress["retreat"])
             + lift * (progress["lift"] - progress["lower"])
         )
         return level_pose(x, y, height, yaw)

@@ -12,6 +12,7 @@ from minidual.control.object_path import minimum_jerk
 from minidual.errors import MinidualError
 from minidual.motion.ik import ArmIK
 from minidual.robot.constants import ARMS, GROUPS, HOME, Array
+from minidual.skills.phases import PHASES
 from minidual.tasks.rod_carry import grasp_offsets
 
 
@@ -68,7 +69,9 @@ class Quintic:
         return (self.q0 + blend * delta, rate / self.duration_s * delta, curvature / self.duration_s**2 * delta)
 
 
-def approach_postures(scene: SceneConfig, T_world_level: Array, *, above_m: float = 0.08) -> tuple[Array, Array]:
+def approach_postures(
+    scene: SceneConfig, T_world_level: Array, *, above_m: float = PHASES["approach"].rise_m
+) -> tuple[Array, Array]:
     """Return (q over the rod, q at the grasp), each (14,), in the configuration of the home posture."""
     q_over = grasp_posture(scene, T_world_level, HOME, above_m=above_m)
     return q_over, grasp_posture(scene, T_world_level, q_over)

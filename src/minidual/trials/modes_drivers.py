@@ -22,13 +22,13 @@ from minidual.motion.api import Planner
 from minidual.plant.world import World
 from minidual.robot.constants import ARMS, GROUPS, HOME, Array
 from minidual.skills.operator import ScriptedOperator
+from minidual.skills.phases import PHASES
 from minidual.tasks.rod_carry import RodTrial, grasp_offsets, level_part
 from minidual.tasks.success import RodCarryJudge
 
 if TYPE_CHECKING:
     from minidual.policies.policy import Image, PolicyRuntime
 
-_HOVER_M = 0.08
 _JOIN_SPEED_RAD_S = 0.7
 _JOIN_MIN_S = 1.0
 _QUIET_S = 0.5
@@ -140,7 +140,7 @@ class MoveitDriver:
             result = self._planner.plan_to_joints(group, world.q, HOME[GROUPS[group]], seed=self._seed)
         else:
             rod = level_part(world.object_pose())
-            rod[2, 3] += _HOVER_M
+            rod[2, 3] += PHASES["approach"].rise_m
             grasps = grasp_offsets(world.scene)
             targets = {arm: rod @ grasp for arm, grasp in zip(ARMS, grasps, strict=True)}
             result = self._planner.plan_to_poses(group, world.q, targets, seed=self._seed)

@@ -1,7 +1,1 @@
-"""Plans made of stages: what MoveIt Task Constructor does, in Python, small.
-
-A task is a list of stages. Each is a generator of candidates for the states between stages; `search` tries them, the
-preferred ones first, and keeps count of what failed where and why. See docs/task-pipeline.md.
-"""
-
-from __future__ import annotations
+"""Search for a plan of a whole task, phase by phase. See docs/task-pipeline.md."""

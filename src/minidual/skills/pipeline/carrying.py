@@ -1,161 +1,143 @@
-"""Stages of the held object: lift it, choose where it goes, bring it there, put it down."""
+"""The stage of the held object: off what it stands on, to a place, down."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from minidual.collision.errors import ClosedChainError, PlanningError
-from minidual.motion.held_path import ObjectLimits
+from minidual.collision.errors import PlanningError
 from minidual.motion.held_query import HeldQuery
-from minidual.motion.linear import TipLimits
-from minidual.robot.constants import ARMS, Array
-from minidual.skills.pipeline.stage import Candidate, Failure, Forward, Offer, Tools, group_of
+from minidual.robot.pair import SIDES, Array
+from minidual.skills.phases import PHASES
+from minidual.skills.pipeline.hands import straight
+from minidual.skills.pipeline.stage import Candidate, Failure, Offer, Stage, Tools, failure, group_of
 from minidual.skills.pipeline.state import Segment, State, raised
 
-SLOW = ObjectLimits(speed_m_per_s=0.15, acceleration_m_per_s2=0.6)
-"""Lifting off and putting down."""
+_OTHER_HEIGHTS_M = (0.06, 0.2)
 
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """One way to put the object down.
+    """One pose to bring the object to.
 
     Attributes:
         label: For people.
-        T_world_object: Its pose (4, 4) when it stands.
+        T_world_object: Its pose (4, 4) there.
         cost: Preference.
+        rests: Whether it stands there; in the air otherwise.
     """
 
     label: str
     T_world_object: Array
     cost: float = 0.0
+    rests: bool = True
 
 
-class Lift(Forward):
-    """Straight up with the object."""
+class Carry(Stage):
+    """Bring the held object to one of several places.
 
-    def __init__(self, name: str = "lift", heights_m: Sequence[float] = (0.12, 0.2, 0.06)) -> None:
+    Two hands try one motion without a stop (up, across, down) first. Otherwise, and where that is blocked: straight
+    up, a free motion, straight down.
+
+    Args:
+        name: Of the stage.
+        places: The preferred one has the least cost.
+        lift_m: Height of the way over start and place.
+        budget_s: Wall time of one free motion.
+    """
+
+    def __init__(self, name: str, places: Sequence[Place], lift_m: float, budget_s: float = 2.0) -> None:
         super().__init__(name)
-        self._heights = tuple(heights_m)
+        self._places = sorted(places, key=lambda place: place.cost)
+        self._heights = (lift_m, *(h for h in _OTHER_HEIGHTS_M if h != lift_m))
+        self._budget_s = budget_s
 
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
-        """Yield lifts by every height."""
-        for rank, height in enumerate(self._heights):
-            label = f"by {height * 100:.0f} cm"
-            yield straight_with_object(self.name, label, 0.2 * rank, start, raised(start.T_world_object, height), tools)
-
-
-class ChoosePlace(Forward):
-    """Decide where the object goes; only places that the hands reach and where nothing stands are offered."""
-
-    def __init__(self, name: str, places: Sequence[Place]) -> None:
-        super().__init__(name)
-        self._places = tuple(sorted(places, key=lambda place: place.cost))
-
-    def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
-        """Yield the places that pass; nothing moves."""
-        scene = tools.scene(start, resting=True)
+        """Yield ways to every place, at several heights."""
+        if not start.held_by:
+            yield Failure("not_held", "no hand holds the object")
+            return
         for index, place in enumerate(self._places):
-            targets = {arm: place.T_world_object @ T for arm, T in start.held_by.items()}
             try:
-                tools.poses.candidates(
-                    group_of(start.held_by),
-                    start.q,
-                    targets,
-                    tools.planner.engines(scene).mujoco,
-                    tools.rng(2, index),
-                    restarts_n=tools.planner.config.ik_restarts_n,
-                    candidates_n=1,
-                )
+                self._check(place, index, start, tools)
             except PlanningError as error:
-                yield Failure(error.reason, f"{place.label}: {error.message}")
+                yield failure(error, place.label)
                 continue
-            end = replace(start, T_world_place=place.T_world_object)
-            yield Candidate(place.label, place.cost, start, end)
+            if len(start.held_by) == len(SIDES) and start.rests and place.rests:
+                yield self._at_once(place, start, tools)
+            for rank, height in enumerate(self._heights, 1):
+                yield self._in_parts(place, height, 0.2 * rank, start, tools)
 
-
-class Transport(Forward):
-    """Bring the object over its place, round whatever stands in the way."""
-
-    def __init__(
-        self, name: str = "transport", heights_m: Sequence[float] = (0.12, 0.06, 0.2), budget_s: float = 2.0
-    ) -> None:
-        super().__init__(name)
-        self._heights, self._budget_s = tuple(heights_m), budget_s
-
-    def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
-        """Yield ways to above the place, from several heights over it."""
-        if start.T_world_place is None:
-            yield Failure("no_place", "no place was chosen before")
-            return
-        scene = tools.scene(start)
-        for rank, height in enumerate(self._heights):
-            above = raised(start.T_world_place, height)
-            label = f"to {height * 100:.0f} cm over the place"
-            try:
-                segment = self._carried(start, above, tools)
-            except PlanningError as error:
-                yield Failure(error.reason, f"{label}: {error.message}")
-                continue
-            assert segment.trajectory is not None
-            end = replace(start, q=segment.trajectory.q[-1], T_world_object=above)
-            yield Candidate(label, 0.2 * rank, start, end, (replace(segment, scene=scene),))
-
-    def _carried(self, start: State, above: Array, tools: Tools) -> Segment:
-        scene = tools.scene(start)
-        if len(start.held_by) == len(ARMS):
-            left, right = (start.held_by[arm] for arm in ARMS)
-            moved = tools.holder.plan(HeldQuery(start.q, above, left, right, scene, tools.seed), self._budget_s)
-            return Segment(
-                self.name, moved, start.openings, verification=moved.verification, Ts_world_object=moved.Ts_world_object
-            )
-        targets = {arm: above @ T for arm, T in start.held_by.items()}
-        plan = tools.planner.plan_to_poses(
-            group_of(start.held_by), start.q, targets, scene=scene, seed=tools.seed, budget_s=self._budget_s
+    def _check(self, place: Place, index: int, start: State, tools: Tools) -> None:
+        """Raise PlanningError where the hands cannot have the object there: out of reach, or something is there."""
+        engines = tools.planner.engines(tools.scene(start, resting=place.rests))
+        targets = {arm: place.T_world_object @ T for arm, T in start.held_by.items()}
+        tools.poses.candidates(
+            group_of(start.held_by),
+            start.q,
+            targets,
+            engines.mujoco,
+            tools.rng(2, index),
+            restarts_n=tools.planner.config.ik_restarts_n,
+            candidates_n=1,
         )
-        return Segment(self.name, plan.trajectory, start.openings, verification=plan.verification)
 
+    def _at_once(self, place: Place, start: State, tools: Tools) -> Offer:
+        height = self._heights[0]
+        begin, end = start.T_world_object, place.T_world_object
+        try:
+            segment = self._in_both_hands([begin, raised(begin, height), raised(end, height), end], start, tools)
+        except PlanningError as error:
+            return failure(error, f"{place.label}, at once")
+        return Candidate(place.label, place.cost, _at(place, start, segment), (segment,))
 
-class PutDown(Forward):
-    """Straight down to the chosen place."""
+    def _in_parts(self, place: Place, height: float, cost: float, start: State, tools: Tools) -> Offer:
+        label = f"{place.label}, {100 * height:.0f} cm up"
+        state, segments, part = start, [], "lift"
+        try:
+            if start.rests:
+                state = self._straight("lift", raised(start.T_world_object, height), state, tools, segments)
+            part = "carry"
+            above = raised(place.T_world_object, height) if place.rests else place.T_world_object
+            segments.append(self._freely(above, state, tools))
+            state = replace(state, q=segments[-1].trajectory.q[-1], T_world_object=above, rests=False)
+            part = "lower"
+            if place.rests:
+                state = self._straight("lower", place.T_world_object, state, tools, segments)
+        except PlanningError as error:
+            return failure(error, f"{label}, {part}")
+        return Candidate(label, place.cost + cost, _at(place, state, segments[-1]), tuple(segments))
 
-    def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
-        """Yield the one way down."""
-        if start.T_world_place is None:
-            yield Failure("no_place", "no place was chosen before")
-            return
-        yield straight_with_object(self.name, "", 0.0, start, start.T_world_place, tools)
-
-
-def straight_with_object(stage: str, label: str, cost: float, start: State, T_world_goal: Array, tools: Tools) -> Offer:
-    """Return the candidate that moves the held object straight to a pose, which it may touch what it rests on."""
-    scene = tools.scene(start, resting=True)
-    try:
-        if len(start.held_by) == len(ARMS):
-            left, right = (start.held_by[arm] for arm in ARMS)
-            moved = tools.carrier.plan(start.q, [start.T_world_object, T_world_goal], left, right, object_limits=SLOW)
-            proof = tools.planner.engines(scene).verifier.verify(moved)
-            if not proof.ok:
-                raise ClosedChainError(f"the carried path is not free: {proof.reason}")
-            segment = Segment(
-                stage, moved, start.openings, scene=scene, verification=proof, Ts_world_object=moved.Ts_world_object
-            )
+    def _straight(self, phase: str, T_world_goal: Array, state: State, tools: Tools, segments: list[Segment]) -> State:
+        """Append the straight motion with the object to a pose; return the state after it."""
+        if len(state.held_by) == len(SIDES):
+            segment = self._in_both_hands([state.T_world_object, T_world_goal], state, tools, phase)
         else:
-            targets = {arm: T_world_goal @ T for arm, T in start.held_by.items()}
-            move = tools.linear.plan(
-                group_of(start.held_by),
-                start.q,
-                targets,
-                tools.planner.engines(scene),
-                fraction_min=1.0,
-                tip_limits=TipLimits(SLOW.speed_m_per_s, SLOW.acceleration_m_per_s2),
-            )
-            segment = Segment(stage, move.trajectory, start.openings, scene=scene, verification=move.verification)
-    except PlanningError as error:
-        return Failure(error.reason, f"{label}: {error.message}" if label else error.message)
-    assert segment.trajectory is not None
-    end = replace(start, q=segment.trajectory.q[-1], T_world_object=np.array(T_world_goal))
-    return Candidate(label, cost, start, end, (segment,))
+            targets = {arm: T_world_goal @ T for arm, T in state.held_by.items()}
+            segment = straight(tools, phase, state, targets, tools.scene(state, resting=True))
+        segments.append(segment)
+        return replace(state, q=segment.trajectory.q[-1], T_world_object=T_world_goal)
+
+    def _in_both_hands(self, way: list[Array], state: State, tools: Tools, phase: str = "carry") -> Segment:
+        left, right = (state.held_by[arm] for arm in SIDES)
+        motion = tools.carrier.plan(state.q, way, left, right, object_limits=PHASES[phase].limits)
+        scene = tools.scene(state, resting=True)
+        return tools.proven(phase, motion, state, scene, Ts_world_object=motion.Ts_world_object)
+
+    def _freely(self, T_world_goal: Array, state: State, tools: Tools) -> Segment:
+        """Return the motion with the object to a pose in the air, round whatever stands in the way."""
+        scene = tools.scene(state)
+        if len(state.held_by) == len(SIDES):
+            left, right = (state.held_by[arm] for arm in SIDES)
+            query = HeldQuery(state.q, T_world_goal, left, right, scene, tools.seed)
+            moved = tools.holder.plan(query, self._budget_s)
+            return Segment("carry", moved, state.openings, scene, moved.verification, moved.Ts_world_object)
+        targets = {arm: T_world_goal @ T for arm, T in state.held_by.items()}
+        plan = tools.planner.plan_to_poses(
+            group_of(state.held_by), state.q, targets, scene=scene, seed=tools.seed, budget_s=self._budget_s
+        )
+        return Segment("carry", plan.trajectory, state.openings, scene, plan.verification)
+
+
+def _at(place: Place, state: State, last: Segment) -> State:
+    return replace(state, q=last.trajectory.q[-1], T_world_object=place.T_world_object, rests=place.rests)

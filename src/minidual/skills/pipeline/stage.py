@@ -1,11 +1,10 @@
-"""The kinds of stages, and what they work with."""
+"""A stage, what it offers, and the planners it works with."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -16,14 +15,23 @@ from minidual.motion.closed_chain import CarriedPlanner
 from minidual.motion.goals import PoseGoals
 from minidual.motion.held_planner import HeldPlanner
 from minidual.motion.linear import LinearPlanner
-from minidual.robot.constants import ARMS
 from minidual.robot.kinematics import Kinematics
-from minidual.skills.pipeline.state import Segment, State, TaskObject, scene_of
+from minidual.robot.pair import SIDES, Array, Robot
+from minidual.robot.trajectory import Trajectory
+from minidual.skills.pipeline.state import Segment, State, Thing, scene_of
+
+_GAP_STEP_S = 0.005
+
+
+class NotFreeError(PlanningError):
+    """A timed motion does not pass the proof."""
+
+    reason = "not_free"
 
 
 @dataclass(frozen=True)
 class Failure:
-    """Why one candidate came to nothing: a short word to count by, and the message with names and numbers."""
+    """Why one candidate failed: a short word to count by, and the message with names and numbers."""
 
     reason: str
     message: str
@@ -36,19 +44,43 @@ class Candidate:
     Attributes:
         label: What distinguishes it, for people.
         cost: Preference; the sum over the stages orders the search.
-        start, end: Interface states; a generator's are the same.
-        segments: What is driven from start to end.
+        end: State after it.
+        segments: What is driven.
     """
 
     label: str
     cost: float
-    start: State
     end: State
     segments: tuple[Segment, ...] = ()
 
 
 Offer = Candidate | Failure
 """What a stage yields, one after the other, the preferred ones first."""
+
+
+@dataclass(frozen=True)
+class Gap:
+    """The distance that the arms keep from each other.
+
+    Attributes:
+        distance: Returns (pair of links, distance [m]) of a posture (n,).
+        least_m: Nearer is a failure.
+    """
+
+    distance: Callable[[Array], tuple[str, float]]
+    least_m: float
+
+    def failure(self, segments: Iterable[Segment]) -> Failure | None:
+        """Return what comes too near on moving segments, sampled every 5 ms, or None."""
+        found: list[tuple[float, str]] = []
+        for motion in (s.trajectory for s in segments if s.verification is not None):
+            for q in motion.sample_many(np.arange(0.0, motion.duration_s + _GAP_STEP_S, _GAP_STEP_S))[0]:
+                pair, gap = self.distance(q)
+                found.append((gap, pair))
+        gap, pair = min(found, default=(np.inf, ""))
+        if gap >= self.least_m:
+            return None
+        return Failure("arms_too_close", f"{pair} come to {1e3 * gap:.1f} mm; they must keep {1e3 * self.least_m:.0f}")
 
 
 @dataclass
@@ -60,76 +92,70 @@ class Tools:
         thing: The object.
         planner: Free motions.
         seed: Of every random choice.
+        gap: Distance between the arms that every motion keeps, or None.
     """
 
     around: PlanningScene
-    thing: TaskObject
+    thing: Thing
     planner: Planner
     seed: int = 0
+    gap: Gap | None = None
     linear: LinearPlanner = field(default_factory=LinearPlanner)
     carrier: CarriedPlanner = field(default_factory=CarriedPlanner)
     holder: HeldPlanner = field(default_factory=HeldPlanner)
     poses: PoseGoals = field(default_factory=PoseGoals)
     kinematics: Kinematics = field(default_factory=Kinematics)
 
-    def scene(self, state: State, *, touching: tuple[str, ...] = (), resting: bool = False) -> PlanningScene:
+    @property
+    def robot(self) -> Robot:
+        """The arms."""
+        return self.kinematics.robot
+
+    def scene(self, state: State, *, touching: Iterable[str] = (), resting: bool = False) -> PlanningScene:
         """Return the planning scene of a state; see `scene_of`."""
-        return scene_of(self.around, self.thing, state, touching=touching, resting=resting)
+        return scene_of(self.robot, self.around, self.thing, state, touching=touching, resting=resting)
 
     def rng(self, *key: int) -> np.random.Generator:
-        """Return a generator of random numbers of its own for one purpose."""
+        """Return the generator of random numbers of one purpose."""
         return np.random.default_rng([self.seed, *key])
+
+    def tips(self, q: Array) -> dict[str, Array]:
+        """Return {arm: T_world_tcp (4, 4)} of a posture (n,)."""
+        return dict(zip(SIDES, self.kinematics.tcp_poses(q), strict=True))
+
+    def proven(self, phase: str, motion: Trajectory, state: State, scene: PlanningScene, **more: Array) -> Segment:
+        """Return the segment of a motion, proven in a scene.
+
+        Raises:
+            NotFreeError: It is not free.
+        """
+        proof = self.planner.engines(scene).verifier.verify(motion)
+        if not proof.ok:
+            raise NotFreeError(f"the path is not free: {proof.reason}")
+        return Segment(phase, motion, state.openings, scene, proof, **more)
 
 
 class Stage(ABC):
-    """One step of a task; its kind says which states it is given."""
+    """One step of a task: goes on from the state before it.
+
+    Attributes:
+        name: In the record; distinct within a pipeline.
+    """
 
     def __init__(self, name: str) -> None:
         self.name = name
 
     @abstractmethod
-    def offers(self, *args: Any) -> Iterator[Offer]:
-        """Yield candidates and failures, the preferred candidates first."""
-
-
-class Generator(Stage):
-    """Makes states out of nothing but the start of the task: grasps, goals."""
-
-    @abstractmethod
-    def offers(self, first: State, tools: Tools) -> Iterator[Offer]:
-        """Yield candidates whose start and end are the state made."""
-
-
-class Forward(Stage):
-    """Goes on from the state before it."""
-
-    @abstractmethod
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
-        """Yield candidates that begin at `start`."""
+        """Yield candidates that begin at `start`, and failures, the preferred candidates first."""
 
 
-class Backward(Stage):
-    """Leads up to the state after it."""
-
-    @abstractmethod
-    def offers(self, end: State, tools: Tools) -> Iterator[Offer]:
-        """Yield candidates that end at `end`."""
-
-
-class Connector(Stage):
-    """Joins the states before and after it; planned last, because it costs most and fails least."""
-
-    @abstractmethod
-    def offers(self, start: State, end: State, tools: Tools) -> Iterator[Offer]:
-        """Yield candidates from `start` to `end`."""
-
-
-def failure(error: PlanningError) -> Failure:
+def failure(error: PlanningError, label: str = "") -> Failure:
     """Return the failure that an error of a planner stands for."""
-    return Failure(error.reason, error.message)
+    return Failure(error.reason, f"{label}: {error.message}" if label else error.message)
 
 
-def group_of(arms: tuple[str, ...] | Mapping[str, object]) -> str:
+def group_of(arms: Iterable[str]) -> str:
     """Return the planning group that moves these arms."""
-    named = [arm for arm in ARMS if arm in arms]
-    return "both_arms" if len(named) == len(ARMS) else f"{named[0]}_arm"
+    named = [arm for arm in SIDES if arm in arms]
+    return "both_arms" if len(named) == len(SIDES) else f"{named[0]}_arm"

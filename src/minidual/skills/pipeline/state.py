@@ -1,8 +1,8 @@
-"""What stages hand to each other: the state of arms, hands and object, and the motion between two of them."""
+"""What stages hand to each other: the state of arms, hands and object, and the motion between two states."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -11,7 +11,7 @@ import pinocchio as pin
 from minidual.collision.scene import Attached, PlanningScene
 from minidual.collision.shapes import Shape
 from minidual.proof.verify import Verification
-from minidual.robot.constants import ARMS, Array
+from minidual.robot.pair import SIDES, Array, Robot
 from minidual.robot.poses import inverse
 from minidual.robot.trajectory import Trajectory
 
@@ -20,25 +20,27 @@ OPEN, CLOSED = 1.0, 0.0
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """An interface state.
+    """The state between two stages.
 
     Attributes:
-        q: All 14 joints [rad].
+        q: All joints (n,) [rad].
         T_world_object: Pose (4, 4) of the object.
         held_by: {arm: T_object_tcp (4, 4)} of the hands that hold it.
+        reached: {arm: T_object_tcp (4, 4)} of the open hands that are over or at a grasp.
         openings: Opening of each hand (left, right), 0 closed to 1 open.
-        T_world_place: Where it shall be put down, once that is chosen.
+        rests: Whether the object stands on something.
     """
 
     q: Array
     T_world_object: Array
     held_by: Mapping[str, Array] = field(default_factory=dict)
+    reached: Mapping[str, Array] = field(default_factory=dict)
     openings: tuple[float, float] = (OPEN, OPEN)
-    T_world_place: Array | None = None
+    rests: bool = True
 
-    def opened(self, arms: tuple[str, ...], opening: float) -> State:
+    def opened(self, arms: Iterable[str], opening: float) -> State:
         """Return the state with these hands at an opening."""
-        left, right = (opening if arm in arms else now for arm, now in zip(ARMS, self.openings, strict=True))
+        left, right = (opening if arm in arms else now for arm, now in zip(SIDES, self.openings, strict=True))
         return replace(self, openings=(left, right))
 
 
@@ -47,19 +49,17 @@ class Segment:
     """What is driven between two states.
 
     Attributes:
-        stage: Name of the stage that it belongs to.
-        trajectory: Timed motion; None holds the arms still while the hands move.
-        hold_s: How long to hold still.
-        openings: Opening command of each hand meanwhile.
-        scene: Scene in which the motion was proven.
+        phase: Its phase.
+        trajectory: Timed motion; at rest throughout where only hands move.
+        openings: Commanded opening of each hand meanwhile.
+        scene: Scene in which the motion was proven; None where nothing moves.
         verification: The proof of the motion; None where nothing moves.
-        Ts_world_object: Planned poses (n, 4, 4) of a carried object at the samples.
+        Ts_world_object: Planned poses (k, 4, 4) of an object held by both hands, at the samples.
     """
 
-    stage: str
-    trajectory: Trajectory | None
+    phase: str
+    trajectory: Trajectory
     openings: tuple[float, float]
-    hold_s: float = 0.0
     scene: PlanningScene | None = None
     verification: Verification | None = None
     Ts_world_object: Array | None = None
@@ -67,11 +67,11 @@ class Segment:
     @property
     def duration_s(self) -> float:
         """Time that it takes [s]."""
-        return self.hold_s if self.trajectory is None else self.trajectory.duration_s
+        return self.trajectory.duration_s
 
 
 @dataclass(frozen=True)
-class TaskObject:
+class Thing:
     """What is handled.
 
     Attributes:
@@ -82,15 +82,12 @@ class TaskObject:
     shape: Shape
     rests_on: tuple[str, ...] = ("table",)
 
-    @property
-    def name(self) -> str:
-        """Name in the planning scene."""
-        return self.shape.name
 
-
-def hand_links(arms: tuple[str, ...] | Mapping[str, object]) -> tuple[str, ...]:
-    """Return the links with which hands touch what they hold."""
-    return tuple(f"{arm}_panda_{part}" for arm in arms for part in ("hand", "leftfinger", "rightfinger"))
+def still(phase: str, q: Array, duration_s: float, openings: tuple[float, float]) -> Segment:
+    """Return the segment that holds the arms at q (n,) for a while."""
+    rest = np.zeros((2, len(q)))
+    times = np.array([0.0, duration_s])
+    return Segment(phase, Trajectory(times, np.array([q, q]), rest, rest.copy(), "both_arms"), openings)
 
 
 def placed(shape: Shape, T: Array) -> Shape:
@@ -102,35 +99,47 @@ def placed(shape: Shape, T: Array) -> Shape:
 
 
 def scene_of(
-    around: PlanningScene, thing: TaskObject, state: State, *, touching: tuple[str, ...] = (), resting: bool = False
+    robot: Robot,
+    around: PlanningScene,
+    thing: Thing,
+    state: State,
+    *,
+    touching: Iterable[str] = (),
+    resting: bool = False,
 ) -> PlanningScene:
     """Return the planning scene of a state.
 
     Args:
+        robot: Names the links of the hands.
         around: What stands there beside the object.
         thing: The object: an obstacle where it lies, or attached to the first hand that holds it.
         state: Says which.
         touching: Arms whose hands may touch the object (they are about to hold it, or just let go).
         resting: Whether the object may touch what it rests on.
     """
-    name = thing.name
+    name = thing.shape.name
+    links = [link for arm in touching for link in robot.hand_links(arm)]
     if state.held_by:
         first = next(iter(state.held_by))
-        shape = placed(thing.shape, inverse(np.asarray(state.held_by[first])))
-        scene = around.with_attached(
-            Attached(shape, f"{first}_panda_hand_tcp", hand_links((*state.held_by, *touching)))
-        )
+        shape = placed(thing.shape, inverse(state.held_by[first]))
+        holding = [link for arm in state.held_by for link in robot.hand_links(arm)]
+        scene = around.with_attached(Attached(shape, f"{first}_{robot.hand.tcp_link}", (*holding, *links)))
         for obstacle in thing.rests_on if resting else ():
             scene = scene.allowing(name, obstacle, "the object is lifted off it or put down on it")
         return scene
     scene = around.with_obstacles(placed(thing.shape, state.T_world_object))
-    for link in hand_links(touching):
+    for link in links:
         scene = scene.allowing(name, link, "the hand is at the object to hold it or let it go")
     return scene
 
 
+def moved(T: Array, shift_m: Array) -> Array:
+    """Return the pose moved by (3,) [m] of the world."""
+    T = np.array(T)
+    T[:3, 3] += shift_m
+    return T
+
+
 def raised(T: Array, height_m: float) -> Array:
     """Return the pose moved up by a height [m]."""
-    T = np.array(T)
-    T[2, 3] += height_m
-    return T
+    return moved(T, np.array([0.0, 0.0, height_m]))

@@ -1,0 +1,199 @@
+"""Stages of the hands: over a grasp, down to it, close, open, away, home."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from minidual.collision.errors import PlanningError
+from minidual.collision.scene import PlanningScene
+from minidual.motion.goals import check_joints
+from minidual.motion.linear import TipLimits
+from minidual.robot.pair import Array
+from minidual.skills.phases import PHASES
+from minidual.skills.pipeline.stage import Candidate, Failure, Offer, Stage, Tools, failure, group_of
+from minidual.skills.pipeline.state import CLOSED, OPEN, Segment, State, moved, still
+
+_ATTEMPTS, _NEXT_SEED = 5, 1_000_003
+"""Postures over one grip that are tried, each found with a seed of its own."""
+_SHORTER = (1.0, 0.6)
+"""Shares of the retreat that are tried."""
+
+
+@dataclass(frozen=True, eq=False)
+class Grip:
+    """One way to hold the object.
+
+    Attributes:
+        label: For people.
+        grasps: {arm: T_object_tcp (4, 4)}.
+        cost: Preference.
+    """
+
+    label: str
+    grasps: Mapping[str, Array]
+    cost: float = 0.0
+
+
+class OfArms(Stage):
+    """A stage in which some arms act.
+
+    Args:
+        name: Of the stage.
+        arms: Which.
+    """
+
+    def __init__(self, name: str, arms: Sequence[str]) -> None:
+        super().__init__(name)
+        self.arms = tuple(arms)
+
+
+class Reach(OfArms):
+    """A free motion of open hands to over their grasps, from where they go straight to them."""
+
+    def __init__(self, name: str, arms: Sequence[str], grips: Sequence[Grip]) -> None:
+        super().__init__(name, arms)
+        self._grips = sorted(grips, key=lambda grip: grip.cost)
+
+    def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
+        """Yield motions to over every grip, several postures of each."""
+        if len(start.held_by) == 2:
+            yield Failure("closed_chain", "both hands hold the object; a free motion would tear it from them")
+            return
+        scene = tools.scene(start)
+        for grip in self._grips:
+            at = {arm: start.T_world_object @ grip.grasps[arm] for arm in self.arms}
+            shift = off(at, PHASES["approach"].rise_m)
+            over = {arm: moved(T, shift) for arm, T in at.items()}
+            for attempt in range(_ATTEMPTS):
+                seed = tools.seed + attempt * _NEXT_SEED
+                try:
+                    plan = tools.planner.plan_to_poses(group_of(self.arms), start.q, over, scene=scene, seed=seed)
+                except PlanningError as error:
+                    yield failure(error, grip.label)
+                    break  # what is not found at once is not there
+                end = replace(start.opened(self.arms, OPEN), q=plan.trajectory.q[-1], reached=dict(grip.grasps))
+                segment = Segment("approach", plan.trajectory, end.openings, scene, plan.verification)
+                label = grip.label if attempt == 0 else f"{grip.label}, posture {attempt + 1}"
+                yield Candidate(label, grip.cost + 0.5 * attempt, end, (segment,))
+
+
+class Descend(OfArms):
+    """Straight to the grasps that the hands are over."""
+
+    def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
+        """Yield the one way there."""
+        targets = {arm: start.T_world_object @ start.reached[arm] for arm in self.arms}
+        try:
+            segment = straight(tools, "descend", start, targets, tools.scene(start, touching=self.arms))
+        except PlanningError as error:
+            yield failure(error)
+            return
+        yield Candidate("", 0.0, replace(start, q=segment.trajectory.q[-1]), (segment,))
+
+
+class Close(OfArms):
+    """Close the hands: from here on they hold the object by the grasps that they are at."""
+
+    def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
+        """Yield the one way to close."""
+        held = {**start.held_by, **{arm: start.reached[arm] for arm in self.arms}}
+        left = {arm: T for arm, T in start.reached.items() if arm not in self.arms}
+        end = replace(start.opened(self.arms, CLOSED), held_by=held, reached=left)
+        yield Candidate("", 0.0, end, (still("close", start.q, PHASES["close"].hold_s, end.openings),))
+
+
+class Open(OfArms):
+    """Open hands: the object stays where it is, or with the other hand."""
+
+    def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
+        """Yield the one way to open."""
+        missing = [arm for arm in self.arms if arm not in start.held_by]
+        if missing:
+            yield Failure("not_held", f"the {missing[0]} hand holds nothing to let go")
+            return
+        held = {arm: T for arm, T in start.held_by.items() if arm not in self.arms}
+        if not held and not start.rests:
+            yield Failure("would_fall", "the object is in the air and no other hand holds it")
+            return
+        end = replace(start.opened(self.arms, OPEN), held_by=held)
+        segments = (
+            still("settle", start.q, PHASES["settle"].hold_s, start.openings),
+            still("open", start.q, PHASES["open"].hold_s, end.openings),
+        )
+        yield Candidate("", 0.0, end, segments)
+
+
+class Retreat(OfArms):
+    """Straight away from the object that was let go."""
+
+    def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
+        """Yield straight ways away."""
+        scene = tools.scene(start, touching=self.arms)
+        tips = {arm: T for arm, T in tools.tips(start.q).items() if arm in self.arms}
+        for share in _SHORTER:
+            height = share * PHASES["retreat"].rise_m
+            label = f"by {100 * height:.0f} cm"
+            targets = {arm: moved(T, off(tips, height)) for arm, T in tips.items()}
+            try:
+                segment = straight(tools, "retreat", start, targets, scene)
+            except PlanningError as error:
+                yield failure(error, label)
+                continue
+            yield Candidate(label, 1.0 - share, replace(start, q=segment.trajectory.q[-1]), (segment,))
+
+
+class Home(OfArms):
+    """A free motion of some arms to a configuration; what they hold comes along.
+
+    Args:
+        name: Of the stage.
+        arms: That go there; the others stay.
+        q: All joints (n,) [rad]; the robot's home by default.
+    """
+
+    def __init__(self, name: str, arms: Sequence[str], q: Array | None = None) -> None:
+        super().__init__(name, arms)
+        self._q = None if q is None else check_joints(q, f"the configuration of stage '{name}'")
+
+    def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
+        """Yield the planner's path."""
+        if len(start.held_by) == 2:
+            yield Failure("closed_chain", "both hands hold the object; a free motion would tear it from them")
+            return
+        q, goal = start.q.copy(), tools.robot.home if self._q is None else self._q
+        for arm in self.arms:
+            joints = tools.robot.groups[f"{arm}_arm"]
+            q[joints] = goal[joints]
+        scene = tools.scene(start)
+        try:
+            plan = tools.planner.plan_to_joints(group_of(self.arms), start.q, q, scene=scene, seed=tools.seed)
+        except PlanningError as error:
+            yield failure(error)
+            return
+        segment = Segment("home", plan.trajectory, start.openings, scene, plan.verification)
+        yield Candidate("", 0.0, replace(start, q=plan.trajectory.q[-1]), (segment,))
+
+
+def straight(tools: Tools, phase: str, state: State, targets: Mapping[str, Array], scene: PlanningScene) -> Segment:
+    """Return the whole straight move of hands to poses {arm: T_world_tcp (4, 4)}, proven.
+
+    Raises:
+        PlanningError: It does not go all the way.
+    """
+    limits = PHASES[phase].limits
+    tips = None if limits is None else TipLimits(limits.speed_m_per_s, limits.acceleration_m_per_s2)
+    engines = tools.planner.engines(scene)
+    move = tools.linear.plan(group_of(targets), state.q, targets, engines, fraction_min=1.0, tip_limits=tips)
+    if move.trajectory is None:
+        raise PlanningError("there is no straight move")
+    return Segment(phase, move.trajectory, state.openings, scene, move.verification)
+
+
+def off(tips: Mapping[str, Array], height_m: float) -> Array:
+    """Return the shift (3,) [m] by which hands at poses {arm: T_world_tcp} back off, against the way they point."""
+    back = -np.sum([T[:3, 2] for T in tips.values()], axis=0)
+    norm = float(np.linalg.norm(back))
+    return height_m * (back / norm if norm > 0.1 else np.array([0.0, 0.0, 1.0]))
