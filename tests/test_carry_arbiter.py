@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from carry_trials import sample_trial
 
 from minidual.config.control import CarryConfig
 from minidual.config.scene import SceneConfig
@@ -26,7 +27,7 @@ from minidual.show.watch import trial_hook
 from minidual.skills.carry_motions import JointMove, carrying, plan_path, releasing, squeezing
 from minidual.skills.impedance_carry import SOURCE, ImpedanceCarry
 from minidual.skills.reach import Quintic, approach_postures
-from minidual.tasks.rod_carry import level_pose, sample_trial, tilt_rad
+from minidual.tasks.rod_carry import level_pose, tilt_rad
 
 PHASES = ("approach", "descend", "close", "squeeze", "carry", "unload", "open", "retreat")
 ONCE_DONE_S = 0.3
@@ -70,7 +71,7 @@ def ride(
 ) -> Ride:
     """Carry to the end and a little further; `do` something when a phase has lasted for a while, `each` every tick."""
     trial = sample_trial(world.scene, 5, "arbiter", 0)
-    world.reset(poses={"rod": trial.start})
+    world.reset(poses=trial.start)
     seen = Ride(ImpedanceCarry(world, Kinematics(), CarryConfig(), trial, seed=5, supervisor=supervisor))
     began_s: float | None = None
     done_s = np.inf
@@ -132,7 +133,7 @@ def test_in_the_air_the_motors_are_told_the_law_of_the_path_to_the_bit(world: Wo
     given: list[tuple[Array, Array, ObjectState, float]] = []
     told: list[Array] = []
     trial = sample_trial(world.scene, 5, "arbiter", 1)
-    world.reset(poses={"rod": trial.start})
+    world.reset(poses=trial.start)
     carry = ImpedanceCarry(world, Kinematics(), CarryConfig(), trial, seed=5)
     while carry.phase != "unload":
         q, v, before = world.q, world.v, carry.phase

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
+from carry_trials import rod_trial, sample_trial
 
 from minidual.config.control import CarryConfig, CarryFaultConfig
 from minidual.config.scene import SceneConfig
@@ -19,7 +20,6 @@ from minidual.robot.kinematics import Kinematics
 from minidual.skills.faults import FAULTS, FaultMonitor
 from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.skills.reach import GraspUnreachableError
-from minidual.tasks.rod_carry import RodTrial, sample_trial
 
 DETECTED_S = 0.05
 
@@ -72,7 +72,7 @@ def run(
     """
     trial = sample_trial(world.scene, 5, "faults", index)
     with untouched(world):
-        world.reset(poses={"rod": trial.start})
+        world.reset(poses=trial.start)
         carry = ImpedanceCarry(world, Kinematics(), CarryConfig(), trial, seed=5)
         found, began, disturbed = Run(carry, np.inf), None, False
         told, run_length = Kinematics().gravity(world.q), np.zeros(DOF)
@@ -338,7 +338,7 @@ def test_an_unreachable_goal_is_told_before_the_object_is_lifted(scene: SceneCon
     far = scene.model_copy(update={"task": scene.task.model_copy(update={"goal_xy_m": (0.9, -0.6)})})
     world = World(far)
     trial = sample_trial(far, 5, "faults", 0)
-    world.reset(poses={"rod": trial.start})
+    world.reset(poses=trial.start)
     carry = ImpedanceCarry(world, Kinematics(), CarryConfig(), trial, seed=5)
     highest = 0.0
     while not carry.done:
@@ -350,8 +350,8 @@ def test_an_unreachable_goal_is_told_before_the_object_is_lifted(scene: SceneCon
 
 
 def test_a_rod_out_of_reach_is_a_fault_before_the_arms_move(world: World) -> None:
-    trial = RodTrial("faults", 0, (0.95, 0.6, 0.0), (0.5, 0.0, 0.0))
-    world.reset(poses={"rod": trial.start})
+    trial = rod_trial("faults", 0, (0.95, 0.6, 0.0), (0.5, 0.0, 0.0))
+    world.reset(poses=trial.start)
     carry = ImpedanceCarry(world, Kinematics(), CarryConfig(), trial, seed=5)
     q = world.q
     while not carry.done:

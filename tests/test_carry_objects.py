@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from minidual.config.change import preset
 from minidual.config.root import Config
 from minidual.config.scene import ObstacleConfig, TaskConfig
 from minidual.errors import UsageError
@@ -16,10 +17,11 @@ from minidual.plant.world import World
 from minidual.robot.constants import FINGER_TRAVEL_M
 from minidual.robot.kinematics import Kinematics
 from minidual.skills.impedance_carry import ImpedanceCarry
-from minidual.tasks.motions import MOTIONS, carry_config
-from minidual.tasks.objects import OBJECTS, filled
-from minidual.tasks.rod_carry import sample_trial
-from minidual.tasks.success import Outcome, RodCarryJudge
+from minidual.tasks.judge import Judge, Outcome
+from minidual.tasks.motions import MOTIONS
+from minidual.tasks.objects import OBJECTS
+from minidual.tasks.rod_carry import carry_config
+from minidual.tasks.task import make_task
 
 
 def configured(**carry: Any) -> Config:
@@ -29,14 +31,15 @@ def configured(**carry: Any) -> Config:
 def carried(config: Config, *, until: str | None = None) -> tuple[Outcome, ImpedanceCarry]:
     """Carry to the end, or until the judge has noted a fault of that name."""
     world = World(config.scene)
-    trial = sample_trial(config.scene, 7, "objects", 0)
-    world.reset(poses={"rod": trial.start})
+    task = make_task(config)
+    trial = task.trial(7, "objects", 0)
+    world.reset(poses=trial.start)
     carry = ImpedanceCarry(world, Kinematics(), config.carry, trial, seed=7)
-    judge = RodCarryJudge(config.scene, trial, demand_internal_force=True)
+    judge = Judge(task, trial, {"squeezed"})
     while not carry.done and not judge.finished:
         carry.step()
         judge.observe(world)
-        if until in judge._faults:
+        if until in {fault.name for fault in judge.faults}:
             break
     return judge.outcome(world), carry
 
@@ -49,7 +52,7 @@ def test_the_rod_on_its_straight_way_is_the_configuration_itself() -> None:
 @pytest.mark.parametrize("name", OBJECTS)
 def test_an_object_is_carried_as_it_is_recommended_and_the_pads_can_hold_it(name: str) -> None:
     spec, config = OBJECTS[name], configured(object=name)
-    rod, impedance = config.scene.rod, config.carry.impedance
+    rod, impedance = config.scene.object, config.carry.impedance
     least, most = spec.squeeze_range_n
     assert least <= impedance.internal_force_n <= most
     soft, stiff = spec.stiffness_range_n_per_m
@@ -69,7 +72,7 @@ def test_an_object_is_carried_as_it_is_recommended_and_the_pads_can_hold_it(name
 @pytest.mark.parametrize("name", OBJECTS)
 def test_what_the_law_is_told_of_mass_and_inertia_is_what_the_simulator_has(name: str) -> None:
     world = World(configured(object=name).scene)
-    body, rod = world.model.body("rod"), world.scene.rod
+    body, rod = world.model.body(name), world.scene.object
     assert body.mass[0] == pytest.approx(rod.mass_kg, rel=1e-12)
     # MuJoCo keeps principal axes of its own; the sets of moments must agree.
     assert np.allclose(sorted(body.inertia), sorted(rod.inertia_kg_m2), rtol=1e-9)
@@ -83,12 +86,15 @@ def test_what_the_law_is_told_of_mass_and_inertia_is_what_the_simulator_has(name
 def test_what_somebody_has_set_stays_and_a_second_call_changes_nothing() -> None:
     once = carry_config(
         Config.model_validate(
-            {"carry": {"object": "board", "impedance": {"internal_force_n": 21.0}}, "scene": {"rod": {"mass_kg": 1.4}}}
+            {
+                "carry": {"object": "board", "impedance": {"internal_force_n": 21.0}},
+                "scene": {"object": {"mass_kg": 1.4}},
+            }
         )
     )
     assert once.carry.impedance.internal_force_n == 21.0
-    assert once.scene.rod.mass_kg == 1.4
-    assert once.scene.rod.length_m == 0.40
+    assert once.scene.object.mass_kg == 1.4
+    assert once.scene.object.length_m == 0.40
     assert carry_config(once) == once
 
 
@@ -107,10 +113,10 @@ def test_an_obstacle_that_somebody_has_set_stays_where_it_was_set() -> None:
 def test_a_part_that_is_set_is_filled_where_it_is_open() -> None:
     section = TaskConfig.model_validate({"obstacle": {"xy_m": [0.5, 0.08]}})
     table = ObstacleConfig.model_validate({"xy_m": [0.4, 0.0], "size_m": [0.1, 0.1, 0.1]})
-    obstacle = filled(section, obstacle=table).obstacle
+    obstacle = preset(section, {"obstacle": table}).obstacle
     assert obstacle is not None
     assert (obstacle.xy_m, obstacle.size_m) == ((0.5, 0.08), (0.1, 0.1, 0.1))
-    assert filled(TaskConfig(), obstacle=table).obstacle == table
+    assert preset(TaskConfig(), {"obstacle": table}).obstacle == table
 
 
 @pytest.mark.parametrize(("carry", "message"), [({"object": "glas"}, "'glass'"), ({"motion": "rotat"}, "'rotate'")])

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from carry_trials import sample_trial
 
 from minidual.config.change import changed
 from minidual.config.control import CarryFaultConfig
 from minidual.config.root import Config
 from minidual.skills.faults import FaultMonitor
-from minidual.tasks.rod_carry import sample_trial
 from minidual.trials.conditions import condition
 from minidual.trials.methods import MethodInputs
 from minidual.trials.trials import Bench

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from carry_trials import sample_trial
 
 from minidual.config.control import CarryConfig, SensingConfig
 from minidual.config.scene import SceneConfig
@@ -19,7 +20,6 @@ from minidual.robot.constants import HOME
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse, pose, rot_x, rot_z, rotation_log
 from minidual.skills.impedance_carry import ImpedanceCarry
-from minidual.tasks.rod_carry import sample_trial
 
 
 @dataclass
@@ -231,7 +231,7 @@ def test_a_whole_carry_never_reads_the_truth_and_its_estimate_beats_the_raw_read
     world: World, scene: SceneConfig
 ) -> None:
     trial = sample_trial(scene, 11, "sensing-test", 0)
-    world.reset(poses={"rod": trial.start})
+    world.reset(poses=trial.start)
     rng = stream(11, "sensing/sensing-test", 0)
     senses = Sensors(world, SensingConfig(), rng)
     heard: list[Any] = []
@@ -271,7 +271,7 @@ def test_the_blind_world_does_refuse(world: World) -> None:
 def test_noise_belongs_to_the_trial_and_the_seed(world: World, scene: SceneConfig) -> None:
     def where(seed: int, index: int) -> bytes:
         trial = sample_trial(scene, 11, "sensing-test", 0)
-        world.reset(poses={"rod": trial.start})
+        world.reset(poses=trial.start)
         carry = ImpedanceCarry(world, Kinematics(), CarryConfig(), replace(trial, index=index), seed=seed)
         for _ in range(300):
             carry.step()

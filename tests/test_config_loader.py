@@ -50,11 +50,11 @@ def test_unknown_profile_names_those_there_are():
 
 
 def test_extends_merges_deeply_and_keeps_the_rest(profile):
-    base = profile("extends: smoke\nscene:\n  rod:\n    mass_kg: 0.3\n    friction: 0.6\n", "base.yaml")
-    top = profile("extends: base.yaml\nscene:\n  rod:\n    friction: 0.7\n", "top.yaml")
+    base = profile("extends: smoke\nscene:\n  object:\n    mass_kg: 0.3\n    friction: 0.6\n", "base.yaml")
+    top = profile("extends: base.yaml\nscene:\n  object:\n    friction: 0.7\n", "top.yaml")
     loaded = load_config(top)
-    assert loaded.config.scene.rod.mass_kg == 0.3
-    assert loaded.config.scene.rod.friction == 0.7
+    assert loaded.config.scene.object.mass_kg == 0.3
+    assert loaded.config.scene.object.friction == 0.7
     assert loaded.config.plan == load_config("smoke").config.plan
     assert [path.name for path in loaded.sources] == ["standard.yaml", "smoke.yaml", "base.yaml", "top.yaml"]
     assert loaded.profile == "top"
@@ -86,8 +86,8 @@ def test_circle_of_profiles_is_refused(profile):
         ("plan:\n  queries_n: 0\n", "mine.yaml:2: plan.queries_n: must be greater than or equal to 1, is 0"),
         ("plan:\n  queries_n: .nan\n", "mine.yaml:2: plan.queries_n: .nan is not a finite number"),
         ("plan:\n  queries_n: nan\n", "mine.yaml:2: plan.queries_n: nan is not a finite number"),
-        ("scene:\n  rod:\n    mass_kg: .inf\n", "mine.yaml:3: scene.rod.mass_kg: .inf is not a finite number"),
-        ("scene:\n  rod:\n    mass_kg: 1.0e+999\n", "mine.yaml:3: scene.rod.mass_kg: inf is not a finite number"),
+        ("scene:\n  object:\n    mass_kg: .inf\n", "mine.yaml:3: scene.object.mass_kg: .inf is not a finite number"),
+        ("scene:\n  object:\n    mass_kg: 1.0e+999\n", "mine.yaml:3: scene.object.mass_kg: inf is not a finite number"),
         (
             "scene:\n  physics:\n    timestep_s: 1e-3\n",
             "mine.yaml:3: scene.physics.timestep_s: must be a valid number, is the text '1e-3'",
@@ -109,7 +109,7 @@ def test_circle_of_profiles_is_refused(profile):
         ("extends: nope\n", "mine.yaml:1: extends: no profile 'nope'"),
         ("extends: nope.yaml\n", "mine.yaml:1: extends: no profile file"),
         ("extends: [smoke, gpu]\n", "mine.yaml:1: extends: must be one profile's name or file"),
-        ("scene:\n  rod:\n    grasp_offset_m: 0.24\n", "mine.yaml:2: scene.rod: grasp_offset_m 0.24 lies beyond"),
+        ("scene:\n  object:\n    grasp_offset_m: 0.24\n", "mine.yaml:2: scene.object: grasp_offset_m 0.24 lies beyond"),
     ],
 )
 def test_refusals_name_file_line_and_path(profile, text, message):
@@ -165,8 +165,8 @@ def test_overrides_apply_in_order_and_are_remembered():
         ("plan.queries_n=0", "--set plan.queries_n=0: plan.queries_n: must be greater than or equal to 1, is 0"),
         ("plan.queries_n=many", "must be a valid integer, is the text 'many'"),
         ("plan.querys_n=3", "--set plan.querys_n=3: plan.querys_n: no such key"),
-        ("scene.rod.mass_kg=nan", "nan is not a finite number"),
-        ("scene.rod.mass_kg=1e999", "inf is not a finite number"),
+        ("scene.object.mass_kg=nan", "nan is not a finite number"),
+        ("scene.object.mass_kg=1e999", "inf is not a finite number"),
         ("seed.deeper=1", "seed is a single value and has no keys"),
         ("plan=3", "--set plan=3: plan: must be a section, is 3"),
         ("plan.queries_n=[1", "not YAML"),

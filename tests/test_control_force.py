@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from carry_trials import rod_judge, rod_trial, sample_trial
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -17,8 +18,7 @@ from minidual.robot.constants import HOME, JOINT_DAMPING
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse, pose, rot_x, rot_z
 from minidual.skills.impedance_carry import ImpedanceCarry
-from minidual.tasks.rod_carry import RodTrial, grasp_offsets, sample_trial
-from minidual.tasks.success import RodCarryJudge
+from minidual.tasks.rod_carry import grasp_offsets
 
 vectors = st.lists(st.floats(-0.5, 0.5), min_size=3, max_size=3).map(np.array)
 
@@ -159,8 +159,8 @@ def test_energy_does_not_grow_when_a_held_rod_is_let_swing(scene: SceneConfig) -
     """Grasp, squeeze, then hold: kinetic energy dies out and stays out."""
     world, kinematics = World(scene), Kinematics()
     config = CarryConfig(lift_s=0.6, transport_s=2.2, sensing=SensingConfig.perfect())
-    trial = RodTrial("test", 0, (*scene.task.start_xy_m, 0.0), (*scene.task.start_xy_m, 0.0))
-    world.reset(poses={"rod": trial.start})
+    trial = rod_trial("test", 0, (*scene.task.start_xy_m, 0.0), (*scene.task.start_xy_m, 0.0))
+    world.reset(poses=trial.start)
     carry = ImpedanceCarry(world, kinematics, config, trial)
     while carry.phase != "carry":
         carry.step()
@@ -206,9 +206,9 @@ def test_one_real_carry_passes_and_is_the_same_twice(scene: SceneConfig) -> None
     for _ in range(2):
         world = World(scene)
         trial = sample_trial(scene, 5, "test", 0)
-        world.reset(poses={"rod": trial.start})
+        world.reset(poses=trial.start)
         carry = ImpedanceCarry(world, Kinematics(), CarryConfig(transport_s=1.8), trial)
-        judge = RodCarryJudge(scene, trial, demand_internal_force=True)
+        judge = rod_judge(scene, trial, demand_internal_force=True)
         while not carry.done and world.time < 14.0:
             carry.step()
             judge.observe(world)
@@ -222,9 +222,9 @@ def test_one_real_carry_passes_and_is_the_same_twice(scene: SceneConfig) -> None
 def test_a_missing_rod_is_named_and_stops_the_trial(scene: SceneConfig) -> None:
     world = World(scene)
     trial = sample_trial(scene, 5, "test", 1)
-    world.reset(poses={"rod": trial.start})
+    world.reset(poses=trial.start)
     carry = ImpedanceCarry(world, Kinematics(), CarryConfig(), trial)
-    judge = RodCarryJudge(scene, trial, demand_internal_force=True)
+    judge = rod_judge(scene, trial, demand_internal_force=True)
     while not carry.done and world.time < 14.0:
         if carry.phase == "close":  # somebody takes the rod away from between the fingers
             world.truth().qpos[:3] = (0.5, 0.6, scene.rod.radius_m)

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from carry_trials import sample_trial
 
 from minidual.config.change import changed
 from minidual.config.evaluation import BenchmarkConfig
@@ -19,7 +20,6 @@ from minidual.errors import UsageError
 from minidual.stages.benchmark import benchmark_checks, condition_checks
 from minidual.stages.config_checks import check_benchmark
 from minidual.stages.registry import STAGES
-from minidual.tasks.rod_carry import sample_trial
 from minidual.trials import perturbation
 from minidual.trials import trials as trials_module
 from minidual.trials.benchmark import (
@@ -119,7 +119,7 @@ def test_what_does_not_apply_is_not_run_and_says_why(asked: list[Any]) -> None:
 @pytest.mark.parametrize(
     ("settings", "name", "says"),
     [
-        ({"scene.rod.friction": 0.3}, "friction 0.3", "the friction is 0.3 without it"),
+        ({"scene.object.friction": 0.3}, "friction 0.3", "the friction is 0.3 without it"),
         ({"carry.sensing.delay_s": 0.02}, "delay 20 ms", "without it too, carry.sensing.delay_s is 0.02"),
         ({"carry.sensing.pose_noise_m": 0.0, "carry.sensing.pose_noise_rad": 0.0}, "pose noise x3", "without it too"),
     ],
@@ -253,7 +253,7 @@ def carried(method: str, condition: str, steps: int) -> np.ndarray:
     bench = Bench(method, MethodInputs(config, SEED))
     trial = sample_trial(config.scene, SEED, "benchmark", 0)
     with CONDITIONS[condition].applied(bench.world.model, 0):
-        bench.world.reset(poses={"rod": trial.start})
+        bench.world.reset(poses=trial.start)
         run = bench.factory(bench.world, bench.kinematics, trial)
         for _ in range(steps):
             run.step()
@@ -284,7 +284,7 @@ def test_planning_starts_from_the_reading_that_impedance_starts_from() -> None:
     for method in ("moveit", "impedance"):
         bench = Bench(method, MethodInputs(Config(), SEED))
         trial = sample_trial(Config().scene, SEED, "benchmark", 0)
-        bench.world.reset(poses={"rod": trial.start})
+        bench.world.reset(poses=trial.start)
         truth = bench.world.object_pose()
         run: Any = bench.factory(bench.world, bench.kinematics, trial)
         seen.append(run.T_world_object if method == "moveit" else run.estimate.T_world_object)

@@ -15,7 +15,7 @@ import pytest
 from minidual.demos.smoothness import JERK_FILTER
 from minidual.errors import DataError, NothingEvaluatedError, UsageError
 from minidual.robot.constants import TAU_MAX
-from minidual.tasks.success import Fault, Outcome
+from minidual.tasks.judge import Fault, Outcome
 from minidual.trials import metrics, tables
 from minidual.trials.metrics import TrialMetrics, summarise, trial_metrics
 
@@ -32,7 +32,9 @@ def outcome(*faults: Fault, **changes: Any) -> Outcome:
         "pinch_min_n": 45.0,
         "internal_force_min_n": 38.0,
     }
-    return Outcome(**{**values, **changes})
+    values |= changes
+    told = [values.pop(name) for name in ("success", "faults", "duration_s")]
+    return Outcome(*told, measured=values)
 
 
 def logs(duration_s: float = 4.0, rate_hz: float = 1000.0) -> dict[str, Any]:

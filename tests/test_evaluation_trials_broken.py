@@ -6,11 +6,12 @@ import math
 
 import numpy as np
 import pytest
+from carry_trials import carry_task, sample_trial
 
 from minidual.control.object_impedance import SingularPostureError
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.tasks.rod_carry import RodTrial, sample_trial
+from minidual.tasks.task import Trial
 from minidual.trials.trials import run_trial
 
 
@@ -42,18 +43,18 @@ class Stands:
 
 
 @pytest.fixture
-def trial(world: World) -> RodTrial:
+def trial(world: World) -> Trial:
     return sample_trial(world.scene, 5, "broken", 0)
 
 
-def _run(world: World, trial: RodTrial, **how: object):
-    return run_trial("impedance", lambda w, k, _trial: Stands(w, k, **how), world, Kinematics(), trial)
+def _run(world: World, trial: Trial, **how: object):
+    return run_trial(
+        "impedance", lambda w, k, _trial: Stands(w, k, **how), world, Kinematics(), carry_task(world.scene), trial
+    )
 
 
 @pytest.mark.parametrize("breaks", ["diverged", "exploded", "singular"])
-def test_a_trial_that_breaks_is_judged_as_it_stood(
-    world: World, trial: RodTrial, breaks: str, quiet_mujoco: None
-) -> None:
+def test_a_trial_that_breaks_is_judged_as_it_stood(world: World, trial: Trial, breaks: str, quiet_mujoco: None) -> None:
     whole, whole_log = _run(world, trial, steps=999)
     broken, log = _run(world, trial, steps=1000, breaks=breaks)
     assert not broken.success
@@ -67,13 +68,13 @@ def test_a_trial_that_breaks_is_judged_as_it_stood(
     for name in ("torque_ratio_max", "jerk_rms", "tilt_max_rad", "path_length_m"):
         assert getattr(metrics, name) == getattr(whole.metrics, name)
         assert math.isfinite(getattr(metrics, name))
-    assert metrics.goal_error_m == pytest.approx(math.dist(trial.start[:2], trial.goal[:2]), abs=2e-3)
+    assert metrics.goal_error_m == pytest.approx(math.dist(trial.start["rod"][:2], trial.goal["rod"][:2]), abs=2e-3)
     assert math.isnan(metrics.duration_s)
 
 
 @pytest.mark.parametrize("breaks", ["diverged", "exploded", "singular"])
 def test_a_trial_that_breaks_at_its_first_step_has_a_log_too(
-    world: World, trial: RodTrial, breaks: str, quiet_mujoco: None
+    world: World, trial: Trial, breaks: str, quiet_mujoco: None
 ) -> None:
     result, log = _run(world, trial, steps=1, breaks=breaks)
     assert result.metrics.failed_at_s == 0.0
@@ -82,7 +83,7 @@ def test_a_trial_that_breaks_at_its_first_step_has_a_log_too(
     assert np.isfinite(log.q).all()
 
 
-def test_the_next_trial_is_the_same_as_without_a_broken_one(world: World, trial: RodTrial, quiet_mujoco: None) -> None:
+def test_the_next_trial_is_the_same_as_without_a_broken_one(world: World, trial: Trial, quiet_mujoco: None) -> None:
     before, before_log = _run(world, trial, steps=400)
     _run(world, trial, steps=300, breaks="exploded")
     after, after_log = _run(world, trial, steps=400)

@@ -30,7 +30,7 @@ def plant(monkeypatch):
 
     def carry_once(inputs, trial):
         impedance = inputs.config.carry.impedance
-        starts.append((trial.purpose, trial.start))
+        starts.append((trial.purpose, trial.start["rod"]))
         least = impedance.internal_force_n - law["loss_n"]
         holds = least > NEEDED_N and impedance.internal_force_n < law["slips_n"]
         oscillation = OSCILLATION_MAX_M * impedance.stiffness_n_per_m / law["oscillates"]
@@ -111,7 +111,7 @@ def test_the_profile_that_is_written_loads(plant, tmp_path):
 def test_the_profile_holds_for_what_was_tuned(plant, tmp_path):
     """Gains of a glass, or of a softer pinch, must not end in a profile that carries something else."""
     config = load_config(
-        "standard", ["carry.object=glass", "carry.impedance.pinch_n=33", "scene.rod.friction=0.45"]
+        "standard", ["carry.object=glass", "carry.impedance.pinch_n=33", "scene.object.friction=0.45"]
     ).config
     context = ToolContext(config, 3, 1, "standard", tmp_path, _name="carry-tune")
     tune(context)
@@ -119,7 +119,7 @@ def test_the_profile_holds_for_what_was_tuned(plant, tmp_path):
     loaded = load_config(str(tmp_path / "carry-tune" / "tuned.yaml")).config
     assert loaded.carry.object == "glass"
     assert loaded.carry.impedance.pinch_n == 33.0
-    assert loaded.scene.rod.friction == 0.45
+    assert loaded.scene.object.friction == 0.45
 
 
 def test_what_was_tried_stays_when_nothing_was_found(plant, tmp_path):

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from carry_trials import carry_task, sample_trial
 
 from minidual.config.arbiter import ArbiterConfig
 from minidual.config.root import Config
@@ -26,7 +27,7 @@ from minidual.robot.kinematics import Kinematics
 from minidual.show.figures.modes_film import captioned
 from minidual.skills.operator import ScriptedOperator
 from minidual.stages.modes import find_checkpoint, modes
-from minidual.tasks.rod_carry import RodTrial, sample_trial
+from minidual.tasks.task import Trial
 from minidual.trials.modes import DEFAULT_MODES, ModesDemo, ModesResult, SwitchError, parse_modes
 from minidual.trials.modes_drivers import Driver, MoveitDriver, PolicyDriver, TeleopDriver
 from minidual.trials.modes_record import Switch
@@ -59,8 +60,8 @@ class Stage:
     def __init__(self, world: World, *, supervised: bool = True) -> None:
         scene = world.scene
         self.world = world
-        self.trial: RodTrial = sample_trial(scene, SEED, "modes", 0)
-        world.reset(poses={"rod": self.trial.goal})
+        self.trial: Trial = sample_trial(scene, SEED, "modes", 0)
+        world.reset(poses=self.trial.goal)
         guard = Supervisor(dt_s=world.dt) if supervised else None
         self.stack = ControlStack(world, Kinematics(), supervisor=guard)
         self.runtime: Any = Mimic()
@@ -69,10 +70,16 @@ class Stage:
         return lambda: MoveitDriver(self.stack, Planner(), SEED, home=home, share=share)
 
     def teleop(self) -> Driver:
-        return TeleopDriver(self.stack, ScriptedOperator(self.world.scene), self.trial.start, SEED, 50.0)
+        return TeleopDriver(self.stack, ScriptedOperator(self.world.scene), self.trial, SEED, 50.0)
 
     def policy(self) -> Driver:
-        return PolicyDriver(self.stack, self.runtime, lambda name: np.zeros((1, 1, 3), np.uint8), self.trial)
+        return PolicyDriver(
+            self.stack,
+            self.runtime,
+            lambda name: np.zeros((1, 1, 3), np.uint8),
+            carry_task(self.world.scene),
+            self.trial,
+        )
 
     def run(self, *turns: tuple[str, Callable[[], Driver]]) -> tuple[ModesDemo, ModesResult, list[tuple[str, str]]]:
         demo = ModesDemo(self.stack, turns)
@@ -160,7 +167,7 @@ def test_a_mode_that_falls_silent_ends_the_demonstration(world: World) -> None:
     class Silent(TeleopDriver):
         def tick(self) -> None: ...
 
-    make = lambda: Silent(stage.stack, ScriptedOperator(world.scene), stage.trial.start, SEED, 50.0)  # noqa: E731
+    make = lambda: Silent(stage.stack, ScriptedOperator(world.scene), stage.trial, SEED, 50.0)  # noqa: E731
     with pytest.raises(SwitchError, match=r"mode 'teleop' lost its turn at 1\.\d+ s: no command came"):
         stage.run(("teleop", make))
 

@@ -19,7 +19,7 @@ from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Box
 from minidual.config.held_moves import HeldMovesConfig
 from minidual.config.planning import PlanConfig
-from minidual.config.scene import RodConfig, SceneConfig
+from minidual.config.scene import ObjectConfig, SceneConfig
 from minidual.errors import UsageError
 from minidual.motion.closed_chain import scene_holding
 from minidual.motion.constrained_search import search_manifold
@@ -40,8 +40,8 @@ from minidual.stages.plan_held import HeldResults, held_checks, held_notes
 from minidual.trials.planning.evaluate_carries import plan_move, run_moves, table_plans, timed_residual
 from minidual.trials.planning.held_moves import HeldMoveGenerator, rod_grasps, rod_shape
 
-GRASPS = rod_grasps(RodConfig())
-ROD = rod_shape(RodConfig())
+GRASPS = rod_grasps(ObjectConfig())
+ROD = rod_shape(ObjectConfig())
 START = pose(np.eye(3), (0.5, 0.2, 0.25))
 GOAL = pose(rot_z(0.3), (0.5, -0.2, 0.25))
 WALL = Box("wall", (0.5, 0.0, 0.16), size_m=(0.3, 0.04, 0.32))
@@ -320,13 +320,13 @@ def test_moves_that_cannot_be_made_are_told_and_do_not_end_the_stage(monkeypatch
         return real(self, index)
 
     monkeypatch.setattr(HeldMoveGenerator, "move", move)
-    driven = table_plans(PlanConfig(), RodConfig(), 2, 5)
+    driven = table_plans(PlanConfig(), ObjectConfig(), 2, 5)
     assert len(driven.plans) == 1
     assert driven.failures == ("held move 1 off the table cannot be driven: no such move",)
     assert held_notes(HeldResults({}, [], driven.failures)) == list(driven.failures)
     config = PlanConfig(held=HeldMovesConfig(moves_n=2))
     monkeypatch.setattr(HeldMoveGenerator, "move", lambda self, i: move(self, 0 if self._seed == 5 else i))
-    assert [o.ok for o in run_moves(config, RodConfig(), 5)] == [True, True]
+    assert [o.ok for o in run_moves(config, ObjectConfig(), 5)] == [True, True]
 
 
 def test_one_bad_goal_does_not_stop_the_search_of_the_others(planner, q_start, monkeypatch):

@@ -9,7 +9,7 @@ import pytest
 from minidual.collision.errors import ClosedChainError
 from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Box
-from minidual.config.scene import RodConfig
+from minidual.config.scene import ObjectConfig
 from minidual.errors import UsageError
 from minidual.motion.closed_chain import scene_holding
 from minidual.motion.constrained_search import SPACES, OmplGraspConstraint, search_manifold
@@ -23,7 +23,7 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse, pose, rot_z
 from minidual.trials.planning.held_moves import rod_grasps, rod_shape
 
-GRASPS = rod_grasps(RodConfig())
+GRASPS = rod_grasps(ObjectConfig())
 T_LEFT_RIGHT = inverse(GRASPS[0]) @ GRASPS[1]
 
 
@@ -156,7 +156,7 @@ def test_ompl_plans_on_the_manifold(constraint, q_held, move, space):
     middle = 0.5 * (T_start[:3, 3] + T_goal[:3, 3])
     # A post through the middle of the straight way: only a path round it will do.
     post = Box("post", (middle[0], middle[1], middle[2] - 0.15), size_m=(0.05, 0.05, 0.3))
-    scene = scene_holding(PlanningScene().with_obstacles(post), rod_shape(RodConfig()), GRASPS[0])
+    scene = scene_holding(PlanningScene().with_obstacles(post), rod_shape(ObjectConfig()), GRASPS[0])
     engine = SceneEngines(scene)
     for seed in (1, 2):
         checker = EdgeChecker(engine, 0.0, (q_held, q_goal), 0.03)
@@ -187,7 +187,7 @@ def test_ompl_gives_up_and_says_so(constraint, q_held, move):
         Box("wall0", (x, y - 0.3, z), size_m=(0.6, 0.02, 0.8)),
         Box("wall1", (x, y + 0.3, z), size_m=(0.6, 0.02, 0.8)),
     )
-    scene = scene_holding(PlanningScene(obstacles=walls), rod_shape(RodConfig()), GRASPS[0], rests_on=())
+    scene = scene_holding(PlanningScene(obstacles=walls), rod_shape(ObjectConfig()), GRASPS[0], rests_on=())
     engine = SceneEngines(scene)
     checker = EdgeChecker(engine, 0.0, (), 0.03)
     found = search_manifold(

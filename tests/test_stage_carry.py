@@ -7,6 +7,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from carry_trials import sample_trial
 
 from minidual.config.loader import load_config
 from minidual.config.root import Config
@@ -15,7 +16,6 @@ from minidual.gate.canonical import digest
 from minidual.gate.progress import SilentProgress
 from minidual.stages.carry import _record
 from minidual.stages.registry import STAGES
-from minidual.tasks.rod_carry import sample_trial
 from minidual.trials.methods import MethodInputs
 from minidual.trials.trial_records import TrialRecords
 from minidual.trials.trials import run_trials

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from carry_trials import carry_task, sample_trial
 
 from minidual.config.arbiter import ArbiterConfig
 from minidual.config.root import Config
@@ -24,7 +25,7 @@ from minidual.robot.kinematics import Kinematics
 from minidual.skills.operator import ScriptedOperator
 from minidual.skills.planned_carry import PlannedCarry, make_planners
 from minidual.skills.supervised import arm_distance, trial_supervisor
-from minidual.tasks.rod_carry import RodTrial, sample_trial
+from minidual.tasks.task import Trial
 from minidual.trials.methods import MethodInputs
 from minidual.trials.trials import Bench
 
@@ -51,9 +52,9 @@ class Still:
 
 
 @pytest.fixture
-def trial(world: World) -> RodTrial:
+def trial(world: World) -> Trial:
     trial = sample_trial(world.scene, SEED, "benchmark", 0)
-    world.reset(poses={"rod": trial.start})
+    world.reset(poses=trial.start)
     return trial
 
 
@@ -66,9 +67,7 @@ def _steps(method: Any, limit: int) -> int:
 
 
 @pytest.mark.parametrize(("config", "reflex"), [(FRAIL, "joint_velocity"), (SupervisorConfig(), "")])
-def test_a_reflex_ends_the_trial_of_a_policy(
-    world: World, trial: RodTrial, config: SupervisorConfig, reflex: str
-) -> None:
+def test_a_reflex_ends_the_trial_of_a_policy(world: World, trial: Trial, config: SupervisorConfig, reflex: str) -> None:
     runtime: Any = Still(0.3)
     supervisor = trial_supervisor(config, world.dt)
     pilot = PolicyPilot(
@@ -89,7 +88,7 @@ def test_a_reflex_ends_the_trial_of_a_policy(
         assert np.abs(world.v).max() < 0.01
 
 
-def test_a_reflex_ends_a_planned_trial(world: World, trial: RodTrial) -> None:
+def test_a_reflex_ends_a_planned_trial(world: World, trial: Trial) -> None:
     planner, carrier = make_planners(Config().plan.planner)
     carry = PlannedCarry(
         world, Kinematics(), planner, carrier, trial, SEED, supervisor=trial_supervisor(FRAIL, world.dt)
@@ -98,7 +97,7 @@ def test_a_reflex_ends_a_planned_trial(world: World, trial: RodTrial) -> None:
     assert "phase 'approach': reflex joint_velocity" in (carry.aborted or "")
 
 
-def test_a_planned_trial_keeps_the_distance_that_the_supervisor_watches(world: World, trial: RodTrial) -> None:
+def test_a_planned_trial_keeps_the_distance_that_the_supervisor_watches(world: World, trial: Trial) -> None:
     planner, carrier = make_planners(Config().plan.planner)
     supervisor = trial_supervisor(SupervisorConfig(), world.dt)
     carry = PlannedCarry(world, Kinematics(), planner, carrier, trial, SEED, supervisor=supervisor)
@@ -108,7 +107,7 @@ def test_a_planned_trial_keeps_the_distance_that_the_supervisor_watches(world: W
     assert min(gaps) > supervisor.config.self_collision_min_m + 0.004
 
     # What no plan keeps is said, and nothing moves.
-    world.reset(poses={"rod": trial.start})
+    world.reset(poses=trial.start)
     wide = trial_supervisor(SupervisorConfig(self_collision_min_m=0.14), world.dt)
     carry = PlannedCarry(world, Kinematics(), planner, carrier, trial, SEED, supervisor=wide)
     assert carry.done
@@ -126,7 +125,9 @@ def test_a_reflex_ends_a_demonstration(world: World, config: SupervisorConfig, e
         ArbiterConfig(),
         supervisor=trial_supervisor(config, world.dt),
     )
-    result = session.run(trial, ScriptedLeader(ScriptedOperator(world.scene).plan(trial, seed=SEED)))
+    result = session.run(
+        carry_task(world.scene), trial, ScriptedLeader(ScriptedOperator(world.scene).plan(trial, seed=SEED))
+    )
     assert result.ended_by == ended_by
     assert result.reason.startswith("reflex joint_velocity" if ended_by == "reflex" else "")
     assert result.outcome.success == (ended_by == "leader")
@@ -158,7 +159,7 @@ def test_every_method_is_built_with_a_supervisor(method: str, monkeypatch: pytes
     bench = Bench(method, MethodInputs(config, SEED))
     world = bench.world
     trial = sample_trial(config.scene, SEED, "benchmark", 1)
-    world.reset(poses={"rod": trial.start})
+    world.reset(poses=trial.start)
     run = bench.factory(world, bench.kinematics, trial)
     for _ in range(30):
         run.step()

@@ -8,12 +8,12 @@ import gymnasium
 import numpy as np
 import pytest
 from arm_scripts import carry_script
+from carry_trials import rod_trial
 from gymnasium.utils.env_checker import check_env
 
 from minidual.config.scene import CameraConfig, SceneConfig, TaskConfig
 from minidual.errors import UsageError
 from minidual.robot.constants import HOME, Q_UPPER
-from minidual.tasks.rod_carry import RodTrial
 from minidual.trials.gym_env import ROD_CARRY_ID, RodCarryEnv
 
 
@@ -57,7 +57,7 @@ def test_gymnasiums_own_checker_passes_with_images_and_rendering():
 def test_a_scripted_carry_succeeds_from_a_random_start_and_is_paid_for_it(env, kinematics):
     _, info = env.reset(seed=5)
     total, done = 0.0, False
-    for step in carry_script(env.scene, kinematics, info["trial"].start):
+    for step in carry_script(env.scene, kinematics, info["trial"].start["rod"]):
         observation, reward, done, truncated, info = env.step(step.astype(np.float32))
         assert env.observation_space.contains(observation)
         total += reward
@@ -73,7 +73,7 @@ def test_a_scripted_carry_succeeds_from_a_random_start_and_is_paid_for_it(env, k
 
 def test_a_carry_with_one_hand_open_does_not_succeed(env, kinematics):
     _, info = env.reset(seed=5)
-    for step in carry_script(env.scene, kinematics, info["trial"].start):
+    for step in carry_script(env.scene, kinematics, info["trial"].start["rod"]):
         step[15] = 1.0  # the right hand never closes
         _, _, terminated, truncated, info = env.step(step.astype(np.float32))
         assert not info["success"]
@@ -101,12 +101,12 @@ def test_the_same_seed_gives_the_same_rollout_and_another_seed_another_start(env
 
 def test_successive_resets_without_a_seed_differ(env):
     env.reset(seed=0)
-    starts = [env.reset()[1]["trial"].start for _ in range(3)]
+    starts = [env.reset()[1]["trial"].start["rod"] for _ in range(3)]
     assert len(set(starts)) == 3
 
 
 def test_a_given_trial_is_the_one_played(env):
-    trial = RodTrial("test", 7, (0.47, 0.22, 0.1), (0.5, -0.25, 0.0))
+    trial = rod_trial("test", 7, (0.47, 0.22, 0.1), (0.5, -0.25, 0.0))
     observation, info = env.reset(options={"trial": trial})
     assert info["trial"] is trial
     assert observation["rod"][:2] == pytest.approx([0.47, 0.22], abs=1e-6)
@@ -125,7 +125,7 @@ def test_time_runs_at_fifty_hertz_and_out_at_the_limit():
 
 def test_moving_the_hands_towards_the_rod_pays_and_moving_away_costs(env, kinematics):
     _, info = env.reset(seed=2)
-    towards = carry_script(env.scene, kinematics, info["trial"].start)[:60]
+    towards = carry_script(env.scene, kinematics, info["trial"].start["rod"])[:60]
     assert sum(env.step(a.astype(np.float32))[1] for a in towards) > 0.1
     assert sum(env.step(a.astype(np.float32))[1] for a in reversed(towards)) < -0.1
 
@@ -153,7 +153,7 @@ def test_errors_name_what_exists(env):
         RodCarryEnv(render_mode="human")
     with pytest.raises(UsageError, match="no option 'trail'"):
         env.reset(options={"trail": 1})
-    with pytest.raises(UsageError, match="RodTrial"):
+    with pytest.raises(UsageError, match="Trial"):
         env.reset(options={"trial": (0, 0, 0)})
     with pytest.raises(UsageError, match="before it was reset"):
         RodCarryEnv().step(action())

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from carry_trials import sample_trial
 
 from minidual.config.scene import SceneConfig
 from minidual.config.teleop import MirrorConfig, TeleopConfig
@@ -20,7 +21,6 @@ from minidual.errors import EnvironmentMissingError, UsageError
 from minidual.robot.constants import HOME, Q_UPPER
 from minidual.robot.kinematics import Kinematics
 from minidual.skills.operator import ScriptedOperator
-from minidual.tasks.rod_carry import sample_trial
 
 
 def test_a_leader_that_stands_elsewhere_is_refused_and_the_joint_named() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from carry_trials import rod_trial, sample_trial
 
 from minidual.config.scene import SceneConfig
 from minidual.config.teleop import OperatorConfig
@@ -13,7 +14,7 @@ from minidual.robot.constants import A_MAX, HOME, Q_LOWER, Q_UPPER, V_MAX
 from minidual.robot.kinematics import Kinematics
 from minidual.skills.operator import ScriptedOperator
 from minidual.skills.posture_ik import PostureIK
-from minidual.tasks.rod_carry import RodTrial, grasp_offsets, level_pose, sample_trial
+from minidual.tasks.rod_carry import grasp_offsets, level_pose
 
 SEED = 5
 
@@ -52,10 +53,13 @@ def test_targets_start_at_home_and_respect_the_joints(operator: ScriptedOperator
 
 def test_the_hands_hold_the_rod_from_grasp_to_release(operator: ScriptedOperator) -> None:
     scene, kinematics = operator.scene, Kinematics()
-    trial = RodTrial("t", 0, (0.52, 0.23, 0.2), (0.5, -0.25, 0.0))
+    trial = rod_trial("t", 0, (0.52, 0.23, 0.2), (0.5, -0.25, 0.0))
     demo = operator.plan(trial, seed=SEED)
     left_grasp, right_grasp = grasp_offsets(scene)
-    for tick, (x, y, yaw) in ((_tick(operator, "descend"), trial.start), (_tick(operator, "open") - 1, trial.goal)):
+    for tick, (x, y, yaw) in (
+        (_tick(operator, "descend"), trial.start["rod"]),
+        (_tick(operator, "open") - 1, trial.goal["rod"]),
+    ):
         T_world_rod = level_pose(x, y, scene.rod.radius_m, yaw)
         left, right = kinematics.tcp_poses(demo.q[tick])
         np.testing.assert_allclose(left, T_world_rod @ left_grasp, atol=1e-5)

@@ -31,6 +31,7 @@ from minidual.plant.world import World
 from minidual.robot.constants import Q_LOWER, Q_UPPER
 from minidual.stages.registry import STAGES
 from minidual.stages.teleop_record import RecordingNumbers, count_recording, record_checks, run, write_quality
+from minidual.tasks.task import make_task
 
 CONFIG = Config()
 GOOD = RecordingNumbers(
@@ -51,7 +52,7 @@ GOOD = RecordingNumbers(
 
 def _job(folder: Path, **teleop: Any) -> Job:
     settings = CONFIG.teleop.model_copy(update={"episodes_n": 2, **teleop})
-    return Job(folder, CONFIG.scene, settings, CONFIG.arbiter, seed=11)
+    return Job(folder, make_task(CONFIG), settings, CONFIG.arbiter, seed=11)
 
 
 def test_good_numbers_pass() -> None:
@@ -115,7 +116,7 @@ def test_a_recording_holds_sound_demonstrations_only(recorded: tuple[Job, Record
         assert episode.meta.success
         assert episode.meta.trial == attempt.trial.index
         assert episode.images["high"].shape == (len(episode), 96, 128, 3)
-        assert episode.meta.extra["start_x_y_yaw"] == list(job.trial(attempt.trial.index).start)
+        assert episode.meta.extra["start_x_y_yaw"] == list(job.trial(attempt.trial.index).start["rod"])
         assert set(np.unique(episode.action_gripper)) == {0.0, 1.0}
         assert 0.05 < episode.gripper.min() < 0.5 < episode.gripper.max() <= 1.001, "measured openings, not commands"
     rows = sum(len(read_episode(path, cameras=())) for path in recording.paths)
@@ -212,7 +213,7 @@ def test_an_unknown_leader_is_refused_before_anything_is_built(tmp_path: Path) -
 
 
 def test_the_stage_stands_in_the_table_and_names_what_it_depends_on() -> None:
-    assert {"teleop", "scene", "arbiter", "supervisor"} == set(STAGES["teleop-record"].parameters(CONFIG))
+    assert {"task", "teleop", "scene", "arbiter", "supervisor"} == set(STAGES["teleop-record"].parameters(CONFIG))
 
 
 _SCRIPT = """
@@ -221,8 +222,9 @@ from pathlib import Path
 from minidual.config.root import Config
 from minidual.demos.recording import record
 from minidual.demos.rig import Job
+from minidual.tasks.task import make_task
 c = Config()
-job = Job(Path(sys.argv[1]), c.scene, c.teleop.model_copy(update={"episodes_n": 50}), c.arbiter, 11)
+job = Job(Path(sys.argv[1]), make_task(c), c.teleop.model_copy(update={"episodes_n": 50}), c.arbiter, 11)
 record(job, workers=1)
 """
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
+from carry_trials import carry_task, sample_trial
 
 from minidual.config.arbiter import ArbiterConfig
 from minidual.config.teleop import TeleopConfig
@@ -19,7 +21,6 @@ from minidual.plant.world import World
 from minidual.robot.constants import HOME, Array
 from minidual.robot.kinematics import Kinematics
 from minidual.skills.operator import ScriptedOperator
-from minidual.tasks.rod_carry import sample_trial
 
 SEED = 7
 
@@ -35,7 +36,12 @@ def _run(session: TeleopSession, index: int, length: int | None = None) -> tuple
     demonstration = ScriptedOperator(scene).plan(trial, seed=SEED)
     if length is not None:
         demonstration = dataclasses.replace(demonstration, q=demonstration.q[:length])
-    result = session.run(trial, ScriptedLeader(demonstration), on_tick=lambda k, tick: ticks.append(tick))
+    result = session.run(
+        carry_task(session.world.scene),
+        trial,
+        ScriptedLeader(demonstration),
+        on_tick=lambda k, tick: ticks.append(tick),
+    )
     return result, ticks
 
 
@@ -62,9 +68,9 @@ def test_an_episode_succeeds_and_its_actions_lead_to_the_next_state(world: World
     assert _replay_error(world, trial.start, ticks, np.vstack([action[:1], action[:-1]])) > 1e-3
 
 
-def _replay_error(world: World, start: tuple[float, float, float], ticks: list[Tick], actions: Array) -> float:
+def _replay_error(world: World, start: Any, ticks: list[Tick], actions: Array) -> float:
     """Return the largest joint difference between the recorded states and a replay of `actions` (2 s of it)."""
-    world.reset(poses={"rod": start})
+    world.reset(poses=start)
     loop = JointLoop(world, Kinematics())
     for _ in range(20):  # the tick in which the arbiter hands over
         loop.step(HOME, np.ones(2))
@@ -105,7 +111,7 @@ class _Broken(ScriptedLeader):
 def _broken(world: World, kind: str) -> SessionResult:
     trial = sample_trial(world.scene, SEED, "demonstrations", 0)
     leader = ScriptedLeader(ScriptedOperator(world.scene).plan(trial, seed=SEED))
-    return _session(world).run(trial, _Broken(leader, kind))
+    return _session(world).run(carry_task(world.scene), trial, _Broken(leader, kind))
 
 
 def test_a_leader_that_falls_silent_ends_the_episode(world: World) -> None:
@@ -136,7 +142,7 @@ def test_a_leader_too_far_away_may_not_begin(world: World) -> None:
     demonstration = ScriptedOperator(world.scene).plan(trial, seed=SEED)
     demonstration.q[0, 3] += 0.4
     with pytest.raises(LeaderOffsetError, match="left_panda_joint4"):
-        _session(world).run(trial, ScriptedLeader(demonstration))
+        _session(world).run(carry_task(world.scene), trial, ScriptedLeader(demonstration))
     assert world.time == 0.0, "nothing has moved"
 
 

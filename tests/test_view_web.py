@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 import psutil
 import pytest
+from carry_trials import sample_trial
 from websockets.sync.client import connect
 
 from minidual.config.root import Config
@@ -20,7 +21,6 @@ from minidual.show.view import Arrow, Overlay, PathLine, Preview, Slider, make_v
 from minidual.show.view.pace import Metronome
 from minidual.show.view.web import WebView
 from minidual.show.watch import Watcher, overlay, visual_model, watch_trials, watched
-from minidual.tasks.rod_carry import sample_trial
 from minidual.trials.methods import MethodInputs
 from minidual.trials.trials import run_trials
 

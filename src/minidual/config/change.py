@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from pydantic import BaseModel
+
 from minidual.config.root import Config
 from minidual.errors import unknown_name
 
@@ -30,3 +32,33 @@ def changed(config: Config, settings: Mapping[str, Any]) -> Config:
             raise unknown_name("configuration value", path, section)
         section[name] = value
     return Config.model_validate(document)
+
+
+def preset[M: BaseModel](section: M, values: Mapping[str, Any]) -> M:
+    """Return a section with values at dotted paths where nobody has set another; in a set part, what is open is filled.
+
+    Raises:
+        UsageError: There is no such path.
+        pydantic.ValidationError: The values do not go together.
+    """
+    wanted: dict[str, Any] = {}
+    inner: dict[str, dict[str, Any]] = {}
+    for path, value in values.items():
+        name, _, rest = path.partition(".")
+        if name not in type(section).model_fields:
+            raise unknown_name("configuration value", path, type(section).model_fields)
+        now = getattr(section, name)
+        if rest:
+            inner.setdefault(name, {})[rest] = value
+        elif name not in section.model_fields_set:
+            wanted[name] = value
+        elif isinstance(now, BaseModel) and isinstance(value, BaseModel):
+            inner.setdefault(name, {}).update({k: getattr(value, k) for k in value.model_fields_set})
+    wanted |= {name: preset(getattr(section, name), part) for name, part in inner.items()}
+    return replaced(section, **wanted)
+
+
+def replaced[M: BaseModel](section: M, **values: Any) -> M:
+    """Return a validated copy with these values; fields that nobody set stay unset."""
+    known = {name: getattr(section, name) for name in section.model_fields_set}
+    return type(section).model_validate({**known, **values})

@@ -30,6 +30,9 @@ class Config(StrictModel):
     """Processes a stage may use. Results do not depend on it."""
 
     robot: RobotConfig = RobotConfig()
+    task: str = "rod_carry"
+    """What is done; a row of the table of tasks."""
+
     env_check: EnvCheckConfig = EnvCheckConfig()
     plan: PlanConfig = PlanConfig()
     carry: CarryConfig = CarryConfig()

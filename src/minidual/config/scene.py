@@ -1,4 +1,4 @@
-"""Configuration of the simulated world: physics, the rod, the cameras and the randomisation."""
+"""Configuration of the simulated world: physics, objects, the cameras and the randomisation."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ PositiveFloat = Annotated[float, Field(gt=0.0)]
 
 
 class PhysicsConfig(StrictModel):
-    """Solver settings; the values are those under which a pinched rod does not creep."""
+    """Solver settings; the values are those under which a pinched object does not creep."""
 
     timestep_s: float = Field(default=0.001, gt=0.0, le=0.002)
     impratio: float = Field(default=100.0, ge=1.0, le=1000.0)
@@ -21,32 +21,38 @@ class PhysicsConfig(StrictModel):
     finger_force_max_n: float = Field(default=70.0, gt=0.0, le=140.0)
 
 
-class RodConfig(StrictModel):
-    """The carried object: an aluminium rod, or what tasks/objects.py puts in its place.
+class ObjectConfig(StrictModel):
+    """A named body: the aluminium rod, or what a task puts in its place.
 
-    Its long axis is y. A cylinder has a radius; a box a width (x, between the fingers) and a height.
+    Its long axis is y, or z for one that stands upright. A cylinder has a radius; a box a width (x, between the fingers)
+    and a height.
     """
 
+    name: str = Field(default="rod", pattern=r"^[a-z][a-z0-9_]*$")
+    """Name of its body."""
     shape: Literal["cylinder", "box"] = "cylinder"
-
-    length_m: float = Field(default=0.30, gt=0.1, le=0.6)
-    radius_m: float = Field(default=0.00887, gt=0.003, le=0.03)
+    upright: bool = False
+    """Whether it stands on its end; its long axis is then z."""
+    length_m: float = Field(default=0.30, gt=0.03, le=0.6)
+    radius_m: float = Field(default=0.00887, gt=0.003, le=0.035)
     width_m: float = Field(default=0.05, gt=0.005, le=0.07)
     """Of a box, between the fingers; a hand opens to 80 mm."""
     height_m: float = Field(default=0.05, gt=0.005, le=0.2)
-    """Of a box."""
+    """Of a box; of an upright one, its depth along y."""
     mass_kg: float = Field(default=0.2, gt=0.01, le=3.0)
     friction: float = Field(default=0.5, gt=0.05, le=2.0)
     rolling_friction: float = Field(default=0.002, ge=0.0, le=0.1)
-    grasp_offset_m: float = Field(default=0.12, gt=0.03, le=0.25)
-    """Distance of each hand from the rod's centre."""
+    grasp_offset_m: float = Field(default=0.12, ge=0.0, le=0.25)
+    """Distance of each hand from the centre, along the long axis."""
     grasp_height_m: float = Field(default=0.003, ge=-0.01, le=0.02)
-    """Height of the tool centre point over the rod's axis."""
+    """Height of the tool centre point over the axis of a lying object."""
     break_force_n: float | None = Field(default=None, gt=0.0)
     """Net force of one hand at which the object breaks; None for one that does not."""
     break_pinch_n: float | None = Field(default=None, gt=0.0)
     """Pinch of one hand at which the object breaks."""
     colour: tuple[float, float, float, float] = (0.96, 0.45, 0.09, 1.0)
+    xy_m: tuple[float, float] | None = None
+    """Where it stands while no trial places it; None for the start of the task."""
 
     @property
     def half_width_m(self) -> float:
@@ -54,24 +60,32 @@ class RodConfig(StrictModel):
         return self.radius_m if self.shape == "cylinder" else self.width_m / 2
 
     @property
+    def half_sizes_m(self) -> tuple[float, float, float]:
+        """Half of its extent along its own x, y and z."""
+        across = self.radius_m if self.shape == "cylinder" else self.height_m / 2
+        long = self.length_m / 2
+        return (self.half_width_m, across, long) if self.upright else (self.half_width_m, long, across)
+
+    @property
     def rest_height_m(self) -> float:
-        """Height of the axis over the table while it rests."""
-        return self.radius_m if self.shape == "cylinder" else self.height_m / 2
+        """Height of the centre over the table while it rests."""
+        return self.half_sizes_m[2]
 
     @property
     def inertia_kg_m2(self) -> tuple[float, float, float]:
-        """Principal moments about x, y (the long axis) and z of a body of uniform density."""
+        """Principal moments about x, y and z of a body of uniform density."""
         m, length = self.mass_kg, self.length_m
         if self.shape == "cylinder":
-            across = m * (3 * self.radius_m**2 + length**2) / 12.0
-            return across, 0.5 * m * self.radius_m**2, across
+            across, along = m * (3 * self.radius_m**2 + length**2) / 12.0, 0.5 * m * self.radius_m**2
+            return (across, across, along) if self.upright else (across, along, across)
         w, h = self.width_m, self.height_m
-        return m * (length**2 + h**2) / 12.0, m * (w**2 + h**2) / 12.0, m * (w**2 + length**2) / 12.0
+        x, long, other = m * (length**2 + h**2) / 12.0, m * (w**2 + h**2) / 12.0, m * (w**2 + length**2) / 12.0
+        return (x, other, long) if self.upright else (x, long, other)
 
     @model_validator(mode="after")
-    def _hands_on_rod(self) -> RodConfig:
+    def _hands_on_it(self) -> ObjectConfig:
         if self.grasp_offset_m > self.length_m / 2:
-            raise ValueError(f"grasp_offset_m {self.grasp_offset_m} lies beyond the rod's end at {self.length_m / 2}")
+            raise ValueError(f"grasp_offset_m {self.grasp_offset_m} lies beyond the end at {self.length_m / 2}")
         return self
 
 
@@ -84,24 +98,27 @@ class ObstacleConfig(StrictModel):
 
 
 class TaskConfig(StrictModel):
-    """Start, goal and limits of one rod trial."""
+    """Start, goal and limits of one trial."""
 
     start_xy_m: tuple[float, float] = (0.5, 0.25)
     goal_xy_m: tuple[float, float] = (0.5, -0.25)
     goal_yaw_rad: float = Field(default=0.0, ge=-3.2, le=3.2)
-    """Direction in which the rod must lie at the goal."""
+    """Direction in which the object must lie at the goal."""
+    goal_range_m: float = Field(default=0.0, ge=0.0, le=0.1)
+    """The goal is uniform within +-range about the nominal one, drawn after the start."""
+    goal_range_rad: float = Field(default=0.0, ge=0.0, le=0.6)
     yaw_tolerance_rad: float | None = Field(default=None, gt=0.0, le=1.0)
     """Largest error of that direction; None judges the place alone."""
     obstacle: ObstacleConfig | None = None
     lift_height_m: float = Field(default=0.12, gt=0.03, le=0.4)
-    """Height to which a method lifts the rod's axis above its resting height."""
+    """Height to which a method lifts the object's centre above its resting height."""
     start_range_m: float = Field(default=0.05, ge=0.0, le=0.1)
     start_range_rad: float = Field(default=0.2618, ge=0.0, le=0.6)
     """Start pose is uniform within +-range about the nominal one (15 degrees)."""
     clear_height_m: float = Field(default=0.04, gt=0.0, le=0.3)
-    """The rod must rise at least this far."""
+    """The object must rise at least this far."""
     tilt_max_rad: float = Field(default=0.08727, gt=0.0, le=0.3)
-    """Five degrees between the rod's axis and the horizontal."""
+    """Five degrees between the object's axis and the horizontal."""
     goal_tolerance_m: float = Field(default=0.02, gt=0.0, le=0.1)
     pinch_min_n: float = Field(default=20.0, gt=0.0)
     internal_force_min_n: float = Field(default=20.0, gt=0.0)
@@ -123,6 +140,25 @@ class SceneConfig(StrictModel):
     """Everything that shapes the simulated world."""
 
     physics: PhysicsConfig = PhysicsConfig()
-    rod: RodConfig = RodConfig()
+    object: ObjectConfig = ObjectConfig()
+    """What is carried."""
+    more: tuple[ObjectConfig, ...] = ()
+    """Further objects."""
     task: TaskConfig = TaskConfig()
     camera: CameraConfig = CameraConfig()
+
+    @property
+    def objects(self) -> dict[str, ObjectConfig]:
+        """All objects by name, the carried one first."""
+        return {item.name: item for item in (self.object, *self.more)}
+
+    @property
+    def rod(self) -> ObjectConfig:
+        """The carried object (an older name)."""
+        return self.object
+
+    @model_validator(mode="after")
+    def _names_differ(self) -> SceneConfig:
+        if len(self.objects) < 1 + len(self.more):
+            raise ValueError(f"two objects have one name: {', '.join(o.name for o in (self.object, *self.more))}")
+        return self

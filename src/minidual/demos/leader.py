@@ -11,7 +11,7 @@ from minidual.errors import unknown_name
 from minidual.robot.constants import Array
 from minidual.robot.kinematics import Kinematics
 from minidual.skills.operator import Demonstration, ScriptedOperator
-from minidual.tasks.rod_carry import RodTrial
+from minidual.tasks.task import Trial
 
 
 class Leader(Protocol):
@@ -66,12 +66,12 @@ class LeaderSetup:
     operator: ScriptedOperator
 
 
-def _scripted(setup: LeaderSetup, trial: RodTrial) -> Leader:
+def _scripted(setup: LeaderSetup, trial: Trial) -> Leader:
     demonstration = setup.operator.plan(trial, seed=setup.seed, rate_hz=setup.config.rate_hz)
     return ScriptedLeader(demonstration)
 
 
-def _keyboard(setup: LeaderSetup, trial: RodTrial) -> Leader:
+def _keyboard(setup: LeaderSetup, trial: Trial) -> Leader:
     from minidual.demos.keyboard import KeyboardLeader
 
     return KeyboardLeader(Kinematics())
@@ -91,7 +91,7 @@ def require_leader(name: str) -> str:
     return name
 
 
-def make_leader(name: str, setup: LeaderSetup, trial: RodTrial) -> Leader:
+def make_leader(name: str, setup: LeaderSetup, trial: Trial) -> Leader:
     """Return a leader for one trial.
 
     Raises:

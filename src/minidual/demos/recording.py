@@ -19,6 +19,7 @@ import numpy as np
 from minidual import durable
 from minidual.demos.leader import IN_PROCESS, require_leader
 from minidual.demos.rig import REJECTED, Attempt, Job, Rig
+from minidual.tasks.rod_carry import placement
 
 Observe = Callable[[Rig, int], AbstractContextManager[object]]
 """Called with the rig and a trial's number; what it returns is entered while the trial runs."""
@@ -127,7 +128,7 @@ def record(
 
 def quality_row(attempt: Attempt) -> dict[str, Any]:
     """Return an attempt as one flat row for CSV."""
-    x, y, yaw = attempt.trial.start
+    x, y, yaw = placement(next(iter(attempt.trial.start.values())))
     row: dict[str, Any] = {
         "trial": attempt.trial.index,
         "start_x_m": x,

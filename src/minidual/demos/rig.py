@@ -10,7 +10,6 @@ import numpy as np
 
 from minidual import durable
 from minidual.config.arbiter import ArbiterConfig
-from minidual.config.scene import SceneConfig
 from minidual.config.supervisor import SupervisorConfig
 from minidual.config.teleop import TeleopConfig
 from minidual.demos.episode import EpisodeWriter, read_episode
@@ -27,11 +26,11 @@ from minidual.robot.constants import Q_LOWER, Q_UPPER, Array
 from minidual.robot.kinematics import Kinematics
 from minidual.skills.operator import ScriptedOperator
 from minidual.skills.supervised import trial_supervisor
-from minidual.tasks.rod_carry import RodTrial, sample_trial
+from minidual.tasks.rod_carry import placement
+from minidual.tasks.task import Task, Trial
 
 PURPOSE = "demonstrations"
 """Random stream of the trials; no test draws from it."""
-TASK = "Grasp the orange rod with both hands, carry it to the green mark and put it down."
 KEPT, REJECTED = "episodes", "rejected"
 FILM_SIZE = (640, 480)
 
@@ -41,15 +40,15 @@ class Job:
     """What a recording needs to know; the same for all its trials."""
 
     folder: Path
-    scene: SceneConfig
+    task: Task
     teleop: TeleopConfig
     arbiter: ArbiterConfig
     seed: int
     supervisor: SupervisorConfig = field(default_factory=SupervisorConfig)
 
-    def trial(self, index: int) -> RodTrial:
+    def trial(self, index: int) -> Trial:
         """Return trial `index` of the demonstrations."""
-        return sample_trial(self.scene, self.seed, PURPOSE, index, widen=self.teleop.widen)
+        return self.task.trial(self.seed, PURPOSE, index, widen=self.teleop.widen)
 
 
 @dataclass(frozen=True)
@@ -72,7 +71,7 @@ class Attempt:
         wall_s: Wall-clock time of the attempt: planned, led, written and read back.
     """
 
-    trial: RodTrial
+    trial: Trial
     success: bool
     kept: bool
     reason: str
@@ -93,7 +92,7 @@ class Rig:
     def __init__(self, job: Job, cameras: Sequence[str]) -> None:
         self.job = job
         self.kinematics = kinematics = Kinematics()
-        self.world = World(job.scene, visuals=True)
+        self.world = World(job.task.scene, visuals=True)
         self.observer = Observer(self.world, cameras)
         self.session = TeleopSession(
             self.world,
@@ -103,14 +102,14 @@ class Rig:
             job.arbiter,
             supervisor=trial_supervisor(job.supervisor, self.world.dt),
         )
-        operator = ScriptedOperator(job.scene, job.teleop.operator)
-        self._setup = LeaderSetup(job.scene, job.teleop, job.seed, operator)
+        operator = ScriptedOperator(job.task.scene, job.teleop.operator)
+        self._setup = LeaderSetup(job.task.scene, job.teleop, job.seed, operator)
 
-    def lead(self, trial: RodTrial, *, on_tick: Callable[[int, Tick], None] | None = None) -> SessionResult:
+    def lead(self, trial: Trial, *, on_tick: Callable[[int, Tick], None] | None = None) -> SessionResult:
         """Run one episode."""
         leader = make_leader(self.job.teleop.leader, self._setup, trial)
         try:
-            return self.session.run(trial, leader, on_tick=on_tick)
+            return self.session.run(self.job.task, trial, leader, on_tick=on_tick)
         finally:
             leader.close()
 
@@ -146,19 +145,19 @@ class Rig:
             durable.sync(target.parent)
         return self._examined(trial, result, path, success=success, kept=not reason, reason=reason)
 
-    def _meta(self, trial: RodTrial) -> EpisodeMeta:
+    def _meta(self, trial: Trial) -> EpisodeMeta:
         teleop = self.job.teleop
         return EpisodeMeta(
             fps=teleop.rate_hz,
-            task=TASK,
+            task=self.job.task.instruction,
             seed=self.job.seed,
             cameras=teleop.cameras,
             extra={
                 "trial": trial.index,
                 "purpose": trial.purpose,
                 "leader": teleop.leader,
-                "start_x_y_yaw": list(trial.start),
-                "goal_x_y_yaw": list(trial.goal),
+                "start_x_y_yaw": list(placement(trial.start[self.job.task.carried])),
+                "goal_x_y_yaw": list(placement(trial.goal[self.job.task.carried])),
             },
         )
 
@@ -170,7 +169,7 @@ class Rig:
         return "" if jerk <= limit else f"RMS jerk {jerk:.0f} rad/s^3, limit {limit:.0f}"
 
     def _examined(
-        self, trial: RodTrial, result: SessionResult, path: Path, *, success: bool, kept: bool, reason: str
+        self, trial: Trial, result: SessionResult, path: Path, *, success: bool, kept: bool, reason: str
     ) -> Attempt:
         """Open the file again: what counts is what is on the disk."""
         problems = validate_episode(path, cameras=self.job.teleop.cameras, lower=Q_LOWER, upper=Q_UPPER)

@@ -24,8 +24,8 @@ from minidual.errors import MinidualError, UsageError
 from minidual.plant.world import World
 from minidual.robot.constants import Array
 from minidual.robot.kinematics import Kinematics
-from minidual.tasks.rod_carry import RodTrial
-from minidual.tasks.success import Outcome, RodCarryJudge
+from minidual.tasks.judge import Judge, Outcome, begin
+from minidual.tasks.task import Task, Trial
 
 SOURCE = "teleop"
 
@@ -120,12 +120,13 @@ class TeleopSession:
         self.stack = ControlStack(world, kinematics, arbiter, rate_hz=config.rate_hz, supervisor=supervisor)
 
     def run(
-        self, trial: RodTrial, leader: Leader, *, on_tick: Callable[[int, Tick], None] | None = None
+        self, task: Task, trial: Trial, leader: Leader, *, on_tick: Callable[[int, Tick], None] | None = None
     ) -> SessionResult:
         """Run one episode to its end.
 
         Args:
-            trial: Where the rod starts and must end.
+            task: How it is judged.
+            trial: Where the objects start and must end.
             leader: Who leads.
             on_tick: Called with each tick's number and content once its command has been given: to record, to film.
 
@@ -134,16 +135,15 @@ class TeleopSession:
             HandoverError: The arbiter would not give the leader its turn.
         """
         world = self.world
-        world.reset(poses={world.objects[0]: trial.start})
+        judge = begin(world, task, trial)
         self.stack.reset()
-        judge = RodCarryJudge(world.scene, trial)
         first = leader.read(0.0)
         if first is not None:
             self.mirror.check_start(first[0], world.q)
         self._hand_over(judge)
         return self._follow(judge, leader, on_tick)
 
-    def _hand_over(self, judge: RodCarryJudge) -> None:
+    def _hand_over(self, judge: Judge) -> None:
         """Step the held arms until the arbiter confirms the leader."""
         self.stack.request(SOURCE)
         while True:
@@ -156,9 +156,7 @@ class TeleopSession:
             if reflex:
                 raise HandoverError(f"the arbiter did not hand over: {reflex}")
 
-    def _follow(
-        self, judge: RodCarryJudge, leader: Leader, on_tick: Callable[[int, Tick], None] | None
-    ) -> SessionResult:
+    def _follow(self, judge: Judge, leader: Leader, on_tick: Callable[[int, Tick], None] | None) -> SessionResult:
         world, period = self.world, 1.0 / self.config.rate_hz
         limit = round(self._time_limit_s(leader) * self.config.rate_hz)
         measured: list[Array] = []
@@ -199,7 +197,7 @@ class TeleopSession:
             self.stack.propose(SOURCE, command)
         return self.stack.arbitrate()
 
-    def _move(self, judge: RodCarryJudge, steps: int | None = None) -> str:
+    def _move(self, judge: Judge, steps: int | None = None) -> str:
         """Run a tick's control steps; return the reflex that ended them, or an empty string."""
         for _ in range(self._steps if steps is None else steps):
             reflex = self._advance(judge)
@@ -207,7 +205,7 @@ class TeleopSession:
                 return reflex
         return ""
 
-    def _advance(self, judge: RodCarryJudge) -> str:
+    def _advance(self, judge: Judge) -> str:
         """Run one control step; return the reflex that it raised, or an empty string."""
         reflex = ""
         try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Box, Capsule
-from minidual.config.scene import RodConfig, SceneConfig
+from minidual.config.scene import ObjectConfig, SceneConfig
 from minidual.robot.pair import SIDES, Array
 from minidual.skills.pipeline.carrying import Carry, Place
 from minidual.skills.pipeline.hands import Close, Descend, Grip, Open, Reach, Retreat
@@ -15,7 +15,7 @@ from minidual.tasks.rod_carry import grasp_offsets
 _ALONG_Y = (0.5**0.5, -(0.5**0.5), 0.0, 0.0)
 
 
-def thing_of(body: RodConfig, name: str) -> Thing:
+def thing_of(body: ObjectConfig, name: str) -> Thing:
     """Return an object for the planner; a cylinder lies along its own y axis, its ends rounded inside its length."""
     if body.shape == "box":
         return Thing(Box(name, (0.0, 0.0, 0.0), size_m=(body.width_m, body.length_m, body.height_m)))

@@ -41,7 +41,8 @@ from minidual.skills.pace import joint_duration_s
 from minidual.skills.phases import PHASES
 from minidual.skills.pipeline.drive import SOURCE
 from minidual.skills.reach import GraspUnreachableError, Quintic, approach_postures, grasp_posture
-from minidual.tasks.rod_carry import RodTrial, level_part
+from minidual.tasks.rod_carry import level_part, placement
+from minidual.tasks.task import Trial
 
 _OPEN, _CLOSED = np.ones(2), np.zeros(2)
 _STOPPED_S = 0.5
@@ -72,7 +73,7 @@ class ImpedanceCarry:
         world: World,
         kinematics: Kinematics,
         config: CarryConfig,
-        trial: RodTrial,
+        trial: Trial,
         *,
         sensors: Sensors | None = None,
         seed: int = 0,
@@ -237,7 +238,9 @@ class ImpedanceCarry:
         world, watch = self.world, self._watch
         T_object = watch.T_world_object
         try:
-            self._path = plan_path(self._scene, self._config, self._trial.goal, T_object, world.q)
+            self._path = plan_path(
+                self._scene, self._config, placement(self._trial.goal[self._scene.object.name]), T_object, world.q
+            )
         except GraspUnreachableError as error:
             self._stop_by.heed(("unreachable", error.message))
             return

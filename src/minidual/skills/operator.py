@@ -20,7 +20,8 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import pose, rot_x, rot_z
 from minidual.skills.phases import PHASES
 from minidual.skills.posture_ik import PostureIK
-from minidual.tasks.rod_carry import RodTrial, grasp_offsets, level_pose
+from minidual.tasks.rod_carry import grasp_offsets, level_pose, placement
+from minidual.tasks.task import Trial
 
 _JOINT_COST = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.1])
 """The last joint turns the hand and nothing else, so it may move freely. With equal costs the elbow would swing to
@@ -116,13 +117,13 @@ class ScriptedOperator:
             start += duration
         return tuple(result)
 
-    def approach_error(self, seed: int, trial: RodTrial) -> Array:
+    def approach_error(self, seed: int, trial: Trial) -> Array:
         """Return the error (x [m], y [m], yaw [rad]) with which the hands arrive over the rod, drawn per trial."""
         scale = np.array([self.config.approach_noise_m, self.config.approach_noise_m, self.config.approach_noise_rad])
         rng = stream(seed, f"operator/{trial.purpose}", trial.index)
         return scale * np.clip(rng.standard_normal(3), -2.0, 2.0)
 
-    def plan(self, trial: RodTrial, *, seed: int, rate_hz: float = 50.0) -> Demonstration:
+    def plan(self, trial: Trial, *, seed: int, rate_hz: float = 50.0) -> Demonstration:
         """Return the demonstration of a trial.
 
         Args:
@@ -147,7 +148,7 @@ class ScriptedOperator:
         gripper = np.where(closed[:, None], 0.0, 1.0) * np.ones(2)
         return Demonstration(rate_hz, q, gripper, phases)
 
-    def _hand_poses(self, t: float, trial: RodTrial, error: Array, phases: tuple[Phase, ...]) -> tuple[Array, Array]:
+    def _hand_poses(self, t: float, trial: Trial, error: Array, phases: tuple[Phase, ...]) -> tuple[Array, Array]:
         """Return the poses of both tool centre points at time t."""
         progress = {p.name: minimum_jerk((t - p.start_s) / (p.end_s - p.start_s))[0] for p in phases}
         T_world_rod = self._rod_pose(trial, error, progress)
@@ -158,11 +159,11 @@ class ScriptedOperator:
         left, right = (_between(T_home, T_goal, s) for T_home, T_goal in zip(self._home_poses, grasped, strict=True))
         return left, right
 
-    def _rod_pose(self, trial: RodTrial, error: Array, progress: dict[str, float]) -> Array:
+    def _rod_pose(self, trial: Trial, error: Array, progress: dict[str, float]) -> Array:
         """Return the level pose that the hands would give the rod if they held it all the time."""
         lift = self.scene.task.lift_height_m
-        start = np.array(trial.start) + error * (1.0 - progress["correct"])
-        x, y, yaw = start + (np.array(trial.goal) - start) * progress["carry"]
+        start = np.array(placement(trial.start[self.scene.object.name])) + error * (1.0 - progress["correct"])
+        x, y, yaw = start + (np.array(placement(trial.goal[self.scene.object.name])) - start) * progress["carry"]
         height = (
             self.scene.rod.radius_m
             + PHASES["approach"].rise_m * (1.0 - progress["descend"] + progress["retreat"])

@@ -21,7 +21,8 @@ from minidual.skills.pipeline.search import Solution, TaskFailedError
 from minidual.skills.pipeline.stage import Gap, Tools
 from minidual.skills.pipeline.state import State
 from minidual.skills.supervised import arm_distance
-from minidual.tasks.rod_carry import RodTrial, level_part, level_pose
+from minidual.tasks.rod_carry import level_part, level_pose, placement
+from minidual.tasks.task import Trial
 
 __all__ = ["SOURCE", "PlannedCarry", "make_planners"]
 
@@ -54,7 +55,7 @@ class PlannedCarry(Drive):
         kinematics: Kinematics,
         planner: Planner,
         carrier: CarriedPlanner,
-        trial: RodTrial,
+        trial: Trial,
         seed: int,
         arbiter: ArbiterConfig | None = None,
         *,
@@ -63,11 +64,12 @@ class PlannedCarry(Drive):
     ) -> None:
         self.world, scene = world, world.scene
         start = level_part(world.object_pose() if T_world_object is None else T_world_object)
-        goal = level_pose(trial.goal[0], trial.goal[1], scene.rod.rest_height_m, trial.goal[2])
+        x, y, yaw = placement(trial.goal[scene.object.name])
+        goal = level_pose(x, y, scene.object.rest_height_m, yaw)
         gap = None
         if supervisor is not None:
             gap = Gap(arm_distance(), supervisor.config.self_collision_min_m + _GAP_MARGIN_M)
-        tools = Tools(around(scene), thing_of(scene.rod, "rod"), planner, seed, gap, carrier=carrier)
+        tools = Tools(around(scene), thing_of(scene.object, scene.object.name), planner, seed, gap, carrier=carrier)
         self.solution: Solution | None = None
         why: str | None = None
         try:

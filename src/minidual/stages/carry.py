@@ -11,7 +11,7 @@ from minidual.gate.stage import StageContext, StageResult
 
 if TYPE_CHECKING:
     from minidual.config.control import CarryLimits
-    from minidual.tasks.rod_carry import RodTrial
+    from minidual.tasks.task import Trial
     from minidual.trials.methods import MethodInputs
     from minidual.trials.metrics import TrialMetrics
     from minidual.trials.trials import TrialResult
@@ -105,16 +105,16 @@ def run(context: StageContext) -> StageResult:
     from minidual.show.figures.film import film_trial
     from minidual.show.figures.trial_figures import draw_trial
     from minidual.show.watch import watch_trials
-    from minidual.tasks.rod_carry import sample_trial
+    from minidual.tasks.task import make_task
     from minidual.trials.methods import MethodInputs
     from minidual.trials.metrics import summarise
     from minidual.trials.tables import write_csv, write_json
     from minidual.trials.trials import run_trials
 
-    config = context.config
+    config, job = context.config, make_task(context.config)
     scene = config.scene
     inputs = MethodInputs(config, context.seed)
-    trials = [sample_trial(scene, context.seed, "carry", i) for i in range(config.carry.trials_n)]
+    trials = [job.trial(context.seed, "carry", i) for i in range(config.carry.trials_n)]
     results, logs = [], []
     with context.progress.task("carries", len(trials)) as task:
         for result, log in run_trials(
@@ -177,11 +177,7 @@ def run(context: StageContext) -> StageResult:
 
 
 def _record(
-    context: StageContext,
-    inputs: MethodInputs,
-    trials: list[RodTrial],
-    results: list[TrialResult],
-    shown: dict[str, int],
+    context: StageContext, inputs: MethodInputs, trials: list[Trial], results: list[TrialResult], shown: dict[str, int]
 ) -> None:
     """Write recordings for `minidual replay` of the median, the worst and the first trials that failed."""
     from minidual.errors import DataError

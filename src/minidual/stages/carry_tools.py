@@ -16,7 +16,7 @@ PERTURB_TRIALS_N = 20
 def perturb(context: ToolContext) -> ToolResult:
     """Run the carry under every condition and compare its success with the clean one."""
     from minidual.show.watch import watch_trials
-    from minidual.tasks.motions import carry_config
+    from minidual.tasks.task import task_config
     from minidual.trials.methods import MethodInputs
     from minidual.trials.perturbation import (
         DROP_MAX,
@@ -28,7 +28,7 @@ def perturb(context: ToolContext) -> ToolResult:
     )
 
     trials_n = int(context.options.get("trials", PERTURB_TRIALS_N))
-    inputs = MethodInputs(carry_config(context.config), context.seed)
+    inputs = MethodInputs(task_config(context.config), context.seed)
     applying = [c for c in touching("impedance").values() if not why_not("impedance", c, inputs.config)]
     with context.progress.task("disturbed carries", len(applying) * trials_n) as task:
         found, trials = run_perturbations(
@@ -60,11 +60,11 @@ def tune(context: ToolContext) -> ToolResult:
     import yaml
 
     from minidual.show.figures.tuning_figure import draw_tuning
-    from minidual.tasks.motions import carry_config
+    from minidual.tasks.task import task_config
     from minidual.trials.tables import write_text
     from minidual.trials.tuning import CARRIES_N, Tuner, TuningError, write_rows
 
-    config = carry_config(context.config)
+    config = task_config(context.config)
     with context.progress.task("tuning") as task:
         tuner = Tuner(
             config,

@@ -57,19 +57,19 @@ def run(context: StageContext) -> StageResult:
     from minidual.config.seeds import stream
     from minidual.show.figures.film import film_trial
     from minidual.show.watch import watch_trials
-    from minidual.tasks.rod_carry import sample_trial
+    from minidual.tasks.task import make_task
     from minidual.trials.methods import MethodInputs
     from minidual.trials.metrics import summarise
     from minidual.trials.tables import write_csv, write_json
     from minidual.trials.trials import run_trials
 
-    config = context.config
+    config, job = context.config, make_task(context.config)
     settings = config.deploy
     checkpoint = context.upstream["train-act"] / "checkpoint"
     inputs = MethodInputs(config, context.seed, checkpoint)
-    held_out = [sample_trial(config.scene, context.seed, HELD_OUT, i) for i in range(settings.trials)]
+    held_out = [job.trial(context.seed, HELD_OUT, i) for i in range(settings.trials)]
     seen = [
-        sample_trial(config.scene, context.seed, TRAINING, i, widen=config.teleop.widen)
+        job.trial(context.seed, TRAINING, i, widen=config.teleop.widen)
         for i in _demonstrated(context.upstream["teleop-record"], settings.training_trials)
     ]
     results: dict[str, list[TrialResult]] = {"held_out": [], "training": []}

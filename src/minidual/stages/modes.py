@@ -11,8 +11,9 @@ from minidual.gate.tool import ToolContext, ToolResult
 
 if TYPE_CHECKING:
     from minidual.control.stack import ControlStack
-    from minidual.gate.progress import Task
+    from minidual.gate.progress import Task as Bar
     from minidual.plant.render import Image
+    from minidual.tasks.task import Task, Trial
     from minidual.trials.modes import ModesResult
     from minidual.trials.modes_drivers import Driver
 
@@ -73,20 +74,21 @@ def _run(context: ToolContext, wanted: tuple[str, ...], checkpoint: Path | None)
     from minidual.show.figures.modes_film import FILM_FPS, FILM_SIZE, filmed
     from minidual.show.view import Overlay
     from minidual.show.watch import watched
-    from minidual.tasks.rod_carry import sample_trial
+    from minidual.tasks.task import make_task
     from minidual.trials.modes import ModesDemo
 
     config = context.config
     world = World(config.scene, model=build_model(config.scene, visuals=True))
-    trial = sample_trial(config.scene, context.seed, "modes", 0)
-    world.reset(poses={world.objects[0]: trial.goal})  # as the last carry left it
+    job = make_task(config)
+    trial = job.trial(context.seed, "modes", 0)
+    world.reset(poses=trial.goal)  # as the last carry left it
     world.recorder = Recorder(world, window_s=1.0, seed=context.seed, folder=context.run_folder / "dumps")
     supervisor = Supervisor(
         config.supervisor, dt_s=world.dt, self_distance=ArmDistance(), on_reflex=world.recorder.on_reflex
     )
     stack = ControlStack(world, Kinematics(), config.arbiter, rate_hz=config.teleop.rate_hz, supervisor=supervisor)
     with Camera.recorded(world.model, config.scene.camera) as eyes:
-        turns = _turns(context, stack, trial, checkpoint, wanted, lambda name: eyes.picture(world.data, name))
+        turns = _turns(context, stack, job, trial, checkpoint, wanted, lambda name: eyes.picture(world.data, name))
         demo = ModesDemo(stack, turns)
         stopped: list[str] = []
 
@@ -120,7 +122,8 @@ def _run(context: ToolContext, wanted: tuple[str, ...], checkpoint: Path | None)
 def _turns(
     context: ToolContext,
     stack: ControlStack,
-    trial: Any,
+    job: Task,
+    trial: Trial,
     checkpoint: Path | None,
     wanted: tuple[str, ...],
     picture: Callable[[str], Image],
@@ -144,8 +147,8 @@ def _turns(
             share = 1.0 if last else _INTERRUPT_SHARE
             return MoveitDriver(stack, planner, seed, home=last, share=share)
         if mode == "teleop":
-            return TeleopDriver(stack, operator, trial.start, seed, config.teleop.rate_hz)
-        return PolicyDriver(stack, runtime, picture, trial)
+            return TeleopDriver(stack, operator, trial, seed, config.teleop.rate_hz)
+        return PolicyDriver(stack, runtime, picture, job, trial)
 
     final = len(wanted) - 1
     return [(mode, lambda mode=mode, k=k: make(mode, k == final)) for k, mode in enumerate(wanted)]
@@ -162,7 +165,7 @@ def _until_stopped(steps: Iterator[tuple[str, str]], stopped: list[str]) -> Iter
         stopped.append(str(error))
 
 
-def _counted(steps: Iterator[tuple[str, str]], task: Task) -> Iterator[tuple[str, str]]:
+def _counted(steps: Iterator[tuple[str, str]], task: Bar) -> Iterator[tuple[str, str]]:
     """Pass the steps on, counting the turns that have ended."""
     before: tuple[str, str] | None = None
     for now in steps:

@@ -133,9 +133,10 @@ def run(context: StageContext) -> StageResult:
     from minidual.demos.rig import Job, film
     from minidual.show.figures.teleop import draw_quality
     from minidual.show.watch import watch_recording
+    from minidual.tasks.task import make_task
 
     config = context.config
-    job = Job(context.folder, config.scene, config.teleop, config.arbiter, context.seed, config.supervisor)
+    job = Job(context.folder, make_task(config), config.teleop, config.arbiter, context.seed, config.supervisor)
     if config.teleop.leader == "keyboard":
         from minidual.demos.keyboard import HELP
 

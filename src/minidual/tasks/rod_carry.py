@@ -1,78 +1,143 @@
-"""The rod task: where a trial starts, where it must end, and where the hands belong on the rod."""
+"""Both arms carry a long object across the table: where it starts and must end, and where the hands belong on it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from minidual.config.scene import SceneConfig
-from minidual.config.seeds import stream
-from minidual.robot.constants import Array
+from minidual.config.change import preset, replaced
+from minidual.config.root import Config
+from minidual.config.scene import ObjectConfig, SceneConfig
+from minidual.plant.bodies import ObjectPose
+from minidual.plant.model import OBSTACLE
+from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import pose, rot_x, rot_z
+from minidual.tasks.motions import MOTIONS
+from minidual.tasks.objects import OBJECTS
+from minidual.tasks.success import (
+    Arrived,
+    AtRest,
+    Clear,
+    Held,
+    Level,
+    OnTime,
+    Released,
+    Rose,
+    Squeezed,
+    SuccessCondition,
+    Turned,
+    Whole,
+)
+from minidual.tasks.task import Step, Task, TaskObject, Trial
+
+_PHASES = ("approach", "descend", "close", "squeeze", "lift", "carry", "lower", "open", "retreat")
 
 
-@dataclass(frozen=True)
-class RodTrial:
-    """One randomised trial.
+def carry_config(config: Config) -> Config:
+    """Return the configuration under which the named object is carried along the named motion; twice changes nothing.
 
-    Attributes:
-        purpose: Name of the random stream, e.g. `carry` or `demonstrations`.
-        index: Number of the trial in its stream.
-        start: (x [m], y [m], yaw [rad]) of the rod on the table.
-        goal: (x [m], y [m], yaw [rad]) where it must be put down.
+    The least internal force of the success test is lowered to the low end of the object's own range where that is below
+    it: the glass must be squeezed with at least 10 N, the others with 20 N.
+
+    Raises:
+        UsageError: There is no such object or motion.
     """
+    item, motion = OBJECTS[config.carry.object], MOTIONS[config.carry.motion]
+    config = preset(config, {"scene.object.name": config.carry.object, **item.values, **motion.values})
+    task = config.scene.task
+    least = min(task.internal_force_min_n, item.squeeze_range_n[0])
+    if least == task.internal_force_min_n:
+        return config
+    return replaced(config, scene=replaced(config.scene, task=replaced(task, internal_force_min_n=least)))
 
-    purpose: str
-    index: int
-    start: tuple[float, float, float]
-    goal: tuple[float, float, float]
+
+def rod_carry(config: Config) -> Task:
+    """Return the task: both hands lift the object, carry it level to its goal and put it down."""
+    config = carry_config(config)
+    body = config.scene.object
+    return Task(
+        name="rod_carry",
+        instruction=f"Grasp the {body.name} with both hands, carry it to the green mark and put it down.",
+        config=config,
+        objects={body.name: TaskObject(body, held_at_ends(body))},
+        steps=tuple(Step(phase) for phase in _PHASES),
+        success=carried_by_both,
+        draw=draw_on_table,
+        stream="rod-trial",
+    )
 
 
-def sample_trial(scene: SceneConfig, seed: int, purpose: str, index: int, *, widen: float = 1.0) -> RodTrial:
-    """Draw trial `index` of a purpose: start uniform within the task's range, goal fixed.
+def draw_on_table(
+    task: Task, rng: np.random.Generator, widen: float = 1.0
+) -> tuple[dict[str, ObjectPose], dict[str, ObjectPose]]:
+    """Return start and goal of the first object: uniform about the nominal ones of `scene.task`."""
+    asked, name = task.scene.task, task.carried
+    dx, dy = widen * asked.start_range_m * rng.uniform(-1.0, 1.0, size=2)
+    yaw = widen * asked.start_range_rad * rng.uniform(-1.0, 1.0)
+    start = (asked.start_xy_m[0] + float(dx), asked.start_xy_m[1] + float(dy), float(yaw))
+    gx, gy, turn = (asked.goal_range_m, asked.goal_range_m, asked.goal_range_rad) * rng.uniform(-1.0, 1.0, size=3)
+    x, y = asked.goal_xy_m
+    return {name: start}, {name: (x + float(gx), y + float(gy), asked.goal_yaw_rad + float(turn))}
 
-    Args:
-        scene: Holds nominal poses and ranges.
-        seed: The run's seed.
-        purpose: Stream name; different purposes never share trials.
-        index: Trial number.
-        widen: Scale of the range; demonstrations may cover more than the tests ask.
-    """
-    rng = stream(seed, f"rod-trial/{purpose}", index)
-    task = scene.task
-    dx, dy = widen * task.start_range_m * rng.uniform(-1.0, 1.0, size=2)
-    yaw = widen * task.start_range_rad * rng.uniform(-1.0, 1.0)
-    start = (task.start_xy_m[0] + float(dx), task.start_xy_m[1] + float(dy), float(yaw))
-    return RodTrial(purpose, index, start, (*task.goal_xy_m, task.goal_yaw_rad))
+
+def carried_by_both(task: Task, trial: Trial) -> tuple[SuccessCondition, ...]:
+    """Return the conditions of an object that both hands carry level through the air to its goal."""
+    asked, name, body = task.scene.task, task.carried, task.scene.object
+    x, y, yaw = placement(trial.goal[name])
+    conditions: list[SuccessCondition] = [
+        Level(name, asked.tilt_max_rad),
+        Whole(name, body.break_pinch_n, body.break_force_n),
+        Held(name, asked.pinch_min_n),
+        Squeezed(name, asked.internal_force_min_n),
+        Rose(name, asked.clear_height_m),
+        Arrived(name, (x, y), asked.goal_tolerance_m),
+        Turned(name, yaw, asked.yaw_tolerance_rad),
+        Released(name),
+        AtRest(name, asked.rest_speed_m_per_s),
+        OnTime(asked.time_limit_s),
+    ]
+    if asked.obstacle is not None:
+        conditions.insert(2, Clear(OBSTACLE))
+    return tuple(conditions)
+
+
+def placement(pose: ObjectPose) -> tuple[float, float, float]:
+    """Return (x [m], y [m], yaw [rad]) of where an object is put down."""
+    if isinstance(pose, tuple):
+        return pose
+    return float(pose[0, 3]), float(pose[1, 3]), float(np.arctan2(-pose[0, 1], pose[1, 1]))
 
 
 def level_pose(x: float, y: float, z: float, yaw_rad: float) -> Array:
-    """Return the pose (4, 4) of a level rod whose long axis (y) is turned by yaw about the vertical."""
+    """Return the pose (4, 4) of a level object whose long axis (y) is turned by yaw about the vertical."""
     return pose(rot_z(yaw_rad), (x, y, z))
 
 
-def level_part(T_world_rod: Array) -> Array:
-    """Return the rod's pose with roll about its own axis and tilt removed.
+def level_part(T_world_object: Array) -> Array:
+    """Return the pose with roll about the long axis and tilt removed.
 
     A cylinder may have rolled on the table; the hands care for the direction of its axis alone.
     """
-    axis = T_world_rod[:3, 1]
+    axis = T_world_object[:3, 1]
     yaw = float(np.arctan2(-axis[0], axis[1]))
-    return pose(rot_z(yaw), T_world_rod[:3, 3])
+    return pose(rot_z(yaw), T_world_object[:3, 3])
+
+
+def held_at_ends(body: ObjectConfig) -> dict[str, Array]:
+    """Return T_object_tcp (4, 4) by hand, in the object's level frame.
+
+    Hands point down and the fingers close across the object; the left hand holds the +y end.
+    """
+    rotation = rot_z(np.pi / 2.0) @ rot_x(np.pi)
+    ends = zip(SIDES, (body.grasp_offset_m, -body.grasp_offset_m), strict=True)
+    return {side: pose(rotation, (0.0, y, body.grasp_height_m)) for side, y in ends}
 
 
 def grasp_offsets(scene: SceneConfig) -> tuple[Array, Array]:
-    """Return (T_rod_left_tcp, T_rod_right_tcp), each (4, 4), in the rod's level frame.
-
-    Hands point down and the fingers close across the rod; the left hand holds the +y end.
-    """
-    rotation = rot_z(np.pi / 2.0) @ rot_x(np.pi)
-    offset, height = scene.rod.grasp_offset_m, scene.rod.grasp_height_m
-    left, right = (pose(rotation, (0.0, sign * offset, height)) for sign in (1.0, -1.0))
+    """Return (T_object_left_tcp, T_object_right_tcp) of the carried object; see `held_at_ends`."""
+    left, right = held_at_ends(scene.object).values()
     return left, right
 
 
-def tilt_rad(T_world_rod: Array) -> float:
-    """Return the angle between the rod's axis and the horizontal [rad]."""
-    return float(np.arcsin(min(1.0, abs(T_world_rod[2, 1]))))
+def tilt_rad(T_world_object: Array) -> float:
+    """Return the angle between the long axis and the horizontal [rad]."""
+    return float(np.arcsin(min(1.0, abs(T_world_object[2, 1]))))

@@ -1,239 +1,388 @@
-"""The one success test of a rod trial. It watches physics alone and needs two arms.
+"""Conditions of success: small classes over the truth of a named object; a task is a list of them.
 
-Whatever drives the arms (planner, impedance, policy, a person) is judged by the same predicate:
-
-* held      both hands pinch with more than 20 N at every instant the rod is off the table,
-* rose      the rod rises clear of the table,
-* level     its tilt stays under 5 degrees,
-* arrived   it lies within 2 cm of the goal,
-* released  no hand touches it any more,
-* at_rest   it lies on the table and does not move,
-* on_time   all that before the time limit,
-* squeezed  (impedance only) the internal force stays over 20 N while the rod is off the table,
-* whole     an object that can break never feels more than it stands,
-* clear     nothing touches the obstacle, where the task has one,
-* turned    it points as the goal asks, where the task asks for a direction.
-
-The 20 N of `squeezed` are a value of the scene (`task.internal_force_min_n`). One object has another: the glass, whose
-own range of forces ends below 20 N, must be squeezed with at least the low end of that range, 10 N.
-
-A rod pushed along the table never rises; a rod lifted by one hand is not held. Ground truth is read here,
-for scoring, and handed to nobody.
+A condition is asked after every physics step (`observe`) and once at the end (`end`); it answers with what is wrong, or
+with an empty string. `holds` says whether the final state is reached now: a trial is finished when all conditions hold.
+Only the judge reads the truth. Methods never do.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
-from minidual.config.scene import SceneConfig
-from minidual.plant.model import OBSTACLE
+from minidual.config.scene import ObjectConfig
 from minidual.plant.world import World
-from minidual.robot.constants import Array
-from minidual.tasks.rod_carry import RodTrial, tilt_rad
+from minidual.robot.pair import SIDES, Array
 
-_AIRBORNE_M = 0.003
-"""The rod counts as lifted when its lower end is this far above its resting height."""
-_REST_S = 0.1
-"""The rod counts as put down when it has lain released and at rest for this long: for an instant, a rod let go a
-millimetre above the table is at rest too."""
+AIRBORNE_M = 0.003
+"""An object is off the table when its lowest point is this far above its resting height."""
+TOUCH_N = 0.1
+"""A hand that presses with less does not touch."""
 
 
-@dataclass(frozen=True)
-class Fault:
-    """What failed, when it first did, and by how much."""
+class ObjectTruth:
+    """The true state of one object after the last step.
 
-    name: str
-    at_s: float
-    detail: str
+    Attributes:
+        name: Of its body.
+        T: Pose (4, 4) in the world.
+        tilt_rad: Angle between its long axis and the horizontal, or the vertical for one that stands upright.
+        clearance_m: Height of its lowest point above its resting height.
+        pinch: Normal force of the weaker finger of each hand (2,) [N].
+    """
 
+    def __init__(self, name: str, body: ObjectConfig) -> None:
+        self.name, self.body = name, body
+        self._rest_m, self._half_m = body.rest_height_m, 0.5 * body.length_m
 
-@dataclass(frozen=True)
-class Outcome:
-    """The verdict on one trial and the extremes it rests on."""
-
-    success: bool
-    faults: tuple[Fault, ...]
-    duration_s: float
-    goal_error_m: float
-    yaw_error_rad: float
-    tilt_max_rad: float
-    rise_m: float
-    pinch_min_n: float
-    internal_force_min_n: float
+    def refresh(self, world: World) -> None:
+        """Read the world."""
+        self._world = world
+        self.T = T = world.object_pose(self.name)
+        if self.body.upright:
+            self.tilt_rad = float(np.arccos(min(1.0, abs(T[2, 2]))))
+            down = self._half_m * abs(T[2, 2]) + self.body.half_width_m * math.sqrt(max(0.0, 1.0 - T[2, 2] ** 2))
+            self.clearance_m = T[2, 3] - down
+        else:
+            self.tilt_rad = float(np.arcsin(min(1.0, abs(T[2, 1]))))
+            self.clearance_m = T[2, 3] - self._half_m * abs(T[2, 1]) - self._rest_m
+        self.airborne = self.clearance_m > AIRBORNE_M
+        self.pinch = world.pinch(self.name)
 
     @property
-    def reason(self) -> str:
-        """Return the first fault as one line, or an empty string."""
-        if not self.faults:
-            return ""
-        first = min(self.faults, key=lambda f: f.at_s)
-        return f"{first.name} at {first.at_s:.2f} s: {first.detail}"
+    def yaw_rad(self) -> float:
+        """Direction of its y axis about the vertical, 0 along the world's y."""
+        return math.atan2(-self.T[0, 1], self.T[1, 1])
+
+    @property
+    def speed_m_per_s(self) -> float:
+        """Speed of its centre of mass."""
+        return float(np.linalg.norm(self._world.object_twist(self.name)[:3]))
+
+    @property
+    def hand_forces(self) -> Array:
+        """Net force of each hand on it (2, 3) [N]."""
+        return self._world.object_forces(self.name)
+
+    @property
+    def squeeze_n(self) -> float:
+        """Internal force [N]: the smaller of the hands' forces towards each other along its y axis."""
+        return self._world.internal_force(self.name)
+
+    @property
+    def on_table(self) -> bool:
+        """Whether it touches the table."""
+        return self._world.on_table(self.name)
+
+
+class Truth:
+    """The true state of a task's objects after the last step.
+
+    Attributes:
+        time: Simulated time [s].
+        duration_s: Time of the finish, or of now without one; set by the judge before `end`.
+    """
+
+    def __init__(self, objects: Mapping[str, ObjectConfig]) -> None:
+        self._objects = {name: ObjectTruth(name, body) for name, body in objects.items()}
+        self._world: World | None = None
+        self.time = self.duration_s = 0.0
+
+    def refresh(self, world: World) -> None:
+        """Read the world."""
+        self._world, self.time = world, world.time
+        for item in self._objects.values():
+            item.refresh(world)
+
+    def __getitem__(self, name: str) -> ObjectTruth:
+        return self._objects[name]
+
+    def touches(self, geom: str) -> bool:
+        """Return whether anything touches a geom, by its name."""
+        return self._world is not None and self._world.touches(geom)
+
+
+class SuccessCondition:
+    """One thing that a task demands; subclasses override what they need."""
+
+    name: ClassVar[str]
+    """Name of its fault."""
+    stage: ClassVar[bool] = False
+    """Whether reaching it is a stage of the task's progress."""
+    optional: ClassVar[bool] = False
+    """Whether it is only measured unless the judge is told to demand it."""
+
+    def observe(self, truth: Truth) -> str:
+        """Return what is wrong at this instant, or an empty string."""
+        return ""
+
+    def holds(self, truth: Truth) -> bool:
+        """Return whether what it demands of the final state is so now."""
+        return True
+
+    def reached(self, truth: Truth) -> bool:
+        """Return whether its stage is reached; asked only where `stage` is set, until it is."""
+        return self.holds(truth)
+
+    def end(self, truth: Truth) -> str:
+        """Return what is wrong at the end, or an empty string."""
+        return ""
+
+    def measured(self, truth: Truth) -> dict[str, float]:
+        """Return the numbers it rests on, by name with unit."""
+        return {}
 
 
 @dataclass
-class RodCarryJudge:
-    """Watches one trial; call `observe` after every physics step and `outcome` at the end.
+class Level(SuccessCondition):
+    """The object never tilts further than the limit."""
 
-    Args:
-        scene: Holds the limits.
-        trial: Holds the goal.
-        demand_internal_force: Judge the squeeze as well (impedance trials).
-    """
+    name = "level"
+    object: str
+    limit_rad: float
+    _largest: float = 0.0
 
-    scene: SceneConfig
-    trial: RodTrial
-    demand_internal_force: bool = False
-    _faults: dict[str, Fault] = field(default_factory=dict)
-    _was_airborne: bool = False
-    _rise: float = 0.0
-    _tilt: float = 0.0
-    _pinch: float = np.inf
-    _squeeze: float = np.inf
-    _quiet_since: float | None = None
-    _done_at: float | None = None
+    def observe(self, truth: Truth) -> str:
+        tilt = truth[self.object].tilt_rad
+        self._largest = max(self._largest, tilt)
+        if tilt > self.limit_rad:
+            return f"tilt {np.degrees(tilt):.1f} deg, limit {np.degrees(self.limit_rad):.1f}"
+        return ""
 
-    def observe(self, world: World) -> None:
-        """Take one instant into account."""
-        task, rod = self.scene.task, self.scene.rod
-        T = world.object_pose()
-        tilt = tilt_rad(T)
-        rest = rod.rest_height_m
-        low_end = T[2, 3] - 0.5 * rod.length_m * abs(T[2, 1]) - rest
-        self._rise = max(self._rise, low_end)
-        self._tilt = max(self._tilt, tilt)
-        if tilt > task.tilt_max_rad:
-            self._fault(
-                "level", world.time, f"tilt {np.degrees(tilt):.1f} deg, limit {np.degrees(task.tilt_max_rad):.1f}"
-            )
-        pinch = world.pinch()
-        self._observe_damage(world, pinch)
-        if low_end > _AIRBORNE_M:
-            self._was_airborne = True
-            self._quiet_since = self._done_at = None
-            weakest = int(np.argmin(pinch))
-            self._pinch = min(self._pinch, float(pinch[weakest]))
-            if pinch[weakest] <= task.pinch_min_n:
-                hand = ("left", "right")[weakest]
-                self._fault(
-                    "held", world.time, f"{hand} hand pinches {pinch[weakest]:.1f} N, needs > {task.pinch_min_n:.0f}"
-                )
-            squeeze = world.internal_force()
-            self._squeeze = min(self._squeeze, squeeze)
-            if self.demand_internal_force and squeeze <= task.internal_force_min_n:
-                self._fault(
-                    "squeezed", world.time, f"internal force {squeeze:.1f} N, needs > {task.internal_force_min_n:.0f}"
-                )
-        elif self._was_airborne:
-            if not self._finished(world, pinch):
-                self._quiet_since = self._done_at = None
-            elif self._quiet_since is None:
-                self._quiet_since = world.time
-            elif self._done_at is None and world.time - self._quiet_since >= _REST_S:
-                self._done_at = world.time
+    def measured(self, truth: Truth) -> dict[str, float]:
+        return {"tilt_max_rad": self._largest}
 
-    def _observe_damage(self, world: World, pinch: Array) -> None:
-        """Look for what nothing later can mend: a broken object, an obstacle touched."""
-        rod = self.scene.rod
-        if rod.break_pinch_n is not None and float(pinch.max()) > rod.break_pinch_n:
-            self._fault(
-                "whole",
-                world.time,
-                f"the object broke: pinch {float(pinch.max()):.1f} N, it stands {rod.break_pinch_n:.0f}",
-            )
-        if rod.break_force_n is not None:
-            force = float(np.linalg.norm(world.object_forces(), axis=1).max())
-            if force > rod.break_force_n:
-                self._fault(
-                    "whole",
-                    world.time,
-                    f"the object broke: a hand pressed with {force:.1f} N, it stands {rod.break_force_n:.0f}",
-                )
-        if self.scene.task.obstacle is not None and world.touches(OBSTACLE):
-            self._fault("clear", world.time, "something touches the obstacle")
 
-    def _finished(self, world: World, pinch: Array) -> bool:
-        position_error, yaw_error = self.goal_errors(world)
-        tolerance = self.scene.task.yaw_tolerance_rad
-        return (
-            position_error < self.scene.task.goal_tolerance_m
-            and (tolerance is None or yaw_error < tolerance)
-            and float(pinch.max()) < 0.1
-            and float(np.linalg.norm(world.object_twist()[:3])) < self.scene.task.rest_speed_m_per_s
-            and not self._touched(world)
-            and world.on_table()
-        )
+@dataclass
+class Whole(SuccessCondition):
+    """An object that can break never feels more than it stands."""
 
-    @staticmethod
-    def _touched(world: World) -> bool:
-        left, right = world.contact_wrenches()
-        return bool(np.abs(left.force).max() > 0.1 or np.abs(right.force).max() > 0.1)
+    name = "whole"
+    object: str
+    pinch_max_n: float | None
+    force_max_n: float | None
 
-    def goal_errors(self, world: World) -> tuple[float, float]:
-        """Return the distance to the goal [m] and the yaw error [rad] of the rod as it lies."""
-        T = world.object_pose()
-        x, y, yaw = self.trial.goal
-        axis = T[:3, 1]
-        return (
-            float(np.hypot(T[0, 3] - x, T[1, 3] - y)),
-            abs(math.remainder(float(np.arctan2(-axis[0], axis[1])) - yaw, math.tau)),
-        )
+    def observe(self, truth: Truth) -> str:
+        item = truth[self.object]
+        pinch = float(item.pinch.max())
+        if self.pinch_max_n is not None and pinch > self.pinch_max_n:
+            return f"the object broke: pinch {pinch:.1f} N, it stands {self.pinch_max_n:.0f}"
+        if self.force_max_n is not None:
+            force = float(np.linalg.norm(item.hand_forces, axis=1).max())
+            if force > self.force_max_n:
+                return f"the object broke: a hand pressed with {force:.1f} N, it stands {self.force_max_n:.0f}"
+        return ""
 
-    @property
-    def finished(self) -> bool:
-        """Return whether the rod lies released and at rest at its goal."""
-        return self._done_at is not None
 
-    def _fault(self, name: str, at_s: float, detail: str) -> None:
-        self._faults.setdefault(name, Fault(name, at_s, detail))
+@dataclass
+class Clear(SuccessCondition):
+    """Nothing touches an obstacle."""
 
-    def outcome(self, world: World) -> Outcome:
-        """Judge the trial as it stands now."""
-        task = self.scene.task
-        position_error, yaw_error = self.goal_errors(world)
-        now = world.time
-        faults = dict(self._faults)
+    name = "clear"
+    geom: str
 
-        def demand(name: str, holds: bool, detail: str) -> None:
-            if not holds:
-                faults.setdefault(name, Fault(name, now, detail))
+    def observe(self, truth: Truth) -> str:
+        return f"something touches the {self.geom}" if truth.touches(self.geom) else ""
 
-        demand(
-            "rose",
-            self._rise > task.clear_height_m,
-            f"rose {1e3 * max(self._rise, 0.0):.0f} mm, needs > {1e3 * task.clear_height_m:.0f}",
-        )
-        demand(
-            "arrived",
-            position_error < task.goal_tolerance_m,
-            f"{1e3 * position_error:.1f} mm from the goal, limit {1e3 * task.goal_tolerance_m:.0f}",
-        )
-        if task.yaw_tolerance_rad is not None:
-            demand(
-                "turned",
-                yaw_error < task.yaw_tolerance_rad,
-                f"{np.degrees(yaw_error):.1f} deg off its direction, limit {np.degrees(task.yaw_tolerance_rad):.0f}",
-            )
-        demand("released", not self._touched(world), "a hand still touches the rod")
-        speed = float(np.linalg.norm(world.object_twist()[:3]))
-        demand(
-            "at_rest",
-            speed < task.rest_speed_m_per_s and world.on_table(),
-            f"speed {speed:.3f} m/s, on the table: {world.on_table()}",
-        )
-        duration = now if self._done_at is None else self._done_at
-        demand("on_time", duration <= task.time_limit_s, f"{duration:.1f} s, limit {task.time_limit_s:.0f}")
-        lifted = self._was_airborne
-        return Outcome(
-            success=not faults and self._done_at is not None,
-            faults=tuple(faults.values()),
-            duration_s=duration,
-            goal_error_m=position_error,
-            yaw_error_rad=yaw_error,
-            tilt_max_rad=self._tilt,
-            rise_m=max(float(self._rise), 0.0),
-            pinch_min_n=self._pinch if lifted else 0.0,
-            internal_force_min_n=self._squeeze if lifted else 0.0,
-        )
+
+@dataclass
+class Held(SuccessCondition):
+    """While the object is off the table, the hands pinch it: both of them, or with `both=False` at least one."""
+
+    name = "held"
+    stage = True
+    object: str
+    limit_n: float
+    both: bool = True
+    _least: float = math.inf
+
+    def _pinch(self, truth: Truth) -> tuple[int, float]:
+        pinch = truth[self.object].pinch
+        hand = int(np.argmin(pinch) if self.both else np.argmax(pinch))
+        return hand, float(pinch[hand])
+
+    def observe(self, truth: Truth) -> str:
+        if not truth[self.object].airborne:
+            return ""
+        hand, pinch = self._pinch(truth)
+        self._least = min(self._least, pinch)
+        if pinch > self.limit_n:
+            return ""
+        who = f"{SIDES[hand]} hand pinches" if self.both else "the firmer hand pinches"
+        return f"{who} {pinch:.1f} N, needs > {self.limit_n:.0f}"
+
+    def reached(self, truth: Truth) -> bool:
+        return self._pinch(truth)[1] > self.limit_n
+
+    def measured(self, truth: Truth) -> dict[str, float]:
+        return {"pinch_min_n": self._least if math.isfinite(self._least) else 0.0}
+
+
+@dataclass
+class Exchanged(SuccessCondition):
+    """At some instant both hands pinch the object while it is off the table: an exchange in the air."""
+
+    name = "exchanged"
+    stage = True
+    object: str
+    limit_n: float
+    _seen: bool = False
+
+    def observe(self, truth: Truth) -> str:
+        item = truth[self.object]
+        self._seen = self._seen or (item.airborne and float(item.pinch.min()) > self.limit_n)
+        return ""
+
+    def holds(self, truth: Truth) -> bool:
+        return self._seen
+
+    def end(self, truth: Truth) -> str:
+        return "" if self._seen else f"both hands never pinched it in the air with more than {self.limit_n:.0f} N"
+
+
+@dataclass
+class Squeezed(SuccessCondition):
+    """While the object is off the table, both hands press towards each other along it."""
+
+    name = "squeezed"
+    optional = True
+    object: str
+    limit_n: float
+    _least: float = math.inf
+
+    def observe(self, truth: Truth) -> str:
+        item = truth[self.object]
+        if not item.airborne:
+            return ""
+        squeeze = item.squeeze_n
+        self._least = min(self._least, squeeze)
+        return "" if squeeze > self.limit_n else f"internal force {squeeze:.1f} N, needs > {self.limit_n:.0f}"
+
+    def measured(self, truth: Truth) -> dict[str, float]:
+        return {"internal_force_min_n": self._least if math.isfinite(self._least) else 0.0}
+
+
+@dataclass
+class Rose(SuccessCondition):
+    """The object is carried in the air: it rises at least this far, and comes down again."""
+
+    name = "rose"
+    stage = True
+    object: str
+    limit_m: float
+    _most: float = 0.0
+
+    def observe(self, truth: Truth) -> str:
+        self._most = max(self._most, float(truth[self.object].clearance_m))
+        return ""
+
+    def holds(self, truth: Truth) -> bool:
+        return self._most > AIRBORNE_M and not truth[self.object].airborne
+
+    def reached(self, truth: Truth) -> bool:
+        return self._most > self.limit_m
+
+    def end(self, truth: Truth) -> str:
+        return "" if self._most > self.limit_m else f"rose {1e3 * self._most:.0f} mm, needs > {1e3 * self.limit_m:.0f}"
+
+    def measured(self, truth: Truth) -> dict[str, float]:
+        return {"rise_m": self._most}
+
+
+@dataclass
+class Arrived(SuccessCondition):
+    """The object lies within a tolerance of its goal (x, y) [m]."""
+
+    name = "arrived"
+    stage = True
+    object: str
+    goal: tuple[float, float]
+    limit_m: float
+
+    def _error(self, truth: Truth) -> float:
+        T = truth[self.object].T
+        return float(np.hypot(T[0, 3] - self.goal[0], T[1, 3] - self.goal[1]))
+
+    def holds(self, truth: Truth) -> bool:
+        return self._error(truth) < self.limit_m
+
+    def end(self, truth: Truth) -> str:
+        error = self._error(truth)
+        return "" if error < self.limit_m else f"{1e3 * error:.1f} mm from the goal, limit {1e3 * self.limit_m:.0f}"
+
+    def measured(self, truth: Truth) -> dict[str, float]:
+        return {"goal_error_m": self._error(truth)}
+
+
+@dataclass
+class Turned(SuccessCondition):
+    """The object points as the goal asks; without a limit its error is only measured."""
+
+    name = "turned"
+    object: str
+    goal_rad: float
+    limit_rad: float | None
+
+    def _error(self, truth: Truth) -> float:
+        return abs(math.remainder(truth[self.object].yaw_rad - self.goal_rad, math.tau))
+
+    def holds(self, truth: Truth) -> bool:
+        return self.limit_rad is None or self._error(truth) < self.limit_rad
+
+    def end(self, truth: Truth) -> str:
+        if self.holds(truth):
+            return ""
+        off, limit = np.degrees([self._error(truth), self.limit_rad or 0.0])
+        return f"{off:.1f} deg off its direction, limit {limit:.0f}"
+
+    def measured(self, truth: Truth) -> dict[str, float]:
+        return {"yaw_error_rad": self._error(truth)}
+
+
+@dataclass
+class Released(SuccessCondition):
+    """No hand touches the object any more."""
+
+    name = "released"
+    stage = True
+    object: str
+
+    def holds(self, truth: Truth) -> bool:
+        item = truth[self.object]
+        return float(item.pinch.max()) < TOUCH_N and not np.abs(item.hand_forces).max() > TOUCH_N
+
+    def end(self, truth: Truth) -> str:
+        return "" if self.holds(truth) else f"a hand still touches the {self.object}"
+
+
+@dataclass
+class AtRest(SuccessCondition):
+    """The object lies on the table and does not move."""
+
+    name = "at_rest"
+    object: str
+    limit_m_per_s: float
+
+    def holds(self, truth: Truth) -> bool:
+        item = truth[self.object]
+        return item.speed_m_per_s < self.limit_m_per_s and item.on_table
+
+    def end(self, truth: Truth) -> str:
+        item = truth[self.object]
+        return "" if self.holds(truth) else f"speed {item.speed_m_per_s:.3f} m/s, on the table: {item.on_table}"
+
+
+@dataclass
+class OnTime(SuccessCondition):
+    """All of it before the time limit."""
+
+    name = "on_time"
+    limit_s: float
+
+    def end(self, truth: Truth) -> str:
+        late = truth.duration_s > self.limit_s
+        return f"{truth.duration_s:.1f} s, limit {self.limit_s:.0f}" if late else ""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.tasks.rod_carry import RodTrial
+from minidual.tasks.task import Trial
 from minidual.trials.methods import Factory, MethodInputs
 
 
@@ -31,7 +31,7 @@ def planned(inputs: MethodInputs) -> Factory:
     supervisor = trial_supervisor(config.supervisor, config.scene.physics.timestep_s)
     planner, carrier = make_planners(config.plan.planner)
 
-    def make(world: World, kinematics: Kinematics, trial: RodTrial) -> PlannedCarry:
+    def make(world: World, kinematics: Kinematics, trial: Trial) -> PlannedCarry:
         # The sensor and the noise that object impedance has, on the same stream: both begin from the same reading.
         rng = stream(inputs.seed, f"sensing/{trial.purpose}", trial.index)
         seen = Sensors(world, config.carry.sensing, rng).sense().pose
@@ -66,7 +66,7 @@ def policy(inputs: MethodInputs) -> Factory:
     supervisor = trial_supervisor(config.supervisor, config.scene.physics.timestep_s)
     cameras: dict[int, Camera] = {}  # one a model, not one a trial: an OpenGL context is slow to make
 
-    def make(world: World, kinematics: Kinematics, trial: RodTrial) -> PolicyPilot:
+    def make(world: World, kinematics: Kinematics, trial: Trial) -> PolicyPilot:
         camera = cameras.get(id(world.model))
         if camera is None:
             camera = cameras[id(world.model)] = Camera.recorded(world.model, config.scene.camera)

@@ -19,6 +19,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 from gymnasium.envs.registration import register, registry
 
+from minidual.config.root import Config
 from minidual.config.scene import SceneConfig
 from minidual.control.loop import JointLoop
 from minidual.errors import UsageError, unknown_name
@@ -27,8 +28,9 @@ from minidual.plant.render import Camera, Image
 from minidual.plant.world import SimulationDivergedError, World
 from minidual.robot.constants import DOF, Q_LOWER, Q_UPPER, Array
 from minidual.robot.kinematics import Kinematics
-from minidual.tasks.rod_carry import RodTrial, grasp_offsets, level_part, sample_trial
-from minidual.tasks.success import RodCarryJudge
+from minidual.tasks.judge import Judge, begin
+from minidual.tasks.rod_carry import grasp_offsets, level_part, placement
+from minidual.tasks.task import Trial, make_task
 
 ROD_CARRY_ID = "minidual/RodCarry-v0"
 CONTROL_HZ = 50
@@ -92,7 +94,8 @@ class RodCarryEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
                 raise unknown_name("camera", name, CAMERAS)
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise unknown_name("render mode", render_mode, self.metadata["render_modes"])
-        self.scene = SceneConfig() if scene is None else scene
+        self._task = make_task(Config() if scene is None else Config(scene=scene))
+        self.scene = self._task.scene
         self.render_mode = render_mode
         self._images = tuple(images)
         self._rod_pose = rod_pose
@@ -104,7 +107,7 @@ class RodCarryEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self._grasps = grasp_offsets(self.scene)
         self._camera: Camera | None = None
         self._render_camera: Camera | None = None
-        self._judge: RodCarryJudge | None = None
+        self._judge: Judge | None = None
         self._potential = 0.0
         self.action_space = spaces.Box(
             np.r_[Q_LOWER, 0.0, 0.0].astype(np.float32), np.r_[Q_UPPER, 1.0, 1.0].astype(np.float32)
@@ -134,7 +137,7 @@ class RodCarryEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         """Start a trial drawn from the environment's own stream, or the one given as `options["trial"]`.
 
         Raises:
-            UsageError: An unknown option, or a trial that is no RodTrial.
+            UsageError: An unknown option, or a trial that is no Trial.
         """
         super().reset(seed=seed)
         options = options or {}
@@ -143,12 +146,11 @@ class RodCarryEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
                 raise unknown_name("option", name, ["trial"])
         trial = options.get("trial")
         if trial is None:
-            trial = sample_trial(self.scene, int(self.np_random.integers(2**62)), "gym", 0)
-        elif not isinstance(trial, RodTrial):
-            raise UsageError(f"options['trial'] is a {type(trial).__name__}; it must be a RodTrial")
-        self._world.reset(poses={self._world.objects[0]: trial.start})
+            trial = self._task.trial(int(self.np_random.integers(2**62)), "gym", 0)
+        elif not isinstance(trial, Trial):
+            raise UsageError(f"options['trial'] is a {type(trial).__name__}; it must be a Trial")
+        self._judge = begin(self._world, self._task, trial)
         self._loop.reset()
-        self._judge = RodCarryJudge(self.scene, trial)
         self._potential = self._measure_potential()
         return self._observe(), {"trial": trial}
 
@@ -175,7 +177,7 @@ class RodCarryEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
                 judge.observe(self._world)
         except SimulationDivergedError:
             diverged = True
-            self._world.reset(poses={self._world.objects[0]: judge.trial.start})  # a finite last observation
+            self._world.reset(poses=judge.trial.start)  # a finite last observation
         outcome = judge.outcome(self._world)
         success = outcome.success and not diverged
         fallen = bool(self._world.object_pose()[2, 3] < _FALLEN_M)
@@ -200,7 +202,7 @@ class RodCarryEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
             float(np.linalg.norm((level @ grasp)[:3, 3] - tcp[:3, 3]))
             for grasp, tcp in zip(self._grasps, self._kinematics.tcp_poses(self._world.q), strict=True)
         ]
-        x, y, _ = self._judge.trial.goal
+        x, y, _ = placement(self._judge.trial.goal[self._task.carried])
         goal = float(np.linalg.norm(rod[:3, 3] - (x, y, self.scene.rod.radius_m)))
         return -(sum(hands) / len(hands) + goal)
 

@@ -16,7 +16,7 @@ from minidual.config.root import Config
 from minidual.errors import UsageError, unknown_name
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.tasks.rod_carry import RodTrial
+from minidual.tasks.task import Trial
 from minidual.trials.conditions import SENSES
 
 
@@ -65,14 +65,14 @@ class MethodSpec:
             (world, kinematics, trial) -> Method, loading what all trials share (a policy, a planner) once.
         summary: One line for people.
         needs_images: The world must be compiled with visual meshes.
-        demands_internal_force: The judge also scores the squeeze.
+        demands: Optional conditions of success that its trials must meet too.
         senses: Rows of `conditions.SENSES`: what it reads of the object. Disturbances of other senses do not apply.
     """
 
     target: str
     summary: str
     needs_images: bool = False
-    demands_internal_force: bool = False
+    demands: frozenset[str] = frozenset()
     senses: frozenset[str] = frozenset(SENSES)
 
 
@@ -85,7 +85,7 @@ METHODS: dict[str, MethodSpec] = {
     "impedance": MethodSpec(
         "minidual.trials.drivers:impedance",
         "object impedance with internal force control",
-        demands_internal_force=True,
+        demands=frozenset({"squeezed"}),
         senses=frozenset({"pose", "feedback"}),
     ),
     "act": MethodSpec(
@@ -96,7 +96,7 @@ METHODS: dict[str, MethodSpec] = {
     ),
 }
 
-Factory = Callable[[World, Kinematics, RodTrial], Method]
+Factory = Callable[[World, Kinematics, Trial], Method]
 
 
 def method_spec(name: str) -> MethodSpec:

@@ -22,7 +22,7 @@ from minidual.robot.constants import TAU_MAX
 from minidual.trials.statistics import bootstrap_median_interval, wilson_interval
 
 if TYPE_CHECKING:
-    from minidual.tasks.success import Outcome
+    from minidual.tasks.judge import Outcome
 
 #: What stands in a table where a value does not exist.
 NO_SUCCESS = "no successful trial"

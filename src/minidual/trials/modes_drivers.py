@@ -23,8 +23,9 @@ from minidual.plant.world import World
 from minidual.robot.constants import ARMS, GROUPS, HOME, Array
 from minidual.skills.operator import ScriptedOperator
 from minidual.skills.phases import PHASES
-from minidual.tasks.rod_carry import RodTrial, grasp_offsets, level_part
-from minidual.tasks.success import RodCarryJudge
+from minidual.tasks.judge import Judge
+from minidual.tasks.rod_carry import grasp_offsets, level_part, placement
+from minidual.tasks.task import Task, Trial
 
 if TYPE_CHECKING:
     from minidual.policies.policy import Image, PolicyRuntime
@@ -173,7 +174,7 @@ class TeleopDriver:
     Args:
         stack: Where to propose.
         operator: Plans the leader's motion.
-        target: (x, y, yaw) where the rod is to be put down.
+        target: Where the object is to be put down: the start of this trial.
         seed: Of the operator.
         rate_hz: Ticks a second.
     """
@@ -182,14 +183,9 @@ class TeleopDriver:
     caption = "scripted leader: fetches the rod, puts it at a new start"
 
     def __init__(
-        self,
-        stack: ControlStack,
-        operator: ScriptedOperator,
-        target: tuple[float, float, float],
-        seed: int,
-        rate_hz: float,
+        self, stack: ControlStack, operator: ScriptedOperator, target: Trial, seed: int, rate_hz: float
     ) -> None:
-        self.stack, self._operator, self._target = stack, operator, target
+        self.stack, self._operator, self._target = stack, operator, target.start
         self._seed, self._rate = seed, rate_hz
         self._move = _Move(np.empty((0, 14)), np.empty((0, 2)))
         self._k = 0
@@ -198,8 +194,7 @@ class TeleopDriver:
         """Plan from the present posture and rod."""
         world: World = self.stack.world
         rod = level_part(world.object_pose())
-        yaw = float(np.arctan2(rod[1, 0], rod[0, 0]))
-        trial = RodTrial("modes", 0, (float(rod[0, 3]), float(rod[1, 3]), yaw), self._target)
+        trial = Trial("modes", 0, {world.objects[0]: placement(rod)}, self._target)
         plan = self._operator.plan(trial, seed=self._seed, rate_hz=self._rate)
         over = next(p.end_s for p in plan.phases if p.name == "approach")
         first = round(over * self._rate)
@@ -235,7 +230,8 @@ class TeleopDriver:
     def result(self) -> dict[str, object]:
         """Return where the rod lies now, against where it was to be put."""
         rod = level_part(self.stack.world.object_pose())
-        error = float(np.hypot(rod[0, 3] - self._target[0], rod[1, 3] - self._target[1]))
+        x, y, _ = placement(next(iter(self._target.values())))
+        error = float(np.hypot(rod[0, 3] - x, rod[1, 3] - y))
         return {"rod_error_m": error}
 
 
@@ -246,17 +242,18 @@ class PolicyDriver:
         stack: Where to propose; its flush drops the policy's chunk.
         runtime: The policy.
         picture: Returns the (H, W, 3) image of a named camera as the world stands.
-        trial: Where the rod must go, for the judge.
+        task: How it is judged.
+        trial: Where the object must go.
     """
 
     controllers = DEFAULT_CONTROLLERS
     caption = "ACT policy: carries the rod to the goal"
 
     def __init__(
-        self, stack: ControlStack, runtime: PolicyRuntime, picture: Callable[[str], Image], trial: RodTrial
+        self, stack: ControlStack, runtime: PolicyRuntime, picture: Callable[[str], Image], task: Task, trial: Trial
     ) -> None:
         self.stack, self._runtime, self._picture = stack, runtime, picture
-        self._judge = RodCarryJudge(stack.world.scene, trial)
+        self._judge = Judge(task, trial)
         self._sequence = 0
         self._began_s = self._finished_s = 0.0
         stack.on_flush(lambda mode: runtime.flush())
@@ -292,7 +289,7 @@ class PolicyDriver:
 
     def result(self) -> dict[str, object]:
         """Return whether the rod lies released at its goal, and how far off."""
-        error, _ = self._judge.goal_errors(self.stack.world)
+        error = self._judge.outcome(self.stack.world).goal_error_m
         return {
             "rod_put_down_at_goal": bool(self._judge.finished),
             "rod_error_m": error,

@@ -13,7 +13,7 @@ import numpy as np
 
 from minidual.config.root import Config
 from minidual.config.seeds import stream
-from minidual.tasks.rod_carry import sample_trial
+from minidual.tasks.task import make_task
 from minidual.trials.conditions import CLEAN, CONDITIONS, Condition
 from minidual.trials.methods import MethodInputs, method_spec
 from minidual.trials.metrics import MethodSummary, TrialMetrics, summarise
@@ -105,7 +105,8 @@ def run_under(
 ) -> Iterator[TrialResult]:
     """Run the first trials of a purpose under a condition: its starts are those of every other condition and method."""
     config = condition.config_under(inputs.config)
-    trials = [sample_trial(config.scene, inputs.seed, purpose, i) for i in range(trials_n)]
+    task = make_task(config)
+    trials = [task.trial(inputs.seed, purpose, i) for i in range(trials_n)]
     for result, _ in run_trials(
         method, replace(inputs, config=config), trials, workers=workers, condition=condition.name, watch=watch
     ):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from minidual.plant.recorder import Recorder
-from minidual.tasks.rod_carry import RodTrial
+from minidual.tasks.task import Trial
 from minidual.trials.methods import MethodInputs
 from minidual.trials.trials import Bench, TrialResult
 
@@ -26,7 +26,7 @@ class TrialRecords:
         self._bench = Bench(method, inputs)
         self._bench.world.recorder = Recorder(self._bench.world, seed=inputs.seed)
 
-    def write(self, trial: RodTrial, path: Path) -> TrialResult:
+    def write(self, trial: Trial, path: Path) -> TrialResult:
         """Run `trial`, write it to `path` (.npz) and return its result."""
         result, _ = self._bench.run(trial)
         recorder = self._bench.world.recorder

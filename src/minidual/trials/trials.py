@@ -18,8 +18,9 @@ from minidual.plant.model import build_model
 from minidual.plant.world import SimulationDivergedError, World
 from minidual.robot.constants import TAU_MAX, Array
 from minidual.robot.kinematics import Kinematics
-from minidual.tasks.rod_carry import RodTrial, tilt_rad
-from minidual.tasks.success import Fault, Outcome, RodCarryJudge
+from minidual.tasks.judge import Fault, Outcome, begin
+from minidual.tasks.rod_carry import tilt_rad
+from minidual.tasks.task import Task, Trial, make_task
 from minidual.trials.conditions import CLEAN
 from minidual.trials.conditions import condition as named_condition
 from minidual.trials.methods import Factory, Method, MethodInputs, load_factory, method_spec
@@ -108,7 +109,8 @@ def run_trial(
     factory: Factory,
     world: World,
     kinematics: Kinematics,
-    trial: RodTrial,
+    task: Task,
+    trial: Trial,
     *,
     condition: str = CLEAN,
     on_step: StepHook | None = None,
@@ -119,8 +121,7 @@ def run_trial(
     """
     scene = world.scene
     began = time.perf_counter()
-    world.reset(poses={world.objects[0]: trial.start})
-    judge = RodCarryJudge(scene, trial, demand_internal_force=method_spec(method_name).demands_internal_force)
+    judge = begin(world, task, trial, method_spec(method_name).demands)
     method = factory(world, kinematics, trial)
     every = round(1.0 / (LOG_RATE_HZ * world.dt))
     columns: list[tuple[Any, ...]] = []
@@ -214,14 +215,15 @@ class Bench:
 
     def __init__(self, method: str, inputs: MethodInputs) -> None:
         self.method, self.seed = method, inputs.seed
-        scene = inputs.config.scene
+        self.task = make_task(inputs.config)
+        scene = self.task.scene
         model = build_model(scene, visuals=method_spec(method).needs_images)
         self.world = World(scene, model=model)
         self.kinematics = Kinematics()
         self.factory = load_factory(method, inputs)
 
     def run(
-        self, trial: RodTrial, *, condition: str = CLEAN, on_step: StepHook | None = None
+        self, trial: Trial, *, condition: str = CLEAN, on_step: StepHook | None = None
     ) -> tuple[TrialResult, TrialLog]:
         """Run one trial under a condition of the table in `minidual.trials.conditions`."""
         spec = named_condition(condition)
@@ -239,6 +241,7 @@ class Bench:
                 self.factory,
                 self.world,
                 self.kinematics,
+                self.task,
                 trial,
                 condition=spec.name,
                 on_step=None if disturb is None and on_step is None else both,
@@ -252,7 +255,7 @@ _BENCHES: dict[str, Bench] = {}
 
 
 def _run_in_worker(
-    method: str, inputs: MethodInputs, trial: RodTrial, condition: str, keep_log: bool
+    method: str, inputs: MethodInputs, trial: Trial, condition: str, keep_log: bool
 ) -> tuple[TrialResult, TrialLog | None]:
     key = f"{method}/{inputs.checkpoint}/{inputs.seed}/{inputs.config.model_dump_json()}"
     if key not in _BENCHES:
@@ -263,7 +266,7 @@ def _run_in_worker(
 
 
 def _run_watched(
-    method: str, inputs: MethodInputs, trials: Sequence[RodTrial], condition: str, watch: Watch
+    method: str, inputs: MethodInputs, trials: Sequence[Trial], condition: str, watch: Watch
 ) -> Iterator[tuple[TrialResult, TrialLog | None]]:
     bench = Bench(method, inputs)
     for number, trial in enumerate(trials, start=1):
@@ -274,7 +277,7 @@ def _run_watched(
 def run_trials(
     method: str,
     inputs: MethodInputs,
-    trials: Sequence[RodTrial],
+    trials: Sequence[Trial],
     *,
     workers: int,
     condition: str = CLEAN,

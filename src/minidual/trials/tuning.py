@@ -27,7 +27,8 @@ from minidual.config.root import Config
 from minidual.errors import MinidualError
 from minidual.plant.world import World
 from minidual.robot.constants import TAU_MAX, Array
-from minidual.tasks.rod_carry import RodTrial, sample_trial, tilt_rad
+from minidual.tasks.rod_carry import tilt_rad
+from minidual.tasks.task import Trial, make_task
 from minidual.trials.methods import Method, MethodInputs
 from minidual.trials.trials import Bench
 
@@ -198,7 +199,8 @@ class Tuner:
         os.environ["OMP_NUM_THREADS"] = "1"  # more numeric threads only wait for each other
         config = changed(self._config, gains(force_n, stiffness_n_per_m))
         inputs = MethodInputs(config, self._seed)
-        trials = [sample_trial(config.scene, self._seed, PURPOSE, i) for i in range(CARRIES_N)]
+        task = make_task(config)
+        trials = [task.trial(self._seed, PURPOSE, i) for i in range(CARRIES_N)]
         carried = joblib.Parallel(n_jobs=min(self._workers, CARRIES_N))(
             joblib.delayed(carry_once)(inputs, trial) for trial in trials
         )
@@ -268,7 +270,7 @@ def _raise_until(value: Callable[[float], float], ladder: Sequence[float], toler
             return
 
 
-def carry_once(inputs: MethodInputs, trial: RodTrial) -> Carried:
+def carry_once(inputs: MethodInputs, trial: Trial) -> Carried:
     """Carry once and measure; the true pose of the object is read for the score alone."""
     bench = Bench("impedance", inputs)
     every = round(1.0 / (_LOG_HZ * bench.world.dt))

@@ -9,7 +9,7 @@ from minidual.plant.model import build_model
 from minidual.plant.render import Camera, Image, write_video
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.tasks.rod_carry import RodTrial
+from minidual.tasks.task import Trial, make_task
 from minidual.trials.methods import Factory, Method, MethodInputs, load_factory
 from minidual.trials.trials import TrialResult, run_trial
 
@@ -18,7 +18,7 @@ FILM_SIZE = (640, 480)
 
 
 def film_trial(
-    method: str, inputs: MethodInputs, trial: RodTrial, path: Path, *, factory: Factory | None = None
+    method: str, inputs: MethodInputs, trial: Trial, path: Path, *, factory: Factory | None = None
 ) -> TrialResult:
     """Run `trial` once more, write it to `path` (mp4) and return its result.
 
@@ -29,7 +29,9 @@ def film_trial(
     make = load_factory(method, inputs) if factory is None else factory
     frames: list[Image] = []
     with Camera(model, *FILM_SIZE, shadows=True) as camera:
-        result, _ = run_trial(method, make, world, Kinematics(), trial, on_step=film_hook(camera, frames))
+        result, _ = run_trial(
+            method, make, world, Kinematics(), make_task(inputs.config), trial, on_step=film_hook(camera, frames)
+        )
     write_video(path, frames, fps=FILM_FPS)
     return result
 

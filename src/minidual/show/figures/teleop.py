@@ -10,6 +10,7 @@ import numpy as np
 from minidual.config.scene import TaskConfig
 from minidual.demos.episode import read_episode
 from minidual.demos.rig import Attempt
+from minidual.tasks.rod_carry import placement
 
 
 def draw_quality(attempts: Sequence[Attempt], task: TaskConfig, jerk_limit_rad_s3: float, path: Path) -> None:
@@ -22,7 +23,7 @@ def draw_quality(attempts: Sequence[Attempt], task: TaskConfig, jerk_limit_rad_s
     starts, jerks, motion = figure.subplots(1, 3)
 
     for kept, colour, label in ((True, "#2a6fb0", "kept"), (False, "#d1495b", "rejected")):
-        chosen = [a.trial.start for a in attempts if a.kept is kept]
+        chosen = [placement(next(iter(a.trial.start.values()))) for a in attempts if a.kept is kept]
         if chosen:
             x, y, yaw = np.array(chosen).T
             starts.quiver(

@@ -12,7 +12,7 @@ import numpy as np
 from minidual.collision.errors import PlanningError
 from minidual.collision.scene import PlanningScene
 from minidual.config.planning import PlanConfig
-from minidual.config.scene import RodConfig, SceneConfig
+from minidual.config.scene import ObjectConfig, SceneConfig
 from minidual.motion.api import Planner
 from minidual.motion.closed_chain import CarriedPlanner, scene_holding
 from minidual.motion.hands_ik import HandsIK
@@ -130,7 +130,7 @@ def plan_move(planner: HeldPlanner, move: HeldMove, kinematics: Kinematics) -> M
 
 
 def run_moves(
-    config: PlanConfig, rod: RodConfig, seed: int, on_move: Callable[[MoveOutcome], None] | None = None
+    config: PlanConfig, rod: ObjectConfig, seed: int, on_move: Callable[[MoveOutcome], None] | None = None
 ) -> list[MoveOutcome]:
     """Plan `config.held.moves_n` moves of one generator seed.
 
@@ -160,7 +160,7 @@ class TablePlans:
     failures: tuple[str, ...]
 
 
-def table_plans(config: PlanConfig, rod: RodConfig, count: int, seed: int) -> TablePlans:
+def table_plans(config: PlanConfig, rod: ObjectConfig, count: int, seed: int) -> TablePlans:
     """Return `count` plans that lift the rod off the table and move it, for driving them in the simulator."""
     planner, generator = HeldPlanner(config=config.planner), HeldMoveGenerator(seed, rod, from_table=True)
     plans: list[CarriedTrajectory] = []

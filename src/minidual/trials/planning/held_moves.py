@@ -18,7 +18,7 @@ from minidual.collision.errors import ClosedChainError, PlanningError, TimingErr
 from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import TABLE, PlanningScene
 from minidual.collision.shapes import Capsule
-from minidual.config.scene import RodConfig
+from minidual.config.scene import ObjectConfig
 from minidual.config.seeds import stream
 from minidual.motion.closed_chain import scene_holding
 from minidual.motion.edges import EdgeChecker
@@ -79,14 +79,14 @@ class HeldMove:
     unreachable_n: int
 
 
-def rod_grasps(rod: RodConfig) -> tuple[Array, Array]:
+def rod_grasps(rod: ObjectConfig) -> tuple[Array, Array]:
     """Return (T_rod_tcp_left, T_rod_tcp_right): hands down, the left one at the +y end."""
     hand_down = rot_z(np.pi / 2) @ rot_x(np.pi)
     left, right = (pose(hand_down, (0.0, side * rod.grasp_offset_m, rod.grasp_height_m)) for side in (1.0, -1.0))
     return left, right
 
 
-def rod_shape(rod: RodConfig) -> Capsule:
+def rod_shape(rod: ObjectConfig) -> Capsule:
     """Return the rod as a capsule of its length, along its y axis."""
     return Capsule(
         "rod",
@@ -109,9 +109,9 @@ class HeldMoveGenerator:
         from_table: Start with the rod level on the table, which it may touch, and nothing else around.
     """
 
-    def __init__(self, seed: int, rod: RodConfig | None = None, *, from_table: bool = False) -> None:
+    def __init__(self, seed: int, rod: ObjectConfig | None = None, *, from_table: bool = False) -> None:
         self._seed = seed
-        rod = rod or RodConfig()
+        rod = rod or ObjectConfig()
         self._from_table = from_table
         self._radius_m = rod.radius_m
         self._grasps = rod_grasps(rod)

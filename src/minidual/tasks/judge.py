@@ -1,0 +1,131 @@
+"""The judge of a trial: it watches the truth of the task's objects and composes the task's conditions of success."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+from minidual.plant.world import World
+from minidual.tasks.success import SuccessCondition, Truth
+from minidual.tasks.task import Task, Trial
+
+REST_S = 0.1
+"""A trial is finished when all conditions have held this long: an object let go a millimetre above the table is at rest
+for an instant too."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What failed, when it first did, and by how much."""
+
+    name: str
+    at_s: float
+    detail: str
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The verdict on one trial.
+
+    Attributes:
+        success: No fault, and finished.
+        faults: Everything that failed, each at its first instant.
+        duration_s: Time of the finish, or of the end without one.
+        measured: Numbers of the conditions by name with unit, and `progress`, the share of stages reached.
+    """
+
+    success: bool
+    faults: tuple[Fault, ...]
+    duration_s: float
+    measured: Mapping[str, float]
+
+    @property
+    def reason(self) -> str:
+        """Return the first fault as one line, or an empty string."""
+        first = min(self.faults, key=lambda f: f.at_s, default=None)
+        return "" if first is None else f"{first.name} at {first.at_s:.2f} s: {first.detail}"
+
+    def __getattr__(self, name: str) -> float:
+        """Return a measured number, NaN where the task does not measure it."""
+        if name.startswith("_") or not name.endswith(("_m", "_n", "_rad")):
+            raise AttributeError(name)
+        return self.measured.get(name, math.nan)
+
+
+def begin(world: World, task: Task, trial: Trial, demanding: Collection[str] = ()) -> Judge:
+    """Put the world to the start of a trial and return its judge; every trial of any kind begins here."""
+    world.reset(poses=trial.start)
+    return Judge(task, trial, demanding)
+
+
+class Judge:
+    """Watches one trial; call `observe` after every physics step and `outcome` at the end.
+
+    Args:
+        task: Names objects and conditions.
+        trial: Names the goals.
+        demanding: Names of optional conditions that this trial must meet too.
+    """
+
+    def __init__(self, task: Task, trial: Trial, demanding: Collection[str] = ()) -> None:
+        self.trial = trial
+        self._conditions = task.success(task, trial)
+        names = [c.name for c in self._conditions]
+        if len(set(names)) < len(names):
+            raise ValueError(f"task '{task.name}' has two conditions of one name: {', '.join(names)}")
+        self._truth = Truth(task.scene.objects)
+        self._muted = {c.name for c in self._conditions if c.optional and c.name not in demanding}
+        self._observing = [c for c in self._conditions if type(c).observe is not SuccessCondition.observe]
+        self._final = [c for c in self._conditions if type(c).holds is not SuccessCondition.holds]
+        self._stages = [c for c in self._conditions if c.stage]
+        self._reached = 0
+        self._faults: dict[str, Fault] = {}
+        self._quiet_since: float | None = None
+        self._done_at: float | None = None
+
+    @property
+    def finished(self) -> bool:
+        """Whether every condition on the final state holds, and has for a while."""
+        return self._done_at is not None
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """Names of the stages reached so far, in order."""
+        return tuple(c.name for c in self._stages[: self._reached])
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """What has failed so far."""
+        return tuple(self._faults.values())
+
+    def observe(self, world: World) -> None:
+        """Take one instant into account."""
+        truth, now = self._truth, world.time
+        truth.refresh(world)
+        for condition in self._observing:
+            detail = condition.observe(truth)
+            if detail and condition.name not in self._muted:
+                self._faults.setdefault(condition.name, Fault(condition.name, now, detail))
+        while self._reached < len(self._stages) and self._stages[self._reached].reached(truth):
+            self._reached += 1
+        if not all(c.holds(truth) for c in self._final):
+            self._quiet_since = self._done_at = None
+        elif self._quiet_since is None:
+            self._quiet_since = now
+        elif self._done_at is None and now - self._quiet_since >= REST_S:
+            self._done_at = now
+
+    def outcome(self, world: World) -> Outcome:
+        """Judge the trial as it stands now."""
+        truth, faults = self._truth, dict(self._faults)
+        truth.refresh(world)
+        truth.duration_s = truth.time if self._done_at is None else self._done_at
+        measured = {"progress": self._reached / max(1, len(self._stages))}
+        for condition in self._conditions:
+            measured.update(condition.measured(truth))
+            detail = condition.end(truth)
+            if detail and condition.name not in self._muted:
+                faults.setdefault(condition.name, Fault(condition.name, truth.time, detail))
+        done = self._done_at is not None
+        return Outcome(done and not faults, tuple(faults.values()), truth.duration_s, measured)
