@@ -112,7 +112,7 @@ def _reasons():
     yield "status", _edit(record, status="pass"), "it says status 'pass', its content says 'fail'"
     yield "acceptance", _edit(record, acceptance=True), "it says acceptance True"
     yield "result", _edit(record, checks=loose), "x is written as passed=True"
-    yield "schema", _edit(record, schema=99), "schema 99 is not 1"
+    yield "schema", _edit(record, schema=99), "schema 99 is not 2"
     yield "missing part", _edit(record, fingerprint={}), "malformed verdict"
 
 

@@ -6,7 +6,7 @@ import os
 import platform
 import subprocess
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -14,19 +14,21 @@ from typing import Any, cast
 
 import minidual
 from minidual.gate.canonical import canonical
+from minidual.gate.code import Code
 
 UNSEEN = "(absent)"
 
 
 @dataclass(frozen=True)
 class Fingerprint:
-    """Everything that determines a result (the first six) and the circumstances (the last four).
+    """Everything that determines a result (the first six) and the circumstances (the last five).
 
     parameters: resolved configuration subtree, as JSON.
     options: command-line extras that are not configuration.
-    inputs: sha256 of each input artefact, keyed "stage/path" or by absolute path for files from outside.
+    inputs: sha256 of each input artefact, keyed "stage/path".
     upstream: sha256 of the verdict of every transitively required stage, None where there was none.
-    version, commit, machine, libraries: circumstances; a difference only warns.
+    version, commit, machine, libraries, code: circumstances; a difference only warns, and a report over results of
+        other code is no acceptance. code: see `minidual.gate.code`.
     """
 
     parameters: dict[str, Any]
@@ -39,6 +41,7 @@ class Fingerprint:
     commit: str | None
     machine: dict[str, Any]
     libraries: dict[str, str]
+    code: Code = field(default_factory=Code)
 
     def to_json(self) -> dict[str, Any]:
         """Return the fingerprint as JSON types."""
@@ -47,7 +50,8 @@ class Fingerprint:
     @classmethod
     def from_json(cls, record: Mapping[str, Any]) -> Fingerprint:
         """Rebuild a fingerprint; TypeError or KeyError if malformed."""
-        return cls(**record)
+        values: dict[str, Any] = {**record, "code": Code(**record["code"])}
+        return cls(**values)
 
     def differences(self, now: Fingerprint) -> list[str]:
         """Return one reason for each thing that makes the result of `self` stale `now`."""
@@ -84,6 +88,10 @@ class Fingerprint:
             ("library", self.libraries, now.libraries),
         ):
             warnings += [f"{label} {n}: was {_short(a)}, is {_short(b)}" for n, a, b in changes(before, after)]
+        changed = self.code.changes(now.code)
+        if changed:
+            more = f" and {len(changed) - 3} more" if len(changed) > 3 else ""
+            warnings.append(f"made by other code: {', '.join(changed[:3])}{more} changed since")
         return warnings
 
 

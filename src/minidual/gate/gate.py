@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from minidual.errors import DataError, GateClosedError
 from minidual.gate.canonical import canonical
+from minidual.gate.code import Code
 from minidual.gate.fingerprint import Fingerprint, circumstances_now
 from minidual.gate.manifest import CONFIG_FILE, manifest_changes
 from minidual.gate.store import RunStore
@@ -104,6 +105,17 @@ class Gate:
         advice = f"{failed[0].remedy.rstrip('.')}, then: " if failed and failed[0].remedy else ""
         return GateClosedError(text, remedy=f"{advice}{mend}")
 
+    def code_changes(self, name: str) -> dict[str, list[str]]:
+        """Return {stage: modules} for the stages above `name` whose verdicts other code made."""
+        found: dict[str, list[str]] = {}
+        for upstream in self.table.upstream(name):
+            verdict = self.state(upstream).verdict
+            made_by = verdict.fingerprint.code if verdict else Code()
+            changed = made_by.changes(self.table[upstream].code(made_by)) if verdict else []
+            if changed:
+                found[upstream] = changed
+        return found
+
     def effective(self, name: str, verdict: Verdict | None) -> tuple[dict[str, Any], LoadedConfig]:
         """Return (options, configuration with them applied) that `name` is judged or run with."""
         from minidual.config.loader import Override
@@ -135,6 +147,7 @@ class Gate:
             seed=loaded.config.seed,
             profile=loaded.profile,
             **circumstances_now(self.table.libraries),
+            code=entry.code(verdict.fingerprint.code if verdict else None),
         )
 
     def _judge(self, name: str) -> StageState:

@@ -157,6 +157,7 @@ class Runner:
             upstream={up: state.folder for up, state in upstream.items() if state.folder and state.verdict},
             verdicts={up: state.verdict for up, state in upstream.items() if state.verdict},
             summaries={up: self.table[up].summary for up in upstream},
+            code_changes=gate.code_changes(name) if entry.closing else {},
             waivers=waivers,
             progress=self.progress,
             options=options,
@@ -171,7 +172,7 @@ class Runner:
                     stage=name,
                     run=self.store.run,
                     fingerprint=fingerprint,
-                    checks=(*result.checks, *_closing_checks(entry, result.checks, waivers)),
+                    checks=(*result.checks, *_closing_checks(entry, result.checks, context)),
                     artefacts=build_manifest(folder, result.artefacts),
                     acceptance_profile=loaded.config.acceptance,
                     started_at=started_at,
@@ -203,11 +204,13 @@ class Runner:
         return StageCrashedError(text, remedy="this is a defect in minidual, please report it with that file")
 
 
-def _closing_checks(entry: StageEntry, checks: Sequence[Check], waivers: tuple[Waiver, ...]) -> list[Check]:
-    """Return the check on waivers for a closing stage; it is no evidence of its own, so only beside others."""
+def _closing_checks(entry: StageEntry, checks: Sequence[Check], context: StageContext) -> list[Check]:
+    """Return the checks on waivers and code for a closing stage; they are no evidence, so they stand beside others."""
     if not entry.closing or not any(check.limited for check in checks):
         return []
+    waivers, changed = context.waivers, context.code_changes
     stages = ", ".join(waiver.stage for waiver in waivers)
+    modules = sorted({module for names in changed.values() for module in names})
     return [
         Check(
             "gate.waivers",
@@ -216,5 +219,13 @@ def _closing_checks(entry: StageEntry, checks: Sequence[Check], waivers: tuple[W
             0,
             why="evidence behind a waived gate is no acceptance",
             remedy=f"run {stages} without --waive-gate" if waivers else "",
-        )
+        ),
+        Check(
+            "gate.code_changed",
+            len(changed),
+            "==",
+            0,
+            why="results of other code are no acceptance of this code",
+            remedy=f"run {', '.join(changed)} again with --force ({', '.join(modules[:3])} changed)" if changed else "",
+        ),
     ]

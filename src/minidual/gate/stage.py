@@ -40,6 +40,7 @@ class StageContext:
             the gate was waived.
         verdicts: The verdicts in those folders.
         summaries: {stage: one line} of those stages, in the order of the table.
+        code_changes: {stage: modules} of those stages whose results other code made.
         waivers: Waivers that taint this stage, its own and inherited.
         options: Options of the command that stand for no configuration value, as typed.
         workers: Processes that the stage may use; results must not depend on it.
@@ -53,6 +54,7 @@ class StageContext:
     upstream: Mapping[str, Path] = field(default_factory=dict[str, Path])
     verdicts: Mapping[str, Verdict] = field(default_factory=lambda: dict[str, "Verdict"]())
     summaries: Mapping[str, str] = field(default_factory=dict[str, str])
+    code_changes: Mapping[str, Sequence[str]] = field(default_factory=dict[str, Sequence[str]])
     waivers: tuple[Waiver, ...] = ()
     progress: Progress = field(default_factory=SilentProgress)
     options: Mapping[str, Any] = field(default_factory=dict[str, Any])

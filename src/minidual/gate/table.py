@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
 from minidual.errors import EnvironmentMissingError, MinidualError, UsageError
+from minidual.gate.code import Code, code_of
 from minidual.gate.stage import StageFunction
 from minidual.gate.tool import ToolFunction
 from minidual.registry import Registry, load_target
@@ -126,6 +127,10 @@ class StageEntry:
     def load(self) -> StageFunction:
         """Return the function; EnvironmentMissingError names a library that it needs and that is not there."""
         return cast(StageFunction, _loaded(self.name, self.target))
+
+    def code(self, known: Code | None = None) -> Code:
+        """Return the code that the stage reaches; `known` is what it was once, see `code_of`."""
+        return code_of([target for target in (self.target, self.resolve) if isinstance(target, str)], known)
 
     def resolved(self, config: Config) -> Config:
         """Return the configuration that the stage runs under.

@@ -15,7 +15,7 @@ from minidual.gate.fingerprint import Fingerprint
 from minidual.gate.manifest import Artefact, manifest_from_json, manifest_to_json
 
 Status = Literal["pass", "fail", "error"]
-SCHEMA = 1
+SCHEMA = 2
 
 
 @dataclass(frozen=True)
