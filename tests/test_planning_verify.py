@@ -13,7 +13,6 @@ from minidual.errors import UsageError
 from minidual.motion.api import Planner
 from minidual.proof import certificate, limits
 from minidual.proof.certificate import Certifier
-from minidual.proof.dynamics import torques
 from minidual.proof.verify import STEP_RAD, collision_samples
 from minidual.robot.constants import A_MAX, HOME, Q_UPPER
 from minidual.robot.kinematics import Kinematics
@@ -237,14 +236,6 @@ def test_what_touches_at_rest_is_refused_whoever_moves(good):
     assert only_mujoco.reason.startswith("MuJoCo sees a collision at 0.000 s")
 
 
-def test_torques_in_one_call_are_those_of_the_states(good):
-    kinematics = Kinematics()
-    tau = torques(good.q, good.v, good.a)
-    for k in range(0, len(good.times), 50):
-        assert np.abs(tau[k] - kinematics.rnea(good.q[k], good.v[k], good.a[k])).max() < 1e-12
-    assert torques(good.q[:0], good.v[:0], good.a[:0]).shape == (0, 14)
-
-
 def test_what_a_trajectory_says_of_its_acceleration_and_velocity_must_be_true(planner, good):
     """Accelerations of zero would keep every limit of acceleration, jerk and torque."""
     verifier = planner.engines().verifier
@@ -263,14 +254,15 @@ def test_what_a_trajectory_says_of_its_acceleration_and_velocity_must_be_true(pl
 
 
 @pytest.mark.parametrize("smoothing_s", [0.0, 0.04])
-def test_honest_trajectories_are_far_from_contradicting_themselves(smoothing_s):
-    """The tolerance is no limit of what is planned: measured, with margin, on plans with and without smoothing."""
+def test_honest_trajectories_are_far_from_contradicting_themselves(smoothing_s, monkeypatch):
+    """The tolerance is no limit of what is planned: plans with and without smoothing keep half of it."""
     planner = Planner(config=PlannerConfig(smoothing_s=smoothing_s))
     generator = QueryGenerator(5)
     for group in ("left_arm", "both_arms"):
         trajectory = plan_query(planner, generator.query(group, 0)).result.trajectory
-        for misfit in (limits._acceleration_misfit, limits._velocity_misfit):
-            assert np.max(misfit(trajectory) / A_MAX) < 0.5 * limits._MISFIT
+        with monkeypatch.context() as patch:
+            patch.setattr(limits, "_MISFIT", 0.5 * limits._MISFIT)
+            assert planner.engines().verifier.verify(trajectory).ok
 
 
 def coarse(q, v, a, dt_s=0.25):

@@ -462,7 +462,7 @@ class TestCost:
 class TestLibraries:
     def test_everything_required_is_found(self):
         libraries = {library.name: library for library in required_libraries()}
-        assert {"mujoco", "pin", "ompl", "toppra", "torch", "lerobot"} <= set(libraries)
+        assert {"mujoco", "pin", "ompl", "torch", "lerobot"} <= set(libraries)
         assert all(library.fits for library in libraries.values())
 
     def test_missing_and_wrong_versions_do_not_fit(self):

@@ -3,7 +3,7 @@
 The object leads: its path is known, so each hand's pose follows from its grasp, and inverse kinematics continues
 from one point of the path to the next (both arms move as little as they can). What the hands do on a spline through
 those points is measured between them too, and the points are set closer until it is less than half of what is allowed;
-then toppra times the spline with the joints' limits and the object's own speed and acceleration.
+then the spline is timed with the joints' limits and the object's own speed and acceleration.
 """
 
 from __future__ import annotations

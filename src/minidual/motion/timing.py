@@ -1,39 +1,33 @@
-"""Give a path times: the fastest ones inside velocity, acceleration and torque limits (toppra), then 1 kHz samples.
+"""Give a path times: the fastest within velocity, acceleration, jerk and torque limits, sampled at 1 kHz.
 
-toppra keeps its limits at its grid points and may overshoot between them (1 to 4 % measured), so it is given
-limits with headroom, and the sampled result is measured on a finer grid; what still overshoots is slowed down as a
-whole, which can only lower velocities and accelerations.
+The speed profile (`minidual.motion.speed_profile`) keeps its limits at its grid points and may overshoot between them
+(1 to 4 % measured). So it gets limits with headroom, and what the samples still exceed is slowed down as a whole.
 
-toppra knows no jerk limit: its path acceleration jumps. So the path position s(t) is averaged over a short window
-(a box filter). That leaves the path as it is, ends at rest at the same place, and makes the path acceleration
-continuous: its rate is at most its largest jump divided by the window. What the joints' jerk still exceeds of its
-limit is slowed down like the rest (a motion k times slower has 1/k^3 of the jerk).
+The profile's path acceleration jumps. The path position s(t) is therefore averaged over a short window: the path stays,
+both ends stay at rest, and the rate of the path acceleration is at most its largest jump over the window. What remains
+above the joints' jerk limits is slowed down too (k times slower: 1/k^3 of the jerk).
 """
 
 from __future__ import annotations
 
-import functools
 import math
-import warnings
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from minidual.collision.errors import TimingError
-from minidual.motion.smooth_path import SmoothPath
-from minidual.motion.time_samples import time_samples
-from minidual.proof.dynamics import torques
-from minidual.proof.extremes import largest, motion_peaks
+from minidual.motion.speed_profile import squared_speeds
 from minidual.robot.compiled import floats
-from minidual.robot.constants import A_MAX, GROUPS, JERK_MAX, TAU_MAX, V_MAX, Array
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.trajectory import Trajectory
+from minidual.robot.pair import Array
+from minidual.robot.trajectory import Trajectory, largest
 
 DT_S = 0.001
 _SLOWDOWNS_MAX = 12
-_ROUNDING_TRIES = 20
-_ROUNDING_GIVES = 1.0 - 5e-5
+_STEPS_MAX = 1e8
+"""Above this a profile counts as endless."""
+_TORQUE_EVERY = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,14 +61,14 @@ class Curve(Protocol):
 
 
 def time_path(path: Curve, group: str, limits: MotionLimits, kinematics: Kinematics) -> Trajectory:
-    """Return the trajectory of a 14-joint curve within the scaled limits.
+    """Return the trajectory of a curve of all joints within the scaled limits.
 
     Raises:
         TimingError: No time law keeps the limits.
     """
-    joints = GROUPS[group]
-    columns = np.arange(14)[joints]
-    v_max, a_max = limits.velocity_scale * V_MAX[columns], limits.acceleration_scale * A_MAX[columns]
+    robot = kinematics.robot
+    columns = np.arange(robot.dof)[robot.groups[group]]
+    v_max, a_max = limits.velocity_scale * robot.v_max[columns], limits.acceleration_scale * robot.a_max[columns]
     s, sd = fastest_profile(path, columns, v_max, a_max)
     return drive(path, s, sd, group, limits, kinematics)[0]
 
@@ -84,50 +78,47 @@ def drive(
 ) -> tuple[Trajectory, Array]:
     """Return the 1 kHz trajectory of a speed profile, slowed until it keeps the limits, and s (m,) at its samples.
 
+    Args:
+        path: Its first columns are the joints.
+        s: Grid (n,) of the profile.
+        sd: Path speed (n,) on it.
+        group: Group that moves.
+        limits: Fractions of the robot's limits.
+        kinematics: Of the robot.
+
     Raises:
         TimingError: It keeps them at no reasonable speed.
     """
-    factor = 1.0
-    most = np.array([limits.velocity_scale * V_MAX, limits.acceleration_scale * A_MAX, limits.jerk_scale * JERK_MAX])
+    robot, factor = kinematics.robot, 1.0
+    v_max, a_max = limits.velocity_scale * robot.v_max, limits.acceleration_scale * robot.a_max
+    jerk_max = limits.jerk_scale * robot.jerk_max
     for _ in range(_SLOWDOWNS_MAX):
-        times, *law = sample_parameters(s, sd, limits.smoothing_s)
-        q, v, a = _driven(path, *law)
-        factor = _slowdown_needed(v, a, most)
+        times, at, speed, acceleration = sample_parameters(s, sd, limits.smoothing_s)
+        q, first, second = (path.at(at, order)[:, : robot.dof] for order in range(3))
+        v = first * speed[:, None]
+        a = second * speed[:, None] ** 2 + first * acceleration[:, None]
+        # NaN stays NaN through all of these, and a trajectory refuses it.
+        factor = float(np.max(largest(v) / v_max))
+        factor = np.maximum(factor, math.sqrt(np.max(largest(a) / a_max)))
+        factor = np.maximum(factor, math.cbrt(np.max(largest(np.diff(a, axis=0)) / jerk_max) / DT_S))
         if factor <= 1.0 + 1e-9:
-            factor = _slowdown_for_torque(_torque_ratio(q, v, a, 8) / limits.torque_scale)
-        if not factor > 1.0:  # a trajectory refuses NaN
-            return Trajectory(times, q, v, a, group), law[0]
+            ratio = torque_ratio(q, v, a, kinematics) / limits.torque_scale
+            # A part of the torque, gravity, does not shrink with speed: small steps.
+            factor = 1.0 if ratio <= 1.0 else 1.02 + 0.25 * np.minimum(1.0, ratio - 1.0)
+        if not factor > 1.0:
+            return Trajectory(times, q, v, a, group), at
         sd = sd / (factor * 1.001)
     raise TimingError(f"the path still needs to be {factor:.3f} times slower after {_SLOWDOWNS_MAX} slow-downs")
 
 
-def _slowdown_needed(v: Array, a: Array, most: Array) -> float:
-    """Return how much slower samples (n, 14) every DT_S must be to keep speed, acceleration and jerk; NaN if one is.
-
-    most: (3, 14), the limit of each.
-    """
-    speed, acceleration, jerk = (motion_peaks(v, a) / most).max(axis=1).tolist()
-    roots = speed, math.sqrt(acceleration), math.cbrt(jerk / DT_S)
-    return max(roots) if math.isfinite(sum(roots)) else math.nan
-
-
-def _slowdown_for_torque(ratio: float) -> float:
-    """Return how much slower to try: torque has a part that does not shrink with speed (gravity)."""
-    return 1.0 if ratio <= 1.0 else float(1.0 + 0.25 * np.minimum(1.0, ratio - 1.0) + 0.02)
-
-
-def torque_ratio(trajectory: Trajectory, every: int = 1) -> float:
-    """Return the largest |torque| / limit along the trajectory, at one of `every` samples and the last one."""
-    return _torque_ratio(trajectory.q, trajectory.v, trajectory.a, every)
-
-
-def _torque_ratio(q: Array, v: Array, a: Array, every: int) -> float:
+def torque_ratio(q: Array, v: Array, a: Array, kinematics: Kinematics, every: int = _TORQUE_EVERY) -> float:
+    """Return the largest |torque| / limit of states (n, dof), at one of `every` and the last one."""
     rows = np.append(np.arange(0, len(q), every), len(q) - 1)
-    return float(np.max(largest(torques(q[rows], v[rows], a[rows])) / TAU_MAX))
+    return float(np.max(largest(kinematics.torques(q[rows], v[rows], a[rows])) / kinematics.robot.tau_max))
 
 
 def fastest_profile(path: Curve, columns: Array, v_max: Array, a_max: Array) -> tuple[Array, Array]:
-    """Return toppra's grid s (n,) and the path speed sd (n,) on it, at rest at both ends.
+    """Return a grid s (n,) and the fastest path speed sd (n,) on it, at rest at both ends.
 
     Args:
         path: Curve of d columns.
@@ -136,93 +127,16 @@ def fastest_profile(path: Curve, columns: Array, v_max: Array, a_max: Array) -> 
         a_max: Limit of each of them [unit/s^2].
 
     Raises:
-        TimingError: toppra finds no profile.
+        TimingError: There is none.
     """
     grid = _grid(path)
-    solve = _solver(path, grid, columns, v_max, a_max).solve_stagewise_optim
-    n, steps = len(grid), np.diff(grid)
-    # Rest is always possible (x = 0, u = 0), so the controllable speeds begin at 0 and only their end is sought:
-    # from behind, the largest x = sd^2 from which the next interval can be reached; then forwards, as fast as that
-    # allows. The tiny weight on u breaks ties.
-    most = [0.0] * n
-    fastest, goal = np.array([[1e-9, -1.0], [0.0, -1.0]], dtype=object)  # plain floats are what toppra reads fastest
-    nan = math.nan
-    for i in range(n - 2, -1, -1):
-        most[i] = solve(i, None, fastest, nan, nan, 0.0, most[i + 1])[1]
-    x = [0.0] * n
-    for i, step in enumerate(steps.tolist()):
-        goal[0] = -2.0 * step
-        u = solve(i, None, goal, x[i], x[i], 0.0, most[i + 1])[0]
-        tries = _ROUNDING_TRIES
-        while not math.isfinite(u) and tries > 1:  # x gives way by up to a thousandth to rounding
-            x[i] *= _ROUNDING_GIVES
-            u = solve(i, None, goal, x[i], x[i], 0.0, most[i + 1])[0]
-            tries -= 1
-        x[i + 1] = min(max(0.0, x[i] + 2.0 * step * u), most[i + 1])
-    sd = np.sqrt(x)
+    first, second = (floats(path.at(grid, order)[:, columns]) for order in (1, 2))
+    if not (np.isfinite(first).all() and np.isfinite(second).all()):
+        raise TimingError("a derivative of the path is not finite")
+    sd = np.sqrt(squared_speeds(grid, first, second, floats(v_max), floats(a_max)))
     if not np.isfinite(sd).all() or (sd[1:-1] <= 0.0).any():
-        raise TimingError("toppra found no time law for the path; it may be degenerate")
+        raise TimingError("the path has no time law within the limits; it may be degenerate")
     return grid, sd
-
-
-def _solver(path: Curve, grid: Array, columns: Array, v_max: Array, a_max: Array) -> Any:
-    """Return toppra's stage-wise linear programs (Seidel's algorithm) for a path on a grid."""
-    constraints = _constraints(tuple(v_max.tolist()), tuple(a_max.tolist()))
-    from toppra.solverwrapper.cy_seidel_solverwrapper import seidelWrapper
-
-    first, second = (path.at(grid, order)[:, columns] for order in (1, 2))
-    return seidelWrapper(list(constraints), _OnGrid(first, second), grid, True)
-
-
-class _OnGrid:
-    """What toppra asks of a path: its derivatives on the grid, each computed once for all constraints."""
-
-    def __init__(self, first: Array, second: Array) -> None:
-        self._derivatives = {1: first, 2: second}
-        self.dof = first.shape[1]
-
-    def __call__(self, _grid: Array, order: int) -> Array:
-        return self._derivatives[order]
-
-
-@functools.lru_cache(maxsize=64)
-def _constraints(v_max: tuple[float, ...], a_max: tuple[float, ...]) -> tuple[Any, Any]:
-    """Return the limits as toppra's constraints, which are slow to make (each prints itself into a text)."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", SyntaxWarning)  # its docstrings hold unescaped backslashes
-        import toppra
-        from toppra.constraint import JointVelocityConstraint
-
-    toppra.setup_logging("ERROR")
-    v = np.array(v_max)
-    return JointVelocityConstraint(np.column_stack([-v, v])), _accelerations()(np.array(a_max))
-
-
-@functools.cache
-def _accelerations() -> Any:
-    """Return the class of toppra's acceleration limits, interpolated, but with what never changes made once."""
-    from toppra.constraint import LinearConstraint
-
-    class Accelerations(LinearConstraint):
-        def __init__(self, a_max: Array) -> None:
-            super().__init__()
-            self.dof = len(a_max)
-            self.identical = True  # F and g are the same at every point of the grid
-            both_ways = np.vstack([np.eye(self.dof), -np.eye(self.dof)])
-            self._F = np.kron(np.eye(2), both_ways)
-            self._g = np.tile(a_max, 4)
-
-        def compute_constraint_params(self, path: _OnGrid, gridpoints: Array) -> tuple[Any, ...]:
-            """Return q' and q'' of a point and, as far as they follow from its u and x, of the next point."""
-            d, first, second = self.dof, path(gridpoints, 1), path(gridpoints, 2)
-            a, b = np.empty((2, len(gridpoints), 2 * d))
-            a[:, :d], b[:, :d] = first, second
-            a[:-1, d:] = first[1:] + 2.0 * np.diff(gridpoints)[:, None] * second[1:]
-            b[:-1, d:] = second[1:]
-            a[-1, d:], b[-1, d:] = first[-1], second[-1]
-            return a, b, np.zeros_like(a), self._F, self._g, None, None
-
-    return Accelerations
 
 
 def _grid(path: Curve) -> Array:
@@ -239,22 +153,37 @@ def sample_parameters(
 ) -> tuple[Array, Array, Array, Array]:
     """Return (times, s, ds/dt, d2s/dt2) on a regular grid of dt_s; the whole is stretched to end on it.
 
-    The average over `smoothing_s` is a mean of shifted copies of s(t), so its derivatives are the same means of the
-    shifted derivatives, exactly.
+    The path acceleration is constant between two points of the profile. The average over `smoothing_s` is a mean of
+    shifted copies of s(t), so its derivatives are the same means of the shifted derivatives, exactly.
 
     Raises:
         TimingError: The profile never arrives.
     """
-    position, speed, acceleration = time_samples(floats(s), floats(sd), dt_s, max(1, round(smoothing_s / dt_s)))
-    if not len(position):
+    with np.errstate(divide="ignore", invalid="ignore"):
+        passed = np.append(0.0, np.cumsum(2.0 * np.diff(s) / (sd[1:] + sd[:-1])))
+    if not passed[-1] / dt_s < _STEPS_MAX:
         raise TimingError("the path's speed profile takes no finite time")
+    n = max(1, math.ceil(passed[-1] / dt_s - 1e-9))
+    stretch = n * dt_s / passed[-1]
+    t = np.arange(n + 1) * dt_s / stretch
+    i = np.clip(np.searchsorted(passed, t, side="right") - 1, 0, len(s) - 2)
+    u = ((sd[1:] ** 2 - sd[:-1] ** 2) / (2.0 * np.diff(s)))[i]
+    x = t - passed[i]
+    position = np.clip(s[i] + sd[i] * x + 0.5 * u * (x * x), 0.0, s[-1])
+    speed, acceleration = np.maximum(0.0, sd[i] + u * x) / stretch, u / stretch**2
+    position[-1], speed[-1] = s[-1], 0.0
+    copies = max(1, round(smoothing_s / dt_s))
+    if copies > 1:
+        acceleration[-1] = 0.0  # at rest from here on
+        position, speed, acceleration = (
+            _averaged(values, copies, end) for values, end in ((position, s[-1]), (speed, 0.0), (acceleration, 0.0))
+        )
     return np.arange(len(position)) * dt_s, position, speed, acceleration
 
 
-def _driven(path: Curve, s: Array, speed: Array, acceleration: Array) -> tuple[Array, Array, Array]:
-    """Return q, v and a, each (m, 14), of the first 14 columns of a curve, passed at the given parameters (m,)."""
-    if isinstance(path, SmoothPath):
-        return path.driven(s, speed, acceleration)
-    q, first, second = (np.ascontiguousarray(path.at(s, order)[:, :14]) for order in range(3))
-    v = first * speed[:, None]
-    return q, v, second * speed[:, None] ** 2 + first * acceleration[:, None]
+def _averaged(values: Array, copies: int, end: float) -> Array:
+    """Return the mean of a signal and its delayed copies; before its start it is 0, after its end it stays."""
+    sums = np.cumsum(np.concatenate([np.zeros(copies), values, np.full(copies - 1, end)]))
+    out = (sums[copies:] - sums[:-copies]) / copies
+    out[-1] = end
+    return out

@@ -21,6 +21,7 @@ from minidual.proof.certificate import Certificate, Certifier
 from minidual.proof.limits import limit_use
 from minidual.proof.solids import Solids
 from minidual.robot.constants import Array
+from minidual.robot.kinematics import Kinematics
 from minidual.robot.trajectory import Trajectory
 
 STEP_RAD = 0.002
@@ -92,10 +93,11 @@ class Verifier:
         self._certifier = Certifier(primary, second, solids)
         self._solids = solids
         self._step_rad = step_rad
+        self._kinematics = Kinematics()
 
     def verify(self, trajectory: Trajectory) -> Verification:
         """Return the report on one trajectory; it never raises for a bad one."""
-        use, broken = limit_use(trajectory)
+        use, broken = limit_use(trajectory, self._kinematics)
         proof = self.certify(trajectory)
         reason = proof.reason or broken
         return Verification(

@@ -43,6 +43,7 @@ class Kinematics:
         self.robot = robot
         self.model = _shared_model(robot)
         self.data = self.model.createData()
+        self._pool: Any = None
         self.tcp_ids: tuple[int, int] = tuple(self.model.getFrameId(n) for n in robot.tcp_names)  # type: ignore[assignment]
 
     def tcp_poses(self, q: Array) -> tuple[Array, Array]:
@@ -81,6 +82,15 @@ class Kinematics:
     def rnea(self, q: Array, v: Array, a: Array) -> Array:
         """Return the torques (n,) [Nm] that give acceleration a (n,) [rad/s^2] (no joint friction)."""
         return pin.rnea(self.model, self.data, q, v, a)
+
+    def torques(self, q: Array, v: Array, a: Array) -> Array:
+        """Return `rnea` (n, dof) [Nm] of n states, each (n, dof), in one call."""
+        if self._pool is None:
+            self._pool = pin.ModelPool(self.model, 1)
+        columns = [np.asfortranarray(np.asarray(x, dtype=float).T) for x in (q, v, a)]
+        tau = np.empty_like(columns[0], order="F")
+        pin.rneaInParallel(1, self._pool, *columns, tau)
+        return tau.T
 
 
 class HandMotion:

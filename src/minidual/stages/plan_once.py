@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-import warnings
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -54,10 +53,6 @@ def plan_once(context: ToolContext) -> ToolResult:
 
 def _prepare(context: ToolContext, group: str) -> tuple[GoalPlanner, PlanningScene, Array, list[str]]:
     """Return planner, scene, start (14,) and notes; whatever is typed wrongly is said before anything is planned."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", SyntaxWarning)  # its docstrings hold unescaped backslashes
-        import toppra  # noqa: F401  (a second to load; the times printed are those of planning)
-
     from minidual.collision.scene import PlanningScene
     from minidual.collision.scene_file import load_scene
     from minidual.motion.api import Planner

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from minidual.gate.table import Option, StageEntry, StageTable, ToolEntry
 
-LIBRARIES = ("numpy", "scipy", "mujoco", "pin", "coal", "ompl", "toppra", "torch", "lerobot", "h5py", "av", "gymnasium")
+LIBRARIES = ("numpy", "scipy", "mujoco", "pin", "coal", "ompl", "torch", "lerobot", "h5py", "av", "gymnasium")
 """Distributions whose versions every verdict records."""
 
 STAGES = StageTable(

@@ -21,7 +21,7 @@ def impedance(inputs: MethodInputs) -> Factory:
 
 
 def planned(inputs: MethodInputs) -> Factory:
-    """Plan with OMPL and toppra from one reading of the pose sensor, execute with joint trajectory control."""
+    """Plan from one reading of the pose sensor, execute with joint trajectory control."""
     from minidual.config.seeds import stream
     from minidual.plant.sensing import Sensors
     from minidual.skills.planned_carry import PlannedCarry, make_planners

@@ -79,7 +79,7 @@ class MethodSpec:
 METHODS: dict[str, MethodSpec] = {
     "moveit": MethodSpec(
         "minidual.trials.drivers:planned",
-        "OMPL and toppra in MoveIt 2's role, joint trajectory control",
+        "OMPL in MoveIt 2's role, joint trajectory control",
         senses=frozenset({"pose"}),
     ),
     "impedance": MethodSpec(
