@@ -21,16 +21,12 @@ from minidual.config.held_moves import HeldMovesConfig
 from minidual.config.planning import PlanConfig
 from minidual.config.scene import ObjectConfig, SceneConfig
 from minidual.errors import UsageError
-from minidual.motion.closed_chain import scene_holding
-from minidual.motion.constrained_search import search_manifold
 from minidual.motion.edges import EdgeChecker
-from minidual.motion.grasp_constraint import GraspConstraint
-from minidual.motion.hands_ik import HandsIK, off_limits
-from minidual.motion.held_planner import HeldPlanner
-from minidual.motion.held_query import HeldQuery
-from minidual.motion.held_search import search_object, shorten
-from minidual.motion.held_space import HeldSpace, Q, X
-from minidual.motion.object_path import ObjectChart, ObjectPath
+from minidual.motion.held.constraint import GraspConstraint, search_manifold
+from minidual.motion.held.hands import HandsIK
+from minidual.motion.held.path import ObjectChart, ObjectPath
+from minidual.motion.held.planner import HeldPlanner, HeldQuery, HeldWork, scene_holding
+from minidual.motion.held.search import HeldSpace, Q, X, search_object, shorten
 from minidual.plant.world import World
 from minidual.robot.constants import HOME, Q_LOWER, Q_UPPER
 from minidual.robot.kinematics import Kinematics
@@ -141,6 +137,7 @@ def test_continuation_and_projection_agree_with_the_grasps(q_start):
 
 
 def test_joints_are_pushed_off_their_limits_only_near_them():
+    off_limits = HandsIK(*GRASPS, Kinematics()).off_limits
     assert not off_limits(HOME).any()
     near = HOME.copy()
     near[0], near[5] = Q_LOWER[0] + 0.05, Q_UPPER[5] - 0.05
@@ -345,17 +342,17 @@ def test_one_bad_goal_does_not_stop_the_search_of_the_others(planner, q_start, m
     def nothing(*_):
         raise GoalInCollisionError("none of them is free")
 
-    work = planner._work(asked, 1.0)
-    monkeypatch.setattr(work, "_goal_postures", nothing)
-    assert work._more_goals([end], None, 1)[0] is end
-    assert "none of them is free" in work._rejections[-1]
+    work = HeldWork(planner, asked, time.perf_counter() + 1.0)
+    monkeypatch.setattr(work, "goal_postures", nothing)
+    assert work.more_goals([end], None, 1)[0] is end
+    assert "none of them is free" in work.rejections[-1]
     monkeypatch.undo()
-    work = planner._work(query(q_start, obstacles=(WALL,)), 2.0)
+    work = HeldWork(planner, query(q_start, obstacles=(WALL,)), time.perf_counter() + 2.0)
 
     def off(*_):
         time.sleep(0.01)
         raise ClosedChainError("the goal cannot keep the relative pose")
 
-    monkeypatch.setattr(work, "_search", off)
+    monkeypatch.setattr(work, "search", off)
     with pytest.raises(NoPathInTimeError, match=r"the last one: .*cannot keep the relative pose"):
         work.run()

@@ -11,12 +11,11 @@ from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Box
 from minidual.config.scene import ObjectConfig
 from minidual.errors import UsageError
-from minidual.motion.closed_chain import scene_holding
-from minidual.motion.constrained_search import SPACES, OmplGraspConstraint, search_manifold
 from minidual.motion.edges import EdgeChecker
-from minidual.motion.grasp_constraint import GraspConstraint
-from minidual.motion.hands_ik import HandsIK
-from minidual.motion.object_path import ObjectPath
+from minidual.motion.held.constraint import SPACES, GraspConstraint, OmplGraspConstraint, search_manifold
+from minidual.motion.held.hands import HandsIK
+from minidual.motion.held.path import ObjectPath
+from minidual.motion.held.planner import scene_holding
 from minidual.proof.scene_engines import SceneEngines
 from minidual.robot.constants import HOME, Q_LOWER, Q_UPPER
 from minidual.robot.kinematics import Kinematics
@@ -55,7 +54,7 @@ def test_jacobian_is_the_derivative(constraint, q_held):
     for q in [*near, *far]:
         coarse, fine = (central_differences(constraint.value, q, h) for h in (2e-4, 1e-4))
         numeric = (4.0 * fine - coarse) / 3.0
-        assert np.abs(constraint.jacobian(q) - numeric).max() < 1e-6
+        assert np.abs(constraint.value_and_jacobian(q)[1] - numeric).max() < 1e-6
 
 
 def test_jacobian_by_a_second_formula(constraint):
@@ -81,7 +80,7 @@ def test_a_wrong_jacobian_would_be_seen(constraint, q_held):
     """Negative control: without Jlog6, or with the sign of one hand turned, the comparison above fails."""
     q = q_held + np.random.default_rng(3).normal(0.0, 0.3, 14)
     numeric = central_differences(constraint.value, q, 1e-5)
-    wrong = constraint.jacobian(q) * np.repeat([1.0, -1.0], 7)
+    wrong = constraint.value_and_jacobian(q)[1] * np.repeat([1.0, -1.0], 7)
     assert np.abs(wrong - numeric).max() > 1e-2
 
 

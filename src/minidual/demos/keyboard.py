@@ -11,10 +11,10 @@ import tty
 import numpy as np
 
 from minidual.errors import EnvironmentMissingError, UsageError
+from minidual.motion.ik import PostureIK
 from minidual.robot.constants import HOME, Array
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import pose, rot_z
-from minidual.skills.posture_ik import PostureIK
 
 HELP = (
     "w/s away/back  a/d left/right  r/f up/down  q/e turn  space open/close  tab left/right/both hands  "

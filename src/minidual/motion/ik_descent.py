@@ -1,8 +1,8 @@
-"""The descent of inverse kinematics, compiled: Levenberg-Marquardt on the SE(3) error of one arm's hand.
+"""Compiled inverse kinematics of one arm: two iterations on one SE(3) error.
 
-The error is e = log6(T_tcp_target) and its derivative by the joints -Jlog6(T_target_tcp) J, J in the tcp's own frame
-(formulas: Sola, "A micro Lie theory", 2018, and Pinocchio, whose results the tests hold these to). A joint at its limit
-that the step would push further out is taken out of the step.
+The error is e = log6(T_tcp_target); its derivative by the joints is -Jlog6(T_target_tcp) J, with J in the tcp's frame
+(Sola, "A micro Lie theory", 2018; the tests compare both with Pinocchio). `descend` is Levenberg-Marquardt inside the
+joint limits, for a start far away; `project` takes Newton steps of least norm, for a start close by.
 """
 
 from __future__ import annotations
@@ -11,11 +11,12 @@ import math
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 from numba import njit
 from numba.core import types
 
 from minidual.robot.compiled import BLOCKS, ROWS, VECTOR, kernel
-from minidual.robot.constants import DOF_PER_ARM, Array
+from minidual.robot.pair import Array
 
 _SMALL = 0.05
 """Angle [rad] under which the quotients of the logarithm have lost digits and their series is used instead."""
@@ -23,31 +24,46 @@ _NEAR_HALF_TURN = math.pi - 1e-3
 """Angle from which on the antisymmetric part of a rotation has too few digits left."""
 _DAMPING_FIRST, _DAMPING_LEAST, _DAMPING_MOST = 1e-3, 1e-10, 1e4
 _DAMPING_DOWN, _DAMPING_UP = 0.2, 5.0
+_DAMPING_PROJECT = 1e-9
 
 
 def frames_of_arm(model: Any, joints: slice, tcp: int) -> Array:
-    """Return the fixed poses (8, 4, 4) between an arm's joints and from the last to its tcp, of a Pinocchio model.
+    """Return the fixed poses (n + 1, 4, 4) between the n hinges of an arm and from the last one to its tcp.
+
+    Each hinge turns about the z axis of its pose.
+
+    Args:
+        model: Pinocchio model.
+        joints: Columns of q.
+        tcp: Frame id.
 
     Raises:
-        ValueError: The joints are no chain of hinges about their z axes that begins at the world.
+        ValueError: The joints are no chain of hinges that begins at the world, or do not carry the tcp.
     """
-    frames = []
+    data, neutral = model.createData(), pin.neutral(model)
+    frames, back = [], np.eye(4)
     for i, column in enumerate(range(joints.start, joints.stop)):
         joint, parent = column + 1, 0 if i == 0 else column  # joint 0 of the model is the world
-        kind = model.joints[joint].shortname()
-        if kind != "JointModelRZ" or model.parents[joint] != parent or model.idx_qs[joint] != column:
+        motion = pin.computeJointJacobian(model, data, neutral, joint)[:, column]
+        hinge = model.nvs[joint] == 1 and not motion[:3].any()
+        if not hinge or model.parents[joint] != parent or model.idx_qs[joint] != column:
             raise ValueError(
-                f"{model.names[joint]} is a {kind} on joint {model.parents[joint]}; a chain of hinges is needed"
+                f"{model.names[joint]} is a {model.joints[joint].shortname()} on joint {model.parents[joint]}; "
+                "a chain of hinges is needed"
             )
-        frames.append(model.jointPlacements[joint].homogeneous)
+        turned = np.eye(4)
+        if motion[5] != 1.0:
+            turned[:3, :3] = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), motion[3:]).toRotationMatrix()
+        frames.append(back @ model.jointPlacements[joint].homogeneous @ turned)
+        back = turned.T
     if model.frames[tcp].parentJoint != joints.stop:
         raise ValueError(f"{model.frames[tcp].name} is not fixed to the last of the joints {joints}")
-    return np.array([*frames, model.frames[tcp].placement.homogeneous])
+    return np.array([*frames, back @ model.frames[tcp].placement.homogeneous])
 
 
 @njit
 def _reach(frames: Array, q: Array, T: Array, axes: Array) -> None:
-    """Fill the pose T (3, 4) of the tcp and the joints' axes and centres, axes (7, 6), all in the world."""
+    """Fill the pose T (3, 4) of the tcp and the joints' axes and centres, axes (n, 6), all in the world."""
     for r in range(3):
         for c in range(4):
             T[r, c] = 1.0 if r == c else 0.0
@@ -59,7 +75,7 @@ def _reach(frames: Array, q: Array, T: Array, axes: Array) -> None:
             a = x * F[0, 0] + y * F[1, 0] + z * F[2, 0]
             b = x * F[0, 1] + y * F[1, 1] + z * F[2, 1]
             T[r, 2] = x * F[0, 2] + y * F[1, 2] + z * F[2, 2]
-            if i < DOF_PER_ARM:
+            if i < len(q):
                 cosine, sine = math.cos(q[i]), math.sin(q[i])
                 T[r, 0], T[r, 1] = cosine * a + sine * b, cosine * b - sine * a
                 axes[i, r], axes[i, 3 + r] = T[r, 2], T[r, 3]
@@ -126,7 +142,7 @@ def _error(T: Array, target: Array, R: Array, p: Array, e: Array) -> float:
 
 @njit
 def _jacobian(T: Array, axes: Array, R: Array, p: Array, e: Array, t: float, J: Array) -> None:
-    """Fill J (6, 7), the derivative of e by the joints: -[A, C A; 0, A] J_tcp, A and C those of the inverse."""
+    """Fill J (6, n), the derivative of e by the joints: -[A, C A; 0, A] J_tcp, A and C those of the inverse."""
     wx, wy, wz = -e[3], -e[4], -e[5]
     px = -(R[0, 0] * p[0] + R[1, 0] * p[1] + R[2, 0] * p[2])
     py = -(R[0, 1] * p[0] + R[1, 1] * p[1] + R[2, 1] * p[2])
@@ -137,7 +153,7 @@ def _jacobian(T: Array, axes: Array, R: Array, p: Array, e: Array, t: float, J: 
     turn, shift = slope * wp, -(t * t * slope + 2.0 * beta)
     ux, uy, uz = turn * wx + shift * px, turn * wy + shift * py, turn * wz + shift * pz
     straight = beta * wp
-    for i in range(DOF_PER_ARM):
+    for i in range(J.shape[1]):
         # The joint's twist in the tcp's frame: v = R^T (z x (p_tcp - p_joint)), o = R^T z.
         zx, zy, zz = axes[i, 0], axes[i, 1], axes[i, 2]
         dx, dy, dz = T[0, 3] - axes[i, 3], T[1, 3] - axes[i, 4], T[2, 3] - axes[i, 5]
@@ -179,7 +195,7 @@ def _solve(J: Array, blocked: Array, damping: float, e: Array, L: Array, y: Arra
     for i in range(6):
         for j in range(i + 1):
             s = damping if i == j else 0.0
-            for k in range(DOF_PER_ARM):
+            for k in range(J.shape[1]):
                 if not blocked[k]:
                     s += J[i, k] * J[j, k]
             for k in range(j):
@@ -198,16 +214,16 @@ def _solve(J: Array, blocked: Array, damping: float, e: Array, L: Array, y: Arra
 
 @kernel(types.void(BLOCKS, VECTOR, ROWS))
 def tcp_pose(frames: Array, q: Array, T: Array) -> None:
-    """Fill the pose T (4, 4) of the tcp at q (7,)."""
-    _reach(frames, q, T, np.empty((DOF_PER_ARM, 6)))
+    """Fill the pose T (4, 4) of the tcp at q (n,)."""
+    _reach(frames, q, T, np.empty((len(q), 6)))
     for c in range(4):
         T[3, c] = 1.0 if c == 3 else 0.0
 
 
 @kernel(types.void(BLOCKS, ROWS, VECTOR, VECTOR, ROWS))
 def measure(frames: Array, target: Array, q: Array, e: Array, J: Array) -> None:
-    """Fill the error e (6,) and its derivative J (6, 7) at q (7,)."""
-    T, axes, R, p = np.empty((3, 4)), np.empty((DOF_PER_ARM, 6)), np.empty((3, 3)), np.empty(3)
+    """Fill the error e (6,) and its derivative J (6, n) at q (n,)."""
+    T, axes, R, p = np.empty((3, 4)), np.empty((len(q), 6)), np.empty((3, 3)), np.empty(3)
     _reach(frames, q, T, axes)
     _jacobian(T, axes, R, p, e, _error(T, target, R, p, e), J)
 
@@ -216,12 +232,15 @@ def measure(frames: Array, target: Array, q: Array, e: Array, J: Array) -> None:
 def descend(
     frames: Array, target: Array, q: Array, lower: Array, upper: Array, iterations: int, tolerance: float
 ) -> tuple[float, float, float]:
-    """Move q (7,) to the pose target (4, 4); return the norm of the error, its distance [m] and its angle [rad]."""
-    T, axes, R, p = np.empty((3, 4)), np.empty((DOF_PER_ARM, 6)), np.empty((3, 3)), np.empty(3)
-    T_new, axes_new, R_new, p_new = (np.empty((3, 4)), np.empty((DOF_PER_ARM, 6)), np.empty((3, 3)), np.empty(3))
-    e, e_new, y, q_new = np.empty(6), np.empty(6), np.empty(6), np.empty(DOF_PER_ARM)
-    J, L = np.empty((6, DOF_PER_ARM)), np.zeros((6, 6))
-    blocked = np.empty(DOF_PER_ARM, dtype=np.bool_)
+    """Move q (n,) to the pose target (4, 4); return the norm of the error, its distance [m] and its angle [rad].
+
+    A joint at its limit that a step would push further out is left out of that step.
+    """
+    T, axes, R, p = np.empty((3, 4)), np.empty((len(q), 6)), np.empty((3, 3)), np.empty(3)
+    T_new, axes_new, R_new, p_new = (np.empty((3, 4)), np.empty((len(q), 6)), np.empty((3, 3)), np.empty(3))
+    e, e_new, y, q_new = np.empty(6), np.empty(6), np.empty(6), np.empty(len(q))
+    J, L = np.empty((6, len(q))), np.zeros((6, 6))
+    blocked = np.empty(len(q), dtype=np.bool_)
     _reach(frames, q, T, axes)
     angle = _error(T, target, R, p, e)
     cost = _square(e)
@@ -231,7 +250,7 @@ def descend(
             break
         _jacobian(T, axes, R, p, e, angle, J)
         free = 0
-        for i in range(DOF_PER_ARM):
+        for i in range(len(q)):
             gradient = 0.0
             for k in range(6):
                 gradient += J[k, i] * e[k]
@@ -240,7 +259,7 @@ def descend(
         if free == 0:
             break
         _solve(J, blocked, damping, e, L, y)
-        for i in range(DOF_PER_ARM):
+        for i in range(len(q)):
             step = 0.0
             if not blocked[i]:
                 for k in range(6):
@@ -252,9 +271,49 @@ def descend(
         if cost_new < cost:
             T, T_new, axes, axes_new, R, R_new, p, p_new = T_new, T, axes_new, axes, R_new, R, p_new, p
             e, e_new, angle, cost = e_new, e, angle_new, cost_new
-            for i in range(DOF_PER_ARM):
+            for i in range(len(q)):
                 q[i] = q_new[i]
             damping = max(damping * _DAMPING_DOWN, _DAMPING_LEAST)
         else:
             damping *= _DAMPING_UP
     return math.sqrt(cost), math.sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2]), angle
+
+
+@kernel(types.boolean(BLOCKS, ROWS, VECTOR, VECTOR, types.int64, types.float64, types.float64))
+def project(
+    frames: Array, target: Array, q: Array, wish: Array, iterations: int, small: float, step_max: float
+) -> bool:
+    """Move q (n,) to the pose target (4, 4) by steps of least norm; the first one comes as near to `wish` (n,) as it can.
+
+    Limits are not looked at. The error is about squared by every step, so the step from an error below `small` is the
+    last. Return False where a step is longer than `step_max`, or `iterations` do not suffice.
+    """
+    T, axes, R, p = np.empty((3, 4)), np.empty((len(q), 6)), np.empty((3, 3)), np.empty(3)
+    e, y, J, L = np.empty(6), np.empty(6), np.empty((6, len(q))), np.zeros((6, 6))
+    blocked = np.zeros(len(q), dtype=np.bool_)
+    wished = False
+    for i in range(len(q)):
+        wished = wished or wish[i] != 0.0
+    for _ in range(iterations):
+        _reach(frames, q, T, axes)
+        angle = _error(T, target, R, p, e)
+        _jacobian(T, axes, R, p, e, angle, J)
+        last = not wished and _square(e) < small * small
+        if wished:
+            for k in range(6):
+                for i in range(len(q)):
+                    e[k] += J[k, i] * wish[i]
+        _solve(J, blocked, _DAMPING_PROJECT, e, L, y)
+        length = 0.0
+        for i in range(len(q)):
+            step = wish[i] if wished else 0.0
+            for k in range(6):
+                step -= J[k, i] * y[k]
+            q[i] += step
+            length += step * step
+        if not length < step_max * step_max:  # NaN ends here, too
+            return False
+        if last:
+            return True
+        wished = False
+    return False

@@ -18,8 +18,8 @@ from scipy.interpolate import CubicSpline
 from minidual.collision.errors import LinearMoveError
 from minidual.errors import UsageError
 from minidual.motion.goals import check_joints, group_arms, require_free
+from minidual.motion.held.path import ROTATION_WEIGHT_M
 from minidual.motion.ik import ArmIK, check_pose
-from minidual.motion.object_path import ROTATION_WEIGHT_M
 from minidual.motion.timing import DT_S, MotionLimits, drive, fastest_profile
 from minidual.proof.scene_engines import SceneEngines
 from minidual.proof.verify import Verification

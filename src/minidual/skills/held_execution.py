@@ -13,7 +13,7 @@ import numpy as np
 from minidual.config.scene import SceneConfig
 from minidual.control.stack import ControlStack
 from minidual.errors import MinidualError
-from minidual.motion.held_path import CarriedTrajectory
+from minidual.motion.held.path import CarriedTrajectory
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array

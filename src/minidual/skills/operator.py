@@ -15,11 +15,11 @@ from minidual.config.scene import SceneConfig
 from minidual.config.seeds import stream
 from minidual.config.teleop import OperatorConfig
 from minidual.control.object_path import minimum_jerk
+from minidual.motion.ik import PostureIK
 from minidual.robot.constants import HOME, Array
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import pose, rot_x, rot_z
 from minidual.skills.phases import PHASES
-from minidual.skills.posture_ik import PostureIK
 from minidual.tasks.rod_carry import grasp_offsets, level_pose, placement
 from minidual.tasks.task import Trial
 

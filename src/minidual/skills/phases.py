@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from minidual.motion.held_path import ObjectLimits
+from minidual.motion.held.path import ObjectLimits
 
 
 @dataclass(frozen=True)

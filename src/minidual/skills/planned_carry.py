@@ -11,7 +11,7 @@ from minidual.config.planning import PlannerConfig
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.motion.api import Planner
-from minidual.motion.closed_chain import CarriedPlanner
+from minidual.motion.held.planner import HeldPlanner
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
@@ -54,7 +54,7 @@ class PlannedCarry(Drive):
         world: World,
         kinematics: Kinematics,
         planner: Planner,
-        carrier: CarriedPlanner,
+        carrier: HeldPlanner,
         trial: Trial,
         seed: int,
         arbiter: ArbiterConfig | None = None,
@@ -69,7 +69,7 @@ class PlannedCarry(Drive):
         gap = None
         if supervisor is not None:
             gap = Gap(arm_distance(), supervisor.config.self_collision_min_m + _GAP_MARGIN_M)
-        tools = Tools(around(scene), thing_of(scene.object, scene.object.name), planner, seed, gap, carrier=carrier)
+        tools = Tools(around(scene), thing_of(scene.object, scene.object.name), planner, seed, gap, holder=carrier)
         self.solution: Solution | None = None
         why: str | None = None
         try:
@@ -81,6 +81,7 @@ class PlannedCarry(Drive):
         self.aborted = why
 
 
-def make_planners(config: PlannerConfig) -> tuple[Planner, CarriedPlanner]:
+def make_planners(config: PlannerConfig) -> tuple[Planner, HeldPlanner]:
     """Return the planners that trials of one process share."""
-    return Planner(config=config), CarriedPlanner()
+    planner = Planner(config=config)
+    return planner, HeldPlanner(planner)

@@ -72,7 +72,7 @@ def held_checks(results: HeldResults, config: PlanConfig) -> list[Check]:
 def _planning_checks(outcomes: Mapping[str, Sequence[MoveOutcome]], config: PlanConfig) -> list[Check]:
     import numpy as np
 
-    from minidual.motion.held_path import RESIDUAL_MAX_M, RESIDUAL_MAX_RAD
+    from minidual.motion.held.path import RESIDUAL_MAX_M, RESIDUAL_MAX_RAD
     from minidual.trials.planning.evaluate_carries import excluded
 
     every = [o for done in outcomes.values() for o in done]

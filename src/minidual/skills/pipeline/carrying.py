@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from minidual.collision.errors import PlanningError
-from minidual.motion.held_query import HeldQuery
+from minidual.motion.held.planner import HeldQuery
 from minidual.robot.pair import SIDES, Array
 from minidual.skills.phases import PHASES
 from minidual.skills.pipeline.hands import straight
@@ -120,7 +120,7 @@ class Carry(Stage):
 
     def _in_both_hands(self, way: list[Array], state: State, tools: Tools, phase: str = "carry") -> Segment:
         left, right = (state.held_by[arm] for arm in SIDES)
-        motion = tools.carrier.plan(state.q, way, left, right, object_limits=PHASES[phase].limits)
+        motion = tools.holder.follow(state.q, way, left, right, object_limits=PHASES[phase].limits)
         scene = tools.scene(state, resting=True)
         return tools.proven(phase, motion, state, scene, Ts_world_object=motion.Ts_world_object)
 

@@ -11,9 +11,8 @@ import numpy as np
 from minidual.collision.errors import PlanningError
 from minidual.collision.scene import PlanningScene
 from minidual.motion.api import Planner
-from minidual.motion.closed_chain import CarriedPlanner
 from minidual.motion.goals import PoseGoals
-from minidual.motion.held_planner import HeldPlanner
+from minidual.motion.held.planner import HeldPlanner
 from minidual.motion.linear import LinearPlanner
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array, Robot
@@ -101,7 +100,6 @@ class Tools:
     seed: int = 0
     gap: Gap | None = None
     linear: LinearPlanner = field(default_factory=LinearPlanner)
-    carrier: CarriedPlanner = field(default_factory=CarriedPlanner)
     holder: HeldPlanner = field(default_factory=HeldPlanner)
     poses: PoseGoals = field(default_factory=PoseGoals)
     kinematics: Kinematics = field(default_factory=Kinematics)

@@ -14,11 +14,9 @@ from minidual.collision.scene import PlanningScene
 from minidual.config.planning import PlanConfig
 from minidual.config.scene import ObjectConfig, SceneConfig
 from minidual.motion.api import Planner
-from minidual.motion.closed_chain import CarriedPlanner, scene_holding
-from minidual.motion.hands_ik import HandsIK
-from minidual.motion.held_path import CarriedTrajectory
-from minidual.motion.held_planner import HeldPlanner
-from minidual.motion.held_query import HeldQuery
+from minidual.motion.held.hands import HandsIK
+from minidual.motion.held.path import CarriedTrajectory
+from minidual.motion.held.planner import HeldPlanner, HeldQuery, scene_holding
 from minidual.robot.constants import HOME, Array
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse, pose, rot_z
@@ -140,7 +138,11 @@ def run_moves(
         seed: Seed of the set.
         on_move: Called after each.
     """
-    planner, kinematics, generator = (HeldPlanner(config=config.planner), Kinematics(), HeldMoveGenerator(seed, rod))
+    planner, kinematics, generator = (
+        HeldPlanner(Planner(config=config.planner)),
+        Kinematics(),
+        HeldMoveGenerator(seed, rod),
+    )
     # Import and compile what the first move would otherwise pay for; whether this one is solved does not matter.
     with suppress(PlanningError):
         planner.plan(HeldMoveGenerator(seed + 1, rod).move(0).query)
@@ -162,7 +164,7 @@ class TablePlans:
 
 def table_plans(config: PlanConfig, rod: ObjectConfig, count: int, seed: int) -> TablePlans:
     """Return `count` plans that lift the rod off the table and move it, for driving them in the simulator."""
-    planner, generator = HeldPlanner(config=config.planner), HeldMoveGenerator(seed, rod, from_table=True)
+    planner, generator = HeldPlanner(Planner(config=config.planner)), HeldMoveGenerator(seed, rod, from_table=True)
     plans: list[CarriedTrajectory] = []
     failures: list[str] = []
     for index in range(count):
@@ -197,7 +199,8 @@ def plan_carries(config: PlanConfig, scene: SceneConfig, count: int, seed: int) 
     rod, task = scene.rod, scene.task
     grasps = rod_grasps(rod)
     holding = scene_holding(PlanningScene(), rod_shape(rod), grasps[0])
-    approach, carried = Planner(config=config.planner), CarriedPlanner()
+    approach = Planner(config=config.planner)
+    carried = HeldPlanner(approach)
     rng = np.random.default_rng([seed, 13])
     times, failures = [], []
     residuals: list[tuple[float, float]] = []
@@ -212,7 +215,7 @@ def plan_carries(config: PlanConfig, scene: SceneConfig, count: int, seed: int) 
             )
             begin = perf_counter()
             waypoints = [start, _raised(start, task.lift_height_m), _raised(goal, task.lift_height_m), goal]
-            plan = carried.plan(reached.q_goal, waypoints, *grasps, scene=holding)
+            plan = carried.follow(reached.q_goal, waypoints, *grasps, scene=holding)
         except PlanningError as error:
             failures.append(f"carry {k}: {error.message}")
             continue

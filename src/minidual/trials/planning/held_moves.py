@@ -20,15 +20,12 @@ from minidual.collision.scene import TABLE, PlanningScene
 from minidual.collision.shapes import Capsule
 from minidual.config.scene import ObjectConfig
 from minidual.config.seeds import stream
-from minidual.motion.closed_chain import scene_holding
 from minidual.motion.edges import EdgeChecker
-from minidual.motion.hands_ik import HandsIK
-from minidual.motion.held_planner import HeldPlanner
-from minidual.motion.held_query import HeldQuery
-from minidual.motion.held_search import search_object
-from minidual.motion.held_space import HeldSpace
+from minidual.motion.held.hands import HandsIK
+from minidual.motion.held.path import ObjectChart, ObjectPath
+from minidual.motion.held.planner import HeldPlanner, HeldQuery, scene_holding
+from minidual.motion.held.search import HeldSpace, search_object
 from minidual.motion.ik import ArmIK
-from minidual.motion.object_path import ObjectChart, ObjectPath
 from minidual.proof.scene_engines import SceneEngines
 from minidual.robot.constants import ARMS, GROUPS, HOME, Array
 from minidual.robot.kinematics import Kinematics

@@ -1,7 +1,11 @@
-"""RRT-Connect over the poses of a held object, the hands following by inverse kinematics; and making its paths short.
+"""The search for moves of a held object: its pose leads, both hands follow by inverse kinematics.
 
-Source: Kuffner and LaValle, "RRT-Connect", ICRA 2000; the leader-follower idea for closed chains after Han and Amato,
-"A kinematics-based probabilistic roadmap method for closed chain systems", 2000.
+A point is z (6 + n,): six coordinates of the object's pose (`ObjectChart`) and the n joints that hold it there. An edge
+is a straight line of object poses and of joints; at each of its poses the joints are projected onto the grasps
+(`HandsIK.solve`), so it depends on its two ends alone, however finely it is looked at.
+
+Source: RRT-Connect (Kuffner and LaValle, ICRA 2000) over the object's poses; the leader-follower idea for closed chains
+after Han and Amato, "A kinematics-based probabilistic roadmap method for closed chain systems", 2000.
 """
 
 from __future__ import annotations
@@ -12,10 +16,19 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from minidual.motion.hands_ik import off_limits
-from minidual.motion.held_space import HeldSpace, Q, X
-from minidual.robot.constants import Array
+from minidual.motion.edges import EdgeChecker, bisection_order
+from minidual.motion.held.hands import HandsIK
+from minidual.motion.held.path import ObjectChart
+from minidual.robot.pair import Array
 
+X, Q = slice(0, 6), slice(6, None)
+JOINT_WEIGHT_M = 0.1
+"""How much of a distance one radian of all joints together counts for [m/rad]."""
+_STEP_M = 0.03
+_STEP_RAD = 0.06
+_JUMP_RAD = 0.4
+_SURE_RAD = 0.12
+_HALVED = 0.75
 _EXTEND_M = 0.15
 _CONNECT_M = 0.25
 _ELBOW_SHARE = 0.5
@@ -25,6 +38,86 @@ _NEXT_N = 8
 _SAME_M = 1e-9
 _ROOM_START_M, _ROOM_GROWTH_M, _ROOM_MAX_M = 0.08, 0.02, 0.35
 _TURN_M = 0.12
+
+
+class HeldSpace:
+    """Points, distances and edges of one held object in one scene.
+
+    Args:
+        hands: Follows the object.
+        chart: Coordinates of object poses.
+        checker: Collision checks of configurations (n,).
+        step_scale: How much closer than usual (1.0) the points of an edge are checked.
+    """
+
+    def __init__(self, hands: HandsIK, chart: ObjectChart, checker: EdgeChecker, step_scale: float = 1.0) -> None:
+        self._step_m, self._step_rad = step_scale * _STEP_M, step_scale * _STEP_RAD
+        self._jump_rad = step_scale * _JUMP_RAD
+        self.hands = hands
+        self.chart = chart
+        self.checker = checker
+
+    def point(self, T_world_object: Array, q: Array) -> Array:
+        """Return the point (6 + n,) of an object pose and the joints that hold it there."""
+        return np.concatenate([self.chart.coordinates(T_world_object), q])
+
+    def solved_free(self, z: Array) -> Array | None:
+        """Return z with its joints projected onto the grasps if that is free of collision, or None."""
+        q = self.hands.solve(self.chart.pose(z[X]), z[Q])
+        return np.concatenate([z[X], q]) if q is not None and self.checker.free(q) else None
+
+    @staticmethod
+    def distance(z: Array, Z: Array) -> Array:
+        """Return the distance [m] of z (6 + n,) to points Z (m, 6 + n)."""
+        d = Z - z
+        return np.linalg.norm(d[:, X], axis=1) + JOINT_WEIGHT_M * np.linalg.norm(d[:, Q], axis=1)
+
+    def edge_free(self, a: Array, b: Array) -> bool:
+        """Return whether the edge from a to b, both (6 + n,) and free, can be followed and is free."""
+        step = b - a
+        count = int(np.ceil(max(np.linalg.norm(step[X]) / self._step_m, np.abs(step[Q]).max() / self._step_rad)))
+        count = max(count, 1)
+        joints = np.empty((count + 1, len(step) - 6))
+        joints[0], joints[-1] = a[Q], b[Q]
+        for share in bisection_order(count)[1:]:  # the first is the end itself
+            z = self.solved_free(a + share * step)
+            if z is None:
+                return False
+            joints[round(share * count)] = z[Q]
+        jumps = np.abs(np.diff(joints, axis=0)).max(axis=1)
+        if jumps.max() > self._jump_rad:
+            return False
+        # A large joint step is either a fast motion or a change of branch: half-way it is half as large, or it is not.
+        return all(
+            self._continuous(a, step, k / count, (k + 1) / count, joints[k], joints[k + 1])
+            for k in np.flatnonzero(jumps > _SURE_RAD)
+        )
+
+    def _continuous(self, a: Array, step: Array, u: float, v: float, q_u: Array, q_v: Array) -> bool:
+        """Return whether the joints move on without a break between two shares u, v of an edge."""
+        jump = float(np.abs(q_v - q_u).max())
+        if jump <= _SURE_RAD:
+            return True
+        middle = 0.5 * (u + v)
+        z = self.solved_free(a + middle * step)
+        if z is None or max(np.abs(z[Q] - q_u).max(), np.abs(q_v - z[Q]).max()) > _HALVED * jump:
+            return False
+        return self._continuous(a, step, u, middle, q_u, z[Q]) and self._continuous(a, step, middle, v, z[Q], q_v)
+
+    @staticmethod
+    def sample(rng: np.random.Generator, ends: Array, room_m: float, turn_m: float) -> Array:
+        """Return random coordinates (6,) round both ends.
+
+        Args:
+            rng: Source.
+            ends: Coordinates of start and goal (2, 6).
+            room_m: How much wider than the box round the ends the box of positions is on every side.
+            turn_m: Largest weighted rotation vector component beside the way from start to goal [m].
+        """
+        low, high = ends[:, :3].min(axis=0) - room_m, ends[:, :3].max(axis=0) + room_m
+        low[2] = max(low[2], 0.0)
+        between = ends[0, 3:] + rng.uniform() * (ends[1, 3:] - ends[0, 3:])
+        return np.concatenate([rng.uniform(low, high), between + rng.uniform(-turn_m, turn_m, 3)])
 
 
 class _Tree:
@@ -66,12 +159,12 @@ def search_object(
     deadline: float,
     any_posture: bool = True,
 ) -> Array | None:
-    """Return free points (n, 20) from the start to a goal, joined by free edges, or None.
+    """Return free points (m, 6 + n) from the start to a goal, joined by free edges, or None.
 
     Args:
         space: Edges and collisions.
-        start: Point (20,), free.
-        goals: Points (20,) of the same object pose, free; they differ in the joints.
+        start: Point (6 + n,), free.
+        goals: Points (6 + n,) of the same object pose, free; they differ in the joints.
         rng: Random numbers; the same give the same path.
         checks_max: State checks after which the search gives up.
         deadline: time.perf_counter() at which it gives up whatever the count.
@@ -92,7 +185,7 @@ def search_object(
             arrived = _carry_to(space, here, ends[1], rng)
             if arrived is not None:
                 return np.array(here.branch(arrived))
-        new = _extend(space, here, next(space.samples(rng, ends, room, _TURN_M)), rng)
+        new = _extend(space, here, space.sample(rng, ends, room, _TURN_M), rng)
         if new is not None:
             met = _connect(space, there, here.points[new])
             if met is not None:
@@ -117,7 +210,7 @@ def _step_towards(space: HeldSpace, z: Array, x: Array, elbows: np.random.Genera
     share = min(1.0, _EXTEND_M / max(float(np.linalg.norm(way)), _SAME_M))
     aim = z.copy()
     aim[X] = x if share == 1.0 else z[X] + share * way
-    aim[Q] += _EXTEND_M * off_limits(z[Q])
+    aim[Q] += _EXTEND_M * space.hands.off_limits(z[Q])
     if elbows is not None:
         aim[Q] += space.hands.elbow_swing(z[Q], elbows.uniform(-_ELBOW_RAD, _ELBOW_RAD, 2))
     new = space.solved_free(aim)
@@ -153,7 +246,7 @@ def _connect(space: HeldSpace, tree: _Tree, z: Array) -> int | None:
 
 
 def shorten(space: HeldSpace, path: Array, rng: np.random.Generator, rounds_n: int) -> Array:
-    """Return a shorter path (m, 20): vertices dropped, then random stretches replaced by straight edges."""
+    """Return a shorter path (m, 6 + n): vertices dropped, then random stretches replaced by straight edges."""
     points = list(path)
     i = 0
     while i < len(points) - 2:  # the farthest vertex that can be reached directly

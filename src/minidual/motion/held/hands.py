@@ -1,0 +1,181 @@
+"""Both hands on one object: joints from the object's pose, starting from a configuration close by."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from minidual.collision.errors import ClosedChainError
+from minidual.motion.ik import ArmIK
+from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array
+from minidual.robot.poses import inverse
+
+_LIMIT_BAND_RAD = 0.35
+_LIMIT_PUSH_RAD_PER_M = 3.0
+_RELAX_STEPS_N = 12
+_RELAX_STEP_M = 0.05
+_ARM_M = 0.2
+JUMP_MAX_RAD = 0.15
+"""Largest joint step between neighbouring points of a path: more is a jump, not a motion."""
+
+
+class HandsIK:
+    """Solves both arms for the pose of an object that they hold.
+
+    Solutions are projections of a configuration near by, without active limits, so they are smooth functions of pose
+    and start; one outside the limits is refused.
+
+    Args:
+        T_object_tcp_left: Grasp of the left hand (4, 4).
+        T_object_tcp_right: Grasp of the right hand (4, 4).
+        kinematics: Of the robot.
+    """
+
+    def __init__(self, T_object_tcp_left: Array, T_object_tcp_right: Array, kinematics: Kinematics) -> None:
+        self._grasps = (np.array(T_object_tcp_left), np.array(T_object_tcp_right))
+        self.robot = kinematics.robot
+        self.arms = tuple(ArmIK(side, kinematics) for side in self.robot.sides)
+
+    def _nearest(self, T_world_object: Array, q_near: Array, wish: Array | None = None) -> Array:
+        """Return q (n,) with both hands at their grasps; an arm that does not get there is NaN."""
+        q = np.full(len(q_near), np.nan)
+        for arm, grasp in zip(self.arms, self._grasps, strict=True):
+            part = None if wish is None else wish[arm.joints]
+            solved = arm.nearest(T_world_object @ grasp, q_near[arm.joints], part)
+            if solved is not None:
+                q[arm.joints] = solved
+        return q
+
+    def _inside(self, q: Array) -> bool:
+        return bool(((q >= self.robot.q_lower) & (q <= self.robot.q_upper)).all())
+
+    def solve(self, T_world_object: Array, q_near: Array, wish: Array | None = None) -> Array | None:
+        """Return q (n,) with both hands at their grasps, inside the limits, or None.
+
+        Args:
+            T_world_object: Pose (4, 4).
+            q_near: Configuration (n,) close by; the solution is its projection.
+            wish: Step (n,) from q_near that the hands may follow as far as the grasps let them.
+        """
+        q = self._nearest(T_world_object, q_near, wish)
+        return q if self._inside(q) else None
+
+    def elbow_swing(self, q: Array, swings_rad: Array) -> Array:
+        """Return the step (n,) at q (n,) that moves no hand: each arm along its free direction, by swings (2,).
+
+        Arms of six joints have none, and their step is zero.
+        """
+        step = np.zeros_like(q)
+        for arm, swing in zip(self.arms, swings_rad, strict=True):
+            _, J = arm.error_and_jacobian(q[arm.joints], arm.tcp_pose(q[arm.joints]))
+            for free in np.linalg.svd(J)[2][6:7]:
+                step[arm.joints] = swing * (free if free[np.argmax(np.abs(free))] > 0.0 else -free)
+        return step
+
+    def off_limits(self, q: Array) -> Array:
+        """Return where joints (n,) near a limit should go, away from it [rad per metre of the object's way].
+
+        Zero farther than 0.35 rad from both limits, growing with the square of what is missing, so that it has no
+        corner.
+        """
+        low = np.maximum(0.0, _LIMIT_BAND_RAD - (q - self.robot.q_lower)) / _LIMIT_BAND_RAD
+        high = np.maximum(0.0, _LIMIT_BAND_RAD - (self.robot.q_upper - q)) / _LIMIT_BAND_RAD
+        return _LIMIT_PUSH_RAD_PER_M * (low**2 - high**2)
+
+    def relaxed(self, T_world_object: Array, q: Array) -> Array:
+        """Return the posture (n,) at the same object pose with its joints off their limits, as far as it goes."""
+        for _ in range(_RELAX_STEPS_N):
+            wish = _RELAX_STEP_M * self.off_limits(q)
+            moved = self.solve(T_world_object, q, wish) if wish.any() else None
+            if moved is None:
+                break
+            q = moved
+        return q
+
+    def follow(self, Ts_world_object: Array, q_start: Array) -> tuple[Array, ClosedChainError | None]:
+        """Continue along poses (n, 4, 4) from q_start, which must be at the first one.
+
+        Each arm moves as little as it can from pose to pose, but keeps its joints off their limits where its
+        redundancy allows (`off_limits`).
+
+        Returns:
+            Joints (m, n) as far as it got, and why it ended there (None at the end).
+        """
+        Q = np.empty((len(Ts_world_object), len(q_start)))
+        Q[0] = q_start
+        for k in range(1, len(Q)):
+            before, T = Ts_world_object[k - 1], Ts_world_object[k]
+            turn = float(np.linalg.norm(pin.log3(before[:3, :3].T @ T[:3, :3])))
+            way = float(np.hypot(np.linalg.norm(T[:3, 3] - before[:3, 3]), _ARM_M * turn))
+            Q[k] = self._nearest(T, Q[k - 1], way * self.off_limits(Q[k - 1]))
+            step = float(np.abs(Q[k] - Q[k - 1]).max())
+            if not (step <= JUMP_MAX_RAD and self._inside(Q[k])):
+                return Q[:k], self._stuck(T, Q[k - 1], Q[k])
+        return Q, None
+
+    def _stuck(self, T_world_object: Array, before: Array, q: Array) -> ClosedChainError:
+        """Return why a continuation ends between two configurations (n,)."""
+        robot = self.robot
+        x, y, z = T_world_object[:3, 3]
+        where = f"({x:.3f}, {y:.3f}, {z:.3f}) m"
+        remedy = "choose waypoints within reach of both arms, or another grasp"
+        for arm, grasp in zip(self.arms, self._grasps, strict=True):
+            if not np.isfinite(q[arm.joints]).all():
+                away = arm.solve(T_world_object @ grasp, before[arm.joints])
+                if not away.reached:
+                    return ClosedChainError(
+                        f"the {arm.arm} hand cannot follow the object to {where}: it stays {away.residual_m * 1e3:.1f} "
+                        f"mm and {away.residual_rad:.3f} rad away",
+                        remedy=remedy,
+                    )
+                q[arm.joints] = away.q
+        steps = np.abs(q - before)
+        joint = int(np.argmax(steps))
+        if steps[joint] > JUMP_MAX_RAD:
+            return ClosedChainError(
+                f"the {robot.sides[joint // robot.dof_per_arm]} arm would jump by {steps[joint]:.2f} rad between "
+                f"neighbouring points of the object's path at {where} (a joint limit or a singular posture)",
+                remedy="start from another posture of the arm",
+            )
+        joint = int(np.argmax(np.maximum(robot.q_lower - q, q - robot.q_upper)))
+        return ClosedChainError(
+            f"the {robot.sides[joint // robot.dof_per_arm]} hand cannot follow the object to {where}: "
+            f"{robot.joint_names[joint]} would go to {q[joint]:.3f} rad, its limits are "
+            f"{robot.q_lower[joint]:.3f} to {robot.q_upper[joint]:.3f} rad",
+            remedy=remedy,
+        )
+
+    def off_grasp(self, q: Array, T_world_object: Array) -> tuple[tuple[float, float], ...]:
+        """Return for each hand how far it is from its grasp at q (n,): ([m], [rad])."""
+        return tuple(
+            _apart(arm.tcp_pose(q[arm.joints])[None], (T_world_object @ grasp)[None])
+            for arm, grasp in zip(self.arms, self._grasps, strict=True)
+        )
+
+    def strays(self, Q: Array, Ts_world_object: Array) -> tuple[float, float]:
+        """Return the largest error of a hand against its grasp, or of the hands against each other: ([m], [rad]).
+
+        Args:
+            Q: Configurations (m, n).
+            Ts_world_object: Pose of the object at each (m, 4, 4).
+        """
+        left, right = (np.array([arm.tcp_pose(q) for q in Q[:, arm.joints]]) for arm in self.arms)
+        T_left_right = inverse(self._grasps[0]) @ self._grasps[1]
+        pairs = (
+            (left, Ts_world_object @ self._grasps[0]),
+            (right, Ts_world_object @ self._grasps[1]),
+            (right, left @ T_left_right),
+        )
+        return tuple(np.max([_apart(a, b) for a, b in pairs], axis=0).tolist())
+
+
+def _apart(A: Array, B: Array) -> tuple[float, float]:
+    """Return the largest distance [m] and angle [rad] between poses (m, 4, 4)."""
+    R = np.swapaxes(A[:, :3, :3], 1, 2) @ B[:, :3, :3]
+    sine = 0.5 * np.linalg.norm(
+        np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]]), axis=0
+    )
+    cosine = 0.5 * (np.trace(R, axis1=1, axis2=2) - 1.0)
+    angles = np.arctan2(sine, cosine)
+    return float(np.linalg.norm(A[:, :3, 3] - B[:, :3, 3], axis=1).max()), float(angles.max())

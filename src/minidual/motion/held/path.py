@@ -1,0 +1,250 @@
+"""The path of a held object, the joints that follow it, and its time law.
+
+A curve gives all joints and six coordinates of the object over one parameter. The joints are a spline through solved
+points; how far the hands stray from their grasps between these points is measured, and where it is too much the points
+are set closer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from scipy.interpolate import CubicSpline
+
+from minidual.collision.errors import ClosedChainError
+from minidual.errors import UsageError
+from minidual.motion.blend import rounded
+from minidual.motion.held.hands import HandsIK
+from minidual.motion.ik import check_pose
+from minidual.motion.timing import MotionLimits, drive, fastest_profile
+from minidual.proof.verify import Verification
+from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array
+from minidual.robot.trajectory import Trajectory
+
+RESIDUAL_MAX_M = 1e-4
+RESIDUAL_MAX_RAD = float(np.deg2rad(0.05))
+ROTATION_WEIGHT_M = 0.2
+"""How much of path length one radian of rotation counts for [m/rad]."""
+_SAME = 1e-6
+_ANGLE_MAX_RAD = 3.0
+_STEP_M = 0.01
+_POINTS_MIN = 16
+_REFINEMENTS = 4
+_BETWEEN = (0.25, 0.5, 0.75)
+_STILL = 1e-9
+_HOPELESS = 0.7
+
+
+class ObjectChart:
+    """Six coordinates [m] of object poses: position, and the rotation vector from a reference by its weight.
+
+    Args:
+        R_world_reference: Rotation (3, 3) whose rotation vector is zero.
+    """
+
+    def __init__(self, R_world_reference: Array) -> None:
+        self._R0 = np.array(R_world_reference)
+
+    def coordinates(self, T: Array) -> Array:
+        """Return the coordinates (6,) of a pose (4, 4).
+
+        Raises:
+            UsageError: The pose is turned by more than 3 rad from the reference.
+        """
+        turn = pin.log3(self._R0.T @ T[:3, :3])
+        if np.linalg.norm(turn) > _ANGLE_MAX_RAD:
+            raise UsageError(
+                f"a waypoint turns the object by {np.linalg.norm(turn):.2f} rad from the first; "
+                f"at most {_ANGLE_MAX_RAD} rad are supported"
+            )
+        return np.concatenate([T[:3, 3], ROTATION_WEIGHT_M * turn])
+
+    def pose(self, x: Array) -> Array:
+        """Return the pose (4, 4) of coordinates (6,)."""
+        return self.poses(x[None])[0]
+
+    def poses(self, X: Array) -> Array:
+        """Return the poses (m, 4, 4) of coordinates (m, 6)."""
+        Ts = np.zeros((len(X), 4, 4))
+        Ts[:, 3, 3] = 1.0
+        Ts[:, :3, 3] = X[:, :3]
+        Ts[:, :3, :3] = self._R0 @ np.array([pin.exp3(x) for x in X[:, 3:] / ROTATION_WEIGHT_M])
+        return Ts
+
+
+class ObjectPath:
+    """A smooth curve T_world_object(s), s in [0, length] [m].
+
+    Positions and rotation vectors (from the first pose) run along straight lines; corners are rounded.
+
+    Args:
+        Ts_world_object: Two or more poses (4, 4); neighbours that are equal count once.
+        corner_m: Largest half length of a rounded corner.
+
+    Raises:
+        UsageError: Fewer than two different poses, a value that is none, or a turn of more than 3 rad.
+    """
+
+    def __init__(self, Ts_world_object: Sequence[Array], corner_m: float = 0.04) -> None:
+        poses = [check_pose(T, f"waypoint {i} of the object") for i, T in enumerate(Ts_world_object)]
+        if len(poses) < 2:
+            raise UsageError(f"an object path needs two or more waypoints; there are {len(poses)}")
+        self.chart = ObjectChart(poses[0][:3, :3])
+        kept: list[Array] = []
+        for point in map(self.chart.coordinates, poses):
+            if not kept or np.abs(point - kept[-1]).max() > _SAME:
+                kept.append(point)
+        if len(kept) < 2:
+            raise UsageError("all waypoints of the object are the same pose; there is nothing to carry")
+        curve = rounded(np.array(kept), corner_m)
+        self.length, self.knots = curve.length, curve.knots
+        self.coordinates: Callable[..., Array] = curve.at
+        """Coordinates or a derivative by s: (m,) parameters and the order to (m, 6) [m]."""
+
+    def poses(self, s: Array) -> Array:
+        """Return Ts_world_object (m, 4, 4) at (m,) parameters."""
+        return self.chart.poses(self.coordinates(s))
+
+
+@dataclass(frozen=True)
+class ObjectLimits:
+    """How fast the object may go: its centre along the path, and along each axis of the world."""
+
+    speed_m_per_s: float = 0.3
+    acceleration_m_per_s2: float = 1.0
+
+    def check(self) -> None:
+        """Check both limits.
+
+        Raises:
+            UsageError: A limit is not a finite number > 0.
+        """
+        for name, value in (("speed", self.speed_m_per_s), ("acceleration", self.acceleration_m_per_s2)):
+            if not (np.isfinite(value) and value > 0.0):
+                raise UsageError(f"the object's {name} limit is {value}; it must be a finite number > 0")
+
+
+@dataclass(frozen=True, eq=False)
+class CarriedTrajectory(Trajectory):
+    """A trajectory on which both hands keep their grasps.
+
+    Attributes:
+        Ts_world_object: Planned pose of the object at every sample, (m, 4, 4).
+        residual_m, residual_rad: Largest error of a hand against its grasp, and of the hands against each other,
+            along the path, between the solved points.
+        verification: The proof, if a scene was given.
+        found_by: How the path was found: "continuation", "object_rrt", "atlas", "projected" or "given".
+    """
+
+    Ts_world_object: Array
+    residual_m: float
+    residual_rad: float
+    verification: Verification | None = None
+    found_by: str = "continuation"
+
+
+class HeldCurve:
+    """Columns over s: all joints, 6 coordinates of the object, and the way of the object (position and turn).
+
+    Args:
+        chart: Of the coordinates.
+        marks: Parameters (k,) of the solved points, first 0.
+        Q: Joints at them (k, n).
+        coordinates: Of the object or a derivative over s: (m,) and order to (m, 6).
+        knots: Parameters between which the coordinates are smooth.
+    """
+
+    def __init__(
+        self, chart: ObjectChart, marks: Array, Q: Array, coordinates: Callable[[Array, int], Array], knots: Array
+    ) -> None:
+        self.chart = chart
+        self.marks = marks
+        self.spline = CubicSpline(marks, Q)
+        self.coordinates = coordinates
+        self.knots = knots
+        self.residual = (np.inf, np.inf)
+        """How far the hands stray between the solved points ([m], [rad])."""
+
+    @property
+    def length(self) -> float:
+        """End of the parameter interval."""
+        return float(self.marks[-1])
+
+    def at(self, s: Array, order: int = 0) -> Array:
+        """Return the columns, or their derivative, at (m,) parameters: (m, n + 7)."""
+        s = np.asarray(s, dtype=float)
+        return np.column_stack([self.spline(s, order), self.coordinates(s, order), self._way(s, order)])
+
+    def _way(self, s: Array, order: int) -> Array:
+        if order == 0:
+            return s  # never limited, so its value does not matter
+        first = self.coordinates(s, 1)
+        speed = np.sqrt(np.sum(first**2, axis=1) + _STILL)
+        return speed if order == 1 else np.sum(first * self.coordinates(s, 2), axis=1) / speed
+
+
+def fine_curve(
+    hands: HandsIK,
+    chart: ObjectChart,
+    length: float,
+    knots: Array,
+    coordinates: Callable[[Array, int], Array],
+    solve: Callable[[Array, Array], Array],
+) -> HeldCurve:
+    """Return the curve whose hands stray less than half of what is allowed.
+
+    Args:
+        hands: Measures.
+        chart: Chart of the coordinates.
+        length: End of the parameter interval.
+        knots: See `HeldCurve`.
+        coordinates: See `HeldCurve`.
+        solve: Joints (k, n) for marks (k,) and object poses (k, 4, 4); raises where there are none.
+
+    Raises:
+        ClosedChainError: The hands stray too far however close the points are, or `solve` says so.
+    """
+    count = max(_POINTS_MIN, int(np.ceil(length / _STEP_M)))
+    strays = before = (np.inf, np.inf)
+    step = length
+    for _ in range(_REFINEMENTS):
+        marks = np.linspace(0.0, length, count + 1)
+        curve = HeldCurve(chart, marks, solve(marks, chart.poses(coordinates(marks, 0))), coordinates, knots)
+        step = float(marks[1])
+        between = np.concatenate([marks[:-1] + share * step for share in _BETWEEN])
+        strays = curve.residual = hands.strays(curve.spline(between), chart.poses(coordinates(between, 0)))
+        if strays[0] < 0.5 * RESIDUAL_MAX_M and strays[1] < 0.5 * RESIDUAL_MAX_RAD:
+            return curve
+        if strays[0] > _HOPELESS * before[0]:
+            break  # a smooth motion strays eight times less with every refinement: this one has a break in it
+        before = strays
+        count *= 2
+    raise ClosedChainError(
+        f"the hands stray {strays[0] * 1e3:.3f} mm and {strays[1]:.5f} rad from their grasps between points "
+        f"{step * 1e3:.2f} mm apart; allowed are {RESIDUAL_MAX_M * 1e3} mm and {RESIDUAL_MAX_RAD:.5f} rad",
+        remedy="the arms pass near a singular posture; choose another path or posture",
+    )
+
+
+def timed(
+    curve: HeldCurve, object_limits: ObjectLimits, scale: MotionLimits, kinematics: Kinematics, found_by: str
+) -> CarriedTrajectory:
+    """Return the fastest trajectory within the limits of joints and object; it is not proven yet.
+
+    Raises:
+        TimingError: No time law keeps the limits.
+    """
+    object_limits.check()
+    robot = kinematics.robot
+    v_max = np.append(scale.velocity_scale * robot.v_max, np.full(7, object_limits.speed_m_per_s))
+    a_max = np.append(scale.acceleration_scale * robot.a_max, np.full(7, object_limits.acceleration_m_per_s2))
+    s, sd = fastest_profile(curve, np.arange(robot.dof + 7), v_max, a_max)
+    motion, at = drive(curve, s, sd, "both_arms", scale, kinematics)
+    poses = curve.chart.poses(curve.coordinates(at, 0))
+    return CarriedTrajectory(
+        motion.times, motion.q, motion.v, motion.a, motion.group, poses, *curve.residual, found_by=found_by
+    )
