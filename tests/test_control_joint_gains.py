@@ -15,7 +15,7 @@ from minidual.plant.model import build_spec
 from minidual.plant.world import World
 from minidual.robot.constants import A_MAX, DOF, HOME, JOINT_DAMPING, JOINT_NAMES
 from minidual.robot.kinematics import Kinematics
-from minidual.stages.env_check_joint_tracking import sine_response
+from minidual.stages.env_check.tracking import sine_response
 
 ZERO = np.zeros(DOF)
 

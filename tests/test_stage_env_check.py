@@ -26,26 +26,20 @@ from minidual.errors import EnvironmentMissingError, MinidualError
 from minidual.gate.stage import StageContext
 from minidual.plant.model import build_spec
 from minidual.plant.world import World
-from minidual.robot.constants import DOF, HOME, JOINT_NAMES
+from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
-from minidual.stages import env_check_checks as judge
-from minidual.stages import env_check_environment as measure
-from minidual.stages import env_check_installation as installation
-from minidual.stages import env_check_joint_tracking as motion
-from minidual.stages.bench_step import StepCost, control_step_cost
-from minidual.stages.env_check import run
-from minidual.stages.env_check_bill import markdown
-from minidual.stages.env_check_command_latency import (
-    CommandLatency,
-    LatencyRig,
-    StopResponse,
-    command_latency,
-    emergency_stop,
-)
-from minidual.stages.env_check_environment_pictures import CameraCheck
-from minidual.stages.env_check_installation import Library, Package, required_libraries
-from minidual.stages.env_check_joint_response import JointResponse, joint_responses, rise_time_s
+from minidual.stages.env_check import checks as judge
+from minidual.stages.env_check import installation, tracking
+from minidual.stages.env_check import model as measure
+from minidual.stages.env_check.installation import Library, Package, markdown, required_libraries
+from minidual.stages.env_check.latency import CommandLatency, LatencyRig, StopResponse, command_latency, emergency_stop
+from minidual.stages.env_check.model import StepCost, control_step_cost
+from minidual.stages.env_check.pictures import CameraCheck
+from minidual.stages.env_check.stage import run
+from minidual.stages.env_check.tracking import JointResponse, arm_contacts, joint_responses
 from minidual.stages.registry import STAGES
+
+DOF, HOME, JOINT_NAMES = DUAL_PANDA.dof, DUAL_PANDA.home, DUAL_PANDA.joint_names
 
 QUICK = EnvCheckConfig(
     sine_duration_s=2.0, cost_steps_n=300, video_width_px=160, video_height_px=120, agreement_states_n=4
@@ -110,7 +104,6 @@ class TestStage:
             "sine.mp4",
             "cameras.png",
             "tracking.png",
-            "joints.png",
             "joints.csv",
         }
         with av.open(str(folder / "sine.mp4")) as film:
@@ -141,12 +134,12 @@ class TestStage:
         assert json.loads(json.dumps(data, allow_nan=False)).keys() == data.keys()
 
     def test_a_lost_motor_fails_the_count_and_stops_there(self, tmp_path, monkeypatch):
-        def without_a_motor(scene, *, visuals=True):
-            spec = build_spec(scene, visuals=False)
+        def without_a_motor(scene, robot, *, visuals=True):
+            spec = build_spec(scene, robot, visuals=False)
             spec.delete(spec.actuator("left_panda_joint6_motor"))
             return spec.compile()
 
-        monkeypatch.setattr("minidual.plant.model.build_model", without_a_motor)
+        monkeypatch.setattr("minidual.stages.env_check.stage.build_model", without_a_motor)
         result = run_stage(tmp_path)
         assert failed(result) == {"joints.count"}
         assert {c.name: c.observed for c in result.checks}["joints.count"] == 13
@@ -184,29 +177,54 @@ class TestStage:
                 EnvCheckConfig(**{name: 0.06})
 
 
+def measured(**changes):
+    """Return measurements in which all is well, or with some fields changed."""
+    still = np.zeros((300, DOF))
+    rest = tracking.Tracking(np.arange(300) * 1e-3, still, still, np.zeros((300, 1)), 0, HOME)
+    fields = {
+        "mapping": measure.Mapping(tuple(range(DOF)), np.zeros(DOF)),
+        "contacts": [],
+        "responses": [JointResponse(name, 0.1, 0.1, 0.0, 0.0, 0.0, 0.0) for name in JOINT_NAMES],
+        "step": rest,
+        "sine": rest,
+        "agreement": {"position_m": 0.0},
+        "cost": StepCost(50.0, 90.0, 25.0),
+        "latency": CommandLatency(tuple(range(1, 21)), 20, np.full(10, 100.0)),
+        "stop": StopResponse(1, 0.3, 1.0, 1.0),
+        "cameras": CameraCheck(30.0, 0.1, 0.1, "none"),
+        "frames": round(QUICK.sine_duration_s * QUICK.video_fps),
+    }
+    return judge.Measured(**(fields | changes))
+
+
+def judged(**changes):
+    return {check.name: check for check in judge.measured_checks(measured(**changes), QUICK, DUAL_PANDA)}
+
+
 def all_failing_checks():
     """Return every check with a limit, made from measurements in which everything is broken."""
     nan = float("nan")
-    config = Config()
-    pair = [("left_panda_hand", "table", -0.01)]
-    still = np.zeros((300, DOF))
-    lost = motion.Tracking(np.arange(300) * 1e-3, np.full((300, DOF), nan), still, np.zeros((300, 1)), 3)
-    mapping = measure.Mapping((-1,) * DOF, np.zeros((DOF, DOF)), np.ones(DOF))
-    rows = [JointResponse(name, 0.1, nan, nan, nan, nan, nan) for name in JOINT_NAMES]
-    latency = CommandLatency((60,) * 20, 20, np.full(10, nan))
-    checks = [
-        *judge.library_checks([Library("mujoco", ">=4", None)]),
-        judge.count_check(13),
-        *judge.motion_checks(config, mapping, [nan] * DOF, lost, lost),
-        *judge.joint_checks(rows, config.env_check),
-        judge.contact_check(pair),
-        judge.cost_check(StepCost(nan, nan, nan)),
-        *judge.latency_checks(latency, StopResponse(0, nan, nan, nan), config.env_check),
-        *judge.camera_checks(CameraCheck(0.0, 0.0, 0.0, "none")),
-        judge.agreement_check({"position_m": nan}, config.env_check),
-        judge.film_check(0, config.env_check),
-    ]
-    return [check for check in checks if check.limited]
+    wide = np.full((300, DOF), nan)
+    lost = tracking.Tracking(np.arange(300) * 1e-3, wide, np.zeros((300, DOF)), np.zeros((300, 1)), 3, HOME)
+    checks = judged(
+        mapping=measure.Mapping((-1,) * DOF, np.ones(DOF)),
+        contacts=[("left_panda_hand", "table", -0.01)],
+        responses=[JointResponse(name, 0.1, nan, nan, nan, nan, nan) for name in JOINT_NAMES],
+        step=lost,
+        sine=lost,
+        agreement={"position_m": nan},
+        cost=StepCost(nan, nan, nan),
+        latency=CommandLatency((60,) * 20, 20, np.full(10, nan)),
+        stop=StopResponse(0, nan, nan, nan),
+        cameras=CameraCheck(0.0, 0.0, 0.0, "none"),
+        frames=0,
+    )
+    installed = judge.installation_checks([Library("mujoco", ">=4", None)], [], DOF - 1, DUAL_PANDA)
+    return [check for check in (*installed, *checks.values()) if check.limited]
+
+
+def test_measurements_in_which_all_is_well_pass():
+    assert {check.passed for check in judged().values()} == {True, None}
 
 
 class TestMapping:
@@ -243,18 +261,18 @@ class TestMapping:
         assert measure.torque_pulse_mapping(world, kinematics).mapped < DOF
 
     def test_motors_are_counted_through_the_transmission(self, scene, compiled_model):
-        assert len(measure.drivable_joints(compiled_model)) == DOF
+        assert len(measure.drivable_joints(compiled_model, DUAL_PANDA)) == DOF
         spec = build_spec(scene, visuals=False)
         spec.delete(spec.actuator("left_panda_joint1_motor"))
         spec.actuator("left_panda_joint2_motor").set_to_position(kp=10.0)
-        found = measure.drivable_joints(spec.compile())
+        found = measure.drivable_joints(spec.compile(), DUAL_PANDA)
         assert len(found) == DOF - 2
         assert not {"left_panda_joint1", "left_panda_joint2"} & set(found)
 
 
 class TestTracking:
     def test_the_step_is_reached_to_rounding(self, loop):
-        step = motion.step_response(loop, motion.outward_step(0.3), 2.0)
+        step = tracking.step_response(loop, tracking.outward_step(DUAL_PANDA, 0.3), 2.0)
         assert step.settled < 1e-6
         assert step.overshoot < 1e-4
         assert step.error_norm[0] == pytest.approx(0.3 * np.sqrt(2), rel=1e-3)
@@ -262,29 +280,29 @@ class TestTracking:
 
     def test_with_the_motors_off_it_is_not(self, loop, monkeypatch):
         monkeypatch.setattr(loop.controller, "torque", lambda *_: np.zeros(DOF))
-        assert motion.step_response(loop, motion.outward_step(0.3), 1.0).settled > 0.3
+        assert tracking.step_response(loop, tracking.outward_step(DUAL_PANDA, 0.3), 1.0).settled > 0.3
 
     def test_an_error_that_crosses_zero_is_still_an_error(self):
         t = np.arange(1000) * 1e-3
         swinging = np.zeros((1000, DOF))
         swinging[:, 0] = 0.1 * np.sin(2 * np.pi * 5.0 * (t - t[-1]))  # zero at the last instant
-        found = motion.Tracking(t, np.zeros((1000, DOF)), swinging, np.zeros((1000, 1)))
+        found = tracking.Tracking(t, np.zeros((1000, DOF)), swinging, np.zeros((1000, 1)), 0, HOME)
         assert found.error_norm[-1] < 1e-9
         assert found.settled == pytest.approx(0.1, rel=0.01)
 
     def test_each_joint_alone_arrives(self, loop):
-        assert motion.single_joint_errors(loop, 0.1, 0.6).max() < 0.001
+        assert np.array([step.settled for step in tracking.single_joint_steps(loop, 0.1, 0.6)]).max() < 0.001
 
     def test_a_blocked_joint_does_not_and_its_neighbours_do(self, scene, kinematics):
         spec = build_spec(scene, visuals=False)
         spec.joint("left_panda_joint5").frictionloss = 50.0  # more than its motor can
         blocked = JointLoop(World(scene, model=spec.compile()), kinematics)
-        errors = motion.single_joint_errors(blocked, 0.1, 0.6)
+        errors = np.array([step.settled for step in tracking.single_joint_steps(blocked, 0.1, 0.6)])
         assert errors[4] > 0.05
         assert np.delete(errors, 4).max() < 0.005
 
     def test_the_swing_is_followed(self, loop):
-        sine = motion.sine_response(loop, 0.3, 0.5, 2.0)
+        sine = tracking.sine_response(loop, 0.3, 0.5, 2.0)
         assert sine.rms < 0.002
         assert sine.contacts == 0
         assert np.ptp(sine.measured, axis=0) == pytest.approx(np.full(DOF, 0.6), abs=0.01)
@@ -293,20 +311,23 @@ class TestTracking:
         slack = JointLoop(world, kinematics, natural_frequency_rad_s=1.0)
         slack.controller._model = kinematics.model.copy()
         slack.controller._model.gravity.linear = np.array([0.0, 0.0, -9.0])
-        assert motion.sine_response(slack, 0.3, 0.5, 2.0).rms > 0.02
+        assert tracking.sine_response(slack, 0.3, 0.5, 2.0).rms > 0.02
 
     def test_the_swings_reference_is_consistent_and_starts_at_rest(self):
         h = 1e-6
         for t in (0.0, 0.3, 1.7):
-            _, v, a = motion.sine_reference(0.3, 0.5, t)
-            after, before = motion.sine_reference(0.3, 0.5, t + h), motion.sine_reference(0.3, 0.5, t - h)
+            _, v, a = tracking.sine_reference(DUAL_PANDA, 0.3, 0.5, t)
+            after, before = (
+                tracking.sine_reference(DUAL_PANDA, 0.3, 0.5, t + h),
+                tracking.sine_reference(DUAL_PANDA, 0.3, 0.5, t - h),
+            )
             assert (after[0] - before[0]) / (2 * h) == pytest.approx(v, abs=1e-8)
             assert (after[1] - before[1]) / (2 * h) == pytest.approx(a, abs=1e-8)
-        assert not motion.sine_reference(0.3, 0.5, 0.0)[1].any()
+        assert not tracking.sine_reference(DUAL_PANDA, 0.3, 0.5, 0.0)[1].any()
         with pytest.raises(ValueError, match="velocity limits"):
-            motion.sine_reference(0.5, 1.0, 0.0)
+            tracking.sine_reference(DUAL_PANDA, 0.5, 1.0, 0.0)
         with pytest.raises(ValueError, match="joint limits"):
-            motion.sine_reference(2.0, 0.1, 0.0)
+            tracking.sine_reference(DUAL_PANDA, 2.0, 0.1, 0.0)
 
 
 class TestResponses:
@@ -315,8 +336,10 @@ class TestResponses:
         measured = np.tile(HOME, (1000, 1))
         measured[:, 3] += 0.1 * (1.0 - np.exp(-t / 0.05))  # rises in 0.05 ln 9
         target = HOME + 0.1 * np.eye(DOF)[3]
-        step = motion.Tracking(t, np.tile(target, (1000, 1)), measured, np.zeros((1000, 1)), start=HOME)
-        assert rise_time_s(step, 3) == pytest.approx(0.05 * np.log(9.0), abs=1.1e-3)
+        step = tracking.Tracking(t, np.tile(target, (1000, 1)), measured, np.zeros((1000, 1)), 0, HOME)
+        assert joint_responses(DUAL_PANDA, [step] * DOF, step)[3].rise_s == pytest.approx(
+            0.05 * np.log(9.0), abs=1.1e-3
+        )
 
     def test_overshoot_and_never_arriving_are_seen_on_either_side(self):
         t = np.arange(1000) * 1e-3
@@ -325,18 +348,17 @@ class TestResponses:
             measured = np.tile(HOME, (1000, 1))
             measured[:, 5] += sign * 0.1 * (1.0 - np.exp(-t / 0.05) * np.cos(40.0 * t))
             beyond = sign * (measured[:, 5] - target[5])
-            step = motion.Tracking(t, np.tile(target, (1000, 1)), measured, np.zeros((1000, 1)), start=HOME)
+            step = tracking.Tracking(t, np.tile(target, (1000, 1)), measured, np.zeros((1000, 1)), 0, HOME)
             still = dataclasses.replace(step, measured=np.tile(HOME, (1000, 1)))
-            row = joint_responses([step] * DOF, step)[5]
+            row = joint_responses(DUAL_PANDA, [step] * DOF, step)[5]
             assert row.overshoot_rad == pytest.approx(beyond.max(), rel=1e-9)
             assert row.step_rad == pytest.approx(sign * 0.1)
-            assert np.isnan(rise_time_s(still, 5))
+            assert np.isnan(joint_responses(DUAL_PANDA, [still] * DOF, step)[5].rise_s)
 
     def test_a_joint_that_never_arrives_fails_the_rise_time(self):
-        rows = [JointResponse(name, 0.1, 0.1, 0.0, 0.0, 0.0, 0.0) for name in JOINT_NAMES]
-        assert {c.passed for c in judge.joint_checks(rows, QUICK)} == {True}
+        rows = list(measured().responses)
         rows[6] = dataclasses.replace(rows[6], rise_s=float("nan"))
-        rise = judge.joint_checks(rows, QUICK)[0]
+        rise = judged(responses=rows)["joints.rise_max_s"]
         assert rise.passed is False
         assert "left_panda_joint7" in rise.remedy
 
@@ -360,9 +382,9 @@ class TestLatency:
 
         rig.supervisor.guard = lagging
         found = command_latency(rig, repeats_n=1)
-        assert (found.ticks_min, found.ticks_max) == (3, 22)
-        checks = {c.name: c.passed for c in judge.latency_checks(found, StopResponse(1, 0.3, 1.0, 1.0), QUICK)}
-        assert checks["latency.ticks_max"] is checks["latency.ticks_min"] is False
+        assert (min(found.ticks), max(found.ticks)) == (3, 22)
+        checks = judged(latency=found)
+        assert checks["latency.ticks_max"].passed is checks["latency.ticks_min"].passed is False
 
     def test_a_command_that_never_arrives_counts_as_late(self, rig, monkeypatch):
         monkeypatch.setattr(rig.stack.arbiter, "propose", lambda *_: None)
@@ -389,20 +411,22 @@ class TestLatency:
         monkeypatch.setattr(Supervisor, "estop", lambda *_: None)
         stop = emergency_stop(world, kinematics, SupervisorConfig())
         assert np.isnan(stop.rest_s)
-        limits = judge.latency_checks(CommandLatency((1,), 20, np.ones(3)), stop, QUICK)
-        assert {c.name for c in limits if c.passed is False} == {"stop.ticks", "stop.rest_s"}
+        assert {name for name, check in judged(stop=stop).items() if check.passed is False} == {
+            "stop.ticks",
+            "stop.rest_s",
+        }
 
 
 class TestContacts:
     def test_none_at_home_though_the_rod_touches_the_table(self, world):
         assert world.contact_count > 0
-        assert measure.arm_contacts(world) == []
+        assert arm_contacts(world) == []
 
     def test_a_hand_in_the_table_is_counted_and_named(self, world):
         q = HOME.copy()
         q[1], q[3] = 1.0, -1.6
         world.reset(q)
-        pairs = measure.arm_contacts(world)
+        pairs = arm_contacts(world)
         assert pairs
         assert any("table" in pair[:2] for pair in pairs)
 
@@ -410,7 +434,7 @@ class TestContacts:
         q = HOME.copy()
         q[0], q[7] = -0.9, 0.9
         world.reset(q)
-        assert any(a.startswith("left_") and b.startswith("right_") for a, b, _ in measure.arm_contacts(world))
+        assert any(a.startswith("left_") and b.startswith("right_") for a, b, _ in arm_contacts(world))
 
 
 class TestAgreement:
@@ -444,7 +468,7 @@ class TestCost:
     def test_a_step_fits_into_a_millisecond_and_costs_more_than_physics(self, loop):
         cost = control_step_cost(loop, 300)
         assert 0.0 < cost.bare_median_us < cost.median_us < 1000.0
-        assert cost.ratio == np.median(cost.turn_ratios) > 1.0
+        assert cost.ratio > 1.0
 
     def test_a_slow_controller_is_seen(self, loop, monkeypatch):
         import time
@@ -483,7 +507,7 @@ class TestLibraries:
 
         monkeypatch.setattr(installation.importlib.metadata, "version", version)
         read = {library.name: (library.wanted, library.found, library.fits) for library in required_libraries()}
-        assert read == {"a": (">=1,<2", "1.5", True), "b": ("~=3.0", "2.0", False), "D": ("", None, False)}
+        assert read == {"a": ("<2,>=1", "1.5", True), "b": ("~=3.0", "2.0", False), "D": ("", None, False)}
 
 
 class TestBill:
@@ -531,11 +555,11 @@ class TestBill:
         monkeypatch.setattr(installation.shutil, "which", lambda _: "/usr/bin/dpkg-query")
         monkeypatch.setattr(installation.subprocess, "run", answer)
         assert installation.system_packages() == [Package("libegl1", "1.6.0-1"), Package("libgl1-mesa-dri", None)]
-        missing = judge.package_checks(installation.system_packages())[0]
+        missing = judge.installation_checks([], installation.system_packages(), DOF, DUAL_PANDA)[2]
         assert (missing.observed, missing.passed) == (1, None)
         monkeypatch.setattr(installation.shutil, "which", lambda _: None)
         assert installation.system_packages() == []
-        assert judge.package_checks([]) == []
+        assert "packages.missing" not in {c.name for c in judge.installation_checks([], [], DOF, DUAL_PANDA)}
 
 
 def test_the_scene_is_part_of_what_makes_the_verdict_stale():

@@ -10,7 +10,8 @@ import numpy as np
 from minidual.collision.arm_distance import ArmDistance
 from minidual.control.joint_control import ComputedTorque
 from minidual.control.supervisor import Supervisor
-from minidual.stages.env_check_joint_tracking import sine_reference
+from minidual.robot.arms import DUAL_PANDA
+from minidual.stages.env_check.tracking import sine_reference
 
 STEPS, BLOCK = 4000, 50
 FINGERS = np.full(2, 0.04)
@@ -20,12 +21,12 @@ def tick_cost(world, kinematics, self_distance) -> tuple[float, float, float]:
     """Return (median of a tick, mean over blocks at their fastest tenth, median of mj_step) [us], timed in turns."""
     supervisor = Supervisor(self_distance=self_distance)
     controller, bare = ComputedTorque(kinematics), mujoco.MjData(world.model)
-    world.reset(sine_reference(0.3, 0.5, 0.0)[0])
+    world.reset(sine_reference(DUAL_PANDA, 0.3, 0.5, 0.0)[0])
     guard_us, step_us = np.empty(STEPS), np.empty(STEPS)
     for start in range(0, STEPS, BLOCK):
         for k in range(start, start + BLOCK):
             q, v = world.q, world.v
-            tau = controller.torque(q, v, *sine_reference(0.3, 0.5, world.time))
+            tau = controller.torque(q, v, *sine_reference(DUAL_PANDA, 0.3, 0.5, world.time))
             began = time.perf_counter_ns()
             tau = supervisor.guard(world.time, q, v, tau)
             guard_us[k] = (time.perf_counter_ns() - began) / 1e3

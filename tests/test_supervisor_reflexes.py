@@ -19,8 +19,9 @@ from minidual.control.loop import JointLoop
 from minidual.control.reflexes import REFLEXES, Reflex, ReflexError
 from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
+from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.constants import A_MAX, DOF, HOME, JOINT_NAMES, Q_LOWER, Q_UPPER, TAU_MAX, TAU_RATE_MAX, V_MAX
-from minidual.stages.env_check_joint_tracking import sine_reference
+from minidual.stages.env_check.tracking import sine_reference
 
 
 @pytest.fixture
@@ -280,13 +281,13 @@ class TestLegalMotion:
 
         def swing(t):
             set_up.supervisor.heard(t)
-            return sine_reference(0.3, 0.5, t)
+            return sine_reference(DUAL_PANDA, 0.3, 0.5, t)
 
         def note(_t, tau):
             asked.append(tau)
             return tau
 
-        set_up.world.reset(sine_reference(0.3, 0.5, 0.0)[0])
+        set_up.world.reset(sine_reference(DUAL_PANDA, 0.3, 0.5, 0.0)[0])
         assert set_up.run(2.0, swing, torque=note, tell_reference=True) is None
         same = np.array(asked) == np.array(set_up.applied)
         assert same[20:].all()  # at the start the torque comes from rest, at the rate of the motors

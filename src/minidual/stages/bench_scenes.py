@@ -23,7 +23,7 @@ from minidual.robot.constants import Array
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse, pose
 from minidual.skills.reach import approach_postures
-from minidual.stages.env_check_joint_tracking import sine_reference
+from minidual.stages.env_check.tracking import sine_reference
 from minidual.tasks.rod_carry import level_part
 
 _OPEN, _CLOSED = np.ones(2), np.zeros(2)
@@ -87,9 +87,10 @@ class BenchScene:
     def joint_samples(self) -> Iterator[JointSample]:
         """Yield (q, v, a), each (14,), at 1 kHz for ever: a swing of all joints, tiny where the rod is held."""
         amplitude = _SWING_RAD if self.virtual else _SWAY_RAD
-        shift = self.q_rest - sine_reference(amplitude, _SWING_HZ, 0.0)[0]
+        shift = self.q_rest - sine_reference(self.world.robot, amplitude, _SWING_HZ, 0.0)[0]
         swing = [
-            sine_reference(amplitude, _SWING_HZ, k * self.world.dt) for k in range(round(_PERIOD_S / self.world.dt))
+            sine_reference(self.world.robot, amplitude, _SWING_HZ, k * self.world.dt)
+            for k in range(round(_PERIOD_S / self.world.dt))
         ]
         while True:
             for q, v, a in swing:
@@ -130,7 +131,7 @@ class BenchScene:
 def free_scene(scene: SceneConfig, gains: ImpedanceGains) -> BenchScene:
     """Return arms near home with open hands, nothing touched."""
     world, kinematics = World(scene), Kinematics()
-    world.reset(sine_reference(_SWING_RAD, _SWING_HZ, 0.0)[0])
+    world.reset(sine_reference(world.robot, _SWING_RAD, _SWING_HZ, 0.0)[0])
     left, right = kinematics.tcp_poses(world.q)
     rest = pose(np.eye(3), 0.5 * (left[:3, 3] + right[:3, 3]))
     law = ObjectImpedance(kinematics, held_rod(scene, rest, (left, right)), gains)

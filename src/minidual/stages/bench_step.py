@@ -17,7 +17,7 @@ import numpy as np
 from minidual.control.loop import JointLoop
 from minidual.plant.world import World
 from minidual.robot.constants import Array
-from minidual.stages.env_check_joint_tracking import sine_reference
+from minidual.stages.env_check.tracking import sine_reference
 
 _OPEN = np.ones(2)
 
@@ -121,7 +121,7 @@ def control_step_cost(loop: JointLoop, steps_n: int, *, block: int = 50) -> Step
     world = loop.world
     world.reset()
     loop.reset()
-    reference = iter([sine_reference(0.1, 0.5, k * world.dt) for k in range(steps_n)])
+    reference = iter([sine_reference(world.robot, 0.1, 0.5, k * world.dt) for k in range(steps_n)])
     sample = next(reference)
 
     def take() -> None:

@@ -16,15 +16,15 @@ STAGES = StageTable(
     (
         StageEntry(
             "env-check",
-            "minidual.stages.env_check:run",
+            "minidual.stages.env_check.stage:run",
             (),
             "Simulation and joints: every joint read, mapped and driven, tracking, contacts, libraries",
-            reads=("env_check", "scene", "arbiter", "supervisor", "teleop.rate_hz"),
+            reads=("robot", "env_check", "scene", "arbiter", "supervisor", "teleop.rate_hz"),
             question="Does every joint move as the model says, and do the cameras see?",
             asides=(
                 ToolEntry(
                     "env-check-bill",
-                    "minidual.stages.env_check_bill:print_bill",
+                    "minidual.stages.env_check.installation:print_bill",
                     "Print versions, libraries and machine for a bug report",
                     (Option("markdown", "Print a bill of versions for a bug report instead.", bool),),
                     triggers=("markdown",),

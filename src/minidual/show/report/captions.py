@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import PurePosixPath
 
 _CAPTIONS: dict[tuple[str, str], str] = {
-    ("env-check", "sine.mp4"): "All 14 joints follow a sine",
+    ("env-check", "sine.mp4"): "All joints follow a sine",
     ("env-check", "cameras.png"): "What each camera sees at home",
-    ("env-check", "joints.png"): "How each joint answers a step of its own",
     ("env-check", "tracking.png"): "Step, sine and single joints: target against measurement",
     ("plan", "paths.png"): "One query a group: the tools' paths among the obstacles",
     ("plan", "times.png"): "Planning times, and what they are spent on",

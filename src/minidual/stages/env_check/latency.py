@@ -10,14 +10,15 @@ import numpy as np
 from minidual.config.arbiter import ArbiterConfig
 from minidual.config.supervisor import SupervisorConfig
 from minidual.control.commands import JointCommand
+from minidual.control.joint_control import ComputedTorque
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.errors import MinidualError
 from minidual.plant.world import World
-from minidual.robot.constants import Array
 from minidual.robot.kinematics import Kinematics
-from minidual.stages.env_check_joint_tracking import sine_reference
+from minidual.robot.pair import Array
+from minidual.stages.env_check.tracking import sine_reference
 
 _SOURCE = "policy"
 _NUDGE_RAD = 0.02
@@ -33,38 +34,19 @@ class CommandLatency:
     """What a command waits for.
 
     Attributes:
-        ticks: Control steps from `propose` to the first torque that differs, one entry for every instant of the
-            arbiter's period at which the command can come; 1 is the very next step.
+        ticks: Control steps from `propose` to the first torque that differs, for each instant of the arbiter's period at
+            which the command can come; 1 is the very next step.
         period_ticks: Control steps between two ticks of the arbiter.
-        wall_us: Wall time from `propose` to the torques handed to the motors, for commands that come just before a
-            tick of the arbiter [us].
+        wall_us: Wall time from `propose` to the motors, for commands that come just before the arbiter's tick [us].
     """
 
     ticks: tuple[int, ...]
     period_ticks: int
     wall_us: Array
 
-    @property
-    def ticks_max(self) -> int:
-        """The longest wait: a command that comes just after the arbiter has looked."""
-        return max(self.ticks)
-
-    @property
-    def ticks_min(self) -> int:
-        """The shortest wait."""
-        return min(self.ticks)
-
 
 class LatencyRig:
-    """The whole control stack on a world, with one source that drives it.
-
-    Args:
-        world: The plant; its state is reset.
-        kinematics: Dynamics of the controllers.
-        arbiter: Bounds and times.
-        supervisor: Bounds of the supervisor, which is part of the way.
-        rate_hz: Rate of the arbiter.
-    """
+    """The whole control stack on a world, whose state is reset, with one source that drives it."""
 
     def __init__(
         self, world: World, kinematics: Kinematics, arbiter: ArbiterConfig, supervisor: SupervisorConfig, rate_hz: float
@@ -100,10 +82,7 @@ class LatencyRig:
 
 
 def command_latency(rig: LatencyRig, *, repeats_n: int = 100) -> CommandLatency:
-    """Measure how long commands take to the motors.
-
-    Every instant of the arbiter's period is tried. The wall time is that of the commands that need not wait.
-    """
+    """Measure how long commands take to the motors, at every instant of the arbiter's period."""
     ticks, sign = [], 1.0
     for phase in range(rig.period):
         for _ in range(_SETTLE_STEPS):
@@ -129,12 +108,11 @@ def command_latency(rig: LatencyRig, *, repeats_n: int = 100) -> CommandLatency:
 def _steps_until_torque(rig: LatencyRig) -> int:
     """Return the number of steps until the torque answers; a command that never does counts three periods."""
     changed_nm = _CHANGED_SHARE * rig.supervisor.bounds.tau_step
-    before = rig.stack.applied.copy()
     for count in range(1, 3 * rig.period + 1):
+        before = rig.stack.applied.copy()
         rig.stack.step()
         if np.max(np.abs(rig.stack.applied - before)) > changed_nm:
             return count
-        before = rig.stack.applied.copy()
     return 3 * rig.period
 
 
@@ -177,11 +155,9 @@ class StopResponse:
 
 def emergency_stop(world: World, kinematics: Kinematics, config: SupervisorConfig) -> StopResponse:
     """Swing all joints, press the emergency stop where they are fastest, and watch them come to rest."""
-    from minidual.control.joint_control import ComputedTorque
-
     controller, supervisor = ComputedTorque(kinematics), Supervisor(config, dt_s=world.dt)
-    world.reset(sine_reference(0.3, 0.5, 0.0)[0])
-    fingers = np.full(2, 0.04)
+    world.reset(sine_reference(world.robot, 0.3, 0.5, 0.0)[0])
+    fingers = np.full(2, world.robot.hand.travel_m)
     pressed: int | None = None
     speed, ticks, change = 0.0, 0, 0.0
     applied = np.zeros_like(world.q)
@@ -190,7 +166,7 @@ def emergency_stop(world: World, kinematics: Kinematics, config: SupervisorConfi
         if k == round(0.5 / world.dt):
             supervisor.estop("environment check")
             pressed, speed = k, float(np.max(np.abs(v)))
-        tau = controller.torque(q, v, *sine_reference(0.3, 0.5, t))
+        tau = controller.torque(q, v, *sine_reference(world.robot, 0.3, 0.5, t))
         try:
             tau = supervisor.guard(t, q, v, tau)
         except ReflexError as error:

@@ -1,0 +1,1 @@
+"""Stage `env-check`: do the simulated arms exist, answer and see?"""

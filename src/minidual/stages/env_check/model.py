@@ -1,0 +1,151 @@
+"""Whether the simulated robot is what the rest of the toolkit takes it for: motors, two engines, cost of a step.
+
+Each function measures a world through the interface that every controller uses and returns numbers.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from minidual.control.loop import JointLoop
+from minidual.plant.world import World
+from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array, Robot
+from minidual.stages.env_check.tracking import sine_reference
+
+
+def drivable_joints(model: mujoco.MjModel, robot: Robot) -> list[str]:
+    """Return those arm joints that the model has as hinges with a torque motor on them."""
+    driven = {
+        model.joint(int(model.actuator_trnid[i, 0])).name
+        for i in range(model.nu)
+        if int(model.actuator_trntype[i]) == int(mujoco.mjtTrn.mjTRN_JOINT)
+        and int(model.actuator_biastype[i]) == int(mujoco.mjtBias.mjBIAS_NONE)
+    }
+    hinge = int(mujoco.mjtJoint.mjJNT_HINGE)
+    hinges = {model.joint(i).name for i in range(model.njnt) if int(model.jnt_type[i]) == hinge}
+    return [name for name in robot.joint_names if name in driven and name in hinges]
+
+
+@dataclass(frozen=True)
+class Mapping:
+    """Which joint each torque command moves.
+
+    Attributes:
+        moved: (n,) index of the joint that command j moves, -1 if it moves none as the dynamics predict.
+        error: (n,) largest deviation of each column from the prediction, as a share of its largest entry.
+    """
+
+    moved: tuple[int, ...]
+    error: Array
+
+    @property
+    def mapped(self) -> int:
+        """Number of commands that move their own joint."""
+        return sum(int(joint == j) for j, joint in enumerate(self.moved))
+
+
+def torque_pulse_mapping(
+    world: World, kinematics: Kinematics, *, pulse_share: float = 0.1, tolerance: float = 0.01
+) -> Mapping:
+    """Give each torque command a pulse of one step, alone, and see which joint answers.
+
+    The answer to command j must be column j of the inverse inertia matrix. Coupling moves the neighbours too, and
+    from some postures more than the joint itself, so comparing columns says what comparing magnitudes cannot.
+    One step from rest at home: (M + dt D) dv = dt tau, with the damping D taken implicitly by the integrator.
+    """
+    robot, n = world.robot, world.robot.dof
+    world.reset()
+    predicted = np.linalg.inv(kinematics.mass_matrix(robot.home) + world.dt * robot.arm.damping * np.eye(n))
+    gravity = kinematics.gravity(robot.home)
+    fingers = world.data.ctrl[world.fingers.ctrl][::2].copy()
+
+    def velocity_after(tau: Array) -> Array:
+        world.reset()
+        world.command(gravity + tau, fingers)
+        world.step()
+        return world.v
+
+    rest = velocity_after(np.zeros(n))
+    response = np.empty((n, n))  # acceleration of joint i for 1 Nm on command j
+    for j in range(n):
+        # Gravity already uses part of the motor; push away from the limit.
+        size = pulse_share * float(robot.tau_max[j]) * (-1.0 if gravity[j] > 0.0 else 1.0)
+        response[:, j] = (velocity_after(size * np.eye(n)[j]) - rest) / (size * world.dt)
+    scale = np.abs(predicted).max(axis=0)
+    distance = np.abs(response[:, :, None] - predicted[:, None, :]).max(axis=0) / scale  # (command, joint)
+    nearest = distance.argmin(axis=1)
+    moved = tuple(int(i) if distance[j, i] <= tolerance else -1 for j, i in enumerate(nearest))
+    world.reset()
+    return Mapping(moved, np.diag(distance).copy())
+
+
+def model_agreement(world: World, kinematics: Kinematics, rng: np.random.Generator, states_n: int) -> dict[str, float]:
+    """Compare MuJoCo with Pinocchio at random states.
+
+    Returns:
+        Largest absolute difference of `position_m` and `rotation` (of both tool centre points), `inertia_kg_m2`
+        (mass matrix) and `bias_nm` (Coriolis, centrifugal and gravity torques).
+    """
+    robot, rows = world.robot, world.joints.qvel
+    largest = dict.fromkeys(("position_m", "rotation", "inertia_kg_m2", "bias_nm"), 0.0)
+    full = np.zeros((world.model.nv, world.model.nv))
+
+    def compare(name: str, a: Array, b: Array) -> None:
+        largest[name] = float(np.maximum(largest[name], np.abs(a - b).max()))  # keeps NaN
+
+    for _ in range(states_n):
+        q, v = rng.uniform(robot.q_lower, robot.q_upper), rng.uniform(-robot.v_max, robot.v_max)
+        world.reset(q)
+        world.data.qvel[rows] = v
+        mujoco.mj_forward(world.model, world.data)
+        mujoco.mj_fullM(world.model, world.data, full)
+        for T, name in zip(kinematics.tcp_poses(q), robot.tcp_names, strict=True):
+            body = world.data.body(name)
+            compare("position_m", T[:3, 3], body.xpos)
+            compare("rotation", T[:3, :3], body.xmat.reshape(3, 3))
+        compare("inertia_kg_m2", full[np.ix_(rows, rows)], kinematics.mass_matrix(q))
+        compare("bias_nm", world.data.qfrc_bias[rows], kinematics.bias(q, v))
+    world.reset()
+    return largest
+
+
+@dataclass(frozen=True)
+class StepCost:
+    """Wall time of one step of control and physics [us], and of bare physics in the same run."""
+
+    median_us: float
+    p99_us: float
+    bare_median_us: float
+
+    @property
+    def ratio(self) -> float:
+        """Whole step over bare physics."""
+        return self.median_us / self.bare_median_us
+
+
+def control_step_cost(loop: JointLoop, steps_n: int, *, block: int = 50) -> StepCost:
+    """Time single steps of `loop` while the arms swing free, in turns with `mj_step` on a copy of the state."""
+    world, clock, fingers = loop.world, time.perf_counter_ns, np.ones(2)
+    world.reset()
+    loop.reset()
+    copy = mujoco.MjData(world.model)
+    whole, bare = np.empty(steps_n), np.empty(steps_n)
+    for start in range(0, steps_n, block):
+        turn = range(start, min(start + block, steps_n))
+        mujoco.mj_copyData(copy, world.model, world.data)
+        for k in turn:
+            sample = sine_reference(world.robot, 0.1, 0.5, k * world.dt)
+            began = clock()
+            loop.follow(*sample, fingers)
+            whole[k] = clock() - began
+        for k in turn:
+            began = clock()
+            mujoco.mj_step(world.model, copy)
+            bare[k] = clock() - began
+    world.reset()
+    return StepCost(*(float(x) / 1e3 for x in (np.median(whole), np.percentile(whole, 99), np.median(bare))))
