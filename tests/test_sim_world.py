@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from arm_scripts import pinch_rod
 
+from minidual.config.scene import ObjectConfig, SceneConfig
 from minidual.control.loop import JointLoop
 from minidual.errors import UsageError
 from minidual.plant.bodies import contact_sensor
@@ -210,3 +211,28 @@ class TestDivergence:
         world.reset()
         run(world, 10, ZERO)
         assert np.isfinite(world.q).all()
+
+
+def test_a_scene_holds_several_named_objects_lying_and_upright() -> None:
+    bottle = ObjectConfig(
+        name="bottle", upright=True, length_m=0.2, radius_m=0.03, grasp_offset_m=0.0, xy_m=(0.45, -0.1), mass_kg=0.3
+    )
+    crate = ObjectConfig(
+        name="crate", shape="box", upright=True, length_m=0.18, width_m=0.05, grasp_offset_m=0.0, xy_m=(0.6, -0.3)
+    )
+    world = World(SceneConfig(more=(bottle, crate)))
+    assert world.objects == ("rod", "bottle", "crate")
+    for item in (bottle, crate):
+        body = world.model.body(item.name)
+        assert np.allclose(sorted(body.inertia), sorted(item.inertia_kg_m2), rtol=1e-9)
+        assert world.object_pose(item.name)[:3, 3] == pytest.approx([*item.xy_m, item.length_m / 2])
+    world.reset(poses={"bottle": (0.5, 0.1, 0.4)})
+    while world.time < 0.3:
+        world.step()
+    for item in (bottle, crate):  # they stand, and do not sink
+        assert world.on_table(item.name)
+        assert world.object_pose(item.name)[2, 2] > 0.9999
+        assert world.object_pose(item.name)[2, 3] == pytest.approx(item.rest_height_m, abs=3e-4)
+    assert world.object_pose("bottle")[:2, 3] == pytest.approx([0.5, 0.1], abs=1e-4)
+    with pytest.raises(ValueError, match="one name"):
+        SceneConfig(more=(bottle, bottle))

@@ -1,4 +1,4 @@
-"""Compile the MuJoCo model: two arms from the URDF, torque motors, grippers, table, rod, cameras, sensors."""
+"""Compile the MuJoCo model: two arms from the URDF, torque motors, grippers, scenery, cameras, sensors."""
 
 from __future__ import annotations
 
@@ -7,37 +7,26 @@ import numpy as np
 
 from minidual.config.scene import SceneConfig
 from minidual.plant.bodies import contact_sensor, free_bodies
+from minidual.plant.scenery import GROUP_VISUAL, SOLIMP, SOLREF, add_objects, add_surroundings
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.description import never_touching, pair_urdf
 from minidual.robot.pair import Robot
 from minidual.robot.visuals import arm_visuals
 
-GROUP_VISUAL, GROUP_COLLISION, GROUP_MARKER = 1, 3, 2
+GROUP_COLLISION = 3
 CAMERAS: tuple[str, ...] = ("high", "left", "right")
 """Cameras that are recorded, in the order of their storage; `overview` is for people."""
 
 _URDF_COMPILER = (
     '<mujoco><compiler fusestatic="false" discardvisual="true" strippath="false"/></mujoco><link name="world"'
 )
-# Stiff contacts with little creep; see docs/simulation.md for the comparison of cone and impratio.
-_SOLREF = [0.002, 1.0]
-_SOLIMP = [0.99, 0.999, 0.001, 0.5, 2.0]
-_FACE_MARGIN_M = 0.0002
-"""Distance from which flat faces push. Pads press by micrometres, and between two parallel faces MuJoCo now and then
-sees no contact for a step, in which the fingers leap; faces that never overlap do not show it. It makes a box wider by as
-much on every side."""
-_TABLE_HALF = (0.6, 0.8, 0.02)
-_TABLE_CENTRE_X = 0.38
-OBSTACLE = "obstacle"
-"""Name of the geom that stands in the way, where a task has one."""
-_BLUE = [0.10, 0.25, 0.75, 1.0]
 
 
 def build_spec(scene: SceneConfig, robot: Robot = DUAL_PANDA, *, visuals: bool = True) -> mujoco.MjSpec:
     """Return the editable model of the whole scene.
 
     Args:
-        scene: Physics, rod and task.
+        scene: Physics, objects and task.
         robot: The two arms.
         visuals: Leave out the decimated visual meshes where nothing is rendered (faster to compile).
     """
@@ -46,8 +35,8 @@ def build_spec(scene: SceneConfig, robot: Robot = DUAL_PANDA, *, visuals: bool =
     spec.compiler.discardvisual = False  # it would drop every geom that does not collide, ours included
     _set_options(spec, scene)
     _dress_arms(spec, scene, robot, visuals=visuals)
-    _add_surroundings(spec, scene, robot)
-    _add_rod(spec, scene)
+    add_surroundings(spec, scene, robot)
+    add_objects(spec, scene)
     _add_actuators(spec, scene, robot)
     _add_cameras(spec, robot)
     _add_contact_sensors(spec, robot)
@@ -95,8 +84,8 @@ def _dress_arms(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot, *, visual
                 if body.name in fingers and abs(geom.pos[2] - robot.hand.pad_height_m) < 1e-6:
                     geom.name = f"{body.name}_pad"
                     geom.condim = 4
-                    geom.friction = [scene.rod.friction, 0.01, 0.0001]
-                    geom.solref, geom.solimp = _SOLREF, _SOLIMP
+                    geom.friction = [scene.object.friction, 0.01, 0.0001]
+                    geom.solref, geom.solimp = SOLREF, SOLIMP
         for first, second in never_touching(robot.arm):
             spec.add_exclude(bodyname1=f"{arm}_{first}", bodyname2=f"{arm}_{second}")
     if not visuals:
@@ -114,132 +103,6 @@ def _dress_arms(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot, *, visual
                 conaffinity=0,
                 density=0.0,
             )
-
-
-def _add_surroundings(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> None:
-    spec.add_texture(
-        name="sky",
-        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=[0.93, 0.95, 0.98],
-        rgb2=[0.62, 0.70, 0.80],
-        width=64,
-        height=384,
-    )
-    world = spec.worldbody
-    world.add_light(
-        name="key",
-        pos=[0.9, 0.7, 2.0],
-        dir=[-0.35, -0.4, -1.0],
-        castshadow=True,
-        diffuse=[0.55, 0.55, 0.53],
-        specular=[0.2, 0.2, 0.2],
-        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-    )
-    world.add_geom(
-        name="floor",
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[4, 4, 0.1],
-        pos=[0, 0, -0.75],
-        rgba=[0.80, 0.82, 0.85, 1],
-        contype=0,
-        conaffinity=0,
-    )
-    table = world.add_body(name="table", pos=[_TABLE_CENTRE_X, 0.0, -_TABLE_HALF[2]])
-    table.add_geom(
-        name="table_top",
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=list(_TABLE_HALF),
-        rgba=[0.42, 0.47, 0.50, 1],
-        friction=[scene.rod.friction, 0.005, 0.0001],
-        solref=_SOLREF,
-        solimp=_SOLIMP,
-    )
-    for x in (-1, 1):
-        for y in (-1, 1):
-            table.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-                size=[0.03, 0.355, 0],
-                rgba=[0.25, 0.27, 0.3, 1],
-                pos=[x * (_TABLE_HALF[0] - 0.06), y * (_TABLE_HALF[1] - 0.06), -0.375],
-                contype=0,
-                conaffinity=0,
-            )
-    for arm in robot.sides:
-        spec.add_exclude(bodyname1="table", bodyname2=f"{arm}_{robot.arm.base_link}")  # the bases stand on it
-    rod = scene.rod
-    for label, xy, yaw, rgba in (
-        ("start", scene.task.start_xy_m, 0.0, [0.85, 0.87, 0.9, 1.0]),
-        ("goal", scene.task.goal_xy_m, scene.task.goal_yaw_rad, [0.15, 0.62, 0.35, 1.0]),
-    ):
-        world.add_geom(
-            name=f"{label}_mark",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=[xy[0], xy[1], 0.0003],
-            rgba=rgba,
-            size=[1.6 * rod.half_width_m, rod.length_m / 2 + 0.01, 0.0003],
-            contype=0,
-            conaffinity=0,
-            group=GROUP_MARKER,
-            quat=_about_z(yaw),
-        )
-    obstacle = scene.task.obstacle
-    if obstacle is not None:
-        x, y, z = obstacle.size_m
-        world.add_geom(
-            name=OBSTACLE,
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=[x / 2, y / 2, z / 2],
-            rgba=[0.75, 0.22, 0.2, 1.0],
-            pos=[*obstacle.xy_m, z / 2],
-        )
-
-
-def _about_z(yaw_rad: float) -> list[float]:
-    return [float(np.cos(yaw_rad / 2.0)), 0.0, 0.0, float(np.sin(yaw_rad / 2.0))]
-
-
-def _add_rod(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
-    """The rod's own y axis is its long axis; its body frame sits at the centre of mass."""
-    rod = scene.rod
-    body = spec.worldbody.add_body(name="rod", pos=[*scene.task.start_xy_m, rod.rest_height_m])
-    body.add_freejoint(name=f"{body.name}_free")
-    along_y = [np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0]
-    if rod.shape == "cylinder":
-        shape = {"type": mujoco.mjtGeom.mjGEOM_CYLINDER, "quat": along_y}
-        condim = 6  # with rolling friction: a cylinder without it rolls away untouched
-        margin = 0.0
-        size, band = [rod.radius_m, rod.length_m / 2, 0], [rod.radius_m + 0.0006, 0.015, 0]
-    else:
-        shape = {"type": mujoco.mjtGeom.mjGEOM_BOX}
-        condim = 4  # a face does not roll, and its many contact points would fight over it
-        margin = _FACE_MARGIN_M
-        size = [rod.width_m / 2, rod.length_m / 2, rod.height_m / 2]
-        band = [rod.width_m / 2 + 0.0006, 0.015, rod.height_m / 2 + 0.0006]
-    body.add_geom(
-        name="rod",
-        size=size,
-        mass=rod.mass_kg,
-        rgba=list(rod.colour),
-        condim=condim,
-        friction=[rod.friction, 0.01, rod.rolling_friction],
-        solref=_SOLREF,
-        solimp=_SOLIMP,
-        margin=margin,
-        **shape,
-    )
-    # Bands show where the hands belong and give the camera something to tell the rod's ends by.
-    for sign in (-1, 1):
-        body.add_geom(
-            size=band,
-            pos=[0, sign * rod.grasp_offset_m, 0],
-            rgba=_BLUE,
-            mass=0,
-            contype=0,
-            conaffinity=0,
-            group=GROUP_VISUAL,
-            **shape,
-        )
 
 
 def _add_actuators(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> None:

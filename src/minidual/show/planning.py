@@ -17,7 +17,8 @@ from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, Shape, Spher
 from minidual.config.scene import SceneConfig
 from minidual.plant.addresses import map_joints
 from minidual.plant.bodies import free_bodies
-from minidual.plant.model import GROUP_COLLISION, GROUP_MARKER, GROUP_VISUAL, build_spec
+from minidual.plant.model import GROUP_COLLISION, build_spec
+from minidual.plant.scenery import GROUP_MARKER, GROUP_VISUAL
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot

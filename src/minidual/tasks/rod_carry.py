@@ -8,7 +8,7 @@ from minidual.config.change import preset, replaced
 from minidual.config.root import Config
 from minidual.config.scene import ObjectConfig, SceneConfig
 from minidual.plant.bodies import ObjectPose
-from minidual.plant.model import OBSTACLE
+from minidual.plant.scenery import OBSTACLE
 from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import pose, rot_x, rot_z
 from minidual.tasks.motions import MOTIONS
