@@ -27,6 +27,17 @@ def grasp_matrix(r_left: Array, r_right: Array) -> Array:
     return np.block([[one, none, one, none], [cross_matrix(r_left), one, cross_matrix(r_right), one]])
 
 
+def split(G: Array, f: Array) -> tuple[Array, Array]:
+    """Return the parts of hand wrenches f (12,) that move the object and that only squeeze it."""
+    motion = np.linalg.pinv(G) @ (G @ f)
+    return motion, f - motion
+
+
+def squeeze_reference(axis: Array, force_n: float) -> Array:
+    """Return f_int (12,) [N]: both hands press towards each other along the axis from the right to the left hand."""
+    return np.concatenate([-force_n * axis, np.zeros(3), force_n * axis, np.zeros(3)])
+
+
 def drift(kinematics: Kinematics, q: Array, v: Array) -> Array:
     """Return Jdot v (12,) of both hands by central differences along the motion."""
     h = 1e-6

@@ -313,7 +313,7 @@ def test_a_single_bad_reading_is_not_a_fault(monitor: FaultMonitor) -> None:
 def test_a_soft_stop_integrates_its_own_speed_and_keeps_to_its_bound() -> None:
     rng = np.random.default_rng(1)
     v = rng.uniform(-2.0, 2.0, DOF)
-    stop = SoftStop(HOME, v, deceleration_share=0.5)
+    stop = SoftStop(HOME, v, 0.5 * A_MAX)
     t = np.linspace(0.0, stop.duration_s, 2001)
     q, speed, a = (np.array(x) for x in zip(*(stop.at(float(k)) for k in t), strict=True))
     assert np.array_equal(q[0], HOME)
@@ -326,7 +326,7 @@ def test_a_soft_stop_integrates_its_own_speed_and_keeps_to_its_bound() -> None:
 
 
 def test_the_torque_rate_is_bounded_and_reaches_what_is_asked() -> None:
-    rate = TorqueRate(np.zeros(DOF), 0.001)
+    rate = TorqueRate(np.zeros(DOF), 0.001, 1000.0)
     wanted = np.full(DOF, 10.0)
     steps = [rate.limit(wanted).copy() for _ in range(12)]
     assert np.allclose(np.diff(steps, axis=0).max(), 1.0)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from minidual.control.gripper import CLOSE_BELOW, OPEN_ABOVE, Grippers
+from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.constants import FINGER_TRAVEL_M
 
 DT = 0.001
@@ -13,7 +14,7 @@ DT = 0.001
 
 @pytest.fixture
 def grippers(scene):
-    return Grippers(scene, DT, pinch_force_n=50.0, speed_m_per_s=0.08)
+    return Grippers(scene, DUAL_PANDA, DT, pinch_force_n=50.0, speed_m_per_s=0.08)
 
 
 def settle(grippers, command, steps=1000):
@@ -32,7 +33,7 @@ def test_the_closed_target_lies_inside_the_rod_by_the_pinch(grippers, scene):
 
 
 def test_the_pinch_is_limited_to_what_the_fingers_can(scene):
-    closed = settle(Grippers(scene, DT, pinch_force_n=500.0), [0.0, 0.0])[-1]
+    closed = settle(Grippers(scene, DUAL_PANDA, DT, pinch_force_n=500.0), [0.0, 0.0])[-1]
     pressed = scene.physics.finger_kp_n_per_m * (scene.rod.radius_m - closed)
     assert pressed == pytest.approx(scene.physics.finger_force_max_n)
 

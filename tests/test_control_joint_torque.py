@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from minidual.control.joint_control import ComputedTorque, hold
+from minidual.control.joint_control import ComputedTorque
 from minidual.control.loop import JointLoop
 from minidual.plant.model import build_spec
 from minidual.plant.world import World
@@ -55,7 +55,7 @@ def test_every_joint_closes_its_error_alike(world, kinematics):
     controller = ComputedTorque(kinematics, natural_frequency_rad_s=20.0)
     world.reset(HOME - 0.01)
     for _ in range(150):
-        world.command(hold(controller, world.q, world.v, HOME), np.full(2, 0.04))
+        world.command(controller.torque(world.q, world.v, HOME, ZERO, ZERO), np.full(2, 0.04))
         world.step()
     t = 0.15
     expected = 0.01 * (1 + 20.0 * t) * np.exp(-20.0 * t)  # critically damped, from rest

@@ -14,14 +14,17 @@ from guarded_arms import GuardedArms, accelerate
 
 from minidual.collision.arm_distance import ArmDistance
 from minidual.config.supervisor import SupervisorConfig
-from minidual.control import limits
+from minidual.control.limits import Reach
 from minidual.control.loop import JointLoop
 from minidual.control.reflexes import REFLEXES, Reflex, ReflexError
 from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.constants import A_MAX, DOF, HOME, JOINT_NAMES, Q_LOWER, Q_UPPER, TAU_MAX, TAU_RATE_MAX, V_MAX
+from minidual.robot.kinematics import Kinematics
 from minidual.stages.env_check.tracking import sine_reference
+
+REACH = Reach(Kinematics())
 
 
 @pytest.fixture
@@ -358,16 +361,16 @@ class TestBounds:
                     )
                 )
             fastest = np.linalg.norm(corners[1] - corners[0], axis=1).max() / 1e-5
-            assert fastest <= limits.REACH_M[joint]
-            assert fastest > 0.1 * limits.REACH_M[joint]
+            assert fastest <= REACH.m[joint]
+            assert fastest > 0.1 * REACH.m[joint]
 
     def test_no_gap_closes_before_its_safe_time(self):
         rng = np.random.default_rng(0)
         for _ in range(200):
             v, gap = rng.uniform(-V_MAX, V_MAX), float(rng.uniform(0.0, 0.2))
-            h = limits.safe_time_s(v, gap)
-            assert h * (limits.REACH_M @ (np.abs(v) + A_MAX * h)) == pytest.approx(gap, abs=1e-12)
-        assert limits.safe_time_s(v, -0.01) == 0.0
+            h = REACH.safe_time_s(v, gap)
+            assert h * (REACH.m @ (np.abs(v) + A_MAX * h)) == pytest.approx(gap, abs=1e-12)
+        assert REACH.safe_time_s(v, -0.01) == 0.0
 
     def test_time_must_grow(self, arms):
         set_up = arms()

@@ -36,7 +36,8 @@ from minidual.control.execution import Execution
 from minidual.control.mailbox import Mailbox
 from minidual.control.underway import Underway
 from minidual.errors import UsageError, unknown_name
-from minidual.robot.constants import A_MAX, ARMS, DOF, DOF_PER_ARM, Q_LOWER, Q_UPPER, V_MAX, Array
+from minidual.robot.arms import DUAL_PANDA
+from minidual.robot.pair import SIDES, Array, Robot
 
 _STOP_SHARE = 0.5
 """Share of the joints' acceleration limits with which arms in motion are stopped when a switch begins."""
@@ -63,6 +64,7 @@ class CommandArbiter:
         gripper: Opening (2,) to hold until a source commands another.
         control_dt_s: Step of the control loop that runs timed commands.
         admit: Says why the controllers cannot take a command now, or None; by default they take joint commands.
+        robot: The two arms.
     """
 
     def __init__(
@@ -72,11 +74,13 @@ class CommandArbiter:
         gripper: Array | None = None,
         control_dt_s: float = 0.001,
         admit: Callable[[Command], Fault | None] | None = None,
+        robot: Robot = DUAL_PANDA,
     ) -> None:
         self.config = ArbiterConfig() if config is None else config
-        self._underway = Underway(control_dt_s, admit)
+        self._robot = robot
+        self._underway = Underway(control_dt_s, robot, admit)
         self._confirm_listeners: list[Callable[[str], None]] = []
-        self._mailboxes = {source: Mailbox(source) for source in SOURCES}
+        self._mailboxes = {source: Mailbox(source, robot) for source in SOURCES}
         self._listeners: list[Callable[[str], None]] = []
         self._requests: list[str] = []
         self._halt: tuple[str, Array | None] | None = None
@@ -180,11 +184,11 @@ class CommandArbiter:
 
         Args:
             now_s: Time [s]; it must not run backwards.
-            q_measured: (14,) [rad].
-            v_measured: (14,) [rad/s].
+            q_measured: (n,) [rad].
+            v_measured: (n,) [rad/s].
 
         Raises:
-            UsageError: Time runs backwards, or the first measurement is not a posture of 14 finite angles.
+            UsageError: Time runs backwards, or the first measurement is not a posture of finite angles.
         """
         dt = self._elapsed(now_s)
         posture = self._posture(q_measured)
@@ -212,7 +216,7 @@ class CommandArbiter:
             gripper=self._gripper.copy(),
             state=self._state,
             active_source=self._source if driven else None,
-            held_arms=tuple(name for arm, name in enumerate(ARMS) if arm not in driven),
+            held_arms=tuple(name for arm, name in enumerate(SIDES) if arm not in driven),
             switched_to=switched_to,
             refusals=refusals,
             executions=self._underway.executions,
@@ -228,14 +232,14 @@ class CommandArbiter:
 
     def _posture(self, q_measured: Array) -> Array:
         """Return the measured posture, or the present target where the measurement is unusable."""
-        usable = np.shape(q_measured) == (DOF,) and bool(np.isfinite(q_measured).all())
+        usable = np.shape(q_measured) == (self._robot.dof,) and bool(np.isfinite(q_measured).all())
         if usable:
-            posture = np.clip(q_measured, Q_LOWER, Q_UPPER)
+            posture = np.clip(q_measured, self._robot.q_lower, self._robot.q_upper)
             if self._target is None:
                 self._target = posture
             return posture
         if self._target is None:
-            raise UsageError(f"the first measured posture is not {DOF} finite angles: {q_measured}")
+            raise UsageError(f"the first measured posture is not {self._robot.dof} finite angles: {q_measured}")
         self._refusals.append(Refusal("measurement", "not_finite", f"measured joints {q_measured}"))
         return self._target
 
@@ -261,7 +265,7 @@ class CommandArbiter:
             return
         self._source = None
         self._underway.brake()
-        self._target, _ = self._underway.follow(_where_they_stop(posture, v_measured))
+        self._target, _ = self._underway.follow(self._where_they_stop(posture, v_measured))
         self._flush(mode, now_s)
         self._switch = _Switch(mode, now_s)
         self._state = ArbiterState.SETTLING
@@ -280,7 +284,7 @@ class CommandArbiter:
             self._switch = None
         self._underway.drop()
         self._flush(HOLD, now_s)
-        self._target = _where_they_stop(posture, v_measured)
+        self._target = self._where_they_stop(posture, v_measured)
         self._source, self._state = None, ArbiterState.STOPPED
         return True
 
@@ -359,8 +363,9 @@ class CommandArbiter:
             return driven
         wanted = self._held().copy()
         for arm, command in fresh.items():
-            joints = slice(arm * DOF_PER_ARM, (arm + 1) * DOF_PER_ARM)
-            wanted[joints] = np.clip(command.target_of(arm), Q_LOWER[joints], Q_UPPER[joints])
+            joints = self._robot.joints_of(arm)
+            lower, upper = self._robot.q_lower[joints], self._robot.q_upper[joints]
+            wanted[joints] = np.clip(command.target_of(arm), lower, upper)
         step = wanted - self._held()
         largest = float(np.max(np.abs(step)))
         # A step over the bound begins an alignment; it ends when one tick at its speed reaches the source.
@@ -404,10 +409,10 @@ class CommandArbiter:
         elif self._state != ArbiterState.WAITING:
             self._state = ArbiterState.STALE
 
-
-def _where_they_stop(posture: Array, v_measured: Array) -> Array:
-    """Return where arms at a posture (14,) and velocity (14,) come to rest when braked at a bounded deceleration."""
-    v = np.clip(v_measured, -V_MAX, V_MAX)
-    if not np.isfinite(v).all():
-        return posture.copy()
-    return np.clip(posture + v * np.abs(v) / (2.0 * _STOP_SHARE * A_MAX), Q_LOWER, Q_UPPER)
+    def _where_they_stop(self, posture: Array, v_measured: Array) -> Array:
+        """Return where arms at a posture (n,) and velocity (n,) come to rest at a bounded deceleration."""
+        robot = self._robot
+        v = np.clip(v_measured, -robot.v_max, robot.v_max)
+        if not np.isfinite(v).all():
+            return posture.copy()
+        return np.clip(posture + v * np.abs(v) / (2.0 * _STOP_SHARE * robot.a_max), robot.q_lower, robot.q_upper)

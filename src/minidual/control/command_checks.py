@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from minidual.control.commands import Command, ObjectCommand, TrajectoryCommand
-from minidual.robot.constants import GROUPS, JOINT_NAMES, Q_LOWER, Q_UPPER, V_MAX, Array
+from minidual.robot.pair import Array, Robot
 
 SQUEEZE_CEILING_N = 80.0
 """No internal force above this is let through."""
@@ -23,25 +23,26 @@ Fault = tuple[str, str]
 """Stable name, and the value with its bound."""
 
 
-def find_fault(command: Command) -> Fault | None:
+def find_fault(command: Command, robot: Robot) -> Fault | None:
     """Return (name, detail) of what is wrong with a command by itself, or None."""
     if isinstance(command, ObjectCommand):
         return _common_fault(command) or _object_fault(command)
-    if command.group not in GROUPS:
-        return "unknown_group", f"no group '{command.group}'; there are {', '.join(sorted(GROUPS))}"
+    if command.group not in robot.groups:
+        return "unknown_group", f"no group '{command.group}'; there are {', '.join(sorted(robot.groups))}"
     if isinstance(command, TrajectoryCommand):
-        return _trajectory_fault(command)
-    joints = GROUPS[command.group]
-    names = JOINT_NAMES[joints]
+        return _trajectory_fault(command, robot)
+    joints = robot.groups[command.group]
+    names = robot.joint_names[joints]
     if np.shape(command.q) != (len(names),) or np.shape(command.gripper) != (2,):
         given = f"q {np.shape(command.q)} and gripper {np.shape(command.gripper)}"
         return "wrong_shape", f"{given}; group {command.group} needs ({len(names)},) and (2,)"
-    return _posture_fault(np.asarray(command.q, dtype=float)[None], joints) or _common_fault(command)
+    return _posture_fault(np.asarray(command.q, dtype=float)[None], joints, robot) or _common_fault(command)
 
 
-def own_columns(command: TrajectoryCommand) -> slice:
+def own_columns(command: TrajectoryCommand, robot: Robot) -> slice:
     """Return the columns of the command's motion that belong to its arms."""
-    return slice(0, 7) if np.shape(command.motion.q)[1] == 7 else GROUPS[command.group]
+    width = np.shape(command.motion.q)[1]
+    return robot.groups[command.group] if width == robot.dof else slice(0, width)
 
 
 def opening_fault(gripper: Array) -> Fault | None:
@@ -61,16 +62,16 @@ def _common_fault(command: Command) -> Fault | None:
     return opening_fault(command.gripper)
 
 
-def _posture_fault(q: Array, joints: slice) -> Fault | None:
+def _posture_fault(q: Array, joints: slice, robot: Robot) -> Fault | None:
     """Return what is wrong with postures (n, joints), or None."""
-    names = JOINT_NAMES[joints]
+    names = robot.joint_names[joints]
     finite = np.isfinite(q)
     if not finite.all():
         row, index = np.unravel_index(int(np.argmin(finite)), q.shape)
         return "not_finite", f"{names[index]} = {q[row, index]}{_at(row, q)}"
     if np.abs(q).max() < _ZERO_RAD:
         return "all_zero", "every joint at 0.0 rad: a source that has not been given its values, or lost them"
-    lower, upper = Q_LOWER[joints], Q_UPPER[joints]
+    lower, upper = robot.q_lower[joints], robot.q_upper[joints]
     outside = (q < lower - _LIMIT_TOLERANCE_RAD) | (q > upper + _LIMIT_TOLERANCE_RAD)
     if outside.any():
         row, index = np.unravel_index(int(np.argmax(outside)), q.shape)
@@ -85,11 +86,11 @@ def _at(row: np.intp, q: Array) -> str:
     return f" in sample {row}" if len(q) > 1 else ""
 
 
-def _trajectory_fault(command: TrajectoryCommand) -> Fault | None:
-    motion, joints = command.motion, GROUPS[command.group]
-    names = JOINT_NAMES[joints]
+def _trajectory_fault(command: TrajectoryCommand, robot: Robot) -> Fault | None:
+    motion, joints = command.motion, robot.groups[command.group]
+    names, v_max = robot.joint_names[joints], robot.v_max[joints]
     shape = np.shape(motion.q)
-    widths = (14,) if command.group == "both_arms" else (14, 7)
+    widths = (robot.dof,) if command.group == "both_arms" else (robot.dof, robot.dof_per_arm)
     if len(shape) != 2 or shape[0] < 2 or shape[1] not in widths:
         return (
             "wrong_shape",
@@ -97,17 +98,17 @@ def _trajectory_fault(command: TrajectoryCommand) -> Fault | None:
         )
     if np.shape(motion.v) != shape or np.shape(motion.a) != shape:
         return ("wrong_shape", f"q {shape}, v {np.shape(motion.v)}, a {np.shape(motion.a)}; they must be alike")
-    columns = own_columns(command)
+    columns = own_columns(command, robot)
     q, v, a = motion.q[:, columns], motion.v[:, columns], motion.a[:, columns]
-    fault = _posture_fault(q, joints) or _common_fault(command)
+    fault = _posture_fault(q, joints, robot) or _common_fault(command)
     if fault is not None:
         return fault
     if not (np.isfinite(v).all() and np.isfinite(a).all() and np.isfinite(motion.duration_s)):
         return "not_finite", "a velocity, an acceleration or the duration of the trajectory"
     speed = np.maximum(np.abs(np.diff(q, axis=0)).max(axis=0) / motion.dt_s, np.abs(v).max(axis=0))
-    if (speed > _SPEED_TOLERANCE * V_MAX[joints]).any():
-        index = int(np.argmax(speed / V_MAX[joints]))
-        return "too_fast", f"{names[index]} at {speed[index]:.3f} rad/s; limit {V_MAX[joints][index]:.3f}"
+    if (speed > _SPEED_TOLERANCE * v_max).any():
+        index = int(np.argmax(speed / v_max))
+        return "too_fast", f"{names[index]} at {speed[index]:.3f} rad/s; limit {v_max[index]:.3f}"
     for place, row in (("starts", 0), ("ends", -1)):
         index = int(np.argmax(np.abs(v[row])))
         if abs(v[row, index]) > _REST_RAD_PER_S:

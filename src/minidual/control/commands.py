@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Protocol
 
-from minidual.robot.constants import ARMS, DOF_PER_ARM, Array
+from minidual.robot.pair import SIDES, Array
 
 if TYPE_CHECKING:
     from minidual.control.execution import Execution
@@ -29,7 +29,7 @@ HOLD = "hold"
 
 def arms_of(group: str) -> tuple[int, ...]:
     """Return the indices of the arms of a group (`both_arms`, `left_arm`, `right_arm`)."""
-    return (0, 1) if group == "both_arms" else (ARMS.index(group.removesuffix("_arm")),)
+    return (0, 1) if group == "both_arms" else (SIDES.index(group.removesuffix("_arm")),)
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class JointCommand:
     """A joint target that a source proposes.
 
     Attributes:
-        q: Joint targets [rad]: (14,) left then right, or (7,) for a single arm.
+        q: Joint targets [rad]: (n,) left then right, or one arm's.
         gripper: Opening of the left and the right hand (2,), 0 closed to 1 open. A single arm's command
             moves its own hand only.
         stamp_s: When the source made it [s], on the arbiter's clock.
@@ -57,15 +57,17 @@ class JointCommand:
         return arms_of(self.group)
 
     def target_of(self, arm: int) -> Array:
-        """Return the seven joint targets [rad] of one of its arms."""
-        start = arm * DOF_PER_ARM if self.group == "both_arms" else 0
-        return self.q[start : start + DOF_PER_ARM]
+        """Return the joint targets [rad] of one of its arms."""
+        if self.group != "both_arms":
+            return self.q
+        half = len(self.q) // 2
+        return self.q[arm * half : (arm + 1) * half]
 
 
 class TimedMotion(Protocol):
     """A joint trajectory on a regular time grid, at rest at both ends (`planning.Trajectory` is one).
 
-    q, v, a: (n, 14), or (n, 7) for a single arm. Of 14 columns a single arm's command uses its own seven.
+    q, v, a: (samples, joints of both arms or of one). Of both arms' columns a single arm's command uses its own.
     """
 
     @property
@@ -204,7 +206,7 @@ class ArbiterOutput:
     """What reaches the controllers at one tick; the only thing that does.
 
     Attributes:
-        q_target: (14,) [rad], always finite and inside the limits.
+        q_target: (n,) [rad], always finite and inside the limits.
         gripper: (2,), 0 closed to 1 open.
         state: What the arbiter does.
         active_source: Whose command went through in this tick, or None while a posture is held.

@@ -17,7 +17,8 @@ from minidual.control.commands import ArbiterOutput, Command
 from minidual.control.controllers import Controller
 from minidual.control.soft_stop import TorqueRate
 from minidual.errors import MinidualError, unknown_name
-from minidual.robot.constants import ARMS, DOF, DOF_PER_ARM, TAU_MAX, Array
+from minidual.robot.arms import DUAL_PANDA
+from minidual.robot.pair import SIDES, Array, Robot
 
 
 class ControllerSwitchError(MinidualError):
@@ -34,10 +35,14 @@ class ControllerManager:
     Args:
         controllers: All that exist.
         dt_s: Control step.
+        robot: The two arms.
         fade_s: How long the difference of the torques at a switch takes to fade.
     """
 
-    def __init__(self, controllers: Sequence[Controller], dt_s: float, *, fade_s: float = 0.1) -> None:
+    def __init__(
+        self, controllers: Sequence[Controller], dt_s: float, robot: Robot = DUAL_PANDA, *, fade_s: float = 0.1
+    ) -> None:
+        self._robot = robot
         self._all = {c.name: c for c in controllers}
         self._active: tuple[Controller, ...] = ()
         self._whole: Controller | None = None
@@ -46,10 +51,10 @@ class ControllerManager:
         self._fading = False
         self._dt = dt_s
         self._rate: TorqueRate | None = None
-        self._offset = np.zeros(DOF)
-        self.tau = np.zeros(DOF)
-        """Torques (14,) [Nm] of the last step."""
-        self._reference = np.zeros(DOF)
+        self._offset = np.zeros(robot.dof)
+        self.tau = np.zeros(robot.dof)
+        """Torques (n,) [Nm] of the last step."""
+        self._reference = np.zeros(robot.dof)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -75,7 +80,7 @@ class ControllerManager:
             ControllerSwitchError: The set leaves a joint to nobody or gives it to two, or one is not ready.
         """
         chosen = tuple(self[name] for name in names)
-        for arm, arm_name in enumerate(ARMS):
+        for arm, arm_name in enumerate(SIDES):
             claims = [c.name for c in chosen if arm in c.arms]
             if not claims:
                 raise ControllerSwitchError(
@@ -94,7 +99,7 @@ class ControllerManager:
         return chosen
 
     def switch(self, names: Sequence[str], q: Array, v: Array, *, swiftly: bool = False) -> None:
-        """Activate exactly these controllers at measured q (14,) and v (14,); all or nothing.
+        """Activate exactly these controllers at measured q (n,) and v (n,); all or nothing.
 
         `swiftly`: the torques go over at the drives' rate limit and do not fade.
 
@@ -109,7 +114,7 @@ class ControllerManager:
         if had_any and chosen != self._active:
             self._fade_left = self._fade_steps
             self._fading = False
-            self._rate = TorqueRate(self.tau, self._dt) if swiftly else None
+            self._rate = TorqueRate(self.tau, self._dt, self._robot.arm.tau_rate_max) if swiftly else None
         self._active = chosen
         self._whole = chosen[0] if len(chosen) == 1 else None
 
@@ -128,15 +133,15 @@ class ControllerManager:
             controller.follow(output)
 
     def update(self, q: Array, v: Array) -> Array:
-        """Run one control step; return torques (14,) [Nm], each joint's from the one controller that claims it."""
+        """Run one control step; return torques (n,) [Nm], each joint's from the one controller that claims it."""
         if self._whole is not None:
             tau = self._whole.update(q, v)
         else:
-            tau = np.empty(DOF)
+            tau = np.empty(self._robot.dof)
             for controller in self._active:
                 part = controller.update(q, v)
                 for arm in controller.arms:
-                    joints = slice(arm * DOF_PER_ARM, (arm + 1) * DOF_PER_ARM)
+                    joints = self._robot.joints_of(arm)
                     tau[joints] = part[joints]
         if self._fade_left:
             tau = self._faded(tau)
@@ -145,27 +150,27 @@ class ControllerManager:
 
     @property
     def reference(self) -> Array:
-        """Joint references (14,) [rad] of the last step."""
+        """Joint references (n,) [rad] of the last step."""
         if self._whole is not None:
             return self._whole.reference
         for controller in self._active:
             for arm in controller.arms:
-                joints = slice(arm * DOF_PER_ARM, (arm + 1) * DOF_PER_ARM)
+                joints = self._robot.joints_of(arm)
                 self._reference[joints] = controller.reference[joints]
         return self._reference.copy()
 
     @property
     def acceleration(self) -> Array | None:
-        """Acceleration (14,) [rad/s^2] of the commanded reference in the last step, or None where there is none."""
+        """Acceleration (n,) [rad/s^2] of the commanded reference in the last step, or None where there is none."""
         if self._whole is not None:
             return self._whole.acceleration
-        whole = np.empty(DOF)
+        whole = np.empty(self._robot.dof)
         for controller in self._active:
             part = controller.acceleration
             if part is None:
                 return None
             for arm in controller.arms:
-                joints = slice(arm * DOF_PER_ARM, (arm + 1) * DOF_PER_ARM)
+                joints = self._robot.joints_of(arm)
                 whole[joints] = part[joints]
         return whole
 
@@ -180,4 +185,4 @@ class ControllerManager:
             self._fading = True
         share = self._fade_left / self._fade_steps
         self._fade_left -= 1
-        return np.clip(tau + share * self._offset, -TAU_MAX, TAU_MAX)
+        return np.clip(tau + share * self._offset, -self._robot.tau_max, self._robot.tau_max)

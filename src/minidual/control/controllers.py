@@ -1,7 +1,7 @@
 """The controllers behind the arbiter, all behind one small interface.
 
-A  `both_arms`                  joint trajectory control of 14 joints
-B  `left_arm`, `right_arm`      the same for the seven joints of one arm
+A  `both_arms`                  joint trajectory control of both arms
+B  `left_arm`, `right_arm`      the same for one arm
 C  `object_impedance`           both arms and the object between them (see object_controller)
    `soft_stop`                  brings both arms to rest and holds them softly (see soft_stop)
 
@@ -20,8 +20,8 @@ from minidual.control.execution import TrajectoryExecution
 from minidual.control.joint_control import ComputedTorque
 from minidual.control.object_path import minimum_jerk
 from minidual.control.reference import ReferenceFilter
-from minidual.robot.constants import DOF, GROUPS, Array
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array
 
 _BLEND_S = 0.5
 """Over this time what is left between the reference and the start of a trajectory fades away."""
@@ -45,7 +45,7 @@ class Controller(Protocol):
         ...
 
     def activate(self, q: Array, v: Array) -> None:
-        """Take over at measured q (14,) [rad] and v (14,) [rad/s]: hold, without a jump."""
+        """Take over at measured q (n,) [rad] and v (n,) [rad/s]: hold, without a jump."""
         ...
 
     def follow(self, output: ArbiterOutput) -> None:
@@ -53,17 +53,17 @@ class Controller(Protocol):
         ...
 
     def update(self, q: Array, v: Array) -> Array:
-        """Run one control step; return torques (14,) [Nm], of which those of its own joints count."""
+        """Run one control step; return torques (n,) [Nm], of which those of its own joints count."""
         ...
 
     @property
     def reference(self) -> Array:
-        """Joint reference (14,) [rad] of the last step; where there is none, the measured joints."""
+        """Joint reference (n,) [rad] of the last step; where there is none, the measured joints."""
         ...
 
     @property
     def acceleration(self) -> Array | None:
-        """Acceleration (14,) [rad/s^2] of the commanded reference in the last step, or None where there is none."""
+        """Acceleration (n,) [rad/s^2] of the commanded reference in the last step, or None where there is none."""
         ...
 
 
@@ -89,16 +89,16 @@ class JointTrajectoryController:
     ) -> None:
         self.name = group
         self.arms = arms_of(group)
-        self._joints = GROUPS[group]
         self._dt = dt_s
         self._servo = ComputedTorque(kinematics, natural_frequency_rad_s=natural_frequency_rad_s)
-        self._filter = ReferenceFilter(dt_s, bandwidth_rad_s=bandwidth_rad_s)
-        self._target = np.zeros(DOF)
+        self._filter = ReferenceFilter(dt_s, kinematics.robot, bandwidth_rad_s=bandwidth_rad_s)
+        n = kinematics.robot.dof
+        self._target = np.zeros(n)
         self._executions: dict[TrajectoryExecution, tuple[Array, int]] = {}
-        self._q, self._v, self._a = np.zeros(DOF), np.zeros(DOF), np.zeros(DOF)
+        self._q, self._v, self._a = np.zeros(n), np.zeros(n), np.zeros(n)
         self._last_q, self._last_v = self._q, self._v
         self._last_a: Array | None = None
-        self._a_asked = np.zeros(DOF)
+        self._a_asked = np.zeros(n)
 
     def find_fault(self, command: Command) -> Fault | None:
         """Take joint targets and joint trajectories."""
@@ -141,12 +141,12 @@ class JointTrajectoryController:
 
     @property
     def reference(self) -> Array:
-        """Joint reference (14,) [rad] of the last step."""
+        """Joint reference (n,) [rad] of the last step."""
         return self._last_q
 
     @property
     def acceleration(self) -> Array | None:
-        """Acceleration (14,) [rad/s^2] as its source commanded it, without what fades at a start; None while braked."""
+        """Acceleration (n,) [rad/s^2] as its source commanded it, without what fades at a start; None while braked."""
         return self._last_a
 
     def _trajectory_reference(self) -> tuple[Array, Array, Array]:

@@ -15,7 +15,7 @@ import numpy as np
 from minidual.control.command_checks import own_columns
 from minidual.control.commands import ObjectCommand, TrajectoryCommand
 from minidual.control.object_impedance import ObjectState
-from minidual.robot.constants import A_MAX, GROUPS
+from minidual.robot.pair import Robot
 
 BRAKE_SHARE = 0.8
 """Share of the joints' acceleration limits that braking along a trajectory may take."""
@@ -74,17 +74,19 @@ class TrajectoryExecution:
     Args:
         command: Checked by `find_fault`.
         dt_s: Control step.
+        robot: The two arms.
 
     Attributes:
-        joints: Slice of the 14 joints that it drives.
+        joints: Slice of the joints that it drives.
         q, v, a: Present reference of those joints.
     """
 
-    def __init__(self, command: TrajectoryCommand, dt_s: float) -> None:
+    def __init__(self, command: TrajectoryCommand, dt_s: float, robot: Robot) -> None:
         self.command = command
         self.arms = command.arms
-        self.joints = GROUPS[command.group]
-        self._columns = own_columns(command)
+        self.joints = robot.groups[command.group]
+        self._a_max = robot.a_max[self.joints]
+        self._columns = own_columns(command, robot)
         self._clock = _Clock(command.motion.duration_s, dt_s)
         times = np.minimum(np.arange(self._clock.steps + 1) * dt_s, command.motion.duration_s)
         self._q, self._v, self._a = (x[:, self._columns] for x in command.motion.sample_many(times))
@@ -107,7 +109,7 @@ class TrajectoryExecution:
             return
         k = max(clock.k, 0)
         ahead = np.abs(self._v[k : k + _LOOK_AHEAD_ROWS]).max(axis=0)
-        limit = float((BRAKE_SHARE * A_MAX[self.joints] / np.maximum(ahead, 1e-6)).min())
+        limit = float((BRAKE_SHARE * self._a_max / np.maximum(ahead, 1e-6)).min())
         clock.brake(float(np.clip(limit, _BRAKE_SLOPE_MIN, _BRAKE_SLOPE_MAX)))
 
     def step(self) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from minidual.config.scene import SceneConfig
-from minidual.robot.constants import FINGER_TRAVEL_M, Array
+from minidual.robot.pair import Array, Robot
 
 CLOSE_BELOW, OPEN_ABOVE = 0.4, 0.6
 """Hysteresis on an opening command in 0..1, so that a wavering policy does not flutter."""
@@ -23,7 +23,10 @@ class Grippers:
         speed_m_per_s: Slew rate of each finger.
     """
 
-    def __init__(self, scene: SceneConfig, dt_s: float, *, pinch_force_n: float, speed_m_per_s: float = 0.08) -> None:
+    def __init__(
+        self, scene: SceneConfig, robot: Robot, dt_s: float, *, pinch_force_n: float, speed_m_per_s: float = 0.08
+    ) -> None:
+        self._travel_m = robot.hand.travel_m
         pinch_force_n = min(pinch_force_n, scene.physics.finger_force_max_n)
         self._closed_m = scene.rod.half_width_m - pinch_force_n / scene.physics.finger_kp_n_per_m
         self._step_m = speed_m_per_s * dt_s
@@ -56,7 +59,7 @@ class Grippers:
                 self._is_open[hand] = True
             elif wanted < CLOSE_BELOW:
                 self._is_open[hand] = False
-            way = (FINGER_TRAVEL_M if self._is_open[hand] else self._closed_m) - targets[hand]
+            way = (self._travel_m if self._is_open[hand] else self._closed_m) - targets[hand]
             if way != 0.0:
                 targets[hand] += min(self._step_m, max(-self._step_m, way))
                 moved = True
@@ -67,5 +70,5 @@ class Grippers:
     def _start(self, *, is_open: bool) -> None:
         self._is_open = [is_open, is_open]
         self._reached = b""
-        self._targets = [FINGER_TRAVEL_M if is_open else self._closed_m] * 2
+        self._targets = [self._travel_m if is_open else self._closed_m] * 2
         self.targets_m = np.array(self._targets)

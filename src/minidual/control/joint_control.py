@@ -1,24 +1,25 @@
-"""Computed-torque control of all 14 joints: gains follow from the inertia seen at each joint.
+"""Computed-torque control of all joints: gains follow from the inertia seen at each joint.
 
     tau = M(q) [ a_ref + 2 zeta wn (v_ref - v) + wn^2 (q_ref - q) ] + h(q, v) + d v
 
 Multiplying by the joint-space inertia M gives every joint the same closed-loop natural frequency wn whatever
 inertia it carries; a shoulder sees more than ten times the inertia of a wrist, so one number for all would leave
-the shoulder slack and the wrist shaking (the table: `python -m minidual.control.joint_gains`). h holds Coriolis,
+the shoulder slack and the wrist shaking (docs/force-control.md has the table). h holds Coriolis,
 centrifugal and gravity torques, d the joint friction. Source: Siciliano et al., Robotics, ch. 8.5.2 (inverse dynamics
 control).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
 from numpy import subtract
 
-from minidual.robot.constants import DOF, JOINT_DAMPING, JOINT_FRICTION, TAU_MAX, Array
+from minidual.control.kernels import add_friction
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array, Robot
 
 
 @dataclass(frozen=True)
@@ -29,23 +30,19 @@ class JointFriction:
     friction is not cancelled at rest, where nobody can tell which way it points.
 
     Attributes:
-        viscous: d (14,) [Nm s/rad]; the model's own by default.
-        dry: c (14,) [Nm]; the model's own by default.
+        viscous: d (n,) or one for all [Nm s/rad].
+        dry: c (n,) or one for all [Nm].
         smooth_rad_s: v_s.
     """
 
-    viscous: Array = field(default_factory=lambda: np.full(DOF, JOINT_DAMPING))
-    dry: Array = field(default_factory=lambda: np.full(DOF, JOINT_FRICTION))
+    viscous: Array | float
+    dry: Array | float = 0.0
     smooth_rad_s: float = 0.02
 
-    @property
-    def is_dry(self) -> bool:
-        """Return whether any joint has dry friction: without it the term is not worth its time."""
-        return bool(self.dry.any())
-
-    def dry_torque(self, v: Array) -> Array:
-        """Return c tanh(v / v_s) (14,) [Nm]."""
-        return self.dry * np.tanh(v / self.smooth_rad_s)
+    @classmethod
+    def of(cls, robot: Robot) -> JointFriction:
+        """Return the friction of the model."""
+        return cls(robot.arm.damping, robot.arm.friction)
 
 
 class ComputedTorque:
@@ -66,19 +63,18 @@ class ComputedTorque:
         damping_ratio: float = 1.0,
         friction: JointFriction | None = None,
     ) -> None:
-        from minidual.control.kernels import add_friction  # compiled: importing it is not free
-
-        self._add_friction = add_friction
         self._model, self._data = kinematics.model, kinematics.data
         self._gains = np.array([natural_frequency_rad_s**2, 2.0 * damping_ratio * natural_frequency_rad_s, 1.0])
-        self._friction = JointFriction() if friction is None else friction
-        self._joints = np.array([self._friction.viscous, self._friction.dry, TAU_MAX])
-        self._v = np.zeros(DOF)
-        self._errors = np.zeros((3, DOF))  # rows: position, velocity, acceleration
+        robot = kinematics.robot
+        self._friction = JointFriction.of(robot) if friction is None else friction
+        self._joints = np.zeros((3, robot.dof))
+        self._joints[0], self._joints[1], self._joints[2] = self._friction.viscous, self._friction.dry, robot.tau_max
+        self._v = np.zeros(robot.dof)
+        self._errors = np.zeros((3, robot.dof))  # rows: position, velocity, acceleration
         self._e, self._de, self._dde = self._errors
 
     def torque(self, q: Array, v: Array, q_ref: Array, v_ref: Array, a_ref: Array) -> Array:
-        """Return motor torques (14,) [Nm], clipped to the motors' limits."""
+        """Return motor torques (n,) [Nm], clipped to the motors' limits."""
         subtract(q_ref, q, self._e)
         subtract(v_ref, v, self._de)
         self._dde[:] = a_ref
@@ -86,11 +82,5 @@ class ComputedTorque:
         # rnea(q, v, a) = M a + h in one O(n) pass; it knows rotor inertia through model.armature.
         tau = pin.rnea(self._model, self._data, q, v, a)
         self._v[:] = v
-        self._add_friction(tau, self._v, self._joints, self._friction.smooth_rad_s)
+        add_friction(tau, self._v, self._joints, self._friction.smooth_rad_s)
         return tau
-
-
-def hold(controller: ComputedTorque, q: Array, v: Array, q_hold: Array) -> Array:
-    """Return the torques that hold q_hold (14,) at zero velocity."""
-    zero = np.zeros(DOF)
-    return controller.torque(q, v, q_hold, zero, zero)

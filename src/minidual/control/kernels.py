@@ -19,9 +19,7 @@ from numba import from_dtype, njit
 from numba.core import types
 
 from minidual.robot.compiled import kernel
-from minidual.robot.constants import DOF, Array
-
-ARM_DOF = DOF // 2
+from minidual.robot.pair import Array
 
 LAW = np.dtype(
     [
@@ -35,32 +33,26 @@ LAW = np.dtype(
         ("R_hand_object", "f8", (2, 3, 3)),
         ("hand_stiffness", "f8"),
         ("hand_damping", "f8"),
-        ("posture", "f8", DOF),
         ("posture_stiffness", "f8"),
         ("posture_damping", "f8"),
-        ("viscous", "f8", DOF),
-        ("dry", "f8", DOF),
         ("smooth", "f8"),
-        ("tau_max", "f8", DOF),
         # What is sensed and wanted.
-        ("q", "f8", DOF),
-        ("v", "f8", DOF),
         ("squeeze", "f8"),
         ("T", "f8", (4, 4)),
         ("twist", "f8", 6),
         ("T_d", "f8", (4, 4)),
         ("twist_d", "f8", 6),
         ("a_d", "f8", 6),
-        ("J", "f8", (12, DOF)),
         ("a_hands", "f8", 12),
         # What follows.
-        ("qdd_posture", "f8", DOF),
-        ("qdd", "f8", DOF),
         ("f", "f8", 12),
-        ("push", "f8", DOF),
     ]
 )
-"""Memory of the object impedance; the names are those of its law."""
+"""What the object impedance knows and computes of object and hands; the names are those of its law."""
+
+ROWS = ("posture", "viscous", "dry", "tau_max", "q", "v", "qdd_posture", "qdd", "push")
+"""Rows of what it knows and computes of the joints, (rows, n)."""
+POSTURE, VISCOUS, DRY, TAU_MAX, Q, V, QDD_POSTURE, QDD, PUSH = range(len(ROWS))
 
 Vector = tuple[float, float, float]
 """A vector in registers. Helpers that only read elements take an array (3,) as well: `Elements`."""
@@ -68,7 +60,7 @@ Elements = Any
 
 _LAW = types.Array(from_dtype(LAW), 1, "C")
 _VECTOR = types.float64[::1]
-_ROWS = types.float64[:, ::1]
+_MATRIX = types.float64[:, ::1]
 _ROTATION = types.float64[::1, :]
 """Pinocchio's matrices lie in memory column by column."""
 
@@ -175,7 +167,7 @@ def turn(wanted: Array, x: Vector, y: Vector, z: Vector) -> Vector:
 
 @njit
 def hand_wrenches(force: Vector, moment: Vector, r_left: Vector, r_right: Vector, squeeze: Vector, f: Array) -> None:
-    """Fill f (12,) with G^+ w + (I - G^+ G) [-squeeze; 0; squeeze; 0]; `minidual.control.grasp` derives it."""
+    """Fill f (12,) with G^+ w + (I - G^+ G) [-squeeze; 0; squeeze; 0]; docs/force-control.md derives it."""
     m, h = times(0.5, plus(r_left, r_right)), times(0.5, minus(r_left, r_right))
     n = plus(minus(moment, cross(m, force)), times(2.0, cross(h, squeeze)))
     share = times(0.5 / (1.0 + dot(h, h)), plus(n, times(dot(h, n), h)))
@@ -218,16 +210,19 @@ def least_norm(J: Array, b: Array, x: Array) -> bool:
     return True
 
 
-@kernel(types.void(_LAW))
-def posture_acceleration(law: Array) -> None:
+@kernel(types.void(_LAW, _MATRIX))
+def posture_acceleration(law: Array, rows: Array) -> None:
     """Fill qdd_posture: a damped spring in the joints."""
     s = law[0]
-    for i in range(DOF):
-        s.qdd_posture[i] = s.posture_stiffness * (s.posture[i] - s.q[i]) - s.posture_damping * s.v[i]
+    for i in range(rows.shape[1]):
+        spring = s.posture_stiffness * (rows[POSTURE, i] - rows[Q, i])
+        rows[QDD_POSTURE, i] = spring - s.posture_damping * rows[V, i]
 
 
-@kernel(types.boolean(_LAW, _VECTOR, _VECTOR, _ROTATION, _ROTATION))
-def impedance(law: Array, p_left: Array, p_right: Array, R_left: Array, R_right: Array) -> bool:
+@kernel(types.boolean(_LAW, _MATRIX, _MATRIX, _VECTOR, _VECTOR, _ROTATION, _ROTATION))
+def impedance(
+    law: Array, rows: Array, jacobian: Array, p_left: Array, p_right: Array, R_left: Array, R_right: Array
+) -> bool:
     """Fill f, push = J^T f and qdd from all that is sensed and wanted; return False if J J^T is singular."""
     s = law[0]
     R, p = s.T, (s.T[0, 3], s.T[1, 3], s.T[2, 3])
@@ -250,17 +245,18 @@ def impedance(law: Array, p_left: Array, p_right: Array, R_left: Array, R_right:
     f = s.f
     hand_wrenches(force, moment, r[0], r[1], times(s.squeeze, apply(R, s.axis)), f)
 
+    n = rows.shape[1] // 2
     lacking = np.empty(6)
     for i, R_hand in enumerate((R_left, R_right)):
-        J = s.J[6 * i : 6 * i + 6, ARM_DOF * i : ARM_DOF * (i + 1)]
-        v, qdd = s.v[ARM_DOF * i : ARM_DOF * (i + 1)], s.qdd[ARM_DOF * i : ARM_DOF * (i + 1)]
+        J = jacobian[6 * i : 6 * i + 6, n * i : n * (i + 1)]
+        v, qdd = rows[V, n * i : n * (i + 1)], rows[QDD, n * i : n * (i + 1)]
 
         # A torsional spring to the grasp frame: how the object would lie if it had not turned in this hand.
         B = s.R_hand_object[i]
         error = turn(R_d, apply(R_hand, B[:, 0]), apply(R_hand, B[:, 1]), apply(R_hand, B[:, 2]))
         for k in range(3):
             rate = omega[k]
-            for j in range(ARM_DOF):
+            for j in range(n):
                 rate -= J[3 + k, j] * v[j]
             f[6 * i + 3 + k] += s.hand_stiffness * error[k] + s.hand_damping * rate
 
@@ -272,38 +268,38 @@ def impedance(law: Array, p_left: Array, p_right: Array, R_left: Array, R_right:
         if not least_norm(J, lacking, qdd):
             return False
 
-    for j in range(DOF):
-        s.qdd[j] += s.qdd_posture[j]
-        s.push[j] = 0.0
+    for j in range(rows.shape[1]):
+        rows[QDD, j] += rows[QDD_POSTURE, j]
+        rows[PUSH, j] = 0.0
         for k in range(12):
-            s.push[j] += s.J[k, j] * f[k]
+            rows[PUSH, j] += jacobian[k, j] * f[k]
     return True
 
 
-@kernel(types.void(_LAW, _VECTOR))
-def add_push(law: Array, tau: Array) -> None:
-    """Add to tau (14,) [Nm] the push on the object and joint friction, within the motors' limits."""
-    s = law[0]
-    for j in range(DOF):
-        tau[j] += s.push[j] + friction(s.v[j], s.viscous[j], s.dry[j], s.smooth)
-        tau[j] = within(tau[j], -s.tau_max[j], s.tau_max[j])
+@kernel(types.void(_LAW, _MATRIX, _VECTOR))
+def add_push(law: Array, rows: Array, tau: Array) -> None:
+    """Add to tau (n,) [Nm] the push on the object and joint friction, within the motors' limits."""
+    smooth = law[0].smooth
+    for j in range(len(tau)):
+        tau[j] += rows[PUSH, j] + friction(rows[V, j], rows[VISCOUS, j], rows[DRY, j], smooth)
+        tau[j] = within(tau[j], -rows[TAU_MAX, j], rows[TAU_MAX, j])
 
 
-@kernel(types.void(_VECTOR, _VECTOR, _ROWS, types.float64))
+@kernel(types.void(_VECTOR, _VECTOR, _MATRIX, types.float64))
 def add_friction(tau: Array, v: Array, joints: Array, smooth: float) -> None:
-    """Add to tau (14,) [Nm] the friction at v, within the motors' limits; joints (3, 14): d, c and tau_max."""
-    for j in range(DOF):
+    """Add to tau (n,) [Nm] the friction at v, within the motors' limits; joints (3, n): d, c and tau_max."""
+    for j in range(len(tau)):
         tau[j] += friction(v[j], joints[0, j], joints[1, j], smooth)
         tau[j] = within(tau[j], -joints[2, j], joints[2, j])
 
 
-@kernel(types.void(_VECTOR, _VECTOR, _VECTOR, _ROWS, types.float64, types.float64, _ROWS))
+@kernel(types.void(_VECTOR, _VECTOR, _VECTOR, _MATRIX, types.float64, types.float64, _MATRIX))
 def follow_target(target: Array, q: Array, v: Array, bounds: Array, w: float, dt: float, after: Array) -> None:
-    """Fill `after` (3, 14) with q, v, a one step later; `minidual.control.reference` states the filter.
+    """Fill `after` (3, n) with q, v, a one step later; `minidual.control.reference` states the filter.
 
-    bounds (5, 14): a_max, v_max, the distance d under which the spring is linear, and the joints' lower and upper ends.
+    bounds (5, n): a_max, v_max, the distance d under which the spring is linear, and the joints' lower and upper ends.
     """
-    for j in range(DOF):
+    for j in range(len(target)):
         a_max, v_max, near = bounds[0, j], bounds[1, j], bounds[2, j]
         e = within(target[j], bounds[3, j], bounds[4, j]) - q[j]
         s = near / max(abs(e), near)

@@ -10,8 +10,8 @@ from minidual.control.gripper import Grippers
 from minidual.control.joint_control import ComputedTorque
 from minidual.control.reference import ReferenceFilter
 from minidual.plant.world import World
-from minidual.robot.constants import Array
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array
 
 JOINT_PINCH_N = 60.0
 """Pinch force of the joint-space modes [N]; 1.5 times what the internal force of a stiff pair can ask for."""
@@ -37,8 +37,8 @@ class JointLoop:
     ) -> None:
         self.world = world
         self.controller = ComputedTorque(kinematics, natural_frequency_rad_s=natural_frequency_rad_s)
-        self.reference = ReferenceFilter(world.dt, bandwidth_rad_s=bandwidth_rad_s)
-        self.grippers = Grippers(world.scene, world.dt, pinch_force_n=JOINT_PINCH_N)
+        self.reference = ReferenceFilter(world.dt, kinematics.robot, bandwidth_rad_s=bandwidth_rad_s)
+        self.grippers = Grippers(world.scene, world.robot, world.dt, pinch_force_n=JOINT_PINCH_N)
         self.reset()
 
     def reset(self) -> None:
@@ -47,7 +47,7 @@ class JointLoop:
         self.grippers.reset()
 
     def step(self, q_target: Array, gripper: Array) -> None:
-        """Run one control and physics step towards joint target (14,) [rad] and opening command (2,) in 0..1."""
+        """Run one control and physics step towards joint target (n,) [rad] and opening command (2,) in 0..1."""
         q_ref, v_ref, a_ref = self.reference.step(q_target)
         self._apply(q_ref, v_ref, a_ref, gripper)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from minidual.control.command_checks import find_fault
 from minidual.control.commands import Command, JointCommand, Refusal, TimedCommand
-from minidual.robot.constants import ARMS
+from minidual.robot.pair import SIDES, Robot
 
 
 class Mailbox:
@@ -16,10 +16,11 @@ class Mailbox:
 
     Args:
         source: Name of the source, for refusals.
+        robot: The two arms.
     """
 
-    def __init__(self, source: str) -> None:
-        self.source = source
+    def __init__(self, source: str, robot: Robot) -> None:
+        self.source, self._robot = source, robot
         self._latest: dict[int, JointCommand] = {}
         self._timed: list[TimedCommand] = []
         self._sequence: int | None = None
@@ -27,7 +28,7 @@ class Mailbox:
 
     def put(self, command: Command) -> Refusal | None:
         """Take a command, or return why it is refused."""
-        fault = find_fault(command)
+        fault = find_fault(command, self._robot)
         if fault is None and command.stamp_s < self._not_before_s:
             fault = (
                 "before_switch",
@@ -70,7 +71,7 @@ class Mailbox:
         for arm, command in sorted(self._latest.items()):
             age = now_s - command.stamp_s
             if age < -stale_s:
-                refusals.append(self._ahead(f"{ARMS[arm]} arm", -age, command))
+                refusals.append(self._ahead(f"{SIDES[arm]} arm", -age, command))
                 del self._latest[arm]
             elif age <= stale_s + 1e-9:
                 fresh[arm] = command

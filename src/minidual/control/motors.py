@@ -8,14 +8,14 @@ from typing import Protocol
 import numpy as np
 
 from minidual.control.soft_stop import TorqueRate
-from minidual.robot.constants import DOF, DOF_PER_ARM, Array
+from minidual.robot.pair import Array, Robot
 
 
 class Guard(Protocol):
     """A supervisor: the last look at the torques before the motors."""
 
     def guard(self, time_s: float, q: Array, v: Array, tau: Array, a_ref: Array | None = None) -> Array:
-        """Return the torques (14,) [Nm] to apply; raise a named error, once, to stop the arms."""
+        """Return the torques (n,) [Nm] to apply; raise a named error, once, to stop the arms."""
         ...
 
     def fail(self, time_s: float, q: Array, v: Array, why: str) -> Array:
@@ -36,18 +36,19 @@ class SwitchedOff:
 
     Args:
         arms: Indices of the arms.
-        tau: Torques (14,) [Nm] that act now.
+        tau: Torques (n,) [Nm] that act now.
         dt_s: Control step.
+        robot: The two arms.
     """
 
-    def __init__(self, arms: Sequence[int], tau: Array, dt_s: float) -> None:
-        self._joints = np.repeat([arm in arms for arm in range(DOF // DOF_PER_ARM)], DOF_PER_ARM)
-        self._rate, self._zero = TorqueRate(tau, dt_s), np.zeros(DOF)
+    def __init__(self, arms: Sequence[int], tau: Array, dt_s: float, robot: Robot) -> None:
+        self._joints = np.repeat([arm in arms for arm in (0, 1)], robot.dof_per_arm)
+        self._rate, self._zero = TorqueRate(tau, dt_s, robot.arm.tau_rate_max), np.zeros_like(tau)
 
     def step(self) -> None:
         """Advance by one control step."""
         self._rate.limit(self._zero)
 
     def apply(self, tau: Array) -> Array:
-        """Return the torques (14,) with those of the arms that are off in their place."""
+        """Return the torques (n,) with those of the arms that are off in their place."""
         return np.where(self._joints, self._rate.tau, tau)

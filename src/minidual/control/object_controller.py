@@ -13,8 +13,8 @@ from minidual.control.commands import ArbiterOutput, Command, ObjectCommand
 from minidual.control.execution import ObjectExecution
 from minidual.control.object_impedance import HeldObject, ImpedanceGains, ObjectImpedance, ObjectState, bounded
 from minidual.errors import UsageError
-from minidual.robot.constants import DOF, Array
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array
 from minidual.robot.poses import rotation_log
 
 SQUEEZE_RATE_N_PER_S = 200.0
@@ -76,7 +76,7 @@ class ObjectImpedanceController:
         self._execution: ObjectExecution | None = None
         self._desired: ObjectState | None = None
         self._squeeze = self._squeeze_wanted = 0.0
-        self._reference = np.zeros(DOF)
+        self._reference = np.zeros(self._kinematics.robot.dof)
 
     def configure(self, held: HeldObject, gains: ImpedanceGains | None = None) -> None:
         """Tell it what is held and how stiffly; it cannot be activated before.
@@ -152,7 +152,7 @@ class ObjectImpedanceController:
 
     @property
     def reference(self) -> Array:
-        """Measured joints (14,) [rad]: an impedance has no joint reference."""
+        """Measured joints (n,) [rad]: an impedance has no joint reference."""
         return self._reference
 
     @property

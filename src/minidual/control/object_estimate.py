@@ -25,8 +25,8 @@ import numpy as np
 import pinocchio as pin
 
 from minidual.control.object_impedance import ObjectState
-from minidual.robot.constants import Array
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array
 from minidual.robot.poses import inverse, pose, rotation_log
 from minidual.robot.vectors import Vector, cross, inner, minus, plus, times
 
@@ -58,7 +58,7 @@ class HeldEstimate:
 
     Args:
         kinematics: Workspace.
-        q: Joints (14,) at which the hands have closed on it.
+        q: Joints (n,) at which the hands have closed on it.
         T_world_object: Its pose (4, 4) as known by then.
         delay_ticks: Age of the samples that will come.
         least_gain: g once the start is forgotten.
@@ -97,8 +97,8 @@ class HeldEstimate:
         """Return the object's state now.
 
         Args:
-            q: Joint positions (14,).
-            v: Joint velocities (14,).
+            q: Joint positions (n,).
+            v: Joint velocities (n,).
             sample: Pose (4, 4) that arrived in this step, or None.
             age_ticks: Steps since it was taken.
         """

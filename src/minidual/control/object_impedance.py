@@ -22,13 +22,13 @@ from dataclasses import dataclass, field
 import numpy as np
 import pinocchio as pin
 
+from minidual.control import kernels
 from minidual.control.joint_control import JointFriction
 from minidual.errors import MinidualError
-from minidual.robot.constants import ARMS, GROUPS, TAU_MAX, Array
 from minidual.robot.kinematics import HandMotion, Kinematics
+from minidual.robot.pair import SIDES, Array
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
-_ARMS = (GROUPS["left_arm"], GROUPS["right_arm"])
 _BENT = "keep the elbows bent: a stretched arm cannot carry"
 
 
@@ -96,15 +96,17 @@ class ObjectImpedance:
     def __init__(
         self, kinematics: Kinematics, held: HeldObject, gains: ImpedanceGains, friction: JointFriction | None = None
     ) -> None:
-        from minidual.control import kernels  # compiled: importing it is not free
-
         self._model, self._data = kinematics.model, kinematics.data
-        self._kinematics, self._kernels = kinematics, kernels
+        self._kinematics = kinematics
+        robot = kinematics.robot
         self.held, self.gains = held, gains
-        friction = JointFriction() if friction is None else friction
+        friction = JointFriction.of(robot) if friction is None else friction
 
         self._law = np.zeros(1, kernels.LAW)
         known = kernels.view(self._law)
+        self._rows = np.zeros((len(kernels.ROWS), robot.dof))
+        known |= dict(zip(kernels.ROWS, self._rows, strict=True))
+        self._J = np.zeros((12, robot.dof))
         for name, value in {
             "K": gains.stiffness,
             "mass": held.mass_kg,
@@ -119,18 +121,18 @@ class ObjectImpedance:
             "viscous": friction.viscous,
             "dry": friction.dry,
             "smooth": friction.smooth_rad_s,
-            "tau_max": TAU_MAX,
+            "tau_max": robot.tau_max,
         }.items():
             known[name][...] = value
         self._D, self._posture, self._squeezed = known["D"], known["posture"], known["squeeze"]
-        self._q, self._v, self._J = known["q"], known["v"], known["J"]
+        self._q, self._v = known["q"], known["v"]
         self._T, self._twist = known["T"], known["twist"]
         self._T_d, self._twist_d, self._a_d = known["T_d"], known["twist_d"], known["a_d"]
         self._qdd_posture, self._qdd = known["qdd_posture"], known["qdd"]
         self._hands = HandMotion(kinematics, self._J, known["a_hands"])
 
     def engage(self, q: Array) -> None:
-        """Take over at posture q (14,): the damping and the null-space posture follow from it.
+        """Take over at posture q (n,): the damping and the null-space posture follow from it.
 
         Raises:
             SingularPostureError: A hand cannot be accelerated in every direction.
@@ -141,7 +143,8 @@ class ObjectImpedance:
         moving[:3] = self.held.mass_kg
         moving[3:] = np.diag(self.held.inertia_kg_m2)
         lever = max(float(np.linalg.norm(T[:3, 3])) for T in self.held.T_object_tcps)
-        for name, J, arm in zip(ARMS, self._kinematics.tcp_jacobians(q), _ARMS, strict=True):
+        for index, (name, J) in enumerate(zip(SIDES, self._kinematics.tcp_jacobians(q), strict=True)):
+            arm = self._kinematics.robot.joints_of(index)
             try:
                 mass_at_hand = np.linalg.inv(J[:3, arm] @ np.linalg.solve(M[arm, arm], J[:3, arm].T))
             except np.linalg.LinAlgError as error:
@@ -162,29 +165,29 @@ class ObjectImpedance:
         internal_force_n: float,
         measured_internal_force_n: float,
     ) -> Array:
-        """Return motor torques (14,) [Nm], clipped to the motors' limits.
+        """Return motor torques (n,) [Nm], clipped to the motors' limits.
 
         Args:
-            q: Joint positions (14,) [rad].
-            v: Joint velocities (14,) [rad/s].
+            q: Joint positions (n,) [rad].
+            v: Joint velocities (n,) [rad/s].
             measured: Object as sensed (its acceleration is not used).
             desired: Object as wanted.
             internal_force_n: Squeeze wanted [N].
             measured_internal_force_n: Squeeze sensed at the contacts [N]; never taken from the hands' distance.
         """
-        kernels, law, hands = self._kernels, self._law, self._hands
+        law, rows, hands = self._law, self._rows, self._hands
         self._q[:], self._v[:] = q, v
         self._T[:], self._twist[:] = measured.T_world_object, measured.twist
         self._T_d[:], self._twist_d[:], self._a_d[:] = (desired.T_world_object, desired.twist, desired.acceleration)
         self._squeezed[0] = self._squeeze(internal_force_n, measured_internal_force_n)
 
         # Posture first: what the hands would feel of it is taken out again by the least acceleration.
-        kernels.posture_acceleration(law)
+        kernels.posture_acceleration(law, rows)
         hands.update(self._q, self._v, self._qdd_posture)
-        if not kernels.impedance(law, *hands.p, *hands.R):
+        if not kernels.impedance(law, rows, self._J, *hands.p, *hands.R):
             raise SingularPostureError("a hand has lost a direction of motion: J J^T is singular", remedy=_BENT)
         tau = pin.rnea(self._model, self._data, self._q, self._v, self._qdd)
-        kernels.add_push(law, tau)
+        kernels.add_push(law, rows, tau)
         return tau
 
     def _squeeze(self, wanted_n: float, measured_n: float) -> float:

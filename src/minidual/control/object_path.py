@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from minidual.control.object_impedance import ObjectState
-from minidual.robot.constants import Array
+from minidual.robot.pair import Array
 
 
 def minimum_jerk(s: float) -> tuple[float, float, float]:

@@ -17,7 +17,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from minidual.robot.constants import A_MAX, DOF, Q_LOWER, Q_UPPER, V_MAX, Array
+from minidual.control.kernels import follow_target
+from minidual.robot.arms import DUAL_PANDA
+from minidual.robot.pair import Array, Robot
 
 _BRAKE_SHARE = 0.9
 """Share of the acceleration bound that the braking curve plans with; the rest follows the curve closely."""
@@ -28,41 +30,42 @@ class ReferenceFilter:
 
     Args:
         dt_s: Step of the control loop.
+        robot: The two arms.
         bandwidth_rad_s: w; the reference lags a slowly moving target by 2 / w, a fast one by more.
         acceleration_scale: Fraction of the joints' acceleration limits that may be asked for.
     """
 
-    def __init__(self, dt_s: float, *, bandwidth_rad_s: float = 30.0, acceleration_scale: float = 0.8) -> None:
-        from minidual.control.kernels import follow_target  # compiled: importing it is not free
-
-        self._follow, self._w, self._dt = follow_target, bandwidth_rad_s, dt_s
-        a_max = acceleration_scale * A_MAX
+    def __init__(
+        self, dt_s: float, robot: Robot = DUAL_PANDA, *, bandwidth_rad_s: float = 30.0, acceleration_scale: float = 0.8
+    ) -> None:
+        self._w, self._dt = bandwidth_rad_s, dt_s
+        a_max = acceleration_scale * robot.a_max
         near = 4.0 * _BRAKE_SHARE * a_max / bandwidth_rad_s**2
-        self._bounds = np.array([a_max, 0.95 * V_MAX, near, Q_LOWER, Q_UPPER])
-        self._target = np.zeros(DOF)
-        self.q, self.v, self.a = np.zeros((3, DOF))
+        self._bounds = np.array([a_max, 0.95 * robot.v_max, near, robot.q_lower, robot.q_upper])
+        self._target = np.zeros(robot.dof)
+        self.q, self.v, self.a = np.zeros((3, robot.dof))
 
     def reset(self, q: Array, v: Array | None = None, a: Array | None = None) -> None:
-        """Start from posture q (14,) [rad] at velocity v and acceleration a (zero by default)."""
+        """Start from posture q (n,) [rad] at velocity v and acceleration a (zero by default)."""
         self.q = np.array(q, dtype=float)
-        self.v = np.zeros(DOF) if v is None else np.array(v, dtype=float)
-        self.a = np.zeros(DOF) if a is None else np.array(a, dtype=float)
+        self.v = np.zeros_like(self.q) if v is None else np.array(v, dtype=float)
+        self.a = np.zeros_like(self.q) if a is None else np.array(a, dtype=float)
 
     def follow(self, q: Array, v: Array, a: Array) -> None:
-        """Take over the state (each (14,)) of a reference that is already smooth, to go on from there.
+        """Take over the state (each (n,)) of a reference that is already smooth, to go on from there.
 
         The acceleration is kept for readers only, as it was given: no step starts from it.
         """
         self.q, self.v, self.a = q.copy(), v.copy(), a
 
     def step(self, target: Array) -> tuple[Array, Array, Array]:
-        """Advance one step towards target (14,) [rad]; return (q_ref, v_ref, a_ref).
+        """Advance one step towards target (n,) [rad]; return (q_ref, v_ref, a_ref).
 
         With s = min(1, d / |e|) both pieces of v_want are w/2 e sqrt(s (2 - s)), so that
         a = w^2 e sqrt(s (2 - s)) - 2 w v. The arrays returned are new ones.
         """
         self._target[:] = target
-        after = np.empty((3, DOF))
-        self._follow(self._target, self.q, self.v, self._bounds, self._w, self._dt, after)
+        after = np.empty((3, len(self._target)))
+        follow_target(self._target, self.q, self.v, self._bounds, self._w, self._dt, after)
         self.q, self.v, self.a = after
         return self.q, self.v, self.a

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from minidual.errors import MinidualError
-from minidual.robot.constants import Array
+from minidual.robot.pair import Array
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ _KINDS = (
         "joint_position",
         "joint_position_limits_violation",
         "a joint is beyond its position limit, or too fast to stop before it",
-        "keep targets inside the limits and slow down towards them; limits in minidual.robot.constants",
+        "keep targets inside the limits and slow down towards them; minidual.robot.arms has the limits",
         "rad",
     ),
     ReflexKind(
@@ -173,7 +173,7 @@ class ReflexError(MinidualError):
 
     Attributes:
         reflex: What happened.
-        tau: (14,) [Nm] torque to apply in this tick, the first of the soft stop: always finite, within the limits.
+        tau: (n,) [Nm] torque to apply in this tick, the first of the soft stop: always finite, within the limits.
         dump: File with the last second before, for `minidual replay`, if one was written.
         no_dump: Why the file could not be written; empty if nothing went wrong.
     """

@@ -7,8 +7,8 @@ import numpy as np
 from minidual.control.command_checks import Fault
 from minidual.control.commands import ArbiterOutput, Command
 from minidual.control.joint_control import ComputedTorque
-from minidual.robot.constants import A_MAX, DOF, TAU_RATE_MAX, Array
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array
 
 STOP_SHARE = 0.5
 """Deceleration of a soft stop, as a share of the joints' acceleration limits."""
@@ -20,17 +20,17 @@ class TorqueRate:
     """Bounds the change of every motor's torque.
 
     Args:
-        tau: Torques (14,) [Nm] that act now.
+        tau: Torques (n,) [Nm] that act now.
         dt_s: Control step.
-        rate_nm_per_s: Bound; the drives' own limit by default.
+        rate_nm_per_s: Bound.
     """
 
-    def __init__(self, tau: Array, dt_s: float, *, rate_nm_per_s: float = TAU_RATE_MAX) -> None:
+    def __init__(self, tau: Array, dt_s: float, rate_nm_per_s: float) -> None:
         self.tau = tau.copy()
         self._step = rate_nm_per_s * dt_s
 
     def limit(self, tau: Array) -> Array:
-        """Return the torques (14,) nearest to tau that may follow the last ones."""
+        """Return the torques (n,) nearest to tau that may follow the last ones."""
         change = tau - self.tau
         np.minimum(change, self._step, change)
         np.maximum(change, -self._step, change)
@@ -45,18 +45,18 @@ class SoftStop:
     keep to its motion at first. Its peak deceleration is 1.5 |v_0| / T.
 
     Args:
-        q: Joint positions (14,) at the start.
-        v: Joint velocities (14,).
-        deceleration_share: Peak deceleration, as a share of the joints' limits.
+        q: Joint positions (n,) at the start.
+        v: Joint velocities (n,).
+        deceleration: Peak deceleration of each joint (n,) [rad/s^2].
         least_s: Shortest time to take.
     """
 
-    def __init__(self, q: Array, v: Array, *, deceleration_share: float = STOP_SHARE, least_s: float = 0.1) -> None:
+    def __init__(self, q: Array, v: Array, deceleration: Array, *, least_s: float = 0.1) -> None:
         self._q, self._v = q.copy(), v.copy()
-        self.duration_s = max(least_s, float(np.max(1.5 * np.abs(v) / (deceleration_share * A_MAX))))
+        self.duration_s = max(least_s, float(np.max(1.5 * np.abs(v) / deceleration)))
 
     def at(self, t_s: float) -> tuple[Array, Array, Array]:
-        """Return (q, v, a), each (14,), at time t after the start; at rest from `duration_s` on."""
+        """Return (q, v, a), each (n,), at time t after the start; at rest from `duration_s` on."""
         s = min(1.0, max(0.0, t_s / self.duration_s))
         speed = (1.0 - s) ** 2 * (1.0 + 2.0 * s)
         way = s - s**3 + 0.5 * s**4  # the integral of (1 - s)^2 (1 + 2 s) = 1 - 3 s^2 + 2 s^3
@@ -80,10 +80,10 @@ class SoftStopController:
 
     def __init__(self, kinematics: Kinematics, dt_s: float, *, deceleration_share: float = STOP_SHARE) -> None:
         self._servo = ComputedTorque(kinematics, natural_frequency_rad_s=_STOP_FREQUENCY_RAD_S)
-        self._dt, self._share = dt_s, deceleration_share
-        self._motion = SoftStop(np.zeros(DOF), np.zeros(DOF), deceleration_share=deceleration_share)
+        self._dt, self._deceleration = dt_s, deceleration_share * kinematics.robot.a_max
+        self._reference = np.zeros(kinematics.robot.dof)
+        self._motion = SoftStop(self._reference, self._reference, self._deceleration)
         self._steps = 0
-        self._reference = np.zeros(DOF)
 
     def find_fault(self, command: Command) -> Fault | None:
         """Take no command."""
@@ -96,7 +96,7 @@ class SoftStopController:
 
     def activate(self, q: Array, v: Array) -> None:
         """Begin to stop from what is measured."""
-        self._motion = SoftStop(q, v, deceleration_share=self._share)
+        self._motion = SoftStop(q, v, self._deceleration)
         self._steps = 0
         self._reference = np.array(q, dtype=float)
 
@@ -112,7 +112,7 @@ class SoftStopController:
 
     @property
     def reference(self) -> Array:
-        """Joint reference (14,) [rad] of the last step."""
+        """Joint reference (n,) [rad] of the last step."""
         return self._reference
 
     @property

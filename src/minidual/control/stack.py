@@ -32,8 +32,8 @@ from minidual.control.motors import Guard, SwitchedOff
 from minidual.control.object_controller import ObjectImpedanceController, ObjectSensor, WorldObjectSensor
 from minidual.control.soft_stop import STOP_SHARE, SoftStopController
 from minidual.errors import MinidualError, UsageError
-from minidual.robot.constants import Array
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array
 
 DEFAULT_CONTROLLERS: tuple[str, ...] = ("both_arms",)
 """What drives the arms until something else is asked for."""
@@ -81,7 +81,8 @@ class ControlStack:
                 f"rate_hz {rate_hz} does not divide the control rate of {1.0 / world.dt:g} Hz",
                 remedy="take a divisor of it, such as 50 or 100",
             )
-        self.grippers = Grippers(world.scene, world.dt, pinch_force_n=pinch_force_n)
+        self._robot = kinematics.robot
+        self.grippers = Grippers(world.scene, self._robot, world.dt, pinch_force_n=pinch_force_n)
         table: list[Controller] = [
             JointTrajectoryController(group, kinematics, world.dt) for group in ("both_arms", "left_arm", "right_arm")
         ]
@@ -92,7 +93,7 @@ class ControlStack:
             drives=lambda: self.impedance.name in self.manager.active,
         )
         stop = SoftStopController(kinematics, world.dt, deceleration_share=stop_share)
-        self.manager = ControllerManager([*table, self.impedance, stop], world.dt)
+        self.manager = ControllerManager([*table, self.impedance, stop], world.dt, self._robot)
         self.manager.check(self._initial)
         self._flush_listeners: list[Callable[[str], None]] = []
         self.reset()
@@ -104,11 +105,14 @@ class ControlStack:
         """
         world = self.world
         self.arbiter = CommandArbiter(
-            self._config, control_dt_s=world.dt, admit=lambda command: self.manager.find_fault(command)
+            self._config,
+            control_dt_s=world.dt,
+            admit=lambda command: self.manager.find_fault(command),
+            robot=self._robot,
         )
         self.arbiter.on_flush(self._flushed)
         self.arbiter.on_confirm(self._confirmed)
-        self.manager = ControllerManager([self.manager[name] for name in self.manager.names], world.dt)
+        self.manager = ControllerManager([self.manager[name] for name in self.manager.names], world.dt, self._robot)
         self.impedance.forget()
         self.grippers.reset()
         q = world.q
@@ -123,7 +127,7 @@ class ControlStack:
         self.reflex: MinidualError | None = None
         """What the supervisor stopped the arms for, or None."""
         self.applied = np.zeros_like(q)
-        """Torques (14,) [Nm] of the last control step, as the supervisor let them through."""
+        """Torques (n,) [Nm] of the last control step, as the supervisor let them through."""
         self._off: SwitchedOff | None = None
         self._reset_supervisor()
 
@@ -219,7 +223,7 @@ class ControlStack:
         For motors that have gone: drives that come back must not find a torque waiting. What is told falls to zero at
         the drives' rate. The arms named before stay off only if they are named again.
         """
-        self._off = SwitchedOff(arms, self.applied, self.world.dt)
+        self._off = SwitchedOff(arms, self.applied, self.world.dt, self._robot)
 
     def on_flush(self, listener: Callable[[str], None]) -> None:
         """Call `listener(mode)` whenever a switch to `mode` begins, so that sources drop queued chunks too."""
@@ -257,12 +261,12 @@ class ControlStack:
 
     @property
     def reference(self) -> Array:
-        """Joint references (14,) [rad] of the last control step."""
+        """Joint references (n,) [rad] of the last control step."""
         return self.manager.reference
 
     @property
     def tau(self) -> Array:
-        """Torques (14,) [Nm] that the controllers gave in the last control step."""
+        """Torques (n,) [Nm] that the controllers gave in the last control step."""
         return self.manager.tau
 
     # What runs -------------------------------------------------------------------------------------------
@@ -321,7 +325,7 @@ class ControlStack:
             raise stopped
 
     def _torque(self, q: Array, v: Array) -> tuple[Array, MinidualError | None]:
-        """Return the torques (14,) [Nm] of this tick, and the error that stopped the arms in it, if one did."""
+        """Return the torques (n,) [Nm] of this tick, and the error that stopped the arms in it, if one did."""
         failed: MinidualError | None = None
         tau = self.applied
         try:
@@ -351,7 +355,7 @@ class ControlStack:
         return tau
 
     def _fall_back(self, error: MinidualError, q: Array, v: Array) -> Array:
-        """Let the joint controllers hold the arms where they are; return their torque (14,) [Nm] of this tick."""
+        """Let the joint controllers hold the arms where they are; return their torque (n,) [Nm] of this tick."""
         if self.manager.active == DEFAULT_CONTROLLERS:  # nothing is left that could hold them
             raise error
         self.manager.switch(DEFAULT_CONTROLLERS, q, v)

@@ -14,8 +14,8 @@ import numpy as np
 import pinocchio as pin
 
 from minidual.config.supervisor import SupervisorConfig
-from minidual.robot.constants import A_MAX, JOINT_DAMPING, Q_LOWER, Q_UPPER, TAU_MAX, TAU_RATE_MAX, V_MAX, Array
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array
 
 
 class SupervisedStop:
@@ -29,20 +29,21 @@ class SupervisedStop:
 
     def __init__(self, kinematics: Kinematics, config: SupervisorConfig, dt_s: float) -> None:
         self._model, self._data = kinematics.model, kinematics.data
-        self._brake = config.stop_deceleration_scale * A_MAX
+        self._robot = kinematics.robot
+        self._brake = config.stop_deceleration_scale * self._robot.a_max
         self._damping = 2.0 * config.stop_frequency_rad_s
         self._stiffness = config.stop_frequency_rad_s**2
         self._dt = dt_s
-        self._tau_step = TAU_RATE_MAX * dt_s
+        self._tau_step = self._robot.arm.tau_rate_max * dt_s
 
     def begin(self, q: Array, v: Array, tau: Array) -> None:
-        """Start from the last good posture (14,) [rad], velocity [rad/s] and torque applied [Nm]; all finite."""
+        """Start from the last good posture (n,) [rad], velocity [rad/s] and torque applied [Nm]; all finite."""
         self._q, self._v = q.copy(), v.copy()
-        self._q_ref, self._v_ref = q.copy(), np.clip(v, -V_MAX, V_MAX)
-        self._tau = np.clip(tau, -TAU_MAX, TAU_MAX)
+        self._q_ref, self._v_ref = q.copy(), np.clip(v, -self._robot.v_max, self._robot.v_max)
+        self._tau = np.clip(tau, -self._robot.tau_max, self._robot.tau_max)
 
     def torque(self, q: Array, v: Array) -> Array:
-        """Return the torque (14,) [Nm] of this tick.
+        """Return the torque (n,) [Nm] of this tick.
 
         A measurement that is not finite is replaced by the last one that was, at rest: gravity is still carried.
         """
@@ -53,10 +54,10 @@ class SupervisedStop:
         slower = np.sign(self._v_ref) * np.maximum(0.0, np.abs(self._v_ref) - self._dt * self._brake)
         a_ref = (slower - self._v_ref) / self._dt
         self._v_ref = slower
-        self._q_ref = np.clip(self._q_ref + self._dt * slower, Q_LOWER, Q_UPPER)
+        self._q_ref = np.clip(self._q_ref + self._dt * slower, self._robot.q_lower, self._robot.q_upper)
         a = a_ref + self._damping * (slower - self._v) + self._stiffness * (self._q_ref - self._q)
-        wanted = pin.rnea(self._model, self._data, self._q, self._v, a) + JOINT_DAMPING * self._v
+        wanted = pin.rnea(self._model, self._data, self._q, self._v, a) + self._robot.arm.damping * self._v
         if np.isfinite(wanted).all():  # a posture far out of this world overflows
-            step = np.clip(wanted, -TAU_MAX, TAU_MAX) - self._tau
+            step = np.clip(wanted, -self._robot.tau_max, self._robot.tau_max) - self._tau
             self._tau = self._tau + np.clip(step, -self._tau_step, self._tau_step)
         return self._tau.copy()

@@ -1,7 +1,7 @@
 """The supervisor: stands between the controllers and the motors, and stops the arms when a bound does not hold.
 
 `guard` is called once a tick with what was measured and what the controller asks for, and returns the torque to
-apply. All joint bounds are one comparison of six rows of fourteen numbers; what needs kinematics is looked at every
+apply. All joint bounds are one comparison of six rows of the joints' numbers; what needs kinematics is looked at every
 `slow_period_s`, with a look-ahead that makes the period safe. The first tick in which something does not hold raises a
 `ReflexError` that carries the torque of that tick; from then on `guard` returns the torques of a soft stop until
 `reset`, whatever it is given. See docs/supervisor.md.
@@ -21,17 +21,16 @@ from minidual.control import limits
 from minidual.control.reflexes import Reflex, ReflexError
 from minidual.control.supervised_stop import SupervisedStop
 from minidual.errors import UsageError
-from minidual.robot.constants import ARMS, DOF, HOME, JOINT_NAMES, TCP_NAMES, Array
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import SIDES, Array
 
 Distance = Callable[[Array], tuple[str, float]]
-"""Takes q (14,) [rad]; returns the nearest pair of parts that may not touch ("a with b") and its distance [m]."""
+"""Takes q (n,) [rad]; returns the nearest pair of parts that may not touch ("a with b") and its distance [m]."""
 OnReflex = Callable[[Reflex], Path | None]
 """Called once when a reflex comes; may return the file with the replayable state that it wrote."""
 
 SEEN = ("measured_position_rad", "measured_velocity_rad_per_s", "asked_torque_nm")
-"""What a reflex keeps of its tick, 14 numbers each; those that are not finite are written as text."""
-_ZERO = np.zeros(DOF)
+"""What a reflex keeps of its tick, one number a joint; those that are not finite are written as text."""
 
 
 class Supervisor:
@@ -56,13 +55,16 @@ class Supervisor:
     ) -> None:
         self.config = SupervisorConfig() if config is None else config
         self.dt_s = dt_s
-        self.bounds = limits.TickBounds(self.config, dt_s)
         self._kinematics = Kinematics() if kinematics is None else kinematics
+        self._robot = self._kinematics.robot
+        self.bounds = limits.TickBounds(self.config, dt_s, self._robot)
+        self._reach = limits.Reach(self._kinematics)
+        self._zero = np.zeros(self._robot.dof)
         self._stop = SupervisedStop(self._kinematics, self.config, dt_s)
         self._self_distance = self_distance
         self._on_reflex = on_reflex
         self._slow_ticks = max(1, round(self.config.slow_period_s / dt_s))
-        self._rows = np.zeros((len(limits.ROWS), DOF))
+        self._rows = np.zeros((len(limits.ROWS), self._robot.dof))
         self._ratio = np.zeros_like(self._rows)
         self._jerk_ticks = 0
         self._reflex: Reflex | None = None
@@ -88,12 +90,12 @@ class Supervisor:
         self._a_before: Array | None = None
         self._rows[:] = 0.0
         self._slow_tick = -2
-        self._saturated = np.zeros(DOF, dtype=int)
-        self._jumps = np.zeros(DOF, dtype=int)
-        self._asked = _ZERO
+        self._saturated = np.zeros(self._robot.dof, dtype=int)
+        self._jumps = np.zeros(self._robot.dof, dtype=int)
+        self._asked = self._zero
         self._jerk_ticks = 0
         self._q_good: Array | None = None
-        self._v_good = _ZERO
+        self._v_good = self._zero
 
     @property
     def reflex(self) -> Reflex | None:
@@ -112,7 +114,7 @@ class Supervisor:
     def fail(self, time_s: float, q: Array, v: Array, why: str) -> Array:
         """Stop the arms because the controllers give no torque; `why` is what they say. Takes the place of `guard`.
 
-        While a reflex holds the arms it returns the torques (14,) [Nm] of the soft stop, as `guard` does.
+        While a reflex holds the arms it returns the torques (n,) [Nm] of the soft stop, as `guard` does.
 
         Raises:
             ReflexError: Once, `controller_failed`; its `tau` is to be applied.
@@ -127,14 +129,14 @@ class Supervisor:
         self._deadline_s = time_s + self.config.stale_s
 
     def guard(self, time_s: float, q: Array, v: Array, tau: Array, a_ref: Array | None = None) -> Array:
-        """Return the torques (14,) [Nm] to apply in this tick; always finite and within the limits.
+        """Return the torques (n,) [Nm] to apply in this tick; always finite and within the limits.
 
         Args:
             time_s: Time of the control loop [s]; grows from call to call.
-            q: (14,) measured joints [rad].
-            v: (14,) measured velocities [rad/s].
-            tau: (14,) what the controller asks for [Nm], clipped by it to the motors' limits.
-            a_ref: (14,) acceleration of the commanded reference [rad/s^2], where there is one.
+            q: (n,) measured joints [rad].
+            v: (n,) measured velocities [rad/s].
+            tau: (n,) what the controller asks for [Nm], clipped by it to the motors' limits.
+            a_ref: (n,) acceleration of the commanded reference [rad/s^2], where there is one.
 
         Raises:
             ReflexError: Once, in the tick in which a bound does not hold; its `tau` is to be applied.
@@ -176,7 +178,7 @@ class Supervisor:
 
     def _before_control(self, q: Array) -> Array:
         """Return the torque that acted before the first tick: what carries the arms, as the drives do by themselves."""
-        return np.array(self._kinematics.gravity(q if np.isfinite(q).all() else HOME))
+        return np.array(self._kinematics.gravity(q if np.isfinite(q).all() else self._robot.home))
 
     def _note_reference(self, a_ref: Array) -> None:
         self._rows[4] = a_ref
@@ -193,7 +195,9 @@ class Supervisor:
             finite = np.isfinite(values)
             if not finite.all():
                 joint = int(np.argmin(finite))
-                self._trip("not_finite", time_s, f"{what} of {JOINT_NAMES[joint]}", float(values[joint]), None)
+                self._trip(
+                    "not_finite", time_s, f"{what} of {self._robot.joint_names[joint]}", float(values[joint]), None
+                )
         if self._estop is not None:
             self._trip("emergency_stop", time_s, self._estop, 1.0, None)
         if time_s > self._deadline_s:
@@ -225,7 +229,7 @@ class Supervisor:
         self._saturated = np.where(np.abs(tau) >= limits.SATURATED * bounds.tau_max, self._saturated + 1, 0)
         longest = int(np.argmax(self._saturated))
         if self._saturated[longest] * self.dt_s > self.config.saturation_s + 1e-9:
-            where = f"{JOINT_NAMES[longest]} for {1e3 * self.config.saturation_s:.0f} ms"
+            where = f"{self._robot.joint_names[longest]} for {1e3 * self.config.saturation_s:.0f} ms"
             bound = float(bounds.tau_max[longest])
             self._trip("torque_saturation", time_s, where, float(tau[longest]), bound)
         # A target streamed at 50 Hz makes the torque jump once in 20 ticks, and the limiter works until it has followed:
@@ -234,7 +238,7 @@ class Supervisor:
         self._jumps = np.where(jumps, self._jumps + 1, np.maximum(self._jumps - 1, 0))
         longest = int(np.argmax(self._jumps))
         if self._jumps[longest] * self.dt_s > self.config.torque_rate_patience_s + 1e-9:
-            where = f"{JOINT_NAMES[longest]} for {1e3 * self.config.torque_rate_patience_s:.0f} ms"
+            where = f"{self._robot.joint_names[longest]} for {1e3 * self.config.torque_rate_patience_s:.0f} ms"
             rate, bound = float(jump[longest]) / self.dt_s, bounds.tau_step / self.dt_s
             self._trip("torque_rate", time_s, where, rate, bound)
         if not (np.abs(step) > bounds.tau_step).any():
@@ -259,7 +263,7 @@ class Supervisor:
             vx, vy, vz = pin.getFrameVelocity(model, data, frame, pin.LOCAL_WORLD_ALIGNED).linear.tolist()
             speed = math.sqrt(vx * vx + vy * vy + vz * vz)
             if not speed <= self.config.tcp_speed_max_m_per_s:
-                self._trip("tcp_speed", time_s, TCP_NAMES[arm], speed, self.config.tcp_speed_max_m_per_s)
+                self._trip("tcp_speed", time_s, self._robot.tcp_names[arm], speed, self.config.tcp_speed_max_m_per_s)
             # Two periods ahead: one until the next look, one for what the hand gains in speed meanwhile.
             x, y, z = x + 2.0 * ahead * vx, y + 2.0 * ahead * vy, z + 2.0 * ahead * vz
             if not (x0 <= x <= x1 and y0 <= y <= y1 and z0 <= z <= z1):
@@ -269,7 +273,7 @@ class Supervisor:
             if not distance >= self.config.self_collision_min_m:
                 self._trip("self_collision", time_s, pair, distance, self.config.self_collision_min_m)
             # Look again before the gap can have closed to the bound, however the arms accelerate meanwhile.
-            safe_s = limits.safe_time_s(v, distance - self.config.self_collision_min_m)
+            safe_s = self._reach.safe_time_s(v, distance - self.config.self_collision_min_m)
             self._next_slow = self._tick + min(self._slow_ticks, max(1, int(safe_s / self.dt_s)))
 
     # How it stops --------------------------------------------------------------------------------------------
@@ -278,13 +282,13 @@ class Supervisor:
         ratio = np.abs(values) / bounds
         joint = int(np.argmax(ratio))
         if ratio[joint] > 1.0 + tolerance:
-            self._trip(name, time_s, JOINT_NAMES[joint], float(values[joint]), float(bounds[joint]))
+            self._trip(name, time_s, self._robot.joint_names[joint], float(values[joint]), float(bounds[joint]))
 
     def _trip_position(self, time_s: float, q: Array) -> None:
         bounds = self.bounds
         joint = int(np.argmax(np.maximum(bounds.q_lower - q, q - bounds.q_upper)))
         bound = bounds.q_lower if q[joint] < bounds.q_lower[joint] else bounds.q_upper
-        self._trip("joint_position", time_s, JOINT_NAMES[joint], float(q[joint]), float(bound[joint]))
+        self._trip("joint_position", time_s, self._robot.joint_names[joint], float(q[joint]), float(bound[joint]))
 
     def _trip_workspace(self, time_s: float, arm: int, there: tuple[float, float, float]) -> None:
         excess = [
@@ -292,7 +296,7 @@ class Supervisor:
             for axis, value, (low, high) in zip("xyz", there, self.config.workspace_m, strict=True)
         ]
         _, axis, value, bound = max(excess)
-        self._trip("workspace", time_s, f"{axis} of the {ARMS[arm]} hand", value, bound)
+        self._trip("workspace", time_s, f"{axis} of the {SIDES[arm]} hand", value, bound)
 
     def _trip(self, name: str, time_s: float, where: str, value: float, bound: float | None) -> None:
         """Latch a reflex and raise it."""
@@ -304,7 +308,7 @@ class Supervisor:
         reflex = Reflex(name, time_s, where, value, bound, details)
         q, v = self._rows[0].copy(), self._rows[1].copy()
         if not (np.isfinite(q).all() and np.isfinite(v).all()):
-            q, v = (np.zeros(DOF), _ZERO) if self._q_good is None else (self._q_good, self._v_good)
+            q, v = (self._zero, self._zero) if self._q_good is None else (self._q_good, self._v_good)
         self._stop.begin(q, v, self._before_control(q) if self._applied is None else self._applied)
         self._reflex = reflex
         tau = self._stop.torque(self._rows[0], self._rows[1])

@@ -9,7 +9,7 @@ import numpy as np
 from minidual.control.command_checks import Fault, own_columns
 from minidual.control.commands import Command, JointCommand, TimedCommand, TrajectoryCommand
 from minidual.control.execution import Execution, ObjectExecution, TrajectoryExecution
-from minidual.robot.constants import ARMS, GROUPS, JOINT_NAMES, Q_LOWER, Q_UPPER, Array
+from minidual.robot.pair import SIDES, Array, Robot
 
 
 class Underway:
@@ -17,11 +17,12 @@ class Underway:
 
     Args:
         dt_s: Control step.
+        robot: The two arms.
         admit: Says why the controllers cannot take a command now, or None; by default they take joint commands.
     """
 
-    def __init__(self, dt_s: float, admit: Callable[[Command], Fault | None] | None = None) -> None:
-        self._dt = dt_s
+    def __init__(self, dt_s: float, robot: Robot, admit: Callable[[Command], Fault | None] | None = None) -> None:
+        self._dt, self._robot = dt_s, robot
         self.admit = _joints_only if admit is None else admit
         self.executions: tuple[Execution, ...] = ()
 
@@ -30,17 +31,17 @@ class Underway:
 
         Args:
             command: What to run.
-            posture: Measured joints (14,) [rad].
+            posture: Measured joints (n,) [rad].
             start_bound_rad: How far from them a trajectory may start.
         """
         fault = self.busy(command.arms) or self.admit(command)
         if fault is None and isinstance(command, TrajectoryCommand):
-            fault = _far_start(command, posture, start_bound_rad)
+            fault = self._far_start(command, posture, start_bound_rad)
         if fault is not None:
             return fault
         execution: Execution
         if isinstance(command, TrajectoryCommand):
-            execution = TrajectoryExecution(command, self._dt)
+            execution = TrajectoryExecution(command, self._dt, self._robot)
         else:
             execution = ObjectExecution(command, self._dt)
         self.executions = (*self.executions, execution)
@@ -49,7 +50,7 @@ class Underway:
     def busy(self, arms: tuple[int, ...]) -> Fault | None:
         """Say what already drives one of these arms, or return None."""
         for execution in self.executions:
-            shared = [ARMS[arm] for arm in arms if arm in execution.arms]
+            shared = [SIDES[arm] for arm in arms if arm in execution.arms]
             if shared:
                 kind = type(execution.command).__name__
                 return "busy", f"a {kind} is under way on {' and '.join(shared)}; wait for its end, or hold"
@@ -61,12 +62,12 @@ class Underway:
         return any(execution.braking for execution in self.executions)
 
     def follow(self, target: Array) -> tuple[Array, bool]:
-        """Return the target (14,) with each driven joint where its trajectory is, and whether anything ended."""
+        """Return the target (n,) with each driven joint where its trajectory is, and whether anything ended."""
         target = target.copy()
         for execution in self.executions:
             if isinstance(execution, TrajectoryExecution):
                 joints = execution.joints
-                target[joints] = np.clip(execution.q, Q_LOWER[joints], Q_UPPER[joints])
+                target[joints] = np.clip(execution.q, self._robot.q_lower[joints], self._robot.q_upper[joints])
         running = tuple(e for e in self.executions if not e.finished)
         ended = len(running) < len(self.executions)
         self.executions = running
@@ -81,18 +82,17 @@ class Underway:
         for execution in self.executions:
             execution.brake()
 
-
-def _far_start(command: TrajectoryCommand, posture: Array, bound_rad: float) -> Fault | None:
-    joints = GROUPS[command.group]
-    away = command.motion.q[0, own_columns(command)] - posture[joints]
-    index = int(np.argmax(np.abs(away)))
-    if abs(away[index]) <= bound_rad:
-        return None
-    detail = (
-        f"the trajectory starts {away[index]:+.3f} rad away from the arms at {JOINT_NAMES[joints][index]}; "
-        f"bound {bound_rad} rad"
-    )
-    return "far_start", detail
+    def _far_start(self, command: TrajectoryCommand, posture: Array, bound_rad: float) -> Fault | None:
+        joints = self._robot.groups[command.group]
+        away = command.motion.q[0, own_columns(command, self._robot)] - posture[joints]
+        index = int(np.argmax(np.abs(away)))
+        if abs(away[index]) <= bound_rad:
+            return None
+        name = self._robot.joint_names[joints][index]
+        return (
+            "far_start",
+            f"the trajectory starts {away[index]:+.3f} rad away from the arms at {name}; bound {bound_rad} rad",
+        )
 
 
 def _joints_only(command: Command) -> Fault | None:

@@ -204,6 +204,11 @@ class Robot:
         n = self.dof_per_arm
         return {"left_arm": slice(0, n), "right_arm": slice(n, 2 * n), "both_arms": slice(0, 2 * n)}
 
+    def joints_of(self, arm: int) -> slice:
+        """Return the slice of q of an arm, 0 left or 1 right."""
+        n = self.dof_per_arm
+        return slice(arm * n, (arm + 1) * n)
+
     @cached_property
     def home(self) -> Array:
         """Home posture (n,) [rad]."""

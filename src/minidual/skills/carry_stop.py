@@ -129,7 +129,7 @@ class CarryStop:
     def _halt_s(self) -> float:
         """Return how long a halt from here takes."""
         world = self._stack.world
-        return SoftStop(world.q, world.v, deceleration_share=self._share).duration_s
+        return SoftStop(world.q, world.v, self._share * world.robot.a_max).duration_s
 
     def _flushed(self, mode: str) -> None:
         if mode != self._source:

@@ -79,7 +79,7 @@ class BenchScene:
 
     def grippers(self) -> Grippers:
         """Return grippers that keep the situation."""
-        grippers = Grippers(self.world.scene, self.world.dt, pinch_force_n=JOINT_PINCH_N)
+        grippers = Grippers(self.world.scene, self.world.robot, self.world.dt, pinch_force_n=JOINT_PINCH_N)
         if not self.virtual:
             grippers.close()
         return grippers
