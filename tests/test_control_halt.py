@@ -18,6 +18,7 @@ from minidual.control.reflexes import ReflexError
 from minidual.control.stack import OBJECT_CONTROLLERS, ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
+from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.constants import A_MAX, HOME, Array
 
 STOPPING = ("soft_stop",)
@@ -241,7 +242,7 @@ def test_the_supervisor_cannot_tell_a_dead_arm_anything(plant: ArmsPlant) -> Non
 
 
 def test_what_is_off_falls_at_the_rate_of_the_drives() -> None:
-    off = SwitchedOff((1,), np.full(14, 2.5), 1e-3)
+    off = SwitchedOff((1,), np.full(14, 2.5), 1e-3, DUAL_PANDA)
     seen = []
     for _ in range(4):
         off.step()
