@@ -348,7 +348,7 @@ def test_the_witness_sees_an_arm_with_two_controllers(monkeypatch: pytest.Monkey
 
 
 def test_the_witness_sees_a_trajectory_that_starts_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(underway, "_far_start", lambda *_: None)
+    monkeypatch.setattr(underway.Underway, "_far_start", lambda *_: None)
     monkeypatch.setattr(controllers_module, "_BLEND_S", 1e-3)
     with pytest.raises(AssertionError, match="the reference jumped"):
         Witness().play(
