@@ -186,6 +186,7 @@ def _state_json(state: StageState) -> dict[str, Any]:
         "status": verdict.status if verdict else None,
         "acceptance": verdict.acceptance if verdict else False,
         "failed": [check.to_json() for check in verdict.failed_checks()] if verdict else [],
+        "weakened": verdict.weakened if verdict else (),
         "waivers": [waiver.reason for waiver in verdict.waivers] if verdict else [],
     }
 

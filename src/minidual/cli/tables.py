@@ -66,6 +66,7 @@ def checks_table(checks: Sequence[Check], title: str, *, explained: bool = False
 def label(verdict: Verdict) -> str:
     """Return the words that keep a verdict from passing for more than it is."""
     words = [] if verdict.acceptance_profile else [f"profile '{verdict.profile}': wiring only, never acceptance"]
+    words += [f"asks for less than the profile, no acceptance: {line}" for line in verdict.weakened]
     words += [f"GATE WAIVED at {waiver.stage}: {waiver.reason}" for waiver in verdict.waivers]
     return "; ".join(words)
 

@@ -14,7 +14,7 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from minidual.config.document import Document, looks_numeric, parse_value, read_document
-from minidual.config.profiles import DEFAULT_PROFILE, find_profile
+from minidual.config.profiles import DEFAULT_PROFILE, SHIPPED_FOLDER, find_profile
 from minidual.config.root import Config
 from minidual.errors import ConfigError, UsageError
 
@@ -57,6 +57,11 @@ class LoadedConfig:
         for override in overrides:
             _apply(document, override, resolved)
         return LoadedConfig(_validate(document), self.profile, self.sources, (*self.overrides, *overrides), document)
+
+    def reference(self) -> Config:
+        """Return the configuration of the shipped profile that this one rests on, as it was shipped."""
+        shipped = [path.stem for path in self.sources if path.parent == SHIPPED_FOLDER]
+        return load_config(shipped[-1] if shipped else DEFAULT_PROFILE).config
 
     def to_yaml(self) -> str:
         """Return the resolved configuration as YAML; it can be given to --profile again."""

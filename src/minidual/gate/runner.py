@@ -142,6 +142,14 @@ class Runner:
             self.progress.note(f"the gate of {name} is open, the waiver is not used")
         return tuple(waivers)
 
+    def _weakened(self, gate: Gate, entry: StageEntry, loaded: LoadedConfig) -> tuple[str, ...]:
+        """Return what this stage and those above it asked for less than the shipped profile."""
+        if not loaded.config.acceptance:
+            return ()
+        own = [f"{entry.name}: {line}" for line in entry.weaker(loaded.config, loaded.reference())]
+        above = [gate.state(name).verdict for name in self.table.upstream(entry.name)]
+        return tuple(dict.fromkeys([*(line for verdict in above if verdict for line in verdict.weakened), *own]))
+
     def _execute(self, gate: Gate, name: str, waivers: tuple[Waiver, ...]) -> None:
         entry = self.table[name]
         run = entry.load()
@@ -181,6 +189,7 @@ class Runner:
                     options=canonical(options, f"{name}.options"),
                     overrides=tuple(item.text for item in loaded.overrides),
                     waivers=waivers,
+                    weakened=self._weakened(gate, entry, loaded),
                     data=canonical(result.data, f"{name}.data"),
                     notes=tuple(result.notes),
                 )

@@ -7,6 +7,7 @@ import importlib.metadata
 import keyword
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, cast
 
 from minidual.errors import EnvironmentMissingError, MinidualError, UsageError
@@ -104,6 +105,8 @@ class StageEntry:
             called for `status` too, so its module must import quickly.
         check: "module:function" that takes the Config and raises UsageError for a name or value that the models cannot
             know to be wrong. It is called for every stage of a run before the first one begins.
+        at_least, at_most: Dotted paths of counts and limits. A value that asks for less than the shipped profile is no
+            acceptance.
         question: What the stage answers on the debug ladder.
         options: What may be typed.
         asides: What the command does instead of running the stage when one of their triggers is typed.
@@ -118,6 +121,8 @@ class StageEntry:
     reads: tuple[str, ...] = ()
     resolve: str | None = None
     check: str | None = None
+    at_least: tuple[str, ...] = ()
+    at_most: tuple[str, ...] = ()
     question: str = ""
     options: tuple[Option, ...] = ()
     asides: tuple[ToolEntry, ...] = ()
@@ -164,6 +169,15 @@ class StageEntry:
             place[last] = getattr(value, last)
         return found
 
+    def weaker(self, config: Config, reference: Config) -> tuple[str, ...]:
+        """Return one line for each count or limit in `config` that asks for less than `reference`."""
+        lines: list[str] = []
+        for path in (*self.at_least, *self.at_most):
+            value, asked = (attrgetter(path)(source) for source in (config, reference))
+            if not _as_strict(value, asked, least=path in self.at_least):
+                lines.append(f"{path} is {_short(value)}, the profile asks for {_short(asked)}")
+        return tuple(lines)
+
     def overrides(self, options: Mapping[str, Any]) -> list[tuple[str, Any, str]]:
         """Return (dotted path, value, text as typed) for those `options` that stand for configuration."""
         known = {option.name: option for option in self.options}
@@ -177,6 +191,30 @@ class StageEntry:
         """Return those `options` that are no configuration."""
         paths = {option.name: option.path for option in self.options}
         return {name: value for name, value in options.items() if paths.get(name) is None}
+
+
+def _as_strict(value: Any, asked: Any, *, least: bool) -> bool:
+    """Return whether a value asks for as much as the profile's: a number, numbers by name, or names that must be there."""
+    if asked is None:
+        return True
+    if value is None:
+        return False
+    if hasattr(asked, "model_dump"):
+        value, asked = value.model_dump(), asked.model_dump()
+    if isinstance(asked, Mapping):
+        numbers = cast(Mapping[str, Any], value)
+        return all(
+            _as_strict(numbers.get(name), item, least=least) for name, item in cast(Mapping[str, Any], asked).items()
+        )
+    if isinstance(asked, tuple):
+        return "all" in value or set(cast(tuple[str, ...], asked)) <= set(value)
+    return value >= asked if least else value <= asked
+
+
+def _short(value: Any) -> str:
+    if hasattr(value, "model_dump"):
+        value = value.model_dump()
+    return ", ".join(cast(tuple[str, ...], value)) if isinstance(value, tuple) else str(value)
 
 
 def _loaded(name: str, target: str | Callable[..., Any]) -> Callable[..., Any]:

@@ -38,7 +38,10 @@ def derive_status(checks: Sequence[Check]) -> Status:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a finished stage found. `status` is a property: there is nothing to assign."""
+    """What a finished stage found. `status` is a property: there is nothing to assign.
+
+    weakened: counts and limits, here and upstream, that asked for less than the shipped profile; one line each.
+    """
 
     stage: str
     run: str
@@ -52,6 +55,7 @@ class Verdict:
     options: dict[str, Any] = field(default_factory=dict)
     overrides: tuple[str, ...] = ()
     waivers: tuple[Waiver, ...] = ()
+    weakened: tuple[str, ...] = ()
     data: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
@@ -68,8 +72,8 @@ class Verdict:
 
     @property
     def acceptance(self) -> bool:
-        """Whether this verdict may count as acceptance: an acceptance profile and no waiver anywhere above."""
-        return self.acceptance_profile and not self.waivers
+        """Whether this verdict may count: an acceptance profile, nothing asked for less, and no waiver anywhere above."""
+        return self.acceptance_profile and not self.waivers and not self.weakened
 
     @property
     def profile(self) -> str:
@@ -107,6 +111,7 @@ class Verdict:
                 "seed": self.fingerprint.seed,
                 "checks": [check.to_json() for check in self.checks],
                 "waivers": [asdict(waiver) for waiver in self.waivers],
+                "weakened": list(self.weakened),
                 "options": self.options,
                 "overrides": list(self.overrides),
                 "notes": list(self.notes),
@@ -143,6 +148,7 @@ class Verdict:
                 options=record["options"],
                 overrides=tuple(record["overrides"]),
                 waivers=tuple(Waiver(**waiver) for waiver in record["waivers"]),
+                weakened=tuple(record["weakened"]),
                 data=record["data"],
                 notes=tuple(record["notes"]),
             )

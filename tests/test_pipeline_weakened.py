@@ -1,0 +1,93 @@
+"""A count or limit that asks for less than the shipped profile is no acceptance, here and downstream."""
+
+from __future__ import annotations
+
+from operator import attrgetter
+
+import pytest
+from pipeline_toys import KNOB, Bench
+
+from minidual.cli import run_command_line
+from minidual.config.loader import load_config
+from minidual.gate.table import StageEntry, StageTable
+from minidual.gate.verdict import Verdict
+from minidual.stages.registry import STAGES
+
+PROFILES = ("standard", "gpu")
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_a_shipped_profile_asks_for_itself(profile):
+    loaded = load_config(profile)
+    assert [entry.weaker(loaded.config, loaded.reference()) for entry in STAGES] == [()] * len(STAGES.names)
+
+
+@pytest.mark.parametrize(
+    ("stage", "override", "line"),
+    [
+        ("deploy", "deploy.trials=1", "deploy.trials is 1, the profile asks for 100"),
+        ("teleop-record", "teleop.episodes_n=3", "teleop.episodes_n is 3, the profile asks for 150"),
+        ("carry", "carry.limits.tilt_max_rad=0.05", "carry.limits.tilt_max_rad is 0.05, the profile asks for 0.0349"),
+        ("carry", "scene.task.goal_tolerance_m=0.025", "scene.task.goal_tolerance_m is 0.025"),
+        ("plan", "plan.time_median_max_s.left_arm=0.2", "'left_arm': 0.2"),
+        ("plan", "plan.time_p99_max_s=null", "plan.time_p99_max_s is None, the profile asks for 0.5"),
+        ("benchmark", "benchmark.success_rate_min.act=0.1", "'act': 0.1"),
+        ("benchmark", "benchmark.methods=[moveit]", "benchmark.methods is moveit"),
+    ],
+)
+def test_less_is_said(stage, override, line):
+    loaded = load_config("standard", [override])
+    (found,) = STAGES[stage].weaker(loaded.config, loaded.reference())
+    assert line in found
+
+
+@pytest.mark.parametrize(
+    "override", ["deploy.trials=200", "benchmark.conditions=[all]", "carry.limits.tilt_max_rad=0.01"]
+)
+def test_more_is_no_less(override):
+    loaded = load_config("standard", [override])
+    assert not any(entry.weaker(loaded.config, loaded.reference()) for entry in STAGES)
+
+
+def test_a_profile_of_ones_own_is_held_to_the_one_it_extends(tmp_path):
+    mine = tmp_path / "mine.yaml"
+    mine.write_text("extends: gpu\ncarry: {trials_n: 5}\n", encoding="utf-8")
+    loaded = load_config(str(mine))
+    assert STAGES["carry"].weaker(loaded.config, loaded.reference()) == (
+        "carry.trials_n is 5, the profile asks for 200",
+    )
+    assert STAGES["train-act"].weaker(loaded.config, loaded.reference()) == ()  # its day of training is the profile's
+
+
+def test_every_limit_of_the_rows_exists():
+    config = load_config().config
+    for entry in STAGES:
+        for path in (*entry.at_least, *entry.at_most):
+            attrgetter(path)(config)
+            assert any(path == read or path.startswith(f"{read}.") for read in entry.reads), path
+
+
+@pytest.fixture
+def bench(tmp_path):
+    bench = Bench(tmp_path)
+    entries = [
+        StageEntry("first", bench.first, (), "One", (KNOB,), at_least=(KNOB,)),
+        StageEntry("second", bench.second, ("first",), "Two"),
+    ]
+    bench.table = StageTable(entries, libraries=("numpy",))
+    return bench
+
+
+def test_it_passes_and_does_not_count_nor_what_rests_on_it(bench, capsys):
+    for outcome in bench.runner(f"{KNOB}=3").run_until():
+        verdict = outcome.verdict
+        assert (verdict.status, verdict.acceptance) == ("pass", False)
+        assert verdict.weakened == (f"first: {KNOB} is 3, the profile asks for 100",)
+        assert Verdict.from_json(verdict.to_json()).weakened == verdict.weakened
+    words = ["status", "--run", "toys", "--runs-dir", str(bench.root), "--set", f"{KNOB}=3"]
+    assert run_command_line(words, bench.table) == 0
+    assert "asks for less than the profile, no acceptance" in " ".join(capsys.readouterr().out.split())
+
+
+def test_what_asks_for_as_much_counts(bench):
+    assert [outcome.verdict.acceptance for outcome in bench.runner().run_until()] == [True, True]
