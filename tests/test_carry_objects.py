@@ -10,9 +10,8 @@ import pytest
 
 from minidual.config.change import preset
 from minidual.config.root import Config
-from minidual.config.scene import ObstacleConfig, TaskConfig
+from minidual.config.scene import OBSTACLE, ObstacleConfig, TaskConfig
 from minidual.errors import UsageError
-from minidual.plant.scenery import OBSTACLE
 from minidual.plant.world import World
 from minidual.robot.constants import FINGER_TRAVEL_M
 from minidual.robot.kinematics import Kinematics

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Literal
 
 from pydantic import Field, model_validator
 
 from minidual.config.base import StrictModel
 
-PositiveFloat = Annotated[float, Field(gt=0.0)]
+OBSTACLE = "obstacle"
+"""Name of the geom that stands in the way, where a task has one."""
 
 
 class PhysicsConfig(StrictModel):

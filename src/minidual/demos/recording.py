@@ -28,7 +28,7 @@ _rigs: dict[str, Rig] = {}
 
 
 def _record_in_worker(job: Job, index: int, observe: Observe | None = None) -> Attempt:
-    key = f"{job.folder}/{job.seed}/{job.teleop}/{job.scene}/{job.arbiter}"
+    key = f"{job.folder}/{job.seed}/{job.teleop}/{job.task.scene}/{job.arbiter}"
     if key not in _rigs:
         for rig in _rigs.values():
             rig.close()

@@ -7,15 +7,13 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from minidual.config.scene import ObjectConfig, SceneConfig
+from minidual.config.scene import OBSTACLE, ObjectConfig, SceneConfig
 from minidual.robot.pair import Robot
 
 GROUP_VISUAL, GROUP_MARKER = 1, 2
 # Stiff contacts with little creep; see docs/simulation.md for the comparison of cone and impratio.
 SOLREF = [0.002, 1.0]
 SOLIMP = [0.99, 0.999, 0.001, 0.5, 2.0]
-OBSTACLE = "obstacle"
-"""Name of the geom that stands in the way, where a task has one."""
 _FACE_MARGIN_M = 0.0002
 """Distance at which flat faces push; it widens a box by as much on every side. Pads press by micrometres, and without
 it MuJoCo loses the contact of two parallel faces for single steps, in which the fingers leap."""

@@ -6,9 +6,7 @@ import numpy as np
 
 from minidual.config.change import preset, replaced
 from minidual.config.root import Config
-from minidual.config.scene import ObjectConfig, SceneConfig
-from minidual.plant.bodies import ObjectPose
-from minidual.plant.scenery import OBSTACLE
+from minidual.config.scene import OBSTACLE, ObjectConfig, SceneConfig
 from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import pose, rot_x, rot_z
 from minidual.tasks.motions import MOTIONS
@@ -27,7 +25,7 @@ from minidual.tasks.success import (
     Turned,
     Whole,
 )
-from minidual.tasks.task import Step, Task, TaskObject, Trial
+from minidual.tasks.task import ObjectPose, Step, Task, TaskObject, Trial
 
 _PHASES = ("approach", "descend", "close", "squeeze", "lift", "carry", "lower", "open", "retreat")
 

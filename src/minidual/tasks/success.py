@@ -10,13 +10,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from minidual.config.scene import ObjectConfig
-from minidual.plant.world import World
 from minidual.robot.pair import SIDES, Array
+
+if TYPE_CHECKING:  # MuJoCo is not loaded to read a configuration
+    from minidual.plant.world import World
 
 AIRBORNE_M = 0.003
 """An object is off the table when its lowest point is this far above its resting height."""

@@ -14,10 +14,12 @@ import numpy as np
 from minidual.config.root import Config
 from minidual.config.scene import ObjectConfig, SceneConfig
 from minidual.config.seeds import stream
-from minidual.plant.bodies import ObjectPose
 from minidual.registry import Registry
 from minidual.robot.pair import SIDES, Array
 from minidual.tasks.success import SuccessCondition
+
+ObjectPose = Array | tuple[float, float, float]
+"""Where an object is put: a pose (4, 4), or (x, y, yaw) [m, m, rad] resting on the table."""
 
 
 @dataclass(frozen=True)
