@@ -11,20 +11,20 @@ from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Box
 from minidual.config.planning import PlannerConfig
-from minidual.config.semantics import ChainConfig, EndEffectorConfig, GroupConfig, NamedStateConfig, SemanticsConfig
+from minidual.config.semantics import NamedStateConfig, SemanticsConfig
 from minidual.errors import ConfigError, DataError, MinidualError, UsageError
 from minidual.motion.api import Planner
-from minidual.motion.goal_file import goal_of, load_goal
-from minidual.motion.goal_plan import GoalPlanner
-from minidual.motion.goal_types import JointGoal, PoseGoal, RelativeGoal, StateGoal, TipOffset, TipPose
+from minidual.motion.goal import JointGoal, PoseGoal, RelativeGoal, StateGoal, TipOffset, TipPose, goal_of, load_goal
+from minidual.motion.goal_plan import GoalPlanner, NamedStates
 from minidual.motion.linear import Line, LinearPlanner
-from minidual.motion.semantics import Semantics
 from minidual.motion.timing import MotionLimits
 from minidual.proof.verify import Verifier
-from minidual.robot.constants import GROUPS, HOME, JOINT_NAMES, Q_LOWER, Q_UPPER
+from minidual.robot.arms import ARM_MODELS, DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Robot
 from minidual.robot.poses import pose, rot_x
 
+HOME, Q_LOWER, Q_UPPER = DUAL_PANDA.home, DUAL_PANDA.q_lower, DUAL_PANDA.q_upper
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
@@ -35,7 +35,7 @@ def planner():
 
 @pytest.fixture(scope="module")
 def ready():
-    return Semantics().state("ready", "both_arms", HOME)
+    return NamedStates().joints("ready", "both_arms", HOME)
 
 
 def tips(q):
@@ -43,99 +43,45 @@ def tips(q):
 
 
 def test_every_named_state_is_inside_the_limits_and_free():
-    semantics = Semantics()
+    states = NamedStates()
     engine = MujocoEngine(PlanningScene())
-    assert {"home", "ready", "carry", "raised", "folded"} <= set(semantics.state_names)
-    for name in semantics.state_names:
-        q = semantics.state(name, "both_arms", HOME)
+    assert {"home", "ready", "carry", "raised", "folded"} <= set(states)
+    for name in states:
+        q = states.joints(name, "both_arms", HOME)
         assert ((q > Q_LOWER) & (q < Q_UPPER)).all()
         assert not engine.touching_pairs(q), name
-        assert semantics.describe(name)
-    assert (semantics.state("home", "both_arms", np.zeros(14)) == HOME).all()
+    assert (states.joints("home", "both_arms", np.zeros(14)) == HOME).all()
 
 
-def test_the_groups_are_those_of_the_planner():
-    assert {name: tuple(JOINT_NAMES[rows]) for name, rows in GROUPS.items()} == Semantics().groups
-    hands = Semantics().end_effectors
-    assert {h.arm: h.tcp_link for h in hands.values()} == {a: f"{a}_panda_hand_tcp" for a in ("left", "right")}
-
-
-def test_a_state_of_one_arm_leaves_the_other(planner):
-    config = SemanticsConfig(states={"wave": NamedStateConfig(left_rad=(0.1, 0, 0, -1.5, 0, 1.5, 0))})
-    semantics = Semantics(config)
-    assert {"wave", "home"} <= set(semantics.state_names)  # the built-in ones stay
-    q = semantics.state("wave", "left_arm", HOME)
+def test_a_state_of_one_arm_leaves_the_other():
+    states = NamedStates(SemanticsConfig(states={"wave": NamedStateConfig(left_rad=(0.1, 0, 0, -1.5, 0, 1.5, 0))}))
+    assert {"wave", "home"} <= set(states)  # the arm model's own stay
+    q = states.joints("wave", "left_arm", HOME)
     assert q[0] == 0.1
     assert (q[7:] == HOME[7:]).all()
     with pytest.raises(UsageError, match="'wave' says nothing about the right arm, which both_arms moves"):
-        semantics.state("wave", "both_arms", HOME)
+        states.joints("wave", "both_arms", HOME)
+
+
+def test_states_come_from_the_arm_model():
+    six = Robot(ARM_MODELS["ur5"])
+    states = NamedStates(robot=six)
+    assert (states.joints("home", "both_arms", np.zeros(12)) == six.home).all()
+    with pytest.raises(ConfigError, match=r"states.x.left_rad: 7 values; an arm has 6 joints"):
+        NamedStates(SemanticsConfig(states={"x": NamedStateConfig(left_rad=(0.0,) * 7)}), six)
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("state", "says"),
     [
-        ({"states": {"x": NamedStateConfig(left_rad=(0.0,) * 6)}}, r"states.x.left_rad: 6 values; an arm has 7"),
-        ({"states": {"x": NamedStateConfig()}}, "neither left_rad nor right_rad"),
-        ({"states": {"x": NamedStateConfig(right_rad=(0.0,) * 7)}}, r"right_panda_joint4 = 0.0000 rad; its limits"),
-        ({"groups": {"left_arm": SemanticsConfig().groups["left_arm"]}}, "the planner has left_arm, right_arm"),
-        (
-            {
-                "groups": {
-                    **SemanticsConfig().groups,
-                    "left_arm": GroupConfig(
-                        chains=(ChainConfig(base_link="left_panda_link0", tip_link="left_panda_link3"),)
-                    ),
-                }
-            },
-            "its chains hold 3 joints",
-        ),
-        (
-            {
-                "groups": {
-                    **SemanticsConfig().groups,
-                    "left_arm": GroupConfig(
-                        chains=(ChainConfig(base_link="left_panda_lnk0", tip_link="left_panda_link3"),)
-                    ),
-                }
-            },
-            "no link 'left_panda_lnk0'",
-        ),
-        (
-            {
-                "groups": {
-                    **SemanticsConfig().groups,
-                    "left_arm": GroupConfig(
-                        chains=(ChainConfig(base_link="right_panda_link0", tip_link="left_panda_link3"),)
-                    ),
-                }
-            },
-            "left_panda_link3 does not hang on right_panda_link0",
-        ),
-        (
-            {
-                "end_effectors": {
-                    "h": EndEffectorConfig(
-                        group="left_arm", parent_link="right_panda_hand", tcp_link="left_panda_hand_tcp"
-                    )
-                }
-            },
-            "does not hang on right_panda_hand",
-        ),
-        (
-            {
-                "end_effectors": {
-                    "h": EndEffectorConfig(
-                        group="both_arms", parent_link="left_panda_hand", tcp_link="left_panda_hand_tcp"
-                    )
-                }
-            },
-            "a hand belongs to left_arm or right_arm",
-        ),
+        (NamedStateConfig(left_rad=(0.0,) * 6), r"states.x.left_rad: 6 values; an arm has 7"),
+        (NamedStateConfig(), "neither left_rad nor right_rad"),
+        (NamedStateConfig(right_rad=(0.0,) * 7), r"right_panda_joint4 = 0.0000 rad; its limits"),
     ],
 )
-def test_semantics_that_do_not_fit_the_robot_are_refused(change, says):
+def test_states_that_do_not_fit_the_robot_are_refused(state, says):
     with pytest.raises(ConfigError, match=says):
-        Semantics(SemanticsConfig(**change))
+        NamedStates(SemanticsConfig(states={"x": state}))
 
 
 def test_one_hand_moves_to_a_pose_and_the_other_stays(planner, ready):
@@ -321,7 +267,7 @@ def test_bad_goal_files_are_named(tmp_path, text, says):
 
 
 def test_words_and_files(tmp_path, planner, ready):
-    names = planner.semantics.state_names
+    names = planner.states
     assert goal_of("carry", names) == StateGoal("carry")
     with pytest.raises(UsageError, match=r"no named state 'cary'.*a file ends in .yaml or .json"):
         goal_of("cary", names)
@@ -330,8 +276,11 @@ def test_words_and_files(tmp_path, planner, ready):
     plan = planner.plan("left_arm", HOME, JointGoal({"left_panda_joint1": 0.2}))
     plan.trajectory.write_json(tmp_path / "t.json")
     again = goal_of(str(tmp_path / "t.json"), names)
-    assert np.abs(np.array(again.values) - plan.trajectory.q[-1]).max() < 1e-8
-    for bad in ("[]", "{", '{"joint_names": ["a"], "q_rad": [[0]]}'):
+    assert np.abs(np.array(list(again.values.values())) - plan.trajectory.q[-1]).max() < 1e-8
+    (tmp_path / "t.json").write_text('{"joint_names": ["left_join1"], "q_rad": [[0]]}')
+    with pytest.raises(UsageError, match="no joint 'left_join1'; there are left_panda_joint1"):
+        planner.plan("left_arm", HOME, goal_of(str(tmp_path / "t.json"), names))
+    for bad in ("[]", "{", '{"joint_names": ["a", "b"], "q_rad": [[0]]}'):
         (tmp_path / "t.json").write_text(bad)
         with pytest.raises(DataError, match=r"t\.json"):
             goal_of(str(tmp_path / "t.json"), names)

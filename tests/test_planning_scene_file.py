@@ -18,9 +18,8 @@ from minidual.collision.scene_file import load_scene
 from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, Sphere, grown
 from minidual.errors import ConfigError, DataError, MinidualError, UsageError
 from minidual.motion.api import Planner
-from minidual.motion.goal_file import load_goal
+from minidual.motion.goal import StateGoal, load_goal
 from minidual.motion.goal_plan import GoalPlanner
-from minidual.motion.goal_types import StateGoal
 from minidual.robot.constants import HOME, Q_LOWER, Q_UPPER
 from minidual.robot.kinematics import Kinematics
 
@@ -261,7 +260,7 @@ obstacles:
 """
     scene = load(folder, text).scene
     planner = GoalPlanner(Planner(scene))
-    ready = planner.semantics.state("ready", "left_arm", HOME)
+    ready = planner.states.joints("ready", "left_arm", HOME)
     # The stick hangs 41 cm under a hand that is 25 cm over the table.
     with pytest.raises(GoalInCollisionError, match=r"stick and table|table and stick"):
         planner.plan("left_arm", HOME, StateGoal("ready"))

@@ -20,8 +20,9 @@ from minidual.motion.search import search
 from minidual.motion.shortcut import shortcut
 from minidual.motion.timing import DT_S, MotionLimits, time_path
 from minidual.proof.scene_engines import SceneEngines
-from minidual.robot.constants import GROUPS, Array
+from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array, Robot
 from minidual.robot.trajectory import Trajectory
 
 _SCENES_KEPT = 8
@@ -66,6 +67,7 @@ class Planner:
     Args:
         scene: Scene of queries that name none of their own.
         config: Parameters of search, timing and proof.
+        robot: The arms.
 
     Example:
         planner = Planner()
@@ -73,11 +75,14 @@ class Planner:
         q, v, a = result.trajectory.sample(0.5)
     """
 
-    def __init__(self, scene: PlanningScene | None = None, config: PlannerConfig | None = None) -> None:
+    def __init__(
+        self, scene: PlanningScene | None = None, config: PlannerConfig | None = None, *, robot: Robot = DUAL_PANDA
+    ) -> None:
         self.config = config or PlannerConfig()
         self.scene = scene or PlanningScene()
-        self._kinematics = Kinematics()
-        self._goals = PoseGoals()
+        self.robot = robot
+        self.kinematics = Kinematics(robot)
+        self.goals = PoseGoals(self.kinematics)
         self._engines: OrderedDict[PlanningScene, SceneEngines] = OrderedDict()
         config = self.config
         self.limits = MotionLimits(
@@ -125,8 +130,8 @@ class Planner:
         """
         times = PhaseTimes()
         group_arms(group)
-        q_start = check_joints(q_start, "start")
-        goal = goal_joints(group, q_start, q_goal)
+        q_start = check_joints(q_start, "start", self.robot)
+        goal = goal_joints(group, q_start, q_goal, self.robot)
         engines = self._ready(scene, times, q_start)
         require_free(engines.mujoco, goal, "goal")
         return self._plan(group, q_start, [goal], engines, seed, self._budget(budget_s), times)
@@ -149,10 +154,10 @@ class Planner:
         """
         times = PhaseTimes()
         group_arms(group)
-        q_start = check_joints(q_start, "start")
+        q_start = check_joints(q_start, "start", self.robot)
         engines = self._ready(scene, times, q_start)
         with times.phase("ik"):
-            goals = self._goals.candidates(
+            goals = self.goals.candidates(
                 group,
                 q_start,
                 targets,
@@ -248,7 +253,7 @@ class Planner:
                 checker,
                 q_start,
                 goal,
-                GROUPS[group],
+                self.robot.groups[group],
                 planner=effort.planner(self.config.planner, self.config.fallback_planners),
                 range_rad=self.config.range_rad,
                 seed=int(key.generate_state(1)[0]),
@@ -274,7 +279,7 @@ class Planner:
         if curve is None:
             raise TimingError("a corner of the path stays blocked however small it is rounded")
         with times.phase("timing"):
-            return time_path(curve, group, self.limits, self._kinematics), path
+            return time_path(curve, group, self.limits, self.kinematics), path
 
 
 def _rest(q: Array, group: str) -> Trajectory:

@@ -1,28 +1,92 @@
-"""From any goal of the family to a proven plan: names become joints, frames become world poses, lines become moves."""
+"""From any goal to a proven plan: names become joints, frames become world poses, lines become moves."""
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from time import perf_counter
 
 import numpy as np
 import pinocchio as pin
 
-from minidual.collision.links import LINKS
+from minidual.collision.errors import OutOfLimitsError
 from minidual.collision.scene import PlanningScene
-from minidual.errors import UsageError, unknown_name
+from minidual.config.semantics import SemanticsConfig
+from minidual.errors import ConfigError, UsageError, unknown_name
 from minidual.motion.api import Planner
-from minidual.motion.goal_types import Goal, JointGoal, PoseGoal, RelativeGoal, StateGoal, TipOffset, TipPose
-from minidual.motion.goals import PoseGoals, check_joints, goal_joints, group_arms
+from minidual.motion.goal import Goal, JointGoal, PoseGoal, RelativeGoal, StateGoal, TipOffset, TipPose
+from minidual.motion.goals import check_joints, goal_joints, group_arms
 from minidual.motion.ik import check_pose
 from minidual.motion.linear import LinearMove, LinearPlanner
 from minidual.motion.result import PHASES, PlanResult
-from minidual.motion.semantics import Semantics, link_names
-from minidual.robot.constants import ARMS, JOINT_NAMES, Array
+from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import SIDES, Array, Robot
 from minidual.robot.poses import pose, rotation_from_quat
+
+
+class NamedStates(Mapping[str, Mapping[str, Array]]):
+    """Postures by name, {arm: joints [rad]}: the arm model's own, and those of the configuration.
+
+    Raises:
+        ConfigError: A state does not fit the robot; with dotted path and numbers.
+    """
+
+    def __init__(self, config: SemanticsConfig | None = None, robot: Robot = DUAL_PANDA) -> None:
+        self.robot = robot
+        home = robot.arm.home
+        self._states: dict[str, dict[str, Array]] = {"home": self._checked("home", home, home)}
+        for name, posture in robot.arm.postures:
+            self._states[name] = self._checked(name, posture.left, posture.right)
+        for name, state in (config or SemanticsConfig()).states.items():
+            self._states[name] = self._checked(name, state.left_rad, state.right_rad)
+
+    def _checked(self, name: str, *arms: tuple[float, ...] | None) -> dict[str, Array]:
+        parts: dict[str, Array] = {}
+        for side, joints in zip(SIDES, arms, strict=True):
+            if joints is None:
+                continue
+            where, n = f"semantics.states.{name}.{side}_rad", self.robot.dof_per_arm
+            if len(joints) != n:
+                raise ConfigError(f"{where}: {len(joints)} values; an arm has {n} joints")
+            columns = self.robot.groups[f"{side}_arm"]
+            q = self.robot.home.copy()
+            q[columns] = joints
+            try:
+                parts[side] = check_joints(q, where, self.robot)[columns]
+            except OutOfLimitsError as error:
+                raise ConfigError(error.message) from error
+        if not parts:
+            raise ConfigError(f"semantics.states.{name}: it gives neither left_rad nor right_rad")
+        return parts
+
+    def __getitem__(self, name: str) -> Mapping[str, Array]:
+        if name not in self._states:
+            raise unknown_name("named state", name, self._states)
+        return self._states[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._states)
+
+    def __len__(self) -> int:
+        return len(self._states)
+
+    def joints(self, name: str, group: str, q_others: Array) -> Array:
+        """Return a named state as q (n,); arms outside the group stay where `q_others` (n,) has them.
+
+        Raises:
+            UsageError: No such state, or it says nothing about an arm of the group.
+        """
+        parts = self[name]
+        q = np.array(q_others, dtype=float)
+        for arm in group_arms(group):
+            if arm not in parts:
+                raise UsageError(
+                    f"the state '{name}' says nothing about the {arm} arm, which {group} moves",
+                    remedy=f"give semantics.states.{name}.{arm}_rad, or plan for another group",
+                )
+            q[self.robot.groups[f"{arm}_arm"]] = parts[arm]
+        return q
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +94,7 @@ class Resolved:
     """A goal in the planner's own words: joints, or poses of the group's tcps.
 
     Attributes:
-        q: All 14 joints [rad], or None.
+        q: All joints (n,) [rad], or None.
         targets: {arm: T_world_tcp (4, 4)} of exactly the group's arms, or None.
         linear: Whether the tcps go there on straight lines.
         fraction_min: Least part of the lines.
@@ -47,22 +111,21 @@ class GoalPlanner:
 
     Args:
         planner: Does the planning.
-        semantics: Groups and named states; the built-in ones by default.
+        semantics: Named states beside those of the arm model.
     """
 
-    def __init__(self, planner: Planner | None = None, semantics: Semantics | None = None) -> None:
+    def __init__(self, planner: Planner | None = None, semantics: SemanticsConfig | None = None) -> None:
         self.planner = planner or Planner()
-        self.semantics = semantics or Semantics()
-        self._linear = LinearPlanner(self.planner.limits)
-        self._kinematics = Kinematics()
-        self._poses = PoseGoals()
+        self.robot = self.planner.robot
+        self.states = NamedStates(semantics, self.robot)
+        self._linear = LinearPlanner(self.planner.limits, self.planner.kinematics)
 
     def resolve(self, group: str, q_start: Array, goal: Goal, scene: PlanningScene | None = None) -> Resolved:
         """Return what a goal means from a start.
 
         Args:
             group: "left_arm", "right_arm" or "both_arms".
-            q_start: All 14 joints [rad].
+            q_start: All joints (n,) [rad].
             goal: Of any kind.
             scene: Its obstacles and held objects are frames, too.
 
@@ -72,26 +135,27 @@ class GoalPlanner:
             OutOfLimitsError: Joints outside their limits.
         """
         arms = group_arms(group)
-        q_start = check_joints(q_start, "start")
+        q_start = check_joints(q_start, "start", self.robot)
         match goal:
             case StateGoal():
-                return Resolved(q=self.semantics.state(goal.name, group, q_start))
+                return Resolved(q=self.states.joints(goal.name, group, q_start))
             case JointGoal():
-                return Resolved(q=_joints(goal, group, q_start))
-            case PoseGoal():
-                _require_arms(goal.poses, arms, group)
-                frames = _Frames(self._kinematics, q_start, scene or self.planner.scene)
-                targets = {arm: frames.target(arm, goal.poses.get(arm)) for arm in arms}
-            case RelativeGoal():
-                _require_arms(goal.offsets, arms, group)
-                frames = _Frames(self._kinematics, q_start, scene or self.planner.scene)
-                targets = {arm: frames.moved(arm, goal.offsets.get(arm), goal.frame) for arm in arms}
-        return Resolved(targets=targets, linear=goal.linear, fraction_min=goal.fraction_min)
+                return Resolved(q=self._joints(goal, group, q_start))
+        tips = goal.poses if isinstance(goal, PoseGoal) else goal.offsets
+        _require_arms(tips, arms, group)
+        frames = _Frames(self.planner.kinematics, q_start, scene or self.planner.scene)
+        targets = dict(frames.tips)
+        for arm, tip in tips.items():
+            if isinstance(tip, TipPose):
+                targets[arm] = frames.target(arm, tip)
+            else:
+                targets[arm] = frames.moved(arm, tip, goal.frame if isinstance(goal, RelativeGoal) else "world")
+        return Resolved(None, {arm: targets[arm] for arm in arms}, goal.linear, goal.fraction_min)
 
     def start_joints(
         self, group: str, q_near: Array, start: Goal, scene: PlanningScene | None = None, *, seed: int = 0
     ) -> Array:
-        """Return a goal of any kind as a start (14,): poses by the nearest free solution to q_near (14,).
+        """Return a goal of any kind as a start (n,): poses by the nearest free solution to q_near (n,).
 
         Raises:
             What `resolve` raises, and IKUnreachableError or GoalInCollisionError for poses.
@@ -100,14 +164,13 @@ class GoalPlanner:
         if resolved.q is not None:
             return resolved.q
         assert resolved.targets is not None
-        config = self.planner.config
-        return self._poses.candidates(
+        return self.planner.goals.candidates(
             group,
             q_near,
             resolved.targets,
             self.planner.engines(scene).mujoco,
             np.random.default_rng([seed, 3]),
-            restarts_n=config.ik_restarts_n,
+            restarts_n=self.planner.config.ik_restarts_n,
             candidates_n=1,
         )[0]
 
@@ -123,21 +186,20 @@ class GoalPlanner:
     ) -> PlanResult:
         """Plan to a goal of any kind; see `Planner.plan_to_joints` for the rest.
 
-        A straight move that covers at least its fraction_min is a plan; `linear_move` tells how far it goes. It follows
-        its line and searches nothing, so neither `seed` nor `budget_s` changes anything there.
+        A straight move that covers at least its fraction_min is a plan; `linear_move` tells how far it goes. It
+        searches nothing, so neither `seed` nor `budget_s` changes anything there.
 
         Raises:
             LinearMoveError: A straight line ends too early.
             And all that `resolve` and the planner raise.
         """
         resolved = self.resolve(group, q_start, goal, scene)
+        how = {"scene": scene, "seed": seed, "budget_s": budget_s}
         if resolved.q is not None:
-            return self.planner.plan_to_joints(group, q_start, resolved.q, scene=scene, seed=seed, budget_s=budget_s)
+            return self.planner.plan_to_joints(group, q_start, resolved.q, **how)
         assert resolved.targets is not None
         if not resolved.linear:
-            return self.planner.plan_to_poses(
-                group, q_start, resolved.targets, scene=scene, seed=seed, budget_s=budget_s
-            )
+            return self.planner.plan_to_poses(group, q_start, resolved.targets, **how)
         began = perf_counter()
         move = self.linear_move(group, q_start, resolved, scene=scene)
         assert move.trajectory is not None
@@ -160,28 +222,23 @@ class GoalPlanner:
             group, q_start, resolved.targets, self.planner.engines(scene), fraction_min=resolved.fraction_min
         )
 
-
-def _joints(goal: JointGoal, group: str, q_start: Array) -> Array:
-    """Return the goal as (14,)."""
-    if not isinstance(goal.values, Mapping):
-        return goal_joints(group, q_start, np.array(goal.values, dtype=float))
-    q = np.array(q_start)
-    for name, value in goal.values.items():
-        if name not in JOINT_NAMES:
-            close = difflib.get_close_matches(name, JOINT_NAMES, n=1)
-            raise UsageError(
-                f"no joint '{name}'; there are {JOINT_NAMES[0]} to {JOINT_NAMES[6]} and {JOINT_NAMES[7]} to "
-                f"{JOINT_NAMES[13]}",
-                remedy=f"did you mean '{close[0]}'?" if close else None,
-            )
-        q[JOINT_NAMES.index(name)] = value
-    return goal_joints(group, q_start, q)
+    def _joints(self, goal: JointGoal, group: str, q_start: Array) -> Array:
+        """Return the goal as (n,)."""
+        if not isinstance(goal.values, Mapping):
+            return goal_joints(group, q_start, np.array(goal.values, dtype=float), self.robot)
+        names = self.robot.joint_names
+        q = np.array(q_start)
+        for name, value in goal.values.items():
+            if name not in names:
+                raise unknown_name("joint", name, names)
+            q[names.index(name)] = value
+        return goal_joints(group, q_start, q, self.robot)
 
 
 def _require_arms(named: Mapping[str, object], arms: tuple[str, ...], group: str) -> None:
     for arm in named:
-        if arm not in ARMS:
-            raise unknown_name("arm", arm, ARMS)
+        if arm not in SIDES:
+            raise unknown_name("arm", arm, SIDES)
         if arm not in arms:
             raise UsageError(f"the goal moves the {arm} hand; {group} moves {' and '.join(arms)} only")
     if not named:
@@ -195,31 +252,28 @@ class _Frames:
         self._kinematics = kinematics
         self._q = q_start
         self._scene = scene
-        self.tips = dict(zip(ARMS, kinematics.tcp_poses(q_start), strict=True))
+        self.tips = dict(zip(SIDES, kinematics.tcp_poses(q_start), strict=True))
 
-    def target(self, arm: str, tip: TipPose | None) -> Array:
-        """Return T_world_tcp of a pose goal; without one the tcp stays."""
-        if tip is None:
-            return self.tips[arm]
+    def target(self, arm: str, tip: TipPose) -> Array:
+        """Return T_world_tcp of a pose goal."""
         T_world_frame = self.frame(tip.frame)
         what = f"the target of the {arm} hand"
+        position = np.asarray(tip.position_m, dtype=float)
         if tip.quat_wxyz is None:
-            at = T_world_frame @ np.append(np.asarray(tip.position_m, dtype=float), 1.0)
+            at = T_world_frame @ np.append(position, 1.0)
             return check_pose(pose(self.tips[arm][:3, :3], at[:3]), what)
-        T = pose(rotation_from_quat(np.array(tip.quat_wxyz)), np.asarray(tip.position_m, dtype=float))
+        T = pose(rotation_from_quat(np.array(tip.quat_wxyz)), position)
         return check_pose(T_world_frame @ check_pose(T, what), what)
 
-    def moved(self, arm: str, offset: TipOffset | None, axes: str) -> Array:
-        """Return T_world_tcp of a relative goal; without one the tcp stays."""
-        T = self.tips[arm]
-        if offset is None:
-            return T
+    def moved(self, arm: str, offset: TipOffset, axes: str) -> Array:
+        """Return T_world_tcp of a relative goal."""
         if axes not in ("world", "tcp"):
             raise unknown_name("frame for offsets", axes, ("world", "tcp"))
         shift, turn = np.array(offset.offset_m, dtype=float), np.array(offset.rotation_rad, dtype=float)
         if not (np.isfinite(shift).all() and np.isfinite(turn).all()):
             raise UsageError(f"the offset of the {arm} hand is not finite: {shift.tolist()} m, {turn.tolist()} rad")
-        R, turned = T[:3, :3], pin.exp3(turn)
+        T, turned = self.tips[arm], pin.exp3(turn)
+        R = T[:3, :3]
         if axes == "tcp":
             return pose(R @ turned, T[:3, 3] + R @ shift)
         return pose(turned @ R, T[:3, 3] + shift)
@@ -238,14 +292,9 @@ class _Frames:
         for held in self._scene.attached:
             if held.name == name:
                 return self.frame(held.link) @ held.shape.T_parent_shape
-        if name not in link_names():
-            raise unknown_name("frame", name, frame_names(self._scene))
         model, data = self._kinematics.model, self._kinematics.data
+        links = [frame.name for frame in model.frames if frame.type == pin.FrameType.BODY]
+        if name not in links:
+            raise unknown_name("frame", name, {"world", *links, *self._scene.names})
         pin.forwardKinematics(model, data, self._q)
-        return pin.updateFramePlacement(model, data, model.getFrameId(name)).homogeneous
-
-
-def frame_names(scene: PlanningScene) -> tuple[str, ...]:
-    """Return every frame that a goal may name: the world, links, obstacles and held objects."""
-    others = tuple(name for name in scene.names if name not in LINKS)
-    return tuple(dict.fromkeys(("world", *link_names(), *others)))
+        return pin.updateFramePlacement(model, data, model.getFrameId(name, pin.FrameType.BODY)).homogeneous

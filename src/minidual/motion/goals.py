@@ -1,4 +1,4 @@
-"""Turn what was asked (joints or poses) into checked joint configurations."""
+"""Turn joints and poses that were asked for into checked configurations."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from minidual.collision.errors import GoalInCollisionError, OutOfLimitsError, St
 from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.errors import UsageError, unknown_name
 from minidual.motion.ik import ArmIK, check_pose
-from minidual.robot.constants import ARMS, DOF, GROUPS, JOINT_NAMES, Q_LOWER, Q_UPPER, Array
+from minidual.robot.arms import DUAL_PANDA
+from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import SIDES, Array, Robot
 
 _ROUNDING = 1e-9
 
@@ -22,60 +24,58 @@ def group_arms(group: str) -> tuple[str, ...]:
     Raises:
         UsageError: No group of this name.
     """
-    if group not in GROUPS:
-        raise unknown_name("group", group, GROUPS)
-    return ARMS if group == "both_arms" else (group.removesuffix("_arm"),)
+    groups = {**{f"{side}_arm": (side,) for side in SIDES}, "both_arms": SIDES}
+    if group not in groups:
+        raise unknown_name("group", group, groups)
+    return groups[group]
 
 
-def check_joints(q: Array, what: str) -> Array:
-    """Return q as (14,) inside the limits (rounding at a limit is clipped).
+def check_joints(q: Array, what: str, robot: Robot = DUAL_PANDA) -> Array:
+    """Return q as (n,) inside the limits (rounding at a limit is clipped).
 
     Raises:
         OutOfLimitsError: Wrong shape, not finite, or a joint outside its limits.
     """
     q = np.array(q, dtype=float)
-    if q.shape != (DOF,):
-        raise OutOfLimitsError(f"the {what} has shape {q.shape}; all {DOF} joints are needed, left arm first")
+    if q.shape != (robot.dof,):
+        raise OutOfLimitsError(f"the {what} has shape {q.shape}; all {robot.dof} joints are needed, left arm first")
     if not np.isfinite(q).all():
         bad = int(np.argmin(np.isfinite(q)))
-        raise OutOfLimitsError(f"the {what} has {JOINT_NAMES[bad]} = {q[bad]}; it must be a finite number")
-    outside = np.maximum(Q_LOWER - q, q - Q_UPPER)
+        raise OutOfLimitsError(f"the {what} has {robot.joint_names[bad]} = {q[bad]}; it must be a finite number")
+    outside = np.maximum(robot.q_lower - q, q - robot.q_upper)
     worst = int(np.argmax(outside))
     if outside[worst] > _ROUNDING:
         raise OutOfLimitsError(
-            f"the {what} has {JOINT_NAMES[worst]} = {q[worst]:.4f} rad; "
-            f"its limits are {Q_LOWER[worst]:.4f} to {Q_UPPER[worst]:.4f} rad"
+            f"the {what} has {robot.joint_names[worst]} = {q[worst]:.4f} rad; "
+            f"its limits are {robot.q_lower[worst]:.4f} to {robot.q_upper[worst]:.4f} rad"
         )
-    return np.clip(q, Q_LOWER, Q_UPPER)
+    return np.clip(q, robot.q_lower, robot.q_upper)
 
 
-def goal_joints(group: str, q_start: Array, q_goal: Array) -> Array:
-    """Return the goal as (14,): a goal of the group's own size is completed by the start's other joints.
+def goal_joints(group: str, q_start: Array, q_goal: Array, robot: Robot = DUAL_PANDA) -> Array:
+    """Return the goal as (n,): a goal of the group's own size is completed by the start's other joints.
 
     Raises:
         OutOfLimitsError: Wrong shape, not finite, outside the limits.
-        UsageError: A 14-joint goal that moves an arm outside the group.
+        UsageError: A goal of all joints that moves an arm outside the group.
     """
-    joints = GROUPS[group]
+    joints = robot.groups[group]
     q_goal = np.asarray(q_goal, dtype=float)
-    if q_goal.shape == (joints.stop - joints.start,):
-        full = np.array(q_start)
+    full = np.array(q_start)
+    if q_goal.shape == full[joints].shape:
         full[joints] = q_goal
-        return check_joints(full, "goal")
-    full = check_joints(q_goal, "goal")
-    held = np.ones(DOF, dtype=bool)
-    held[joints] = False
-    if held.any() and np.abs(full - q_start)[held].max() > 1e-6:
+        return check_joints(full, "goal", robot)
+    full[joints] = check_joints(q_goal, "goal", robot)[joints]
+    if np.abs(full - q_goal).max() > 1e-6:
         raise UsageError(
             f"the goal moves joints outside {group}, which holds the other arm",
             remedy="plan with the group both_arms, or give only the group's own joints",
         )
-    full[held] = q_start[held]
     return full
 
 
 def require_free(engine: MujocoEngine, q: Array, what: str) -> None:
-    """Check that nothing touches at q (14,).
+    """Check that nothing touches at q (n,).
 
     Raises:
         StartInCollisionError, GoalInCollisionError: With the pair and the depth.
@@ -92,11 +92,28 @@ def require_free(engine: MujocoEngine, q: Array, what: str) -> None:
         )
 
 
-class PoseGoals:
-    """Joint configurations for tcp poses of one or both arms."""
+def check_targets(group: str, targets: Mapping[str, Array]) -> dict[str, Array]:
+    """Return {arm: T_world_tcp (4, 4)} of exactly the group's arms.
 
-    def __init__(self) -> None:
-        self._solvers = {arm: ArmIK(arm) for arm in ARMS}
+    Raises:
+        UsageError: The targets name other arms, or a pose is none.
+    """
+    arms = group_arms(group)
+    if set(targets) != set(arms):
+        raise UsageError(f"the targets name {', '.join(sorted(targets)) or 'no arm'}; {group} needs {', '.join(arms)}")
+    return {arm: check_pose(targets[arm], f"the target of the {arm} hand") for arm in arms}
+
+
+class PoseGoals:
+    """Joint configurations for tcp poses of one or both arms.
+
+    Args:
+        kinematics: Of the robot; the default robot's if left out.
+    """
+
+    def __init__(self, kinematics: Kinematics | None = None) -> None:
+        kinematics = kinematics or Kinematics()
+        self.solvers = {side: ArmIK(side, kinematics) for side in SIDES}
 
     def candidates(
         self,
@@ -109,46 +126,35 @@ class PoseGoals:
         restarts_n: int,
         candidates_n: int,
     ) -> list[Array]:
-        """Return up to candidates_n configurations (14,) that are free, the nearest to the start first.
+        """Return up to candidates_n configurations (n,) that are free, the nearest to the start first.
 
         Raises:
             UsageError: The targets do not name exactly the group's arms, or a pose is none.
             IKUnreachableError: A pose that no configuration reaches; with the residual.
             GoalInCollisionError: Every configuration found touches something; with the pair of the nearest.
         """
-        arms = group_arms(group)
-        if set(targets) != set(arms):
-            raise UsageError(
-                f"the targets name {', '.join(sorted(targets)) or 'no arm'}; {group} needs {', '.join(arms)}"
-            )
-        solvers = {
-            arm: self._solvers[arm].solutions(
-                check_pose(targets[arm], f"the target of the {arm} hand"),
-                q_start[GROUPS[f"{arm}_arm"]],
-                rng,
-                restarts_n,
-            )
-            for arm in arms
+        solutions = {
+            arm: self.solvers[arm].solutions(T, q_start[self.solvers[arm].joints], rng, restarts_n)
+            for arm, T in check_targets(group, targets).items()
         }
-        found: dict[str, list[Array]] = {arm: [] for arm in arms}
+        found: dict[str, list[Array]] = {arm: [] for arm in solutions}
         while True:
-            new = {arm: list(itertools.islice(solvers[arm], candidates_n)) for arm in arms}
-            for arm in arms:
+            new = {arm: list(itertools.islice(more, candidates_n)) for arm, more in solutions.items()}
+            for arm in found:
                 found[arm] += new[arm]
-            combined = _combinations(q_start, found)
+            combined = self._combinations(q_start, found)
             free = list(itertools.islice((q for q in combined if not engine.in_collision(q)), candidates_n))
             if free:
                 return free
             if not any(new.values()):
                 require_free(engine, combined[0], "goal")
 
-
-def _combinations(q_start: Array, found: Mapping[str, list[Array]]) -> list[Array]:
-    """Return every combination of the arms' solutions as (14,), the nearest to the start first."""
-    combined = []
-    for parts in itertools.product(*found.values()):
-        q = np.array(q_start)
-        for arm, part in zip(found, parts, strict=True):
-            q[GROUPS[f"{arm}_arm"]] = part
-        combined.append(q)
-    return sorted(combined, key=lambda q: float(np.linalg.norm(q - q_start)))
+    def _combinations(self, q_start: Array, found: Mapping[str, list[Array]]) -> list[Array]:
+        """Return every combination of the arms' solutions as (n,), the nearest to the start first."""
+        combined = []
+        for parts in itertools.product(*found.values()):
+            q = np.array(q_start)
+            for arm, part in zip(found, parts, strict=True):
+                q[self.solvers[arm].joints] = part
+            combined.append(q)
+        return sorted(combined, key=lambda q: float(np.linalg.norm(q - q_start)))

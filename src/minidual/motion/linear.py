@@ -1,9 +1,8 @@
 """Straight moves: each tcp goes along a line and turns about one axis, as far as arms and obstacles let it.
 
-The line is followed by inverse kinematics from point to point, each solution starting from the one before. It ends
-where a pose is out of reach, where an arm would have to jump to another posture, or where something touches; the
-fraction that was achieved and the reason are part of the answer. What the tcps do on the timed path is measured
-between the points too, and the whole is proven like every other plan.
+Inverse kinematics follows the line from point to point. It ends where a pose is out of reach, where an arm would have
+to jump to another posture, or where something touches; the fraction that was achieved and the reason are part of the
+answer. What the tcps do on the timed path is measured between the points too, and the whole is proven like every plan.
 """
 
 from __future__ import annotations
@@ -16,15 +15,14 @@ import pinocchio as pin
 from scipy.interpolate import CubicSpline
 
 from minidual.collision.errors import LinearMoveError
-from minidual.errors import UsageError
-from minidual.motion.goals import check_joints, group_arms, require_free
+from minidual.motion.goals import check_joints, check_targets, require_free
 from minidual.motion.held.path import ROTATION_WEIGHT_M
-from minidual.motion.ik import ArmIK, check_pose
+from minidual.motion.ik import ArmIK
 from minidual.motion.timing import DT_S, MotionLimits, drive, fastest_profile
 from minidual.proof.scene_engines import SceneEngines
 from minidual.proof.verify import Verification
-from minidual.robot.constants import A_MAX, ARMS, DOF, GROUPS, V_MAX, Array
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import pose
 from minidual.robot.trajectory import Trajectory
 
@@ -77,11 +75,8 @@ class Line:
         self._start = T_start
         self._shift = T_end[:3, 3] - T_start[:3, 3]
         self._turn = pin.log3(T_start[:3, :3].T @ T_end[:3, :3])
-
-    @property
-    def length_m(self) -> float:
-        """Length of the way, turning counted by its weight [m]."""
-        return float(np.hypot(np.linalg.norm(self._shift), ROTATION_WEIGHT_M * np.linalg.norm(self._turn)))
+        self.length_m = float(np.hypot(np.linalg.norm(self._shift), ROTATION_WEIGHT_M * np.linalg.norm(self._turn)))
+        """Length of the way, turning counted by its weight."""
 
     def at(self, x: float) -> Array:
         """Return T_world_tcp (4, 4) at x in 0..1."""
@@ -97,7 +92,7 @@ class Line:
 
 
 class _Curve:
-    """Columns: 14 joints and the way itself, as functions of the way s [m]."""
+    """Columns: all joints and the way itself, as functions of the way s [m]."""
 
     def __init__(self, marks: Array, Q: Array) -> None:
         self._spline = CubicSpline(marks, Q, bc_type="natural")
@@ -113,9 +108,10 @@ class _Curve:
 class LinearPlanner:
     """Plans straight moves of one or both tcps. One instance a process: it holds workspaces."""
 
-    def __init__(self, limits: MotionLimits | None = None) -> None:
-        self._ik = {arm: ArmIK(arm) for arm in ARMS}
-        self._kinematics = Kinematics()
+    def __init__(self, limits: MotionLimits | None = None, kinematics: Kinematics | None = None) -> None:
+        self._kinematics = kinematics or Kinematics()
+        self._robot = self._kinematics.robot
+        self._ik = {side: ArmIK(side, self._kinematics) for side in SIDES}
         self._limits = limits or MotionLimits()
 
     def plan(
@@ -132,7 +128,7 @@ class LinearPlanner:
 
         Args:
             group: "left_arm", "right_arm" or "both_arms"; the tcps of a group start and end together.
-            q_start: All 14 joints [rad].
+            q_start: All joints (n,) [rad].
             targets: {arm: T_world_tcp (4, 4)}, exactly the group's arms.
             engines: Of the scene.
             tip_limits: Speed and acceleration of the tcps.
@@ -143,15 +139,11 @@ class LinearPlanner:
                 numbers and the reason.
             UsageError, OutOfLimitsError, StartInCollisionError: A bad query.
         """
-        arms = group_arms(group)
-        if set(targets) != set(arms):
-            raise UsageError(
-                f"the targets name {', '.join(sorted(targets)) or 'no arm'}; {group} needs {', '.join(arms)}"
-            )
-        q_start = check_joints(q_start, "start")
+        checked = check_targets(group, targets)
+        q_start = check_joints(q_start, "start", self._robot)
         require_free(engines.mujoco, q_start, "start")
-        tips = dict(zip(ARMS, self._kinematics.tcp_poses(q_start), strict=True))
-        lines = {arm: Line(tips[arm], check_pose(targets[arm], f"the target of the {arm} hand")) for arm in arms}
+        tips = dict(zip(SIDES, self._kinematics.tcp_poses(q_start), strict=True))
+        lines = {arm: Line(tips[arm], T) for arm, T in checked.items()}
         move = self._move(group, q_start, lines, engines, tip_limits or TipLimits())
         if move.fraction < fraction_min or (move.trajectory is None and fraction_min > 0.0):
             raise LinearMoveError(
@@ -166,7 +158,7 @@ class LinearPlanner:
     ) -> LinearMove:
         length = max(line.length_m for line in lines.values())
         if length < _STILL_M:
-            rest = np.zeros((2, DOF))
+            rest = np.zeros((2, len(q_start)))
             still = Trajectory(np.array([0.0, DT_S]), np.tile(q_start, (2, 1)), rest, rest.copy(), group)
             proof = engines.verifier.verify(still)
             if not proof.ok:
@@ -176,13 +168,13 @@ class LinearPlanner:
                     remedy="start from another posture",
                 )
             return LinearMove(still, 1.0, "", verification=proof)
-        step = _STEP_M
-        for _ in range(_REFINEMENTS):
-            marks, Q, reason = self._follow(q_start, lines, engines, length, step)
-            move = self._timed(group, marks, Q, reason, lines, engines, length, tips)
+        for refinement in range(_REFINEMENTS):
+            count = max(8, int(np.ceil(length / (_STEP_M * 0.5**refinement))))
+            marks = np.linspace(0.0, length, count + 1)
+            Q, reason = self._follow(q_start, lines, engines, marks)
+            move = self._timed(group, marks, Q, reason, lines, engines, tips)
             if move.deviation_m < DEVIATION_MAX_M and move.deviation_rad < DEVIATION_MAX_RAD:
                 return move
-            step *= 0.5
         raise LinearMoveError(
             f"between its points the straight move strays {move.deviation_m * 1e3:.3f} mm and "
             f"{move.deviation_rad:.5f} rad; allowed are {DEVIATION_MAX_M * 1e3} mm and {DEVIATION_MAX_RAD} rad",
@@ -190,42 +182,32 @@ class LinearPlanner:
         )
 
     def _follow(
-        self, q_start: Array, lines: Mapping[str, Line], engines: SceneEngines, length: float, step_m: float
-    ) -> tuple[Array, Array, str]:
-        """Return the way marks (k,) [m] and joints (k, 14) as far as it goes, and why it ends."""
-        count = max(8, int(np.ceil(length / step_m)))
-        marks = np.linspace(0.0, length, count + 1)
+        self, q_start: Array, lines: Mapping[str, Line], engines: SceneEngines, marks: Array
+    ) -> tuple[Array, str]:
+        """Return the joints (k, n) at the first k marks [m], as far as it goes, and why it ends."""
         Q = [q_start]
         for mark in marks[1:]:
             q = Q[-1].copy()
             for arm, line in lines.items():
-                joints = GROUPS[f"{arm}_arm"]
-                solution = self._ik[arm].solve(line.at(float(mark) / length), q[joints])
+                ik = self._ik[arm]
+                solution = ik.solve(line.at(float(mark / marks[-1])), q[ik.joints])
+                jump = float(np.abs(solution.q - q[ik.joints]).max())
                 if not solution.reached:
-                    return (
-                        marks[: len(Q)],
-                        np.array(Q),
-                        (
-                            f"the {arm} hand cannot go on: it stays {solution.residual_m * 1e3:.1f} mm and "
-                            f"{solution.residual_rad:.3f} rad away"
-                        ),
+                    return np.array(Q), (
+                        f"the {arm} hand cannot go on: it stays {solution.residual_m * 1e3:.1f} mm and "
+                        f"{solution.residual_rad:.3f} rad away"
                     )
-                jump = float(np.abs(solution.q - q[joints]).max())
                 if jump > _JUMP_MAX_RAD:
-                    return (
-                        marks[: len(Q)],
-                        np.array(Q),
-                        (
-                            f"the {arm} arm would jump by {jump:.2f} rad within {marks[1] * 1e3:.1f} mm (a joint limit or "
-                            "a singular posture)"
-                        ),
+                    return np.array(Q), (
+                        f"the {arm} arm would jump by {jump:.2f} rad within {marks[1] * 1e3:.1f} mm (a joint limit or "
+                        "a singular posture)"
                     )
-                q[joints] = solution.q
+                q[ik.joints] = solution.q
             near = engines.mujoco.closest(q, 0.001)
             if near and near[0].distance_m <= 0.0:
-                return marks[: len(Q)], np.array(Q), f"collision: {near[0]}"
+                return np.array(Q), f"collision: {near[0]}"
             Q.append(q)
-        return marks, np.array(Q), ""
+        return np.array(Q), ""
 
     def _timed(
         self,
@@ -235,20 +217,19 @@ class LinearPlanner:
         reason: str,
         lines: Mapping[str, Line],
         engines: SceneEngines,
-        length: float,
         tips: TipLimits,
     ) -> LinearMove:
         """Return the move along the points, timed and proven; what the proof refuses ends a little earlier."""
-        joints = np.arange(DOF)[GROUPS[group]]
-        scale = self._limits
-        v_max = np.append(scale.velocity_scale * V_MAX[joints], tips.speed_m_per_s)
-        a_max = np.append(scale.acceleration_scale * A_MAX[joints], tips.acceleration_m_per_s2)
+        robot, scale, length = self._robot, self._limits, float(marks[-1])
+        joints = np.arange(robot.dof)[robot.groups[group]]
+        v_max = np.append(scale.velocity_scale * robot.v_max[joints], tips.speed_m_per_s)
+        a_max = np.append(scale.acceleration_scale * robot.a_max[joints], tips.acceleration_m_per_s2)
         for back_off in range(_BACK_OFFS):
-            keep = len(marks) - 2**back_off + 1
+            keep = len(Q) - 2**back_off + 1
             if keep < 4:
                 break
             curve = _Curve(marks[:keep], Q[:keep])
-            s, sd = fastest_profile(curve, np.append(joints, DOF), v_max, a_max)
+            s, sd = fastest_profile(curve, np.append(joints, robot.dof), v_max, a_max)
             trajectory, way = drive(curve, s, sd, group, scale, self._kinematics)
             deviation = self._deviation(trajectory, way / length, lines)
             proof = engines.verifier.verify(trajectory)
@@ -259,11 +240,11 @@ class LinearPlanner:
 
     def _deviation(self, trajectory: Trajectory, way: Array, lines: Mapping[str, Line]) -> tuple[float, float]:
         """Return the largest distance from the lines [m] and from their orientations [rad] on the timed path."""
-        worst_m = worst_rad = 0.0
         rows = np.unique(np.append(np.arange(0, len(way), 5), len(way) - 1))
-        for k in rows:
-            for arm, T in zip(ARMS, self._kinematics.tcp_poses(trajectory.q[k]), strict=True):
-                if arm in lines:
-                    distance, angle = lines[arm].off(T, float(way[k]))
-                    worst_m, worst_rad = max(worst_m, distance), max(worst_rad, angle)
+        off = [
+            lines[arm].off(self._ik[arm].tcp_pose(trajectory.q[k, self._ik[arm].joints]), float(way[k]))
+            for k in rows
+            for arm in lines
+        ]
+        worst_m, worst_rad = np.max(off, axis=0).tolist()
         return worst_m, worst_rad

@@ -7,7 +7,7 @@ import math
 
 from minidual.config.robot import RobotConfig
 from minidual.registry import Registry
-from minidual.robot.pair import ArmModel, HandModel, Robot
+from minidual.robot.pair import ArmModel, HandModel, Posture, Robot
 
 _ROBOTS = "package://example-robot-data/robots"
 
@@ -28,6 +28,11 @@ PANDA_HAND = HandModel(
     camera_position_m=(0.08, 0.0, 0.03),  # in front of the hand
     camera_tilt_rad=math.radians(180.0 - 31.0),  # sees both fingertips
 )
+
+
+def _both(joints: tuple[float, ...], description: str) -> Posture:
+    return Posture(joints, joints, description)
+
 
 PANDA = ArmModel(
     name="panda",
@@ -53,6 +58,26 @@ PANDA = ArmModel(
     damping=0.1,
     friction=0.0,
     hand=PANDA_HAND,
+    postures=(
+        ("ready", _both((0.0, -0.1848, 0.0, -2.4967, 0.0, 2.3119, 0.7854), "hands down, 25 cm over the table")),
+        (
+            "carry",
+            Posture(
+                (-0.216, 0.0891, -0.0384, -2.3191, 0.0051, 2.4081, -1.0434),
+                (0.0716, 0.0905, 0.1829, -2.319, -0.0246, 2.4079, -0.5134),
+                "hands 24 cm apart at the middle, 20 cm over the table, as they hold the rod",
+            ),
+        ),
+        (
+            "raised",
+            Posture(
+                (0.0242, -0.3986, 0.0716, -1.7764, 0.0283, 1.3788, 0.8811),
+                (-0.0244, -0.3986, -0.0715, -1.7764, -0.0283, 1.3788, 0.6897),
+                "hands 60 cm over the table, out of the way of what stands on it",
+            ),
+        ),
+        ("folded", _both((0.0, -1.4, 0.0, -2.9, 0.0, 1.6, 0.785), "arms drawn back over their bases, the table free")),
+    ),
 )
 
 _TURN = 2.0 * math.pi

@@ -7,16 +7,20 @@ import sys
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from minidual.errors import ExitCode, UsageError, unknown_name
+from minidual.collision.errors import ClosedChainError, LinearMoveError, NoPathInTimeError, TimingError
+from minidual.collision.scene import PlanningScene
+from minidual.collision.scene_file import load_scene
+from minidual.errors import ExitCode, UsageError
 from minidual.gate.tool import ToolContext, ToolResult
-
-if TYPE_CHECKING:
-    from minidual.collision.scene import PlanningScene
-    from minidual.motion.goal_plan import GoalPlanner
-    from minidual.motion.result import PlanResult
-    from minidual.robot.constants import Array
+from minidual.motion.api import Planner
+from minidual.motion.goal import JointGoal, PoseGoal, RelativeGoal, goal_of
+from minidual.motion.goal_plan import GoalPlanner
+from minidual.motion.goals import group_arms
+from minidual.motion.result import PlanResult
+from minidual.proof.verify import CLEARANCE_MAX_M
+from minidual.robot.pair import Array
 
 _ENDINGS = {"out": ".json", "csv": ".csv", "picture": ".png"}
 _BUDGET_MAX_S = 600.0
@@ -24,8 +28,6 @@ _BUDGET_MAX_S = 600.0
 
 def plan_once(context: ToolContext) -> ToolResult:
     """Plan from --from to --to for --group in --scene; exit 1 where no path was found, 2 where the query is bad."""
-    from minidual.collision.errors import ClosedChainError, LinearMoveError, NoPathInTimeError, TimingError
-
     options = context.options
     targets = {name: _target(name, options.get(name), end) for name, end in _ENDINGS.items()}
     group = options.get("group", "both_arms")
@@ -33,7 +35,7 @@ def plan_once(context: ToolContext) -> ToolResult:
     if budget_s is not None and not 0.0 < budget_s <= _BUDGET_MAX_S:
         raise UsageError(f"--budget-s is {budget_s:g}; 0 < value <= {_BUDGET_MAX_S:g}")
     planner, scene, q_start, notes = _prepare(context, group)
-    goal = _goal(options["to"], planner)
+    goal = goal_of(options["to"], planner.states)
     try:
         result = planner.plan(group, q_start, goal, scene=scene, seed=context.seed, budget_s=budget_s)
     except (NoPathInTimeError, TimingError, ClosedChainError, LinearMoveError) as error:
@@ -52,46 +54,23 @@ def plan_once(context: ToolContext) -> ToolResult:
 
 
 def _prepare(context: ToolContext, group: str) -> tuple[GoalPlanner, PlanningScene, Array, list[str]]:
-    """Return planner, scene, start (14,) and notes; whatever is typed wrongly is said before anything is planned."""
-    from minidual.collision.scene import PlanningScene
-    from minidual.collision.scene_file import load_scene
-    from minidual.motion.api import Planner
-    from minidual.motion.goal_file import goal_of
-    from minidual.motion.goal_plan import GoalPlanner
-    from minidual.motion.semantics import Semantics
-    from minidual.robot.constants import GROUPS, HOME
-
-    if group not in GROUPS:
-        raise unknown_name("group", group, GROUPS)
+    """Return planner, scene, start (n,) and notes; whatever is typed wrongly is said before anything is planned."""
+    group_arms(group)  # refuses an unknown name
     scene, notes = PlanningScene(), []
     if "scene" in context.options:
         loaded = load_scene(Path(context.options["scene"]))
         scene, notes = loaded.scene, list(loaded.notes)
-    semantics = Semantics(context.config.semantics)
-    planner = GoalPlanner(Planner(scene, context.config.plan.planner), semantics)
-    q_home = semantics.state("home", "both_arms", HOME)
-    start = goal_of(context.options.get("from", "home"), semantics.state_names)
+    config = context.config
+    planner = GoalPlanner(Planner(scene, config.plan.planner), config.semantics)
+    q_home = planner.states.joints("home", "both_arms", planner.robot.home)
+    start = goal_of(context.options.get("from", "home"), planner.states)
     # A start places both arms, whichever group moves afterwards; a start of one hand leaves the other at home.
-    q_start = planner.start_joints(_start_group(start, group), q_home, start, scene, seed=context.seed)
+    values = start.values if isinstance(start, JointGoal) else ()
+    of_group = isinstance(start, PoseGoal | RelativeGoal) or (
+        isinstance(values, tuple) and len(values) not in (0, planner.robot.dof)
+    )
+    q_start = planner.start_joints(group if of_group else "both_arms", q_home, start, scene, seed=context.seed)
     return planner, scene, q_start, notes
-
-
-def _start_group(start: Any, group: str) -> str:
-    """Return the group whose joints a start sets."""
-    from minidual.motion.goal_types import JointGoal, StateGoal
-    from minidual.robot.constants import DOF
-
-    if isinstance(start, StateGoal):
-        return "both_arms"
-    if isinstance(start, JointGoal) and (not isinstance(start.values, tuple) or len(start.values) == DOF):
-        return "both_arms"
-    return group
-
-
-def _goal(word: str, planner: GoalPlanner) -> Any:
-    from minidual.motion.goal_file import goal_of
-
-    return goal_of(word, planner.semantics.state_names)
 
 
 def _target(name: str, text: str | None, ending: str) -> Path | None:
@@ -177,8 +156,6 @@ def _lines(title: str, result: PlanResult, clearance: str) -> list[str]:
 
 def _clearance(clearance_m: float, min_distance_m: float) -> str:
     """Return the smallest distance along the plan in words; a few centimetres are measured at most."""
-    from minidual.proof.verify import CLEARANCE_MAX_M
-
     far = clearance_m >= CLEARANCE_MAX_M
     text = f"{'at least ' if far else ''}{clearance_m * 1e3:.1f} mm"
     return text if min_distance_m == 0.0 else f"{text} beyond the {min_distance_m * 1e3:g} mm that the scene asks for"

@@ -23,7 +23,7 @@ from minidual.errors import UsageError
 from minidual.motion.api import Planner
 from minidual.motion.blend import rounded
 from minidual.motion.edges import EdgeChecker
-from minidual.motion.goals import PoseGoals, check_joints, require_free
+from minidual.motion.goals import check_joints, require_free
 from minidual.motion.held.constraint import GraspConstraint, search_manifold
 from minidual.motion.held.hands import HandsIK
 from minidual.motion.held.path import (
@@ -117,7 +117,7 @@ class HeldQuery:
     scene: PlanningScene
     seed: int = 0
 
-    def checked(self) -> HeldQuery:
+    def checked(self, robot: Robot) -> HeldQuery:
         """Return the query with its arrays checked.
 
         Raises:
@@ -125,7 +125,7 @@ class HeldQuery:
         """
         return replace(
             self,
-            q_start=check_joints(self.q_start, "start"),
+            q_start=check_joints(self.q_start, "start", robot),
             T_world_goal=check_pose(self.T_world_goal, "the goal of the object"),
             T_object_tcp_left=check_pose(self.T_object_tcp_left, "the left grasp"),
             T_object_tcp_right=check_pose(self.T_object_tcp_right, "the right grasp"),
@@ -153,8 +153,8 @@ class HeldPlanner:
         self.engines = self.planner.engines
         self.limits = limits or CARRY_LIMITS
         self.object_limits = object_limits or ObjectLimits()
-        self.kinematics = Kinematics()
-        self.goals = PoseGoals()
+        self.kinematics = self.planner.kinematics
+        self.goals = self.planner.goals
 
     def plan(self, query: HeldQuery, budget_s: float | None = None) -> CarriedTrajectory:
         """Return a proven trajectory that brings the object to its goal.
@@ -173,7 +173,7 @@ class HeldPlanner:
         budget = self.config.budget_s if budget_s is None else budget_s
         if not (np.isfinite(budget) and budget > 0.0):
             raise UsageError(f"budget_s = {budget}; it must be a finite number > 0")
-        return HeldWork(self, query.checked(), time.perf_counter() + budget).run()
+        return HeldWork(self, query.checked(self.planner.robot), time.perf_counter() + budget).run()
 
     def prove(self, query: HeldQuery, points: Array) -> CarriedTrajectory:
         """Return the proven trajectory along points that somebody else found.
@@ -185,7 +185,9 @@ class HeldPlanner:
         Raises:
             ClosedChainError, TimingError: The path through them cannot be followed, timed or proven.
         """
-        return HeldWork(self, query.checked(), time.perf_counter() + self.config.budget_s).rounded(points, "given")
+        return HeldWork(self, query.checked(self.planner.robot), time.perf_counter() + self.config.budget_s).rounded(
+            points, "given"
+        )
 
     def follow(
         self,
@@ -215,7 +217,7 @@ class HeldPlanner:
                 residual stays over half of 0.1 mm or of 0.05 degrees, or the proof fails; each with its numbers.
             OutOfLimitsError, UsageError: A bad start or pose.
         """
-        q_start = check_joints(q_start, "start")
+        q_start = check_joints(q_start, "start", self.planner.robot)
         grasps = (check_pose(T_object_tcp_left, "the left grasp"), check_pose(T_object_tcp_right, "the right grasp"))
         hands = HandsIK(*grasps, self.kinematics)
         path = ObjectPath(Ts_world_object, corner_m)
