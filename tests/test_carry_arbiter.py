@@ -20,6 +20,7 @@ from minidual.control.stack import DEFAULT_CONTROLLERS, OBJECT_CONTROLLERS
 from minidual.control.supervisor import Supervisor
 from minidual.plant.sensing import Reading, Sensors
 from minidual.plant.world import World
+from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.constants import HOME, TAU_RATE_MAX, Array
 from minidual.robot.kinematics import Kinematics
 from minidual.show.view.overlay import Overlay
@@ -421,7 +422,9 @@ def test_a_joint_move_is_its_quintic_and_its_derivatives_are() -> None:
 @pytest.mark.parametrize("squeeze_n", [13.0, 40.0, 80.0])
 def test_the_squeeze_is_asked_for_no_faster_than_controller_c_gives_it(scene: SceneConfig, squeeze_n: float) -> None:
     T = level_pose(*scene.task.start_xy_m, scene.rod.rest_height_m, 0.0)
-    path = plan_path(scene, CarryConfig(), (*scene.task.goal_xy_m, 0.0), T, approach_postures(scene, T)[1])
+    path = plan_path(
+        scene, DUAL_PANDA, CarryConfig(), (*scene.task.goal_xy_m, 0.0), T, approach_postures(scene, DUAL_PANDA, T)[1]
+    )
     ends = {}
     for name, make in (("squeeze", squeezing), ("carry", carrying), ("release", releasing)):
         motion, squeeze = make(path, np.eye(4), squeeze_n)

@@ -14,9 +14,8 @@ import pytest
 
 from minidual.demos.smoothness import JERK_FILTER
 from minidual.errors import DataError, NothingEvaluatedError, UsageError
-from minidual.robot.constants import TAU_MAX
 from minidual.tasks.judge import Fault, Outcome
-from minidual.trials import metrics, tables
+from minidual.trials import tables
 from minidual.trials.metrics import TrialMetrics, summarise, trial_metrics
 
 
@@ -39,15 +38,12 @@ def outcome(*faults: Fault, **changes: Any) -> Outcome:
 
 def logs(duration_s: float = 4.0, rate_hz: float = 1000.0) -> dict[str, Any]:
     t = np.arange(0.0, duration_s + 1e-9, 1.0 / rate_hz)
-    tau = np.zeros((len(t), 14))
-    tau[len(t) // 2, 11] = -9.0
-    tau[len(t) // 3, 0] = 43.5
     path = np.zeros((len(t), 2, 3))
     path[:, 0, 1] = 0.5 * t / t[-1]
     path[:, 1, 2] = 0.1 * t / t[-1]
     return {
         "q": 0.3 * np.sin(2 * np.pi * t[:, None] + np.arange(14)),
-        "tau": tau,
+        "torque_ratio_max": 0.75,
         "tcp_positions": path,
         "rate_hz": rate_hz,
     }
@@ -77,7 +73,7 @@ def trial(index: int, *, success: bool = True, method: str = "act", **changes: A
 def test_a_trials_metrics_come_from_its_logs() -> None:
     made = trial_metrics("impedance", 4, outcome(), **logs())
     assert (made.method, made.index, made.condition, made.success, made.failure) == ("impedance", 4, "clean", True, "")
-    assert made.torque_ratio_max == pytest.approx(9.0 / 12.0)  # not 43.5 / 87: the ratio counts, per joint
+    assert made.torque_ratio_max == pytest.approx(9.0 / 12.0)
     assert made.path_length_m == pytest.approx(0.3)
     expected = np.sqrt(14) * 0.3 * (2 * np.pi) ** 3 / np.sqrt(2)
     assert made.jerk_rms == pytest.approx(expected, rel=0.03)
@@ -104,25 +100,17 @@ def test_a_trial_too_short_for_a_jerk_says_so() -> None:
     assert made.to_row()["jerk_rms"] == "not measured"
 
 
-@pytest.mark.parametrize("name", ["q", "tau", "tcp_positions"])
+@pytest.mark.parametrize("name", ["q", "tcp_positions"])
 def test_broken_logs_are_refused(name: str) -> None:
     bad = logs()
     bad[name] = bad[name].copy()
     bad[name][3] = np.nan
     with pytest.raises(DataError, match=f"log of {name} of act, trial 1"):
         trial_metrics("act", 1, outcome(), **bad)
-    for shape in ((4001, 5), (17, *logs()[name].shape[1:])):
+    for shape in ((4001,), (17, *logs()[name].shape[1:])):
         bad[name] = np.zeros(shape)
         with pytest.raises(DataError, match="has shape"):
             trial_metrics("act", 1, outcome(), **bad)
-
-
-def test_torque_ratio_uses_each_joints_own_limit() -> None:
-    tau = np.diag(0.8 * TAU_MAX)
-    tau[7, 7] = -TAU_MAX[7]
-    assert metrics.peak_torque_ratio(tau) == pytest.approx(1.0)
-    with pytest.raises(DataError, match=r"\(0, 14\)"):
-        metrics.peak_torque_ratio(np.zeros((0, 14)))
 
 
 def test_a_summary_says_over_which_trials_it_speaks() -> None:

@@ -20,6 +20,7 @@ from minidual.demos.observation import Observer
 from minidual.demos.session import TeleopSession
 from minidual.plant.world import World
 from minidual.policies.pilot import PolicyPilot
+from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.constants import HOME, Array
 from minidual.robot.kinematics import Kinematics
 from minidual.skills.operator import ScriptedOperator
@@ -69,7 +70,7 @@ def _steps(method: Any, limit: int) -> int:
 @pytest.mark.parametrize(("config", "reflex"), [(FRAIL, "joint_velocity"), (SupervisorConfig(), "")])
 def test_a_reflex_ends_the_trial_of_a_policy(world: World, trial: Trial, config: SupervisorConfig, reflex: str) -> None:
     runtime: Any = Still(0.3)
-    supervisor = trial_supervisor(config, world.dt)
+    supervisor = trial_supervisor(config, world.dt, DUAL_PANDA)
     pilot = PolicyPilot(
         world,
         Kinematics(),
@@ -91,7 +92,7 @@ def test_a_reflex_ends_the_trial_of_a_policy(world: World, trial: Trial, config:
 def test_a_reflex_ends_a_planned_trial(world: World, trial: Trial) -> None:
     planner, carrier = make_planners(Config().plan.planner)
     carry = PlannedCarry(
-        world, Kinematics(), planner, carrier, trial, SEED, supervisor=trial_supervisor(FRAIL, world.dt)
+        world, Kinematics(), planner, carrier, trial, SEED, supervisor=trial_supervisor(FRAIL, world.dt, DUAL_PANDA)
     )
     assert _steps(carry, 2000) < 2000
     assert "phase 'approach': reflex joint_velocity" in (carry.aborted or "")
@@ -99,16 +100,16 @@ def test_a_reflex_ends_a_planned_trial(world: World, trial: Trial) -> None:
 
 def test_a_planned_trial_keeps_the_distance_that_the_supervisor_watches(world: World, trial: Trial) -> None:
     planner, carrier = make_planners(Config().plan.planner)
-    supervisor = trial_supervisor(SupervisorConfig(), world.dt)
+    supervisor = trial_supervisor(SupervisorConfig(), world.dt, DUAL_PANDA)
     carry = PlannedCarry(world, Kinematics(), planner, carrier, trial, SEED, supervisor=supervisor)
     assert carry.solution is not None
-    distance = arm_distance()
+    distance = arm_distance(DUAL_PANDA)
     gaps = [distance(q)[1] for segment in carry.solution.segments for q in segment.trajectory.q]
     assert min(gaps) > supervisor.config.self_collision_min_m + 0.004
 
     # What no plan keeps is said, and nothing moves.
     world.reset(poses=trial.start)
-    wide = trial_supervisor(SupervisorConfig(self_collision_min_m=0.14), world.dt)
+    wide = trial_supervisor(SupervisorConfig(self_collision_min_m=0.14), world.dt, DUAL_PANDA)
     carry = PlannedCarry(world, Kinematics(), planner, carrier, trial, SEED, supervisor=wide)
     assert carry.done
     assert "they must keep 145" in (carry.aborted or "")
@@ -123,7 +124,7 @@ def test_a_reflex_ends_a_demonstration(world: World, config: SupervisorConfig, e
         Observer(world),
         TeleopConfig(),
         ArbiterConfig(),
-        supervisor=trial_supervisor(config, world.dt),
+        supervisor=trial_supervisor(config, world.dt, DUAL_PANDA),
     )
     result = session.run(
         carry_task(world.scene), trial, ScriptedLeader(ScriptedOperator(world.scene).plan(trial, seed=SEED))

@@ -100,7 +100,7 @@ class Rig:
             self.observer,
             job.teleop,
             job.arbiter,
-            supervisor=trial_supervisor(job.supervisor, self.world.dt),
+            supervisor=trial_supervisor(job.supervisor, self.world.dt, self.world.robot),
         )
         operator = ScriptedOperator(job.task.scene, job.teleop.operator)
         self._setup = LeaderSetup(job.task.scene, job.teleop, job.seed, operator)

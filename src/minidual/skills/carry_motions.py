@@ -14,7 +14,7 @@ from minidual.config.scene import SceneConfig
 from minidual.control.object_controller import SQUEEZE_RATE_N_PER_S
 from minidual.control.object_impedance import HeldObject, ImpedanceGains, ObjectState
 from minidual.control.object_path import ObjectPath, Waypoint
-from minidual.robot.constants import Array
+from minidual.robot.pair import Array, Robot
 from minidual.robot.poses import inverse
 from minidual.skills.pace import object_duration_s
 from minidual.skills.phases import PHASES
@@ -29,11 +29,11 @@ class JointMove:
     """A rest-to-rest motion of both arms (`control.commands.TimedMotion`).
 
     Args:
-        motion: Between two postures (14,).
+        motion: Between two postures (n,).
         dt_s: Control step, on whose grid it is given.
 
     Attributes:
-        q, v, a: (n, 14) on the grid.
+        q, v, a: (k, n) on the grid.
         dt_s: Step of the grid.
         duration_s: When it ends.
     """
@@ -44,7 +44,7 @@ class JointMove:
         self.q, self.v, self.a = self.sample_many(np.minimum(np.arange(steps + 1) * dt_s, motion.duration_s))
 
     def sample_many(self, times: Array) -> tuple[Array, Array, Array]:
-        """Return (q, v, a), each (m, 14), at times (m,) [s]: `Quintic.at`, many at once."""
+        """Return (q, v, a), each (m, n), at times (m,) [s]: `Quintic.at`, many at once."""
         motion, duration = self._motion, self._motion.duration_s
         s = np.clip(np.asarray(times, dtype=float) / duration, 0.0, 1.0)[:, None]
         blend = s**3 * (10.0 + s * (6.0 * s - 15.0))
@@ -116,16 +116,22 @@ def releasing(path: ObjectPath, T_level_object: Array, squeeze_n: float) -> tupl
 
 
 def plan_path(
-    scene: SceneConfig, config: CarryConfig, goal: tuple[float, float, float], T_world_object: Array, q: Array
+    scene: SceneConfig,
+    robot: Robot,
+    config: CarryConfig,
+    goal: tuple[float, float, float],
+    T_world_object: Array,
+    q: Array,
 ) -> ObjectPath:
     """Return the path from where the object lies to the goal, each segment as fast as the limits allow.
 
     Args:
         scene: Holds the grasp and the heights.
+        robot: Whose limits.
         config: Holds the limits, and durations that are fixed.
         goal: (x [m], y [m], yaw [rad]).
         T_world_object: (4, 4), where it lies.
-        q: Posture (14,) of the hands on it.
+        q: Posture (n,) of the hands on it.
 
     Raises:
         GraspUnreachableError: A hand cannot follow.
@@ -147,7 +153,7 @@ def plan_path(
     waypoints = []
     for xyz, direction, fixed_s in ends:
         end = Waypoint(xyz, direction, 0.0)
-        planned_s, q = object_duration_s(scene, place, end, q, config.pace)
+        planned_s, q = object_duration_s(scene, robot, place, end, q, config.pace)
         waypoints.append(Waypoint(xyz, direction, planned_s if fixed_s is None else fixed_s))
         place = end
     return ObjectPath(start, waypoints)

@@ -16,7 +16,7 @@ from minidual.control.object_impedance import SingularPostureError
 from minidual.control.reflexes import ReflexError
 from minidual.control.soft_stop import SoftStop
 from minidual.control.stack import ControlStack
-from minidual.robot.constants import Array
+from minidual.robot.pair import Array
 from minidual.skills.carry_watch import CarryWatch
 from minidual.skills.faults import FAULTS, CarryFault, Finding
 

@@ -19,8 +19,8 @@ from minidual.control.object_estimate import HeldEstimate, RestingEstimate
 from minidual.control.object_impedance import ObjectState
 from minidual.plant.sensing import Reading, Sensors
 from minidual.plant.world import World
-from minidual.robot.constants import FINGER_TRAVEL_M, Array
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array
 from minidual.skills.faults import FaultMonitor, Finding
 from minidual.tasks.rod_carry import tilt_rad
 
@@ -167,7 +167,7 @@ class CarryWatch:
 
     def _gaps_m(self) -> Array:
         """Return the gap between the fingers of each hand (2,) [m], from their encoders."""
-        return 2.0 * FINGER_TRAVEL_M * self._world.gripper
+        return 2.0 * self._world.robot.hand.travel_m * self._world.gripper
 
     def _feel(self) -> None:
         """Find the internal force: the smaller of the hands' forces towards each other along the object."""

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from minidual.config.control import CarryFaultConfig
-from minidual.robot.constants import ARMS, DOF_PER_ARM, Array
+from minidual.robot.pair import SIDES, Array
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ class FaultMonitor:
         self._counts: dict[str, int] = {}
         self._spread_m: float | None = None
         self._motors_missing = False
-        self.lost: npt.NDArray[np.bool_] = np.zeros(len(ARMS), dtype=bool)
+        self.lost: npt.NDArray[np.bool_] = np.zeros(len(SIDES), dtype=bool)
         """(2,) arms whose motors were found not to give what they were told; once lost, an arm stays lost."""
         self._away_m, self._away_rad = _Scatter(config.displaced_m), _Scatter(config.displaced_rad)
 
@@ -133,15 +133,15 @@ class FaultMonitor:
         return count >= (self._needed if needed is None else needed)
 
     def motors(self, commanded: Array, applied: Array) -> Finding:
-        """Compare torques (14,) told and given in the last step; `lost` says which arms are gone."""
+        """Compare torques (n,) told and given in the last step; `lost` says which arms are gone."""
         difference = commanded - applied
         np.abs(difference, difference)
         if difference.max() <= self._config.motor_torque_n_m and not self._motors_missing:
             return None
-        missing = difference.reshape(2, DOF_PER_ARM).max(axis=1)
+        missing = difference.reshape(2, -1).max(axis=1)
         self._motors_missing = not bool((missing <= self._config.motor_torque_n_m).all())
         found: list[str] = []
-        for arm, name in enumerate(ARMS):  # both: drives that share a supply go together
+        for arm, name in enumerate(SIDES):  # both: drives that share a supply go together
             if self._lasts(f"motor {name}", not missing[arm] <= self._config.motor_torque_n_m):
                 self.lost[arm] = True
                 found.append(f"{name} arm: a motor gives {missing[arm]:.1f} Nm less than it was told")
@@ -159,7 +159,7 @@ class FaultMonitor:
 
     def closing(self, gap_m: Array, pinch_n: Array, t_s: float) -> Finding:
         """Judge closing hands by the gap between their fingers (2,), the pinch (2,) and the time since they began."""
-        for arm, name in enumerate(ARMS):
+        for arm, name in enumerate(SIDES):
             through = not float(gap_m[arm]) >= self._width - self._config.gap_margin_m
             if self._lasts(f"gap {name}", through, 3):
                 return "missed_grasp", (
@@ -175,7 +175,7 @@ class FaultMonitor:
         """Judge a held object by pinch (2,), finger gaps (2,), the hands' distance and its estimated tilt."""
         config = self._config
         least_n, least_m = config.lost_pinch_share * self._pinch, self._width - config.gap_margin_m
-        for name, pinch, gap in zip(ARMS, pinch_n.tolist(), gap_m.tolist(), strict=True):
+        for name, pinch, gap in zip(SIDES, pinch_n.tolist(), gap_m.tolist(), strict=True):
             if self._lasts(f"pinch {name}", not pinch >= least_n):
                 return "object_lost", f"the {name} hand pinches {pinch:.1f} of {self._pinch:.0f} N"
             if self._lasts(f"held gap {name}", not gap >= least_m, 3):

@@ -20,8 +20,8 @@ from minidual.control.stack import DEFAULT_CONTROLLERS, OBJECT_CONTROLLERS, Cont
 from minidual.control.supervisor import Supervisor
 from minidual.plant.sensing import Sensors
 from minidual.plant.world import World
-from minidual.robot.constants import Array
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array
 from minidual.robot.poses import inverse
 from minidual.skills.carry_motions import (
     HeldMotion,
@@ -91,7 +91,9 @@ class ImpedanceCarry:
             arbiter,
             pinch_force_n=config.impedance.pinch_n,
             sensor=self._watch,
-            supervisor=Supervisor(dt_s=world.dt) if supervisor is None else supervisor,
+            supervisor=Supervisor(dt_s=world.dt, kinematics=Kinematics(world.robot))
+            if supervisor is None
+            else supervisor,
             stop_share=config.faults.deceleration_share,
         )
         self._stop_by = CarryStop(self.stack, SOURCE, self._watch, deceleration_share=config.faults.deceleration_share)
@@ -102,7 +104,7 @@ class ImpedanceCarry:
         self._path: ObjectPath | None = None
         self._T_level_object = np.eye(4)
         try:
-            self._q_over, _ = approach_postures(world.scene, level_part(self._watch.T_world_object))
+            self._q_over, _ = approach_postures(world.scene, world.robot, level_part(self._watch.T_world_object))
         except GraspUnreachableError as error:
             self._stop_by.heed(("unreachable", error.message))
         else:
@@ -184,7 +186,7 @@ class ImpedanceCarry:
     def _move(self, phase: str, q_goal: Array, *, duration_s: float | None = None) -> None:
         """Enter a phase in which the open hands go from where they were sent last to a posture (14,)."""
         if duration_s is None:
-            duration_s = joint_duration_s(self._q_last, q_goal, self._config.pace)
+            duration_s = joint_duration_s(self._q_last, q_goal, self._config.pace, self.world.robot)
         motion = JointMove(Quintic(self._q_last, q_goal, duration_s), self.world.dt)
         self._q_last = q_goal
         self._propose(TrajectoryCommand(motion, _OPEN, self.world.time, self._number()))
@@ -199,7 +201,7 @@ class ImpedanceCarry:
         """Return the posture (14,) with the hands at or over their grasps; None, and a soft stop, where there is none."""
         level = level_part(self._watch.T_world_object)
         try:
-            return grasp_posture(self._scene, level, q_near, above_m=above_m)
+            return grasp_posture(self._scene, self.world.robot, level, q_near, above_m=above_m)
         except GraspUnreachableError as error:
             self._stop_by.heed(("unreachable", error.message))
             return None
@@ -238,9 +240,8 @@ class ImpedanceCarry:
         world, watch = self.world, self._watch
         T_object = watch.T_world_object
         try:
-            self._path = plan_path(
-                self._scene, self._config, placement(self._trial.goal[self._scene.object.name]), T_object, world.q
-            )
+            goal = placement(self._trial.goal[self._scene.object.name])
+            self._path = plan_path(self._scene, world.robot, self._config, goal, T_object, world.q)
         except GraspUnreachableError as error:
             self._stop_by.heed(("unreachable", error.message))
             return

@@ -16,14 +16,14 @@ from minidual.config.seeds import stream
 from minidual.config.teleop import OperatorConfig
 from minidual.control.object_path import minimum_jerk
 from minidual.motion.ik import PostureIK
-from minidual.robot.constants import HOME, Array
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array
 from minidual.robot.poses import pose, rot_x, rot_z
 from minidual.skills.phases import PHASES
 from minidual.tasks.rod_carry import grasp_offsets, level_pose, placement
 from minidual.tasks.task import Trial
 
-_JOINT_COST = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.1])
+_WRIST_COST = 0.1
 """The last joint turns the hand and nothing else, so it may move freely. With equal costs the elbow would swing to
 spare it, and close to the table, where the forearm is nearly upright, joint 5 would swing three times as fast."""
 
@@ -85,8 +85,10 @@ class ScriptedOperator:
         self.scene = scene
         self.config = OperatorConfig() if config is None else config
         kinematics = Kinematics() if kinematics is None else kinematics
-        self._ik = PostureIK(kinematics, posture=HOME, weights=_JOINT_COST)
-        self._home_poses = kinematics.tcp_poses(HOME)
+        self._robot = robot = kinematics.robot
+        cost = np.r_[np.ones(robot.dof_per_arm - 1), _WRIST_COST]
+        self._ik = PostureIK(kinematics, posture=robot.home, weights=cost)
+        self._home_poses = kinematics.tcp_poses(robot.home)
         self._grasps = grasp_offsets(scene)
 
     def phases(self) -> tuple[Phase, ...]:
@@ -138,8 +140,8 @@ class ScriptedOperator:
         ticks = round(phases[-1].end_s * rate_hz)
         times = np.arange(ticks) / rate_hz
         error = self.approach_error(seed, trial)
-        q = np.empty((ticks, 14))
-        current = HOME.copy()
+        q = np.empty((ticks, self._robot.dof))
+        current = self._robot.home.copy()
         for k, t in enumerate(times):
             left, right = self._hand_poses(float(t), trial, error, phases)
             current = self._ik.solve(left, right, current)

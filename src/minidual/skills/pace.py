@@ -16,7 +16,7 @@ import numpy as np
 from minidual.config.control import PaceConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.object_path import Waypoint, minimum_jerk
-from minidual.robot.constants import A_MAX, V_MAX, Array
+from minidual.robot.pair import Array, Robot
 from minidual.skills.reach import grasp_posture
 from minidual.tasks.rod_carry import level_pose
 
@@ -31,13 +31,14 @@ def _time(distance: float | Array, speed: float | Array, acceleration: float | A
     return float(np.max(np.maximum(_PEAK_SPEED * d / speed, np.sqrt(_PEAK_ACCELERATION * d / acceleration))))
 
 
-def joint_duration_s(q0: Array, q1: Array, pace: PaceConfig) -> float:
-    """Return the time for a rest-to-rest joint motion between two postures (14,)."""
-    return max(_LEAST_S, _time(q1 - q0, pace.joint_speed_share * V_MAX, pace.joint_acceleration_share * A_MAX))
+def joint_duration_s(q0: Array, q1: Array, pace: PaceConfig, robot: Robot) -> float:
+    """Return the time for a rest-to-rest joint motion between two postures (n,)."""
+    speed, acceleration = pace.joint_speed_share * robot.v_max, pace.joint_acceleration_share * robot.a_max
+    return max(_LEAST_S, _time(q1 - q0, speed, acceleration))
 
 
 def object_duration_s(
-    scene: SceneConfig, start: Waypoint, end: Waypoint, q_near: Array, pace: PaceConfig
+    scene: SceneConfig, robot: Robot, start: Waypoint, end: Waypoint, q_near: Array, pace: PaceConfig
 ) -> tuple[float, Array]:
     """Return the time for a straight motion of the held object between two level poses, and the posture at its end.
 
@@ -45,9 +46,10 @@ def object_duration_s(
 
     Args:
         scene: Holds the grasp.
+        robot: Whose limits.
         start: Where it begins; times of the waypoints are not used.
         end: Where it ends.
-        q_near: Posture (14,) at the start.
+        q_near: Posture (n,) at the start.
         pace: Limits.
 
     Raises:
@@ -57,11 +59,11 @@ def object_duration_s(
     postures = [q_near]
     for k in range(_SAMPLES + 1):
         x, y, z, yaw = a + minimum_jerk(k / _SAMPLES)[0] * (b - a)
-        postures.append(grasp_posture(scene, level_pose(x, y, z, yaw), postures[-1]))
+        postures.append(grasp_posture(scene, robot, level_pose(x, y, z, yaw), postures[-1]))
     q = np.array(postures[1:])
     # Samples are even in time, so differences are the joints' speeds and accelerations for a duration of one second.
-    speed = np.abs(np.diff(q, axis=0)) * _SAMPLES / (pace.joint_speed_share * V_MAX)
-    acceleration = np.abs(np.diff(q, 2, axis=0)) * _SAMPLES**2 / (pace.joint_acceleration_share * A_MAX)
+    speed = np.abs(np.diff(q, axis=0)) * _SAMPLES / (pace.joint_speed_share * robot.v_max)
+    acceleration = np.abs(np.diff(q, 2, axis=0)) * _SAMPLES**2 / (pace.joint_acceleration_share * robot.a_max)
     distance, turn = float(np.linalg.norm(b[:3] - a[:3])), float(abs(b[3] - a[3]))
     return max(
         _LEAST_S,

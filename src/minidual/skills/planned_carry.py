@@ -68,7 +68,7 @@ class PlannedCarry(Drive):
         goal = level_pose(x, y, scene.object.rest_height_m, yaw)
         gap = None
         if supervisor is not None:
-            gap = Gap(arm_distance(), supervisor.config.self_collision_min_m + _GAP_MARGIN_M)
+            gap = Gap(arm_distance(world.robot), supervisor.config.self_collision_min_m + _GAP_MARGIN_M)
         tools = Tools(around(scene), thing_of(scene.object, scene.object.name), planner, seed, gap, holder=carrier)
         self.solution: Solution | None = None
         why: str | None = None

@@ -7,19 +7,22 @@ from functools import cache
 from minidual.collision.arm_distance import ArmDistance
 from minidual.config.supervisor import SupervisorConfig
 from minidual.control.supervisor import Supervisor
+from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Robot
 
 
 @cache
-def arm_distance() -> ArmDistance:
+def arm_distance(robot: Robot) -> ArmDistance:
     """Return the distance between the arms, built once a process: it compiles a model of its own."""
     return ArmDistance()
 
 
-def trial_supervisor(config: SupervisorConfig, dt_s: float) -> Supervisor:
+def trial_supervisor(config: SupervisorConfig, dt_s: float, robot: Robot) -> Supervisor:
     """Return a supervisor that also watches the distance between the arms.
 
     Args:
         config: Bounds.
         dt_s: Period of the control loop [s].
+        robot: What it guards.
     """
-    return Supervisor(config, dt_s=dt_s, self_distance=arm_distance())
+    return Supervisor(config, dt_s=dt_s, kinematics=Kinematics(robot), self_distance=arm_distance(robot))

@@ -146,7 +146,7 @@ def held_scene(scene: SceneConfig, gains: ImpedanceGains) -> BenchScene:
         GraspFailedError: The rod was not lifted.
     """
     world, kinematics = World(scene), Kinematics()
-    _, q_grasp = approach_postures(scene, level_part(world.object_pose()))
+    _, q_grasp = approach_postures(scene, world.robot, level_part(world.object_pose()))
     world.reset(q_grasp)
     loop = JointLoop(world, kinematics)
     for _ in range(_CLOSE_STEPS):

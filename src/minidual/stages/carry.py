@@ -102,6 +102,7 @@ def run(context: StageContext) -> StageResult:
     import numpy as np
 
     from minidual.config.seeds import stream
+    from minidual.robot.arms import robot_from
     from minidual.show.figures.film import film_trial
     from minidual.show.figures.trial_figures import draw_trial
     from minidual.show.watch import watch_trials
@@ -112,7 +113,7 @@ def run(context: StageContext) -> StageResult:
     from minidual.trials.trials import run_trials
 
     config, job = context.config, make_task(context.config)
-    scene = config.scene
+    scene, robot = config.scene, robot_from(config.robot)
     inputs = MethodInputs(config, context.seed)
     trials = [job.trial(context.seed, "carry", i) for i in range(config.carry.trials_n)]
     results, logs = [], []
@@ -134,7 +135,7 @@ def run(context: StageContext) -> StageResult:
     with context.progress.task("films", len(shown)) as task:
         for label, i in shown.items():
             title = f"{config.carry.object}, {config.carry.motion}: {label} trial ({i}): {results[i].text}"
-            draw_trial(logs[i], scene, context.folder / f"{label}.png", title=title)
+            draw_trial(logs[i], scene, robot, context.folder / f"{label}.png", title=title)
             film_trial("impedance", inputs, trials[i], context.folder / films[label])
             task.advance()
     _record(context, inputs, trials, results, shown)

@@ -22,7 +22,7 @@ from minidual.config.root import Config
 from minidual.errors import UsageError, unknown_name
 from minidual.plant.bodies import object_names
 from minidual.plant.world import World
-from minidual.robot.constants import DOF, JOINT_NAMES, Array
+from minidual.robot.pair import Array
 
 CLEAN = "clean"
 ALL = "all"
@@ -193,7 +193,8 @@ class Condition:
                 name = model.geom(i).name
                 if int(model.geom_bodyid[i]) == rod or name.endswith("_pad") or name == "table_top":
                     model.geom_friction[i, 0] = self.friction
-        joint = model.joint(JOINT_NAMES[index % DOF])
+        hinges = np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE))  # the arms', in storage order
+        joint = model.joint(int(hinges[index % len(hinges)]))
         joint.damping[0] *= self.joint_friction_factor
         joint.frictionloss[0] *= self.joint_friction_factor
         model.light_diffuse *= self.light_factor

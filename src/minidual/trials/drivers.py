@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from minidual.plant.world import World
+from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
 from minidual.tasks.task import Trial
 from minidual.trials.methods import Factory, MethodInputs
@@ -14,7 +15,7 @@ def impedance(inputs: MethodInputs) -> Factory:
     from minidual.skills.supervised import trial_supervisor
 
     config = inputs.config
-    supervisor = trial_supervisor(config.supervisor, config.scene.physics.timestep_s)
+    supervisor = trial_supervisor(config.supervisor, config.scene.physics.timestep_s, robot_from(config.robot))
     return lambda world, kinematics, trial: ImpedanceCarry(
         world, kinematics, config.carry, trial, seed=inputs.seed, supervisor=supervisor, arbiter=config.arbiter
     )
@@ -28,7 +29,7 @@ def planned(inputs: MethodInputs) -> Factory:
     from minidual.skills.supervised import trial_supervisor
 
     config = inputs.config
-    supervisor = trial_supervisor(config.supervisor, config.scene.physics.timestep_s)
+    supervisor = trial_supervisor(config.supervisor, config.scene.physics.timestep_s, robot_from(config.robot))
     planner, carrier = make_planners(config.plan.planner)
 
     def make(world: World, kinematics: Kinematics, trial: Trial) -> PlannedCarry:
@@ -63,7 +64,7 @@ def policy(inputs: MethodInputs) -> Factory:
         raise UsageError("method 'act' needs a checkpoint", remedy="minidual train-act")
     config = inputs.config
     runtime = load_runtime(inputs.checkpoint, config.deploy)
-    supervisor = trial_supervisor(config.supervisor, config.scene.physics.timestep_s)
+    supervisor = trial_supervisor(config.supervisor, config.scene.physics.timestep_s, robot_from(config.robot))
     cameras: dict[int, Camera] = {}  # one a model, not one a trial: an OpenGL context is slow to make
 
     def make(world: World, kinematics: Kinematics, trial: Trial) -> PolicyPilot:

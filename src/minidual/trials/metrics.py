@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from minidual.demos.quality import path_length_m
 from minidual.demos.smoothness import min_duration_s, rms_jerk
 from minidual.errors import DataError, NothingEvaluatedError, UsageError
-from minidual.robot.constants import TAU_MAX
 from minidual.trials.statistics import bootstrap_median_interval, wilson_interval
 
 if TYPE_CHECKING:
@@ -164,14 +163,6 @@ class MethodSummary:
         return row
 
 
-def peak_torque_ratio(tau: NDArray[np.floating], limit: NDArray[np.floating] = TAU_MAX) -> float:
-    """Return the largest |tau| / limit over joints and time, for tau (T, 14) and limit (14,), both Nm."""
-    tau = np.asarray(tau, dtype=float)
-    if tau.ndim != 2 or tau.shape[1:] != np.shape(limit) or not len(tau):
-        raise DataError(f"torques have shape {tau.shape}; they must be (T, {len(limit)}) with T at least 1")
-    return float(np.max(np.abs(tau) / limit))
-
-
 def jerk_or_nan(q: NDArray[np.floating], rate_hz: float) -> float:
     """Return `rms_jerk`, or NaN for a trial that ended before it can be measured (half a second)."""
     if (len(q) - 1) / rate_hz < min_duration_s():
@@ -185,7 +176,7 @@ def trial_metrics(
     outcome: Outcome,
     *,
     q: NDArray[np.floating],
-    tau: NDArray[np.floating],
+    torque_ratio_max: float,
     tcp_positions: NDArray[np.floating],
     rate_hz: float,
     condition: str = "clean",
@@ -196,8 +187,8 @@ def trial_metrics(
         method: Who drove the arms.
         index: Number of the trial.
         outcome: The verdict of the task's success test.
-        q: (T, 14) measured joints, rad.
-        tau: (T, 14) torques, Nm.
+        q: (T, n) measured joints, rad.
+        torque_ratio_max: Largest motor torque over its limit, of every step.
         tcp_positions: (T, 2, 3) measured tool centres, metres.
         rate_hz: Rate of the logs, 1/s.
         condition: What the world did to the trial.
@@ -206,7 +197,7 @@ def trial_metrics(
         DataError: logs of wrong shape or with values that are not finite.
     """
     positions = np.asarray(tcp_positions, dtype=float)
-    for name, log, row in (("q", q, (14,)), ("tau", tau, (14,)), ("tcp_positions", positions, (2, 3))):
+    for name, log, row in (("q", q, np.shape(q)[1:2] or (1,)), ("tcp_positions", positions, (2, 3))):
         if log.shape != (len(q), *row):
             raise DataError(
                 f"the log of {name} of {method}, trial {index}, has shape {log.shape}; it must be {(len(q), *row)}"
@@ -229,7 +220,7 @@ def trial_metrics(
         reason=detail,
         failed_at_s=failed_at,
         duration_s=outcome.duration_s if outcome.success else math.nan,
-        torque_ratio_max=peak_torque_ratio(tau),
+        torque_ratio_max=torque_ratio_max,
         jerk_rms=jerk_or_nan(q, rate_hz),
         tilt_max_rad=outcome.tilt_max_rad,
         path_length_m=float(path_length_m(positions).mean()),

@@ -16,8 +16,9 @@ from minidual.control.object_impedance import SingularPostureError
 from minidual.errors import MinidualError
 from minidual.plant.model import build_model
 from minidual.plant.world import SimulationDivergedError, World
-from minidual.robot.constants import TAU_MAX, Array
+from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array
 from minidual.tasks.judge import Fault, Outcome, begin
 from minidual.tasks.rod_carry import tilt_rad
 from minidual.tasks.task import Task, Trial, make_task
@@ -48,8 +49,8 @@ class TrialLog:
 
     Attributes:
         t: (T,) [s].
-        q: (T, 14) measured joints [rad].
-        tau: (T, 14) motor torques [Nm].
+        q: (T, n) measured joints [rad].
+        tau: (T, n) motor torques [Nm].
         tcp: (T, 2, 3) positions of the tool centre points [m].
         rod: (T, 3) rod position [m].
         tilt: (T,) [rad].
@@ -125,8 +126,8 @@ def run_trial(
     method = factory(world, kinematics, trial)
     every = round(1.0 / (LOG_RATE_HZ * world.dt))
     columns: list[tuple[Any, ...]] = []
-    peak = np.zeros(len(TAU_MAX))
-    saturated, longest, longest_now = np.zeros(len(TAU_MAX), dtype=int), 0, 0
+    peak = np.zeros(world.robot.dof)
+    saturated, longest, longest_now = np.zeros(world.robot.dof, dtype=int), 0, 0
     steps = round(scene.task.time_limit_s / world.dt)
     finished_s, broken = 0.0, None
     last = np.empty(mujoco.mj_stateSize(world.model, _STATE))
@@ -143,7 +144,7 @@ def run_trial(
             break
         mujoco.mj_getState(world.model, world.data, last, _STATE)
         judge.observe(world)
-        ratio = np.abs(world.tau) / TAU_MAX
+        ratio = np.abs(world.tau) / world.robot.tau_max
         np.maximum(peak, ratio, out=peak)
         if ratio.max() >= _SATURATED or longest_now:
             saturated = np.where(ratio >= _SATURATED, saturated + 1, 0)
@@ -163,15 +164,13 @@ def run_trial(
         trial.index,
         outcome,
         q=log.q,
-        tau=log.tau,
+        torque_ratio_max=float(peak.max()),  # of every step, not of the log's 250 Hz
         tcp_positions=log.tcp,
         rate_hz=LOG_RATE_HZ,
         condition=condition,
     )
     result = TrialResult(
-        metrics=replace(  # the peak is that of every step, not of the log's 250 Hz
-            metrics, torque_ratio_max=float(peak.max()), aborted=method.aborted or ""
-        ),
+        metrics=replace(metrics, aborted=method.aborted or ""),
         faults=tuple((f.name, f.at_s, f.detail) for f in outcome.faults),
         aborted=method.aborted or "",
         lifted=outcome.rise_m > scene.task.clear_height_m,
@@ -217,9 +216,10 @@ class Bench:
         self.method, self.seed = method, inputs.seed
         self.task = make_task(inputs.config)
         scene = self.task.scene
-        model = build_model(scene, visuals=method_spec(method).needs_images)
-        self.world = World(scene, model=model)
-        self.kinematics = Kinematics()
+        robot = robot_from(inputs.config.robot)
+        model = build_model(scene, robot, visuals=method_spec(method).needs_images)
+        self.world = World(scene, robot, model=model)
+        self.kinematics = Kinematics(robot)
         self.factory = load_factory(method, inputs)
 
     def run(

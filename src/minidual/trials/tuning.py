@@ -26,7 +26,7 @@ from minidual.config.change import changed
 from minidual.config.root import Config
 from minidual.errors import MinidualError
 from minidual.plant.world import World
-from minidual.robot.constants import TAU_MAX, Array
+from minidual.robot.pair import Array
 from minidual.tasks.rod_carry import tilt_rad
 from minidual.tasks.task import Trial, make_task
 from minidual.trials.methods import Method, MethodInputs
@@ -289,7 +289,7 @@ def carry_once(inputs: MethodInputs, trial: Trial) -> Carried:
                 world.time,
                 T[:3, 3] - desired.T_world_object[:3, 3],
                 world.internal_force(),
-                float(np.max(np.abs(world.tau) / TAU_MAX)),
+                float(np.max(np.abs(world.tau) / world.robot.tau_max)),
                 tilt_rad(T),
             )
         )

@@ -8,6 +8,7 @@ from pathlib import Path
 from minidual.plant.model import build_model
 from minidual.plant.render import Camera, Image, write_video
 from minidual.plant.world import World
+from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
 from minidual.tasks.task import Trial, make_task
 from minidual.trials.methods import Factory, Method, MethodInputs, load_factory
@@ -24,13 +25,14 @@ def film_trial(
 
     The result is that of the filmed run, so a film never shows another trial than the one it names.
     """
-    model = build_model(inputs.config.scene, visuals=True)
-    world = World(inputs.config.scene, model=model)
+    robot = robot_from(inputs.config.robot)
+    model = build_model(inputs.config.scene, robot, visuals=True)
+    world = World(inputs.config.scene, robot, model=model)
     make = load_factory(method, inputs) if factory is None else factory
     frames: list[Image] = []
     with Camera(model, *FILM_SIZE, shadows=True) as camera:
         result, _ = run_trial(
-            method, make, world, Kinematics(), make_task(inputs.config), trial, on_step=film_hook(camera, frames)
+            method, make, world, Kinematics(robot), make_task(inputs.config), trial, on_step=film_hook(camera, frames)
         )
     write_video(path, frames, fps=FILM_FPS)
     return result

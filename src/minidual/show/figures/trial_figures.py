@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from minidual.config.scene import SceneConfig
-from minidual.robot.constants import TAU_MAX
+from minidual.robot.pair import Robot
 from minidual.trials.trials import TrialLog
 
 _INK, _LIMIT = "#1f3b57", "#c0392b"
 
 
-def draw_trial(log: TrialLog, scene: SceneConfig, path: Path, *, title: str) -> None:
+def draw_trial(log: TrialLog, scene: SceneConfig, robot: Robot, path: Path, *, title: str) -> None:
     """Write a four-panel figure of one trial: rod path, tilt, forces and torque ratios."""
     import matplotlib
 
@@ -51,9 +51,9 @@ def draw_trial(log: TrialLog, scene: SceneConfig, path: Path, *, title: str) -> 
     force.set(title="Forces on the object", ylabel="N", xlabel="s")
     force.legend(frameon=False, fontsize=8)
 
-    ratio = np.abs(log.tau) / TAU_MAX
-    for joint in range(7):
-        torque.plot(log.t, np.maximum(ratio[:, joint], ratio[:, joint + 7]), lw=1, label=f"joint {joint + 1}")
+    left, right = np.split(np.abs(log.tau) / robot.tau_max, 2, axis=1)
+    for joint, ratio in enumerate(np.maximum(left, right).T, start=1):
+        torque.plot(log.t, ratio, lw=1, label=f"joint {joint}")
     torque.axhline(1.0, color=_LIMIT, lw=1, ls="--")
     torque.set(title="Motor torque / limit, larger of both arms", xlabel="s", ylim=(0, 1.25))
     torque.legend(ncols=4, frameon=False, fontsize=8)

@@ -53,7 +53,7 @@ class LatencyRig:
     ) -> None:
         self.world = world
         world.reset()
-        self.supervisor = Supervisor(supervisor, dt_s=world.dt)
+        self.supervisor = Supervisor(supervisor, dt_s=world.dt, kinematics=Kinematics(world.robot))
         self.stack = ControlStack(world, kinematics, arbiter, rate_hz=rate_hz, supervisor=self.supervisor)
         self.period = round(1.0 / (rate_hz * world.dt))
         self.target = world.q
@@ -155,7 +155,10 @@ class StopResponse:
 
 def emergency_stop(world: World, kinematics: Kinematics, config: SupervisorConfig) -> StopResponse:
     """Swing all joints, press the emergency stop where they are fastest, and watch them come to rest."""
-    controller, supervisor = ComputedTorque(kinematics), Supervisor(config, dt_s=world.dt)
+    controller, supervisor = (
+        ComputedTorque(kinematics),
+        Supervisor(config, dt_s=world.dt, kinematics=Kinematics(world.robot)),
+    )
     world.reset(sine_reference(world.robot, 0.3, 0.5, 0.0)[0])
     fingers = np.full(2, world.robot.hand.travel_m)
     pressed: int | None = None
