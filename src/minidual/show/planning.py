@@ -80,7 +80,7 @@ class Poser:
         self.model, self.kinematics = model, Kinematics(robot)
         self.data = mujoco.MjData(model)
         self._joints = map_joints(model, robot.joint_names, torque=True).qpos
-        self.data.qpos[map_joints(model, robot.finger_joint_names, torque=False).qpos] = robot.arm.hand.travel_m
+        self.data.qpos[map_joints(model, robot.finger_joint_names, torque=False).qpos] = robot.hand.travel_m
 
     def place(self, q: Array) -> mujoco.MjData:
         """Return the state with the arms at q (n,)."""

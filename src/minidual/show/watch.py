@@ -17,8 +17,9 @@ from minidual.demos.recording import Observe
 from minidual.demos.rig import Rig
 from minidual.plant.model import build_model
 from minidual.plant.world import World
+from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array
+from minidual.robot.pair import Array, Robot
 from minidual.show.view import NO_PREVIEW, Arrow, Overlay, PathLine, Preview, View
 from minidual.show.view.overlay import ARM_RGB
 from minidual.show.view.pace import Brake
@@ -36,13 +37,13 @@ Narrator = Callable[[], Overlay]
 
 
 @functools.lru_cache(maxsize=2)
-def _visual_model(scene_json: str) -> mujoco.MjModel:
-    return build_model(SceneConfig.model_validate_json(scene_json), visuals=True)
+def _visual_model(scene_json: str, robot: Robot) -> mujoco.MjModel:
+    return build_model(SceneConfig.model_validate_json(scene_json), robot, visuals=True)
 
 
-def visual_model(scene: SceneConfig) -> mujoco.MjModel:
+def visual_model(scene: SceneConfig, robot: Robot = DUAL_PANDA) -> mujoco.MjModel:
     """Return the model of a scene with visual meshes, compiled once; its bodies are those of the simulated model."""
-    return _visual_model(scene.model_dump_json())
+    return _visual_model(scene.model_dump_json(), robot)
 
 
 def overlay(world: World, words: Overlay) -> Overlay:
@@ -68,7 +69,7 @@ class Watcher:
     """
 
     def __init__(self, view: View, world: World, narrate: Narrator) -> None:
-        view.open(visual_model(world.scene))
+        view.open(visual_model(world.scene, world.robot))
         self._view, self._narrate = view, narrate
         self._brake = Brake(view.speed_max) if view.speed_max > 0.0 else None
         self._braked_s = float("-inf")
