@@ -14,16 +14,14 @@ import report_samples as samples
 
 from minidual.config.root import Config
 from minidual.errors import DataError
-from minidual.show.report.analysis import _by_how_much
-from minidual.show.report.build import Report, build_report
-from minidual.show.report.comparison import compare
-from minidual.show.report.condition_figure import condition_figure
-from minidual.show.report.disturbance import sentences
+from minidual.show.report.build import build_report
+from minidual.show.report.content import Report
+from minidual.show.report.facts import Facts, gather
+from minidual.show.report.figures import condition_figure
 from minidual.show.report.model import ReportInput, report_checks
-from minidual.show.report.robustness import ConditionTable, tabulate
-from minidual.show.report.trials import CLEAN
+from minidual.show.report.tables import Tables, tabulate
 from minidual.stages.registry import STAGES
-from minidual.trials import conditions
+from minidual.trials.conditions import CLEAN
 
 
 @pytest.fixture
@@ -41,12 +39,8 @@ def built(given: ReportInput, root: Path) -> tuple[Report, str]:
     return build_report(given, root / "report"), (root / "report" / "report.html").read_text(encoding="utf-8")
 
 
-def table(data: dict[str, Any]) -> ConditionTable:
+def table(data: dict[str, Any]) -> Tables:
     return tabulate(samples.METHODS, samples.CONDITIONS, data)
-
-
-def test_the_report_calls_clean_what_the_benchmark_does() -> None:
-    assert CLEAN == conditions.CLEAN
 
 
 def test_the_table_holds_every_cell_with_its_numbers(data: dict[str, Any]) -> None:
@@ -55,10 +49,10 @@ def test_the_table_holds_every_cell_with_its_numbers(data: dict[str, Any]) -> No
     assert [row.condition for row in found.rows] == list(samples.CONDITIONS)
     cells = {(c.method, c.condition): c for c in found.cells}
     push = cells["act", "push +x"]
-    assert (push.successes, push.trials, push.low) == (0, 20, 0.0)
+    assert (push.successes, push.trials, push.success.low) == (0, 20, 0.0)
     assert push.measures["duration_median_s"] is None, "nothing completed"
     assert push.loss is not None
-    assert (push.loss.difference, push.loss.starts_n) == (-0.75, 20)
+    assert (push.loss.difference, push.loss.starts) == (-0.75, 20)
     assert push.loss.high < 0.0
     moved = cells["moveit", "push +x"].measures["duration_median_s"]
     still = cells["moveit", CLEAN].measures["duration_median_s"]
@@ -93,7 +87,7 @@ _PUSH = ("conditions", "push +x", "methods")
     [
         (_drop("conditions", "push +x"), "moveit.push +x.success_rate"),
         (_drop(*_PUSH, "act"), "act.push +x.success_rate"),
-        (_drop(*_PUSH, "moveit", "success_low"), "moveit.push +x.success_low"),
+        (_drop(*_PUSH, "moveit", "success_low"), "moveit.push +x.success_rate"),
         (_set("nan", *_PUSH, "moveit", "jerk_rms_median"), "moveit.push +x.jerk_rms_median"),
         (_set(float("inf"), *_PUSH, "moveit", "tilt_high_rad"), "moveit.push +x.tilt_max_rad"),
         (_set("nan", *_PUSH, "moveit", "duration_median_s"), "moveit.push +x.duration_median_s"),
@@ -104,12 +98,11 @@ _PUSH = ("conditions", "push +x", "methods")
 def test_a_hole_is_named_and_fails_the_report(
     data: dict[str, Any], change: Callable[[dict[str, Any]], None], hole: str, given: ReportInput
 ) -> None:
-    comparison = compare(samples.METHODS, data)
-    assert {c.passed for c in report_checks(given, comparison, table(data))} == {True}
+    assert {c.passed for c in report_checks(given, table(data))} == {True}
     broken = copy.deepcopy(data)
     change(broken)
     assert hole in table(broken).missing()
-    checks = {check.name: check for check in report_checks(given, comparison, table(broken))}
+    checks = {check.name: check for check in report_checks(given, table(broken))}
     assert checks["tables_complete"].passed is False
     assert checks["missing_cells"].observed == len(table(broken).missing()) > 0
     assert checks["stages_not_passing"].passed
@@ -119,24 +112,22 @@ def test_conditions_that_nobody_ran_fail_the_report(given: ReportInput, data: di
     plain = {key: value for key, value in data.items() if key not in ("conditions", "losses")}
     report, text = built(samples.with_data(given, plain), tmp_path)
     assert report.state == "fail"
-    assert len(report.conditions.missing()) == 6 * 10
+    assert len(report.tables.missing()) == 6 * 8  # six indicators, the number of trials and the loss
     assert "This report does not pass" in text
     assert text.count('<td class="missing">') == 6 * (1 + 5)
-    unasked = report_checks(given, compare(samples.METHODS, data), ConditionTable())
-    assert [c.name for c in unasked if not c.passed] == ["tables_complete"]
 
 
 def test_an_undisturbed_benchmark_has_no_such_table_and_passes(tmp_path: Path) -> None:
     report, text = built(samples.make_run(tmp_path), tmp_path)
-    assert (report.state, report.conditions.rows, report.condition_figure) == ("pass", (), None)
+    assert (report.state, len(report.tables.rows), report.condition_figure) == ("pass", 1, None)
     assert 'id="conditions"' not in text
 
 
 def test_an_indicator_without_its_interval_is_a_hole() -> None:
     rows = samples.methods_data(samples.make_trials())
-    assert compare(samples.METHODS, {"methods": rows}).missing() == []
+    assert tabulate(samples.METHODS, (), {"methods": rows}).missing() == []
     del rows["act"]["jerk_rms_low"]
-    assert compare(samples.METHODS, {"methods": rows}).missing() == ["act.jerk_rms_median_interval"]
+    assert tabulate(samples.METHODS, (), {"methods": rows}).missing() == ["act.clean.jerk_rms_median"]
 
 
 def test_data_of_another_shape_is_refused(data: dict[str, Any]) -> None:
@@ -155,12 +146,14 @@ def test_the_page_shows_what_applies_what_is_lost_and_what_is_behind_it(given: R
     assert part.count('class="measured costly"') == 1
     assert "does not apply moveit reads no force" in words
     assert "no trial completed" in words
-    assert "told nothing of what has changed; only the age of a sensed pose is known" in words
+    assert "not told what has changed; they know only the age of a sensed pose" in words
     assert "Holm" in words
     assert part.count("<table") == 1 + 5
     document = json.loads((tmp_path / "report" / "report.json").read_text(encoding="utf-8"))
     act = document["conditions"]["push +x"]["methods"]["act"]
-    assert act["success"] == {"value": 0.0, "low": 0.0, "high": pytest.approx(0.161, abs=1e-3)}
+    assert (act["success_rate"]["value"], act["success_rate"]["low"]) == (0.0, 0.0)
+    assert act["success_rate"]["high"] == pytest.approx(0.161, abs=1e-3)
+    assert act["loss"]["difference"] == -0.75
     assert document["conditions"]["delay 20 ms"]["methods"]["act"]["state"] == "spared"
 
 
@@ -169,72 +162,53 @@ def test_ranks_and_figures_of_trials_are_those_of_undisturbed_ones(tmp_path: Pat
     (tmp_path / "b").mkdir()
     plain, _ = built(samples.make_run(tmp_path / "a"), tmp_path / "a")
     disturbed, _ = built(samples.make_run(tmp_path / "b", samples.disturbed_trials()), tmp_path / "b")
-    assert disturbed.trials == plain.trials
-    assert disturbed.comparison == plain.comparison
+    assert disturbed.tables.clean == plain.tables.clean
     assert [f.svg for f in disturbed.figures] == [f.svg for f in plain.figures]
-    assert disturbed.passages[0] == plain.passages[0]
+    assert (disturbed.facts.pairs, disturbed.facts.reasons) == (plain.facts.pairs, plain.facts.reasons)
 
 
-def test_the_words_say_what_is_lost_and_no_more_than_the_trials_show(data: dict[str, Any]) -> None:
-    text = "\n".join(sentences(table(data), data["comparisons"]))
-    assert "act: push +x left 0 of 20, −75 points against the same 20 starts undisturbed (95 % interval −" in text
-    assert "; grip lost 20 times; it stopped itself in 20 trials." in text
-    assert "moveit: 19 of 20 under push +x, which these trials do not tell from undisturbed." in text
-    assert "impedance: every trial passed under push +x and delay 20 ms." in text
-    assert "act: delay 20 ms cannot touch it." in text
-    assert "Under push +x, moveit succeeds more often than act on the same starts, by 95 points" in text
-    assert "moveit succeeds more often than impedance" not in text
+def facts(data: dict[str, Any], given: ReportInput) -> Facts:
+    return gather(samples.with_data(given, data).verdicts, table(data), [])
+
+
+def test_losses_and_pairs_are_listed_only_where_the_trials_show_them(
+    data: dict[str, Any], given: ReportInput, tmp_path: Path
+) -> None:
+    found = facts(data, given)
+    (loss,) = found.losses
+    assert (loss.family, loss.first, loss.difference, loss.starts) == ("act", "push +x", -0.75, 20)
+    parted = {(pair.family, pair.first, pair.second) for pair in found.partings}
+    assert parted == {("push +x", "moveit", "act"), ("push +x", "impedance", "act")}
+    words = re.sub(r"<[^>]*>", "", built(given, tmp_path)[1])
+    assert "act under push +x: −75 points on 20 starts (95 % interval −" in words
+    assert "push +x: moveit against act +95 points" in words
+    assert "act under push +x: grip lost 20; it stopped itself in 20." in words
     few = samples.benchmark_data(samples.disturbed_trials(4))
-    told = "\n".join(sentences(table(few), few["comparisons"]))
-    assert "act: 0 of 4 under push +x, which these trials do not tell from undisturbed." in told
+    assert facts(few, given).losses == ()
 
 
-def test_what_is_shown_is_shown_after_correction_for_the_number_of_tests(data: dict[str, Any]) -> None:
-    """A probability of 0.02 in one test of four is none of 0.05 in all of them."""
+def test_a_difference_is_shown_after_correction_for_the_number_of_tests(
+    data: dict[str, Any], given: ReportInput
+) -> None:
+    """p = 0.02 in one test of four is not below 0.05 over all of them."""
     for rows in (data["losses"], data["comparisons"]):
         for row in rows:
             row["p_value"] = 0.02 if row.get("condition", row["first"]) == "push +x" and "act" in row.values() else 1.0
-    data["comparisons"] = [r for r in data["comparisons"] if "impedance" not in (r["first"], r["second"])]
-    many = "\n".join(
-        sentences(
-            table(data),
-            data["comparisons"] + [{**r, "condition": f"other {i}"} for i, r in enumerate(data["comparisons"][:3])],
-        )
-    )
-    assert "0 of 20 under push +x, which these trials do not tell from undisturbed" in many
-    assert "succeeds more often" not in many
-    data["losses"] = [r for r in data["losses"] if r["method"] == "act"]
-    data["comparisons"] = [r for r in data["comparisons"] if r["condition"] == "push +x"]
-    alone = "\n".join(sentences(table(data), data["comparisons"]))
-    assert "exact McNemar p = 0.02, 0.02 corrected for the number of losses" in alone
-    assert "exact McNemar p = 0.02, 0.02 corrected for the number of pairs" in alone
+    assert facts(data, given).losses == ()
+    many = [{**row, "condition": f"other {i}"} for i, row in enumerate(data["comparisons"][:3])]
+    assert facts({**data, "comparisons": data["comparisons"] + many}, given).partings == ()
+    data["losses"] = [row for row in data["losses"] if row["method"] == "act"]
+    data["comparisons"] = [r for r in data["comparisons"] if (r["first"], r["condition"]) == ("moveit", "push +x")][1:]
+    alone = facts(data, given)
+    assert [loss.p_holm for loss in alone.losses] == [0.02]
+    assert [pair.p_holm for pair in alone.partings] == [0.02]
 
 
-def test_a_missing_loss_is_not_told_as_one_that_trials_blur(data: dict[str, Any]) -> None:
-    data["losses"] = [r for r in data["losses"] if r["method"] != "moveit"]
-    text = "\n".join(sentences(table(data), data["comparisons"]))
-    assert "moveit: 19 of 20 under push +x, without a comparison with the undisturbed trials." in text
-    assert "moveit: 19 of 20 under push +x, which these" not in text
-
-
-def test_a_comparison_that_does_not_name_its_methods_is_refused(data: dict[str, Any]) -> None:
-    for change, says in (({"second": None}, "without its 'second' method"), ({"p_value": 1.5}, "p_value is 1.5")):
+def test_a_comparison_that_does_not_name_its_methods_is_refused(data: dict[str, Any], given: ReportInput) -> None:
+    for change, says in (({"second": None}, "lacks 'second'"), ({"p_value": 1.5}, "p_value 1.5")):
         rows = [{**data["comparisons"][0], "condition": "push +x", **change}]
         with pytest.raises(DataError, match=says):
-            list(sentences(table(data), rows))
-
-
-def test_a_method_is_faster_by_a_positive_time_or_by_none_that_is_told() -> None:
-    row = {
-        "condition": CLEAN,
-        "first": "a",
-        "second": "b",
-        "duration_difference_s": -0.05,
-        "duration_difference_low_s": -0.2,
-        "duration_difference_high_s": 0.1,
-    }
-    assert _by_how_much("a", "b", [row]) == ", by 0.05 s (median difference, 95 % interval -0.10 to 0.20 s)"
-    assert _by_how_much("b", "a", [row]) == ""
+            facts({**data, "comparisons": rows}, given)
 
 
 def test_the_figure_has_a_line_for_every_cell_that_ran_and_says_which_did_not(data: dict[str, Any]) -> None:

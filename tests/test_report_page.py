@@ -18,8 +18,8 @@ from minidual.gate.check import Check
 from minidual.gate.manifest import build_manifest
 from minidual.plant.render import write_video
 from minidual.show.report import media
-from minidual.show.report.build import Report, build_report
-from minidual.show.report.figures import benchmark_figures
+from minidual.show.report.build import build_report
+from minidual.show.report.content import Report
 from minidual.show.report.model import ReportInput
 
 
@@ -165,7 +165,7 @@ def test_overrides_and_mixed_commits_are_said(tmp_path: Path) -> None:
     _, text = built(replace(given, verdicts={**given.verdicts, "plan": plan}), tmp_path)
     before = Page(text).before_heading
     assert "plan.queries_n=1" in before
-    assert "two commits" in before
+    assert "2 commits" in before
 
 
 def test_text_from_verdicts_is_escaped(tmp_path: Path) -> None:
@@ -251,7 +251,8 @@ def test_every_figure_is_drawn_from_the_data_and_themed(tmp_path: Path) -> None:
 def test_without_a_failure_there_is_no_figure_of_failures(tmp_path: Path) -> None:
     trials = [trial for trial in samples.make_trials() if trial.success]
     report, _ = built(samples.make_run(tmp_path, trials), tmp_path)
-    assert "failures" not in [figure.name for figure in benchmark_figures(report.comparison, report.trials)]
+    assert "failures" not in [figure.name for figure in report.figures]
+    assert "success" in [figure.name for figure in report.figures]
 
 
 def test_the_json_says_what_the_page_says(tmp_path: Path) -> None:
@@ -260,5 +261,7 @@ def test_the_json_says_what_the_page_says(tmp_path: Path) -> None:
     assert document["state"] == report.state == "pass"
     assert [stage["name"] for stage in document["stages"]] == [name for name, _ in samples.STAGES]
     assert document["comparison"]["methods"]["act"]["success_rate"]["value"] == pytest.approx(0.75)
-    for passage in document["analysis"]:
-        assert passage["heading"] in text
+    pair = document["analysis"]["pairs"][0]
+    assert (pair["first"], pair["second"], pair["starts"]) == ("moveit", "impedance", 20)
+    assert "moveit against impedance" in text
+    assert document["analysis"]["margins"][0]["check"] in text[text.index("Thinnest margins") :]

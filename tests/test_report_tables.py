@@ -1,4 +1,4 @@
-"""The comparison and the words: complete or said to be incomplete, and drawn from the numbers alone."""
+"""The comparison and the analysis: complete or said to be incomplete, and from the numbers alone."""
 
 from __future__ import annotations
 
@@ -13,15 +13,20 @@ import report_samples as samples
 from minidual.errors import DataError
 from minidual.gate.check import Check
 from minidual.show.report import model
-from minidual.show.report.analysis import analyse, relative_margin
-from minidual.show.report.captions import FAULTS
-from minidual.show.report.comparison import compare
+from minidual.show.report.build import build_report
+from minidual.show.report.content import Report
+from minidual.show.report.facts import gather, read_trials, relative_margin
 from minidual.show.report.indicators import INDICATORS, three_digits
-from minidual.show.report.trials import read_trials
-from minidual.show.report.wording import count, duration, joined, percent
+from minidual.show.report.tables import Tables, tabulate
+from minidual.show.report.wording import FAULTS, duration, joined, percent, points
 from minidual.trials.tables import write_csv
 
 KEYS = [indicator.key for indicator in INDICATORS]
+
+
+def compare(methods: tuple[str, ...], data: dict) -> Tables:
+    """Return the undisturbed table."""
+    return tabulate(methods, (), data)
 
 
 @pytest.fixture
@@ -44,33 +49,34 @@ def test_a_full_table_is_complete(table: dict) -> None:
 def test_a_missing_method_is_counted_cell_by_cell(table: dict) -> None:
     del table["act"]
     assert own_check(table).passed is False
-    assert own_check(table, "missing_cells").observed == len(INDICATORS) + 1  # and its interval
-    assert "act.success_rate" in own_check(table).why
+    assert own_check(table, "missing_cells").observed == len(INDICATORS) + 1  # and its number of trials
+    assert "act.clean.success_rate" in own_check(table).why
 
 
 @pytest.mark.parametrize("key", KEYS)
 @pytest.mark.parametrize("hole", [math.nan, "nan", math.inf, None, "no successful trial", True])
 def test_a_cell_that_is_no_finite_number_is_missing(table: dict, key: str, hole: object) -> None:
     table["moveit"][key] = hole
-    comparison = compare(samples.METHODS, {"methods": table})
-    assert f"moveit.{key}" in comparison.missing()
+    assert f"moveit.clean.{key}" in compare(samples.METHODS, {"methods": table}).missing()
     assert own_check(table).passed is False
 
 
-@pytest.mark.parametrize("key", ["success_low", "success_high", "trials"])
-def test_a_success_rate_without_its_interval_is_missing(table: dict, key: str) -> None:
+@pytest.mark.parametrize(
+    ("key", "hole"), [("success_low", "success_rate"), ("success_high", "success_rate"), ("trials", "trials")]
+)
+def test_a_success_rate_without_its_interval_is_missing(table: dict, key: str, hole: str) -> None:
     del table["impedance"][key]
-    assert compare(samples.METHODS, {"methods": table}).missing() == ["impedance.success_interval"]
+    assert compare(samples.METHODS, {"methods": table}).missing() == [f"impedance.clean.{hole}"]
 
 
 def test_no_success_leaves_completion_time_undefined_but_nothing_else(table: dict) -> None:
     table["act"].update(success_rate=0.0, success_low=0.0, success_high=0.16)
     table["act"].update(duration_median_s="nan", path_length_m="nan")
-    comparison = compare(samples.METHODS, {"methods": table})
-    assert comparison.complete
-    assert comparison.rows[2].cell("duration_median_s").state == "undefined"
+    tables = compare(samples.METHODS, {"methods": table})
+    assert tables.missing() == []
+    assert [i.key for i in INDICATORS if tables.clean.cells[2].undefined(i)] == ["duration_median_s", "path_length_m"]
     table["act"]["jerk_rms_median"] = "nan"
-    assert compare(samples.METHODS, {"methods": table}).missing() == ["act.jerk_rms_median"]
+    assert compare(samples.METHODS, {"methods": table}).missing() == ["act.clean.jerk_rms_median"]
 
 
 def test_no_method_at_all_is_incomplete() -> None:
@@ -83,13 +89,13 @@ def test_data_that_is_no_table_is_refused() -> None:
 
 
 def test_excellent_and_best_follow_the_numbers(table: dict) -> None:
-    comparison = compare(samples.METHODS, {"methods": table})
-    excellent = {(row.method, c.indicator.key): c.excellent for row in comparison.rows for c in row.cells}
+    row = compare(samples.METHODS, {"methods": table}).clean
+    excellent = {(cell.method, i.key): cell.excellent(i) for cell in row.cells for i in INDICATORS}
     assert excellent["impedance", "duration_median_s"] is True
     assert excellent["moveit", "duration_median_s"] is False
     assert excellent["act", "jerk_rms_median"] is False
-    assert excellent["act", "path_length_m"] is None
-    best = {c.indicator.key: row.method for row in comparison.rows for c in row.cells if c.best}
+    assert excellent["act", "path_length_m"] is False  # it has no such limit
+    best = {i.key: cell.method for cell in row.cells for i in INDICATORS if row.is_best(cell, i)}
     for key in KEYS:
         choose = max if key == "success_rate" else min
         assert best[key] == choose(samples.METHODS, key=lambda method: table[method][key])
@@ -97,14 +103,11 @@ def test_excellent_and_best_follow_the_numbers(table: dict) -> None:
 
 def test_a_method_that_never_succeeds_is_best_and_excellent_in_nothing(table: dict) -> None:
     table["act"].update(success_rate=0.0, success_low=0.0, success_high=0.16, tilt_max_rad=0.0)
-    rows = compare(samples.METHODS, {"methods": table}).rows
-    tilt = {row.method: row.cell("tilt_max_rad") for row in rows}
-    assert (tilt["act"].value, tilt["act"].best, tilt["act"].excellent) == (0.0, False, None)
-    assert tilt["moveit"].best
-    assert [cell.excellent for cell in rows[2].cells if cell.excellent is not None] == [False]  # success itself
-    text = "\n".join(analyse({}, compare(samples.METHODS, {"methods": table}), [])[0].sentences)
-    assert "Largest tilt: lowest with moveit" in text
-    assert "act did not complete a trial" in text
+    row = compare(samples.METHODS, {"methods": table}).clean
+    tilt = next(i for i in INDICATORS if i.key == "tilt_max_rad")
+    assert row.cells[2].measures[tilt.key].value == 0.0
+    assert [row.is_best(cell, tilt) for cell in row.cells] == [True, False, False]
+    assert not any(row.cells[2].excellent(indicator) for indicator in INDICATORS)
 
 
 def test_every_condition_of_the_success_test_has_words() -> None:
@@ -128,8 +131,8 @@ def test_a_tilt_that_is_rounding_is_shown_as_none() -> None:
 def test_trials_survive_the_way_through_the_file(tmp_path: Path) -> None:
     trials = samples.make_trials(6)
     read = read_trials(write_csv(tmp_path / "benchmark.csv", trials))
-    assert [(t.method, t.index, t.success, t.failure) for t in read] == [
-        (t.method, t.index, t.success, t.failure) for t in trials
+    assert [(t.method, t.condition, t.success, t.failure) for t in read] == [
+        (t.method, t.condition, t.success, t.failure) for t in trials
     ]
     for one, other in zip(trials, read, strict=True):
         assert other.numbers["tilt_max_rad"] == pytest.approx(one.tilt_max_rad)
@@ -141,7 +144,6 @@ def test_trials_survive_the_way_through_the_file(tmp_path: Path) -> None:
     [
         ("jerk_rms", "jerk", "lacks column 'jerk_rms'"),
         ("True", "maybe", "line 2: success is 'maybe'"),
-        (",0,", ",zero,", "line 2: index is 'zero'"),
     ],
 )
 def test_a_damaged_table_of_trials_is_named(tmp_path: Path, before: str, after: str, says: str) -> None:
@@ -157,62 +159,78 @@ def test_a_missing_table_of_trials_is_named(tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def words(tmp_path: Path) -> dict[str, str]:
-    given = samples.make_run(tmp_path)
-    trials = read_trials(given.folders["benchmark"] / "benchmark.csv")
-    passages = analyse(given.verdicts, compare(given.methods, given.verdicts["benchmark"].data), trials)
-    return {passage.heading: "\n".join(passage.sentences) for passage in passages}
+def report(tmp_path: Path) -> Report:
+    (tmp_path / "page").mkdir()
+    return build_report(samples.make_run(tmp_path), tmp_path / "page")
 
 
-def test_the_words_rank_methods_and_do_not_claim_more_than_the_trials_show(words: dict[str, str]) -> None:
-    text = words["Which method does what best"]
-    assert "impedance 20 of 20 (100 %, 95 % interval 84 to 100 %)" in text
-    assert "impedance against moveit: of 20 shared starts, one start went to impedance alone" in text
-    assert text.count("these trials do not separate them") == 3
-    assert "Completion time: lowest with impedance" in text
-    assert "act is excellent in 2 of 5" in text
+@pytest.fixture
+def page(report: Report, tmp_path: Path) -> str:
+    """Return the words of the page without its tags."""
+    text = re.sub(r"<[^>]*>", " ", (tmp_path / "page" / "report.html").read_text(encoding="utf-8"))
+    return re.sub(r"\s+", " ", text.replace("&lt;", "<")).replace(" :", ":")
 
 
-def test_the_words_do_claim_what_many_trials_show(tmp_path: Path) -> None:
+def test_pairs_of_methods_claim_no_more_than_the_trials_show(report: Report, page: str) -> None:
+    pair = report.facts.pairs[0]
+    assert (pair.first, pair.second, pair.starts, pair.only_first, pair.only_second) == (
+        "moveit",
+        "impedance",
+        20,
+        0,
+        1,
+    )
+    assert pair.slower_s[0] > 0.0  # moveit takes longer
+    assert page.count("not separated by these trials") == 3
+    assert "they differ" not in page
+
+
+def test_pairs_of_methods_claim_what_many_trials_show(tmp_path: Path) -> None:
     given = samples.make_run(tmp_path, samples.make_trials(200))
-    trials = read_trials(given.folders["benchmark"] / "benchmark.csv")
-    passages = analyse({}, compare(given.methods, given.verdicts["benchmark"].data), trials)
-    (pair,) = [s for s in passages[0].sentences if s.startswith("impedance against act")]
-    assert "difference +25 points, 95 % interval +19 to +31" in pair
-    assert pair.endswith("they differ.")
+    pairs = gather(given.verdicts, compare(samples.METHODS, {}), []).pairs
+    (pair,) = [p for p in pairs if (p.first, p.second) == ("impedance", "act")]
+    assert pair.shown
+    assert pair.difference == pytest.approx(0.25)
+    assert (points(pair.low), points(pair.high)) == ("+19", "+31")
 
 
-def test_the_words_name_failures_and_when(words: dict[str, str]) -> None:
-    text = words["What failed, and when"]
-    assert "act failed 5 of 20: missed the goal three times, at " in text
-    assert "moveit failed 1 of 20: grip lost one time, at " in text
-    assert "impedance did not fail in a single trial" in text
+def test_failures_are_named_with_their_time(report: Report, page: str) -> None:
+    assert [(r.method, r.name, r.times) for r in report.facts.reasons] == [
+        ("moveit", "held", 1),
+        ("act", "arrived", 3),
+        ("act", "held", 2),
+    ]
+    assert "act: 5 of 20 trials failed: missed the goal 3, median time " in page
+    assert "moveit: 1 of 20 trials failed: grip lost 1, median time " in page
+    assert "impedance: 0 of 20 trials failed." in page
 
 
-def test_the_words_name_the_gap_between_training_and_held_out_starts(words: dict[str, str]) -> None:
-    assert "95 %: 17 points more, outside the interval" in words["Held-out against training starts"]
+def test_the_gap_between_training_and_held_out_starts_is_told(page: str) -> None:
+    assert "held out from training: 78 % (95 % interval 65 % to 87 %)" in page
+    assert "training set: 95 %, +17 points, outside that interval" in page
 
 
-def test_the_thinnest_margin_comes_first(words: dict[str, str]) -> None:
-    first, *_ = words["Where the margins are thinnest"].splitlines()
-    assert first == "carry: torque_ratio_max is 0.79, limit < 1: 21 % inside its limit."
+def test_the_thinnest_margin_comes_first(report: Report, page: str) -> None:
+    first = report.facts.margins[0]
+    assert (first.stage, first.check.name, first.relative) == ("carry", "torque_ratio_max", pytest.approx(0.21))
+    assert "carry: torque_ratio_max is 0.79, limit < 1, 21 % inside its limit." in page
 
 
 def test_a_failed_check_has_the_thinnest_margin(tmp_path: Path) -> None:
     given = samples.make_run(tmp_path)
     bad = replace(given.verdicts["plan"], checks=(Check("both_arms.time_max_s", 12.0, "<", 10.0, "s"),))
-    passages = analyse({**given.verdicts, "plan": bad}, compare(given.methods, {}), [])
-    assert passages[-1].sentences[0] == "plan: both_arms.time_max_s is 12 s, limit < 10 s: 20 % beyond its limit."
+    first = gather({**given.verdicts, "plan": bad}, compare(given.methods, {}), []).margins[0]
+    assert (first.stage, first.relative) == ("plan", pytest.approx(-0.2))
 
 
-def test_a_share_at_100_percent_has_no_margin_to_be_thin(words: dict[str, str]) -> None:
-    text = words["Where the margins are thinnest"]
-    assert "success_rate is 1," not in text
-    assert "Three checks stood at the best value there is" in text  # plan, carry, and impedance's
+def test_a_share_at_100_percent_has_no_margin_to_be_thin(report: Report) -> None:
+    assert all(margin.check.observed != 1.0 for margin in report.facts.margins)
+    assert report.facts.at_best_n == 3  # plan, carry, and impedance's success
 
 
-def test_without_numbers_there_are_no_words() -> None:
-    assert analyse({}, compare(samples.METHODS, {}), []) == ()
+def test_without_numbers_there_is_no_analysis() -> None:
+    found = gather({}, compare(samples.METHODS, {}), [])
+    assert (found.pairs, found.losses, found.reasons, found.gap, found.margins) == ((), (), (), None, ())
 
 
 def test_relative_margins_exist_only_where_they_mean_something() -> None:
@@ -231,8 +249,8 @@ def test_relative_margins_exist_only_where_they_mean_something() -> None:
         (percent(0.004), "0.4 %"),
         (percent(0.0), "0 %"),
         (percent(0.845), "84 %"),
-        (count(1, "trial"), "one trial"),
-        (count(12, "trial"), "12 trials"),
+        (points(-0.004), "0"),
+        (points(-0.12), "−12"),
         (joined(["a", "b", "c"]), "a, b and c"),
         (joined([]), ""),
         (three_digits(2.0), "2.00"),

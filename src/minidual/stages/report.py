@@ -2,42 +2,32 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from minidual.gate.stage import StageContext, StageResult
-
-if TYPE_CHECKING:
-    pass
+from minidual.show.report.build import build_report
+from minidual.show.report.model import ReportInput
+from minidual.trials.conditions import parse_conditions
 
 
 def run(context: StageContext) -> StageResult:
     """Write report.html, report.json, the figures and the large films."""
-    from minidual.show.report.build import build_report
-    from minidual.show.report.model import ReportInput
-    from minidual.trials.conditions import parse_conditions
-
+    benchmark = context.config.benchmark
     given = ReportInput(
         title=context.config.report.title,
         stages=list(context.summaries.items()),
         verdicts=context.verdicts,
         folders=context.upstream,
         waivers=context.waivers,
-        methods=context.config.benchmark.methods,
+        methods=benchmark.methods,
         acceptance=context.config.acceptance,
         profile=context.profile,
         seed=context.seed,
-        conditions=parse_conditions(context.config.benchmark.conditions),
+        conditions=parse_conditions(benchmark.conditions),
     )
     with context.progress.task("report", 1) as task:
         report = build_report(given, context.folder)
         task.advance()
     return StageResult(
         checks=report.checks,
-        data={
-            "state": report.state,
-            "stages_passing": report.passing_stages,
-            "stages": len(given.stages),
-            "analysis": [text for passage in report.passages for text in passage.sentences],
-        },
+        data={"state": report.state, "stages_passing": report.passing_stages, "stages": len(given.stages)},
         notes=[banner.title for banner in report.banners],
     )

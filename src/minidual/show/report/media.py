@@ -11,9 +11,26 @@ from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path, PurePosixPath
 
-from minidual.errors import DataError
-from minidual.show.report.captions import caption
+import av
+from av.error import FFmpegError
 
+from minidual.errors import DataError
+
+_CAPTIONS: dict[tuple[str, str], str] = {
+    ("env-check", "sine.mp4"): "All joints follow a sine",
+    ("env-check", "cameras.png"): "What each camera sees at home",
+    ("env-check", "tracking.png"): "Step, sine and single joints: target against measurement",
+    ("plan", "paths.png"): "One query a group: paths of the hands among the obstacles",
+    ("plan", "times.png"): "Planning times and their phases",
+    ("carry", "carry.mp4"): "The median carry under object impedance control",
+    ("carry", "median.png"): "The median trial",
+    ("carry", "worst.png"): "The worst trial: the first failure, or the largest tilt",
+    ("teleop-record", "demonstration.mp4"): "A recorded demonstration",
+    ("teleop-record", "quality.png"): "Quality of every episode",
+    ("train-act", "loss.png"): "Training and validation loss",
+    ("deploy", "success.mp4"): "The policy succeeds on a start held out from training",
+    ("deploy", "failure.mp4"): "The policy fails on a start held out from training",
+}
 _PICTURES = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg"}
 _FILM = ".mp4"
 _FOLDERS = ("figures", "pictures", "videos", "films")
@@ -51,6 +68,13 @@ def is_shown(name: str) -> bool:
     path = PurePosixPath(name)
     shown = path.suffix.lower() in (*_PICTURES, _FILM)
     return shown and (len(path.parts) == 1 or (len(path.parts) == 2 and path.parts[0] in _FOLDERS))
+
+
+def caption(stage: str, name: str) -> str:
+    """Return what an artefact shows, by default the words of its file name."""
+    path = PurePosixPath(name)
+    words = path.stem.replace("_", " ").replace("-", " ").strip()
+    return _CAPTIONS.get((stage, path.name), words[:1].upper() + words[1:])
 
 
 def collect_media(
@@ -94,10 +118,7 @@ def _data_uri(kind: str, content: bytes) -> str:
 
 
 def _poster(path: Path) -> str:
-    """Return the frame at 40 % of a film as a JPEG data URI: its first frame seldom shows anything."""
-    import av
-    from av.error import FFmpegError
-
+    """Return the frame at 40 % of a film as a JPEG data URI: the first frame seldom shows anything."""
     try:
         with av.open(str(path)) as container:
             stream = container.streams.video[0]

@@ -1,4 +1,4 @@
-"""What the report says, before it is laid out: the state of the run, its stages, and what it was made with."""
+"""What the report says before it is laid out: the state of the run, its checks and its warnings."""
 
 from __future__ import annotations
 
@@ -8,12 +8,10 @@ from pathlib import Path
 from typing import Literal
 
 from minidual.gate.check import Check
-from minidual.gate.fingerprint import Fingerprint
 from minidual.gate.verdict import Verdict, Waiver, derive_status
-from minidual.show.report.comparison import Comparison
-from minidual.show.report.robustness import ConditionTable
-from minidual.show.report.trials import CLEAN
-from minidual.show.report.wording import count, joined
+from minidual.show.report.tables import Tables
+from minidual.show.report.wording import joined
+from minidual.trials.conditions import CLEAN
 
 OverallState = Literal["pass", "fail", "smoke", "tainted"]
 
@@ -24,7 +22,7 @@ class ReportInput:
 
     Attributes:
         title: Title of the page.
-        stages: (name, summary) of every stage that the report stands on, in order.
+        stages: (name, summary) of every stage above the report, in order.
         verdicts: Verdicts of those that have one.
         folders: Their finished folders.
         waivers: Waivers that taint the report.
@@ -47,7 +45,7 @@ class ReportInput:
     conditions: Sequence[str] = (CLEAN,)
 
     def all_waivers(self) -> tuple[Waiver, ...]:
-        """Return every waiver, those that only an upstream verdict knows included, each once."""
+        """Return every waiver once, including those that only an upstream verdict knows."""
         found: list[Waiver] = []
         for waiver in (*self.waivers, *(w for v in self.verdicts.values() for w in v.waivers)):
             if waiver not in found:
@@ -62,6 +60,11 @@ class ReportInput:
         """Return the stages without a passing verdict."""
         return [name for name, _ in self.stages if name not in self.verdicts or self.verdicts[name].status != "pass"]
 
+    @property
+    def newest(self) -> Verdict | None:
+        """The verdict that was finished last; it dates the report and names machine and libraries."""
+        return max(self.verdicts.values(), key=lambda verdict: verdict.finished_at, default=None)
+
 
 @dataclass(frozen=True)
 class Banner:
@@ -72,39 +75,35 @@ class Banner:
     lines: tuple[str, ...] = ()
 
 
-def report_checks(given: ReportInput, comparison: Comparison, table: ConditionTable | None = None) -> list[Check]:
+def report_checks(given: ReportInput, tables: Tables) -> list[Check]:
     """Return the report's own checks: nothing is missing from its tables, and every stage passed."""
-    table = table or ConditionTable()
-    holes = comparison.missing() + table.missing()
-    complete = comparison.complete and not holes and (bool(table.rows) or set(given.conditions) <= {CLEAN})
+    holes = tables.missing()
     shown = f"; missing: {', '.join(holes[:6])}{' ...' if len(holes) > 6 else ''}" if holes else ""
     short = given.not_passing()
     return [
         Check(
             "tables_complete",
-            complete,
+            bool(tables.clean.cells) and not holes,
             "==",
             True,
             why="every method has every indicator as a finite number with its interval, undisturbed and under every "
-            f"condition that can touch it{shown}",
+            f"condition that applies to it{shown}",
             remedy="run minidual benchmark again, with every method and condition that the tables should hold",
         ),
-        Check(
-            "missing_cells", len(holes), "==", 0, why="holes in the tables of methods by indicators and by conditions"
-        ),
+        Check("missing_cells", len(holes), "==", 0, why="numbers missing from the table of methods by conditions"),
         Check(
             "stages_not_passing",
             len(short),
             "==",
             0,
-            why="a report stands on passing verdicts alone" + (f"; without one: {', '.join(short)}" if short else ""),
+            why="a report is built on passing verdicts" + (f"; without one: {', '.join(short)}" if short else ""),
             remedy="minidual status says what to run" if short else "",
         ),
     ]
 
 
 def overall_state(given: ReportInput, checks: Sequence[Check]) -> OverallState:
-    """Return the state at the head of the page: a taint hides a pass, so does a failure, so does smoke."""
+    """Return the state at the head of the page; tainted comes before fail, fail before smoke, smoke before pass."""
     if given.all_waivers():
         return "tainted"
     if derive_status(checks) != "pass":
@@ -117,50 +116,29 @@ def banners(given: ReportInput, checks: Sequence[Check]) -> tuple[Banner, ...]:
     found: list[Banner] = []
     waivers = given.all_waivers()
     if waivers:
-        lines = [
+        gates = "1 gate" if len(waivers) == 1 else f"{len(waivers)} gates"
+        lines = tuple(
             f"gate of {waiver.stage}, {waiver.at.replace('T', ' ').replace('Z', ' UTC')}: “{waiver.reason}” ("
             + joined([f"{stage} was {state}" for stage, state in waiver.blocking.items()])
             + ")"
             for waiver in waivers
-        ]
-        found.append(
-            Banner(
-                "tainted",
-                f"Tainted: {count(len(waivers), 'gate')} opened by hand. This report cannot pass.",
-                tuple(lines),
-            )
         )
+        found.append(Banner("tainted", f"Tainted: {gates} opened by hand. This report cannot pass.", lines))
     failed = [check for check in checks if check.passed is False]
     if failed:
         found.append(Banner("fail", "This report does not pass", tuple(f"{c.sentence()}: {c.why}" for c in failed)))
     if not given.counts_as_acceptance():
-        meaning = (
-            "Few trials and little training show that the parts fit together. The rates below are not evidence "
-            "of how well anything works."
-        )
+        meaning = "Few trials and little training show that the parts fit together. The rates below prove nothing else."
         found.append(Banner("smoke", f"{given.profile}: wiring only, not acceptance", (meaning,)))
     overrides = sorted({text for verdict in given.verdicts.values() for text in verdict.overrides})
     if overrides:
-        found.append(
-            Banner("note", f"Not the {given.profile} profile as shipped: values were overridden", tuple(overrides))
-        )
+        found.append(Banner("note", f"Values of the {given.profile} profile were overridden", tuple(overrides)))
     commits = sorted({_short_commit(v.fingerprint.commit) for v in given.verdicts.values()})
     if len(commits) > 1:
-        found.append(Banner("note", f"The stages were made at {count(len(commits), 'commit')}", tuple(commits)))
+        found.append(Banner("note", f"The stages were run at {len(commits)} commits", tuple(commits)))
     return tuple(found)
 
 
 def _short_commit(commit: str | None) -> str:
     name, plus, changes = (commit or "unknown").partition("+")
     return name[:10] + plus + changes
-
-
-def newest(given: ReportInput) -> Verdict | None:
-    """Return the verdict that was finished last; its time dates the report."""
-    return max(given.verdicts.values(), key=lambda verdict: verdict.finished_at, default=None)
-
-
-def made_with(given: ReportInput) -> Fingerprint | None:
-    """Return the circumstances to show: those of the verdict that was finished last."""
-    last = newest(given)
-    return None if last is None else last.fingerprint

@@ -4,24 +4,24 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Sequence
 from typing import Any
 
-from minidual.gate.check import Check, format_number
-from minidual.show.report import model
-from minidual.show.report.analysis import relative_margin
-from minidual.show.report.build import Report
-from minidual.show.report.disturbance import CERTAIN
+import jinja2
+
+from minidual.gate.check import Check, Number, format_number
+from minidual.show.report.content import Report
+from minidual.show.report.facts import relative_margin
 from minidual.show.report.indicators import INDICATORS
-from minidual.show.report.wording import duration, percent, points
+from minidual.show.report.paired import CERTAIN
+from minidual.show.report.wording import duration, fault, joined, percent, points
 
 _STATE_WORDS = {"pass": "Pass", "fail": "Fail", "smoke": "Smoke: wiring only", "tainted": "Tainted"}
 _RESULT_WORDS = {True: "pass", False: "fail", None: "reported"}
 
 
 @functools.cache
-def _environment() -> Any:
-    import jinja2
-
+def _environment() -> jinja2.Environment:
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("minidual.show.report"),
         autoescape=True,
@@ -29,18 +29,18 @@ def _environment() -> Any:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update(duration=duration, percent=percent, points=points)
+    environment.filters.update(duration=duration, percent=percent, points=points, fault=fault)
     return environment
 
 
 def render_page(report: Report) -> str:
     """Return the page's HTML."""
     environment = _environment()
-    given = report.given
-    last = model.newest(given)
+    last = report.given.newest
     return environment.get_template("report.html.j2").render(
         report=report,
-        given=given,
+        given=report.given,
+        facts=report.facts,
         style=environment.get_template("report.css").render(),
         state_word=_STATE_WORDS[report.state],
         tiles=_tiles(report),
@@ -48,70 +48,49 @@ def render_page(report: Report) -> str:
         certain=CERTAIN,
         stages=_stages(report),
         films=[medium for medium in report.media if medium.film],
-        run=last.run if last else "",
-        finished_at=last.finished_at if last else "",
-        made=model.made_with(given),
+        last=last,
+        made=last.fingerprint if last else None,
     )
 
 
 def _tiles(report: Report) -> list[tuple[str, str]]:
     """Return (number, words) of what a reader wants to know first."""
-    limited = report.limited_checks
+    every = [check for verdict in report.given.verdicts.values() for check in verdict.checks]
+    limited = [check for check in (*every, *report.shown_checks) if check.limited]
     tiles = [
         (f"{report.passing_stages} of {len(report.given.stages)}", "stages pass"),
         (f"{sum(check.passed is True for check in limited)} of {len(limited)}", "checks inside their limits"),
         (duration(report.total_s), "for all stages"),
     ]
-    rated = [row for row in report.comparison.rows if row.cell("success_rate").value is not None]
+    rated = {cell.method: cell.success.value for cell in report.tables.clean.cells if cell.success is not None}
     if rated:
-        top = max(row.cell("success_rate").value or 0.0 for row in rated)
-        names = [row.method for row in rated if row.cell("success_rate").value == top]
-        tiles.append((percent(top), f"best success, {' and '.join(names[:2]) if len(names) < 3 else 'every method'}"))
+        top = max(rated.values())
+        best = [method for method, rate in rated.items() if rate == top]
+        tiles.append((percent(top), f"best success, {joined(best)}"))
     return tiles
 
 
 def _stages(report: Report) -> list[dict[str, Any]]:
     """Return what the page shows of every stage, the report itself last."""
     shown: list[dict[str, Any]] = []
-    total_s = max(report.total_s, 1e-9)
     for name, summary in report.given.stages:
         verdict = report.given.verdicts.get(name)
-        checks = verdict.checks if verdict else ()
-        shown.append(
-            {
-                "name": name,
-                "summary": summary,
-                "status": verdict.status if verdict else "missing",
-                "duration": duration(verdict.duration_s) if verdict else "",
-                "share": verdict.duration_s / total_s if verdict else 0.0,
-                "finished_at": verdict.finished_at if verdict else "",
-                "notes": verdict.notes if verdict else (),
-                "checks": [_check_row(check) for check in checks],
-                "held": _held(checks),
-                "pictures": [m for m in report.media if m.stage == name and not m.film],
-            }
-        )
-    shown.append(
-        {
-            "name": "report",
-            "summary": "Build this page from the verdicts",
-            "status": "fail" if report.state in ("fail", "tainted") else "pass",
-            "duration": "",
-            "share": 0.0,
-            "finished_at": "",
-            "notes": (),
-            "checks": [_check_row(check) for check in report.shown_checks],
-            "held": _held(report.shown_checks),
-            "pictures": [],
-        }
-    )
-    return shown
+        row = _stage(name, summary, verdict.status if verdict else "missing", verdict.checks if verdict else ())
+        if verdict is not None:
+            share = verdict.duration_s / max(report.total_s, 1e-9)
+            row |= {"duration": duration(verdict.duration_s), "share": share, "notes": verdict.notes}
+        row["pictures"] = [medium for medium in report.media if medium.stage == name and not medium.film]
+        shown.append(row)
+    own = "fail" if report.state in ("fail", "tainted") else "pass"
+    return [*shown, _stage("report", "Build this page from the verdicts", own, report.shown_checks)]
 
 
-def _held(checks: Any) -> str:
+def _stage(name: str, summary: str, status: str, checks: Sequence[Check]) -> dict[str, Any]:
     limited = [check for check in checks if check.limited]
-    held = sum(check.passed is True for check in limited)
-    return f"{held} of {len(limited)} limits held" if limited else ""
+    held = f"{sum(check.passed is True for check in limited)} of {len(limited)} limits held" if limited else ""
+    rows = [_check_row(check) for check in checks]
+    blank = {"duration": "", "share": 0.0, "notes": (), "pictures": []}
+    return {"name": name, "summary": summary, "status": status, "checks": rows, "held": held, **blank}
 
 
 def _check_row(check: Check) -> dict[str, str]:
@@ -131,11 +110,8 @@ def _check_row(check: Check) -> dict[str, str]:
     }
 
 
-def _quantity(value: float | int | bool | None, unit: str) -> str:
-    text = format_number(value)
-    if not unit:
-        return text
-    text = f"{text} {unit}"
+def _quantity(value: Number | None, unit: str) -> str:
+    text = f"{format_number(value)} {unit}".rstrip()
     if unit == "rad" and isinstance(value, float) and math.isfinite(value) and abs(math.degrees(value)) >= 0.01:
         text += f" ({math.degrees(value):.3g}°)"
     return text

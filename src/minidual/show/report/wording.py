@@ -1,23 +1,33 @@
-"""Numbers and lists as words."""
+"""Numbers, lists and the names of faults as words."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-_SMALL = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
+FAULTS: dict[str, str] = {
+    "held": "grip lost",
+    "rose": "never lifted clear",
+    "level": "tilted too far",
+    "arrived": "missed the goal",
+    "released": "not released",
+    "at_rest": "not at rest",
+    "on_time": "too late",
+    "squeezed": "internal force lost",
+    "whole": "the object broke",
+    "clear": "touched the obstacle",
+    "turned": "wrong orientation at the goal",
+}
+"""What it means when a condition of the success test does not hold."""
 
 
-def count(n: int, noun: str, plural: str | None = None) -> str:
-    """Return "one trial", "three trials", "12 trials"."""
-    number = _SMALL[n] if 0 <= n < len(_SMALL) else str(n)
-    return f"{number} {noun if n == 1 else plural or noun + 's'}"
+def fault(name: str) -> str:
+    """Return the words for a condition that failed; its own name where the table has none."""
+    return FAULTS.get(name, name.replace("_", " ") or "unnamed")
 
 
-def joined(items: Sequence[str], last: str = "and") -> str:
+def joined(items: Sequence[str]) -> str:
     """Return "a", "a and b" or "a, b and c"."""
-    if len(items) < 2:
-        return "".join(items)
-    return f"{', '.join(items[:-1])} {last} {items[-1]}"
+    return " and ".join([", ".join(items[:-1]), items[-1]] if len(items) > 1 else items)
 
 
 def duration(seconds: float) -> str:
@@ -39,13 +49,3 @@ def points(difference: float) -> str:
     """Return a difference of two shares in points: "+5", "0", "−12"."""
     whole = round(100.0 * difference)
     return f"{whole:+d}".replace("-", "\u2212") if whole else "0"
-
-
-def sentence(text: str) -> str:
-    """Return `text` with a capital and a full stop."""
-    return stated(text[:1].upper() + text[1:])
-
-
-def stated(text: str) -> str:
-    """Return `text` with a full stop, its first word as it is: names of methods and stages keep their case."""
-    return text + ("" if text.endswith(".") else ".")

@@ -1,0 +1,44 @@
+"""Everything that the report shows, gathered."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from minidual.gate.check import Check
+from minidual.show.report.facts import Facts
+from minidual.show.report.figures import Figure
+from minidual.show.report.media import Medium
+from minidual.show.report.model import Banner, OverallState, ReportInput
+from minidual.show.report.tables import Tables
+
+
+@dataclass(frozen=True)
+class Report:
+    """Everything on the page."""
+
+    given: ReportInput
+    state: OverallState
+    banners: tuple[Banner, ...]
+    checks: tuple[Check, ...]
+    tables: Tables
+    facts: Facts
+    figures: tuple[Figure, ...]
+    condition_figure: Figure | None
+    media: tuple[Medium, ...]
+
+    @property
+    def passing_stages(self) -> int:
+        """Number of stages with a passing verdict."""
+        return len(self.given.stages) - len(self.given.not_passing())
+
+    @property
+    def shown_checks(self) -> list[Check]:
+        """The report's own checks and, where a gate was waived, the one that the gate adds to its verdict."""
+        waived = len(self.given.all_waivers())
+        why = "evidence behind a waived gate does not count as acceptance"
+        return [*self.checks, *([Check("gate.waivers", waived, "==", 0, why=why)] if waived else [])]
+
+    @property
+    def total_s(self) -> float:
+        """Wall time of all stages together."""
+        return sum(verdict.duration_s for verdict in self.given.verdicts.values())
