@@ -106,6 +106,14 @@ def test_a_waiver_taints_the_report_at_its_very_top(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "report" / "report.json").read_text())["acceptance"] is False
 
 
+def test_results_of_other_code_fail_the_report_at_its_very_top(tmp_path: Path) -> None:
+    given = replace(samples.make_run(tmp_path), code_changes={"plan": ["minidual.motion.api"]})
+    report, text = built(given, tmp_path)
+    assert report.state == "fail"
+    assert "plan: minidual.motion.api" in Page(text).before_heading
+    assert "gate.code_changed" in text
+
+
 def test_a_waiver_known_to_an_upstream_verdict_alone_taints_too(tmp_path: Path) -> None:
     given = samples.make_run(tmp_path)
     carry = replace(given.verdicts["carry"], waivers=(samples.WAIVER,))

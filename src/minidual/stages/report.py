@@ -22,6 +22,7 @@ def run(context: StageContext) -> StageResult:
         profile=context.profile,
         seed=context.seed,
         conditions=parse_conditions(benchmark.conditions),
+        code_changes=context.code_changes,
     )
     with context.progress.task("report", 1) as task:
         report = build_report(given, context.folder)

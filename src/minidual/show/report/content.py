@@ -33,10 +33,12 @@ class Report:
 
     @property
     def shown_checks(self) -> list[Check]:
-        """The report's own checks and, where a gate was waived, the one that the gate adds to its verdict."""
-        waived = len(self.given.all_waivers())
-        why = "evidence behind a waived gate does not count as acceptance"
-        return [*self.checks, *([Check("gate.waivers", waived, "==", 0, why=why)] if waived else [])]
+        """The report's own checks and, where they fail, those that the gate adds to its verdict."""
+        found = [
+            ("gate.waivers", self.given.all_waivers(), "evidence behind a waived gate does not count as acceptance"),
+            ("gate.code_changed", self.given.code_changes, "results of other code do not accept this code"),
+        ]
+        return [*self.checks, *(Check(name, len(bad), "==", 0, why=why) for name, bad, why in found if bad)]
 
     @property
     def total_s(self) -> float:

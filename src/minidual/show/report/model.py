@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -31,6 +31,7 @@ class ReportInput:
         profile: Name of the profile.
         seed: Seed of the run.
         conditions: Conditions that the table of disturbances must hold.
+        code_changes: {stage: modules} of the stages whose results other code made.
     """
 
     title: str
@@ -43,6 +44,7 @@ class ReportInput:
     profile: str
     seed: int
     conditions: Sequence[str] = (CLEAN,)
+    code_changes: Mapping[str, Sequence[str]] = field(default_factory=dict[str, Sequence[str]])
 
     def all_waivers(self) -> tuple[Waiver, ...]:
         """Return every waiver once, including those that only an upstream verdict knows."""
@@ -106,7 +108,7 @@ def overall_state(given: ReportInput, checks: Sequence[Check]) -> OverallState:
     """Return the state at the head of the page; tainted comes before fail, fail before smoke, smoke before pass."""
     if given.all_waivers():
         return "tainted"
-    if derive_status(checks) != "pass":
+    if derive_status(checks) != "pass" or given.code_changes:
         return "fail"
     return "pass" if given.counts_as_acceptance() else "smoke"
 
@@ -127,6 +129,9 @@ def banners(given: ReportInput, checks: Sequence[Check]) -> tuple[Banner, ...]:
     failed = [check for check in checks if check.passed is False]
     if failed:
         found.append(Banner("fail", "This report does not pass", tuple(f"{c.sentence()}: {c.why}" for c in failed)))
+    if given.code_changes:
+        lines = tuple(f"{stage}: {', '.join(modules)}" for stage, modules in given.code_changes.items())
+        found.append(Banner("fail", "Results of other code: this report cannot pass", lines))
     if not given.counts_as_acceptance():
         meaning = "Few trials and little training show that the parts fit together. The rates below prove nothing else."
         found.append(Banner("smoke", f"{given.profile}: wiring only, not acceptance", (meaning,)))

@@ -16,6 +16,7 @@ FAULTS: dict[str, str] = {
     "whole": "the object broke",
     "clear": "touched the obstacle",
     "turned": "wrong orientation at the goal",
+    "exchanged": "not handed over",
 }
 """What it means when a condition of the success test does not hold."""
 
