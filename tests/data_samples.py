@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from minidual.demos.episode import EpisodeWriter
 from minidual.demos.schema import EpisodeMeta
+from minidual.demos.writer import EpisodeWriter
 
 CAMERAS = ("high", "left", "right")
 

@@ -16,8 +16,9 @@ import pytest
 
 from minidual import durable
 from minidual.demos import schema
-from minidual.demos.episode import EpisodeWriter, read_episode, read_meta
+from minidual.demos.episode import episode_paths, read_episode, read_meta
 from minidual.demos.schema import EpisodeMeta
+from minidual.demos.writer import EpisodeWriter
 from minidual.errors import DataError, UsageError
 
 META = EpisodeMeta(fps=50.0, task="carry", seed=1, cameras=data_samples.CAMERAS)
@@ -208,7 +209,7 @@ def test_wrong_shapes_missing_fields_and_versions_are_named(tmp_path: Path) -> N
         file.attrs["schema_version"] = 99
 
     for change, words in (
-        (shrink, r"action has shape \(6, 7\)"),
+        (shrink, r"action is float64 \(6, 7\); it must be float64 \(6, 14\)"),
         (drop_field, "observations/gripper is missing"),
         (drop_attribute, "missing attributes: fps"),
         (newer, "schema version 99"),
@@ -230,8 +231,8 @@ sys.path.insert(0, {str(Path(__file__).parent)!r})
 import data_samples
 from pathlib import Path
 from minidual import durable
-from minidual.demos.episode import EpisodeWriter
 from minidual.demos.schema import EpisodeMeta
+from minidual.demos.writer import EpisodeWriter
 folder = Path({str(tmp_path)!r})
 data = data_samples.arrays(30)
 data_samples.write(folder / "episode_000000.hdf5", data)
@@ -282,6 +283,14 @@ def test_episode_facts_that_could_not_be_stored_are_refused() -> None:
     with pytest.raises(DataError, match="names no trial"):
         _ = META.trial
     assert schema.MAX_SYNC_S == 0.02
+
+
+def test_finished_episodes_of_a_folder_come_in_order(tmp_path: Path) -> None:
+    for index in (3, 0, 11):
+        data_samples.write(tmp_path / f"episode_{index:06d}.hdf5", data_samples.arrays(3), extra={"trial": index})
+    (tmp_path / ".episode_000001.hdf5.99.partial").touch()
+    (tmp_path / "notes.txt").touch()
+    assert [read_meta(path).trial for path in episode_paths(tmp_path)] == [0, 3, 11]
 
 
 def test_the_same_episode_gives_the_same_bytes(tmp_path: Path) -> None:

@@ -13,8 +13,9 @@ import pytest
 
 from minidual.demos import lerobot_adapter as adapter
 from minidual.demos.episode import read_episode
-from minidual.demos.lerobot_reader import read_dataset_to_ram, read_info
+from minidual.demos.lerobot_reader import read_dataset
 from minidual.errors import DataError, UsageError
+from minidual.robot.arms import DUAL_PANDA
 
 HIGH = "observation.images.cam_high"
 TICKS = (40, 33)
@@ -29,11 +30,11 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Path], ad
         )
         for i, ticks in enumerate(TICKS)
     ]
-    seen: list[tuple[int, int]] = []
+    seen: list[int] = []
     summary = adapter.convert(
-        sources, folder / "dataset", cameras=("high", "left"), progress=lambda done, n: seen.append((done, n))
+        sources, folder / "dataset", DUAL_PANDA, cameras=("high", "left"), progress=lambda: seen.append(1)
     )
-    assert seen == [(1, 2), (2, 2)]
+    assert len(seen) == 2
     return folder / "dataset", sources, summary
 
 
@@ -45,8 +46,9 @@ def copy(made: tuple[Path, list[Path], adapter.DatasetSummary], tmp_path: Path) 
 
 def test_the_summary_counts_rows_and_names_what_is_inside(made: tuple) -> None:
     root, _, summary = made
-    assert (summary.root, summary.episodes, summary.frames, summary.fps) == (root, 2, sum(TICKS), 50)
-    assert summary.cameras == (HIGH, "observation.images.cam_left")
+    assert (summary.root, summary.episodes, summary.frames) == (root, 2, sum(TICKS))
+    data = read_dataset(root)
+    assert (data.fps, data.cameras) == (50.0, {"high": (96, 128), "left": (96, 128)})
     assert 0.0 < summary.image_difference_max < 3.0
     assert sorted(path.name for path in root.iterdir()) == ["data", "meta", "videos"]
     assert [path.name for path in root.parent.iterdir() if path.name.startswith(".")] == []
@@ -54,19 +56,20 @@ def test_the_summary_counts_rows_and_names_what_is_inside(made: tuple) -> None:
 
 def test_memory_holds_what_was_recorded(made: tuple) -> None:
     root, sources, _ = made
-    data = read_dataset_to_ram(root)
+    data = read_dataset(root)
     assert data.state.dtype == data.action.dtype == np.float32
-    assert data.state_names == adapter.STATE_NAMES
-    assert data.state_names[:1] + data.state_names[7:8] + data.state_names[14:] == (
+    assert data.names == adapter.state_names(DUAL_PANDA)
+    assert data.names[:1] + data.names[7:8] + data.names[14:] == (
         "left_panda_joint1",
         "right_panda_joint1",
         "left_gripper",
         "right_gripper",
     )
-    assert data.images[HIGH].shape == (sum(TICKS), 96, 128, 3)
+    images = data.images("high")
+    assert images.shape == (sum(TICKS), 96, 128, 3)
     for index, path in enumerate(sources):
         episode = read_episode(path)
-        rows = slice(data.episode_from[index], data.episode_to[index])
+        rows = slice(data.starts[index], data.stops[index])
         np.testing.assert_array_equal(data.state[rows, :14], episode.qpos.astype(np.float32))
         np.testing.assert_array_equal(data.state[rows, 14:], episode.gripper.astype(np.float32))
         np.testing.assert_array_equal(data.action[rows, :14], episode.action.astype(np.float32))
@@ -74,7 +77,7 @@ def test_memory_holds_what_was_recorded(made: tuple) -> None:
         np.testing.assert_array_equal(data.frame_index[rows], np.arange(TICKS[index]))
         assert set(data.episode_index[rows]) == {index}
         # The right picture at the right tick: each frame is nearest to its own recording's frame.
-        shown = data.images[HIGH][rows].astype(float)
+        shown = images[rows].astype(float)
         for k in (0, TICKS[index] // 2, TICKS[index] - 1):
             distance = np.abs(shown[k] - episode.images["high"]).mean(axis=(1, 2, 3))
             assert int(np.argmin(distance)) == k
@@ -86,7 +89,8 @@ def test_lerobot_itself_opens_it_and_agrees(made: tuple) -> None:
 
     root, _, _ = made
     dataset = LeRobotDataset("local/dataset", root=root, video_backend="pyav")
-    data = read_dataset_to_ram(root)
+    data = read_dataset(root)
+    images = data.images("high")
     assert (len(dataset), dataset.meta.total_episodes, dataset.fps) == (sum(TICKS), 2, 50)
     for row in (0, TICKS[0] - 1, TICKS[0], sum(TICKS) - 1):
         item = dataset[row]
@@ -95,36 +99,20 @@ def test_lerobot_itself_opens_it_and_agrees(made: tuple) -> None:
         assert float(item["timestamp"]) == pytest.approx(data.frame_index[row] / 50)
         assert item["task"] == "carry the rod"
         picture = item[HIGH].numpy().transpose(1, 2, 0) * 255
-        assert np.abs(picture - data.images[HIGH][row]).max() <= 1.0
+        assert np.abs(picture - images[row]).max() <= 1.0
     stats = dataset.meta.stats["observation.state"]
     np.testing.assert_allclose(stats["mean"], data.state.mean(axis=0), atol=1e-4)
 
 
-def test_pictures_can_be_scaled_and_chosen_while_decoding(made: tuple) -> None:
-    root, _, _ = made
-    small = read_dataset_to_ram(root, cameras=[HIGH], image_size=(48, 64)).images
-    assert list(small) == [HIGH]
-    assert small[HIGH].shape == (sum(TICKS), 48, 64, 3)
-    full = read_dataset_to_ram(root, cameras=[HIGH]).images[HIGH].astype(float)
-    halved = full.reshape(-1, 48, 2, 64, 2, 3).mean(axis=(2, 4))
-    assert np.abs(halved - small[HIGH]).mean() < 2.0
-    with pytest.raises(UsageError, match=r"no camera 'observation.images.cam_top'"):
-        read_dataset_to_ram(root, cameras=["observation.images.cam_top"])
+def test_an_unknown_camera_is_named(made: tuple) -> None:
+    with pytest.raises(UsageError, match=r"no camera 'top'; there are high, left"):
+        read_dataset(made[0]).images("top")
 
 
 def test_the_sources_are_written_beside_the_data(made: tuple) -> None:
-    records = adapter.read_sources(made[0])
+    records = json.loads((made[0] / adapter.SOURCES_FILE).read_text())["episodes"]
     assert [record["seed"] for record in records] == [100, 101]
     assert [record["ticks"] for record in records] == list(TICKS)
-
-
-def test_split_undoes_join() -> None:
-    qpos, gripper = np.arange(28.0).reshape(2, 14), np.array([[0.0, 1.0], [1.0, 0.0]])
-    joints, fingers = adapter.split_vector(adapter.state_vector(qpos, gripper))
-    np.testing.assert_array_equal(joints, qpos)
-    np.testing.assert_array_equal(fingers, gripper)
-    with pytest.raises(DataError, match="14 values; it must have 16"):
-        adapter.split_vector(qpos)
 
 
 def test_a_lost_video_frame_is_noticed(copy: tuple[Path, list[Path]]) -> None:
@@ -141,7 +129,7 @@ def test_a_lost_video_frame_is_noticed(copy: tuple[Path, list[Path]]) -> None:
             container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
         container.mux(stream.encode())
     with pytest.raises(DataError, match="holds 72 frames; the table has 73 rows"):
-        adapter.verify_dataset(root, sources)
+        adapter.verify_dataset(root, sources, DUAL_PANDA)
 
 
 def test_a_changed_state_is_noticed(copy: tuple[Path, list[Path]]) -> None:
@@ -157,21 +145,21 @@ def test_a_changed_state_is_noticed(copy: tuple[Path, list[Path]]) -> None:
         table.set_column(column, "observation.state", pa.array(states, type=table.schema.field(column).type)), path
     )
     with pytest.raises(DataError, match=r"episode 0 .*observation\.state differs"):
-        adapter.verify_dataset(root, sources)
+        adapter.verify_dataset(root, sources, DUAL_PANDA)
 
 
 def test_swapped_cameras_and_other_recordings_are_noticed(copy: tuple[Path, list[Path]]) -> None:
     root, sources = copy
     with pytest.raises(DataError, match="episode 0"):
-        adapter.verify_dataset(root, sources[::-1])
+        adapter.verify_dataset(root, sources[::-1], DUAL_PANDA)
     with pytest.raises(DataError, match="2 episodes; 1 were recorded"):
-        adapter.verify_dataset(root, sources[:1])
+        adapter.verify_dataset(root, sources[:1], DUAL_PANDA)
     high, left = (root / "videos" / key for key in (HIGH, "observation.images.cam_left"))
     high.rename(root / "videos" / "aside")
     left.rename(high)
     (root / "videos" / "aside").rename(left)
     with pytest.raises(DataError, match="camera 'high' at tick 0 differs"):
-        adapter.verify_dataset(root, sources)
+        adapter.verify_dataset(root, sources, DUAL_PANDA)
 
 
 @pytest.mark.parametrize(
@@ -182,7 +170,7 @@ def test_a_truncated_dataset_file_is_named(copy: tuple[Path, list[Path]], victim
     path = next(root.glob(victim))
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     with pytest.raises(DataError, match=path.name):
-        read_dataset_to_ram(root)
+        read_dataset(root).images("high")
 
 
 def test_a_wrong_count_in_info_is_noticed(copy: tuple[Path, list[Path]]) -> None:
@@ -191,9 +179,9 @@ def test_a_wrong_count_in_info_is_noticed(copy: tuple[Path, list[Path]]) -> None
     info["total_frames"] += 1
     (root / "meta/info.json").write_text(json.dumps(info))
     with pytest.raises(DataError, match="declares 74 frames"):
-        read_dataset_to_ram(root)
+        read_dataset(root)
     with pytest.raises(DataError, match="no LeRobot dataset"):
-        read_info(root / "nowhere")
+        read_dataset(root / "nowhere")
 
 
 def test_what_cannot_be_converted_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
@@ -205,28 +193,23 @@ def test_what_cannot_be_converted_is_refused_and_leaves_nothing(tmp_path: Path) 
     out = tmp_path / "out"
     for paths, options, kind, words in (
         ([], {}, UsageError, "no episodes"),
-        ([good], {"crf": 99}, UsageError, "crf is 99"),
         ([good, slow], {}, DataError, "25 Hz"),
-        ([good], {"fps": 30}, DataError, "asked for at 30 Hz"),
         ([good, broken], {}, DataError, "d.hdf5"),
         ([good], {"cameras": ["top"]}, DataError, "no camera top"),
         ([good, odd], {}, DataError, "c.hdf5: camera 'high'"),
     ):
         with pytest.raises(kind, match=words):
-            adapter.convert(paths, out, **options)
+            adapter.convert(paths, out, DUAL_PANDA, **options)
         assert sorted(path.name for path in tmp_path.iterdir()) == ["a.hdf5", "b.hdf5", "c.hdf5", "d.hdf5"]
 
 
-def test_an_existing_dataset_is_kept_unless_told(tmp_path: Path) -> None:
-    first = data_samples.write(tmp_path / "a.hdf5", data_samples.arrays(6, size=(32, 32)))
-    second = data_samples.write(tmp_path / "b.hdf5", data_samples.arrays(9, size=(32, 32)))
+def test_an_existing_dataset_is_kept(tmp_path: Path) -> None:
+    source = data_samples.write(tmp_path / "a.hdf5", data_samples.arrays(6, size=(32, 32)))
     out = tmp_path / "sets" / "out"
-    adapter.convert([first], out, cameras=["high"])
+    adapter.convert([source], out, DUAL_PANDA, cameras=["high"])
     with pytest.raises(UsageError, match="exists already"):
-        adapter.convert([second], out, cameras=["high"])
-    assert len(read_dataset_to_ram(out)) == 6
-    adapter.convert([second], out, cameras=["high"], overwrite=True, task="another")
-    assert len(read_dataset_to_ram(out)) == 9
+        adapter.convert([source], out, DUAL_PANDA, cameras=["high"])
+    assert len(read_dataset(out)) == 6
     assert [path.name for path in out.parent.iterdir()] == ["out"]
 
 
@@ -235,7 +218,7 @@ def test_what_a_killed_conversion_left_is_cleared_and_anothers_work_is_not(tmp_p
     for folder in (own, other):
         (folder / "data").mkdir(parents=True)
     source = data_samples.write(tmp_path / "a.hdf5", data_samples.arrays(6, size=(32, 32)))
-    adapter.convert([source], tmp_path / "out", cameras=["high"])
+    adapter.convert([source], tmp_path / "out", DUAL_PANDA, cameras=["high"])
     assert not own.exists()
     assert other.exists()
 
@@ -243,7 +226,7 @@ def test_what_a_killed_conversion_left_is_cleared_and_anothers_work_is_not(tmp_p
 def test_the_same_recordings_give_the_same_bytes(made: tuple, tmp_path: Path) -> None:
     root, sources, _ = made
     again = tmp_path / "dataset"
-    adapter.convert(sources, again, cameras=("high", "left"))
+    adapter.convert(sources, again, DUAL_PANDA, cameras=("high", "left"))
     names = sorted(path.relative_to(root) for path in root.rglob("*") if path.is_file())
     assert names == sorted(path.relative_to(again) for path in again.rglob("*") if path.is_file())
     assert [name for name in names if (root / name).read_bytes() != (again / name).read_bytes()] == []

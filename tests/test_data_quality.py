@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import replace
 from pathlib import Path
 
 import data_samples
@@ -13,7 +12,8 @@ import pytest
 from minidual.demos import quality
 from minidual.demos.episode import read_episode
 from minidual.errors import DataError
-from minidual.robot.constants import HOME
+from minidual.robot.arms import DUAL_PANDA
+from minidual.robot.kinematics import Kinematics
 
 
 def path_through(*points: tuple[float, float, float], ticks: int = 50) -> np.ndarray:
@@ -48,32 +48,19 @@ def test_grip_changes_are_the_crossings_of_the_middle() -> None:
     assert quality.grip_changes(np.full(5, 0.3)) == []
 
 
-def test_coverage_counts_the_cubes_of_a_box() -> None:
-    box = {"low_m": (0.0, 0.0, 0.0), "high_m": (0.5, 0.1, 0.1), "cell_m": 0.05}
-    row = path_through((0.01, 0.01, 0.01), (0.49, 0.01, 0.01))
-    outside = path_through((2.0, 0.0, 0.0), (2.5, 0.0, 0.0))
-    seen = quality.coverage([hands(row, outside), hands(row, row)], **box)
-    assert (seen.left_n, seen.right_n, seen.both_n, seen.box_n) == (10, 10, 10, 40)
-    assert seen.share == 0.25
-    seen = quality.coverage([hands(row, outside)], **box)
-    assert (seen.left_n, seen.right_n) == (10, 0)
-    with pytest.raises(DataError, match="no cube"):
-        quality.coverage([hands(row)], low_m=(0, 0, 0), high_m=(0, 0, 0))
-
-
 def test_tool_centres_of_the_home_posture_mirror_each_other() -> None:
-    positions = quality.tcp_positions(np.tile(HOME, (3, 1)))
+    positions = quality.tcp_positions(np.tile(DUAL_PANDA.home, (3, 1)), Kinematics())
     assert positions.shape == (3, 2, 3)
     np.testing.assert_allclose(positions[0, 0] * [1, -1, 1], positions[0, 1], atol=1e-9)
     np.testing.assert_allclose(positions[0, 0, :2], [0.3068, 0.25], atol=0.01)  # the Panda's ready posture
 
 
-def test_an_episodes_record_and_the_jerk_filter(tmp_path: Path) -> None:
+def test_the_measures_of_an_episode(tmp_path: Path) -> None:
     smooth = data_samples.arrays(100)
     rough = data_samples.arrays(100, seed=1)
     rough["qpos"] = rough["qpos"] + 0.02 * np.sin(2 * np.pi * 8 * rough["timestamps"])[:, None]
     paths = [data_samples.write(tmp_path / f"{i}.hdf5", data) for i, data in enumerate((smooth, rough))]
-    records = quality.quality_of(paths)
+    records = [quality.episode_quality(read_episode(path), Kinematics()) for path in paths]
     assert [record.file for record in records] == ["0.hdf5", "1.hdf5"]
     assert records[0].ticks == 100
     assert records[0].duration_s == pytest.approx(1.98)
@@ -82,16 +69,10 @@ def test_an_episodes_record_and_the_jerk_filter(tmp_path: Path) -> None:
     assert records[0].path_length_m > 0.1
     assert 0.0 < records[0].path_efficiency < 1.0
     assert records[0].cells_n > 1
-    split = quality.filter_by_jerk(records, 200.0)
-    assert (split.before_n, split.after_n) == (2, 1)
-    assert split.kept == (records[0],)
-    assert split.dropped == (records[1],)
-    unknown = replace(records[0], rms_jerk_rad_s3=float("nan"))
-    assert quality.filter_by_jerk([unknown], 200.0).after_n == 0
-    assert set(records[0].to_dict()) >= {"rms_jerk_rad_s3", "path_efficiency", "cells_n"}
+    assert records[1].rms_jerk_rad_s3 > 2 * records[0].rms_jerk_rad_s3
 
 
 def test_an_episode_too_short_for_a_jerk_is_refused(tmp_path: Path) -> None:
     path = data_samples.write(tmp_path / "e.hdf5", data_samples.arrays(10))
     with pytest.raises(DataError, match=r"at least 0.50 s"):
-        quality.episode_quality(read_episode(path))
+        quality.episode_quality(read_episode(path), Kinematics())

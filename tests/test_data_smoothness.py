@@ -50,7 +50,7 @@ def test_a_motion_at_rest_has_no_jerk_whatever_its_offset() -> None:
 
 def test_the_filter_text_states_what_the_code_does() -> None:
     text = smoothness.JERK_FILTER
-    for fact in ("order 4", "10 Hz", "1 kHz", "0.2 s", "14-D norm", "zero phase"):
+    for fact in ("order 4", "10 Hz", "1 kHz", "0.2 s", "norm over all joints", "zero phase"):
         assert fact in text
     assert (smoothness.FILTER_ORDER, smoothness.CUTOFF_HZ, smoothness.INTERNAL_RATE_HZ) == (4, 10.0, 1000.0)
     assert smoothness.trim_s() == 0.2

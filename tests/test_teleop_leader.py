@@ -10,31 +10,32 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from carry_trials import sample_trial
+from carry_trials import carry_task, sample_trial
 
 from minidual.config.scene import SceneConfig
 from minidual.config.teleop import MirrorConfig, TeleopConfig
 from minidual.demos.keyboard import KeyboardLeader
-from minidual.demos.leader import LEADERS, LeaderSetup, make_leader
+from minidual.demos.leader import LEADERS, LeaderSetup
 from minidual.demos.mirror import LeaderOffsetError, Mirror
 from minidual.errors import EnvironmentMissingError, UsageError
-from minidual.robot.constants import HOME, Q_UPPER
+from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
-from minidual.skills.operator import ScriptedOperator
+
+HOME = DUAL_PANDA.home
 
 
 def test_a_leader_that_stands_elsewhere_is_refused_and_the_joint_named() -> None:
     leader = HOME.copy()
     leader[10] += 0.25
     with pytest.raises(LeaderOffsetError, match=r"\+0\.250 rad away from the follower at right_panda_joint4") as error:
-        Mirror().check_start(leader, HOME)
+        Mirror(DUAL_PANDA).check_start(leader, HOME)
     assert "calibrate" in (error.value.remedy or "")
     leader[10] = HOME[10] + 0.09
-    Mirror().check_start(leader, HOME)
+    Mirror(DUAL_PANDA).check_start(leader, HOME)
 
 
 def test_calibration_takes_a_mounting_offset_out() -> None:
-    mirror = Mirror()
+    mirror = Mirror(DUAL_PANDA)
     leader = HOME + np.linspace(-0.3, 0.3, 14)
     with pytest.raises(LeaderOffsetError):
         mirror.check_start(leader, HOME)
@@ -46,17 +47,17 @@ def test_calibration_takes_a_mounting_offset_out() -> None:
 def test_calibration_refuses_what_is_no_mounting_offset() -> None:
     leader = HOME.copy()
     leader[1] -= 0.8
-    mirror = Mirror()
+    mirror = Mirror(DUAL_PANDA)
     with pytest.raises(LeaderOffsetError, match=r"left_panda_joint2.*\+0\.800 rad"):
         mirror.calibrate(leader, HOME)
     np.testing.assert_array_equal(mirror.offset_rad, np.zeros(14))
 
 
 def test_targets_stay_inside_the_limits_and_what_is_no_posture_is_left_for_the_arbiter() -> None:
-    mirror = Mirror(MirrorConfig(workspace_margin_rad=0.1))
+    mirror = Mirror(DUAL_PANDA, MirrorConfig(workspace_margin_rad=0.1))
     leader = HOME.copy()
     leader[5] = 9.0
-    assert mirror.target(leader)[5] == pytest.approx(Q_UPPER[5] - 0.1)
+    assert mirror.target(leader)[5] == pytest.approx(DUAL_PANDA.q_upper[5] - 0.1)
     leader[5] = np.nan
     assert np.isnan(mirror.target(leader)[5])
     np.testing.assert_array_equal(mirror.target(np.zeros(14)), np.zeros(14))
@@ -65,16 +66,16 @@ def test_targets_stay_inside_the_limits_and_what_is_no_posture_is_left_for_the_a
 
 
 def test_leaders_are_found_by_name(scene: SceneConfig) -> None:
-    setup = LeaderSetup(scene, TeleopConfig(), 1, ScriptedOperator(scene))
+    setup = LeaderSetup(DUAL_PANDA, carry_task(scene), TeleopConfig(), 1)
     trial = sample_trial(scene, 1, "demonstrations", 0)
-    leader = make_leader("scripted", setup, trial)
+    leader = LEADERS["scripted"].for_trial(setup, trial)
     reading = leader.read(0.0)
     assert reading is not None
     np.testing.assert_allclose(reading[0], HOME, atol=1e-6)
     assert not leader.finished(5.0)
     assert leader.finished(8.7)
     with pytest.raises(UsageError, match=r"(?s)no leader 'keybord'; there are keyboard, scripted.*'keyboard'"):
-        make_leader("keybord", setup, trial)
+        LEADERS["keybord"]
     assert sorted(LEADERS) == ["keyboard", "scripted"]
 
 

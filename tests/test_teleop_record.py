@@ -18,19 +18,20 @@ import numpy as np
 import pytest
 
 from minidual.config.root import Config
+from minidual.config.scene import SceneConfig
 from minidual.config.teleop import TeleopConfig
 from minidual.demos import recording as teleop_recording
 from minidual.demos import rig as teleop_rig
-from minidual.demos.episode import read_episode
-from minidual.demos.recording import Recording, record
+from minidual.demos.episode import read_episode, validate_episode
+from minidual.demos.recording import Recording, RecordingNumbers, record
 from minidual.demos.rig import Attempt, Job, Rig
-from minidual.demos.validate import validate_episode
 from minidual.errors import NothingEvaluatedError, UsageError
 from minidual.gate.stage import StageContext
 from minidual.plant.world import World
-from minidual.robot.constants import Q_LOWER, Q_UPPER
+from minidual.robot.arms import DUAL_PANDA
+from minidual.robot.pair import Robot
 from minidual.stages.registry import STAGES
-from minidual.stages.teleop_record import RecordingNumbers, count_recording, record_checks, run, write_quality
+from minidual.stages.teleop_record import record_checks, run, write_quality
 from minidual.tasks.task import make_task
 
 CONFIG = Config()
@@ -90,11 +91,18 @@ def _contents(path: Path) -> dict[str, Any]:
     return found
 
 
+def _world(model: mujoco.MjModel) -> Any:
+    def make(scene: SceneConfig, robot: Robot, *, visuals: bool) -> World:
+        return World(scene, robot, model=model)
+
+    return make
+
+
 @pytest.fixture(scope="module")
 def shared_model(visual_model: mujoco.MjModel) -> Iterator[None]:
     """Worlds of this process share the compiled model, which takes seconds to make."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(teleop_rig, "World", lambda scene, *, visuals: World(scene, model=visual_model))
+        patch.setattr(teleop_rig, "World", _world(visual_model))
         yield
 
 
@@ -111,7 +119,7 @@ def test_a_recording_holds_sound_demonstrations_only(recorded: tuple[Job, Record
     assert sorted(p.name for p in job.folder.rglob("*")) == ["episode_000000.hdf5", "episode_000001.hdf5", "episodes"]
     for attempt in recording.kept:
         assert attempt.path is not None
-        assert validate_episode(attempt.path, cameras=("high",), lower=Q_LOWER, upper=Q_UPPER) == []
+        assert validate_episode(attempt.path, cameras=("high",), robot=DUAL_PANDA) == []
         episode = read_episode(attempt.path)
         assert episode.meta.success
         assert episode.meta.trial == attempt.trial.index
@@ -120,7 +128,7 @@ def test_a_recording_holds_sound_demonstrations_only(recorded: tuple[Job, Record
         assert set(np.unique(episode.action_gripper)) == {0.0, 1.0}
         assert 0.05 < episode.gripper.min() < 0.5 < episode.gripper.max() <= 1.001, "measured openings, not commands"
     rows = sum(len(read_episode(path, cameras=())) for path in recording.paths)
-    numbers = count_recording(recording, dataset_rows=rows, dataset_episodes=2)
+    numbers = recording.numbers(dataset_rows=rows, dataset_episodes=2)
     checks = record_checks(numbers, job.teleop.model_copy(update={"latency_max_s": 1.0, "episodes_per_min": 0.0}))
     assert [c.sentence() for c in checks if c.passed is False] == []
     write_quality(recording.attempts, tmp_path / "quality.csv")
@@ -133,7 +141,7 @@ def test_faults_of_a_recording_reach_its_numbers(recorded: tuple[Job, Recording]
     first, second = recorded[1].attempts
     broken = dataclasses.replace(second, problems=("not_finite: ...",), sync_error_max_s=float("nan"))
     first, broken = (dataclasses.replace(a, wall_s=40.0) for a in (first, broken))
-    numbers = count_recording(Recording((first, broken), 100.0, workers=2), 870, 2)
+    numbers = Recording((first, broken), 100.0, workers=2).numbers(870, 2)
     assert numbers.files_at_fault == 1
     assert np.isnan(numbers.sync_error_max_s), "an unknown value must not vanish"
     assert numbers.episodes_per_min == pytest.approx(3.0)
@@ -213,7 +221,9 @@ def test_an_unknown_leader_is_refused_before_anything_is_built(tmp_path: Path) -
 
 
 def test_the_stage_stands_in_the_table_and_names_what_it_depends_on() -> None:
-    assert {"task", "teleop", "scene", "arbiter", "supervisor"} == set(STAGES["teleop-record"].parameters(CONFIG))
+    assert {"task", "robot", "teleop", "scene", "arbiter", "supervisor"} == set(
+        STAGES["teleop-record"].parameters(CONFIG)
+    )
 
 
 _SCRIPT = """

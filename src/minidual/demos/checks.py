@@ -1,209 +1,208 @@
-"""The faults that arrays of one episode can have, each with its name and its remedy.
+"""Faults that the arrays of an episode can have: each with a stable name, the numbers and a remedy.
 
-Pure functions on arrays: the writer runs the first group before a file exists, validation runs all of
-them on files. A fault is a `Problem`, never an exception, so that one pass reports all of them.
+Pure functions that yield `Problem`s instead of raising, so that one pass reports all of them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from minidual.demos import schema
+from minidual.robot.pair import Robot
 
 Array = NDArray[np.floating]
+Images = Mapping[str, NDArray[np.uint8]]
+Thumbnails = Mapping[str, NDArray[np.float32]]
 
-#: Below this difference a command "is" the reading: real tracking never agrees so well on 14 joints.
 ACTION_EQUAL_RAD = 1e-6
-#: Share of ticks on which they must agree for the recording to be at fault.
+"""Below this difference on every joint a command is the reading; real tracking never agrees so well."""
 ACTION_EQUAL_SHARE = 0.95
-#: An image whose brightest value is at most this is black.
+"""Share of ticks on which they must agree for the recording to be at fault."""
 BLACK_LEVEL = 8
-#: Joint motion (rad, largest joint) beyond which a picture that never changes is at fault.
+"""An image whose brightest value is at most this is black."""
 FROZEN_MOTION_RAD = 0.05
+"""Motion of a joint beyond which an image that never changes is at fault."""
+_LIMIT_TOLERANCE_RAD = 1e-3
 
 
 @dataclass(frozen=True)
 class Problem:
-    """One fault: a stable `name` for programs, a `detail` with numbers, and a `remedy` for people."""
+    """One fault: a stable `name` for programs, a `detail` with numbers, and a `remedy`."""
 
     name: str
     detail: str
-    remedy: str
+    remedy: str = "record this episode again"
 
     def __str__(self) -> str:
         return f"{self.name}: {self.detail} (remedy: {self.remedy})"
 
 
-def check_finite(arrays: Mapping[str, Array]) -> list[Problem]:
-    """Report each array that holds NaN or infinity, with its first bad tick."""
-    problems: list[Problem] = []
+def check_finite(arrays: Mapping[str, Array]) -> Iterator[Problem]:
+    """Report each array that holds NaN or infinity."""
     for key, values in arrays.items():
         bad = ~np.isfinite(values)
         if bad.any():
-            tick = int(np.argwhere(bad)[0][0])
-            problems.append(
-                Problem(
-                    "not_finite",
-                    f"{key} holds {int(bad.sum())} values that are NaN or infinite, the first at tick {tick}",
-                    "record the episode again; look for an unstable simulation or a lost sensor",
-                )
+            yield Problem(
+                "not_finite",
+                f"{key} holds {int(bad.sum())} values that are NaN or infinite, the first at tick "
+                f"{int(np.argwhere(bad)[0][0])}",
+                "record the episode again; look for an unstable simulation or a lost sensor",
             )
-    return problems
 
 
-def check_monotonic(timestamps: Array, key: str = schema.TIMESTAMPS) -> list[Problem]:
+def check_monotonic(timestamps: Array, key: str = "timestamps") -> Iterator[Problem]:
     """Report time that does not strictly increase."""
-    steps = np.diff(timestamps)
-    if steps.size and not bool(np.all(steps > 0.0)):
-        tick = int(np.argmax(~(steps > 0.0)))
-        return [
-            Problem(
-                "timestamps_not_monotonic",
-                f"{key} goes from {timestamps[tick]:.6f} s to {timestamps[tick + 1]:.6f} s "
-                f"between ticks {tick} and {tick + 1}",
-                "stamp ticks with a monotonic clock (simulation time, or time.monotonic on hardware)",
-            )
-        ]
-    return []
+    stuck = ~(np.diff(timestamps) > 0.0)
+    if stuck.any():
+        tick = int(np.argmax(stuck))
+        yield Problem(
+            "timestamps_not_monotonic",
+            f"{key} goes from {timestamps[tick]:.6f} s to {timestamps[tick + 1]:.6f} s between ticks {tick} and "
+            f"{tick + 1}",
+            "stamp ticks with a monotonic clock (simulation time, or time.monotonic on hardware)",
+        )
 
 
-def check_action_is_command(qpos: Array, action: Array) -> list[Problem]:
-    """Report a recording whose action is the measured position: qpos (T, 14) and action (T, 14) in rad."""
+def check_action_is_command(qpos: Array, action: Array) -> Iterator[Problem]:
+    """Report a recording whose action (T, n) is the measured position (T, n) [rad]."""
     equal = np.max(np.abs(action - qpos), axis=1) <= ACTION_EQUAL_RAD
-    share = float(np.mean(equal)) if equal.size else 0.0
-    if share >= ACTION_EQUAL_SHARE:
-        return [
-            Problem(
-                "action_equals_qpos",
-                f"action[t] equals qpos[t] on {share:.0%} of the ticks; a policy would learn to stand still",
-                "record the command sent at t (the one that leads to t + 1), not the reading",
-            )
-        ]
-    return []
+    if equal.size and equal.mean() >= ACTION_EQUAL_SHARE:
+        yield Problem(
+            "action_equals_qpos",
+            f"action[t] equals qpos[t] on {equal.mean():.0%} of the ticks; a policy would learn to stand still",
+            "record the command sent at t (the one that leads to t + 1), not the reading",
+        )
 
 
-def check_rate(timestamps: Array, fps: float, max_jitter_s: float | None = None) -> list[Problem]:
-    """Report ticks that stray from the recording rate.
+def check_rate(timestamps: Array, fps: float, max_jitter_s: float | None = None) -> Iterator[Problem]:
+    """Report ticks that stray from the declared rate: the median by 2 %, or one by more than half a period.
 
     Args:
-        timestamps: (T,) seconds.
-        fps: The rate that the file declares, 1/s.
-        max_jitter_s: Largest |interval - 1/fps|; half a period when None.
+        timestamps: (T,) [s].
+        fps: Declared rate [1/s].
+        max_jitter_s: Largest |interval - 1 / fps| instead of half a period.
     """
-    steps = np.diff(timestamps)
+    steps, period_s = np.diff(timestamps), 1.0 / fps
     if not steps.size:
-        return []
-    period_s = 1.0 / fps
-    problems: list[Problem] = []
+        return
     median_s = float(np.median(steps))
     if abs(median_s - period_s) > 0.02 * period_s:
         measured = f"{1.0 / median_s:.2f} Hz" if median_s > 0.0 else "no rate"
-        problems.append(
-            Problem(
-                "rate_wrong",
-                f"ticks come at {measured}, the file declares {fps:g} Hz",
-                "declare the rate the recorder really ran at, or slow the recorder down",
-            )
+        yield Problem(
+            "rate_wrong",
+            f"ticks come at {measured}, the file declares {fps:g} Hz",
+            "declare the rate the recorder really ran at, or slow the recorder down",
         )
     limit_s = 0.5 * period_s if max_jitter_s is None else max_jitter_s
     deviation = np.abs(steps - period_s)
     worst = int(np.argmax(deviation))
     if deviation[worst] > limit_s:
-        count = int(np.sum(deviation > limit_s))
-        problems.append(
-            Problem(
-                "timestamps_jitter",
-                f"{count} intervals stray more than {1e3 * limit_s:.1f} ms from {1e3 * period_s:.1f} ms; the "
-                f"worst is {1e3 * float(steps[worst]):.1f} ms at tick {worst}",
-                "drive the recorder by simulation time, or free the machine of other load",
-            )
+        yield Problem(
+            "timestamps_jitter",
+            f"{int(np.sum(deviation > limit_s))} intervals stray more than {1e3 * limit_s:.1f} ms from "
+            f"{1e3 * period_s:.1f} ms; the worst is {1e3 * float(steps[worst]):.1f} ms at tick {worst}",
+            "drive the recorder by simulation time, or free the machine of other load",
         )
-    return problems
 
 
-def check_sync(timestamps: Array, image_timestamps: Array, max_sync_s: float = schema.MAX_SYNC_S) -> list[Problem]:
-    """Report images taken at another time than the joints of their tick."""
+def check_sync(timestamps: Array, image_timestamps: Array) -> Iterator[Problem]:
+    """Report images taken more than 20 ms from the joints of their tick."""
     offset = np.abs(image_timestamps - timestamps)
-    worst = int(np.argmax(offset)) if offset.size else 0
-    if offset.size and offset[worst] > max_sync_s:
-        return [
-            Problem(
-                "out_of_sync",
-                f"images lie up to {1e3 * float(offset[worst]):.1f} ms from the joints (tick {worst}); "
-                f"the limit is {1e3 * max_sync_s:.0f} ms",
-                "stamp joints, images and action in the same tick, and pair the nearest ones",
-            )
-        ]
-    return []
-
-
-def check_limits(qpos: Array, lower: Array, upper: Array, tolerance_rad: float = 1e-3) -> list[Problem]:
-    """Report joints outside their limits: qpos (T, 14), lower (14,), upper (14,), all rad."""
-    below = qpos < np.asarray(lower) - tolerance_rad
-    above = qpos > np.asarray(upper) + tolerance_rad
-    joints = np.flatnonzero((below | above).any(axis=0))
-    if not joints.size:
-        return []
-    joint = int(joints[0])
-    tick = int(np.argmax((below | above)[:, joint]))
-    return [
-        Problem(
-            "outside_joint_limits",
-            f"{joints.size} joints leave their limits; joint index {joint} is at {qpos[tick, joint]:.4f} rad "
-            f"at tick {tick}, allowed {lower[joint]:.4f} to {upper[joint]:.4f}",
-            "check the joint order (left 1-7, then right 1-7), the units (rad) and the follower's limits",
+    worst = int(np.argmax(offset))
+    if offset[worst] > schema.MAX_SYNC_S:
+        yield Problem(
+            "out_of_sync",
+            f"images lie up to {1e3 * float(offset[worst]):.1f} ms from the joints (tick {worst}); the limit is "
+            f"{1e3 * schema.MAX_SYNC_S:.0f} ms",
+            "stamp joints, images and action in the same tick, and pair the nearest ones",
         )
-    ]
 
 
-def check_images(images: Mapping[str, NDArray[np.uint8]], qpos: Array | None = None) -> list[Problem]:
-    """Report pictures that carry nothing.
+def check_limits(qpos: Array, robot: Robot) -> Iterator[Problem]:
+    """Report joints (T, n) [rad] outside their limits, or of another robot."""
+    if qpos.shape[1] != robot.dof:
+        yield Problem(
+            "joints_wrong",
+            f"the file holds {qpos.shape[1]} joints; two {robot.arm.name} arms have {robot.dof}",
+            "choose the arm that was recorded: --set robot.arm=NAME",
+        )
+        return
+    outside = (qpos < robot.q_lower - _LIMIT_TOLERANCE_RAD) | (qpos > robot.q_upper + _LIMIT_TOLERANCE_RAD)
+    joints = np.flatnonzero(outside.any(axis=0))
+    if joints.size:
+        joint, tick = int(joints[0]), int(np.argmax(outside[:, joints[0]]))
+        yield Problem(
+            "outside_joint_limits",
+            f"{joints.size} joints leave their limits; joint index {joint} is at {qpos[tick, joint]:.4f} rad at tick "
+            f"{tick}, allowed {robot.q_lower[joint]:.4f} to {robot.q_upper[joint]:.4f}",
+            "check the joint order (left arm, then right arm), the units (rad) and the follower's limits",
+        )
 
-    Args:
-        images: (T, H, W, 3) by camera.
-        qpos: (T, 14) rad; with it a picture that never changes while joints move is reported too.
 
-    Returns:
-        `images_black` (some frame is black), `images_constant` (some frame has a single colour),
-        `images_frozen` (no frame ever differs from the first), `cameras_identical` (two show the same).
-    """
-    problems: list[Problem] = []
-    moved = qpos is not None and bool(np.max(np.ptp(qpos, axis=0)) > FROZEN_MOTION_RAD)
+def check_images(images: Images, qpos: Array) -> Iterator[Problem]:
+    """Report images (T, H, W, 3) that carry nothing: black, of one colour, frozen while joints (T, n) move, doubled."""
+    moved = bool(np.max(np.ptp(qpos, axis=0)) > FROZEN_MOTION_RAD)
     for camera, frames in images.items():
         flat = frames.reshape(len(frames), -1, frames.shape[-1])
         black = flat.max(axis=(1, 2)) <= BLACK_LEVEL
         constant = np.all(flat.max(axis=1) == flat.min(axis=1), axis=1) & ~black
         for name, bad in (("images_black", black), ("images_constant", constant)):
             if bad.any():
-                problems.append(
-                    Problem(
-                        name,
-                        f"camera '{camera}': {int(bad.sum())} of {len(frames)} frames, "
-                        f"the first at tick {int(np.argmax(bad))}",
-                        "check the renderer (MUJOCO_GL=egl), the lights, and that the camera looks at the table",
-                    )
+                yield Problem(
+                    name,
+                    f"camera '{camera}': {int(bad.sum())} of {len(frames)} frames, the first at tick "
+                    f"{int(np.argmax(bad))}",
+                    "check the renderer (MUJOCO_GL=egl), the lights, and that the camera looks at the table",
                 )
         if moved and len(frames) > 1 and not any(np.any(frame != frames[0]) for frame in frames[1:]):
-            problems.append(
-                Problem(
-                    "images_frozen",
-                    f"camera '{camera}' shows the same picture on all {len(frames)} ticks while the joints move",
-                    "update the scene before each rendering; on hardware check the camera's stream",
-                )
+            yield Problem(
+                "images_frozen",
+                f"camera '{camera}' shows the same image on all {len(frames)} ticks while the joints move",
+                "update the scene before each rendering; on hardware check the camera's stream",
             )
-    names = list(images)
-    for i, first in enumerate(names):
-        for second in names[i + 1 :]:
-            if images[first].shape == images[second].shape and np.array_equal(images[first], images[second]):
-                problems.append(
-                    Problem(
-                        "cameras_identical",
-                        f"cameras '{first}' and '{second}' hold the same pictures",
-                        "check which camera each name renders",
-                    )
-                )
-    return problems
+    for first, second in combinations(images, 2):
+        if np.array_equal(images[first], images[second]):
+            yield Problem(
+                "cameras_identical",
+                f"cameras '{first}' and '{second}' hold the same images",
+                "check which camera each name renders",
+            )
+
+
+def thumbnails(images: Images) -> Thumbnails:
+    """Return the block means (12, 16, 3) of each camera's first image (of T, H, W, 3)."""
+    return {camera: _thumbnail(frames[0]) for camera, frames in images.items()}
+
+
+def _thumbnail(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    rows, columns = (np.array_split(np.arange(n), min(k, n)) for n, k in zip(image.shape, (12, 16), strict=False))
+    blocks = [[image[r[0] : r[-1] + 1, c[0] : c[-1] + 1].mean(axis=(0, 1)) for c in columns] for r in rows]
+    return np.asarray(blocks, dtype=np.float32)
+
+
+def camera_references(episodes: Sequence[Thumbnails]) -> Thumbnails:
+    """Return each camera's median thumbnail over several episodes.
+
+    Cameras are fixed in the scene, so the first images of a camera resemble each other and those of no other camera.
+    """
+    names = {camera for views in episodes for camera in views}
+    return {c: np.median(np.stack([views[c] for views in episodes if c in views]), axis=0) for c in names}
+
+
+def check_swapped(views: Thumbnails, references: Thumbnails) -> Iterator[Problem]:
+    """Report each camera whose thumbnail is nearer to another camera's reference than to its own."""
+    for camera, view in views.items():
+        apart = {c: float(np.mean(np.abs(view - r))) for c, r in references.items() if r.shape == view.shape}
+        nearest = min(apart, key=apart.__getitem__, default=camera)
+        if camera in apart and nearest != camera:
+            yield Problem(
+                "cameras_swapped",
+                f"camera '{camera}' shows what '{nearest}' shows in the other episodes (mean difference "
+                f"{apart[nearest]:.1f} of 255 against {apart[camera]:.1f})",
+                "check the order in which cameras are rendered and named; on hardware, the cables",
+            )

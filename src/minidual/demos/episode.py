@@ -1,6 +1,29 @@
-"""One recorded episode in memory, and reading it back from its file with named faults.
+"""One recorded episode in memory; reading it back, and naming every fault of its file.
 
-Writing lives in `minidual.demos.writer`; `EpisodeWriter` is offered here too, so that one import serves both.
+==============================  ==================================================================
+problem                         meaning
+==============================  ==================================================================
+``file_missing``                no such file
+``file_corrupt``                truncated, not HDF5, or a checksum does not hold
+``attributes_wrong``            an attribute is missing, broken, or of another schema version
+``field_missing``               a required array is absent
+``field_wrong``                 an array has another shape or type than the schema
+``cameras_wrong``               cameras declared, stored and expected are not the same, in order
+``too_short``                   fewer than two ticks
+``not_finite``                  NaN or infinity
+``timestamps_not_monotonic``    time stands still or runs backwards
+``action_equals_qpos``          the reading was recorded as the command
+``rate_wrong``                  the median interval is not 1/fps
+``timestamps_jitter``           an interval strays by more than the limit
+``out_of_sync``                 images and joints of a tick lie more than 20 ms apart
+``joints_wrong``                another number of joints than the robot has
+``outside_joint_limits``        joint order, units or limits are wrong
+``images_black``                some frame is black
+``images_constant``             some frame has a single colour
+``images_frozen``               the image never changes while the joints move
+``cameras_identical``           two cameras show the same
+``cameras_swapped``             a camera shows what another one shows in the other episodes
+==============================  ==================================================================
 """
 
 from __future__ import annotations
@@ -8,17 +31,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from minidual.demos import schema
+from minidual.demos import checks, schema
+from minidual.demos.checks import Problem
 from minidual.demos.schema import EpisodeMeta
-from minidual.demos.writer import EpisodeWriter
 from minidual.errors import DataError
+from minidual.robot.pair import Robot
 
-__all__ = ["Episode", "EpisodeWriter", "read_episode", "read_meta"]
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -26,14 +51,14 @@ class Episode:
     """One episode in memory; T ticks, shapes and units as in `minidual.demos.schema`."""
 
     meta: EpisodeMeta
-    qpos: NDArray[np.float64]
-    gripper: NDArray[np.float64]
-    action: NDArray[np.float64]
-    action_gripper: NDArray[np.float64]
-    timestamps: NDArray[np.float64]
     images: dict[str, NDArray[np.uint8]]
-    qvel: NDArray[np.float64] | None = None
-    image_timestamps: NDArray[np.float64] | None = None
+    qpos: Array
+    gripper: Array
+    action: Array
+    action_gripper: Array
+    timestamps: Array
+    qvel: Array | None = None
+    image_timestamps: Array | None = None
     path: Path | None = None
 
     def __len__(self) -> int:
@@ -41,8 +66,26 @@ class Episode:
 
     @property
     def duration_s(self) -> float:
-        """Time from the first tick to the last, seconds."""
+        """Time from the first tick to the last [s]."""
         return float(self.timestamps[-1] - self.timestamps[0])
+
+    @property
+    def sync_error_max_s(self) -> float:
+        """Largest time between joints and images of a tick [s]; NaN where the images carry no time."""
+        if self.image_timestamps is None:
+            return float("nan")
+        return float(np.max(np.abs(self.image_timestamps - self.timestamps)))
+
+
+def episode_paths(folder: Path | str) -> list[Path]:
+    """Return the finished episodes of a folder, by number."""
+    return sorted(Path(folder).glob("episode_[0-9]*.hdf5"))
+
+
+def read_meta(path: Path | str) -> EpisodeMeta:
+    """Return what an episode is, without its arrays; raises as `read_episode`."""
+    episode, problems = _load(Path(path), (), fields=())
+    return _sound(path, episode, problems).meta
 
 
 def read_episode(path: Path | str, *, cameras: Sequence[str] | None = None) -> Episode:
@@ -50,83 +93,151 @@ def read_episode(path: Path | str, *, cameras: Sequence[str] | None = None) -> E
 
     Args:
         path: The HDF5 file.
-        cameras: Which pictures to load; all when None, none when empty.
+        cameras: Which images to load; all when None, none when empty.
 
     Raises:
-        DataError: the file is missing, truncated, corrupt, of another schema version, or its arrays do not
-            have the declared shapes; the message names the file.
+        DataError: The file is missing, truncated, corrupt or of another schema; the message names it.
     """
-    path = Path(path)
+    return _sound(path, *_load(Path(path), cameras))
+
+
+def validate_episode(path: Path | str, **options: Any) -> list[Problem]:
+    """Return every fault of an episode file, [] if it is sound; options as `inspect_episode`."""
+    return inspect_episode(path, **options)[1]
+
+
+def inspect_episode(
+    path: Path | str,
+    *,
+    cameras: Sequence[str] | None = None,
+    robot: Robot | None = None,
+    references: checks.Thumbnails | None = None,
+    max_jitter_s: float | None = None,
+) -> tuple[Episode | None, list[Problem]]:
+    """Return an episode, None if it cannot be read, and every fault of its file.
+
+    Args:
+        path: The HDF5 file; every array is read, so that bit rot shows.
+        cameras: Cameras that the file must hold, in this order; not checked when None.
+        robot: Its joint limits are checked; not checked when None.
+        references: What each camera shows in other episodes (`checks.camera_references`).
+        max_jitter_s: Largest stray of an interval from 1/fps; half a period when None.
+    """
+    episode, problems = _load(Path(path), None)
+    if episode is not None and cameras is not None and tuple(cameras) != episode.meta.cameras:
+        detail = f"cameras are {_list(episode.meta.cameras)}; expected {_list(cameras)}"
+        problems.append(Problem("cameras_wrong", detail, _CAMERAS))
+    if episode is not None and len(episode) < 2:
+        problems.append(Problem("too_short", f"{len(episode)} ticks; an episode has at least 2"))
+    if episode is None or problems:
+        return episode, problems
+    e = episode
+    problems += checks.check_finite({f.key: v for f in schema.FIELDS if (v := getattr(e, f.name)) is not None})
+    problems += checks.check_monotonic(e.timestamps)
+    if e.image_timestamps is not None:
+        problems += checks.check_monotonic(e.image_timestamps, "image_timestamps")
+    problems += checks.check_action_is_command(e.qpos, e.action)
+    if problems:
+        return episode, problems
+    problems += checks.check_rate(e.timestamps, e.meta.fps, max_jitter_s)
+    if e.image_timestamps is not None:
+        problems += checks.check_sync(e.timestamps, e.image_timestamps)
+    if robot is not None:
+        problems += checks.check_limits(e.qpos, robot)
+    problems += checks.check_images(e.images, e.qpos)
+    if references is not None:
+        problems += checks.check_swapped(checks.thumbnails(e.images), references)
+    return episode, problems
+
+
+_CAMERAS = "record with the cameras of the configuration, in its order"
+
+
+def _sound(path: Path | str, episode: Episode | None, problems: list[Problem]) -> Episode:
+    if episode is None or problems:
+        raise DataError(f"{path}: {problems[0].detail}", remedy=problems[0].remedy)
+    return episode
+
+
+def _load(
+    path: Path, cameras: Sequence[str] | None, fields: Sequence[schema.Field] = schema.FIELDS
+) -> tuple[Episode | None, list[Problem]]:
+    """Read a file; return no episode where something of it cannot be used."""
     if not path.is_file():
-        raise DataError(f"no episode file {path}", remedy="check the folder, or record with 'minidual teleop-record'")
+        remedy = "check the folder, or record: minidual teleop-record"
+        return None, [Problem("file_missing", f"no episode file {path}", remedy)]
+    arrays: dict[str, Array] = dict.fromkeys((f.name for f in schema.FIELDS if f.required), np.empty(0))
+    images: dict[str, NDArray[np.uint8]] = {}
+    problems: list[Problem] = []
     try:
         with h5py.File(path, "r") as file:
-            meta = EpisodeMeta.from_attrs(file.attrs)
-            n = int(file.attrs[schema.ATTR_NUM_TIMESTEPS])
-            wanted = meta.cameras if cameras is None else tuple(cameras)
-            absent = [camera for camera in wanted if schema.image_key(camera) not in file]
-            if absent:
-                raise DataError(f"no camera {', '.join(absent)}; there are {', '.join(meta.cameras) or 'none'}")
-            arrays = {field.key: _read_field(file, field, n) for field in schema.FIELDS}
-            images = {camera: _read_images(file, camera, n) for camera in wanted}
-    except DataError as error:
-        raise DataError(f"{path}: {error.message}", remedy=error.remedy) from error
-    except (OSError, KeyError, RuntimeError, ValueError, TypeError, AttributeError) as error:
-        raise DataError(
-            f"{path} is truncated or corrupt: {error}",
-            remedy="record this episode again; EpisodeStore.repair sets the broken file aside",
-        ) from error
-    return Episode(
-        meta=meta,
-        qpos=_present(arrays[schema.QPOS]),
-        gripper=_present(arrays[schema.GRIPPER]),
-        action=_present(arrays[schema.ACTION]),
-        action_gripper=_present(arrays[schema.ACTION_GRIPPER]),
-        timestamps=_present(arrays[schema.TIMESTAMPS]),
-        images=images,
-        qvel=arrays[schema.QVEL],
-        image_timestamps=arrays[schema.IMAGE_TIMESTAMPS],
-        path=path,
+            try:
+                meta, ticks = EpisodeMeta.from_attrs(file.attrs)
+            except DataError as error:
+                return None, [Problem("attributes_wrong", f"{path.name}: {error.message}")]
+            joints_n = _joints_n(file)
+            for field in fields:
+                if field.key in file:
+                    expected = (ticks, *field.row_shape(joints_n))
+                    found = file[field.key]
+                    if not isinstance(found, h5py.Dataset) or found.shape != expected or found.dtype.kind not in "fiu":
+                        problems.append(_wrong(field.key, found, f"float64 {expected}"))
+                    else:
+                        arrays[field.name] = np.asarray(found[()], dtype=np.float64)
+                elif field.required:
+                    problems.append(Problem("field_missing", f"{field.key} is missing"))
+            problems += _load_images(file, meta, ticks, cameras, images)
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError) as error:
+        return None, [Problem("file_corrupt", f"{path.name} is truncated or corrupt: {error}")]
+    return (None if problems else Episode(meta, images, path=path, **arrays)), problems
+
+
+def _joints_n(file: h5py.File) -> int:
+    """Return the number of joints of a file: the width of qpos, or of the action where qpos is broken."""
+    widths = [
+        f.shape[1]
+        for f in map(file.get, ("observations/qpos", "action"))
+        if isinstance(f, h5py.Dataset) and f.ndim == 2
+    ]
+    return widths[0] if widths else 0
+
+
+def _load_images(
+    file: h5py.File, meta: EpisodeMeta, ticks: int, cameras: Sequence[str] | None, images: dict[str, NDArray[np.uint8]]
+) -> list[Problem]:
+    """Read the wanted cameras into `images`; return the faults of the cameras."""
+    problems: list[Problem] = []
+    stored = list(file["observations/images"]) if "observations/images" in file else []
+    wanted = stored if cameras is None else cameras
+    if cameras is None and sorted(stored) != sorted(meta.cameras):
+        detail = f"the file declares cameras {_list(meta.cameras)} and stores {_list(stored)}"
+        problems.append(Problem("cameras_wrong", detail, _CAMERAS))
+    if absent := [camera for camera in wanted if camera not in stored]:
+        problems.append(
+            Problem("cameras_wrong", f"no camera {_list(absent)}; there are {_list(meta.cameras)}", _CAMERAS)
+        )
+        return problems
+    for camera in sorted(wanted, key=lambda c: meta.cameras.index(c) if c in meta.cameras else -1):
+        key = schema.image_key(camera)
+        found = file[key]
+        if (
+            not isinstance(found, h5py.Dataset)
+            or found.dtype != np.uint8
+            or found.ndim != 4
+            or found.shape[::3] != (ticks, 3)
+        ):
+            problems.append(_wrong(key, found, f"uint8 ({ticks}, H, W, 3)"))
+        else:
+            images[camera] = np.asarray(found[()], dtype=np.uint8)
+    return problems
+
+
+def _wrong(key: str, found: Any, expected: str) -> Problem:
+    is_array = isinstance(found, h5py.Dataset)
+    return Problem(
+        "field_wrong", f"{key} is {f'{found.dtype} {found.shape}' if is_array else 'a group'}; it must be {expected}"
     )
 
 
-def read_meta(path: Path | str) -> tuple[EpisodeMeta, int]:
-    """Return what an episode is and its number of ticks, without loading arrays. Raises as `read_episode`."""
-    path = Path(path)
-    try:
-        with h5py.File(path, "r") as file:
-            return EpisodeMeta.from_attrs(file.attrs), int(file.attrs[schema.ATTR_NUM_TIMESTEPS])
-    except DataError as error:
-        raise DataError(f"{path}: {error.message}", remedy=error.remedy) from error
-    except (OSError, KeyError, RuntimeError, ValueError, TypeError) as error:
-        raise DataError(
-            f"{path} is missing, truncated or corrupt: {error}",
-            remedy="record this episode again; EpisodeStore.repair sets the broken file aside",
-        ) from error
-
-
-def _read_field(file: h5py.File, field: schema.Field, n: int) -> NDArray[np.float64] | None:
-    if field.key not in file:
-        if field.required:
-            raise DataError(f"field {field.key} is missing")
-        return None
-    values = np.asarray(file[field.key][()])
-    if values.shape != (n, *field.row_shape):
-        raise DataError(f"field {field.key} has shape {values.shape}; it must be {(n, *field.row_shape)}")
-    if values.dtype.kind not in "fiu":
-        raise DataError(f"field {field.key} is {values.dtype}; it must be {field.dtype}")
-    return values.astype(np.float64)
-
-
-def _read_images(file: h5py.File, camera: str, n: int) -> NDArray[np.uint8]:
-    key = schema.image_key(camera)
-    dataset = file[key]
-    if dataset.dtype != np.uint8 or dataset.ndim != 4 or dataset.shape[0] != n or dataset.shape[3] != 3:
-        raise DataError(f"field {key} is {dataset.dtype} {dataset.shape}; it must be uint8 ({n}, H, W, 3)")
-    return np.asarray(dataset[()], dtype=np.uint8)
-
-
-def _present(values: NDArray[np.float64] | None) -> NDArray[np.float64]:
-    if values is None:  # required fields were refused by _read_field
-        raise DataError("a required field is missing")
-    return values
+def _list(names: Sequence[str]) -> str:
+    return ", ".join(names) or "none"

@@ -1,4 +1,4 @@
-"""Lead the arms with the keys of a terminal: each key jogs the hands, inverse kinematics gives the joints."""
+"""Lead the arms with the keys of a terminal: each key moves the hands, inverse kinematics gives the joints."""
 
 from __future__ import annotations
 
@@ -7,78 +7,79 @@ import select
 import sys
 import termios
 import tty
+from typing import ClassVar, Self
 
 import numpy as np
 
+from minidual.demos.leader import Leader, LeaderSetup
 from minidual.errors import EnvironmentMissingError, UsageError
 from minidual.motion.ik import PostureIK
-from minidual.robot.constants import HOME, Array
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array
 from minidual.robot.poses import pose, rot_z
+from minidual.tasks.task import Trial
 
-HELP = (
-    "w/s away/back  a/d left/right  r/f up/down  q/e turn  space open/close  tab left/right/both hands  "
-    "enter ends the episode"
-)
-_STEP_M = 0.01
-_STEP_RAD = 0.05
-_SPEED_M_PER_S = 0.25
-_SPEED_RAD_PER_S = 1.0
-_MOVES: dict[str, tuple[float, float, float, float]] = {
-    "w": (1.0, 0.0, 0.0, 0.0),
-    "s": (-1.0, 0.0, 0.0, 0.0),
-    "a": (0.0, 1.0, 0.0, 0.0),
-    "d": (0.0, -1.0, 0.0, 0.0),
-    "r": (0.0, 0.0, 1.0, 0.0),
-    "f": (0.0, 0.0, -1.0, 0.0),
-    "q": (0.0, 0.0, 0.0, 1.0),
-    "e": (0.0, 0.0, 0.0, -1.0),
+_STEP = np.array([0.01, 0.01, 0.01, 0.05])
+"""What one key press adds to x, y, z [m] and yaw [rad]."""
+_SPEED = np.array([0.25, 0.25, 0.25, 1.0])
+"""Largest speed of x, y, z [m/s] and yaw [rad/s]."""
+_MOVES: dict[str, tuple[int, int]] = {
+    key: (axis, sign)
+    for axis, keys in enumerate(("ws", "ad", "rf", "qe"))
+    for key, sign in zip(keys, (1, -1), strict=True)
 }
-_SELECTIONS: tuple[tuple[int, ...], ...] = ((0, 1), (0,), (1,))
+_SELECTIONS: tuple[list[int], ...] = ([0, 1], [0], [1])
 
 
-class KeyboardLeader:
-    """Jogs both hands, or one of them, from a terminal.
+class KeyboardLeader(Leader):
+    """Jogs both hands, or one of them.
 
-    A key press moves the goal of the chosen hands by 1 cm or 0.05 rad; the hands run after their goals at a
-    bounded speed, so holding a key down gives a steady motion whatever the terminal's key repeat does.
+    A key press moves the goal of the chosen hands by 1 cm or 0.05 rad. The hands follow their goals at a bounded speed,
+    so that a key held down gives a steady motion whatever the terminal's key repeat.
 
     Args:
         kinematics: Workspace for the inverse kinematics.
         descriptor: Terminal to read; standard input by default.
-        q_start: (14,) posture to begin from [rad].
 
     Raises:
         EnvironmentMissingError: The descriptor is no terminal.
     """
 
-    realtime = True
+    realtime: ClassVar[bool] = True
+    usage: ClassVar[str] = (
+        "keys: w/s away/back  a/d left/right  r/f up/down  q/e turn  space open/close  tab left/right/both hands  "
+        "enter ends the episode"
+    )
 
-    def __init__(self, kinematics: Kinematics, *, descriptor: int | None = None, q_start: Array = HOME) -> None:
+    def __init__(self, kinematics: Kinematics, *, descriptor: int | None = None) -> None:
         self._fd = _terminal(descriptor)
         self._saved = termios.tcgetattr(self._fd)
         tty.setcbreak(self._fd)
-        self._ik = PostureIK(kinematics, posture=HOME)
-        self._q = np.array(q_start, dtype=float)
+        self._q = kinematics.robot.home.copy()
+        self._ik = PostureIK(kinematics, posture=self._q)
         self._start = [T.copy() for T in kinematics.tcp_poses(self._q)]
-        self._goal = np.zeros((2, 4))  # x, y, z [m] and turn [rad] of each hand from its start
+        self._goal = np.zeros((2, 4))  # x, y, z [m] and yaw [rad] of each hand from its start
         self._offset = np.zeros((2, 4))
         self._open = np.ones(2)
         self._selected = 0
         self._ended = False
         self._last_s = 0.0
 
+    @classmethod
+    def for_trial(cls, setup: LeaderSetup, trial: Trial) -> Self:
+        """Take over the terminal."""
+        return cls(Kinematics(setup.robot))
+
     def read(self, now_s: float) -> tuple[Array, Array] | None:
-        """Take the keys pressed since the last call, move on, and return joints (14,) and openings (2,)."""
+        """Take the keys pressed since the last call, move on, and return joints (n,) and openings (2,)."""
         for key in self._keys():
             self._press(key)
-        dt, self._last_s = max(now_s - self._last_s, 0.0), now_s
-        bound = dt * np.array([_SPEED_M_PER_S] * 3 + [_SPEED_RAD_PER_S])
+        bound, self._last_s = max(now_s - self._last_s, 0.0) * _SPEED, now_s
         wanted = self._offset + np.clip(self._goal - self._offset, -bound, bound)
         try:
             self._q = self._ik.solve(*self._poses(wanted), self._q)
             self._offset = wanted
-        except UsageError:  # out of reach: stay, and let the goal come back with the next key
+        except UsageError:  # out of reach: stay, and let the next key move the goal from here
             self._goal = self._offset.copy()
         return self._q.copy(), self._open.copy()
 
@@ -87,7 +88,7 @@ class KeyboardLeader:
         return self._ended
 
     def close(self) -> None:
-        """Give the terminal back as it was."""
+        """Restore the terminal."""
         termios.tcsetattr(self._fd, termios.TCSADRAIN, self._saved)
 
     def _keys(self) -> str:
@@ -96,10 +97,10 @@ class KeyboardLeader:
         return os.read(self._fd, 256).decode(errors="ignore")
 
     def _press(self, key: str) -> None:
-        hands = list(_SELECTIONS[self._selected])
+        hands = _SELECTIONS[self._selected]
         if key.lower() in _MOVES:
-            step = np.array(_MOVES[key.lower()]) * np.array([_STEP_M] * 3 + [_STEP_RAD])
-            self._goal[hands] += step
+            axis, sign = _MOVES[key.lower()]
+            self._goal[hands, axis] += sign * _STEP[axis]
         elif key == " ":
             self._open[hands] = 1.0 - self._open[hands[0]]
         elif key == "\t":
@@ -115,12 +116,12 @@ class KeyboardLeader:
 
 
 def _terminal(descriptor: int | None) -> int:
-    """Return the descriptor if a terminal is behind it."""
+    """Return the descriptor if it is a terminal."""
     try:
         fd = sys.stdin.fileno() if descriptor is None else descriptor
         if os.isatty(fd):
             return fd
-    except (OSError, ValueError, AttributeError):  # standard input closed or replaced
+    except (OSError, ValueError, AttributeError):  # standard input is closed or replaced
         pass
     raise EnvironmentMissingError(
         "the keyboard leader needs a terminal, and standard input is not one",

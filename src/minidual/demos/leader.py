@@ -1,101 +1,82 @@
-"""Leaders: whoever leads the arms by giving joint angles, and the table of those that exist."""
+"""Leaders: who gives the joint angles that the arms follow, and the table of them."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Self
 
-from minidual.config.scene import SceneConfig
 from minidual.config.teleop import TeleopConfig
-from minidual.errors import unknown_name
-from minidual.robot.constants import Array
+from minidual.registry import Registry
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array, Robot
 from minidual.skills.operator import Demonstration, ScriptedOperator
-from minidual.tasks.task import Trial
+from minidual.tasks.task import Task, Trial
 
 
-class Leader(Protocol):
-    """Gives the posture that the follower is to take.
+@dataclass(frozen=True)
+class LeaderSetup:
+    """What a leader may be made from; the same for every trial of a recording."""
 
-    realtime: whether the leader lives in real time (a person, a device), so that the simulation must not run
-    ahead of the wall clock.
+    robot: Robot
+    task: Task
+    config: TeleopConfig
+    seed: int
+
+
+class Leader(ABC):
+    """Leads one trial.
+
+    Attributes:
+        realtime: A person or a device leads: the simulation keeps to the wall clock, one process records, and a trial
+            cannot be repeated.
+        usage: How to lead, told before the recording.
     """
 
-    realtime: bool
+    realtime: ClassVar[bool] = False
+    usage: ClassVar[str] = ""
 
+    @classmethod
+    @abstractmethod
+    def for_trial(cls, setup: LeaderSetup, trial: Trial) -> Self:
+        """Return the leader of a trial; EnvironmentMissingError if a device that it needs is not there."""
+
+    @abstractmethod
     def read(self, now_s: float) -> tuple[Array, Array] | None:
-        """Return joint angles (14,) [rad] and openings (2,) at a time since the start [s]; None if it has none."""
-        ...
+        """Return joints (n,) [rad] and openings (2,) at a time since the start [s]; None where there is no reading."""
 
+    @abstractmethod
     def finished(self, now_s: float) -> bool:
         """Return whether the leader has ended the episode."""
-        ...
 
-    def close(self) -> None:
-        """Give back what the leader holds (a device, a terminal)."""
-        ...
+    def close(self) -> None:  # noqa: B027 (most leaders hold nothing)
+        """Release what the leader holds."""
 
 
-class ScriptedLeader:
-    """Stands in for a person's hands: plays what the scripted operator planned for one trial."""
-
-    realtime = False
+class ScriptedLeader(Leader):
+    """Plays what the scripted operator planned for the trial."""
 
     def __init__(self, demonstration: Demonstration) -> None:
         self.demonstration = demonstration
 
+    @classmethod
+    def for_trial(cls, setup: LeaderSetup, trial: Trial) -> Self:
+        """Plan the trial."""
+        operator = ScriptedOperator(setup.task.scene, setup.config.operator, kinematics=Kinematics(setup.robot))
+        return cls(operator.plan(trial, seed=setup.seed, rate_hz=setup.config.rate_hz))
+
     def read(self, now_s: float) -> tuple[Array, Array] | None:
-        """Return the planned joint angles and openings."""
+        """Return the planned joints and openings."""
         return self.demonstration.at(now_s)
 
     def finished(self, now_s: float) -> bool:
         """Return whether the plan has been played to its end."""
         return now_s >= self.demonstration.duration_s - 0.5 / self.demonstration.rate_hz
 
-    def close(self) -> None:
-        """Nothing is held."""
 
-
-@dataclass(frozen=True)
-class LeaderSetup:
-    """What a leader may be made from; `operator` is shared between the trials of one process."""
-
-    scene: SceneConfig
-    config: TeleopConfig
-    seed: int
-    operator: ScriptedOperator
-
-
-def _scripted(setup: LeaderSetup, trial: Trial) -> Leader:
-    demonstration = setup.operator.plan(trial, seed=setup.seed, rate_hz=setup.config.rate_hz)
-    return ScriptedLeader(demonstration)
-
-
-def _keyboard(setup: LeaderSetup, trial: Trial) -> Leader:
-    from minidual.demos.keyboard import KeyboardLeader
-
-    return KeyboardLeader(Kinematics())
-
-
-LEADERS = {"scripted": _scripted, "keyboard": _keyboard}
-"""Name to maker. Registering is adding a line: makers are called with a `LeaderSetup` and the trial."""
-
-IN_PROCESS: frozenset[str] = frozenset({"keyboard"})
-"""Leaders that need this process's terminal, and so cannot be spread over workers."""
-
-
-def require_leader(name: str) -> str:
-    """Return the name if there is such a leader; UsageError with the closest one otherwise."""
-    if name not in LEADERS:
-        raise unknown_name("leader", name, LEADERS)
-    return name
-
-
-def make_leader(name: str, setup: LeaderSetup, trial: Trial) -> Leader:
-    """Return a leader for one trial.
-
-    Raises:
-        UsageError: There is no such leader.
-        EnvironmentMissingError: What it needs (a terminal, a device) is not there.
-    """
-    return LEADERS[require_leader(name)](setup, trial)
+LEADERS: Registry[type[Leader]] = Registry(
+    "leader",
+    {"scripted": ScriptedLeader, "keyboard": "minidual.demos.keyboard:KeyboardLeader"},
+    group="minidual.leaders",
+)
+"""Leaders by the name that `teleop.leader` takes."""

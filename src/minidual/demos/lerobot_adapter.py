@@ -1,11 +1,17 @@
-"""From recorded HDF5 episodes to a LeRobot v3 dataset.
+"""From recorded HDF5 episodes to a LeRobot v3 dataset, and back again to verify it: the only code that knows both schemas.
 
-This adapter (with `lerobot_mapping`, the table of names, and `lerobot_verify`, the check of its result) is the
-only code that knows both schemas.
+=============================  ==================================================================
+LeRobot key                    from
+=============================  ==================================================================
+``observation.state``          ``observations/qpos`` (n), then ``observations/gripper`` (2); float32
+``action``                     ``action`` (n), then ``action_gripper`` (2); float32
+``observation.images.cam_*``   ``observations/images/*`` as h264 video
+``timestamp``                  LeRobot's own: tick / fps
+=============================  ==================================================================
 
-Videos keep full colour resolution (4:4:4) at crf 12: with the usual 4:2:0 at crf 30 a rod two pixels wide
-loses its colour, and the policy would train on other pictures than it meets (measured on rendered 96x128
-frames, mean difference per channel: 7.7 of 255 against 2.1; 2.3 kB a frame).
+Videos keep full colour resolution (4:4:4) at crf 12: with the usual 4:2:0 at crf 30 a rod two pixels wide loses its
+colour, and the policy would train on other images than it meets (rendered 96x128 frames, mean difference per channel:
+7.7 of 255 against 2.1; 2.3 kB a frame).
 """
 
 from __future__ import annotations
@@ -13,217 +19,222 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+os.environ.setdefault("HF_HUB_OFFLINE", "1")  # read when LeRobot is imported
+
+import av
+import datasets
+import numpy as np
+from lerobot.configs.video import RGBEncoderConfig
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
+from numpy.typing import NDArray
+
 from minidual import durable
 from minidual.demos.episode import Episode, read_episode, read_meta
-from minidual.demos.lerobot_mapping import STATE_N, STATE_NAMES, camera_key, split_vector, state_vector
-from minidual.demos.lerobot_reader import ACTION, STATE
-from minidual.demos.lerobot_verify import DatasetSummary, verify_dataset
+from minidual.demos.lerobot_reader import ACTION, STATE, LeRobotTables, camera_key, read_dataset
 from minidual.errors import DataError, UsageError
+from minidual.robot.pair import Robot
 
-__all__ = [
-    "STATE_NAMES",
-    "DatasetSummary",
-    "camera_key",
-    "convert",
-    "read_sources",
-    "split_vector",
-    "state_vector",
-    "verify_dataset",
-]
-
-#: Where a dataset says which recordings it was made of.
 SOURCES_FILE = "meta/minidual_sources.json"
+"""Where a dataset says which recordings it was made of."""
+IMAGE_DIFFERENCE_MAX = 6.0
+"""Largest mean difference per channel (of 255) between an image and its recording."""
+_VIDEO = {"vcodec": "h264", "preset": "veryfast", "pix_fmt": "yuv444p", "crf": 12}
 
-VIDEO_CODEC = "h264"
-VIDEO_PRESET = "veryfast"
-VIDEO_PIXELS = "yuv444p"
-VIDEO_CRF = 12
 
-Progress = Callable[[int, int], None]
+@dataclass(frozen=True)
+class DatasetSummary:
+    """A verified dataset: episodes, rows (which equal the frames of each video), and the worst image.
+
+    `image_difference_max` is the largest mean |difference| per channel of an image from its recording, of 255.
+    """
+
+    root: Path
+    episodes: int
+    frames: int
+    image_difference_max: float
+
+
+def state_names(robot: Robot) -> tuple[str, ...]:
+    """Return the names of the entries of a state or an action: the joints, then the two grippers."""
+    return (*robot.joint_names, *(f"{side}_gripper" for side in robot.sides))
+
+
+def state_vector(qpos: NDArray[np.floating], gripper: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Join joints (..., n) and grippers (..., 2) into a state or an action (..., n + 2) float32."""
+    return np.concatenate([qpos, gripper], axis=-1).astype(np.float32)
 
 
 def convert(
     paths: Sequence[Path | str],
     out_dir: Path | str,
+    robot: Robot,
     *,
     cameras: Sequence[str] | None = None,
-    task: str | None = None,
-    fps: int | None = None,
-    overwrite: bool = False,
-    crf: int = VIDEO_CRF,
-    progress: Progress | None = None,
+    progress: Callable[[], None] | None = None,
 ) -> DatasetSummary:
     """Make a LeRobot dataset of recordings, verify it, and give it its name.
 
-    The work is done under a temporary name beside `out_dir`; a killed or failed conversion leaves no
-    dataset. Recordings are taken in the given order; choose and validate them before.
+    The work is done under a temporary name: a killed or failed conversion leaves no dataset.
 
     Args:
-        paths: HDF5 episodes; all of the same rate, cameras and picture sizes.
+        paths: HDF5 episodes in order, of the same rate, cameras and image sizes; validate them before.
         out_dir: Folder to make.
-        cameras: Which cameras to take, by recorded name; all of the first episode's when None.
-        task: The task in words; each recording's own when None.
-        fps: The rate the dataset must have; the recordings' own when None.
-        overwrite: Replace an existing dataset.
-        crf: h264 quality, 0 to 51, less is better.
-        progress: Called with (episodes done, episodes in all).
+        robot: The recorded arms.
+        cameras: Which cameras to take; all of the first episode's when None.
+        progress: Called after each episode.
 
     Raises:
-        UsageError: no episodes, `out_dir` exists, or `crf` out of range.
-        DataError: episodes disagree or are corrupt, the disk refuses, or verification fails.
+        UsageError: No episodes, or `out_dir` exists.
+        DataError: Episodes disagree or are corrupt, the disk refuses, or verification fails.
     """
-    out_dir = Path(out_dir)
-    sources = [Path(path) for path in paths]
+    out_dir, sources = Path(out_dir), [Path(path) for path in paths]
     if not sources:
         raise UsageError("no episodes to convert", remedy="record some: minidual teleop-record")
-    if not 0 <= crf <= 51:
-        raise UsageError(f"crf is {crf}; it must lie between 0 and 51")
-    if out_dir.exists() and not overwrite:
-        raise UsageError(f"{out_dir} exists already", remedy="remove it, choose another folder, or overwrite it")
-    layout = _common_layout(sources, cameras, fps)
+    if out_dir.exists():
+        raise UsageError(f"{out_dir} exists already", remedy="remove it or choose another folder")
+    fps = _common_rate(sources)
+    wanted = read_meta(sources[0]).cameras if cameras is None else tuple(cameras)
     durable.make_folder(out_dir.parent)
-    partial = durable.partial_path(out_dir)
-    durable.remove(partial)
     durable.remove_stale(out_dir)
     try:
-        _write_dataset(partial, out_dir.name, sources, layout, task, crf, progress)
-        summary = verify_dataset(partial, sources)
-        replaced = durable.partial_path(out_dir.with_name(f"{out_dir.name}.replaced"))
-        if out_dir.exists():
-            out_dir.replace(replaced)
-        durable.publish(partial, out_dir)
-        durable.remove(replaced)
+        with durable.replacing(out_dir) as partial:
+            _write_dataset(partial, out_dir.name, sources, robot, fps, wanted, progress)
+            summary = verify_dataset(partial, sources, robot)
     except OSError as error:
-        raise DataError(
-            f"{out_dir} could not be written: {error}", remedy="free space on the disk or choose another folder"
-        ) from error
-    finally:
-        durable.remove(partial)
+        remedy = "free space on the disk or choose another folder"
+        raise DataError(f"{out_dir} could not be written: {error}", remedy=remedy) from error
     return replace(summary, root=out_dir)
 
 
-def read_sources(root: Path | str) -> list[dict[str, Any]]:
-    """Return what a dataset was made of: for each episode its file, seed, ticks, success and extra facts."""
-    path = Path(root) / SOURCES_FILE
-    try:
-        return list(json.loads(path.read_text(encoding="utf-8"))["episodes"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise DataError(f"{path} is missing or corrupt: {error!r}") from error
-
-
-@dataclass(frozen=True)
-class _Layout:
-    fps: int
-    cameras: tuple[str, ...]
-    shapes: dict[str, tuple[int, int, int]]
-
-
-def _common_layout(sources: Sequence[Path], cameras: Sequence[str] | None, fps: int | None) -> _Layout:
-    """Return rate, cameras and picture sizes that all recordings share; raise DataError where they differ."""
-    first, _ = read_meta(sources[0])
-    if not float(first.fps).is_integer():
-        raise DataError(f"{sources[0]} runs at {first.fps} Hz; LeRobot needs a whole number")
-    rate = int(first.fps)
-    if fps is not None and fps != rate:
-        raise DataError(f"{sources[0]} runs at {rate} Hz; the dataset is asked for at {fps} Hz")
-    wanted = first.cameras if cameras is None else tuple(cameras)
-    for path in sources:
-        meta, _ = read_meta(path)
-        if meta.fps != rate:
-            raise DataError(f"{path} runs at {meta.fps:g} Hz, {sources[0].name} at {rate} Hz")
-        absent = [camera for camera in wanted if camera not in meta.cameras]
-        if absent:
-            raise DataError(f"{path}: no camera {', '.join(absent)}; there are {', '.join(meta.cameras) or 'none'}")
-    images = read_episode(sources[0], cameras=wanted).images
-    return _Layout(rate, wanted, {camera: images[camera].shape[1:] for camera in wanted})
-
-
-def _features(layout: _Layout) -> dict[str, dict[str, Any]]:
-    features: dict[str, dict[str, Any]] = {
-        key: {"dtype": "float32", "shape": (STATE_N,), "names": list(STATE_NAMES)} for key in (STATE, ACTION)
-    }
-    for camera, shape in layout.shapes.items():
-        features[camera_key(camera)] = {
-            "dtype": "video",
-            "shape": tuple(shape),
-            "names": ["height", "width", "channels"],
-        }
-    return features
+def _common_rate(sources: Sequence[Path]) -> int:
+    """Return the rate that all recordings share, a whole number; raise DataError where they differ."""
+    rates = {path: read_meta(path).fps for path in sources}
+    first = rates[sources[0]]
+    for path, rate in rates.items():
+        if rate != first or not rate.is_integer():
+            raise DataError(
+                f"{path} runs at {rate:g} Hz, {sources[0].name} at {first:g} Hz; a LeRobot dataset needs one whole number"
+            )
+    return int(first)
 
 
 def _write_dataset(
     root: Path,
     name: str,
     sources: Sequence[Path],
-    layout: _Layout,
-    task: str | None,
-    crf: int,
-    progress: Progress | None,
+    robot: Robot,
+    fps: int,
+    cameras: Sequence[str],
+    progress: Callable[[], None] | None,
 ) -> None:
-    os.environ.setdefault("HF_HUB_OFFLINE", "1")
-    import av
-    import datasets
-    from lerobot.configs.video import RGBEncoderConfig
-    from lerobot.datasets.lerobot_dataset import LeRobotDataset
-
-    # The encoder's account of every video and a bar for every table would drown what people read on stderr.
-    av.logging.set_libav_level(av.logging.ERROR)
-    bars_shown = datasets.is_progress_bar_enabled()
-    datasets.disable_progress_bars()
-    dataset = LeRobotDataset.create(
-        repo_id=f"local/{name}",
-        fps=layout.fps,
-        features=_features(layout),
-        root=root,
-        robot_type="dual_panda",
-        use_videos=True,
-        video_backend="pyav",
-        rgb_encoder=RGBEncoderConfig(vcodec=VIDEO_CODEC, preset=VIDEO_PRESET, pix_fmt=VIDEO_PIXELS, crf=crf),
-        # Streaming encoding drops frames under load with no more than a warning.
-        streaming_encoding=False,
-    )
+    names, shapes = state_names(robot), {}
+    for camera, frames in read_episode(sources[0], cameras=cameras).images.items():
+        shapes[camera] = frames.shape[1:]
+    features: dict[str, dict[str, Any]] = {
+        key: {"dtype": "float32", "shape": (len(names),), "names": list(names)} for key in (STATE, ACTION)
+    }
+    for camera, shape in shapes.items():
+        features[camera_key(camera)] = {"dtype": "video", "shape": shape, "names": ["height", "width", "channels"]}
     records: list[dict[str, Any]] = []
-    try:
-        for index, path in enumerate(sources):
-            episode = read_episode(path, cameras=layout.cameras)
-            for camera, shape in layout.shapes.items():
+    with ExitStack() as stack:
+        # The encoder's report on every video and a bar for every table would fill what people read on stderr.
+        av.logging.set_libav_level(av.logging.ERROR)
+        if datasets.is_progress_bar_enabled():
+            datasets.disable_progress_bars()
+            stack.callback(datasets.enable_progress_bars)
+        dataset = LeRobotDataset.create(
+            repo_id=f"local/{name}",
+            fps=fps,
+            features=features,
+            root=root,
+            robot_type=f"dual_{robot.arm.name}",
+            use_videos=True,
+            video_backend="pyav",
+            rgb_encoder=RGBEncoderConfig(**_VIDEO),
+            streaming_encoding=False,  # it drops frames under load with no more than a warning
+        )
+        stack.callback(dataset.finalize)
+        for path in sources:
+            episode = read_episode(path, cameras=cameras)
+            for camera, shape in shapes.items():
                 if episode.images[camera].shape[1:] != shape:
                     raise DataError(f"{path}: camera '{camera}' is {episode.images[camera].shape[1:]}, not {shape}")
-            _add_episode(dataset, episode, task or episode.meta.task)
-            records.append(_source_record(path, episode))
+            _add_episode(dataset, episode)
+            meta = episode.meta
+            facts = {"file": path.name, "seed": meta.seed, "ticks": len(episode), "success": meta.success}
+            records.append({**facts, "extra": dict(meta.extra)})
             if progress is not None:
-                progress(index + 1, len(sources))
-    finally:
-        dataset.finalize()
-        if bars_shown:
-            datasets.enable_progress_bars()
-    for left in root.glob("tmp*"):
+                progress()
+    for left in (*root.glob("tmp*"), root / "images"):
         durable.remove(left)
-    durable.remove(root / "images")
     text = json.dumps({"episodes": records}, indent=1, sort_keys=True)
     (root / SOURCES_FILE).write_text(text + "\n", encoding="utf-8")
 
 
-def _add_episode(dataset: Any, episode: Episode, task: str) -> None:
-    state = state_vector(episode.qpos, episode.gripper)
-    action = state_vector(episode.action, episode.action_gripper)
+def _add_episode(dataset: Any, episode: Episode) -> None:
+    state, action = _vectors(episode)
     for k in range(len(episode)):
-        frame: dict[str, Any] = {STATE: state[k], ACTION: action[k], "task": task}
-        for camera, frames in episode.images.items():
-            frame[camera_key(camera)] = frames[k]
-        dataset.add_frame(frame)
+        images = {camera_key(camera): frames[k] for camera, frames in episode.images.items()}
+        dataset.add_frame({STATE: state[k], ACTION: action[k], "task": episode.meta.task, **images})
     dataset.save_episode(parallel_encoding=False)
 
 
-def _source_record(path: Path, episode: Episode) -> dict[str, Any]:
-    return {
-        "file": path.name,
-        "seed": episode.meta.seed,
-        "ticks": len(episode),
-        "success": episode.meta.success,
-        "extra": dict(episode.meta.extra),
-    }
+def _vectors(episode: Episode) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    state = state_vector(episode.qpos, episode.gripper)
+    return state, state_vector(episode.action, episode.action_gripper)
+
+
+def verify_dataset(root: Path | str, paths: Sequence[Path | str], robot: Robot) -> DatasetSummary:
+    """Re-open a dataset without LeRobot and compare it with its recordings.
+
+    Every episode must have as many rows, and frames in each video, as its recording has ticks, the same state and
+    action after float32, and images that differ by encoding alone.
+
+    Raises:
+        DataError: Naming the episode and what differs.
+    """
+    data = read_dataset(root)
+    if len(data.starts) != len(paths):
+        raise DataError(f"{root} holds {len(data.starts)} episodes; {len(paths)} were recorded")
+    if data.names != state_names(robot):
+        raise DataError(f"{root} names its state {data.names}; it must be {state_names(robot)}")
+    for index, path in enumerate(paths):
+        start, stop = int(data.starts[index]), int(data.stops[index])
+        episode = read_episode(path, cameras=())
+        if stop - start != len(episode):
+            raise DataError(f"{_label(index, path)} has {stop - start} rows; {len(episode)} ticks were recorded")
+        for key, stored, recorded in zip((STATE, ACTION), (data.state, data.action), _vectors(episode), strict=True):
+            if not np.array_equal(stored[start:stop], recorded):
+                error = float(np.max(np.abs(stored[start:stop] - recorded)))
+                raise DataError(f"{_label(index, path)}: {key} differs from the recording by {error:.3g}")
+    worst = max((_compare_images(data, camera, paths) for camera in data.cameras), default=0.0)
+    return DatasetSummary(Path(root), len(paths), len(data), worst)
+
+
+def _label(index: int, path: Path | str) -> str:
+    return f"episode {index} ({Path(path).name})"
+
+
+def _compare_images(data: LeRobotTables, camera: str, paths: Sequence[Path | str]) -> float:
+    """Return the largest mean difference of an image of one camera, with one recording in memory at a time."""
+    index, worst, recorded = -1, 0.0, np.empty(0, np.uint8)
+    for row, image in data.frames(camera):
+        if index != data.episode_index[row]:
+            index = int(data.episode_index[row])
+            recorded = read_episode(paths[index], cameras=[camera]).images[camera]
+        tick, label = int(data.frame_index[row]), _label(index, paths[index])
+        if image.shape != recorded.shape[1:]:
+            raise DataError(f"{label}: camera '{camera}' is {image.shape}, recorded {recorded.shape[1:]}")
+        difference = float(np.mean(np.abs(image.astype(np.int16) - recorded[tick])))
+        if difference > IMAGE_DIFFERENCE_MAX:
+            raise DataError(
+                f"{label}: camera '{camera}' at tick {tick} differs from the recording by {difference:.1f} of 255 on "
+                f"average; the limit is {IMAGE_DIFFERENCE_MAX:g}"
+            )
+        worst = max(worst, difference)
+    return worst

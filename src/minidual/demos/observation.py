@@ -1,4 +1,4 @@
-"""What a recording and a policy see at one tick: joints, openings, pictures, all of the same instant."""
+"""What a recording and a policy see at one instant: joints, openings, pictures."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Self
 
 from minidual.plant.render import Camera, Image
 from minidual.plant.world import World
-from minidual.robot.constants import Array
+from minidual.robot.pair import Array
 
 
 @dataclass(frozen=True)
@@ -18,8 +18,8 @@ class Observation:
 
     Attributes:
         time_s: Simulated time of joints and pictures [s].
-        q: (14,) measured joint positions [rad].
-        v: (14,) measured joint velocities [rad/s].
+        q: (n,) measured joint positions [rad].
+        v: (n,) measured joint velocities [rad/s].
         gripper: (2,) measured openings, 0 closed to 1 open.
         images: (H, W, 3) uint8 by camera.
     """

@@ -1,7 +1,7 @@
-"""Record trials, one or many, over processes: what the `teleop-record` stage runs.
+"""Record trials over processes: what the `teleop-record` stage runs.
 
-The number of workers changes nothing but the time: each trial is drawn from its own number, runs in its own
-episode of simulated time, and attempts are made in rounds of known size, in order.
+The number of workers changes nothing but the time: each trial is drawn from its own number and runs in its own simulated
+time, and attempts are made in rounds of known size, in order.
 """
 
 from __future__ import annotations
@@ -14,12 +14,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import joblib
 import numpy as np
 
 from minidual import durable
-from minidual.demos.leader import IN_PROCESS, require_leader
+from minidual.demos.checks import camera_references, check_swapped
+from minidual.demos.leader import LEADERS
 from minidual.demos.rig import REJECTED, Attempt, Job, Rig
-from minidual.tasks.rod_carry import placement
+from minidual.demos.smoothness import JERK_FILTER
 
 Observe = Callable[[Rig, int], AbstractContextManager[object]]
 """Called with the rig and a trial's number; what it returns is entered while the trial runs."""
@@ -28,7 +30,7 @@ _rigs: dict[str, Rig] = {}
 
 
 def _record_in_worker(job: Job, index: int, observe: Observe | None = None) -> Attempt:
-    key = f"{job.folder}/{job.seed}/{job.teleop}/{job.task.scene}/{job.arbiter}"
+    key = f"{job.folder}/{job.seed}/{job.teleop}/{job.task.config}/{job.arbiter}"
     if key not in _rigs:
         for rig in _rigs.values():
             rig.close()
@@ -42,38 +44,48 @@ def _record_in_worker(job: Job, index: int, observe: Observe | None = None) -> A
 
 
 def usable_workers(job: Job, workers: int) -> int:
-    """Return over how many processes a recording can be spread: one, if the leader needs this one's terminal."""
-    return 1 if job.teleop.leader in IN_PROCESS else workers
+    """Return over how many processes a recording can be spread: one where a person or a device leads."""
+    return 1 if LEADERS[job.teleop.leader].realtime else workers
 
 
 def record_attempts(
     job: Job, indices: Sequence[int], *, workers: int, observe: Observe | None = None
 ) -> Iterator[Attempt]:
-    """Record trials over processes and yield what became of them, in the order of `indices`.
+    """Record trials over processes and yield the attempts in the order of `indices`.
 
-    An observer runs in this process, which needs `workers` to be 1.
+    An observer runs in this process: `workers` must be 1.
     """
-    import joblib
-
     # One numeric thread a process: on a busy machine more of them only wait for each other.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"
     os.environ.setdefault("LP_NUM_THREADS", "0")  # the software renderer draws in the calling thread
-    processes = min(usable_workers(job, workers), max(1, len(indices)))
+    processes = min(workers, max(1, len(indices)))
     yield from joblib.Parallel(n_jobs=processes, return_as="generator", batch_size=1, pre_dispatch="2*n_jobs")(
         joblib.delayed(_record_in_worker)(job, index, observe) for index in indices
     )
 
 
 @dataclass(frozen=True)
-class Recording:
-    """All attempts of a recording, in order, and how long they took.
+class RecordingNumbers:
+    """What a recording is judged by; extremes are over the demonstrations that were kept."""
 
-    Attributes:
-        attempts: One a trial.
-        wall_s: Wall-clock time from the first to the last, start of the processes included.
-        workers: Processes they were spread over.
-    """
+    episodes: int
+    attempts: int
+    successes: int
+    files_at_fault: int
+    jerk_rms_max: float
+    sync_error_max_s: float
+    latency_p50_s: float
+    latency_p99_s: float
+    episodes_per_min: float
+    recorded_ticks: int
+    dataset_rows: int
+    dataset_episodes: int
+
+
+@dataclass(frozen=True)
+class Recording:
+    """All attempts of a recording, in order; its wall-clock time, start of the processes included; its processes."""
 
     attempts: tuple[Attempt, ...]
     wall_s: float
@@ -81,7 +93,7 @@ class Recording:
 
     @property
     def episodes_per_min(self) -> float:
-        """Demonstrations a minute once the processes run; their start, paid once, would hide it in a short run."""
+        """Demonstrations a minute once the processes run."""
         return 60.0 * len(self.kept) * self.workers / sum(a.wall_s for a in self.attempts)
 
     @property
@@ -94,60 +106,75 @@ class Recording:
         """Files of the demonstrations."""
         return [a.path for a in self.kept if a.path is not None]
 
+    def numbers(self, dataset_rows: int, dataset_episodes: int) -> RecordingNumbers:
+        """Return what the recording is judged by, with the size of the dataset made of it.
+
+        np.max passes NaN on, so that an unknown value fails its check.
+        """
+        latencies = np.concatenate([a.latencies_s for a in self.attempts if a.latencies_s is not None])
+        qualities = [a.quality for a in self.kept if a.quality is not None]
+        return RecordingNumbers(
+            episodes=len(self.kept),
+            attempts=len(self.attempts),
+            successes=sum(a.success for a in self.attempts),
+            files_at_fault=sum(bool(a.problems) for a in self.kept),
+            jerk_rms_max=float(np.max([q.rms_jerk_rad_s3 for q in qualities])),
+            sync_error_max_s=float(np.max([a.sync_error_max_s for a in self.kept])),
+            latency_p50_s=float(np.percentile(latencies, 50)),
+            latency_p99_s=float(np.percentile(latencies, 99)),
+            episodes_per_min=self.episodes_per_min,
+            recorded_ticks=sum(q.ticks for q in qualities),
+            dataset_rows=dataset_rows,
+            dataset_episodes=dataset_episodes,
+        )
+
+    def facts(self) -> dict[str, Any]:
+        """Return the numbers for the report."""
+        qualities = [a.quality for a in self.kept if a.quality is not None]
+        outcomes = [a.outcome for a in self.kept if a.outcome is not None]
+        return {
+            "attempts": len(self.attempts),
+            "kept": len(self.kept),
+            "rejected": {str(a.trial.index): a.reason for a in self.attempts if not a.kept},
+            "faults": {str(a.trial.index): list(a.problems) for a in self.attempts if a.problems},
+            "trials": [a.trial.index for a in self.kept],
+            "jerk_filter": JERK_FILTER,
+            "jerk_rms_median": float(np.median([q.rms_jerk_rad_s3 for q in qualities])),
+            "path_efficiency_median": float(np.median([q.path_efficiency for q in qualities])),
+            "duration_median_s": float(np.median([q.duration_s for q in qualities])),
+            "goal_error_max_m": float(np.max([o.goal_error_m for o in outcomes])),
+            "tilt_max_rad": float(np.max([o.tilt_max_rad for o in outcomes])),
+            "recording_s": self.wall_s,
+        }
+
 
 def record(
     job: Job, *, workers: int, on_attempt: Callable[[Attempt], None] | None = None, observe: Observe | None = None
 ) -> Recording:
     """Record until there are `episodes_n` demonstrations, or the allowed attempts are used up.
 
-    A round tries as many trials as demonstrations are still missing, so which trials are tried depends on
-    their results alone and not on which worker was fastest.
+    A round tries as many trials as demonstrations are missing, so which trials are tried depends on their results and
+    not on which worker was fastest.
 
     Raises:
-        UsageError: There is no such leader, or it does not stand where the follower does.
+        UsageError: There is no such leader, or it stands away from the follower.
         EnvironmentMissingError: What the leader or the cameras need is not there.
         DataError: The disk refuses a file.
     """
-    require_leader(job.teleop.leader)
-    wanted = job.teleop.episodes_n
+    wanted, used = job.teleop.episodes_n, usable_workers(job, workers)
     allowed = int(np.ceil(wanted * job.teleop.attempts_max_ratio))
     attempts: list[Attempt] = []
     began = time.perf_counter()
     while (missing := wanted - sum(a.kept for a in attempts)) > 0 and len(attempts) < allowed:
-        start = len(attempts)
-        for attempt in record_attempts(
-            job, range(start, min(start + missing, allowed)), workers=workers, observe=observe
-        ):
+        indices = range(len(attempts), min(len(attempts) + missing, allowed))
+        for attempt in record_attempts(job, indices, workers=used, observe=observe):
             attempts.append(attempt)
             if on_attempt is not None:
                 on_attempt(attempt)
     if all(a.path is None or a.kept for a in attempts):
         durable.remove(job.folder / REJECTED)
-    return Recording(tuple(attempts), time.perf_counter() - began, min(usable_workers(job, workers), wanted))
-
-
-def quality_row(attempt: Attempt) -> dict[str, Any]:
-    """Return an attempt as one flat row for CSV."""
-    x, y, yaw = placement(next(iter(attempt.trial.start.values())))
-    row: dict[str, Any] = {
-        "trial": attempt.trial.index,
-        "start_x_m": x,
-        "start_y_m": y,
-        "start_yaw_rad": yaw,
-        "success": attempt.success,
-        "kept": attempt.kept,
-        "reason": attempt.reason,
-        "completion_s": attempt.completion_s,
-        "goal_error_m": attempt.goal_error_m,
-        "tilt_max_rad": attempt.tilt_max_rad,
-        "file": "",
-        "ticks": 0,
-        "duration_s": "",
-        "rms_jerk_rad_s3": "",
-        "path_length_m": "",
-        "path_efficiency": "",
-        "cells_n": "",
-    }
-    if attempt.quality is not None:
-        row.update({k: v for k, v in attempt.quality.to_dict().items() if k in row and k != "success"})
-    return {k: round(v, 6) if isinstance(v, float) else v for k, v in row.items()}
+    references = camera_references([a.views for a in attempts if a.kept])
+    for k, a in enumerate(attempts):
+        swapped = tuple(map(str, check_swapped(a.views, references)))
+        attempts[k] = replace(a, problems=a.problems + swapped)
+    return Recording(tuple(attempts), time.perf_counter() - began, min(used, wanted))

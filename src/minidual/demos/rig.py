@@ -1,10 +1,11 @@
-"""One trial led and written to its file: the rig that a process of the `teleop-record` stage builds once."""
+"""One trial led and written to its file: the rig that each process of a recording builds once."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,20 +13,22 @@ from minidual import durable
 from minidual.config.arbiter import ArbiterConfig
 from minidual.config.supervisor import SupervisorConfig
 from minidual.config.teleop import TeleopConfig
-from minidual.demos.episode import EpisodeWriter, read_episode
-from minidual.demos.leader import LeaderSetup, make_leader
+from minidual.demos.checks import Thumbnails, thumbnails
+from minidual.demos.episode import inspect_episode
+from minidual.demos.leader import LEADERS, LeaderSetup
 from minidual.demos.observation import Observer
 from minidual.demos.quality import EpisodeQuality, episode_quality
 from minidual.demos.schema import EpisodeMeta
 from minidual.demos.session import SessionResult, TeleopSession, Tick
 from minidual.demos.smoothness import rms_jerk
-from minidual.demos.validate import validate_episode
+from minidual.demos.writer import EpisodeWriter
 from minidual.plant.render import Camera, Image, write_video
 from minidual.plant.world import SimulationDivergedError, World
-from minidual.robot.constants import Q_LOWER, Q_UPPER, Array
+from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
-from minidual.skills.operator import ScriptedOperator
+from minidual.robot.pair import Array, Robot
 from minidual.skills.supervised import trial_supervisor
+from minidual.tasks.judge import Outcome
 from minidual.tasks.rod_carry import placement
 from minidual.tasks.task import Task, Trial
 
@@ -37,7 +40,7 @@ FILM_SIZE = (640, 480)
 
 @dataclass(frozen=True)
 class Job:
-    """What a recording needs to know; the same for all its trials."""
+    """What a recording depends on; the same for all its trials."""
 
     folder: Path
     task: Task
@@ -46,6 +49,11 @@ class Job:
     seed: int
     supervisor: SupervisorConfig = field(default_factory=SupervisorConfig)
 
+    @property
+    def robot(self) -> Robot:
+        """The arms."""
+        return robot_from(self.task.config.robot)
+
     def trial(self, index: int) -> Trial:
         """Return trial `index` of the demonstrations."""
         return self.task.trial(self.seed, PURPOSE, index, widen=self.teleop.widen)
@@ -53,20 +61,19 @@ class Job:
 
 @dataclass(frozen=True)
 class Attempt:
-    """One trial that was led, and what became of it.
+    """One trial that was led.
 
     Attributes:
-        trial: Its number and start.
+        trial: Its number, start and goal.
         success: Whether the task was achieved.
         kept: Whether it is a demonstration.
-        reason: Why not, or an empty string.
-        path: Its file, or None if none was written.
-        quality: Measures of the recording; None without a file.
-        goal_error_m: Distance of the rod from its goal at the end.
-        tilt_max_rad: Largest tilt of the rod.
-        completion_s: When the rod lay released at its goal.
+        reason: Why not, or "".
+        path: Its file, or None if none was written; with it come outcome, quality, problems and synchronisation.
+        outcome: The judge's.
+        quality: Measures of the recording.
         sync_error_max_s: Largest time between joints and pictures of a tick, read back from the file.
         problems: Faults of the file, read back.
+        views: What each camera shows at the start.
         latencies_s: Wall-clock time of each tick from reading the leader to its torque.
         wall_s: Wall-clock time of the attempt: planned, led, written and read back.
     """
@@ -76,121 +83,110 @@ class Attempt:
     kept: bool
     reason: str
     path: Path | None = None
+    outcome: Outcome | None = None
     quality: EpisodeQuality | None = None
-    goal_error_m: float = float("nan")
-    tilt_max_rad: float = float("nan")
-    completion_s: float = float("nan")
     sync_error_max_s: float = float("nan")
     problems: tuple[str, ...] = ()
+    views: Thumbnails = field(default_factory=dict)
     latencies_s: Array | None = None
     wall_s: float = 0.0
 
+    def row(self) -> dict[str, Any]:
+        """Return the attempt as one flat row for CSV."""
+        x, y, yaw = placement(next(iter(self.trial.start.values())))
+        row: dict[str, Any] = {"trial": self.trial.index, "start_x_m": x, "start_y_m": y, "start_yaw_rad": yaw}
+        row |= {"success": self.success, "kept": self.kept, "reason": self.reason}
+        row |= measures(self.outcome)
+        names = EpisodeQuality.__dataclass_fields__
+        row |= dict.fromkeys(names, "") if self.quality is None else asdict(self.quality)
+        return {key: round(value, 6) if isinstance(value, float) else value for key, value in row.items()}
+
+
+def measures(outcome: Outcome | None) -> dict[str, float]:
+    """Return the numbers of an outcome that are kept with a recording; NaN without one."""
+    if outcome is None:
+        return dict.fromkeys(("completion_s", "goal_error_m", "tilt_max_rad"), float("nan"))
+    return {
+        "completion_s": outcome.duration_s,
+        "goal_error_m": outcome.goal_error_m,
+        "tilt_max_rad": outcome.tilt_max_rad,
+    }
+
 
 class Rig:
-    """World, operator and session, built once a process and used for many trials."""
+    """World, session and leaders, built once a process and used for many trials."""
 
     def __init__(self, job: Job, cameras: Sequence[str]) -> None:
         self.job = job
-        self.kinematics = kinematics = Kinematics()
-        self.world = World(job.task.scene, visuals=True)
+        self.kinematics = Kinematics(job.robot)
+        self.world = World(job.task.scene, job.robot, visuals=True)
         self.observer = Observer(self.world, cameras)
+        supervisor = trial_supervisor(job.supervisor, self.world.dt, job.robot)
         self.session = TeleopSession(
-            self.world,
-            kinematics,
-            self.observer,
-            job.teleop,
-            job.arbiter,
-            supervisor=trial_supervisor(job.supervisor, self.world.dt, self.world.robot),
+            self.world, self.kinematics, self.observer, job.teleop, job.arbiter, supervisor=supervisor
         )
-        operator = ScriptedOperator(job.task.scene, job.teleop.operator)
-        self._setup = LeaderSetup(job.task.scene, job.teleop, job.seed, operator)
+        self._setup = LeaderSetup(job.robot, job.task, job.teleop, job.seed)
 
     def lead(self, trial: Trial, *, on_tick: Callable[[int, Tick], None] | None = None) -> SessionResult:
         """Run one episode."""
-        leader = make_leader(self.job.teleop.leader, self._setup, trial)
+        leader = LEADERS[self.job.teleop.leader].for_trial(self._setup, trial)
         try:
             return self.session.run(self.job.task, trial, leader, on_tick=on_tick)
         finally:
             leader.close()
 
     def record(self, index: int) -> Attempt:
-        """Run trial `index`, write it to its file and look at what was written.
+        """Run trial `index`, write it to its file, and read the file back.
 
-        The file is written among the rejected ones and moves to the demonstrations when it is whole and good,
-        so at no instant does an unfinished or failed attempt stand among those.
+        The file is written among the rejected ones and moves to the demonstrations when it is whole and good, so that
+        no unfinished or failed attempt ever stands among those.
         """
-        trial = self.job.trial(index)
+        job, trial = self.job, self.job.trial(index)
         name = f"episode_{trial.index:06d}.hdf5"
-        with EpisodeWriter(self.job.folder / REJECTED / name, self._meta(trial)) as writer:
+        with EpisodeWriter(job.folder / REJECTED / name, self._meta(trial)) as writer:
             try:
                 result = self.lead(trial, on_tick=lambda k, tick: _append(writer, tick))
             except SimulationDivergedError as error:
                 return Attempt(trial, False, False, error.message)
             success = result.outcome.success and result.ended_by == "leader"
             reason = self._reason(result, success=success)
-            if reason and (not self.job.teleop.keep_rejected or _is_empty(result, self.job.teleop.rate_hz)):
+            if reason and (not job.teleop.keep_rejected or _is_empty(result, job.teleop.rate_hz)):
                 return Attempt(trial, success, False, reason, latencies_s=result.latencies_s)
-            outcome = result.outcome
-            facts = {
-                "reason": reason,
-                "goal_error_m": outcome.goal_error_m,
-                "tilt_max_rad": outcome.tilt_max_rad,
-                "completion_s": outcome.duration_s,
-            }
-            path = writer.commit(success=success, extra=facts)
+            path = writer.commit(success=success, extra={"reason": reason, **measures(result.outcome)})
         if not reason:
-            target = self.job.folder / KEPT / name
+            target = job.folder / KEPT / name
             target.parent.mkdir(exist_ok=True)
             path = path.rename(target)
             durable.sync(target.parent)
-        return self._examined(trial, result, path, success=success, kept=not reason, reason=reason)
+        # What counts is what is on the disk.
+        episode, problems = inspect_episode(path, cameras=job.teleop.cameras, robot=job.robot)
+        faults = tuple(map(str, problems))
+        attempt = Attempt(
+            trial, success, not reason, reason, path, result.outcome, problems=faults, latencies_s=result.latencies_s
+        )
+        if episode is None:
+            return attempt
+        quality = episode_quality(episode, self.kinematics)
+        views = thumbnails(episode.images)
+        return replace(attempt, quality=quality, sync_error_max_s=episode.sync_error_max_s, views=views)
 
     def _meta(self, trial: Trial) -> EpisodeMeta:
-        teleop = self.job.teleop
-        return EpisodeMeta(
-            fps=teleop.rate_hz,
-            task=self.job.task.instruction,
-            seed=self.job.seed,
-            cameras=teleop.cameras,
-            extra={
-                "trial": trial.index,
-                "purpose": trial.purpose,
-                "leader": teleop.leader,
-                "start_x_y_yaw": list(placement(trial.start[self.job.task.carried])),
-                "goal_x_y_yaw": list(placement(trial.goal[self.job.task.carried])),
-            },
-        )
+        teleop, task = self.job.teleop, self.job.task
+        extra = {
+            "trial": trial.index,
+            "purpose": trial.purpose,
+            "leader": teleop.leader,
+            "start_x_y_yaw": list(placement(trial.start[task.carried])),
+            "goal_x_y_yaw": list(placement(trial.goal[task.carried])),
+        }
+        return EpisodeMeta(teleop.rate_hz, task.instruction, self.job.seed, teleop.cameras, extra=extra)
 
     def _reason(self, result: SessionResult, *, success: bool) -> str:
-        """Return why an episode is no demonstration, or an empty string."""
+        """Return why an episode is no demonstration, or ""."""
         if not success or result.refusals:
             return result.reason or "the leader did not end the episode in time"
         jerk, limit = rms_jerk(result.q, self.job.teleop.rate_hz), self.job.teleop.jerk_max_rad_s3
         return "" if jerk <= limit else f"RMS jerk {jerk:.0f} rad/s^3, limit {limit:.0f}"
-
-    def _examined(
-        self, trial: Trial, result: SessionResult, path: Path, *, success: bool, kept: bool, reason: str
-    ) -> Attempt:
-        """Open the file again: what counts is what is on the disk."""
-        problems = validate_episode(path, cameras=self.job.teleop.cameras, lower=Q_LOWER, upper=Q_UPPER)
-        episode = read_episode(path, cameras=())
-        sync = float("nan")
-        if episode.image_timestamps is not None:
-            sync = float(np.max(np.abs(episode.image_timestamps - episode.timestamps)))
-        return Attempt(
-            trial,
-            success,
-            kept,
-            reason,
-            path,
-            episode_quality(episode),
-            result.outcome.goal_error_m,
-            result.outcome.tilt_max_rad,
-            result.outcome.duration_s,
-            sync,
-            tuple(map(str, problems)),
-            result.latencies_s,
-        )
 
     def close(self) -> None:
         """Free the rendering context."""
@@ -198,7 +194,7 @@ class Rig:
 
 
 def _is_empty(result: SessionResult, rate_hz: float) -> bool:
-    """Return whether an episode shows nothing to keep or to measure: ended at once, or nobody moved."""
+    """Return whether there is nothing to keep or to measure: the episode ended at once, or nothing moved."""
     return len(result.q) / rate_hz < 1.0 or float(np.ptp(result.q, axis=0).max()) < 1e-3
 
 
@@ -216,7 +212,7 @@ def _append(writer: EpisodeWriter, tick: Tick) -> None:
     )
 
 
-def film(job: Job, index: int, path: Path) -> SessionResult:
+def film(job: Job, index: int, path: Path) -> None:
     """Run trial `index` once more, seen by the overview camera, and write it to an mp4."""
     rig = Rig(job, ())
     frames: list[Image] = []
@@ -227,7 +223,6 @@ def film(job: Job, index: int, path: Path) -> SessionResult:
             if k % every == 0:
                 frames.append(camera.picture(rig.world.data, "overview").copy())
 
-        result = rig.lead(job.trial(index), on_tick=shoot)
+        rig.lead(job.trial(index), on_tick=shoot)
     rig.close()
     write_video(path, frames, fps=round(job.teleop.rate_hz / every))
-    return result

@@ -1,22 +1,22 @@
-"""The one place that names what an episode file holds: HDF5 keys, shapes, dtypes and attributes.
+"""What an episode file holds: one table of its arrays and one record of its attributes drive writing, reading, checking.
 
-One file is one episode, in the layout ALOHA uses. With T ticks and the arms in the order left, right:
+One HDF5 file is one episode, in the layout that ALOHA uses. With T ticks and n joints, left arm then right:
 
-====================================  ==============  =========  ==========================================
-key                                   shape           dtype      meaning
-====================================  ==============  =========  ==========================================
-``observations/qpos``                 (T, 14)         float64    measured joint positions, rad
-``observations/qvel`` (optional)      (T, 14)         float64    measured joint velocities, rad/s
-``observations/gripper``              (T, 2)          float64    measured opening of left, right gripper
-``observations/images/<camera>``      (T, H, W, 3)    uint8      RGB image
-``action``                            (T, 14)         float64    joint targets commanded at t, rad
-``action_gripper``                    (T, 2)          float64    gripper targets commanded at t
-``timestamps``                        (T,)            float64    time of the joint reading, monotonic, s
-``image_timestamps`` (optional)       (T,)            float64    time of the images, where it differs, s
-====================================  ==============  =========  ==========================================
+====================================  ============  ==================================================
+key                                   shape         meaning
+====================================  ============  ==================================================
+``observations/qpos``                 (T, n)        measured joint positions [rad]
+``observations/qvel`` (optional)      (T, n)        measured joint velocities [rad/s]
+``observations/gripper``              (T, 2)        measured openings, left then right
+``observations/images/<camera>``      (T, H, W, 3)  RGB images, uint8; all other arrays are float64
+``action``                            (T, n)        joint targets commanded at t [rad]
+``action_gripper``                    (T, 2)        opening targets commanded at t
+``timestamps``                        (T,)          time of the joint reading, monotonic [s]
+``image_timestamps`` (optional)       (T,)          time of the images [s]
+====================================  ============  ==================================================
 
-``action[t]`` is the command that leads to the state at t + 1. It is never the reading at t: a recording
-whose action equals its qpos teaches a policy to stand still.
+``action[t]`` is the command that leads to the state at t + 1, never the reading at t: a recording whose action equals
+its qpos teaches a policy to stand still.
 """
 
 from __future__ import annotations
@@ -29,87 +29,56 @@ from typing import Any
 from minidual.errors import DataError
 
 SCHEMA_VERSION = 1
-
-JOINTS_N = 14
 GRIPPERS_N = 2
-
-QPOS = "observations/qpos"
-QVEL = "observations/qvel"
-GRIPPER = "observations/gripper"
-IMAGES = "observations/images"
-ACTION = "action"
-ACTION_GRIPPER = "action_gripper"
-TIMESTAMPS = "timestamps"
-IMAGE_TIMESTAMPS = "image_timestamps"
-
-ATTR_NUM_TIMESTEPS = "num_timesteps"
-ATTR_SUCCESS = "success"
-ATTR_SIM = "sim"
-ATTR_FPS = "fps"
-ATTR_TASK = "task"
-ATTR_SEED = "seed"
-ATTR_CAMERAS = "cameras"
-ATTR_SCHEMA_VERSION = "schema_version"
-ATTR_EXTRA = "extra"
-
-REQUIRED_ATTRS = (
-    ATTR_NUM_TIMESTEPS,
-    ATTR_SUCCESS,
-    ATTR_SIM,
-    ATTR_FPS,
-    ATTR_TASK,
-    ATTR_SEED,
-    ATTR_CAMERAS,
-    ATTR_SCHEMA_VERSION,
-)
-
-#: Joints, images and action of one tick may lie this far apart at most.
+TICKS = "num_timesteps"
+"""Attribute that holds the number of ticks."""
 MAX_SYNC_S = 0.020
+"""Largest time between joints and images of one tick."""
 
 
 @dataclass(frozen=True)
 class Field:
-    """One numeric dataset of the file: its key, the shape of one row, and whether a file must have it."""
+    """One float64 array: its name in Python, its HDF5 key, the axes of a row, and whether a file must have it."""
 
+    name: str
     key: str
-    row_shape: tuple[int, ...]
+    axes: tuple[str, ...]
     required: bool = True
 
-    @property
-    def dtype(self) -> str:
-        """The stored type; every numeric field is float64, images alone are uint8."""
-        return "float64"
+    def row_shape(self, joints_n: int) -> tuple[int, ...]:
+        """Return the shape of one row for arms of `joints_n` joints together."""
+        return tuple(joints_n if axis == "joints" else GRIPPERS_N for axis in self.axes)
 
 
-#: Every numeric dataset, in file order. Images are listed by camera in ``EpisodeMeta.cameras``.
-FIELDS: tuple[Field, ...] = (
-    Field(QPOS, (JOINTS_N,)),
-    Field(QVEL, (JOINTS_N,), required=False),
-    Field(GRIPPER, (GRIPPERS_N,)),
-    Field(ACTION, (JOINTS_N,)),
-    Field(ACTION_GRIPPER, (GRIPPERS_N,)),
-    Field(TIMESTAMPS, ()),
-    Field(IMAGE_TIMESTAMPS, (), required=False),
+FIELDS = (
+    Field("qpos", "observations/qpos", ("joints",)),
+    Field("qvel", "observations/qvel", ("joints",), required=False),
+    Field("gripper", "observations/gripper", ("grippers",)),
+    Field("action", "action", ("joints",)),
+    Field("action_gripper", "action_gripper", ("grippers",)),
+    Field("timestamps", "timestamps", ()),
+    Field("image_timestamps", "image_timestamps", (), required=False),
 )
+"""Every numeric array. The number of joints is that of qpos, which stands first."""
 
 
 def image_key(camera: str) -> str:
-    """Return the HDF5 key of a camera's images, e.g. ``observations/images/high``."""
-    return f"{IMAGES}/{camera}"
+    """Return the HDF5 key of a camera's images."""
+    return f"observations/images/{camera}"
 
 
 @dataclass(frozen=True)
 class EpisodeMeta:
-    """What an episode is, beside its arrays.
+    """What an episode is, beside its arrays; each entry is an attribute of the file.
 
     Attributes:
-        fps: Recording rate, 1/s.
-        task: The task in words, as a policy conditioned on language would read it.
+        fps: Recording rate [1/s].
+        task: The task in words.
         seed: Seed of the episode's randomisation.
-        cameras: Camera names in their fixed order, e.g. ``("high", "left", "right")``.
+        cameras: Camera names, in their fixed order.
         sim: True for simulation, False for hardware.
-        success: Whether the episode achieved the task.
-        extra: Further facts (failure reason, start pose, operator); anything JSON can hold.
+        success: Whether the task was achieved.
+        extra: Further facts (trial, reason, start), as JSON can hold them.
     """
 
     fps: float
@@ -121,7 +90,7 @@ class EpisodeMeta:
     extra: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Refuse a rate, camera name or duplicate that could not be written or read back."""
+        """Raise DataError for a value that could not be written or read back."""
         if not (0.0 < self.fps < 1e5):
             raise DataError(f"fps is {self.fps}; it must be a finite rate above 0")
         if len(set(self.cameras)) != len(self.cameras):
@@ -136,44 +105,44 @@ class EpisodeMeta:
 
     @property
     def trial(self) -> int:
-        """Number of the trial that the episode shows (`extra["trial"]`); DataError if it was not recorded."""
+        """Number of the trial that the episode shows; DataError if it was not recorded."""
         number = self.extra.get("trial")
         if not isinstance(number, int):
             raise DataError(f"the episode names no trial (extra facts: {', '.join(self.extra) or 'none'})")
         return number
 
-    def to_attrs(self, num_timesteps: int) -> dict[str, Any]:
-        """Return the file attributes for an episode of `num_timesteps` ticks."""
+    def to_attrs(self, ticks: int) -> dict[str, Any]:
+        """Return the attributes of a file of `ticks` ticks."""
         return {
-            ATTR_NUM_TIMESTEPS: int(num_timesteps),
-            ATTR_SUCCESS: bool(self.success),
-            ATTR_SIM: bool(self.sim),
-            ATTR_FPS: float(self.fps),
-            ATTR_TASK: self.task,
-            ATTR_SEED: int(self.seed),
-            ATTR_CAMERAS: json.dumps(list(self.cameras)),
-            ATTR_SCHEMA_VERSION: SCHEMA_VERSION,
-            ATTR_EXTRA: json.dumps(dict(self.extra), sort_keys=True, allow_nan=False),
+            TICKS: int(ticks),
+            "success": bool(self.success),
+            "sim": bool(self.sim),
+            "fps": float(self.fps),
+            "task": self.task,
+            "seed": int(self.seed),
+            "cameras": json.dumps(list(self.cameras)),
+            "schema_version": SCHEMA_VERSION,
+            "extra": json.dumps(dict(self.extra), sort_keys=True, allow_nan=False),
         }
 
     @staticmethod
-    def from_attrs(attrs: Mapping[str, Any]) -> EpisodeMeta:
-        """Read the attributes back; raise DataError for one that is missing, broken or of another version."""
-        missing = [name for name in REQUIRED_ATTRS if name not in attrs]
-        if missing:
+    def from_attrs(attrs: Mapping[str, Any]) -> tuple[EpisodeMeta, int]:
+        """Read (meta, ticks) back; DataError for an attribute that is missing, broken or of another version."""
+        required = EpisodeMeta(1.0, "", 0, ()).to_attrs(0).keys() - {"extra"}
+        if missing := sorted(required - attrs.keys()):
             raise DataError(f"missing attributes: {', '.join(missing)}")
-        version = int(attrs[ATTR_SCHEMA_VERSION])
-        if version != SCHEMA_VERSION:
-            raise DataError(f"schema version {version}; this program reads version {SCHEMA_VERSION}")
         try:
-            return EpisodeMeta(
-                fps=float(attrs[ATTR_FPS]),
-                task=str(attrs[ATTR_TASK]),
-                seed=int(attrs[ATTR_SEED]),
-                cameras=tuple(str(name) for name in json.loads(attrs[ATTR_CAMERAS])),
-                sim=bool(attrs[ATTR_SIM]),
-                success=bool(attrs[ATTR_SUCCESS]),
-                extra=json.loads(attrs.get(ATTR_EXTRA, "{}")),
+            if (version := int(attrs["schema_version"])) != SCHEMA_VERSION:
+                raise DataError(f"schema version {version}; this program reads version {SCHEMA_VERSION}")
+            meta = EpisodeMeta(
+                fps=float(attrs["fps"]),
+                task=str(attrs["task"]),
+                seed=int(attrs["seed"]),
+                cameras=tuple(str(name) for name in json.loads(attrs["cameras"])),
+                sim=bool(attrs["sim"]),
+                success=bool(attrs["success"]),
+                extra=json.loads(attrs.get("extra", "{}")),
             )
+            return meta, int(attrs[TICKS])
         except (ValueError, TypeError) as error:
             raise DataError(f"unreadable attributes: {error}") from error

@@ -1,7 +1,7 @@
 """One episode of teleoperation: leader -> mirror -> control stack, and what was seen and commanded.
 
-The loop is driven by simulated time: a tick every 1 / rate seconds of the simulation, however fast the machine
-is, so nothing is lost under load and the same trial gives the same episode.
+A tick comes every 1 / rate seconds of simulated time, however fast the machine is: nothing is lost under load, and the
+same trial gives the same episode.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from minidual.demos.mirror import Mirror
 from minidual.demos.observation import Observation, Observer
 from minidual.errors import MinidualError, UsageError
 from minidual.plant.world import World
-from minidual.robot.constants import Array
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array
 from minidual.tasks.judge import Judge, Outcome, begin
 from minidual.tasks.task import Task, Trial
 
@@ -36,13 +36,7 @@ class HandoverError(MinidualError):
 
 @dataclass(frozen=True)
 class Tick:
-    """What was seen at one tick, and the command that leads to the next.
-
-    Attributes:
-        observation: Joints, openings, pictures.
-        action: (14,) joint targets forwarded by the arbiter [rad].
-        action_gripper: (2,) opening commands forwarded by the arbiter.
-    """
+    """What was seen at one tick, and the command that leads to the next: targets (n,) [rad] and openings (2,)."""
 
     observation: Observation
     action: Array
@@ -54,14 +48,14 @@ class SessionResult:
     """One episode.
 
     Attributes:
-        q: (T, 14) measured joints [rad], one row a tick; what else was seen went to `on_tick`, since the
-            pictures of a long episode may not fit into memory.
-        outcome: What the judge says.
-        latencies_s: Wall-clock time of each tick from reading the leader to the first torque and its physics
-            step [s]; a property of the machine, never stored in an episode.
+        q: (T, n) measured joints [rad]. Whatever else was seen went to `on_tick`: the pictures of a long episode may
+            not fit into memory.
+        outcome: The judge's.
+        latencies_s: (T,) wall-clock time from reading the leader to the first torque and its physics step; never
+            stored in an episode.
         refusals: What the arbiter refused.
-        ended_by: `leader`, `time_limit`, `stopped` (the leader fell silent) or `reflex`.
-        reflex: What the supervisor stopped the arms for, or an empty string.
+        ended_by: "leader", "time_limit", "stopped" (the leader fell silent) or "reflex".
+        reflex: Why the supervisor stopped the arms, or "".
     """
 
     q: Array
@@ -73,7 +67,7 @@ class SessionResult:
 
     @property
     def reason(self) -> str:
-        """Why the episode is no demonstration, or an empty string."""
+        """Why the episode is no demonstration, or ""."""
         if self.reflex:
             return self.reflex
         if self.ended_by == "stopped":
@@ -92,8 +86,7 @@ class TeleopSession:
         kinematics: Dynamics for the controller.
         observer: Reads the world, with or without cameras.
         config: Rate and mirror.
-        arbiter: Bounds of the arbiter.
-        mirror: Offsets; none by default.
+        arbiter: Its bounds.
         supervisor: Guards the motors; its reflex ends the episode.
     """
 
@@ -105,11 +98,10 @@ class TeleopSession:
         config: TeleopConfig,
         arbiter: ArbiterConfig,
         *,
-        mirror: Mirror | None = None,
         supervisor: Guard | None = None,
     ) -> None:
         self.world, self.observer, self.config = world, observer, config
-        self.mirror = Mirror(config.mirror) if mirror is None else mirror
+        self.mirror = Mirror(world.robot, config.mirror)
         steps = 1.0 / (config.rate_hz * world.dt)
         self._steps = round(steps)
         if abs(steps - self._steps) > 1e-6:
@@ -128,7 +120,7 @@ class TeleopSession:
             task: How it is judged.
             trial: Where the objects start and must end.
             leader: Who leads.
-            on_tick: Called with each tick's number and content once its command has been given: to record, to film.
+            on_tick: Called with each tick's number and content once its command has been given.
 
         Raises:
             LeaderOffsetError: The leader does not stand where the follower does.
@@ -198,7 +190,7 @@ class TeleopSession:
         return self.stack.arbitrate()
 
     def _move(self, judge: Judge, steps: int | None = None) -> str:
-        """Run a tick's control steps; return the reflex that ended them, or an empty string."""
+        """Run a tick's control steps; return the reflex that ended them, or ""."""
         for _ in range(self._steps if steps is None else steps):
             reflex = self._advance(judge)
             if reflex:
@@ -206,7 +198,7 @@ class TeleopSession:
         return ""
 
     def _advance(self, judge: Judge) -> str:
-        """Run one control step; return the reflex that it raised, or an empty string."""
+        """Run one control step; return the reflex that it raised, or ""."""
         reflex = ""
         try:
             self.stack.advance()
@@ -216,5 +208,5 @@ class TeleopSession:
         return reflex
 
     def _time_limit_s(self, leader: Leader) -> float:
-        """People need longer than the task's limit allows a method; the judge still says so."""
+        """Return the limit [s]; people get longer than the task allows, and the judge still says so."""
         return self.config.person_time_limit_s if leader.realtime else self.world.scene.task.time_limit_s

@@ -1,8 +1,7 @@
-"""RMS jerk of joint motion, one definition for recordings and for benchmarks.
+"""RMS jerk of joint motion: one definition for recordings and benchmarks.
 
-A finite difference at 1 kHz measures contact noise, and at 50 Hz it measures the sampling; neither can be
-compared with the other. Here the motion is first brought to one rate, low-passed there without phase, and
-only then differentiated, so the same smooth motion gives the same number from any recording rate.
+A finite difference measures contact noise at 1 kHz and the sampling at 50 Hz. Here the motion is brought to one rate and
+low-passed without phase before it is differentiated: a smooth motion gives the same number at any recording rate.
 """
 
 from __future__ import annotations
@@ -16,48 +15,38 @@ FILTER_ORDER = 4
 CUTOFF_HZ = 10.0
 INTERNAL_RATE_HZ = 1000.0
 
-#: What stands beside every jerk number in tables. Describes `rms_jerk` at its default cutoff.
 JERK_FILTER = (
-    "Butterworth low-pass, order 4, 10 Hz, run forward and backward (zero phase, -6 dB at 10 Hz) on the 14 "
-    "measured joints brought to 1 kHz by a quintic spline; third central difference; 0.2 s left out at each "
-    "end; RMS over time of the 14-D norm"
+    "Butterworth low-pass, order 4, 10 Hz, run forward and backward (zero phase, -6 dB at 10 Hz) on the measured "
+    "joints brought to 1 kHz by a quintic spline; third central difference; 0.2 s left out at each end; RMS over "
+    "time of the norm over all joints"
 )
+"""Stands beside every jerk number in tables."""
 
 
 def trim_s(cutoff_hz: float = CUTOFF_HZ) -> float:
-    """Return the time left out at each end, seconds: two periods of the cutoff, the filter's transient."""
+    """Return the time left out at each end [s]: two periods of the cutoff, the filter's transient."""
     return 2.0 / cutoff_hz
 
 
 def min_duration_s(cutoff_hz: float = CUTOFF_HZ) -> float:
-    """Return the shortest motion, seconds, that `rms_jerk` accepts."""
+    """Return the shortest motion [s] that `rms_jerk` accepts."""
     return 2.5 * trim_s(cutoff_hz)
 
 
 def rms_jerk(q: NDArray[np.floating], rate_hz: float, cutoff_hz: float = CUTOFF_HZ) -> float:
     """Return sqrt(mean over t of sum over joints of (d3q/dt3)^2), rad/s^3.
 
-    Content above half the recording rate is folded down before this function sees it, so a rate of at
-    least 50 Hz is advised; below four times the cutoff the call is refused.
+    Content above half the recording rate is aliased before this function sees it: record at 50 Hz or more.
 
     Args:
-        q: (T, J) measured joint positions at a constant rate, rad; J is 14 for both arms.
-        rate_hz: Sampling rate of q, 1/s.
-        cutoff_hz: Low-pass cutoff, 1/s.
+        q: (T, n) measured joint positions at a constant rate [rad].
+        rate_hz: Sampling rate of q; at least four times the cutoff.
+        cutoff_hz: Low-pass cutoff.
 
     Raises:
-        DataError: q is not (T, J), not finite, too short, or sampled too slowly for the cutoff.
+        DataError: q is not (T, n), not finite, too short, or sampled too slowly for the cutoff.
     """
-    jerk = joint_jerk(q, rate_hz, cutoff_hz)
-    return float(np.sqrt(np.mean(np.sum(jerk**2, axis=1))))
-
-
-def joint_jerk(q: NDArray[np.floating], rate_hz: float, cutoff_hz: float = CUTOFF_HZ) -> NDArray[np.float64]:
-    """Return the low-passed third derivative of q, (N, J) rad/s^3 at 1 kHz or above, ends left out.
-
-    Same arguments and errors as `rms_jerk`.
-    """
-    from scipy.interpolate import make_interp_spline
+    from scipy.interpolate import make_interp_spline  # slow to import, and every stage that prints JERK_FILTER is here
     from scipy.signal import butter, sosfiltfilt
 
     q = np.asarray(q, dtype=np.float64)
@@ -84,4 +73,5 @@ def joint_jerk(q: NDArray[np.floating], rate_hz: float, cutoff_hz: float = CUTOF
     # Central third difference: (q[+2] - 2 q[+1] + 2 q[-1] - q[-2]) / (2 dt^3).
     third = (smooth[4:] - 2.0 * smooth[3:-1] + 2.0 * smooth[1:-3] - smooth[:-4]) * (0.5 * rate**3)
     trim = round(trim_s(cutoff_hz) * rate) - 2
-    return np.asarray(third[trim:-trim], dtype=np.float64)
+    jerk = third[trim:-trim]
+    return float(np.sqrt(np.mean(np.sum(jerk**2, axis=1))))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from minidual.config.root import Config
-from minidual.demos.leader import require_leader
+from minidual.demos.leader import LEADERS
 from minidual.errors import ConfigError
 from minidual.trials.conditions import condition, parse_conditions
 from minidual.trials.methods import method_spec, parse_methods
@@ -21,7 +21,7 @@ def check_plan(config: Config) -> None:
 
 def check_leader(config: Config) -> None:
     """Refuse a leader that does not exist."""
-    require_leader(config.teleop.leader)
+    LEADERS[config.teleop.leader]
 
 
 def check_benchmark(config: Config) -> None:

@@ -134,10 +134,9 @@ def _film(context: StageContext, inputs: Any, trials: Sequence[Any], results: Se
 
 def _demonstrated(teleop_folder: Path, count: int) -> list[int]:
     """Return the trial indices of the first demonstrations that were kept."""
-    from minidual.demos.store import EpisodeStore
+    from minidual.demos.episode import episode_paths, read_meta
 
-    indices = [meta.trial for meta in EpisodeStore(teleop_folder / "episodes").metas()]
-    return indices[:count]
+    return [read_meta(path).trial for path in episode_paths(teleop_folder / "episodes")[:count]]
 
 
 def measure_inference(checkpoint: Path, context: StageContext, inferences: int = 60) -> float:

@@ -101,14 +101,7 @@ def run(context: StageContext) -> StageResult:
     from minidual.robot.constants import Q_LOWER, Q_UPPER
 
     with context.progress.task("reading frames") as task:
-        seen = 0
-
-        def count(done: int, _total: int) -> None:
-            nonlocal seen
-            task.advance(done - seen)
-            seen = done
-
-        demos = load_demonstrations(context.upstream["teleop-record"] / "lerobot", config.cameras, count)
+        demos = load_demonstrations(context.upstream["teleop-record"] / "lerobot", config.cameras, task.advance)
     checkpoint = context.folder / "checkpoint"
     # Beside the temporary folder, which the next attempt empties: an interrupted training goes on from here.
     # The file carries a fingerprint of data, settings and seed, so it is never used for another training.
