@@ -9,6 +9,8 @@ import pinocchio as pin
 
 from minidual.config.scene import SceneConfig
 from minidual.control.object_impedance import HeldObject, ObjectState
+from minidual.plant.world import World
+from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.constants import HOME, JOINT_DAMPING, Array
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse, pose
@@ -18,8 +20,14 @@ class ArmsPlant:
     """Fourteen joints at 1 kHz, semi-implicit Euler; keeps every torque it was given."""
 
     def __init__(self, scene: SceneConfig) -> None:
-        self.scene = scene
+        self.scene, self.robot = scene, DUAL_PANDA
         self.dt = 1e-3
+        self.health = ""
+        self.age_s = 0.0
+        """How old the measurements claim to be."""
+        self.grip_max_n = 70.0
+        self.fingers, self.grip = np.full(2, DUAL_PANDA.hand.travel_m), np.zeros(2)
+        self.tau = np.zeros(14)
         self._kinematics = Kinematics()
         self.torques: list[Array] = []
         self.commands = 0
@@ -35,7 +43,12 @@ class ArmsPlant:
     def time(self) -> float:
         return self.steps * self.dt
 
-    def command(self, tau: Array, finger_targets_m: Array) -> None:
+    @property
+    def stamp_s(self) -> float:
+        return self.time - self.age_s
+
+    def command(self, tau: Array, fingers: Array) -> None:
+        self.fingers = fingers.copy()
         self.tau = np.array(tau, dtype=float)
         self.torques.append(self.tau)
 
@@ -45,6 +58,19 @@ class ArmsPlant:
         self.v = self.v + self.dt * np.array(a)
         self.q = self.q + self.dt * self.v
         self.steps += 1
+
+
+class TrueObject:
+    """Reads the only object of a simulated world as an ideal sensor would."""
+
+    grip_limit_n = float("inf")
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+
+    def read(self) -> tuple[ObjectState, float]:
+        world = self._world
+        return ObjectState(world.object_pose(), world.object_twist()), world.internal_force()
 
 
 class HandsObject:

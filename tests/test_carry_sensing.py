@@ -27,12 +27,13 @@ class Bench:
     """What sensors may ask of a world, and nothing else."""
 
     dt: float = 0.001
+    time: float = 0.0
     T: np.ndarray = field(default_factory=lambda: pose(rot_z(0.3), (0.5, 0.1, 0.01)))
     forces: np.ndarray = field(default_factory=lambda: np.array([[1.0, -40.0, 2.0], [0.0, 40.0, 2.0]]))
     pinches: tuple[float, float] = (60.0, 50.0)
 
     def object_pose(self, name: object = None) -> np.ndarray:
-        return self.T
+        return self.T.copy()
 
     def object_forces(self, name: object = None) -> np.ndarray:
         return self.forces

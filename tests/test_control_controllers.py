@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from arm_scripts import pinch_rod
-from control_plant import ArmsPlant, HandsObject
+from control_plant import ArmsPlant, HandsObject, TrueObject
 
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import ArbiterState, JointCommand, ObjectCommand, TrajectoryCommand
@@ -66,7 +66,7 @@ def hand_over(stack: ControlStack, mode: str, controllers: Any = None) -> None:
 
 
 def trajectory(stack: ControlStack, motion: Any, sequence: int = 1, **fields: Any) -> TrajectoryCommand:
-    fields = {"gripper": OPEN, "stamp_s": stack.world.time, "sequence": sequence, **fields}
+    fields = {"gripper": OPEN, "stamp_s": stack.plant.time, "sequence": sequence, **fields}
     return TrajectoryCommand(motion, **fields)
 
 
@@ -302,9 +302,8 @@ def test_object_impedance_lifts_the_rod_and_hands_it_back(
     scene: SceneConfig, world: World, kinematics: Kinematics
 ) -> None:
     pinch_rod(JointLoop(world, kinematics), scene, kinematics)
-    stack = stack_on(world)
-    for _ in range(2):  # the hands are closed; the stack must not open them
-        stack.grippers.step(np.zeros(2))
+    stack = stack_on(world, sensor=TrueObject(world))
+    stack.grippers.close(world.finger_targets)  # the stack must not open the hands
     hand_over(stack, "moveit")
     q = world.q
     still = Trajectory(np.array([0.0, 0.9]), np.array([q, q]), np.zeros((2, 14)), np.zeros((2, 14)), "both_arms")

@@ -268,7 +268,7 @@ def test_one_source_no_jump_and_never_silence(history: list[Event]) -> None:
     """The witness asserts at every step; what is asserted here is that there were steps, up to the last torque."""
     witness = Witness()
     witness.play(history)
-    assert witness.stack.world.time > 0.0
+    assert witness.stack.plant.time > 0.0
     assert np.isfinite(witness.stack.applied).all()
 
 

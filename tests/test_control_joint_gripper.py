@@ -1,51 +1,106 @@
-"""Grippers ramp, remember, and press as hard as asked."""
+"""Grippers ramp, remember, and close by force on whatever lies between the fingers."""
 
 from __future__ import annotations
+
+import inspect
 
 import numpy as np
 import pytest
 
+from minidual.control import gripper
 from minidual.control.gripper import CLOSE_BELOW, OPEN_ABOVE, Grippers
+from minidual.plant.world import World
 from minidual.robot.arms import DUAL_PANDA
-from minidual.robot.constants import FINGER_TRAVEL_M
 
 DT = 0.001
+TRAVEL_M = DUAL_PANDA.hand.travel_m
+KP_N_PER_M = 5000.0
+
+
+class Hands:
+    """Two hands without mass: a servo of 5000 N/m, and between the fingers something rigid of a half width each."""
+
+    robot, dt, grip_max_n = DUAL_PANDA, DT, 70.0
+
+    def __init__(self, left_m: float = 0.009, right_m: float = 0.009, motor_n: float = 70.0) -> None:
+        self.half_m, self.motor_n = np.array([left_m, right_m]), motor_n
+        self.targets = np.full(2, TRAVEL_M)
+
+    @property
+    def fingers(self):
+        return np.maximum(self.targets, self.half_m)
+
+    @property
+    def grip(self):
+        return np.clip(KP_N_PER_M * (self.fingers - self.targets), -self.motor_n, self.motor_n)
+
+
+def run(hands, grippers, command, steps=1000):
+    targets = []
+    for _ in range(steps):
+        hands.targets = grippers.step(np.array(command))
+        targets.append(hands.targets.copy())
+    return np.array(targets)
 
 
 @pytest.fixture
-def grippers(scene):
-    return Grippers(scene, DUAL_PANDA, DT, pinch_force_n=50.0, speed_m_per_s=0.08)
+def hands():
+    return Hands()
 
 
-def settle(grippers, command, steps=1000):
-    return [grippers.step(np.array(command)).copy() for _ in range(steps)]
+@pytest.fixture
+def grippers(hands):
+    return Grippers(hands, pinch_force_n=50.0, speed_m_per_s=0.08)
 
 
-def test_targets_ramp_and_never_jump(grippers):
-    targets = np.array(settle(grippers, [0.0, 1.0]) + settle(grippers, [1.0, 0.0]))
+def test_targets_ramp_and_never_jump(hands, grippers):
+    targets = np.vstack([run(hands, grippers, [0.0, 1.0]), run(hands, grippers, [1.0, 0.0])])
     assert np.abs(np.diff(targets, axis=0)).max() <= 0.08 * DT + 1e-12
 
 
-def test_the_closed_target_lies_inside_the_rod_by_the_pinch(grippers, scene):
-    closed = settle(grippers, [0.0, 0.0])[-1]
-    stiffness = scene.physics.finger_kp_n_per_m
-    assert stiffness * (scene.rod.radius_m - closed) == pytest.approx([50.0, 50.0])
+@pytest.mark.parametrize("half_m", [0.0, 0.004, 0.025, 0.038])
+def test_the_force_does_not_depend_on_the_width(half_m):
+    hands = Hands(half_m, half_m)
+    run(hands, Grippers(hands, pinch_force_n=50.0), [0.0, 0.0])
+    assert hands.grip == pytest.approx([50.0, 50.0], abs=1e-3)
+    assert hands.fingers == pytest.approx([half_m, half_m])
 
 
-def test_the_pinch_is_limited_to_what_the_fingers_can(scene):
-    closed = settle(Grippers(scene, DUAL_PANDA, DT, pinch_force_n=500.0), [0.0, 0.0])[-1]
-    pressed = scene.physics.finger_kp_n_per_m * (scene.rod.radius_m - closed)
-    assert pressed == pytest.approx(scene.physics.finger_force_max_n)
+def test_it_knows_no_object_and_no_servo():
+    source = inspect.getsource(gripper)
+    assert "scene" not in source
+    assert "kp" not in source
 
 
-def test_hands_are_independent(grippers, scene):
-    left, right = settle(grippers, [0.0, 1.0])[-1]
-    assert left < scene.rod.radius_m
-    assert right == FINGER_TRAVEL_M
+def test_the_pinch_is_limited_to_what_the_motors_give(hands):
+    run(hands, Grippers(hands, pinch_force_n=500.0), [0.0, 0.0])
+    assert hands.grip == pytest.approx([70.0, 70.0])
 
 
-def test_a_wavering_command_does_not_flutter(grippers):
-    settle(grippers, [0.0, 0.0])
+def test_a_motor_too_weak_does_not_wind_the_target_up():
+    hands = Hands(motor_n=20.0)
+    grippers = Grippers(hands, pinch_force_n=50.0)
+    run(hands, grippers, [0.0, 0.0], 5000)
+    assert (hands.targets >= hands.fingers - 0.5 * TRAVEL_M - 1e-12).all()
+    run(hands, grippers, [1.0, 1.0], 700)
+    assert hands.targets == pytest.approx([TRAVEL_M] * 2)
+
+
+def test_hands_are_independent(hands, grippers):
+    left, right = run(hands, grippers, [0.0, 1.0])[-1]
+    assert left < 0.009
+    assert right == TRAVEL_M
+
+
+def test_an_object_that_leaves_is_followed_inwards(hands, grippers):
+    run(hands, grippers, [0.0, 0.0])
+    hands.half_m[:] = 0.005
+    run(hands, grippers, [0.0, 0.0])
+    assert hands.grip == pytest.approx([50.0, 50.0], abs=1e-3)
+
+
+def test_a_wavering_command_does_not_flutter(hands, grippers):
+    run(hands, grippers, [0.0, 0.0])
     middle = 0.5 * (CLOSE_BELOW + OPEN_ABOVE)
     for value in (middle, CLOSE_BELOW + 0.01, OPEN_ABOVE - 0.01, CLOSE_BELOW, OPEN_ABOVE):
         grippers.step(np.array([value, value]))
@@ -56,8 +111,20 @@ def test_a_wavering_command_does_not_flutter(grippers):
     assert grippers.is_open.tolist() == [1.0, 0.0]
 
 
-def test_a_reset_opens_at_once(grippers):
-    settle(grippers, [0.0, 0.0])
+def test_a_reset_opens_at_once(hands, grippers):
+    run(hands, grippers, [0.0, 0.0])
     grippers.reset()
-    assert grippers.targets_m.tolist() == [FINGER_TRAVEL_M] * 2
+    assert grippers.targets_m.tolist() == [TRAVEL_M] * 2
     assert grippers.is_open.tolist() == [1.0, 1.0]
+
+
+def test_fingers_that_meet_nothing_press_on_each_other_without_a_slam(scene, compiled_model):
+    """In the simulator, motors and inertia included; the force never passes what was asked for by much."""
+    world = World(scene, model=compiled_model)
+    grippers, forces = Grippers(world, pinch_force_n=40.0), []
+    for _ in range(1500):
+        world.command(np.zeros(14), grippers.step(np.zeros(2)))
+        world.step()
+        forces.append(world.grip)
+    assert np.array(forces)[-200:] == pytest.approx(40.0, abs=1.0)
+    assert np.max(forces) < 48.0

@@ -1,44 +1,54 @@
-"""Close and open the hands without slamming: a target inside the object sets the pinch force."""
+"""Close the hands until they feel the wanted force, and hold it; nothing need be known of what lies between them.
+
+    closing   target' = -sat( k (F - f), speed )      f: measured closing force
+    opening   target' = +speed, up to the hand's travel
+
+In free space f is small and the fingers run at `speed`; at contact the servo's force grows with the way that the target
+goes on, and the integrator stops it at F. The target stays within half the travel of the measured fingers, so that it
+does not run away where a motor cannot give F.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
-from minidual.config.scene import SceneConfig
-from minidual.robot.pair import Array, Robot
+from minidual.plant.protocol import Plant
+from minidual.robot.pair import Array
 
 CLOSE_BELOW, OPEN_ABOVE = 0.4, 0.6
-"""Hysteresis on an opening command in 0..1, so that a wavering policy does not flutter."""
+"""Hysteresis on an opening command in 0..1: a policy's output that wavers about the middle changes nothing."""
+JOINT_PINCH_N = 60.0
+"""Pinch force of the joint-space modes [N]; 1.5 times what the internal force of a stiff pair can ask for."""
+_COMPLIANCE_M_PER_NS = 0.01
+"""k: a servo of 5000 N/m settles on F with a time constant of 20 ms."""
 
 
 class Grippers:
-    """Turns opening commands (0 closed, 1 open) into ramped finger targets [m].
-
-    A finger servo of stiffness kp whose target lies `F / kp` inside the object's surface presses with F.
+    """Turns opening commands (0 closed, 1 open) into finger targets [m].
 
     Args:
-        scene: Holds the finger servo's stiffness and the object's width.
-        dt_s: Step of the control loop.
-        pinch_force_n: Force to close with.
-        speed_m_per_s: Slew rate of each finger.
+        plant: Its hands' travel, fingers and closing force are read; nothing is commanded.
+        pinch_force_n: Force to close with, limited to what the motors give.
+        speed_m_per_s: Largest speed of a target.
     """
 
-    def __init__(
-        self, scene: SceneConfig, robot: Robot, dt_s: float, *, pinch_force_n: float, speed_m_per_s: float = 0.08
-    ) -> None:
-        self._travel_m = robot.hand.travel_m
-        pinch_force_n = min(pinch_force_n, scene.physics.finger_force_max_n)
-        self._closed_m = scene.rod.half_width_m - pinch_force_n / scene.physics.finger_kp_n_per_m
-        self._step_m = speed_m_per_s * dt_s
+    def __init__(self, plant: Plant, *, pinch_force_n: float = JOINT_PINCH_N, speed_m_per_s: float = 0.08) -> None:
+        self._plant = plant
+        self._travel_m = plant.robot.hand.travel_m
+        self._force_n = min(pinch_force_n, plant.grip_max_n)
+        self._step_m = speed_m_per_s * plant.dt
+        self._gain = _COMPLIANCE_M_PER_NS * plant.dt
         self.reset()
 
     def reset(self) -> None:
-        """Open both hands at once."""
-        self._start(is_open=True)
+        """Start with both hands open."""
+        self._is_open = [True, True]
+        self._set([self._travel_m] * 2)
 
-    def close(self) -> None:
-        """Start with both hands closed, as when an object is already held."""
-        self._start(is_open=False)
+    def close(self, targets_m: Array) -> None:
+        """Start with both hands closed on something, at the finger targets (2,) [m] that hold it now."""
+        self._is_open = [False, False]
+        self._set(targets_m.tolist())
 
     @property
     def is_open(self) -> Array:
@@ -50,25 +60,26 @@ class Grippers:
 
         Plain floats: on two numbers they take a fifth of the time of array operations.
         """
-        asked = command.tobytes()
-        if asked == self._reached:  # the usual case: hands open or shut, and nobody asks for a change
-            return self.targets_m
-        targets, moved = self._targets, False
+        is_open = self._is_open
         for hand, wanted in enumerate(command.tolist()):
             if wanted > OPEN_ABOVE:
-                self._is_open[hand] = True
+                is_open[hand] = True
             elif wanted < CLOSE_BELOW:
-                self._is_open[hand] = False
-            way = (self._travel_m if self._is_open[hand] else self._closed_m) - targets[hand]
-            if way != 0.0:
-                targets[hand] += min(self._step_m, max(-self._step_m, way))
-                moved = True
-        self._reached = b"" if moved else asked
+                is_open[hand] = False
+        targets, step = self._targets, self._step_m
+        if is_open[0] and is_open[1] and targets[0] == targets[1] == self._travel_m:
+            return self.targets_m
+        grip, fingers = self._plant.grip.tolist(), self._plant.fingers.tolist()
+        for hand, target in enumerate(targets):
+            if is_open[hand]:
+                targets[hand] = min(target + step, self._travel_m)
+            else:
+                way = self._gain * (grip[hand] - self._force_n)
+                lowest = fingers[hand] - 0.5 * self._travel_m
+                targets[hand] = min(max(target + min(step, max(-step, way)), lowest), self._travel_m)
         self.targets_m = np.array(targets)
         return self.targets_m
 
-    def _start(self, *, is_open: bool) -> None:
-        self._is_open = [is_open, is_open]
-        self._reached = b""
-        self._targets = [self._travel_m if is_open else self._closed_m] * 2
-        self.targets_m = np.array(self._targets)
+    def _set(self, targets: list[float]) -> None:
+        self._targets = targets
+        self.targets_m = np.array(targets)

@@ -9,19 +9,16 @@ from __future__ import annotations
 from minidual.control.gripper import Grippers
 from minidual.control.joint_control import ComputedTorque
 from minidual.control.reference import ReferenceFilter
-from minidual.plant.world import World
+from minidual.plant.protocol import Plant
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
-
-JOINT_PINCH_N = 60.0
-"""Pinch force of the joint-space modes [N]; 1.5 times what the internal force of a stiff pair can ask for."""
 
 
 class JointLoop:
     """Drives a world from joint and gripper targets.
 
     Args:
-        world: The simulated plant.
+        world: The plant.
         kinematics: Dynamics for the controller.
         natural_frequency_rad_s: Closed-loop frequency of every joint.
         bandwidth_rad_s: Of the reference filter.
@@ -29,7 +26,7 @@ class JointLoop:
 
     def __init__(
         self,
-        world: World,
+        world: Plant,
         kinematics: Kinematics,
         *,
         natural_frequency_rad_s: float = 20.0,
@@ -38,7 +35,7 @@ class JointLoop:
         self.world = world
         self.controller = ComputedTorque(kinematics, natural_frequency_rad_s=natural_frequency_rad_s)
         self.reference = ReferenceFilter(world.dt, kinematics.robot, bandwidth_rad_s=bandwidth_rad_s)
-        self.grippers = Grippers(world.scene, world.robot, world.dt, pinch_force_n=JOINT_PINCH_N)
+        self.grippers = Grippers(world)
         self.reset()
 
     def reset(self) -> None:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -36,27 +35,13 @@ class ObjectSensor(Protocol):
         ...
 
 
-class WorldObjectSensor:
-    """Reads the rod of a simulated world as an ideal sensor would."""
-
-    grip_limit_n = math.inf
-
-    def __init__(self, world: Any) -> None:
-        self._world = world
-
-    def read(self) -> tuple[ObjectState, float]:
-        """Return the rod's state and the internal force [N]."""
-        world = self._world
-        return ObjectState(world.object_pose(), world.object_twist()), world.internal_force()
-
-
 class ObjectImpedanceController:
     """Both arms around one object: its path is followed as by a damped spring, its squeeze is servoed.
 
     Args:
         kinematics: Dynamics.
         dt_s: Control step.
-        sensor: Tells of the object.
+        sensor: Tells of the object; without one it cannot be activated.
         drives: Says whether it is active; by default it never is.
     """
 
@@ -64,7 +49,12 @@ class ObjectImpedanceController:
     arms = (0, 1)
 
     def __init__(
-        self, kinematics: Kinematics, dt_s: float, sensor: ObjectSensor, *, drives: Callable[[], bool] = lambda: False
+        self,
+        kinematics: Kinematics,
+        dt_s: float,
+        sensor: ObjectSensor | None,
+        *,
+        drives: Callable[[], bool] = lambda: False,
     ) -> None:
         self._kinematics, self._sensor, self._drives = kinematics, sensor, drives
         self._squeeze_step = SQUEEZE_RATE_N_PER_S * dt_s
@@ -95,7 +85,7 @@ class ObjectImpedanceController:
         """Take object paths that start where the object is."""
         if not isinstance(command, ObjectCommand):
             return ("wrong_controller", f"controller {self.name} takes object paths, no {type(command).__name__}")
-        measured, _ = self._sensor.read()
+        measured, _ = self._ready_sensor().read()
         T, T_start = measured.T_world_object, command.motion.at(0.0).T_world_object
         away_m = float(np.linalg.norm(T_start[:3, 3] - T[:3, 3]))
         away_rad = float(np.linalg.norm(rotation_log(T_start[:3, :3] @ T[:3, :3].T)))
@@ -109,13 +99,15 @@ class ObjectImpedanceController:
 
     def not_ready(self) -> str:
         """Return why it cannot be activated, or an empty string."""
-        return "" if self._law is not None else "it has not been told what is held"
+        if self._law is None:
+            return "it has not been told what is held"
+        return "" if self._sensor is not None else "no sensor tells it of an object"
 
     def activate(self, q: Array, v: Array) -> None:
         """Hold the object where it is, pressed as it is."""
         law = self._ready_law()
         law.engage(q)
-        measured, internal_force = self._sensor.read()
+        measured, internal_force = self._ready_sensor().read()
         self._desired = ObjectState(measured.T_world_object)
         ceiling = law.gains.force_ceiling_n
         self._squeeze = self._squeeze_wanted = float(np.clip(internal_force, 0.0, ceiling))
@@ -138,8 +130,9 @@ class ObjectImpedanceController:
         step = self._squeeze_wanted - self._squeeze
         step = bounded(step, -self._squeeze_step, self._squeeze_step)
         # More than friction carries makes the hands slip: a grip that has begun to is eased at once.
-        self._squeeze = min(self._squeeze + step, self._sensor.grip_limit_n)
-        measured, internal_force = self._sensor.read()
+        sensor = self._ready_sensor()
+        self._squeeze = min(self._squeeze + step, sensor.grip_limit_n)
+        measured, internal_force = sensor.read()
         self._reference = q
         return law.torque(
             q, v, measured, self._desired, internal_force_n=self._squeeze, measured_internal_force_n=internal_force
@@ -164,3 +157,8 @@ class ObjectImpedanceController:
         if self._law is None:
             raise UsageError(f"controller {self.name} is not ready: {self.not_ready()}")
         return self._law
+
+    def _ready_sensor(self) -> ObjectSensor:
+        if self._sensor is None:
+            raise UsageError(f"controller {self.name} is not ready: {self.not_ready()}")
+        return self._sensor

@@ -1,10 +1,10 @@
 """The one way to move the arms: arbiter, controllers, supervisor and plant in one control loop.
 
-    stack = ControlStack(world, kinematics)
+    stack = ControlStack(plant, kinematics)
     stack.request("moveit")
     while stack.source != "moveit":
         stack.step()
-    stack.propose("moveit", TrajectoryCommand(trajectory, np.ones(2), world.time, 1))
+    stack.propose("moveit", TrajectoryCommand(trajectory, np.ones(2), plant.time, 1))
     while stack.executing:
         stack.affirm("moveit")
         stack.step()
@@ -17,7 +17,6 @@ or stop them, the plant moves. See docs/control.md.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -26,12 +25,12 @@ from minidual.control.arbiter import CommandArbiter
 from minidual.control.commands import HOLD, ArbiterOutput, ArbiterState, Command, JointCommand, Refusal
 from minidual.control.controller_manager import ControllerManager, ControllerSwitchError
 from minidual.control.controllers import Controller, JointTrajectoryController
-from minidual.control.gripper import Grippers
-from minidual.control.loop import JOINT_PINCH_N
+from minidual.control.gripper import JOINT_PINCH_N, Grippers
 from minidual.control.motors import Guard, SwitchedOff
-from minidual.control.object_controller import ObjectImpedanceController, ObjectSensor, WorldObjectSensor
+from minidual.control.object_controller import ObjectImpedanceController, ObjectSensor
 from minidual.control.soft_stop import STOP_SHARE, SoftStopController
 from minidual.errors import MinidualError, UsageError
+from minidual.plant.protocol import Plant
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 
@@ -42,24 +41,28 @@ OBJECT_CONTROLLERS: tuple[str, ...] = ("object_impedance",)
 _STOPPING: tuple[str, ...] = ("soft_stop",)
 
 
+class PlantError(MinidualError):
+    """The plant cannot be driven, or its measurements are too old."""
+
+
 class ControlStack:
     """Drives one plant.
 
     Args:
-        world: The plant: `time`, `dt`, `q`, `v`, `scene`, `command(tau, finger_targets_m)`, `step()`, as `sim.World`.
+        plant: The arms.
         kinematics: Dynamics of the controllers.
         config: Bounds and times of the arbiter.
         rate_hz: Rate of the arbiter in `step`.
         controllers: The set to begin with.
         pinch_force_n: Force with which the hands close.
         supervisor: Guards the torques; None guards nothing.
-        sensor: Tells controller C of the object; the world's rod by default.
+        sensor: Tells controller C of the object; without one it cannot be activated.
         stop_share: Deceleration of a halt, as a share of the joints' limits.
     """
 
     def __init__(
         self,
-        world: Any,
+        plant: Plant,
         kinematics: Kinematics,
         config: ArbiterConfig | None = None,
         *,
@@ -70,30 +73,27 @@ class ControlStack:
         sensor: ObjectSensor | None = None,
         stop_share: float = STOP_SHARE,
     ) -> None:
-        self.world = world
+        self.plant = plant
         self.supervisor = supervisor
         self._config = ArbiterConfig() if config is None else config
         self._initial = tuple(controllers)
-        steps = 1.0 / (rate_hz * world.dt)
+        steps = 1.0 / (rate_hz * plant.dt)
         self._every = round(steps)
         if self._every < 1 or abs(steps - self._every) > 1e-6:
             raise UsageError(
-                f"rate_hz {rate_hz} does not divide the control rate of {1.0 / world.dt:g} Hz",
+                f"rate_hz {rate_hz} does not divide the control rate of {1.0 / plant.dt:g} Hz",
                 remedy="take a divisor of it, such as 50 or 100",
             )
         self._robot = kinematics.robot
-        self.grippers = Grippers(world.scene, self._robot, world.dt, pinch_force_n=pinch_force_n)
+        self.grippers = Grippers(plant, pinch_force_n=pinch_force_n)
         table: list[Controller] = [
-            JointTrajectoryController(group, kinematics, world.dt) for group in ("both_arms", "left_arm", "right_arm")
+            JointTrajectoryController(group, kinematics, plant.dt) for group in ("both_arms", "left_arm", "right_arm")
         ]
         self.impedance = ObjectImpedanceController(
-            kinematics,
-            world.dt,
-            WorldObjectSensor(world) if sensor is None else sensor,
-            drives=lambda: self.impedance.name in self.manager.active,
+            kinematics, plant.dt, sensor, drives=lambda: self.impedance.name in self.manager.active
         )
-        stop = SoftStopController(kinematics, world.dt, deceleration_share=stop_share)
-        self.manager = ControllerManager([*table, self.impedance, stop], world.dt, self._robot)
+        stop = SoftStopController(kinematics, plant.dt, deceleration_share=stop_share)
+        self.manager = ControllerManager([*table, self.impedance, stop], plant.dt, self._robot)
         self.manager.check(self._initial)
         self._flush_listeners: list[Callable[[str], None]] = []
         self.reset()
@@ -101,21 +101,21 @@ class ControlStack:
     def reset(self) -> None:
         """Start from where the arms are, at rest, hands open, nobody driving, nothing held. Listeners stay.
 
-        It belongs to every reset of the world.
+        It belongs to every reset of the plant.
         """
-        world = self.world
+        plant = self.plant
         self.arbiter = CommandArbiter(
             self._config,
-            control_dt_s=world.dt,
+            control_dt_s=plant.dt,
             admit=lambda command: self.manager.find_fault(command),
             robot=self._robot,
         )
         self.arbiter.on_flush(self._flushed)
         self.arbiter.on_confirm(self._confirmed)
-        self.manager = ControllerManager([self.manager[name] for name in self.manager.names], world.dt, self._robot)
+        self.manager = ControllerManager([self.manager[name] for name in self.manager.names], plant.dt, self._robot)
         self.impedance.forget()
         self.grippers.reset()
-        q = world.q
+        q = plant.q
         self.manager.switch(self._initial, q, np.zeros_like(q))
         self._wanted: dict[str, tuple[str, ...]] = {}
         self._countdown = 0
@@ -198,7 +198,7 @@ class ControlStack:
             raise ControllerSwitchError(
                 "under_way", "a timed command is under way", remedy='wait for its end, or request("hold")'
             )
-        self.manager.switch(names, self.world.q, self.world.v)
+        self.manager.switch(names, self.plant.q, self.plant.v)
         self._due = True
 
     def halt(self, source: str, gripper: Array | None = None) -> None:
@@ -223,7 +223,7 @@ class ControlStack:
         For motors that have gone: drives that come back must not find a torque waiting. What is told falls to zero at
         the drives' rate. The arms named before stay off only if they are named again.
         """
-        self._off = SwitchedOff(arms, self.applied, self.world.dt, self._robot)
+        self._off = SwitchedOff(arms, self.applied, self.plant.dt, self._robot)
 
     def on_flush(self, listener: Callable[[str], None]) -> None:
         """Call `listener(mode)` whenever a switch to `mode` begins, so that sources drop queued chunks too."""
@@ -234,7 +234,7 @@ class ControlStack:
         self._reset_supervisor()
         self.reflex = None
         for name in self.manager.active:
-            self.manager[name].activate(self.world.q, self.world.v)
+            self.manager[name].activate(self.plant.q, self.plant.v)
         self.request(HOLD)
 
     # What is seen ----------------------------------------------------------------------------------------
@@ -287,17 +287,17 @@ class ControlStack:
 
     def arbitrate(self) -> ArbiterOutput:
         """Run a tick of the arbiter now; sessions that keep time themselves call this and `advance`."""
-        world = self.world
-        output = self.arbiter.tick(world.time, world.q, world.v)
+        plant = self.plant
+        output = self.arbiter.tick(plant.time, plant.q, plant.v)
         self.output = output
         if self.supervisor is not None:  # should the arbiter fall silent itself, the supervisor stops the arms
-            self.supervisor.heard(world.time)
+            self.supervisor.heard(plant.time)
         if output.refusals:
             self.refusals.extend(output.refusals)
         self._due = self._pending = False
         if output.halted:
             self._wanted.pop(HOLD, None)  # even a set that a hold has named: the stop holds the arms
-            self.manager.switch(_STOPPING, world.q, world.v, swiftly=True)
+            self.manager.switch(_STOPPING, plant.q, plant.v, swiftly=True)
         self.manager.follow(output)
         return output
 
@@ -307,20 +307,20 @@ class ControlStack:
         Raises:
             The named error of the supervisor, or without one that of a controller, once and after the step.
         """
-        world, output = self.world, self.output
+        plant, output = self.plant, self.output
         for execution in output.executions:
             execution.step()
             if execution.finished:
                 self._due = True
-        q, v = world.q, world.v
+        q, v = plant.q, plant.v
         if self._off is not None:
             self._off.step()
         tau, stopped = self._torque(q, v)
         if self._off is not None:
             tau = self._off.apply(tau)
         self.applied = tau
-        world.command(tau, self.grippers.step(output.gripper))
-        world.step()
+        plant.command(tau, self.grippers.step(output.gripper))
+        plant.step()
         if stopped is not None:
             raise stopped
 
@@ -329,6 +329,7 @@ class ControlStack:
         failed: MinidualError | None = None
         tau = self.applied
         try:
+            self._check_plant()
             tau = self.manager.update(q, v)
             if self._off is not None:  # the supervisor need not guard what no motor is told
                 tau = self._off.apply(tau)
@@ -338,12 +339,24 @@ class ControlStack:
             return (tau, None) if failed is None else (self._fall_back(failed, q, v), failed)
         try:
             if failed is not None:
-                return self.supervisor.fail(self.world.time, q, v, failed.message), None
-            return self.supervisor.guard(self.world.time, q, v, tau, self.manager.acceleration), None
+                return self.supervisor.fail(self.plant.time, q, v, failed.message), None
+            return self.supervisor.guard(self.plant.time, q, v, tau, self.manager.acceleration), None
         except MinidualError as error:
             if failed is not None:
                 error.__cause__ = failed
             return self._stop(error), error
+
+    def _check_plant(self) -> None:
+        """Raise PlantError where the plant cannot be driven or its measurements are too old to control by."""
+        plant, limit_s = self.plant, self._config.stale_s
+        if plant.health:
+            raise PlantError(f"the plant cannot be driven: {plant.health}")
+        age_s = plant.time - plant.stamp_s
+        if age_s > limit_s:
+            raise PlantError(
+                f"the measurements are {age_s:.3f} s old; limit {limit_s} s",
+                remedy="see that the plant delivers its state; arbiter.stale_s is how old it may be",
+            )
 
     def _stop(self, error: MinidualError) -> Array:
         """Take the arms from everybody; return the torque that the supervisor's error carries for this tick."""
@@ -373,4 +386,4 @@ class ControlStack:
     def _confirmed(self, mode: str) -> None:
         names = self._wanted.pop(mode, self.manager.active)
         if names != self.manager.active:
-            self.manager.switch(names, self.world.q, self.world.v)
+            self.manager.switch(names, self.plant.q, self.plant.v)

@@ -9,45 +9,16 @@ This is the only place that reads the true state of the object for a controller.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import pinocchio as pin
 
 from minidual.config.control import SensingConfig
+from minidual.plant.protocol import PoseSample, Reading
 from minidual.plant.world import World
-from minidual.robot.constants import Array
+from minidual.robot.pair import Array
 
 _BLOCK = 512
 _FORCES = 8  # three components of two hands, then two pinches
-
-
-@dataclass(frozen=True)
-class PoseSample:
-    """One reading of the object's pose.
-
-    Attributes:
-        T_world_object: (4, 4) as measured.
-        age_ticks: Control steps since it was taken; the delay, at the moment at which it arrives.
-    """
-
-    T_world_object: Array
-    age_ticks: int
-
-
-@dataclass(frozen=True)
-class Reading:
-    """What has arrived at one control step.
-
-    Attributes:
-        pose: The pose sample that arrived in this very step, or None between samples.
-        hand_forces: (2, 3) [N], of each hand on the object, world axes.
-        pinch: (2,) [N], of each hand.
-    """
-
-    pose: PoseSample | None
-    hand_forces: Array
-    pinch: Array
 
 
 class Sensors:
@@ -61,17 +32,18 @@ class Sensors:
         config: Noise, delay, rate.
         rng: Stream of this trial's noise. The draws do not depend on the amounts, so one trial under less noise
             sees the same noise, smaller.
+        name: Object to sense; None for the only one.
     """
 
-    def __init__(self, world: World, config: SensingConfig, rng: np.random.Generator) -> None:
-        self._world, self._config, self._rng = world, config, rng
+    def __init__(self, world: World, config: SensingConfig, rng: np.random.Generator, name: str | None = None) -> None:
+        self._world, self._config, self._rng, self._name = world, config, rng, name
         self.delay_ticks = round(config.delay_s / world.dt)
         period = 1.0 / (config.pose_rate_hz * world.dt) if config.pose_rate_hz > 0.0 else 1.0
         self._period_ticks = max(1, round(period))
         bias = rng.standard_normal(6)
         self._bias = np.r_[config.pose_bias_m * bias[:3], config.pose_bias_rad * bias[3:]]
         self._scale = np.r_[[config.pose_noise_m] * 3, [config.pose_noise_rad] * 3]
-        self._tick = 0
+        self._tick, self._begin_s = 0, world.time
         self._force_noise, self._force_row = np.zeros((0, _FORCES)), _BLOCK
         length = self.delay_ticks + 1
         self._forces = np.zeros((length, _FORCES))
@@ -94,7 +66,8 @@ class Sensors:
         self._tick += 1
         pose = None if arrived is None else PoseSample(arrived, self.delay_ticks)
         forces = self._forces[(tick + 1) % length].copy()
-        return Reading(pose, forces[:6].reshape(2, 3), forces[6:])
+        stamp_s = max(0, tick - self.delay_ticks) * self._world.dt + self._begin_s
+        return Reading(pose, forces[:6].reshape(2, 3), forces[6:], stamp_s)
 
     def _sample_forces(self, out: Array) -> None:
         """Write what the hands feel now, noise included, into (8,)."""
@@ -103,13 +76,13 @@ class Sensors:
             self._force_noise = self._config.force_noise_n * self._rng.standard_normal((_BLOCK, _FORCES))
             row = 0
         self._force_row = row + 1
-        out[:6] = self._world.object_forces().ravel()
-        out[6:] = self._world.pinch()
+        out[:6] = self._world.object_forces(self._name).ravel()
+        out[6:] = self._world.pinch(self._name)
         out += self._force_noise[row]
         np.maximum(out[6:], 0.0, out[6:])
 
     def _sample_pose(self) -> Array:
-        T = self._world.object_pose().copy()
+        T = self._world.object_pose(self._name)
         error = self._bias + self._scale * self._rng.standard_normal(6)
         T[:3, 3] += error[:3]
         T[:3, :3] = pin.exp3(error[3:]) @ T[:3, :3]

@@ -63,7 +63,7 @@ class World:
         self._no_warnings = bytes(self._warnings.nbytes)
         self.dt = float(self.model.opt.timestep)
         self.joints = map_joints(self.model, robot.joint_names, torque=True)
-        self.fingers = map_joints(self.model, robot.finger_joint_names, torque=False)
+        self.finger_joints = map_joints(self.model, robot.finger_joint_names, torque=False)
         self.objects = object_names(self.model)
         """Names of the objects."""
         self._objects: dict[str | None, NamedObject] = {
@@ -73,7 +73,9 @@ class World:
             self._objects[None] = self._objects[self.objects[0]]
         data = self.data  # views, made once: looking up a field of MjData costs as much as reading three numbers
         self._qpos, self._qvel, self._ctrl, self._force = data.qpos, data.qvel, data.ctrl, data.actuator_force
-        self._finger_ctrl = tuple(np.ascontiguousarray(self.fingers.ctrl.reshape(2, 2).T))  # a strided index is slow
+        self._finger_ctrl = tuple(
+            np.ascontiguousarray(self.finger_joints.ctrl.reshape(2, 2).T)
+        )  # a strided index is slow
         self.recorder: Recorder | None = None
         """Keeps what a replay needs, where one is wanted (see minidual.plant.recorder)."""
         self.observer: Callable[[World], None] | None = None
@@ -101,10 +103,42 @@ class World:
         return self._force[self.joints.ctrl]
 
     @property
+    def stamp_s(self) -> float:
+        """When the measurements were taken [s]: now."""
+        return float(self.data.time)
+
+    @property
+    def fingers(self) -> Array:
+        """Distance (2,) [m] of each hand's fingers from the middle between them."""
+        a, b, c, d = self._qpos[self.finger_joints.qpos].tolist()
+        return np.array([0.5 * (a + b), 0.5 * (c + d)])
+
+    @property
+    def grip(self) -> Array:
+        """Force (2,) [N] with which the motors of each hand closed its fingers in the last step, the mean of the two."""
+        a, b, c, d = self._force[self.finger_joints.ctrl].tolist()
+        return np.array([-0.5 * (a + b), -0.5 * (c + d)])
+
+    @property
+    def grip_max_n(self) -> float:
+        """Largest closing force of a finger [N]."""
+        return self.scene.physics.finger_force_max_n
+
+    @property
+    def health(self) -> str:
+        """Return an empty string: a simulation that diverges raises in `step`."""
+        return ""
+
+    @property
     def gripper(self) -> Array:
         """Opening of each hand (2,), 0 closed to 1 open."""
-        fingers = self._qpos[self.fingers.qpos]
+        fingers = self._qpos[self.finger_joints.qpos]
         return (fingers[0::2] + fingers[1::2]) / (2.0 * self.robot.hand.travel_m)
+
+    @property
+    def finger_targets(self) -> Array:
+        """Finger targets (2,) [m] as commanded last."""
+        return self._ctrl[self._finger_ctrl[0]]
 
     def truth(self, name: str | None = None) -> NamedObject:
         """Return the truth of an object.
@@ -198,20 +232,20 @@ class World:
         put = {self.truth(name): pose for name, pose in (poses or {}).items()}
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[self.joints.qpos] = q
-        self.data.qpos[self.fingers.qpos] = robot.hand.travel_m
-        self.data.ctrl[self.fingers.ctrl] = robot.hand.travel_m
+        self.data.qpos[self.finger_joints.qpos] = robot.hand.travel_m
+        self.data.ctrl[self.finger_joints.ctrl] = robot.hand.travel_m
         for found, pose in put.items():
             found.put(pose)
         mujoco.mj_forward(self.model, self.data)
 
-    def command(self, tau: Array, finger_targets_m: Array) -> None:
+    def command(self, tau: Array, fingers: Array) -> None:
         """Set the motors' torques (n,) [Nm] and each hand's finger target (2,) [m] (same for both fingers).
 
         Torques beyond the motors' limits are clipped by the actuators, as the real drives do.
         """
         self._ctrl[self.joints.ctrl] = tau
         left, right = self._finger_ctrl
-        self._ctrl[left] = self._ctrl[right] = finger_targets_m
+        self._ctrl[left] = self._ctrl[right] = fingers
 
     def step(self) -> None:
         """Advance by one time step.

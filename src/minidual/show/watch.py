@@ -197,7 +197,7 @@ class StackNarrator:
 
     def _paths(self, command: TrajectoryCommand) -> tuple[PathLine, ...]:
         times = np.linspace(0.0, command.motion.duration_s, _PATH_POINTS)
-        qs = np.tile(self._stack.world.q, (len(times), 1))
+        qs = np.tile(self._stack.plant.q, (len(times), 1))
         group = self._kinematics.robot.groups[command.group]
         found = command.motion.sample_many(times)[0]
         qs[:, group] = found if found.shape[1] == qs[:, group].shape[1] else found[:, group]

@@ -62,13 +62,13 @@ class CarryStop:
         drives = self._stack.source == self._source
         self._stack.halt(self._source, _OPEN if FAULTS[name].opens_hands and drives else None)
         if self.fault is None:  # else the arbiter has stopped it already, and this came on top
-            self._note(name, self._stack.world.time, detail, self._halt_s())
+            self._note(name, self._stack.plant.time, detail, self._halt_s())
 
     def heed_motors(self) -> None:
         """Look at the motors; those that are gone are told nothing more, whatever stopped the arms before."""
         if self._told is None:
             return
-        finding = self._watch.motors(self._told, self._stack.world.tau)
+        finding = self._watch.motors(self._told, self._stack.plant.tau)
         if finding is not None:
             self.heed(finding)
             self._stack.switch_off(self._watch.lost_arms)
@@ -77,7 +77,7 @@ class CarryStop:
         """Note that a command of the carry was refused: what it was to do next will not happen."""
         if self.fault is None:
             why = f"{refusal.name}: {refusal.detail}"
-            self._note("interrupted", self._stack.world.time, why, _BRAKED_S)
+            self._note("interrupted", self._stack.plant.time, why, _BRAKED_S)
 
     def step(self) -> None:
         """Run a step of the stack; note a reflex, and what the arbiter made of the carry's commands."""
@@ -109,7 +109,7 @@ class CarryStop:
         if self.fault is not None or self.over:
             return
         if stack.output.halted:  # before what was asked for: a halt is told to the sources as a hold
-            self._note("interrupted", stack.world.time, "the arms were halted", self._halt_s())
+            self._note("interrupted", stack.plant.time, "the arms were halted", self._halt_s())
             return
         if refused is not None:
             self.heed_refusal(refused)
@@ -120,7 +120,7 @@ class CarryStop:
             why = f"the arbiter is {stack.state}: it has not heard of the carry"
         else:
             return
-        self._note("interrupted", stack.world.time, why, _BRAKED_S)
+        self._note("interrupted", stack.plant.time, why, _BRAKED_S)
 
     def _note(self, name: str, at_s: float, detail: str, duration_s: float) -> None:
         self.fault = CarryFault(name, at_s, detail)
@@ -128,7 +128,7 @@ class CarryStop:
 
     def _halt_s(self) -> float:
         """Return how long a halt from here takes."""
-        world = self._stack.world
+        world = self._stack.plant
         return SoftStop(world.q, world.v, self._share * world.robot.a_max).duration_s
 
     def _flushed(self, mode: str) -> None:

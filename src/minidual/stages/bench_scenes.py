@@ -14,7 +14,7 @@ import numpy as np
 
 from minidual.config.scene import SceneConfig
 from minidual.control.gripper import Grippers
-from minidual.control.loop import JOINT_PINCH_N, JointLoop
+from minidual.control.loop import JointLoop
 from minidual.control.object_impedance import HeldObject, ImpedanceGains, ObjectImpedance, ObjectState
 from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.errors import MinidualError
@@ -79,9 +79,9 @@ class BenchScene:
 
     def grippers(self) -> Grippers:
         """Return grippers that keep the situation."""
-        grippers = Grippers(self.world.scene, self.world.robot, self.world.dt, pinch_force_n=JOINT_PINCH_N)
+        grippers = Grippers(self.world)
         if not self.virtual:
-            grippers.close()
+            grippers.close(self.world.finger_targets)
         return grippers
 
     def joint_samples(self) -> Iterator[JointSample]:

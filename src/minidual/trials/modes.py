@@ -118,7 +118,7 @@ class ModesDemo:
         self.recorder.observe()
         if stack.state == ArbiterState.STOPPED:
             last = stack.refusals[-1].detail if stack.refusals else "no command came"
-            raise SwitchError(f"mode '{mode}' lost its turn at {stack.world.time:.2f} s: {last}")
+            raise SwitchError(f"mode '{mode}' lost its turn at {stack.plant.time:.2f} s: {last}")
 
     def result(self, arbiter: ArbiterConfig, *, ended: str = "") -> ModesResult:
         """Return what was measured, held to its bounds; `ended` says what ended it too early."""
@@ -126,8 +126,8 @@ class ModesDemo:
         return ModesResult(
             switches,
             tuple(self._outcomes),
-            tuple(text for s in switches for text in s.faults(arbiter, stack.world.dt)),
+            tuple(text for s in switches for text in s.faults(arbiter, stack.plant.dt)),
             tuple((r.source, r.name, r.detail) for r in stack.refusals),
-            stack.world.time,
+            stack.plant.time,
             ended,
         )

@@ -101,7 +101,7 @@ class MoveitDriver:
             SwitchError: It is refused; so do `tick` and `watch`.
         """
         self._refusals_before = len(self.stack.refusals)
-        self._began_s = self.stack.world.time
+        self._began_s = self.stack.plant.time
         self._next()
 
     def tick(self) -> None:
@@ -122,7 +122,7 @@ class MoveitDriver:
         if self._groups:
             return False
         if self._share < 1.0:
-            return self.stack.world.time - self._began_s >= self._share * sum(self._motion_s)
+            return self.stack.plant.time - self._began_s >= self._share * sum(self._motion_s)
         return not self.stack.executing
 
     def result(self) -> dict[str, object]:
@@ -130,11 +130,11 @@ class MoveitDriver:
         return {
             "trajectories_s": self._motion_s,
             "planning_s": self._planned_s,
-            "from_home_rad": float(np.abs(self.stack.world.q - HOME).max()),
+            "from_home_rad": float(np.abs(self.stack.plant.q - HOME).max()),
         }
 
     def _next(self) -> None:
-        world: World = self.stack.world
+        world: World = self.stack.plant
         group = self._groups.pop(0)
         if self._home:
             # The arm that is not planned for is held where it is.
@@ -155,7 +155,7 @@ class MoveitDriver:
 
     def _fail(self, refusal: Refusal) -> NoReturn:
         raise SwitchError(
-            f"trajectory {self._sequence} of mode 'moveit' was refused at {self.stack.world.time:.2f} s "
+            f"trajectory {self._sequence} of mode 'moveit' was refused at {self.stack.plant.time:.2f} s "
             f"({refusal.name}): {refusal.detail}"
         )
 
@@ -192,7 +192,7 @@ class TeleopDriver:
 
     def begin(self) -> None:
         """Plan from the present posture and rod."""
-        world: World = self.stack.world
+        world: World = self.stack.plant
         rod = level_part(world.object_pose())
         trial = Trial("modes", 0, {world.objects[0]: placement(rod)}, self._target)
         plan = self._operator.plan(trial, seed=self._seed, rate_hz=self._rate)
@@ -216,7 +216,7 @@ class TeleopDriver:
         """Propose the leader's present posture."""
         k = min(self._k, len(self._move.q) - 1)
         self._k += 1
-        command = JointCommand(self._move.q[k], self._move.gripper[k], self.stack.world.time, self._k)
+        command = JointCommand(self._move.q[k], self._move.gripper[k], self.stack.plant.time, self._k)
         self.stack.propose("teleop", command)
 
     def watch(self) -> None:
@@ -229,7 +229,7 @@ class TeleopDriver:
 
     def result(self) -> dict[str, object]:
         """Return where the rod lies now, against where it was to be put."""
-        rod = level_part(self.stack.world.object_pose())
+        rod = level_part(self.stack.plant.object_pose())
         x, y, _ = placement(next(iter(self._target.values())))
         error = float(np.hypot(rod[0, 3] - x, rod[1, 3] - y))
         return {"rod_error_m": error}
@@ -261,11 +261,11 @@ class PolicyDriver:
     def begin(self) -> None:
         """Start an episode."""
         self._runtime.reset()
-        self._began_s = self.stack.world.time
+        self._began_s = self.stack.plant.time
 
     def tick(self) -> None:
         """Propose the policy's action."""
-        world: World = self.stack.world
+        world: World = self.stack.plant
         state = np.concatenate([world.q, world.gripper])
         images = {name: partial(self._picture, name) for name in self._runtime.cameras}
         action = self._runtime.act(images, state)
@@ -275,7 +275,7 @@ class PolicyDriver:
 
     def watch(self) -> None:
         """Judge the present instant."""
-        world: World = self.stack.world
+        world: World = self.stack.plant
         self._judge.observe(world)
         if not self._judge.finished:
             self._finished_s = world.time
@@ -283,13 +283,13 @@ class PolicyDriver:
     @property
     def done(self) -> bool:
         """Whether the rod has lain at its goal for a while, or the task's time is over."""
-        world: World = self.stack.world
+        world: World = self.stack.plant
         over = world.time - self._began_s >= world.scene.task.time_limit_s
         return over or (self._judge.finished and world.time - self._finished_s >= _QUIET_S)
 
     def result(self) -> dict[str, object]:
         """Return whether the rod lies released at its goal, and how far off."""
-        error = self._judge.outcome(self.stack.world).goal_error_m
+        error = self._judge.outcome(self.stack.plant).goal_error_m
         return {
             "rod_put_down_at_goal": bool(self._judge.finished),
             "rod_error_m": error,

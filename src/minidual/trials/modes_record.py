@@ -102,14 +102,14 @@ class Recorder:
 
     def requested(self, mode: str) -> None:
         """Begin to watch a switch."""
-        world = self.stack.world
+        world = self.stack.plant
         speed = float(np.abs(world.v).max())
         self.switches.append(Switch(mode, world.time, speed_at_request_rad_s=speed))
 
     def confirmed(self) -> None:
         """Note that the mode has its turn."""
         switch = self.switches[-1]
-        switch.confirmed_s = self.stack.world.time
+        switch.confirmed_s = self.stack.plant.time
         switch.controllers = self.stack.manager.active
 
     def observe(self) -> None:
@@ -125,24 +125,24 @@ class Recorder:
             mode = self.switches[-1].mode if self.switches else ""
             source, state, active = stack.output.active_source or "", str(stack.state), stack.manager.active
             steps = (float(np.max(x)) for x in (reference, applied, asked))
-            self.rows.append((stack.world.time, mode, source, state, " ".join(active), *steps))
+            self.rows.append((stack.plant.time, mode, source, state, " ".join(active), *steps))
         self._last = now
         self._steps += 1
 
     def _watch(
         self, switch: Switch, target: Array, last_target: Array, reference: Array, applied: Array, asked: Array
     ) -> None:
-        stack, now = self.stack, self.stack.world.time
+        stack, now = self.stack, self.stack.plant.time
         driven = stack.output.active_source == switch.mode
         if driven and np.isnan(switch.first_command_s):
             switch.first_command_s = now
-            switch.first_step_rad = float(np.max(np.abs(target - stack.world.q)))
+            switch.first_step_rad = float(np.max(np.abs(target - stack.plant.q)))
         if now > switch.first_command_s + WINDOW_S:  # not before the first command: its time is NaN
             return
         if driven and stack.state in _DRIVEN:
             switch.target_step_rad = _larger(switch.target_step_rad, np.abs(target - last_target))
         switch.reference_step_rad = _larger(switch.reference_step_rad, reference)
-        switch.reference_step_ratio = _larger(switch.reference_step_ratio, reference / (V_MAX * stack.world.dt))
+        switch.reference_step_ratio = _larger(switch.reference_step_ratio, reference / (V_MAX * stack.plant.dt))
         switch.torque_step_asked_nm = _larger(switch.torque_step_asked_nm, asked)
         largest = _larger(switch.torque_step_nm, applied)
         if largest != switch.torque_step_nm:

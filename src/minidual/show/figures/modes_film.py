@@ -21,7 +21,7 @@ _NOBODY = (96, 96, 96)
 
 def filmed(steps: Iterator[tuple[str, str]], stack: ControlStack, camera: Camera) -> Iterator[Image]:
     """Run `steps`; yield a captioned picture every 1 / FILM_FPS seconds of simulated time. The last one stays a while."""
-    world, count = stack.world, 0
+    world, count = stack.plant, 0
     mode = doing = ""
     for mode, doing in steps:
         if world.time * FILM_FPS >= count:
@@ -47,7 +47,7 @@ def captioned(picture: Image, stack: ControlStack, mode: str, doing: str) -> Ima
     arbiter = f"arbiter: {stack.state}"
     active = f"controllers: {' + '.join(stack.manager.active)}"
     draw.text(
-        (width - 14, height + 10), f"{arbiter}   t = {stack.world.time:5.1f} s", fill="white", font=small, anchor="ra"
+        (width - 14, height + 10), f"{arbiter}   t = {stack.plant.time:5.1f} s", fill="white", font=small, anchor="ra"
     )
     draw.text((width - 14, height + 38), active, fill="white", font=small, anchor="ra")
     return np.asarray(whole)

@@ -55,7 +55,7 @@ class Drive:
     @property
     def elapsed_s(self) -> float:
         """Time since the present segment was proposed [s]; zero before the first."""
-        return self.stack.world.time - self._began_s if self._proposed else 0.0
+        return self.stack.plant.time - self._began_s if self._proposed else 0.0
 
     def step(self) -> None:
         """Run one control and physics step."""
@@ -80,7 +80,7 @@ class Drive:
             if not self._left:
                 return
             self._proposed += 1
-            self._began_s = self.stack.world.time
+            self._began_s = self.stack.plant.time
             segment = self._left[0]
             command = TrajectoryCommand(segment.trajectory, np.array(segment.openings), self._began_s, self._proposed)
             refused = self.stack.propose(SOURCE, command)
@@ -120,7 +120,7 @@ def measured(
         on_step: Gets the phase after every step.
     """
     done: list[Driven] = []
-    world, last = drive.stack.world, None
+    world, last = drive.stack.plant, None
     while not drive.done:
         drive.step()
         segment = drive.segment

@@ -62,7 +62,7 @@ def torque_pulse_mapping(
     world.reset()
     predicted = np.linalg.inv(kinematics.mass_matrix(robot.home) + world.dt * robot.arm.damping * np.eye(n))
     gravity = kinematics.gravity(robot.home)
-    fingers = world.data.ctrl[world.fingers.ctrl][::2].copy()
+    fingers = world.finger_targets
 
     def velocity_after(tau: Array) -> Array:
         world.reset()
