@@ -122,7 +122,7 @@ def test_stale_measurements_stop_the_arms_under_a_supervisor(scene):
     plant.age_s = 0.09
     stack.step()
     plant.age_s = 0.11
-    with pytest.raises(ReflexError, match="measurements are 0.110 s old") as caught:
+    with pytest.raises(ReflexError, match=r"measurements are 0\.110 s old") as caught:
         stack.step()
     assert isinstance(caught.value.__cause__, PlantError)
     for _ in range(50):  # once; the soft stop goes on

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from minidual.plant.recording import STATE, Recording, physical_fields, versions, write_recording
-from minidual.robot.constants import Array
+from minidual.robot.pair import Array
 
 if TYPE_CHECKING:
     from minidual.plant.world import World
@@ -142,18 +142,19 @@ class Recorder:
             frames.append((self._count - first, self._state()))
         none = np.zeros((0, *self._xfrc.shape))
         return Recording(
-            kind,
-            reason,
-            self._world.scene,
-            self._controls[first : self._count].copy(),
-            np.array([step for step, _ in frames], dtype=np.int64),
-            np.array([state for _, state in frames]),
-            np.array([step for step, _ in pushes], dtype=np.int64),
-            np.array([push for _, push in pushes]) if pushes else none,
-            dict(self._fields or {}),
-            versions(),
-            self._seed,
-            dict(details or {}),
+            kind=kind,
+            reason=reason,
+            arm=self._world.robot.arm.name,
+            scene=self._world.scene,
+            controls=self._controls[first : self._count].copy(),
+            keyframe_steps=np.array([step for step, _ in frames], dtype=np.int64),
+            keyframes=np.array([state for _, state in frames]),
+            push_steps=np.array([step for step, _ in pushes], dtype=np.int64),
+            pushes=np.array([push for _, push in pushes]) if pushes else none,
+            model=dict(self._fields or {}),
+            libraries=versions(),
+            seed=self._seed,
+            details=dict(details or {}),
         )
 
     def write(self, path: Path, reason: str, *, details: Mapping[str, Any] | None = None) -> Path:

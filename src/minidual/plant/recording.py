@@ -2,24 +2,21 @@
 
 A recording is an npz file (no pickle) of
 
-    header      JSON as bytes: format, version, kind, reason, scene, seed, libraries, details
-    controls    (T, nu) `ctrl` of every physics step, lossless
-    keyframes   (K, n) lossless, full integration state of MuJoCo before step keyframe_steps[k], and after the last step
+    header      JSON as bytes: format, version, kind, reason, arm, scene, seed, libraries, details
+    controls    (T, nu) `ctrl` of every physics step
+    keyframes   (K, n) full integration state of MuJoCo before step keyframe_steps[k], and after the last step
     push_steps, pushes   external wrenches (nbody, 6), noted whenever they change
     model.*     physical fields of the model as it ran, where a condition may have changed them
-
-Controls and states are smooth and their last bits are not, so both are stored as second differences of their bit patterns,
-sorted into planes of bytes, which is lossless and takes half the space; a 7 s carry takes 0.7 MB.
 """
 
 from __future__ import annotations
 
 import importlib.metadata
 import json
-import os
 import platform
 import zipfile
-from collections.abc import Mapping, Sequence
+import zlib
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -31,11 +28,12 @@ from pydantic import ValidationError
 
 import minidual
 from minidual.config.scene import SceneConfig
+from minidual.durable import replacing
 from minidual.errors import DataError
-from minidual.robot.constants import Array
+from minidual.robot.pair import Array
 
 FORMAT = "minidual-recording"
-VERSION = 1
+VERSION = 2
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 """Everything that the next step depends on, the solver's warm start included: a replay can be exact to the bit."""
 
@@ -55,6 +53,7 @@ class Recording:
     Attributes:
         kind: "dump" (the last second before something went wrong) or "trial" (from reset to end).
         reason: Why it was written, in one line.
+        arm: Row of the table of arms.
         scene: Of the world.
         controls: (T, nu), applied at steps 0..T-1.
         keyframe_steps: (K,) step before which each keyframe was taken; the first is 0, the last the number of steps
@@ -70,6 +69,7 @@ class Recording:
 
     kind: str
     reason: str
+    arm: str
     scene: SceneConfig
     controls: Array
     keyframe_steps: npt.NDArray[np.int64]
@@ -151,38 +151,20 @@ def apply_physical_fields(model: mujoco.MjModel, fields: Mapping[str, Array]) ->
     return changed
 
 
+_HEADER = ("kind", "reason", "arm", "libraries", "seed", "details")
+_ARRAYS = ("controls", "keyframe_steps", "keyframes", "push_steps", "pushes")
+
+
 def write_recording(path: Path, recording: Recording) -> Path:
-    """Write a recording durably: under a temporary name, brought to the disk, renamed. Return its path."""
-    header = {
-        "format": FORMAT,
-        "version": VERSION,
-        "kind": recording.kind,
-        "reason": recording.reason,
-        "scene": recording.scene.model_dump(mode="json"),
-        "libraries": dict(recording.libraries),
-        "seed": recording.seed,
-        "details": dict(recording.details),
-        "shapes": {"controls": recording.controls.shape, "keyframes": recording.keyframes.shape},
-    }
-    arrays = {
-        "header": np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
-        "controls": _pack(recording.controls),
-        "keyframe_steps": recording.keyframe_steps,
-        "keyframes": _pack(recording.keyframes),
-        "push_steps": recording.push_steps,
-        "pushes": recording.pushes,
-        **{f"model.{name}": values for name, values in recording.model.items()},
-    }
+    """Write a recording durably and return its path."""
+    header = {name: getattr(recording, name) for name in _HEADER}
+    header |= {"format": FORMAT, "version": VERSION, "scene": recording.scene.model_dump(mode="json")}
+    arrays = {name: getattr(recording, name) for name in _ARRAYS}
+    arrays |= {f"model.{name}": values for name, values in recording.model.items()}
+    arrays["header"] = np.frombuffer(json.dumps(header, default=dict).encode(), dtype=np.uint8)
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        with temporary.open("wb") as stream:
-            np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
-            stream.flush()
-            os.fsync(stream.fileno())
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with replacing(path) as partial, partial.open("wb") as stream:
+        np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
     return path
 
 
@@ -199,19 +181,17 @@ def read_recording(path: Path) -> Recording:
         with zipfile.ZipFile(path) as archive:
             names = {Path(name).stem if name.endswith(".npy") else name for name in archive.namelist()}
             size = sum(item.file_size for item in archive.infolist())
-            if size > _SIZE_MAX:
-                raise DataError(f"{path} would unpack to {size / 2**20:.0f} MiB; recordings are far smaller")
-            if "header" not in names:
-                raise DataError(f"{path} is no recording: it holds {', '.join(sorted(names)[:6]) or 'nothing'}")
+        if size > _SIZE_MAX:
+            raise DataError(f"{path} would unpack to {size / 2**20:.0f} MiB; recordings are far smaller")
+        if "header" not in names:
+            raise DataError(f"{path} is no recording: it holds {', '.join(sorted(names)[:6]) or 'nothing'}")
         with np.load(path, allow_pickle=False) as stored:
-            arrays = {name: stored[name] for name in stored.files}
+            arrays = dict(stored)
+    except zlib.error as error:
+        raise DataError(f"{path} is damaged: {error}", remedy=again) from error
     except (zipfile.BadZipFile, EOFError, OSError, ValueError, KeyError, NotImplementedError) as error:
         cut = "" if zipfile.is_zipfile(path) else " (not a whole npz file: cut off, or of another kind)"
         raise DataError(f"{path} cannot be read{cut}: {error}", remedy=again) from error
-    except Exception as error:  # zlib.error has no public base class in the documentation of zipfile
-        if type(error).__module__ != "zlib":
-            raise
-        raise DataError(f"{path} is damaged: {error}", remedy=again) from error
     return _assemble(path, arrays)
 
 
@@ -223,37 +203,28 @@ def _assemble(path: Path, arrays: dict[str, npt.NDArray[Any]]) -> Recording:
         raise DataError(f"{path} is no recording: its header is not readable ({error})") from error
     if kind != FORMAT:
         raise DataError(f"{path} is no recording: its format is {kind!r}, not {FORMAT!r}")
+    made_by = f"replay it with minidual {header.get('libraries', {}).get('minidual', 'of its time')}"
     if version != VERSION:
         raise DataError(
-            f"{path} has version {version} of the format; this minidual reads version {VERSION}",
-            remedy=f"replay it with minidual {header.get('libraries', {}).get('minidual', 'of its time')}",
+            f"{path} has version {version} of the format; this minidual reads version {VERSION}", remedy=made_by
         )
     try:
-        scene = SceneConfig.model_validate(header["scene"])
         recording = Recording(
-            header["kind"],
-            header["reason"],
-            scene,
-            _unpack(arrays["controls"], header["shapes"]["controls"]),
-            arrays["keyframe_steps"].astype(np.int64),
-            _unpack(arrays["keyframes"], header["shapes"]["keyframes"]),
-            arrays["push_steps"].astype(np.int64),
-            arrays["pushes"].astype(float),
-            {name[6:]: values for name, values in arrays.items() if name.startswith("model.")},
-            header["libraries"],
-            header["seed"],
-            header["details"],
+            scene=SceneConfig.model_validate(header["scene"]),
+            model={name[6:]: values for name, values in arrays.items() if name.startswith("model.")},
+            **{name: header[name] for name in _HEADER},
+            **{name: arrays[name] for name in _ARRAYS},
         )
     except ValidationError as error:
         raise DataError(
             f"{path} was recorded in a scene that this version does not know: {error.error_count()} settings differ",
-            remedy=f"replay it with minidual {header['libraries'].get('minidual', 'of its time')}",
+            remedy=made_by,
         ) from error
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise DataError(f"{path} is damaged: {type(error).__name__}: {error}") from error
+    except KeyError as error:
+        raise DataError(f"{path} is damaged: {error} is missing") from error
     steps = recording.keyframe_steps
     whole = (
-        recording.keyframes.ndim == 2
+        recording.keyframes.ndim == recording.controls.ndim == 2
         and len(steps) == len(recording.keyframes) > 0
         and steps[0] == 0
         and bool((np.diff(steps) > 0).all())
@@ -263,22 +234,3 @@ def _assemble(path: Path, arrays: dict[str, npt.NDArray[Any]]) -> Recording:
     if not whole:
         raise DataError(f"{path} is damaged: its keyframes, pushes and controls do not fit together")
     return recording
-
-
-def _pack(values: Array) -> npt.NDArray[np.uint8]:
-    """Return second differences of the bit patterns of (T, n), column by column, in planes of bytes."""
-    bits = np.ascontiguousarray(values, dtype="<f8").view("<u8")
-    for _ in range(2):
-        bits = np.concatenate([bits[:1], bits[1:] - bits[:-1]])  # modulo 2^64
-    by_column = np.ascontiguousarray(bits.T).view(np.uint8)  # (n, 8 T)
-    return np.ascontiguousarray(by_column.reshape(bits.shape[1], bits.shape[0], 8).transpose(0, 2, 1)).ravel()
-
-
-def _unpack(packed: npt.NDArray[np.uint8], shape: Sequence[int]) -> Array:
-    """Invert `_pack`."""
-    steps, columns = shape
-    planes = packed.reshape(columns, 8, steps).transpose(0, 2, 1)
-    bits = np.ascontiguousarray(planes).view("<u8").reshape(columns, steps).T
-    for _ in range(2):
-        bits = np.cumsum(bits, axis=0, dtype="<u8")
-    return np.ascontiguousarray(bits).view("<f8").astype(float)

@@ -9,11 +9,13 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from minidual.config.robot import RobotConfig
 from minidual.errors import UsageError
 from minidual.plant.model import build_model
 from minidual.plant.recording import STATE, Recording, apply_physical_fields, versions
 from minidual.plant.world import World
-from minidual.robot.constants import JOINT_NAMES, Q_LOWER, Q_UPPER, TAU_MAX, V_MAX, Array
+from minidual.robot.arms import robot_from
+from minidual.robot.pair import Array
 
 _POSITION_TOLERANCE_RAD = 1e-3
 
@@ -95,9 +97,10 @@ def replay(
         UsageError: The times lie outside the recording.
         DataError: The recording does not fit the robot of this version.
     """
-    model = build_model(recording.scene, visuals=False)
+    robot = robot_from(RobotConfig(arm=recording.arm))
+    model = build_model(recording.scene, robot, visuals=False)
     changed = apply_physical_fields(model, recording.model)
-    world = World(recording.scene, model=model)
+    world = World(recording.scene, robot, model=model)
     first, last = _steps(recording, world, from_s, to_s)
     keyframe = int(np.searchsorted(recording.keyframe_steps, first, side="right")) - 1
     first = int(recording.keyframe_steps[keyframe])
@@ -213,25 +216,27 @@ def _watch_commands(world: World, controls: Array, signs: dict[str, Sign]) -> No
         actuator = world.model.actuator(index).name
         _note(signs, Sign(world.time, f"command of {actuator} is not finite", float(controls[index]), None, "Nm"))
         return
-    _note_largest(world.time, "torque asked of", np.abs(tau) / TAU_MAX, tau, TAU_MAX, "Nm", signs, 1.0 + 1e-9)
+    _note_largest(world, "torque asked of", tau, world.robot.tau_max, "Nm", signs, 1.0 + 1e-9)
 
 
 def _watch_state(world: World, signs: dict[str, Sign]) -> None:
-    t, q, v = world.time, world.q, world.v
-    _note_largest(t, "velocity of", np.abs(v) / V_MAX, v, V_MAX, "rad/s", signs, 1.0)
-    beyond = np.maximum(Q_LOWER - q, q - Q_UPPER)
+    robot, q = world.robot, world.q
+    _note_largest(world, "velocity of", world.v, robot.v_max, "rad/s", signs, 1.0)
+    beyond = np.maximum(robot.q_lower - q, q - robot.q_upper)
     joint = int(np.argmax(beyond))
     if not beyond[joint] <= _POSITION_TOLERANCE_RAD:
-        bound = Q_LOWER[joint] if q[joint] < Q_LOWER[joint] else Q_UPPER[joint]
-        _note(signs, Sign(t, f"position of {JOINT_NAMES[joint]}", float(q[joint]), float(bound), "rad"))
+        bound = robot.q_lower[joint] if q[joint] < robot.q_lower[joint] else robot.q_upper[joint]
+        _note(signs, Sign(world.time, f"position of {robot.joint_names[joint]}", float(q[joint]), float(bound), "rad"))
 
 
 def _note_largest(
-    t: float, what: str, ratio: Array, values: Array, bounds: Array, unit: str, signs: dict[str, Sign], limit: float
+    world: World, what: str, values: Array, bounds: Array, unit: str, signs: dict[str, Sign], limit: float
 ) -> None:
+    ratio = np.abs(values) / bounds
     joint = int(np.argmax(ratio))
     if not ratio[joint] <= limit:
-        _note(signs, Sign(t, f"{what} {JOINT_NAMES[joint]}", float(values[joint]), float(bounds[joint]), unit))
+        name = world.robot.joint_names[joint]
+        _note(signs, Sign(world.time, f"{what} {name}", float(values[joint]), float(bounds[joint]), unit))
 
 
 def _note(signs: dict[str, Sign], sign: Sign) -> None:
