@@ -78,7 +78,7 @@ class LatencyRig:
 
     def nudge(self, sign: float) -> None:
         """Move the target of joint 1 of the left arm to either side of home."""
-        self.target[0] = sign * 0.5 * _NUDGE_RAD
+        self.target[0] = self.world.robot.home[0] + sign * 0.5 * _NUDGE_RAD
 
 
 def command_latency(rig: LatencyRig, *, repeats_n: int = 100) -> CommandLatency:
