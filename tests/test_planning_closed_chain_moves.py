@@ -19,7 +19,7 @@ from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Box
 from minidual.config.held_moves import HeldMovesConfig
 from minidual.config.planning import PlanConfig
-from minidual.config.scene import ObjectConfig, SceneConfig
+from minidual.config.scene import SceneConfig
 from minidual.errors import UsageError
 from minidual.motion.edges import EdgeChecker
 from minidual.motion.held.constraint import GraspConstraint, search_manifold
@@ -31,13 +31,15 @@ from minidual.plant.world import World
 from minidual.robot.constants import HOME, Q_LOWER, Q_UPPER
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse, pose, rot_x, rot_z
+from minidual.skills.cycle import thing_of
 from minidual.skills.held_execution import deviation, execute
-from minidual.stages.plan_held import HeldResults, held_checks, held_notes
+from minidual.stages.plan_held import HeldResults, held_checks
+from minidual.tasks.rod_carry import grasp_offsets
 from minidual.trials.planning.evaluate_carries import plan_move, run_moves, table_plans, timed_residual
-from minidual.trials.planning.held_moves import HeldMoveGenerator, rod_grasps, rod_shape
+from minidual.trials.planning.held_moves import HeldMoveGenerator
 
-GRASPS = rod_grasps(ObjectConfig())
-ROD = rod_shape(ObjectConfig())
+GRASPS = grasp_offsets(SceneConfig())
+ROD = thing_of(SceneConfig().object, "rod").shape
 START = pose(np.eye(3), (0.5, 0.2, 0.25))
 GOAL = pose(rot_z(0.3), (0.5, -0.2, 0.25))
 WALL = Box("wall", (0.5, 0.0, 0.16), size_m=(0.3, 0.04, 0.32))
@@ -199,8 +201,8 @@ def test_bad_queries_are_named_with_numbers(planner, q_start):
 
 @pytest.fixture(scope="module")
 def outcomes(planner):
-    generator, kinematics = HeldMoveGenerator(1), Kinematics()
-    return [plan_move(planner, generator.move(i), kinematics) for i in range(4)]
+    generator = HeldMoveGenerator(1)
+    return [plan_move(planner, generator.move(i)) for i in range(4)]
 
 
 def test_moves_are_what_they_say(outcomes):
@@ -238,7 +240,7 @@ def test_a_witness_that_passes_through_things_is_refused(planner, q_start):
 @pytest.fixture(scope="module")
 def driven():
     scene = SceneConfig()
-    generator = HeldMoveGenerator(5, scene.rod, from_table=True)
+    generator = HeldMoveGenerator(5, scene, from_table=True)
     planner, world = HeldPlanner(), World(scene)
     plans = [planner.plan(generator.move(i).query) for i in (0, 1)]
     return scene, plans, [execute(plan, scene, world=world) for plan in plans]
@@ -317,13 +319,13 @@ def test_moves_that_cannot_be_made_are_told_and_do_not_end_the_stage(monkeypatch
         return real(self, index)
 
     monkeypatch.setattr(HeldMoveGenerator, "move", move)
-    driven = table_plans(PlanConfig(), ObjectConfig(), 2, 5)
-    assert len(driven.plans) == 1
-    assert driven.failures == ("held move 1 off the table cannot be driven: no such move",)
-    assert held_notes(HeldResults({}, [], driven.failures)) == list(driven.failures)
+    plans, failures = table_plans(PlanConfig(), SceneConfig(), 2, 5)
+    assert len(plans) == 1
+    assert failures == ["held move 1 off the table cannot be driven: no such move"]
+    assert HeldResults({}, [], failures).notes() == failures
     config = PlanConfig(held=HeldMovesConfig(moves_n=2))
     monkeypatch.setattr(HeldMoveGenerator, "move", lambda self, i: move(self, 0 if self._seed == 5 else i))
-    assert [o.ok for o in run_moves(config, ObjectConfig(), 5)] == [True, True]
+    assert [o.ok for o in run_moves(config, SceneConfig(), 5)] == [True, True]
 
 
 def test_one_bad_goal_does_not_stop_the_search_of_the_others(planner, q_start, monkeypatch):

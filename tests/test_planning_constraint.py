@@ -9,7 +9,7 @@ import pytest
 from minidual.collision.errors import ClosedChainError
 from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Box
-from minidual.config.scene import ObjectConfig
+from minidual.config.scene import SceneConfig
 from minidual.errors import UsageError
 from minidual.motion.edges import EdgeChecker
 from minidual.motion.held.constraint import SPACES, GraspConstraint, OmplGraspConstraint, search_manifold
@@ -20,9 +20,11 @@ from minidual.proof.scene_engines import SceneEngines
 from minidual.robot.constants import HOME, Q_LOWER, Q_UPPER
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse, pose, rot_z
-from minidual.trials.planning.held_moves import rod_grasps, rod_shape
+from minidual.skills.cycle import thing_of
+from minidual.tasks.rod_carry import grasp_offsets
 
-GRASPS = rod_grasps(ObjectConfig())
+GRASPS = grasp_offsets(SceneConfig())
+ROD = thing_of(SceneConfig().object, "rod").shape
 T_LEFT_RIGHT = inverse(GRASPS[0]) @ GRASPS[1]
 
 
@@ -155,7 +157,7 @@ def test_ompl_plans_on_the_manifold(constraint, q_held, move, space):
     middle = 0.5 * (T_start[:3, 3] + T_goal[:3, 3])
     # A post through the middle of the straight way: only a path round it will do.
     post = Box("post", (middle[0], middle[1], middle[2] - 0.15), size_m=(0.05, 0.05, 0.3))
-    scene = scene_holding(PlanningScene().with_obstacles(post), rod_shape(ObjectConfig()), GRASPS[0])
+    scene = scene_holding(PlanningScene().with_obstacles(post), ROD, GRASPS[0])
     engine = SceneEngines(scene)
     for seed in (1, 2):
         checker = EdgeChecker(engine, 0.0, (q_held, q_goal), 0.03)
@@ -186,7 +188,7 @@ def test_ompl_gives_up_and_says_so(constraint, q_held, move):
         Box("wall0", (x, y - 0.3, z), size_m=(0.6, 0.02, 0.8)),
         Box("wall1", (x, y + 0.3, z), size_m=(0.6, 0.02, 0.8)),
     )
-    scene = scene_holding(PlanningScene(obstacles=walls), rod_shape(ObjectConfig()), GRASPS[0], rests_on=())
+    scene = scene_holding(PlanningScene(obstacles=walls), ROD, GRASPS[0], rests_on=())
     engine = SceneEngines(scene)
     checker = EdgeChecker(engine, 0.0, (), 0.03)
     found = search_manifold(

@@ -27,7 +27,6 @@ from minidual.stages.plan import audit_checks, common_checks, group_checks, run
 from minidual.stages.registry import STAGES
 from minidual.trials.planning import queries, query_set
 from minidual.trials.planning.evaluate import engine_agreement, plan_query, query_source, repeats, run_queries
-from minidual.trials.planning.evaluate_carries import CarryPlans
 from minidual.trials.planning.queries import QueryGenerator
 from minidual.trials.planning.query_set import is_free, polyline_states, stored_set
 
@@ -147,7 +146,7 @@ def test_a_second_set_that_is_the_first_is_refused():
 def test_notes_tell_of_both_seeds(outcomes):
     failed = dataclasses.replace(outcomes[1], result=None, reason="no_path_in_time", message="none")
     slow = dataclasses.replace(outcomes[0], total_s=1.0)
-    notes = plan._notes(first={"left_arm": [slow]}, second={"left_arm": [slow, failed]})
+    notes = plan.notes(first={"left_arm": [slow]}, second={"left_arm": [slow, failed]})
     assert "left_arm query 1 of the second seed failed: none" in notes
     assert sum("goal missed" in note for note in notes) == 2
     assert any("left_arm (second seed)" in note for note in notes)
@@ -161,16 +160,14 @@ def test_a_warm_up_that_is_not_solved_does_not_end_the_set():
 
 
 def test_common_checks_can_fail():
-    good = CarryPlans(5, 5, 1e-5, 1e-5, 0.1, ())
-
-    def names(agreement=1.0, repeatable=True, **change):
-        return failing(common_checks(agreement, repeatable, dataclasses.replace(good, **change), PlanConfig()))
+    def names(agreement=1.0, repeatable=True, failed_n=0):
+        return failing(common_checks(agreement, repeatable, failed_n, PlanConfig()))
 
     assert names() == set()
     assert names(agreement=0.99) == {"engines.agreement"}
     assert names(agreement=float("nan")) == {"engines.agreement"}
     assert names(repeatable=False) == {"repeatable"}
-    assert names(solved_n=4) == {"closed_chain.carries_rate"}
+    assert names(failed_n=1) == {"closed_chain.carries_rate"}
 
 
 def test_failed_query_keeps_its_reason(outcomes):

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections import Counter
 from pathlib import Path
 
+from minidual.collision.acm import acm_report
+from minidual.collision.scene import PlanningScene
+from minidual.collision.scene_file import load_scene
 from minidual.gate.tool import ToolContext, ToolResult
 
 _MEANINGS = {
@@ -17,10 +20,6 @@ _MEANINGS = {
 
 def plan_acm(context: ToolContext) -> ToolResult:
     """Return the matrix of the robot, with the rules of --scene laid over it if one is given."""
-    from minidual.collision.acm import acm_report
-    from minidual.collision.scene import PlanningScene
-    from minidual.collision.scene_file import load_scene
-
     report = acm_report()
     scene = PlanningScene()
     notes: list[str] = []

@@ -2,225 +2,138 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
+
+from minidual.config.held_moves import HeldMovesConfig
+from minidual.config.planning import PlanConfig
 from minidual.gate.check import Check
 from minidual.gate.stage import StageContext
+from minidual.motion.held.path import RESIDUAL_MAX_M, RESIDUAL_MAX_RAD
+from minidual.plant.world import World
+from minidual.show.view import Overlay
+from minidual.show.watch import watched
+from minidual.skills.held_execution import Execution, execute
+from minidual.trials.planning.evaluate import write_rows
+from minidual.trials.planning.evaluate_carries import MoveOutcome, run_moves, table_plans
 
-if TYPE_CHECKING:
-    from minidual.config.held_moves import HeldMovesConfig
-    from minidual.config.planning import PlanConfig
-    from minidual.skills.held_execution import Execution
-    from minidual.trials.planning.evaluate_carries import MoveOutcome
-
-_SETS = ("first", "second")
-_SECOND_SEED_OFFSET = 7919
+_SEED_OFFSETS = {"first": 0, "second": 7919}
 _DRIVEN_SEED_OFFSET = 104_729
 
 
+@dataclass(frozen=True)
 class HeldResults:
     """What the moves gave: outcomes of the two sets by name, the executions, and why others could not be driven."""
 
-    def __init__(
-        self,
-        outcomes: Mapping[str, Sequence[MoveOutcome]],
-        executions: Sequence[Execution],
-        undriven: Sequence[str] = (),
-    ) -> None:
-        self.outcomes = outcomes
-        self.executions = executions
-        self.undriven = undriven
+    outcomes: Mapping[str, Sequence[MoveOutcome]]
+    executions: Sequence[Execution]
+    undriven: Sequence[str] = ()
+
+    def notes(self) -> list[str]:
+        """Return one line for every move that failed."""
+        failed = [
+            f"held move {o.move.index} of the {name} seed failed: {o.message}"
+            for name, done in self.outcomes.items()
+            for o in done
+            if not o.ok
+        ]
+        return [*failed, *self.undriven]
+
+    def data(self) -> dict[str, Any]:
+        """Return what the stage keeps of the moves beside its checks and held_moves.csv."""
+        data: dict[str, Any] = {"executions": [dataclasses.asdict(e) for e in self.executions]}
+        for name, done in self.outcomes.items():
+            data[f"{name}_seed"] = {
+                "moves_n": len(done),
+                "solved_n": sum(o.ok for o in done),
+                "found_by": dict(Counter(o.plan.found_by for o in done if o.plan is not None)),
+                "with_obstacles_n": sum(o.move.with_obstacles for o in done),
+                "straight_blocked_n": sum(o.move.blocked for o in done),
+                "undecided_n": sum(o.move.undecided_n for o in done),
+                "unreachable_n": sum(o.move.unreachable_n for o in done),
+                "cpu_p99_s": float(np.percentile([o.cpu_s for o in done], 99)),
+            }
+        return data
 
 
 def run_held(context: StageContext) -> HeldResults:
     """Plan the moves of both seeds and drive some; writes held_moves.csv."""
-    from minidual.plant.world import World
-    from minidual.show.view import Overlay
-    from minidual.show.watch import watched
-    from minidual.skills.held_execution import execute
-    from minidual.trials.planning.evaluate_carries import run_moves, table_plans
-
-    plan, scene = context.config.plan, context.config.scene
-    held = plan.held
-    outcomes = {}
+    plan, scene, seed = context.config.plan, context.config.scene, context.seed
+    held, outcomes, executions = plan.held, {}, []
     with context.progress.task("held moves", 2 * held.moves_n + held.executed_n) as task:
-        for name, offset in zip(_SETS, (0, _SECOND_SEED_OFFSET), strict=True):
-            outcomes[name] = run_moves(
-                plan, scene.rod, context.seed + offset, on_move=lambda _o, name=name: task.advance(note=f"{name} seed")
-            )
+        for name, offset in _SEED_OFFSETS.items():
+            outcomes[name] = run_moves(plan, scene, seed + offset, lambda _, name=name: task.advance(note=name))
         world = World(scene)
-        executions = []
-        driven = table_plans(plan, scene.rod, held.executed_n, context.seed + _DRIVEN_SEED_OFFSET)
-        for trajectory in driven.plans:
-            with watched(
-                context.view, world, lambda: Overlay(title="plan, held-object move", mode="joint", source="plan")
-            ):
+        driven, undriven = table_plans(plan, scene, held.executed_n, seed + _DRIVEN_SEED_OFFSET)
+        words = Overlay(title="plan, held-object move", mode="joint", source="plan")
+        for trajectory in driven:
+            with watched(context.view, world, lambda: words):
                 executions.append(execute(trajectory, scene, world=world))
             task.advance(note="driven")
-    _write_csv(outcomes, context.folder / "held_moves.csv")
-    return HeldResults(outcomes, executions, driven.failures)
+    write_rows([o.row(name) for name, done in outcomes.items() for o in done], context.folder / "held_moves.csv")
+    return HeldResults(outcomes, executions, undriven)
 
 
 def held_checks(results: HeldResults, config: PlanConfig) -> list[Check]:
     """Return the checks of the held-object moves."""
-    checks = _planning_checks(results.outcomes, config)
-    return checks + _execution_checks(results.executions, config.held)
+    return _planning_checks(results.outcomes, config) + _execution_checks(results.executions, config.held)
 
 
 def _planning_checks(outcomes: Mapping[str, Sequence[MoveOutcome]], config: PlanConfig) -> list[Check]:
-    import numpy as np
-
-    from minidual.motion.held.path import RESIDUAL_MAX_M, RESIDUAL_MAX_RAD
-    from minidual.trials.planning.evaluate_carries import excluded
-
     every = [o for done in outcomes.values() for o in done]
-    solved = [o for o in every if o.ok]
-    left_out = {name: excluded(done)[0] for name, done in outcomes.items()}
-    residuals = np.array([[o.residual_m, o.residual_rad] for o in solved] or [[np.nan, np.nan]])
-    first = outcomes[_SETS[0]]
+    first, second = outcomes["first"], outcomes["second"]
+    worst = np.max([(o.residual_m, o.residual_rad) for o in every if o.ok] or [(np.nan, np.nan)], axis=0).tolist()
     limit = config.held.cpu_time_median_max_s
-    cpu_median = float(np.median([o.cpu_s for o in first]))
-    limited = () if limit is None else ("<", limit)
+    why_cpu = "processor time from the query in to the proven trajectory out: the wall time of a quiet machine"
+    why_m = "how far a hand strays from its grasp, or from the other hand, at 1 kHz and half-way between"
+    see, names = "see held_moves.csv", ("closed_chain.success_rate", "closed_chain.second_seed_success_rate")
+    whys = (
+        "moves of a held object up to 0.5 m and 90 degrees, each with a free path as witness, proven free",
+        "a set of another seed must do as well",
+    )
     return [
-        Check(
-            "closed_chain.success_rate",
-            _rate(first),
-            ">=",
-            config.success_rate_min,
-            why="moves of a held object up to 0.5 m and 90 degrees, each with a free path as witness, proven free",
-            remedy="see the reasons in held_moves.csv",
-        ),
-        Check(
-            "closed_chain.second_seed_success_rate",
-            _rate(outcomes[_SETS[1]]),
-            ">=",
-            config.success_rate_min,
-            why="a set of another seed must do as well",
-            remedy="see the reasons in held_moves.csv",
+        *(
+            Check(name, sum(o.ok for o in done) / len(done), ">=", config.success_rate_min, why=why, remedy=see)
+            for name, done, why in zip(names, (first, second), whys, strict=True)
         ),
         Check(
             "closed_chain.cpu_time_median_s",
-            cpu_median,
-            *limited,
-            unit="s",
-            why="processor time from the query going in to the proven trajectory coming out: the wall time of a quiet "
-            "machine, since one thread does the work",
-            remedy="see cpu_s in held_moves.csv",
+            float(np.median([o.cpu_s for o in first])),
+            None if limit is None else "<",
+            limit,
+            "s",
+            why_cpu,
+            see,
         ),
         Check(
-            "closed_chain.time_median_s",
-            float(np.median([o.time_s for o in first])),
-            unit="s",
-            why="wall time of the same; more than the processor time where the machine is busy",
+            "closed_chain.time_median_s", float(np.median([o.time_s for o in first])), unit="s", why="wall time of it"
         ),
-        Check(
-            "closed_chain.residual_max_m",
-            float(np.max(residuals[:, 0])),
-            "<",
-            RESIDUAL_MAX_M,
-            unit="m",
-            why="how far a hand strays from its grasp, or from the other hand, at 1 kHz and half-way between",
-        ),
-        Check(
-            "closed_chain.residual_max_rad",
-            float(np.max(residuals[:, 1])),
-            "<",
-            RESIDUAL_MAX_RAD,
-            unit="rad",
-            why="how far a hand turns away from its grasp (limit 0.05 degrees)",
-        ),
+        Check("closed_chain.residual_max_m", worst[0], "<", RESIDUAL_MAX_M, "m", why_m),
+        Check("closed_chain.residual_max_rad", worst[1], "<", RESIDUAL_MAX_RAD, "rad", "the same for orientation"),
         Check(
             "closed_chain.undecided_n",
-            sum(left_out.values()),
+            sum(o.move.undecided_n for o in every),
             why="moves left out of the two sets because a long search found no free path for them",
         ),
     ]
 
 
 def _execution_checks(executions: Sequence[Execution], config: HeldMovesConfig) -> list[Check]:
-    import numpy as np
-
-    errors = np.array([[e.error_max_m, e.error_max_rad] for e in executions] or [[np.nan, np.nan]])
+    worst = np.max([(e.error_max_m, e.error_max_rad) for e in executions] or [(np.nan, np.nan)], axis=0).tolist()
+    why_n = "every move off the table that is to be driven is planned, proven and driven"
+    why_m = "the object against the plan at every millisecond of the simulated drive, from closed hands to rest"
+    limit_m, limit_rad, notes = (
+        config.executed_error_max_m,
+        config.executed_error_max_rad,
+        "see the notes of this stage",
+    )
     return [
-        Check(
-            "closed_chain.driven_n",
-            len(executions),
-            "==",
-            config.executed_n,
-            why="every move off the table that is to be driven is planned, proven and driven",
-            remedy="see the notes of this stage",
-        ),
-        Check(
-            "closed_chain.executed_error_max_m",
-            float(np.max(errors[:, 0])),
-            "<",
-            config.executed_error_max_m,
-            unit="m",
-            why="the rod against the plan at every millisecond of the simulated drive, from closed hands to rest",
-        ),
-        Check(
-            "closed_chain.executed_error_max_rad",
-            float(np.max(errors[:, 1])),
-            "<",
-            config.executed_error_max_rad,
-            unit="rad",
-            why="the same for the rod's orientation",
-        ),
+        Check("closed_chain.driven_n", len(executions), "==", config.executed_n, why=why_n, remedy=notes),
+        Check("closed_chain.executed_error_max_m", worst[0], "<", limit_m, "m", why_m),
+        Check("closed_chain.executed_error_max_rad", worst[1], "<", limit_rad, "rad", "the same for orientation"),
     ]
-
-
-def _rate(outcomes: Sequence[MoveOutcome]) -> float:
-    return sum(o.ok for o in outcomes) / len(outcomes)
-
-
-def held_data(results: HeldResults) -> dict[str, Any]:
-    """Return what the stage keeps of the moves beside its checks."""
-    import dataclasses
-    from collections import Counter
-
-    import numpy as np
-
-    from minidual.trials.planning.evaluate_carries import excluded
-
-    data: dict[str, Any] = {"executions": [dataclasses.asdict(e) for e in results.executions]}
-    for name, done in results.outcomes.items():
-        times, cpu = (np.array([getattr(o, field) for o in done]) for field in ("time_s", "cpu_s"))
-        undecided, unreachable = excluded(done)
-        data[f"{name}_seed"] = {
-            "moves_n": len(done),
-            "solved_n": sum(o.ok for o in done),
-            "found_by": dict(Counter(o.plan.found_by for o in done if o.plan is not None)),
-            "with_obstacles_n": sum(o.move.with_obstacles for o in done),
-            "straight_blocked_n": sum(o.move.blocked for o in done),
-            "undecided_n": undecided,
-            "unreachable_n": unreachable,
-            "time_median_s": float(np.median(times)),
-            "time_p99_s": float(np.percentile(times, 99)),
-            "cpu_median_s": float(np.median(cpu)),
-            "cpu_p99_s": float(np.percentile(cpu, 99)),
-        }
-    return data
-
-
-def held_notes(results: HeldResults) -> list[str]:
-    """Return one line for every move that failed."""
-    failed = [
-        f"held move {o.move.index} of the {name} seed failed: {o.message}"
-        for name, done in results.outcomes.items()
-        for o in done
-        if not o.ok
-    ]
-    return [*failed, *results.undriven]
-
-
-def _write_csv(outcomes: Mapping[str, Sequence[MoveOutcome]], path: Path) -> None:
-    import csv
-
-    from minidual.trials.planning.evaluate_carries import CSV_COLUMNS
-
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, fieldnames=CSV_COLUMNS)
-        writer.writeheader()
-        writer.writerows(o.row(name) for name, done in outcomes.items() for o in done)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import csv
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 from time import perf_counter, process_time
 
 import numpy as np
@@ -16,7 +18,6 @@ from minidual.motion.api import Planner
 from minidual.motion.result import PHASES, PlanResult
 from minidual.motion.shortcut import path_length
 from minidual.proof.verify import Audit
-from minidual.robot.constants import GROUPS, HOME, Q_LOWER, Q_UPPER
 from minidual.trials.planning.queries import Query, QueryGenerator
 from minidual.trials.planning.query_set import OBSTACLES_N, stored_set
 
@@ -43,8 +44,8 @@ class Outcome:
         return self.result is not None
 
     def row(self) -> dict[str, object]:
-        """Return the line of queries.csv."""
-        query, result = self.query, self.result
+        """Return the line of queries.csv; what was not reached is empty."""
+        query, result, audit = self.query, self.result, self.audit
         row: dict[str, object] = {
             "group": query.group,
             "index": query.index,
@@ -54,36 +55,34 @@ class Outcome:
             "kind": query.kind,
             "goal": "poses" if query.as_poses else "joints",
             "line_blocked": query.blocked,
-            "total_s": round(self.total_s, 6),
-            "scene_setup_s": round(self.scene_s, 6),
-            "cpu_s": round(self.cpu_s, 6),
+            "total_s": self.total_s,
+            "scene_setup_s": self.scene_s,
+            "cpu_s": self.cpu_s,
         }
+        row |= {f"{phase}_s": None if result is None else result.times_s[phase] for phase in PHASES if phase != "scene"}
         row |= {
-            f"{phase}_s": "" if result is None else round(result.times_s[phase], 6)
-            for phase in PHASES
-            if phase != "scene"
+            "direct": None if result is None else result.direct,
+            "attempts_n": None if result is None else result.attempts_n,
+            "path_length_rad": None if result is None else path_length(result.path),
+            "duration_s": None if result is None else result.trajectory.duration_s,
         }
-        if result is None:
-            empty = ("direct", "attempts_n", "path_length_rad", "duration_s", "samples_n")
-            row |= dict.fromkeys((*empty, "velocity_ratio", "acceleration_ratio", "jerk_ratio", "torque_ratio"), "")
-        else:
-            proof = result.verification
-            row |= {
-                "direct": result.direct,
-                "attempts_n": result.attempts_n,
-                "path_length_rad": round(path_length(result.path), 6),
-                "duration_s": round(result.trajectory.duration_s, 6),
-                "samples_n": proof.samples_n,
-                "velocity_ratio": round(proof.velocity_ratio, 6),
-                "acceleration_ratio": round(proof.acceleration_ratio, 6),
-                "jerk_ratio": round(proof.jerk_ratio, 6),
-                "torque_ratio": round(proof.torque_ratio, 6),
-            }
-        row["clearance_m"] = "" if self.audit is None else round(self.audit.clearance_m, 6)
-        row["audited_n"] = "" if self.audit is None else self.audit.samples_n
-        row["audit_collisions_n"] = "" if self.audit is None else self.audit.collisions_n
+        ratios = ("velocity_ratio", "acceleration_ratio", "jerk_ratio", "torque_ratio")
+        for name in ("samples_n", *ratios):
+            row[name] = None if result is None else getattr(result.verification, name)
+        row["clearance_m"] = None if audit is None else audit.clearance_m
+        row["audited_n"] = None if audit is None else audit.samples_n
+        row["audit_collisions_n"] = None if audit is None else audit.collisions_n
         row["message"] = self.message
         return row
+
+
+def write_rows(rows: Sequence[Mapping[str, object]], path: Path) -> None:
+    """Write rows of one set of names as CSV; numbers to a micrometre or microsecond, None as nothing."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, fieldnames=list(rows[0]))
+        writer.writeheader()
+        for row in rows:
+            writer.writerow({k: round(v, 6) if isinstance(v, float) else v for k, v in row.items()})
 
 
 def plan_query(planner: Planner, query: Query) -> Outcome:
@@ -95,20 +94,16 @@ def plan_query(planner: Planner, query: Query) -> Outcome:
     planner.engines(query.scene)
     scene_s = perf_counter() - begin
     begin, cpu_begin = perf_counter(), process_time()
+    result, reason, message = None, "", ""
+    how = {"scene": query.scene, "seed": query.seed}
     try:
         if query.as_poses:
-            result = planner.plan_to_poses(
-                query.group, query.q_start, query.targets, scene=query.scene, seed=query.seed
-            )
+            result = planner.plan_to_poses(query.group, query.q_start, query.targets, **how)
         else:
-            result = planner.plan_to_joints(
-                query.group, query.q_start, query.q_goal, scene=query.scene, seed=query.seed
-            )
+            result = planner.plan_to_joints(query.group, query.q_start, query.q_goal, **how)
     except PlanningError as error:
-        spent = perf_counter() - begin, scene_s, process_time() - cpu_begin
-        return Outcome(query, None, error.reason, error.message, *spent)
-    spent = perf_counter() - begin, scene_s, process_time() - cpu_begin
-    return Outcome(query, result, "", "", *spent)
+        reason, message = error.reason, error.message
+    return Outcome(query, result, reason, message, perf_counter() - begin, scene_s, process_time() - cpu_begin)
 
 
 def query_source(seed: int, obstacles_n: int, blocked_fraction: float) -> Callable[[str, int], Query]:
@@ -126,7 +121,7 @@ def query_source(seed: int, obstacles_n: int, blocked_fraction: float) -> Callab
 
 
 def run_queries(
-    config: PlanConfig, seed: int, on_query: Callable[[Outcome], None] | None = None, queries_n: int | None = None
+    config: PlanConfig, seed: int, on_query: Callable[[Outcome], None] = lambda _: None, queries_n: int | None = None
 ) -> dict[str, list[Outcome]]:
     """Plan queries of every group, in one process so that the times mean something, and audit what was proven.
 
@@ -137,11 +132,12 @@ def run_queries(
         queries_n: Queries per group; `config.queries_n` by default.
     """
     planner = Planner(config=config.planner)
+    home = planner.robot.home
     # Import and compile what the first query would otherwise pay for; whether this one is solved does not matter.
     with suppress(PlanningError):
-        planner.plan_to_joints("both_arms", HOME, HOME + 0.05)
+        planner.plan_to_joints("both_arms", home, home + 0.05)
     source = query_source(seed, config.obstacles_n, config.blocked_fraction)
-    outcomes: dict[str, list[Outcome]] = {group: [] for group in GROUPS}
+    outcomes: dict[str, list[Outcome]] = {group: [] for group in planner.robot.groups}
     for group, done in outcomes.items():
         for index in range(config.queries_n if queries_n is None else queries_n):
             outcome = plan_query(planner, source(group, index))
@@ -149,8 +145,7 @@ def run_queries(
                 verifier = planner.engines(outcome.query.scene).verifier
                 outcome = replace(outcome, audit=verifier.audit(outcome.result.trajectory))
             done.append(outcome)
-            if on_query is not None:
-                on_query(outcome)
+            on_query(outcome)
     return outcomes
 
 
@@ -167,13 +162,12 @@ def engine_agreement(scene: PlanningScene, states_n: int, seed: int) -> float:
 
     Half of the states are uniform within the limits (most collide), half lie round home (most are free).
     """
-    engines = Planner(scene).engines()
+    planner = Planner(scene)
+    engines, robot = planner.engines(), planner.robot
+    lower, upper = robot.q_lower, robot.q_upper
     rng = np.random.default_rng([seed, 11])
     half = states_n // 2
-    Q = np.vstack(
-        [
-            rng.uniform(Q_LOWER, Q_UPPER, (half, 14)),
-            np.clip(HOME + rng.uniform(-0.8, 0.8, (states_n - half, 14)), Q_LOWER, Q_UPPER),
-        ]
-    )
+    uniform = rng.uniform(lower, upper, (half, robot.dof))
+    near_home = robot.home + rng.uniform(-0.8, 0.8, (states_n - half, robot.dof))
+    Q = np.vstack([uniform, np.clip(near_home, lower, upper)])
     return float(np.mean(engines.mujoco.collisions(Q) == engines.coal.collisions(Q)))

@@ -1,10 +1,8 @@
-"""Seeded moves of a rod in both hands: where it is, where it shall go, what stands round.
+"""Seeded moves of an object in both hands: where it is, where it shall go, what stands round.
 
-Start and goal are rod poses over the table: the goal is up to 0.5 m and 90 degrees away, turned about the vertical and
-tilted. Every second move has obstacles, and of those the straight way is blocked where such a scene is found. A move
-enters the set only with a witness: a path that long searches found, looking the other way round (from the goal
-to the start) and with their own random numbers, and that was timed and proven free. What has no witness is left out
-and counted.
+The goal is up to 0.5 m and 90 degrees away, turned about the vertical and tilted. Every second move has obstacles that
+block the straight way. A move enters the set only with a witness: a path that long searches found from the goal to the
+start, with their own random numbers, and that was timed and proven free. What has no witness is left out and counted.
 """
 
 from __future__ import annotations
@@ -17,19 +15,18 @@ import numpy as np
 from minidual.collision.errors import ClosedChainError, PlanningError, TimingError
 from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import TABLE, PlanningScene
-from minidual.collision.shapes import Capsule
-from minidual.config.scene import ObjectConfig
+from minidual.config.scene import SceneConfig
 from minidual.config.seeds import stream
 from minidual.motion.edges import EdgeChecker
 from minidual.motion.held.hands import HandsIK
 from minidual.motion.held.path import ObjectChart, ObjectPath
 from minidual.motion.held.planner import HeldPlanner, HeldQuery, scene_holding
 from minidual.motion.held.search import HeldSpace, search_object
-from minidual.motion.ik import ArmIK
 from minidual.proof.scene_engines import SceneEngines
-from minidual.robot.constants import ARMS, GROUPS, HOME, Array
-from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array
 from minidual.robot.poses import pose, rot_x, rot_z
+from minidual.skills.cycle import thing_of
+from minidual.tasks.rod_carry import grasp_offsets
 from minidual.trials.planning.queries import random_obstacles
 
 _ROOM_M = 0.01
@@ -44,7 +41,6 @@ _IK_STARTS_N = 6
 _WITNESS_TRIES = ((0.005, 1.0), (0.008, 0.5), (0.002, 0.5))
 """Padding [m] and closeness of the points that are checked, of the searches for a witness."""
 _EDGE_STEP_RAD = 0.03
-_ROOT_HALF = float(np.sqrt(0.5))
 _LOW, _HIGH = np.array([0.35, -0.3, 0.08]), np.array([0.6, 0.3, 0.4])
 
 
@@ -55,13 +51,13 @@ class HeldMove:
     Attributes:
         index: Number in the set.
         query: The problem.
-        T_world_start: Pose of the rod at the start.
+        T_world_start: Pose of the object at the start.
         with_obstacles: Whether more than the table stands round.
         blocked: Whether the straight way, continued from the start, touches something or cannot be followed.
-        distance_m, turn_rad: How far and by how much the rod moves.
-        witness: Points (n, 20) of a path from start to goal that was proven free.
+        distance_m, turn_rad: How far and by how much the object moves.
+        witness: Points (m, 6 + n) of a path from start to goal that was proven free.
         undecided_n: Drawn before this one and left out, because no witness was found for them.
-        unreachable_n: Drawn before this one and left out, because no free posture holds the rod at start or goal.
+        unreachable_n: Drawn before this one and left out, because no free posture holds the object at start or goal.
     """
 
     index: int
@@ -76,24 +72,6 @@ class HeldMove:
     unreachable_n: int
 
 
-def rod_grasps(rod: ObjectConfig) -> tuple[Array, Array]:
-    """Return (T_rod_tcp_left, T_rod_tcp_right): hands down, the left one at the +y end."""
-    hand_down = rot_z(np.pi / 2) @ rot_x(np.pi)
-    left, right = (pose(hand_down, (0.0, side * rod.grasp_offset_m, rod.grasp_height_m)) for side in (1.0, -1.0))
-    return left, right
-
-
-def rod_shape(rod: ObjectConfig) -> Capsule:
-    """Return the rod as a capsule of its length, along its y axis."""
-    return Capsule(
-        "rod",
-        (0.0, 0.0, 0.0),
-        (_ROOT_HALF, -_ROOT_HALF, 0.0, 0.0),
-        radius_m=rod.radius_m,
-        length_m=rod.length_m - 2.0 * rod.radius_m,
-    )
-
-
 class HeldMoveGenerator:
     """Makes the moves of a seed; the same seed and index give the same move.
 
@@ -102,21 +80,20 @@ class HeldMoveGenerator:
 
     Args:
         seed: Seed of the set.
-        rod: The object.
-        from_table: Start with the rod level on the table, which it may touch, and nothing else around.
+        scene: Holds the object and its grasps.
+        from_table: Start with the object level on the table, which it may touch, and nothing else around.
     """
 
-    def __init__(self, seed: int, rod: ObjectConfig | None = None, *, from_table: bool = False) -> None:
+    def __init__(self, seed: int, scene: SceneConfig | None = None, *, from_table: bool = False) -> None:
+        scene = scene or SceneConfig()
         self._seed = seed
-        rod = rod or ObjectConfig()
         self._from_table = from_table
-        self._radius_m = rod.radius_m
-        self._grasps = rod_grasps(rod)
-        self._shape = rod_shape(rod)
-        self._kinematics = Kinematics()
-        self._hands = HandsIK(*self._grasps, self._kinematics)
+        self._height_m = scene.object.rest_height_m
+        self._grasps = grasp_offsets(scene)
+        self._shape = thing_of(scene.object, scene.object.name).shape
         self._prover = HeldPlanner()
-        self._ik = {arm: ArmIK(arm) for arm in ARMS}
+        self._home = self._prover.planner.robot.home
+        self._hands = HandsIK(*self._grasps, self._prover.kinematics)
 
     def move(self, index: int) -> HeldMove:
         """Return move `index`: odd ones have obstacles.
@@ -135,7 +112,7 @@ class HeldMoveGenerator:
             )
             engines = SceneEngines(scene)
             engine = engines.mujoco
-            start = self._held(rng, engine, self._start(rng), HOME, 0.0 if self._from_table else _ROOM_M)
+            start = self._held(rng, engine, self._start(rng), self._home, 0.0 if self._from_table else _ROOM_M)
             if start is None:
                 unreachable += 1
                 continue
@@ -174,31 +151,29 @@ class HeldMoveGenerator:
         )
 
     def _start(self, rng: np.random.Generator) -> Array:
-        """Return a rod pose over the table, yawed and a little tilted; or level on it."""
+        """Return an object pose over the table, yawed and a little tilted; or level on it."""
         yaw, lean = rng.uniform(-_YAW_RAD, _YAW_RAD), rng.uniform(-_LEAN_RAD, _LEAN_RAD)
         position = rng.uniform(_LOW, _HIGH)
         if self._from_table:
-            lean, position[2] = 0.0, self._radius_m
+            lean, position[2] = 0.0, self._height_m
         return pose(rot_z(yaw) @ rot_x(lean), position)
 
     def _held(
-        self, rng: np.random.Generator, engine: MujocoEngine, T_world_rod: Array, q_near: Array, room_m: float
+        self, rng: np.random.Generator, engine: MujocoEngine, T_world_object: Array, q_near: Array, room_m: float
     ) -> tuple[Array, Array] | None:
-        """Return (pose, posture (14,)) with room round it that holds the rod there, the first one found, or None."""
+        """Return (pose, posture (n,)) with room round it that holds the object there, the first found, or None."""
         for k in range(_IK_STARTS_N):
             q = np.array(q_near)
-            for arm, grasp in zip(ARMS, self._grasps, strict=True):
-                solver = self._ik[arm]
-                joints = GROUPS[f"{arm}_arm"]
-                begin = q_near[joints] if k == 0 else rng.uniform(solver.lower, solver.upper)
-                solution = solver.solve(T_world_rod @ grasp, begin)
+            for arm, grasp in zip(self._hands.arms, self._grasps, strict=True):
+                begin = q_near[arm.joints] if k == 0 else rng.uniform(arm.lower, arm.upper)
+                solution = arm.solve(T_world_object @ grasp, begin)
                 if not solution.reached:
                     break
-                q[joints] = solution.q
+                q[arm.joints] = solution.q
             else:
-                solved = self._hands.solve(T_world_rod, q)
+                solved = self._hands.solve(T_world_object, q)
                 if solved is not None and not engine.closest(solved, room_m):
-                    return T_world_rod, solved
+                    return T_world_object, solved
         return None
 
     def _blocked(self, engine: MujocoEngine, start: tuple[Array, Array], T_goal: Array) -> bool:
@@ -215,7 +190,7 @@ class HeldMoveGenerator:
         start: tuple[Array, Array],
         goal: tuple[Array, Array],
     ) -> Array | None:
-        """Return points (n, 20) from start to goal that can be timed and proven free, searched from the goal, or None."""
+        """Return points (m, 6 + n) from start to goal that can be timed and proven free, searched from the goal, or None."""
         for padding_m, step_scale in _WITNESS_TRIES:
             checker = EdgeChecker(engines, padding_m, (start[1], goal[1]), _EDGE_STEP_RAD)
             space = HeldSpace(self._hands, ObjectChart(start[0][:3, :3]), checker, step_scale)

@@ -9,7 +9,8 @@ exists is shown by `minidual.trials.planning.query_set`.
 
 from __future__ import annotations
 
-import hashlib
+import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +21,8 @@ from minidual.collision.scene import TABLE, PlanningScene
 from minidual.collision.shapes import Box, Cylinder, Shape
 from minidual.motion.goals import group_arms
 from minidual.motion.ik import ArmIK
-from minidual.robot.constants import ARMS, BASE_POSITIONS_M, GROUPS, HOME, Array
+from minidual.robot.arms import DUAL_PANDA
+from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import pose, rot_x, rot_z
 
 _ROOM_M = 0.01
@@ -71,15 +73,6 @@ class Query:
     kind: str = "any"
     attempt: int = 0
 
-    def digest(self) -> str:
-        """Return a sha256 of scene, start and goal, rounded to a micrometre and a microradian."""
-        h = hashlib.sha256(repr((self.group, self.index, self.seed, self.as_poses)).encode())
-        for obstacle in self.scene.obstacles:
-            h.update(repr(obstacle).encode())
-        for q in (self.q_start, self.q_goal):
-            h.update(np.round(q, 6).astype("<f8").tobytes())
-        return h.hexdigest()
-
 
 class QueryGenerator:
     """Makes the queries of a seed; the same seed, group and index always give the same query.
@@ -94,7 +87,7 @@ class QueryGenerator:
         self._seed = seed
         self._obstacles_n = obstacles_n
         self._blocked_fraction = blocked_fraction
-        self._ik = {arm: ArmIK(arm) for arm in ARMS}
+        self._home = DUAL_PANDA.home
 
     def kind(self, group: str, index: int) -> str:
         """Return what query `index` of a group must be, a name of `KINDS`."""
@@ -136,12 +129,12 @@ class QueryGenerator:
         arms = group_arms(group)
         kind = self.kind(group, index)
         scene = scene_of(self._seed, group, index, attempt, self._obstacles_n)
-        rng = np.random.default_rng([self._seed, list(GROUPS).index(group), index, attempt, 1])
+        rng = np.random.default_rng([self._seed, list(DUAL_PANDA.groups).index(group), index, attempt, 1])
         engine = MujocoEngine(scene)
         crossed_at_goal = bool(rng.integers(2))
         for _ in range(_PAIRS_TRIES_N):
             crossed = kind == "crossing"
-            start = self._configuration(rng, engine, HOME, ARMS, crossed=crossed and not crossed_at_goal)
+            start = self._configuration(rng, engine, self._home, SIDES, crossed=crossed and not crossed_at_goal)
             if start is None:
                 continue
             goal = self._configuration(rng, engine, start, arms, crossed=crossed and crossed_at_goal)
@@ -150,22 +143,12 @@ class QueryGenerator:
             between = _touched_between(engine, start, goal)
             if not _is_kind(kind, arms, between):
                 continue
-            targets = {arm: self._ik[arm].tcp_pose(goal[GROUPS[f"{arm}_arm"]]) for arm in arms}
-            if crossed and not self._swapped(start, targets):
+            targets = goal_targets(group, goal)
+            if crossed and not _swapped(goal_targets(group, start), targets):
                 continue
-            seed = int(rng.integers(2**31))
-            return Query(
-                group, index, seed, scene, start, goal, targets, goal_as_poses(index), bool(between), kind, attempt
-            )
+            seed, as_poses = int(rng.integers(2**31)), goal_as_poses(index)
+            return Query(group, index, seed, scene, start, goal, targets, as_poses, bool(between), kind, attempt)
         return None
-
-    def _swapped(self, start: Array, targets: dict[str, Array]) -> bool:
-        """Return whether the left hand changes from one side of the right hand to the other."""
-        sides = [
-            hands["left"][1, 3] - hands["right"][1, 3]
-            for hands in ({arm: self._ik[arm].tcp_pose(start[GROUPS[f"{arm}_arm"]]) for arm in ARMS}, targets)
-        ]
-        return sides[0] * sides[1] < 0.0 and min(map(abs, sides)) > _CROSSED_BY_M
 
     def _configuration(
         self,
@@ -186,20 +169,37 @@ class QueryGenerator:
                 solution = self._reach(rng, arm, T_world_tcp)
                 if solution is None:
                     break
-                q[GROUPS[f"{arm}_arm"]] = solution
+                q[solvers()[arm].joints] = solution
             else:
                 if not engine.closest(q, _ROOM_M):
                     return q
         return None
 
     def _reach(self, rng: np.random.Generator, arm: str, T_world_tcp: Array) -> Array | None:
-        solver = self._ik[arm]
+        solver = solvers()[arm]
         for k in range(_IK_STARTS_N):
-            start = HOME[GROUPS[f"{arm}_arm"]] if k == 0 else rng.uniform(solver.lower, solver.upper)
+            start = self._home[solver.joints] if k == 0 else rng.uniform(solver.lower, solver.upper)
             solution = solver.solve(T_world_tcp, start)
             if solution.reached:
                 return solution.q
         return None
+
+
+@functools.cache
+def solvers() -> dict[str, ArmIK]:
+    """Return the inverse kinematics of both arms."""
+    return {side: ArmIK(side) for side in SIDES}
+
+
+def goal_targets(group: str, q: Array) -> dict[str, Array]:
+    """Return T_world_tcp (4, 4) of the group's arms at q (n,)."""
+    return {arm: solvers()[arm].tcp_pose(q[solvers()[arm].joints]) for arm in group_arms(group)}
+
+
+def _swapped(before: dict[str, Array], after: dict[str, Array]) -> bool:
+    """Return whether the left hand changes from one side of the right hand to the other."""
+    a, b = (hands["left"][1, 3] - hands["right"][1, 3] for hands in (before, after))
+    return a * b < 0.0 and min(abs(a), abs(b)) > _CROSSED_BY_M
 
 
 def _touched_between(engine: MujocoEngine, start: Array, goal: Array) -> set[frozenset[str]]:
@@ -214,19 +214,17 @@ def _touched_between(engine: MujocoEngine, start: Array, goal: Array) -> set[fro
 def _is_kind(kind: str, arms: tuple[str, ...], touched: set[frozenset[str]]) -> bool:
     """Return whether what stands in the way of the straight line makes the query one of this kind."""
     mine = tuple(f"{arm}_" for arm in arms)
-    theirs = tuple(f"{arm}_" for arm in ARMS if arm not in arms)
+    theirs = tuple(f"{arm}_" for arm in SIDES if arm not in arms)
+    fixed = ("left_", "right_", "table")
+
+    def between_mine_and(wanted: Callable[[str], bool]) -> bool:
+        return any(any(n.startswith(mine) for n in pair) and any(map(wanted, pair)) for pair in touched)
+
     if kind == "past_obstacle":
-        return any(
-            any(n.startswith(mine) for n in pair) and any(not n.startswith(("left_", "right_", "table")) for n in pair)
-            for pair in touched
-        )
+        return between_mine_and(lambda name: not name.startswith(fixed))
     if kind == "past_arm":
-        return any(
-            any(n.startswith(mine) for n in pair) and any(n.startswith(theirs) for n in pair) for pair in touched
-        )
-    if kind == "crossing":
-        return bool(touched)
-    return True
+        return between_mine_and(lambda name: name.startswith(theirs))
+    return kind == "any" or bool(touched)
 
 
 def goal_as_poses(index: int) -> bool:
@@ -236,7 +234,7 @@ def goal_as_poses(index: int) -> bool:
 
 def scene_of(seed: int, group: str, index: int, attempt: int, obstacles_n: int) -> PlanningScene:
     """Return the scene of one attempt at a query."""
-    rng = np.random.default_rng([seed, list(GROUPS).index(group), index, attempt, 0])
+    rng = np.random.default_rng([seed, list(DUAL_PANDA.groups).index(group), index, attempt, 0])
     return PlanningScene(obstacles=(TABLE, *random_obstacles(rng, obstacles_n)))
 
 
@@ -257,18 +255,14 @@ def random_obstacles(rng: np.random.Generator, count: int) -> tuple[Shape, ...]:
         height = float(rng.uniform(0.10, 0.40))
         while True:
             x, y = float(rng.uniform(0.25, 0.75)), float(rng.uniform(-0.60, 0.60))
-            if all(np.hypot(x - bx, y - by) > 0.28 for bx, by, _ in BASE_POSITIONS_M.values()):
+            if all(np.hypot(x - bx, y - by) > 0.28 for bx, by, _ in DUAL_PANDA.base_positions_m):
                 break
         place = (round(x, 4), round(y, 4), round(0.5 * height, 4))
         if rng.random() < 0.5:
-            size = (
-                round(float(rng.uniform(0.05, 0.16)), 4),
-                round(float(rng.uniform(0.05, 0.16)), 4),
-                round(height, 4),
-            )
+            x_m, y_m = (round(float(rng.uniform(0.05, 0.16)), 4) for _ in range(2))
             half_yaw = 0.5 * float(rng.uniform(-np.pi / 2, np.pi / 2))
             quat = (float(np.cos(half_yaw)), 0.0, 0.0, float(np.sin(half_yaw)))
-            shapes.append(Box(f"box{k}", place, quat, size))
+            shapes.append(Box(f"box{k}", place, quat, (x_m, y_m, round(height, 4))))
         else:
             radius = round(float(rng.uniform(0.025, 0.07)), 4)
             shapes.append(Cylinder(f"cylinder{k}", place, radius_m=radius, length_m=round(height, 4)))

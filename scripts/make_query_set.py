@@ -1,4 +1,4 @@
-"""Make a stored query set: `python -m minidual.trials.planning.make_query_set SEED [QUERIES]` (minutes to an hour).
+"""Make a stored query set: `python scripts/make_query_set.py SEED [QUERIES]` (minutes to an hour).
 
 For every query the generator's scenes are tried in turn until one is of the wanted kind and a way through it is
 found by a search that is several times longer than the planner's own, with several planners' seeds and less padding.
@@ -18,9 +18,10 @@ from minidual.motion.edges import EdgeChecker
 from minidual.motion.search import search
 from minidual.motion.shortcut import shortcut
 from minidual.proof.scene_engines import SceneEngines
-from minidual.robot.constants import GROUPS, Array
+from minidual.robot.pair import Array
+from minidual.trials.planning import query_set
 from minidual.trials.planning.queries import Query, QueryGenerator
-from minidual.trials.planning.query_set import OBSTACLES_N, QuerySet, is_free, stored
+from minidual.trials.planning.query_set import OBSTACLES_N, ROBOT, is_free, stored
 
 _CHECKS_N = 250_000
 _ROUNDS = ((0.004, 0.03), (0.002, 0.03), (0.001, 0.02), (0.001, 0.02))
@@ -29,7 +30,7 @@ _DEADLINE_S = 3600.0
 
 
 def find_way(query: Query) -> Array | None:
-    """Return a polyline (n, 14) on which nothing touches, its corners rounded to what is stored; or None."""
+    """Return a polyline (k, n) on which nothing touches, its corners rounded to what is stored; or None."""
     engines = SceneEngines(query.scene)
     for attempt, (padding, step) in enumerate(_ROUNDS):
         checker = EdgeChecker(engines, padding, (query.q_start, query.q_goal), step)
@@ -37,7 +38,7 @@ def find_way(query: Query) -> Array | None:
             checker,
             query.q_start,
             query.q_goal,
-            GROUPS[query.group],
+            ROBOT.groups[query.group],
             seed=query.seed + 1000 + attempt,
             checks_max=_CHECKS_N,
             deadline=time.perf_counter() + _DEADLINE_S,
@@ -65,30 +66,34 @@ def _solve(job: tuple[int, str, int]) -> tuple[Query, Array, int]:
         attempt = query.attempt + 1
 
 
-def make(seed: int, queries_n: int, workers_n: int) -> QuerySet:
-    """Return a new set."""
-    jobs = [(seed, group, index) for group in GROUPS for index in range(queries_n)]
-    found: dict[str, list[tuple[Query, Array, int]]] = {group: [] for group in GROUPS}
+def make(seed: int, queries_n: int, workers_n: int) -> dict[str, Array]:
+    """Return the arrays of a new set, as `QuerySet` reads them."""
+    jobs = [(seed, group, index) for group in ROBOT.groups for index in range(queries_n)]
+    found: dict[str, list[tuple[Query, Array, int]]] = {group: [] for group in ROBOT.groups}
     with ProcessPoolExecutor(workers_n) as pool:
         for done, (job, result) in enumerate(zip(jobs, pool.map(_solve, jobs), strict=True)):
             found[job[1]].append(result)
             print(f"{done + 1} of {len(jobs)}: {job[1]} {job[2]}, attempt {result[0].attempt}", file=sys.stderr)
-    return QuerySet(
-        seed,
-        {g: np.array([q.attempt for q, _, _ in rows]) for g, rows in found.items()},
-        {g: np.array([q.seed for q, _, _ in rows]) for g, rows in found.items()},
-        {g: np.array([(q.q_start, q.q_goal) for q, _, _ in rows]) for g, rows in found.items()},
-        {g: [path[1:-1] for _, path, _ in rows] for g, rows in found.items()},
-        {g: sum(left for _, _, left in rows) for g, rows in found.items()},
-    )
+    arrays: dict[str, Array] = {"seed": np.array(seed)}
+    for group, rows in found.items():
+        corners = [path[1:-1] for _, path, _ in rows]
+        arrays |= {
+            f"{group}.attempts": np.array([q.attempt for q, _, _ in rows], dtype=np.int32),
+            f"{group}.seeds": np.array([q.seed for q, _, _ in rows], dtype=np.int64),
+            f"{group}.ends": np.array([(q.q_start, q.q_goal) for q, _, _ in rows], dtype=np.float32),
+            f"{group}.corners_n": np.array([len(c) for c in corners], dtype=np.int32),
+            f"{group}.corners": np.vstack([np.zeros((0, ROBOT.dof)), *corners]).astype(np.float32),
+            f"{group}.left_out": np.array(sum(left for _, _, left in rows)),
+        }
+    return arrays
 
 
 def main(seed: int, queries_n: int = 100, workers_n: int = 2) -> None:
     """Make the set of a seed and write it beside the others."""
-    made = make(seed, queries_n, workers_n)
-    file = Path(__file__).with_name("query_sets") / f"seed-{seed}.npz"
-    np.savez_compressed(file, **made.to_arrays())
-    print(f"{file}: {file.stat().st_size} bytes; left out {made.left_out}", file=sys.stderr)
+    arrays = make(seed, queries_n, workers_n)
+    file = Path(query_set.__file__).with_name("query_sets") / f"seed-{seed}.npz"
+    np.savez_compressed(file, **arrays)
+    print(f"{file}: {file.stat().st_size} bytes", file=sys.stderr)
 
 
 if __name__ == "__main__":
