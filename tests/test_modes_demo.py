@@ -142,8 +142,8 @@ def test_without_a_supervisor_the_torque_steps_are_over_their_bound_and_named(wo
 )
 def test_every_bound_can_fail(name: str, changes: dict[str, float]) -> None:
     fine = {"first_step_rad": 0.01, "reference_step_ratio": 0.9, "torque_step_nm": 0.9, "target_step_rad": 0.01}
-    assert Switch("teleop", 1.0, **fine).faults(ArbiterConfig(), 1e-3) == []
-    faults = Switch("teleop", 1.0, **{**fine, **changes}).faults(ArbiterConfig(), 1e-3)
+    assert Switch("teleop", 1.0, **fine).faults(ArbiterConfig()) == []
+    faults = Switch("teleop", 1.0, **{**fine, **changes}).faults(ArbiterConfig())
     assert len(faults) == 1
     assert faults[0].startswith(f"switch to teleop at 1.00 s: {name}")
 

@@ -274,7 +274,7 @@ def test_words_and_files(tmp_path, planner, ready):
     with pytest.raises(UsageError, match="there is no file"):
         goal_of("nowhere.yaml", names)
     plan = planner.plan("left_arm", HOME, JointGoal({"left_panda_joint1": 0.2}))
-    plan.trajectory.write_json(tmp_path / "t.json")
+    plan.trajectory.write_json(tmp_path / "t.json", DUAL_PANDA.joint_names)
     again = goal_of(str(tmp_path / "t.json"), names)
     assert np.abs(np.array(list(again.values.values())) - plan.trajectory.q[-1]).max() < 1e-8
     (tmp_path / "t.json").write_text('{"joint_names": ["left_join1"], "q_rad": [[0]]}')

@@ -17,6 +17,7 @@ from minidual.motion.search import search
 from minidual.motion.shortcut import path_length, shortcut
 from minidual.motion.timing import MotionLimits, sample_parameters, time_path, torque_ratio
 from minidual.proof.scene_engines import SceneEngines
+from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.constants import A_MAX, HOME, JERK_MAX, TAU_MAX, V_MAX
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.trajectory import Trajectory
@@ -236,11 +237,11 @@ def test_slowed_keeps_the_path(timed):
 
 def test_files_hold_the_trajectory(timed, tmp_path):
     _, t = timed
-    t.write_csv(tmp_path / "t.csv")
+    t.write_csv(tmp_path / "t.csv", DUAL_PANDA.joint_names)
     table = np.loadtxt(tmp_path / "t.csv", delimiter=",", skiprows=1)
     assert table.shape == (len(t.times), 43)
     assert np.abs(table[:, 1:15] - t.q).max() < 1e-8
-    t.write_json(tmp_path / "t.json", every=10)
+    t.write_json(tmp_path / "t.json", DUAL_PANDA.joint_names, every=10)
     data = json.loads((tmp_path / "t.json").read_text())
     assert data["joint_names"][0] == "left_panda_joint1"
     assert np.abs(np.array(data["q_rad"])[-1] - t.q[-1]).max() < 1e-8

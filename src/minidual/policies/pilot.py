@@ -16,13 +16,13 @@ from minidual.control.stack import ControlStack, Guard
 from minidual.errors import DataError
 from minidual.plant.world import World
 from minidual.policies.policy import Image, PolicyRuntime
-from minidual.robot.constants import Q_LOWER, Q_UPPER
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Robot
 
 SOURCE = "policy"
 
 
-def load_runtime(checkpoint: Path, config: DeployConfig) -> PolicyRuntime:
+def load_runtime(checkpoint: Path, config: DeployConfig, robot: Robot) -> PolicyRuntime:
     """Load a checkpoint for closed-loop use, its actions clamped to the joint limits.
 
     Raises:
@@ -33,7 +33,7 @@ def load_runtime(checkpoint: Path, config: DeployConfig) -> PolicyRuntime:
         config.device,
         n_action_steps=config.n_action_steps,
         blend_ticks=config.blend_ticks,
-        limits=(Q_LOWER, Q_UPPER),
+        limits=(robot.q_lower, robot.q_upper),
         threads=config.threads,
     )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from minidual.errors import DataError, UsageError
-from minidual.robot.constants import DOF, JOINT_NAMES, Array
+from minidual.robot.pair import Array
 
 
 def _all_finite(x: Array) -> bool:
@@ -28,15 +29,15 @@ def largest(x: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Samples of all 14 joints on a regular time grid; both ends are at rest.
+    """Samples of all joints of both arms on a regular time grid; both ends are at rest.
 
-    A 7-joint plan is a 14-joint trajectory too: the other arm's columns are constant, so it is held.
+    The plan of one arm holds the other: its columns are constant.
 
     Attributes:
         times: (n,) [s], regular, from 0; n >= 2.
-        q: (n, 14) [rad].
-        v: (n, 14) [rad/s].
-        a: (n, 14) [rad/s^2].
+        q: (n, dof) [rad].
+        v: (n, dof) [rad/s].
+        a: (n, dof) [rad/s^2].
         group: Planning group that moves.
     """
 
@@ -48,9 +49,9 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         n = len(self.times)
-        if n < 2 or any(x.shape != (n, DOF) for x in (self.q, self.v, self.a)):
+        if n < 2 or self.q.ndim != 2 or any(x.shape != (n, self.q.shape[1]) for x in (self.q, self.v, self.a)):
             raise UsageError(
-                f"a trajectory needs n >= 2 times and q, v, a of shape (n, {DOF}); got {self.times.shape}, "
+                f"a trajectory needs n >= 2 times and q, v, a of one shape (n, dof); got {self.times.shape}, "
                 f"{self.q.shape}, {self.v.shape}, {self.a.shape}"
             )
         if not all(_all_finite(x) for x in (self.times, self.q, self.v, self.a)):
@@ -70,12 +71,12 @@ class Trajectory:
         return float(self.times[1] - self.times[0])
 
     def sample(self, t: float) -> tuple[Array, Array, Array]:
-        """Return (q, v, a), each (14,), at time t [s]; before the start and after the end the arms rest."""
+        """Return (q, v, a), each (dof,), at time t [s]; before the start and after the end the arms rest."""
         q, v, a = self.sample_many(np.array([t]))
         return q[0], v[0], a[0]
 
     def sample_many(self, times: Array) -> tuple[Array, Array, Array]:
-        """Return (q, v, a), each (m, 14), at times (m,) [s].
+        """Return (q, v, a), each (m, dof), at times (m,) [s].
 
         q is the cubic Hermite interpolant of the samples' q and v, v its derivative, a linear between samples.
         """
@@ -95,7 +96,7 @@ class Trajectory:
         return q, v, a
 
     def positions(self, times: Array) -> Array:
-        """Return q (m, 14) at times (m,) [s], the first part of `sample_many`."""
+        """Return q (m, dof) at times (m,) [s], the first part of `sample_many`."""
         t = np.clip(np.asarray(times, dtype=float), 0.0, self.duration_s)
         h = self.dt_s
         i = np.minimum((t / h).astype(int), len(self.times) - 2)
@@ -109,7 +110,7 @@ class Trajectory:
         )
 
     def variation_rates(self) -> Array:
-        """Return (n - 1, 14) [rad/s]: the largest speed of each joint within each step, exactly bounded.
+        """Return (n - 1, dof) [rad/s]: the largest speed of each joint within each step, exactly bounded.
 
         Within a step q is a cubic; its derivative lies within the hull of its Bezier coefficients.
         """
@@ -134,31 +135,27 @@ class Trajectory:
             h.update(np.ascontiguousarray(x).tobytes())
         return h.hexdigest()
 
-    def to_json(self, every: int = 1) -> dict[str, Any]:
+    def to_json(self, joint_names: Sequence[str], every: int = 1) -> dict[str, Any]:
         """Return the trajectory as plain JSON data, one of `every` samples, the last one always."""
         rows = np.unique(np.append(np.arange(0, len(self.times), every), len(self.times) - 1))
         return {
             "group": self.group,
-            "joint_names": list(JOINT_NAMES),
+            "joint_names": list(joint_names),
             "times_s": self.times[rows].round(6).tolist(),
             "q_rad": self.q[rows].round(9).tolist(),
             "v_rad_per_s": self.v[rows].round(9).tolist(),
             "a_rad_per_s2": self.a[rows].round(9).tolist(),
         }
 
-    def write_json(self, path: Path, every: int = 1) -> None:
+    def write_json(self, path: Path, joint_names: Sequence[str], every: int = 1) -> None:
         """Write `to_json` to a file."""
-        path.write_text(json.dumps(self.to_json(every)), encoding="utf-8")
+        path.write_text(json.dumps(self.to_json(joint_names, every)), encoding="utf-8")
 
-    def write_csv(self, path: Path) -> None:
+    def write_csv(self, path: Path, joint_names: Sequence[str]) -> None:
         """Write time, q, v and a of all samples, one row each."""
         with path.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
-            writer.writerow(
-                ["time_s"]
-                + [f"{n}_rad" for n in JOINT_NAMES]
-                + [f"{n}_rad_per_s" for n in JOINT_NAMES]
-                + [f"{n}_rad_per_s2" for n in JOINT_NAMES]
-            )
+            units = ("rad", "rad_per_s", "rad_per_s2")
+            writer.writerow(["time_s", *(f"{name}_{unit}" for unit in units for name in joint_names)])
             table = np.column_stack([self.times, self.q, self.v, self.a])
             writer.writerows([f"{x:.9g}" for x in row] for row in table)

@@ -144,11 +144,12 @@ def measure_inference(checkpoint: Path, context: StageContext, inferences: int =
     import numpy as np
 
     from minidual.policies.pilot import load_runtime
-    from minidual.robot.constants import HOME
+    from minidual.robot.arms import robot_from
 
-    runtime = load_runtime(checkpoint, context.config.deploy)
+    robot = robot_from(context.config.robot)
+    runtime = load_runtime(checkpoint, context.config.deploy, robot)
     rng = np.random.default_rng(0)
-    state = np.concatenate([HOME, np.ones(2)])
+    state = np.concatenate([robot.home, np.ones(2)])
     for _ in range(inferences):
         runtime.reset()
         runtime.act({c: rng.integers(0, 255, (*size, 3), dtype=np.uint8) for c, size in runtime.cameras.items()}, state)

@@ -61,32 +61,38 @@ def find_checkpoint(context: ToolContext) -> Path:
 
 
 def _run(context: ToolContext, wanted: tuple[str, ...], checkpoint: Path | None) -> ModesResult:
-    from minidual.collision.arm_distance import ArmDistance
     from minidual.control.stack import ControlStack
     from minidual.control.supervisor import Supervisor
     from minidual.durable import write_text
     from minidual.gate.canonical import canonical, dumps
-    from minidual.plant.model import build_model
     from minidual.plant.recorder import Recorder
     from minidual.plant.render import Camera, write_video
     from minidual.plant.world import World
+    from minidual.robot.arms import robot_from
     from minidual.robot.kinematics import Kinematics
     from minidual.show.figures.modes_film import FILM_FPS, FILM_SIZE, filmed
     from minidual.show.view import Overlay
     from minidual.show.watch import watched
+    from minidual.skills.supervised import arm_distance
     from minidual.tasks.task import make_task
     from minidual.trials.modes import ModesDemo
 
     config = context.config
-    world = World(config.scene, model=build_model(config.scene, visuals=True))
+    robot = robot_from(config.robot)
+    world = World(config.scene, robot, visuals=True)
     job = make_task(config)
     trial = job.trial(context.seed, "modes", 0)
     world.reset(poses=trial.goal)  # as the last carry left it
     world.recorder = Recorder(world, window_s=1.0, seed=context.seed, folder=context.run_folder / "dumps")
+    kinematics = Kinematics(robot)
     supervisor = Supervisor(
-        config.supervisor, dt_s=world.dt, self_distance=ArmDistance(), on_reflex=world.recorder.on_reflex
+        config.supervisor,
+        dt_s=world.dt,
+        kinematics=Kinematics(robot),
+        self_distance=arm_distance(robot),
+        on_reflex=world.recorder.on_reflex,
     )
-    stack = ControlStack(world, Kinematics(), config.arbiter, rate_hz=config.teleop.rate_hz, supervisor=supervisor)
+    stack = ControlStack(world, kinematics, config.arbiter, rate_hz=config.teleop.rate_hz, supervisor=supervisor)
     with Camera.recorded(world.model, config.scene.camera) as eyes:
         turns = _turns(context, stack, job, trial, checkpoint, wanted, lambda name: eyes.picture(world.data, name))
         demo = ModesDemo(stack, turns)
@@ -111,7 +117,7 @@ def _run(context: ToolContext, wanted: tuple[str, ...], checkpoint: Path | None)
         "seed": context.seed,
         **result.to_json(),
         "bounds": [
-            {"mode": s.mode, **{n: {"value": v, "bound": b} for n, v, b in s.bounds(config.arbiter, world.dt)}}
+            {"mode": s.mode, **{n: {"value": v, "bound": b} for n, v, b in s.bounds(config.arbiter)}}
             for s in result.switches
         ],
     }
@@ -134,13 +140,13 @@ def _turns(
     from minidual.trials.modes_drivers import MoveitDriver, PolicyDriver, TeleopDriver
 
     config, seed = context.config, context.seed
-    planner = Planner(config=config.plan.planner)
+    planner = Planner(config=config.plan.planner, robot=stack.plant.robot)
     operator = ScriptedOperator(config.scene, config.teleop.operator)
     runtime: Any = None
     if checkpoint is not None:
         from minidual.policies.pilot import load_runtime
 
-        runtime = load_runtime(checkpoint, config.deploy)
+        runtime = load_runtime(checkpoint, config.deploy, stack.plant.robot)
 
     def make(mode: str, last: bool) -> Driver:
         if mode == "moveit":
@@ -177,7 +183,7 @@ def _counted(steps: Iterator[tuple[str, str]], task: Bar) -> Iterator[tuple[str,
 
 
 def _notes(result: ModesResult, context: ToolContext) -> list[str]:
-    bounds = result.switches[0].bounds(context.config.arbiter, context.config.scene.physics.timestep_s)
+    bounds = result.switches[0].bounds(context.config.arbiter)
     first_step, torque = bounds[0][2], bounds[3][2]
     notes = [
         "switch to   asked at  confirmed  fastest joint  first step  reference step  torque step (asked for)",

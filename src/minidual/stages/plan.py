@@ -11,6 +11,7 @@ from minidual.collision.acm import default_acm
 from minidual.config.planning import PlanConfig
 from minidual.gate.check import Check
 from minidual.gate.stage import StageContext, StageResult
+from minidual.robot.arms import robot_from
 from minidual.show.figures.planning import write_paths, write_times
 from minidual.show.planning import play_queries
 from minidual.stages.plan_held import held_checks, run_held
@@ -28,6 +29,7 @@ Outcomes = Mapping[str, Sequence[Outcome]]
 def run(context: StageContext) -> StageResult:
     """Plan the queries, compare the engines, plan a few carries, draw the figures."""
     config, folder, seed = context.config.plan, context.folder, context.seed
+    robot = robot_from(context.config.robot)
     with context.progress.task("queries", 3 * (config.queries_n + config.second_queries_n)) as task:
 
         def advance(outcome: Outcome) -> None:
@@ -50,8 +52,8 @@ def run(context: StageContext) -> StageResult:
     for group, done in outcomes.items():
         trajectory = next((o.result.trajectory for o in done if o.result is not None), None)
         if trajectory is not None:
-            trajectory.write_csv(folder / f"trajectory_{group}.csv")
-            trajectory.write_json(folder / f"trajectory_{group}.json", every=_JSON_EVERY)
+            trajectory.write_csv(folder / f"trajectory_{group}.csv", robot.joint_names)
+            trajectory.write_json(folder / f"trajectory_{group}.json", robot.joint_names, _JSON_EVERY)
     write_paths(outcomes, folder / "paths.png")
     write_times(outcomes, folder / "times.png", config.time_median_max_s.model_dump())
     checks = [check for group, done in outcomes.items() for check in group_checks(group, done, config)]

@@ -20,6 +20,7 @@ from minidual.motion.goal_plan import GoalPlanner
 from minidual.motion.goals import group_arms
 from minidual.motion.result import PlanResult
 from minidual.proof.verify import CLEARANCE_MAX_M
+from minidual.robot.arms import robot_from
 from minidual.robot.pair import Array
 
 _ENDINGS = {"out": ".json", "csv": ".csv", "picture": ".png"}
@@ -61,7 +62,7 @@ def _prepare(context: ToolContext, group: str) -> tuple[GoalPlanner, PlanningSce
         loaded = load_scene(Path(context.options["scene"]))
         scene, notes = loaded.scene, list(loaded.notes)
     config = context.config
-    planner = GoalPlanner(Planner(scene, config.plan.planner), config.semantics)
+    planner = GoalPlanner(Planner(scene, config.plan.planner, robot=robot_from(config.robot)), config.semantics)
     q_home = planner.states.joints("home", "both_arms", planner.robot.home)
     start = goal_of(context.options.get("from", "home"), planner.states)
     # A start places both arms, whichever group moves afterwards; a start of one hand leaves the other at home.
@@ -107,11 +108,11 @@ def _write(
     notes = [*result.rejections]
     if targets["out"] is not None:
         with _writing(targets["out"]) as path:
-            result.trajectory.write_json(path)
+            result.trajectory.write_json(path, robot_from(context.config.robot).joint_names)
         notes.append(f"trajectory: {path}")
     if targets["csv"] is not None:
         with _writing(targets["csv"]) as path:
-            result.trajectory.write_csv(path)
+            result.trajectory.write_csv(path, robot_from(context.config.robot).joint_names)
         notes.append(f"trajectory: {path}")
     if targets["picture"] is not None:
         from minidual.show.planning import write_picture

@@ -14,7 +14,7 @@ from minidual.errors import UsageError
 from minidual.gate.tool import ToolContext, ToolResult
 
 if TYPE_CHECKING:
-    from minidual.robot.constants import Array
+    from minidual.robot.pair import Array, Robot
     from minidual.show.view.overlay import Slider
 
 SLIDER_SPEED_RAD_S = 0.8
@@ -24,18 +24,16 @@ _LOST_S = 0.1
 """Further behind the clock than this, the time is given up: it would be run through in a rush otherwise."""
 
 
-def joint_sliders() -> list[Slider]:
+def joint_sliders(robot: Robot) -> list[Slider]:
     """Return one slider a joint and one a hand, at home and open."""
-    from minidual.robot.constants import ARMS, DOF_PER_ARM, HOME, Q_LOWER, Q_UPPER
     from minidual.show.view.overlay import Slider
 
     sliders = [
-        Slider(f"{arm} arm", f"joint {j + 1} [rad]", float(Q_LOWER[i]), float(Q_UPPER[i]), float(HOME[i]))
-        for a, arm in enumerate(ARMS)
-        for j in range(DOF_PER_ARM)
-        for i in (a * DOF_PER_ARM + j,)
+        Slider(f"{side} arm", f"joint {i + 1} [rad]", *map(float, row))
+        for side in robot.sides
+        for i, row in enumerate(zip(robot.arm.q_lower, robot.arm.q_upper, robot.arm.home, strict=True))
     ]
-    return [*sliders, *(Slider(f"{arm} arm", "hand, 0 closed to 1 open", 0.0, 1.0, 1.0) for arm in ARMS)]
+    return [*sliders, *(Slider(f"{arm} arm", "hand, 0 closed to 1 open", 0.0, 1.0, 1.0) for arm in robot.sides)]
 
 
 def towards(present: Array, wanted: Array, step: float) -> Array:
@@ -80,7 +78,7 @@ def _show(context: ToolContext, stop: threading.Event) -> ToolResult:
 
     from minidual.control.loop import JointLoop
     from minidual.plant.world import World
-    from minidual.robot.constants import HOME, Q_LOWER, Q_UPPER
+    from minidual.robot.arms import robot_from
     from minidual.robot.kinematics import Kinematics
     from minidual.show.view import Overlay
     from minidual.show.watch import watched
@@ -91,12 +89,13 @@ def _show(context: ToolContext, stop: threading.Event) -> ToolResult:
     for_s = float(context.options.get("for-s", np.inf))
     if not for_s > 0.0:
         raise UsageError(f"--for-s {for_s:g} is no time; it must be above 0")
-    world = World(context.config.scene)
-    loop = JointLoop(world, Kinematics())
-    sliders = joint_sliders()
+    robot = robot_from(context.config.robot)
+    world = World(context.config.scene, robot)
+    loop = JointLoop(world, Kinematics(robot))
+    sliders = joint_sliders(robot)
     offered = view.offer(sliders)
     wanted = np.array([slider.value for slider in sliders])
-    target = HOME.copy()
+    target = robot.home.copy()
 
     def tell() -> Overlay:
         source = "sliders" if offered else "home"
@@ -109,7 +108,7 @@ def _show(context: ToolContext, stop: threading.Event) -> ToolResult:
             if offered:
                 wanted = view.slider_values()
             for _ in range(round(_SLICE_S / world.dt)):
-                aim = np.clip(wanted[:-2], Q_LOWER, Q_UPPER)
+                aim = np.clip(wanted[:-2], robot.q_lower, robot.q_upper)
                 target = towards(target, aim, SLIDER_SPEED_RAD_S * world.dt)
                 loop.step(target, wanted[-2:])
             due += _SLICE_S

@@ -98,7 +98,7 @@ def run(context: StageContext) -> StageResult:
     from minidual.policies.dataset import load_demonstrations
     from minidual.policies.records import draw_loss, write_loss_csv, write_train_json
     from minidual.policies.train import train
-    from minidual.robot.constants import Q_LOWER, Q_UPPER
+    from minidual.robot.arms import robot_from
 
     with context.progress.task("reading frames") as task:
         demos = load_demonstrations(context.upstream["teleop-record"] / "lerobot", config.cameras, task.advance)
@@ -115,7 +115,8 @@ def run(context: StageContext) -> StageResult:
             resume_dir=resume,
             advance=lambda steps, loss: task.advance(steps, f"loss {loss:.4f}"),
         )
-    emitted = exercise_checkpoint(checkpoint, demos, Q_LOWER, Q_UPPER, device=config.device)
+    robot = robot_from(context.config.robot)
+    emitted = exercise_checkpoint(checkpoint, demos, robot.q_lower, robot.q_upper, device=config.device)
 
     write_loss_csv(result.curve, context.folder / "loss.csv")
     draw_loss(result, context.folder / "loss.png")

@@ -63,7 +63,7 @@ def policy(inputs: MethodInputs) -> Factory:
     if inputs.checkpoint is None:
         raise UsageError("method 'act' needs a checkpoint", remedy="minidual train-act")
     config = inputs.config
-    runtime = load_runtime(inputs.checkpoint, config.deploy)
+    runtime = load_runtime(inputs.checkpoint, config.deploy, robot_from(config.robot))
     supervisor = trial_supervisor(config.supervisor, config.scene.physics.timestep_s, robot_from(config.robot))
     cameras: dict[int, Camera] = {}  # one a model, not one a trial: an OpenGL context is slow to make
 

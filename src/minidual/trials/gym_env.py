@@ -26,8 +26,9 @@ from minidual.errors import UsageError, unknown_name
 from minidual.plant.model import CAMERAS
 from minidual.plant.render import Camera, Image
 from minidual.plant.world import SimulationDivergedError, World
-from minidual.robot.constants import DOF, Q_LOWER, Q_UPPER, Array
+from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array
 from minidual.tasks.judge import Judge, begin
 from minidual.tasks.rod_carry import grasp_offsets, level_part, placement
 from minidual.tasks.task import Trial, make_task
@@ -48,12 +49,12 @@ class RodCarryEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     """Two arms carry a rod from the table's left to its right.
 
     Observation (a dictionary):
-        state: (16,) float32, measured joints left 1-7 and right 1-7 [rad], then the openings of the two hands (0..1).
+        state: (n + 2,) float32, measured joints, left arm then right [rad], then the openings of the two hands (0..1).
         images: only if asked for; {camera: (H, W, 3) uint8}.
         rod: only if asked for; (7,) float32, the rod's position [m] and quaternion wxyz. Ground truth, which no
             camera-driven policy may use.
 
-    Action: (16,) float32, joint targets [rad] within the joint limits, then the opening of each hand (below 0.4
+    Action: (n + 2,) float32, joint targets [rad] within the joint limits, then the opening of each hand (below 0.4
     closes, above 0.6 opens). One action holds for 20 ms.
 
     Reward: gain of the potential -(mean distance of the hands from their grasps + distance of the rod from its
@@ -100,8 +101,9 @@ class RodCarryEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self._images = tuple(images)
         self._rod_pose = rod_pose
         self._render_size = (render_width_px, render_height_px)
-        self._world = World(self.scene, visuals=bool(images) or render_mode is not None)
-        self._kinematics = Kinematics()
+        robot = robot_from(self._task.config.robot)
+        self._world = World(self.scene, robot, visuals=bool(images) or render_mode is not None)
+        self._kinematics = Kinematics(robot)
         self._loop = JointLoop(self._world, self._kinematics)
         self._substeps = round(1.0 / (CONTROL_HZ * self._world.dt))
         self._grasps = grasp_offsets(self.scene)
@@ -110,7 +112,7 @@ class RodCarryEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self._judge: Judge | None = None
         self._potential = 0.0
         self.action_space = spaces.Box(
-            np.r_[Q_LOWER, 0.0, 0.0].astype(np.float32), np.r_[Q_UPPER, 1.0, 1.0].astype(np.float32)
+            np.r_[robot.q_lower, 0.0, 0.0].astype(np.float32), np.r_[robot.q_upper, 1.0, 1.0].astype(np.float32)
         )
         self.observation_space = self._make_observation_space()
 
@@ -120,8 +122,9 @@ class RodCarryEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         return self._world
 
     def _make_observation_space(self) -> spaces.Dict:
-        low = np.r_[Q_LOWER - _OVERTRAVEL_RAD, -0.1, -0.1].astype(np.float32)
-        high = np.r_[Q_UPPER + _OVERTRAVEL_RAD, 1.1, 1.1].astype(np.float32)
+        robot = self._world.robot
+        low = np.r_[robot.q_lower - _OVERTRAVEL_RAD, -0.1, -0.1].astype(np.float32)
+        high = np.r_[robot.q_upper + _OVERTRAVEL_RAD, 1.1, 1.1].astype(np.float32)
         members: dict[str, spaces.Space[Any]] = {"state": spaces.Box(low, high)}
         if self._rod_pose:
             bound = np.array([10.0, 10.0, 10.0, 1.0, 1.0, 1.0, 1.0], dtype=np.float32)
@@ -166,14 +169,14 @@ class RodCarryEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         wanted = np.asarray(action, dtype=float)
         if wanted.shape != self.action_space.shape or not np.isfinite(wanted).all():
             raise UsageError(
-                f"an action is (16,) finite numbers; this one has shape {wanted.shape}"
+                f"an action is {self.action_space.shape} finite numbers; this one has shape {wanted.shape}"
                 + ("" if np.isfinite(wanted).all() else " and is not finite")
             )
         wanted = np.clip(wanted, self.action_space.low, self.action_space.high)
         diverged = False
         try:
             for _ in range(self._substeps):
-                self._loop.step(wanted[:DOF], wanted[DOF:])
+                self._loop.step(wanted[:-2], wanted[-2:])
                 judge.observe(self._world)
         except SimulationDivergedError:
             diverged = True

@@ -126,7 +126,7 @@ class ModesDemo:
         return ModesResult(
             switches,
             tuple(self._outcomes),
-            tuple(text for s in switches for text in s.faults(arbiter, stack.plant.dt)),
+            tuple(text for s in switches for text in s.faults(arbiter)),
             tuple((r.source, r.name, r.detail) for r in stack.refusals),
             stack.plant.time,
             ended,

@@ -20,7 +20,7 @@ from minidual.control.stack import DEFAULT_CONTROLLERS, ControlStack
 from minidual.errors import ExitCode, MinidualError
 from minidual.motion.api import Planner
 from minidual.plant.world import World
-from minidual.robot.constants import ARMS, GROUPS, HOME, Array
+from minidual.robot.pair import Array
 from minidual.skills.operator import ScriptedOperator
 from minidual.skills.phases import PHASES
 from minidual.tasks.judge import Judge
@@ -130,7 +130,7 @@ class MoveitDriver:
         return {
             "trajectories_s": self._motion_s,
             "planning_s": self._planned_s,
-            "from_home_rad": float(np.abs(self.stack.plant.q - HOME).max()),
+            "from_home_rad": float(np.abs(self.stack.plant.q - self.stack.plant.robot.home).max()),
         }
 
     def _next(self) -> None:
@@ -138,12 +138,14 @@ class MoveitDriver:
         group = self._groups.pop(0)
         if self._home:
             # The arm that is not planned for is held where it is.
-            result = self._planner.plan_to_joints(group, world.q, HOME[GROUPS[group]], seed=self._seed)
+            result = self._planner.plan_to_joints(
+                group, world.q, world.robot.home[world.robot.groups[group]], seed=self._seed
+            )
         else:
             rod = level_part(world.object_pose())
             rod[2, 3] += PHASES["approach"].rise_m
             grasps = grasp_offsets(world.scene)
-            targets = {arm: rod @ grasp for arm, grasp in zip(ARMS, grasps, strict=True)}
+            targets = {arm: rod @ grasp for arm, grasp in zip(world.robot.sides, grasps, strict=True)}
             result = self._planner.plan_to_poses(group, world.q, targets, seed=self._seed)
         self._planned_s += result.total_s
         self._motion_s.append(result.trajectory.duration_s)
@@ -199,7 +201,7 @@ class TeleopDriver:
         over = next(p.end_s for p in plan.phases if p.name == "approach")
         first = round(over * self._rate)
         q = plan.q[first:]
-        there, back = self._between(world.q, q[0]), self._between(q[-1], HOME)
+        there, back = self._between(world.q, q[0]), self._between(q[-1], world.robot.home)
         q = np.vstack([there, q, back])
         gripper = np.ones((len(q), 2))
         gripper[len(there) : len(q) - len(back)] = plan.gripper[first:]

@@ -12,7 +12,7 @@ import numpy as np
 from minidual.config.arbiter import ArbiterConfig
 from minidual.control.commands import ArbiterState
 from minidual.control.stack import ControlStack
-from minidual.robot.constants import JOINT_NAMES, TAU_RATE_MAX, V_MAX, Array
+from minidual.robot.pair import Array
 
 WINDOW_S = 0.5
 """A switch is watched from its request until this long after the new source's first command went through."""
@@ -47,6 +47,7 @@ class Switch:
         torque_step_nm: Largest step of the torque commanded to the motors between two control steps.
         torque_step_joint: Where.
         torque_step_asked_nm: The same of what the controllers asked for, before the supervisor bounded it.
+        torque_step_max_nm: Its bound.
         controllers: What drove after it.
     """
 
@@ -62,22 +63,23 @@ class Switch:
     torque_step_nm: float = 0.0
     torque_step_joint: str = ""
     torque_step_asked_nm: float = 0.0
+    torque_step_max_nm: float = 1.0
     controllers: tuple[str, ...] = ()
 
-    def bounds(self, arbiter: ArbiterConfig, dt_s: float) -> tuple[tuple[str, float, float], ...]:
+    def bounds(self, arbiter: ArbiterConfig) -> tuple[tuple[str, float, float], ...]:
         """Return (name, value, bound) of everything that is bounded."""
         return (
             ("first_step_rad", self.first_step_rad, arbiter.switch_step_max_rad),
             ("target_step_rad", self.target_step_rad, arbiter.switch_step_max_rad),
             ("reference_step_ratio", self.reference_step_ratio, 1.0),
-            ("torque_step_nm", self.torque_step_nm, TAU_RATE_MAX * dt_s),
+            ("torque_step_nm", self.torque_step_nm, self.torque_step_max_nm),
         )
 
-    def faults(self, arbiter: ArbiterConfig, dt_s: float) -> list[str]:
+    def faults(self, arbiter: ArbiterConfig) -> list[str]:
         """Return every bound that does not hold; a value that is not finite holds none."""
         return [
             f"switch to {self.mode} at {self.requested_s:.2f} s: {name} {value:.4g}, bound {bound:g}"
-            for name, value, bound in self.bounds(arbiter, dt_s)
+            for name, value, bound in self.bounds(arbiter)
             if not value <= bound + 1e-9
         ]
 
@@ -104,7 +106,8 @@ class Recorder:
         """Begin to watch a switch."""
         world = self.stack.plant
         speed = float(np.abs(world.v).max())
-        self.switches.append(Switch(mode, world.time, speed_at_request_rad_s=speed))
+        largest = world.robot.arm.tau_rate_max * world.dt
+        self.switches.append(Switch(mode, world.time, speed_at_request_rad_s=speed, torque_step_max_nm=largest))
 
     def confirmed(self) -> None:
         """Note that the mode has its turn."""
@@ -142,12 +145,14 @@ class Recorder:
         if driven and stack.state in _DRIVEN:
             switch.target_step_rad = _larger(switch.target_step_rad, np.abs(target - last_target))
         switch.reference_step_rad = _larger(switch.reference_step_rad, reference)
-        switch.reference_step_ratio = _larger(switch.reference_step_ratio, reference / (V_MAX * stack.plant.dt))
+        switch.reference_step_ratio = _larger(
+            switch.reference_step_ratio, reference / (stack.plant.robot.v_max * stack.plant.dt)
+        )
         switch.torque_step_asked_nm = _larger(switch.torque_step_asked_nm, asked)
         largest = _larger(switch.torque_step_nm, applied)
         if largest != switch.torque_step_nm:
             switch.torque_step_nm = largest
-            switch.torque_step_joint = JOINT_NAMES[int(np.argmax(applied))]
+            switch.torque_step_joint = stack.plant.robot.joint_names[int(np.argmax(applied))]
 
     def write_csv(self, path: Path) -> None:
         """Write what was watched, every fourth control step."""
