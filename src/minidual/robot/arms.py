@@ -109,6 +109,26 @@ XARM7 = ArmModel(
     damping=0.1,
     friction=0.0,
     hand=PANDA_HAND,
+    postures=(
+        ("ready", _both((0.0, -0.3087, 0.0, 0.719, 0.0, 1.0277, 0.0), "hands down, 25 cm over the table")),
+        (
+            "carry",
+            Posture(
+                (0.4765, -0.0394, -0.7065, 0.8419, -0.0334, 0.8722, -1.7789),
+                (0.4542, -0.0308, -0.2194, 0.8419, -0.0088, 0.8719, -1.3303),
+                "hands 24 cm apart at the middle, 20 cm over the table, as they hold the rod",
+            ),
+        ),
+        (
+            "raised",
+            Posture(
+                (0.0328, -0.2021, 0.1595, 1.886, 0.0366, 2.0852, 0.2073),
+                (-0.0328, -0.2021, -0.1595, 1.886, -0.0366, 2.0852, -0.2073),
+                "hands 60 cm over the table, out of the way of what stands on it",
+            ),
+        ),
+        ("folded", _both((0.0, -1.4, 0.0, 0.55, 0.0, 1.9, 0.0), "arms drawn back over their bases, the table free")),
+    ),
 )
 
 UR5 = ArmModel(
