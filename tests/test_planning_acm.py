@@ -7,12 +7,13 @@ import pytest
 
 from minidual.collision import acm
 from minidual.collision.acm import QUIET_DOUBLINGS, acm_report, build_acm
-from minidual.collision.links import arm_of
+from minidual.collision.links import links_of
+from minidual.robot.arms import DUAL_PANDA
 
 
 @pytest.fixture(scope="module")
 def built():
-    return acm_report()
+    return acm_report(DUAL_PANDA)
 
 
 def test_the_matrix_has_converged_by_its_own_rule(built):
@@ -26,7 +27,7 @@ def test_the_matrix_has_converged_by_its_own_rule(built):
 
 def test_too_few_samples_change_classes_and_do_not_converge():
     """Negative control of the rule: from 50 samples on, pairs still change, and a limit ends it unconverged."""
-    short = build_acm(samples_min=50, samples_max=400)
+    short = build_acm(DUAL_PANDA, samples_min=50, samples_max=400)
     assert not short.converged
     assert any(r.changed for r in short.rounds)
     assert "NOT converged" in short.lines()[0]
@@ -42,7 +43,8 @@ def test_the_rarest_contact_is_far_from_being_missed(built):
 
 
 def test_cross_arm_pairs_never_enter(built):
-    assert all(arm_of(e.first) == arm_of(e.second) for e in built.acm)
+    links = links_of(DUAL_PANDA)
+    assert all(links[e.first].side == links[e.second].side for e in built.acm)
 
 
 def test_reasons_say_how_many_samples(built):
@@ -52,9 +54,9 @@ def test_reasons_say_how_many_samples(built):
 
 def test_history_survives_the_cache(built, tmp_path, monkeypatch):
     monkeypatch.setenv("MINIDUAL_CACHE", str(tmp_path))
-    monkeypatch.setattr(acm, "build_acm", lambda: built)
+    monkeypatch.setattr(acm, "build_acm", lambda _: built)
     fresh = acm_report.__wrapped__
-    assert fresh() == built
+    assert fresh(DUAL_PANDA) == built
     (file,) = tmp_path.glob("acm-*.json")
     assert json.loads(file.read_text())["rounds"][0]["samples_n"] == built.rounds[0].samples_n
-    assert fresh() == built
+    assert fresh(DUAL_PANDA) == built

@@ -19,7 +19,7 @@ from minidual.collision.shapes import Box, Sphere
 from minidual.config.planning import PlannerConfig, PlannerName
 from minidual.errors import UsageError
 from minidual.motion.api import Planner, _Effort
-from minidual.motion.search import PLANNERS, require_planner
+from minidual.motion.search import PLANNERS
 from minidual.robot.constants import GROUPS, HOME, Q_UPPER
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import pose, rot_x, rot_z
@@ -226,7 +226,7 @@ def test_forbidding_a_robot_pair_changes_what_plans(planner):
 def test_planner_names_are_the_same_in_configuration_and_code():
     assert set(typing.get_args(PlannerName)) == set(PLANNERS)
     with pytest.raises(UsageError, match="did you mean 'rrtconnect'") as caught:
-        require_planner("rrtconect")
+        PLANNERS["rrtconect"]
     assert "bitstar" in str(caught.value)
 
 

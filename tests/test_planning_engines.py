@@ -10,12 +10,11 @@ from minidual.collision.scene import Attached, PlanningScene
 from minidual.collision.shapes import Box, Capsule, Cylinder, Sphere
 from minidual.motion.edges import EdgeChecker, bisection_order
 from minidual.proof import planes
-from minidual.proof.reach import Reaches
 from minidual.proof.scene_engines import SceneEngines
-from minidual.robot.constants import HOME
+from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
 
-HALF = np.sqrt(0.5)
+HALF, HOME = np.sqrt(0.5), DUAL_PANDA.home
 
 
 @pytest.fixture(scope="module")
@@ -101,15 +100,18 @@ def test_padding_is_kept_and_relaxes_at_a_tight_start():
     top = finger_z - 0.002
     scene = PlanningScene().with_obstacles(Box("block", (x, y, 0.5 * top), size_m=(0.2, 0.2, top)))
     engines = SceneEngines(scene)
-    assert engines.mujoco.closest(HOME, 0.01)[0].distance_m == pytest.approx(0.002, abs=1e-4)
+    assert engines.closest(HOME, 0.01)[0].distance_m == pytest.approx(0.002, abs=1e-4)
     away = HOME.copy()
     away[3] += 0.3  # stretch the elbow: the hand rises
     assert not EdgeChecker(engines, 0.005, (), 0.03).free(HOME)
     relaxed = EdgeChecker(engines, 0.005, (HOME, away), 0.03)
     assert relaxed.free(HOME)
     assert relaxed.edge_free(HOME, away)
-    assert relaxed.required_m(HOME) == pytest.approx(0.0018, abs=1e-4)
-    assert relaxed.required_m(away) == 0.005
+    nearer = SceneEngines(
+        PlanningScene().with_obstacles(Box("block", (x, y, 0.5 * top + 4e-4), size_m=(0.2, 0.2, top)))
+    )
+    relaxed._geometry = nearer.solids.geometry
+    assert not relaxed.free(HOME)  # 0.9 of its clearance is asked for at the tight end
     pressed = HOME.copy()
     pressed[3] -= 0.02
     assert not relaxed.free(pressed)
@@ -130,98 +132,60 @@ def test_distances_of_both_engines_are_the_same(scene, engines):
     assert seen > 200
 
 
-def test_restricting_to_one_arm_drops_only_what_stands_still(engines):
-    """With the right arm held, the pairs that the left one moves are measured as before, the others not at all."""
-    engine = engines[0]
-    dropped = 0
-    for q in states(40, seed=10):
-        full = {(p.first, p.second): p.distance_m for p in engine.closest(q, 0.1)}
-        with engine.moving(["left"]):
-            part = {(p.first, p.second): p.distance_m for p in engine.closest(q, 0.1)}
-        mine = {k: d for k, d in full.items() if any(n.startswith("left_") or n == "stick" for n in k)}
-        assert part == mine
-        dropped += len(full) - len(mine)
-        assert {(p.first, p.second) for p in engine.closest(q, 0.1)} == full.keys()  # and everything is back
-    assert dropped > 40
-
-
 def test_no_part_reaches_farther_than_its_reach(scene, engines):
     """Turning one joint moves no vertex by more than the reach times the angle; the bound is not absurdly wide."""
-    coal = engines[1]
-    reaches = Reaches(scene, coal)
-    assert set(reaches.parts) == {n for n in scene.names if scene.moving_joints(n) != slice(7, 7)} - {
-        "table",
-        "box",
-        "cylinder",
-        "capsule",
-        "sphere",
-        "left_panda_link0",
-    }
     solids = SceneEngines(scene).solids
-    _, vertices, shapes, parts, _ = solids.geometry
-    rows = {name: k for k, name in enumerate(scene.names)}
-    R, p, C, *_ = solids.workspace()
+    _, vertices, shapes, parts, _, reach = solids.geometry
 
-    def points(q, name):
-        planes.place(solids.geometry[0], parts, q, 0, R, p, C)
-        part = parts[rows[name]]
-        own = vertices[shapes[part["first"]]["first"] : shapes[part["end"] - 1]["end"]]
-        return own @ R[0, part["frame"]].T + p[0, part["frame"]]
+    def points(q, k):
+        work = solids.workspace()
+        planes._place(solids.geometry, q, 0, work)
+        R, p = work[1], work[2]
+        own = vertices[shapes[parts[k]["first"]]["first"] : shapes[parts[k]["end"] - 1]["end"]]
+        return own @ R[0, parts[k]["frame"]].T + p[0, parts[k]["frame"]]
 
     tightest, turn = 0.0, 1e-3
     for q in states(10, seed=4):
-        for k, name in enumerate(reaches.parts):
+        for k, name in enumerate(scene.names):
+            joints = scene.moving_joints(name)
+            assert (reach[k] > 0.0).sum() == joints.stop - joints.start
             for j in range(7):
                 other = q.copy()
-                other[reaches.first_joint[k] + j] += turn
-                moved = np.linalg.norm(points(other, name) - points(q, name), axis=1).max()
-                assert moved <= reaches.reach[k, j] * turn + 1e-12
-                if reaches.reach[k, j]:
-                    tightest = max(tightest, moved / (reaches.reach[k, j] * turn))
+                other[(7 if joints.start == 7 else 0) + j] += turn
+                moved = np.linalg.norm(points(other, k) - points(q, k), axis=1).max()
+                assert moved <= reach[k, j] * turn + 1e-12
+                if reach[k, j]:
+                    tightest = max(tightest, moved / (reach[k, j] * turn))
     assert tightest > 0.8
 
 
 def test_only_joints_between_two_links_move_them_against_each_other(scene, engines):
-    reaches = Reaches(scene, engines[1])
-    where = dict(zip(map(frozenset, scene.checked_pairs), reaches.moves, strict=True))
-    still = 8 * len(reaches.parts)
+    pairs = SceneEngines(scene).solids.geometry[4]
+    where = {
+        frozenset(names): {int(p["moves_a"]), int(p["moves_b"])}
+        for names, p in zip(scene.checked_pairs, pairs, strict=True)
+    }
+    still = 8 * len(scene.names)
 
     def row(name):
-        return 8 * reaches.parts.index(name)
+        return 8 * scene.names.index(name)
 
-    assert where[frozenset(("left_panda_hand", "table"))] == (row("left_panda_hand"), still)
-    assert where[frozenset(("left_panda_link1", "left_panda_link5"))] == (row("left_panda_link5") + 1, still)
-    assert where[frozenset(("left_panda_link5", "left_panda_hand"))] == (row("left_panda_hand") + 5, still)
-    assert set(where[frozenset(("left_panda_hand", "right_panda_hand"))]) == {
+    assert where[frozenset(("left_panda_hand", "table"))] == {row("left_panda_hand"), still}
+    assert where[frozenset(("left_panda_link1", "left_panda_link5"))] == {row("left_panda_link5") + 1, still}
+    assert where[frozenset(("right_panda_link5", "right_panda_hand"))] == {row("right_panda_hand") + 5, still}
+    assert where[frozenset(("left_panda_hand", "right_panda_hand"))] == {
         row("left_panda_hand"),
         row("right_panda_hand"),
     }
 
 
-def test_planes_and_mujoco_answer_the_search_alike(scene):
-    """Where the planes decide, MuJoCo says the same up to its margin; where they do not, its answer is taken."""
+def test_planes_answer_the_search_as_exact_distances_do(scene):
     engines = SceneEngines(scene)
     checker = EdgeChecker(engines, 0.008, (), 0.05)
     Q = states(200, seed=12)
     said = np.array([checker.free(q) for q in Q])
     assert checker.checks_n == len(Q)
-    nearest = CoalDistances(scene, engines.coal)(Q).min(axis=1)
+    nearest = CoalDistances(scene, engines.verifier.engine("coal"))(Q).min(axis=1)
     clear = np.abs(nearest - 0.008) > 0.0008
     assert np.array_equal(said[clear], (nearest > 0.008)[clear])
     assert 0.2 < said.mean() < 0.8
-
-
-def test_mujoco_is_asked_where_no_plane_is_found(scene, monkeypatch):
-    engines = SceneEngines(scene)
-    checker = EdgeChecker(engines, 0.008, (), 0.05)
-    monkeypatch.setattr(
-        planes,
-        "survey",
-        lambda *args: (args[2], planes.UNDECIDED) if args[2] < len(args[1]) else (args[2], planes.FREE),
-    )
-    Q = states(60, seed=13)
-    said = np.array([checker.free(q) for q in Q])
-    engines.mujoco.set_margin(0.008)
-    assert np.array_equal(said, [engines.mujoco.contact_count(q) == 0 for q in Q])
-    assert checker.all_free(Q[said])
-    assert not checker.all_free(Q)

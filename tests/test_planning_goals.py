@@ -18,7 +18,6 @@ from minidual.motion.goal import JointGoal, PoseGoal, RelativeGoal, StateGoal, T
 from minidual.motion.goal_plan import GoalPlanner, NamedStates
 from minidual.motion.linear import Line, LinearPlanner
 from minidual.motion.timing import MotionLimits
-from minidual.proof.verify import Verifier
 from minidual.robot.arms import ARM_MODELS, DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Robot
@@ -221,7 +220,7 @@ def test_limits_are_given_by_name():
 
 
 def test_a_straight_move_of_no_length_is_proven_too(planner, ready):
-    """Where one engine sees a box in the hand and the other does not, staying there is no plan."""
+    """Where the proof sees a box in the hand and the search does not, staying there is no plan."""
     hand = tuple(tips(ready)["left"][:3, 3])
     seen, far = (
         Planner(PlanningScene().with_obstacles(Box("box", at, size_m=(0.1, 0.1, 0.1)))).engines()
@@ -229,8 +228,8 @@ def test_a_straight_move_of_no_length_is_proven_too(planner, ready):
     )
     targets = {"left": tips(ready)["left"]}
     assert LinearPlanner().plan("left_arm", ready, targets, far).verification.ok
-    far.verifier = Verifier(far.mujoco, seen.coal, far.solids)
-    with pytest.raises(LinearMoveError, match="staying there is not proven: coal sees a collision"):
+    far.verifier = seen.verifier
+    with pytest.raises(LinearMoveError, match="staying there is not proven: collision"):
         LinearPlanner().plan("left_arm", ready, targets, far)
 
 

@@ -9,14 +9,21 @@ import pytest
 from minidual.collision import acm as acm_module
 from minidual.collision.acm import acm_report, build_acm, default_acm
 from minidual.collision.allowed import AllowedCollisions
-from minidual.collision.links import LINKS, arm_of, joints_before
+from minidual.collision.engine import Pairs
+from minidual.collision.links import collision_links, links_of
 from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import TABLE, Attached, PlanningScene
 from minidual.collision.shapes import Box, Capsule, Cylinder, Sphere, bounding_radius
 from minidual.errors import UsageError
-from minidual.robot.arms import PANDA
-from minidual.robot.constants import HOME, Q_LOWER, Q_UPPER
+from minidual.robot.arms import DUAL_PANDA, PANDA
 from minidual.robot.description import never_touching
+
+HOME, Q_LOWER, Q_UPPER = DUAL_PANDA.home, DUAL_PANDA.q_lower, DUAL_PANDA.q_upper
+LINKS = collision_links(DUAL_PANDA)
+
+
+def side_of(name):
+    return links_of(DUAL_PANDA)[name].side
 
 
 def test_links_are_those_of_the_model():
@@ -27,11 +34,12 @@ def test_links_are_those_of_the_model():
 
 
 def test_joints_before_counts_the_joints_that_move_a_link():
-    assert joints_before("left_panda_link0") == 0
-    assert joints_before("right_panda_link5") == 5
-    assert joints_before("right_panda_hand") == joints_before("left_panda_leftfinger") == 7
-    assert arm_of("left_panda_hand_tcp") == "left"
-    assert arm_of("left_table") is None
+    links = links_of(DUAL_PANDA)
+    assert links["left_panda_link0"].joints_before == 0
+    assert links["right_panda_link5"].joints_before == 5
+    assert links["right_panda_hand"].joints_before == links["left_panda_leftfinger"].joints_before == 7
+    assert (links["left_panda_hand_tcp"].side, links["left_panda_hand_tcp"].collides) == ("left", False)
+    assert "left_table" not in links
 
 
 @pytest.mark.parametrize(
@@ -71,20 +79,20 @@ def test_unknown_names_are_told_with_what_exists():
 
 def test_cross_arm_pairs_are_always_checked():
     scene = PlanningScene()
-    crossing = [p for p in itertools.combinations(LINKS, 2) if arm_of(p[0]) != arm_of(p[1])]
+    crossing = [p for p in itertools.combinations(LINKS, 2) if side_of(p[0]) != side_of(p[1])]
     unchecked = {p for p in crossing if scene.why_unchecked(*p) is not None}
     assert unchecked == {("left_panda_link0", "right_panda_link0")}  # neither base moves
     assert len(crossing) == 121
 
 
 def test_every_allowed_pair_has_a_reason_and_stays_within_one_arm():
-    for first, second, reason in default_acm().table():
-        assert arm_of(first) == arm_of(second)
+    for first, second, reason in default_acm(DUAL_PANDA).table():
+        assert side_of(first) == side_of(second)
         assert reason.split(" ")[0] in ("rigid", "adjacent", "always", "never")
 
 
 def test_both_arms_have_the_same_matrix():
-    table = default_acm().table()
+    table = default_acm(DUAL_PANDA).table()
     left = {(a[5:], b[5:], r) for a, b, r in table if a.startswith("left_")}
     right = {(a[6:], b[6:], r) for a, b, r in table if a.startswith("right_")}
     assert left == right
@@ -95,7 +103,7 @@ def test_the_pairs_of_the_published_srdf_that_may_touch_cover_ours_that_always_d
     published = {frozenset(p) for p in never_touching(PANDA)}
     ours = {
         frozenset((a[5:], b[5:]))
-        for a, b, r in default_acm().table()
+        for a, b, r in default_acm(DUAL_PANDA).table()
         if a.startswith("left_") and r in ("adjacent", "rigid")
     }
     fingers = frozenset(("panda_leftfinger", "panda_rightfinger"))
@@ -105,17 +113,17 @@ def test_the_pairs_of_the_published_srdf_that_may_touch_cover_ours_that_always_d
 
 def test_few_samples_would_drop_pairs_that_collide():
     """Why the default takes tens of thousands: a thousand samples call pairs `never` that do touch."""
-    few = build_acm(samples_min=500, samples_max=1000).acm
+    few = build_acm(DUAL_PANDA, samples_min=500, samples_max=1000).acm
     never_few = {(a, b) for a, b, r in few.table() if r.startswith("never")}
-    never = {(a, b) for a, b, r in default_acm().table() if r.startswith("never")}
+    never = {(a, b) for a, b, r in default_acm(DUAL_PANDA).table() if r.startswith("never")}
     assert never <= never_few
     assert len(never_few) > len(never)
 
 
 def test_what_is_called_never_does_not_touch_in_fresh_samples():
-    matrix = default_acm()
+    matrix = default_acm(DUAL_PANDA)
     never = [(a, b) for a, b, r in matrix.table() if r.startswith("never") and a.startswith("left_")]
-    engine = MujocoEngine.from_pairs(never, (), ())
+    engine = MujocoEngine(Pairs(DUAL_PANDA, tuple(never)))
     rng = np.random.default_rng(99)
     Q = np.tile(HOME, (20_000, 1))
     Q[:, :7] = rng.uniform(Q_LOWER[:7], Q_UPPER[:7], (len(Q), 7))
@@ -125,21 +133,21 @@ def test_what_is_called_never_does_not_touch_in_fresh_samples():
 def test_cache_is_used_refreshed_and_never_needed(tmp_path, monkeypatch):
     monkeypatch.setenv("MINIDUAL_CACHE", str(tmp_path))
     built = []
-    matrix = acm_report()
-    monkeypatch.setattr(acm_module, "build_acm", lambda: built.append(1) or matrix)
+    matrix = acm_report(DUAL_PANDA)
+    monkeypatch.setattr(acm_module, "build_acm", lambda _: built.append(1) or matrix)
     fresh = acm_report.__wrapped__
-    assert fresh() == matrix
+    assert fresh(DUAL_PANDA) == matrix
     (file,) = tmp_path.glob("acm-*.json")
-    assert fresh() == matrix
+    assert fresh(DUAL_PANDA) == matrix
     assert len(built) == 1  # the second call read the file
     crossing = matrix.to_json() | {"pairs": [["left_panda_hand", "right_panda_hand", "never"]]}
     for bad in ("{", "[]", json.dumps(crossing), '{"pairs": [[1]]}'):
         file.write_text(bad)
-        assert fresh() == matrix  # a damaged cache is built anew, a cross-arm entry is not believed
+        assert fresh(DUAL_PANDA) == matrix  # a damaged cache is built anew, a cross-arm entry is not believed
     assert len(built) == 5
     assert json.loads(file.read_text())
     monkeypatch.setenv("MINIDUAL_CACHE", "/proc/nowhere")
-    assert fresh() == matrix
+    assert fresh(DUAL_PANDA) == matrix
 
 
 def test_adding_and_removing_a_pair():

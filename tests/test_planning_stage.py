@@ -202,8 +202,8 @@ def test_queries_are_what_they_say(group):
     for index in range(3):
         query = generator.query(group, index)
         engines = Planner(query.scene).engines()
-        assert not engines.mujoco.closest(query.q_start, 0.0099)
-        assert not engines.mujoco.closest(query.q_goal, 0.0099)
+        assert not engines.closest(query.q_start, 0.0099)
+        assert not engines.closest(query.q_goal, 0.0099)
         line = query.q_start + np.linspace(0, 1, 200)[:, None] * (query.q_goal - query.q_start)
         assert query.blocked
         assert query.kind == generator.kind(group, index)

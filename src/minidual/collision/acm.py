@@ -1,44 +1,42 @@
-"""The allowed-collision matrix: which pairs of links are not checked, and why.
+"""The allowed-collision matrix: which pairs of links of one arm are not checked, and why.
 
-How it is built, on one arm (the two are the same robot, so what holds for one holds for the other):
+Both arms are of one model, so the left one stands for both:
 
-- `rigid`: both links are carried by the same joint (link 7, hand and fingers: the fingers are locked);
-- `adjacent`: one link is the next one along the chain, their hulls overlap at the joint;
+- `rigid`: no joint lies between the links (the last link, hand and fingers: the fingers are locked);
+- `adjacent`: one joint lies between them, and it connects them directly; their hulls overlap there;
 - `always`: they touch at home and in at least 95 % of the samples, so touching means nothing;
 - `never`: they touched in none of the samples.
 
-The samples are uniform within the joint limits. From 20 000 on their number doubles until no pair changes its class
-over two doublings in a row (1 000 miss pairs that do collide: the rarest one touches in one sample of a thousand). A
-pair that touches in a fraction p of all postures is missed by n samples with probability (1 - p)^n, so with 95 %
-confidence what is called `never` touches in less than 3/n of them ("rule of three").
+Samples are uniform within the joint limits. From 20 000 on their number doubles until no pair changes its class over two
+doublings in a row. A pair that touches in a fraction p of all postures is missed by n samples with probability
+(1 - p)^n: with 95 % confidence a pair called `never` touches in less than 3/n of them ("rule of three").
 
-Pairs of different arms are always checked, whatever the samples say.
+Pairs of different arms are always checked.
 """
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import itertools
 import json
 import os
 import re
-import tempfile
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from minidual.collision.allowed import AllowedCollisions, allowed_pair
-from minidual.collision.links import joints_before, links_of
+from minidual.collision.engine import ENGINES, Pairs
+from minidual.collision.links import Link, links_of
+from minidual.durable import write_text
 from minidual.errors import UsageError
-from minidual.robot.constants import ARMS, HOME, Q_LOWER, Q_UPPER
-from minidual.robot.description import dual_panda_urdf
-
-if TYPE_CHECKING:
-    from minidual.collision.mujoco_engine import MujocoEngine
+from minidual.robot.description import pair_urdf
+from minidual.robot.pair import SIDES, Robot
 
 SAMPLES_MIN = 20_000
 SAMPLES_MAX = 1_280_000
@@ -109,41 +107,49 @@ class BuiltAcm:
         }
 
 
-def default_acm() -> AllowedCollisions:
+def default_acm(robot: Robot) -> AllowedCollisions:
     """Return the matrix of the two arms."""
-    return acm_report().acm
+    return acm_report(robot).acm
 
 
 @cache
-def acm_report() -> BuiltAcm:
+def acm_report(robot: Robot) -> BuiltAcm:
     """Return the matrix and its history: from the user's cache if it holds this model, else built (about 1 s)."""
-    path = _cache_file()
-    cached = _read(path)
+    path = _cache_file(robot)
+    cached = _read(path, robot)
     if cached is not None:
         return cached
-    built = build_acm()
+    built = build_acm(robot)
     _write(path, built)
     return built
 
 
-def build_acm(samples_min: int = SAMPLES_MIN, samples_max: int = SAMPLES_MAX) -> BuiltAcm:
+def build_acm(robot: Robot, samples_min: int = SAMPLES_MIN, samples_max: int = SAMPLES_MAX) -> BuiltAcm:
     """Build the matrix of the two arms by the rule in the module's text.
 
     Args:
+        robot: The arms.
         samples_min: Samples of the first round.
         samples_max: Where doubling ends even if pairs still change.
     """
-    structural = dict(_structural_pairs())
-    pairs = [p for p in itertools.combinations(links_of("left"), 2) if p not in structural]
-    at_home = _contacts_at_home(pairs)
-    engine = _left_arm_engine(pairs)
+    side = SIDES[0]
+    reasons = dict(_structural_pairs(robot))
+    pairs = [p for p in itertools.combinations(_links(robot), 2) if p not in reasons]
+    by_set = {frozenset(p): p for p in pairs}
+    engine: Any = ENGINES["mujoco"](Pairs(robot, tuple(pairs)))  # MuJoCo says which pairs touch
+    at_home = {by_set[pair] for pair in engine.touching_pairs(robot.home)}
+    own = robot.groups[f"{side}_arm"]
     rng = np.random.default_rng(_SEED)
     counts = dict.fromkeys(pairs, 0)
     rounds: list[Round] = []
     before: dict[tuple[str, str], str] = {}
     total, quiet, batch = 0, 0, samples_min
     while quiet < QUIET_DOUBLINGS and total + batch <= max(samples_max, samples_min):
-        _count_contacts(engine, counts, rng, batch)
+        Q = np.tile(robot.home, (batch, 1))
+        Q[:, own] = rng.uniform(robot.q_lower[own], robot.q_upper[own], (batch, robot.dof_per_arm))
+        for q in Q:
+            for pair in engine.touching_pairs(q):
+                counts[by_set[pair]] += 1
         total += batch
         batch = total
         classes = {p: _class(counts[p], total, p in at_home) for p in pairs}
@@ -151,15 +157,11 @@ def build_acm(samples_min: int = SAMPLES_MIN, samples_max: int = SAMPLES_MAX) ->
         quiet = quiet + 1 if before and not changed else 0
         rounds.append(Round(total, changed))
         before = classes
-    reasons = dict(structural)
-    for pair, kind in before.items():
-        if kind == "never":
-            reasons[pair] = f"never in {total} samples"
-        elif kind == "always":
-            reasons[pair] = "always"
+    reasons |= {p: f"never in {total} samples" for p, kind in before.items() if kind == "never"}
+    reasons |= {p: "always" for p, kind in before.items() if kind == "always"}
     entries = {
-        allowed_pair(*(link.replace("left_", f"{arm}_", 1) for link in pair), reason)
-        for arm in ARMS
+        allowed_pair(*(name.replace(f"{side}_", f"{other}_", 1) for name in pair), reason)
+        for other in SIDES
         for pair, reason in reasons.items()
     }
     touched = {p: n for p, n in counts.items() if n > 0}
@@ -178,57 +180,42 @@ def _class(touched: int, total: int, at_home: bool) -> str:
     return "always" if at_home and touched >= ALWAYS_FRACTION * total else "checked"
 
 
-def _structural_pairs() -> Iterable[tuple[tuple[str, str], str]]:
-    for a, b in itertools.combinations(links_of("left"), 2):
-        gap = joints_before(b) - joints_before(a)
+def _links(robot: Robot) -> dict[str, Link]:
+    """Return the links of the left arm with collision geometry."""
+    return {name: link for name, link in links_of(robot).items() if link.collides and link.side == SIDES[0]}
+
+
+def _structural_pairs(robot: Robot) -> Iterable[tuple[tuple[str, str], str]]:
+    links = _links(robot)
+    first: dict[int, str] = {}  # the first link behind each joint: the one that the joint connects
+    for link in links.values():
+        first.setdefault(link.joints_before, link.name)
+    for a, b in itertools.combinations(links, 2):
+        gap = links[b].joints_before - links[a].joints_before
         if gap == 0:
             yield (a, b), "rigid"
-        elif gap == 1 and b.rsplit("_", 1)[1].startswith("link"):
+        elif gap == 1 and first[links[b].joints_before] == b:
             yield (a, b), "adjacent"
 
 
-def _left_arm_engine(pairs: list[tuple[str, str]]) -> MujocoEngine:
-    # Here and not above: the engine's module imports this one.
-    from minidual.collision.mujoco_engine import MujocoEngine
-
-    return MujocoEngine.from_pairs(pairs, obstacles=(), attached=())
-
-
-def _contacts_at_home(pairs: list[tuple[str, str]]) -> set[tuple[str, str]]:
-    touching = _left_arm_engine(pairs).touching_pairs(HOME)
-    return {p for p in pairs if frozenset(p) in touching}
-
-
-def _count_contacts(
-    engine: MujocoEngine, counts: dict[tuple[str, str], int], rng: np.random.Generator, samples_n: int
-) -> None:
-    """Add to `counts` in how many of further random postures each pair touches."""
-    key = {frozenset(p): p for p in counts}
-    Q = np.tile(HOME, (samples_n, 1))
-    Q[:, :7] = rng.uniform(Q_LOWER[:7], Q_UPPER[:7], (samples_n, 7))
-    for q in Q:
-        for pair in engine.touching_pairs(q):
-            counts[key[pair]] += 1
-
-
-def model_hash() -> str:
+def model_hash(robot: Robot) -> str:
     """Return the sha256 of the robot's geometry: the URDF and every mesh it names, wherever they are installed."""
-    urdf = dual_panda_urdf()
+    urdf = pair_urdf(robot)
     digest = hashlib.sha256(_RULE_VERSION.encode())
-    files = sorted(set(re.findall(r'filename="([^"]+)"', urdf)))
     digest.update(re.sub(r'filename="[^"]*/([^"/]+)"', r'filename="\1"', urdf).encode())
-    for file in files:
+    for file in sorted(set(re.findall(r'filename="([^"]+)"', urdf))):
         digest.update(Path(file).read_bytes())
+    digest.update(repr((robot.arm.home, robot.arm.q_lower, robot.arm.q_upper, robot.hand.travel_m)).encode())
     return digest.hexdigest()
 
 
-def _cache_file() -> Path:
+def _cache_file(robot: Robot) -> Path:
     root = os.environ.get("MINIDUAL_CACHE")
     folder = Path(root) if root else Path.home() / ".cache" / "minidual"
-    return folder / f"acm-{model_hash()[:20]}.json"
+    return folder / f"acm-{model_hash(robot)[:20]}.json"
 
 
-def _read(path: Path) -> BuiltAcm | None:
+def _read(path: Path, robot: Robot) -> BuiltAcm | None:
     """Return the cached matrix; None if there is none or it does not hold what it should."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
@@ -238,17 +225,13 @@ def _read(path: Path) -> BuiltAcm | None:
         built = BuiltAcm(acm, rounds, bool(content["converged"]), (str(pair), int(count)))
     except (OSError, ValueError, TypeError, KeyError, UsageError):
         return None
-    known = {link for arm in ARMS for link in links_of(arm)}
-    sound = all(e.first in known and e.second in known and e.first.split("_")[0] == e.second.split("_")[0] for e in acm)
+    known = links_of(robot)
+    sound = all({e.first, e.second} <= known.keys() and known[e.first].side == known[e.second].side for e in acm)
     return built if sound and len(acm) > 0 and rounds else None
 
 
 def _write(path: Path, built: BuiltAcm) -> None:
-    """Write the cache atomically; a folder that cannot be written costs a second next time, nothing more."""
-    try:
+    """Write the cache; a folder that cannot be written costs a second next time, nothing more."""
+    with contextlib.suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".tmp", delete=False, encoding="utf-8") as file:
-            json.dump(built.to_json(), file, indent=0)
-        Path(file.name).replace(path)
-    except OSError:
-        return
+        write_text(path, json.dumps(built.to_json(), indent=0))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from minidual.collision.engine import Pairs
 from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import PlanningScene
-from minidual.robot.constants import ARMS, Array
+from minidual.robot.pair import SIDES, Array
 
 _WITHIN_M = 0.15
 
@@ -21,17 +22,14 @@ class ArmDistance:
 
     def __init__(self, scene: PlanningScene | None = None) -> None:
         scene = PlanningScene() if scene is None else scene
-        left, right = (f"{arm}_" for arm in ARMS)
-        across = [
-            (a, b)
-            for a, b in (sorted(pair) for pair in scene.checked_pairs)
-            if a.startswith(left) and b.startswith(right)
-        ]
-        self._engine = MujocoEngine.from_pairs(across, scene.solid_obstacles, scene.attached)
+        left, right = (f"{side}_" for side in SIDES)
+        ordered = [(a, b) if a < b else (b, a) for a, b in scene.checked_pairs]
+        across = tuple((a, b) for a, b in ordered if a.startswith(left) and b.startswith(right))
+        self._engine = MujocoEngine(Pairs(scene.robot, across, scene.solid_obstacles, scene.attached))
         self._engine.set_margin(_WITHIN_M)
 
     def __call__(self, q: Array) -> tuple[str, float]:
-        """Return ("left part with right part", distance [m]) at q (14,); beyond 150 mm the pair is "none"."""
+        """Return ("left part with right part", distance [m]) at q (dof,); beyond 150 mm the pair is "none"."""
         if self._engine.contact_count(q) == 0:
             return "none", _WITHIN_M
         pair = self._engine.contacts()[0]  # nearest first

@@ -1,18 +1,21 @@
-"""The second opinion: coal through Pinocchio, on the convex hulls of the same meshes and the same pairs.
+"""Collision checks by coal through Pinocchio, on the convex hulls of the meshes.
 
-Batches run inside one C++ call with a dynamic bounding-volume tree (about 20 us a state).
+A batch is one C++ call with a dynamic bounding-volume tree (about 20 us a state).
 """
 
 from __future__ import annotations
+
+import functools
 
 import coal
 import numpy as np
 import pinocchio as pin
 
-from minidual.collision.scene import PlanningScene
+from minidual.collision.engine import Checked
 from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, Shape, Sphere
-from minidual.robot.constants import FINGER_JOINT_NAMES, FINGER_TRAVEL_M, Array
-from minidual.robot.description import dual_panda_urdf
+from minidual.robot.description import pair_urdf
+from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array, Robot
 
 # With coal's default of 1e-6, GJK stops early on about one state in 20 000 and calls a contact of 1 mm free, although
 # its own distance query says otherwise; with 1e-9 the two engines agreed on 52 000 of 52 000 states.
@@ -23,33 +26,27 @@ class CoalEngine:
     """Collision checks of one scene.
 
     Attributes:
-        model: 14 joints, fingers locked.
+        model: The joints, fingers locked.
         geometry: Everything in the scene.
         items: Which of its objects make up each part of the scene.
     """
 
-    name = "coal"
-
-    def __init__(self, scene: PlanningScene) -> None:
-        self.model, self.geometry = _robot_geometry()
+    def __init__(self, scene: Checked) -> None:
+        self.model = Kinematics(scene.robot).model
+        self.geometry = robot_geometry(scene.robot).copy()
         self.items: dict[str, list[int]] = {}
         for index, item in enumerate(self.geometry.geometryObjects):
             self.items.setdefault(self.model.frames[item.parentFrame].name, []).append(index)
-        for shape in scene.solid_obstacles:
-            placement = pin.SE3(shape.T_parent_shape)
-            self.items[shape.name] = [
-                self.geometry.addGeometryObject(pin.GeometryObject(shape.name, 0, placement, solid))
-                for solid in _solids(shape)
-            ]
+        placed = [(shape, 0, 0, pin.SE3(shape.T_parent_shape)) for shape in scene.solid_obstacles]
         for held in scene.attached:
             frame_id = self.model.getFrameId(held.link)
             frame = self.model.frames[frame_id]
             placement = frame.placement * pin.SE3(held.shape.T_parent_shape)
-            self.items[held.name] = [
-                self.geometry.addGeometryObject(
-                    pin.GeometryObject(held.name, frame.parentJoint, frame_id, placement, solid)
-                )
-                for solid in _solids(held.shape)
+            placed.append((held.shape, frame.parentJoint, frame_id, placement))
+        for shape, joint, frame_id, placement in placed:
+            self.items[shape.name] = [
+                self.geometry.addGeometryObject(pin.GeometryObject(shape.name, joint, frame_id, placement, solid))
+                for solid in convex_solids(shape)
             ]
         for a, b in scene.checked_pairs:
             for first in self.items[a]:
@@ -60,36 +57,33 @@ class CoalEngine:
             request.gjk_tolerance = _GJK_TOLERANCE
 
     def collisions(self, Q: Array) -> np.ndarray:
-        """Return for each row of Q (n, 14) whether anything touches, (n,) bool."""
+        """Return for each row of Q (n, dof) whether anything touches, (n,) bool."""
         if len(Q) == 0:
             return np.zeros(0, dtype=bool)
         columns = np.asfortranarray(np.asarray(Q, dtype=float).T)
         hits = pin.computeCollisionsInParallel(1, self._pool, columns, True, False)
         return np.array(hits, dtype=bool).ravel()
 
-    def in_collision(self, q: Array) -> bool:
-        """Return whether anything touches at q (14,)."""
-        return bool(self.collisions(np.asarray(q)[None, :])[0])
 
-
-def _robot_geometry() -> tuple[pin.Model, pin.GeometryModel]:
-    """Return the 14-joint model and its collision geometry, meshes replaced by their convex hulls."""
-    urdf = dual_panda_urdf()
+@functools.cache
+def robot_geometry(robot: Robot) -> pin.GeometryModel:
+    """Return the collision geometry on the joints of `Kinematics`, meshes replaced by their convex hulls; read only."""
+    urdf = pair_urdf(robot)
     full = pin.buildModelFromXML(urdf)
     full_geometry = pin.buildGeomFromUrdfString(full, urdf, pin.GeometryType.COLLISION)
     reference = pin.neutral(full)
-    locked = [full.getJointId(name) for name in FINGER_JOINT_NAMES]
+    locked = [full.getJointId(name) for name in robot.finger_joint_names]
     for joint in locked:
-        reference[full.joints[joint].idx_q] = FINGER_TRAVEL_M
-    model, geometry = pin.buildReducedModel(full, full_geometry, locked, reference)
+        reference[full.joints[joint].idx_q] = robot.hand.travel_m
+    _, geometry = pin.buildReducedModel(full, full_geometry, locked, reference)
     for item in geometry.geometryObjects:
         if isinstance(item.geometry, coal.BVHModelBase):
             item.geometry.buildConvexHull(True, "Qt")
             item.geometry = item.geometry.convex
-    return model, geometry
+    return geometry
 
 
-def _solids(shape: Shape) -> list[coal.CollisionGeometry]:
+def convex_solids(shape: Shape) -> list[coal.CollisionGeometry]:
     """Return the convex solids of a shape: several for a mesh, else one."""
     match shape:
         case Box():

@@ -1,37 +1,45 @@
-"""The links that can collide, and which of them move together.
+"""The links of a pair of arms, and what moves each.
 
-The fingers are locked in planning, so link 7, the hand and the fingers are one rigid piece.
+The fingers are locked in planning, so what hangs on the last joint is one rigid piece.
 """
 
 from __future__ import annotations
 
-from minidual.robot.constants import ARMS, DOF_PER_ARM
+import functools
+from dataclasses import dataclass
 
-_ARM_LINKS: tuple[str, ...] = (
-    *(f"panda_link{i}" for i in range(8)),
-    "panda_hand",
-    "panda_leftfinger",
-    "panda_rightfinger",
-)
-_END_LINKS = ("panda_link8", "panda_hand_tcp")
-
-LINKS: tuple[str, ...] = tuple(f"{arm}_{link}" for arm in ARMS for link in _ARM_LINKS)
-"""Every link with collision geometry, left arm first."""
+from minidual.robot.description import arm_links
+from minidual.robot.pair import SIDES, Robot
 
 
-def links_of(arm: str) -> tuple[str, ...]:
-    """Return the collision links of one arm, from the base out."""
-    return tuple(f"{arm}_{link}" for link in _ARM_LINKS)
+@dataclass(frozen=True)
+class Link:
+    """A link of one of the two arms.
+
+    Attributes:
+        name: With the side's prefix.
+        side: "left" or "right".
+        joints_before: How many joints of its arm move it: 0 for the base.
+        collides: Whether it has collision geometry.
+    """
+
+    name: str
+    side: str
+    joints_before: int
+    collides: bool
 
 
-def arm_of(link: str) -> str | None:
-    """Return "left" or "right" for a link of an arm, None for anything else."""
-    arm = link.split("_", 1)[0]
-    return arm if arm in ARMS and (link in LINKS or link.removeprefix(f"{arm}_") in _END_LINKS) else None
+@functools.cache
+def links_of(robot: Robot) -> dict[str, Link]:
+    """Return every link by name, left arm first, from the base out."""
+    return {
+        f"{side}_{link.name}": Link(f"{side}_{link.name}", side, link.joints_before, link.collides)
+        for side in SIDES
+        for link in arm_links(robot.arm)
+    }
 
 
-def joints_before(link: str) -> int:
-    """Return how many joints of its arm move a link: 0 for the base, 7 for the hand."""
-    suffix = link.split("_", 1)[1]
-    digits = suffix.removeprefix("panda_link")
-    return min(int(digits), DOF_PER_ARM) if digits.isdigit() else DOF_PER_ARM
+@functools.cache
+def collision_links(robot: Robot) -> tuple[str, ...]:
+    """Return the names of the links with collision geometry, left arm first."""
+    return tuple(link.name for link in links_of(robot).values() if link.collides)

@@ -22,7 +22,7 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from minidual.collision.shapes import IDENTITY, Mesh, Quat, Vec3
 from minidual.errors import DataError, UsageError
-from minidual.robot.constants import Array
+from minidual.robot.pair import Array
 
 PARTS_MAX = 64
 SUFFIXES = (".stl", ".obj", ".ply", ".off", ".dae", ".glb", ".gltf")

@@ -1,7 +1,6 @@
 """The planning scene: the two arms, what stands round them, what they hold, and which pairs may touch.
 
-A scene is immutable and hashable; every change returns a copy. It knows no collision library: both engines are
-built from `checked_pairs`, so they look at exactly the same pairs.
+A scene is immutable and hashable; every change returns a copy. Every engine is built from its `checked_pairs`.
 """
 
 from __future__ import annotations
@@ -14,33 +13,18 @@ from functools import cached_property
 
 from minidual.collision.acm import default_acm
 from minidual.collision.allowed import AllowedCollisions
-from minidual.collision.links import LINKS, arm_of, joints_before
-from minidual.collision.shapes import Box, Shape, grown
+from minidual.collision.links import collision_links, links_of
+from minidual.collision.shapes import Attached, Box, Shape, grown
 from minidual.errors import UsageError, unknown_name
+from minidual.robot.arms import DUAL_PANDA
+from minidual.robot.pair import Robot
+
+__all__ = ["MIN_DISTANCE_MAX_M", "TABLE", "Attached", "PlanningScene"]
 
 TABLE = Box("table", position_m=(0.38, 0.0, -0.2), size_m=(1.2, 1.6, 0.4))
 """The table of the simulated world. It is taken as solid down to 0.4 m: no arm reaches in under the top."""
 
 MIN_DISTANCE_MAX_M = 0.2
-
-
-@dataclass(frozen=True)
-class Attached:
-    """An object that moves with a link.
-
-    shape: Its place is given in the frame of `link`.
-    link: The link that carries it, for example "left_panda_hand".
-    touch_links: Links that may touch it (the fingers of a hand that holds it).
-    """
-
-    shape: Shape
-    link: str
-    touch_links: tuple[str, ...] = ()
-
-    @property
-    def name(self) -> str:
-        """Name of the shape."""
-        return self.shape.name
 
 
 @dataclass(frozen=True)
@@ -56,23 +40,28 @@ class PlanningScene:
 
     obstacles: tuple[Shape, ...] = (TABLE,)
     attached: tuple[Attached, ...] = ()
-    allowed: AllowedCollisions = field(default_factory=default_acm)
+    allowed: AllowedCollisions = field(default=None)  # type: ignore[assignment]
+    """Pairs that may touch; the robot's own matrix by default."""
     min_distance_m: float = 0.0
-    """Distance [m] that arms and held objects must keep from every obstacle that they may not touch: both engines see
+    """Distance [m] that arms and held objects must keep from every obstacle that they may not touch: the engines see
     the obstacles grown by it, so a path that comes nearer is refused as one that collides."""
+    robot: Robot = DUAL_PANDA
 
     def __post_init__(self) -> None:
-        names = [*LINKS, *(o.name for o in self.obstacles), *(a.name for a in self.attached)]
+        if self.allowed is None:
+            object.__setattr__(self, "allowed", default_acm(self.robot))
+        names = self.names
         twice = sorted({n for n in names if names.count(n) > 1})
         if twice:
             raise UsageError(
                 f"the scene holds the name '{twice[0]}' twice; links, obstacles and attached objects "
                 "share one set of names"
             )
+        known = links_of(self.robot)
         for attached in self.attached:
             for link in (attached.link, *attached.touch_links):
-                if arm_of(link) is None:
-                    raise unknown_name("link", link, LINKS)
+                if link not in known:
+                    raise unknown_name("link", link, known)
         if not (math.isfinite(self.min_distance_m) and 0.0 <= self.min_distance_m <= MIN_DISTANCE_MAX_M):
             raise UsageError(f"min_distance_m = {self.min_distance_m}; it must be from 0 to {MIN_DISTANCE_MAX_M} m")
 
@@ -81,27 +70,31 @@ class PlanningScene:
         """What the engines are built from: the obstacles, grown by the distance to keep."""
         return tuple(grown(shape, self.min_distance_m) for shape in self.obstacles)
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Everything in the scene that can touch something: links, obstacles, attached objects."""
-        return (*LINKS, *(o.name for o in self.obstacles), *(a.name for a in self.attached))
+        return (*collision_links(self.robot), *(o.name for o in self.obstacles), *(a.name for a in self.attached))
 
     @cached_property
     def checked_pairs(self) -> tuple[tuple[str, str], ...]:
-        """Every pair that both engines check, in a fixed order."""
-        return tuple(p for p in itertools.combinations(self.names, 2) if self.why_unchecked(*p) is None)
+        """Every pair that the engines check, in a fixed order."""
+        return tuple(p for p in itertools.combinations(self.names, 2) if self._why_unchecked(*p) is None)
 
     def why_unchecked(self, a: str, b: str) -> str | None:
         """Return why the pair is not checked, or None if it is."""
         for name in (a, b):
             if name not in self.names:
                 raise unknown_name("link or obstacle", name, self.names)
-        if self._joints(a) == 0 and self._joints(b) == 0:
+        return self._why_unchecked(a, b)
+
+    def _why_unchecked(self, a: str, b: str) -> str | None:
+        moved_a, moved_b = self._moved_by[a], self._moved_by[b]
+        if moved_a[1] == 0 and moved_b[1] == 0:
             return "neither moves"
         for mine, other in ((a, b), (b, a)):
             held = self._attached_by_name.get(mine)
             if held is not None:
-                if self._carrier(mine) == self._carrier(other):
+                if moved_a == moved_b:
                     return "rigid"
                 if other in held.touch_links:
                     return f"held by {held.link}"
@@ -111,28 +104,20 @@ class PlanningScene:
     def _attached_by_name(self) -> dict[str, Attached]:
         return {a.name: a for a in self.attached}
 
-    def _link(self, name: str) -> str | None:
-        held = self._attached_by_name.get(name)
-        if held is not None:
-            return held.link
-        return name if name in LINKS else None
-
-    def _joints(self, name: str) -> int:
-        link = self._link(name)
-        return 0 if link is None else joints_before(link)
-
-    def _carrier(self, name: str) -> tuple[str | None, int]:
-        """Return (arm, number of joints before it): equal for parts that move as one piece."""
-        link = self._link(name)
-        return (None, 0) if link is None else (arm_of(link), joints_before(link))
+    @cached_property
+    def _moved_by(self) -> dict[str, tuple[str, int]]:
+        """(side, number of joints before it) of everything: equal for parts that move as one piece."""
+        links = links_of(self.robot)
+        moved = {name: (link.side, link.joints_before) for name, link in links.items()}
+        return (
+            moved | {o.name: ("", 0) for o in self.obstacles} | {held.name: moved[held.link] for held in self.attached}
+        )
 
     def moving_joints(self, name: str) -> slice:
         """Return the joints of `q` that move this link or object (an empty slice if none does)."""
-        link = self._link(name)
-        if link is None:
-            return slice(0, 0)
-        first = 0 if arm_of(link) == "left" else 7
-        return slice(first, first + joints_before(link))
+        side, count = self._moved_by[name]
+        first = self.robot.groups[f"{side}_arm"].start if count else 0
+        return slice(first, first + count)
 
     def with_obstacles(self, *shapes: Shape) -> PlanningScene:
         """Return a copy with more obstacles."""

@@ -27,6 +27,8 @@ from minidual.config.base import StrictModel
 from minidual.config.document import Document, read_document
 from minidual.config.loader import validate_document
 from minidual.errors import ConfigError, MinidualError
+from minidual.robot.arms import DUAL_PANDA
+from minidual.robot.pair import Robot
 
 Length = Annotated[float, Field(ge=1e-4, le=10.0)]
 """The least is that of a mesh: MuJoCo is given boxes as meshes of their corners, and a hull needs a volume."""
@@ -125,8 +127,8 @@ class LoadedScene:
     notes: tuple[str, ...] = ()
 
 
-def load_scene(path: Path) -> LoadedScene:
-    """Return the scene of a file.
+def load_scene(path: Path, robot: Robot = DUAL_PANDA) -> LoadedScene:
+    """Return the scene of a file for these arms.
 
     Raises:
         ConfigError: It is empty or does not hold; with file, line and dotted path.
@@ -150,8 +152,8 @@ def load_scene(path: Path) -> LoadedScene:
             else:
                 attached.append(Attached(shape, entry.held.link, entry.held.touch_links))
             # Built step by step, so that a name that stands twice is told with its line.
-            scene = PlanningScene(tuple(obstacles), tuple(attached), min_distance_m=content.min_distance_m)
-    scene = PlanningScene(tuple(obstacles), tuple(attached), min_distance_m=content.min_distance_m)
+            scene = PlanningScene(tuple(obstacles), tuple(attached), min_distance_m=content.min_distance_m, robot=robot)
+    scene = PlanningScene(tuple(obstacles), tuple(attached), min_distance_m=content.min_distance_m, robot=robot)
     for index, rule in enumerate(content.allowed):
         with _told(document, f"allowed.{index}"):
             scene = scene.allowing(*rule.pair, rule.reason)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from minidual.errors import UsageError
-from minidual.robot.constants import Array
+from minidual.robot.pair import Array
 from minidual.robot.poses import pose, rotation_from_quat
 
 Vec3 = tuple[float, float, float]
@@ -127,6 +127,25 @@ class Mesh(_Shape):
 
 
 Shape = Box | Cylinder | Capsule | Sphere | Mesh
+
+
+@dataclass(frozen=True)
+class Attached:
+    """An object that moves with a link.
+
+    shape: Its place is given in the frame of `link`.
+    link: The link that carries it, for example "left_panda_hand".
+    touch_links: Links that may touch it (the fingers of a hand that holds it).
+    """
+
+    shape: Shape
+    link: str
+    touch_links: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Name of the shape."""
+        return self.shape.name
 
 
 def bounding_radius(shape: Shape) -> float:

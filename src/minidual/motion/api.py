@@ -67,7 +67,7 @@ class Planner:
     Args:
         scene: Scene of queries that name none of their own.
         config: Parameters of search, timing and proof.
-        robot: The arms.
+        robot: The arms, where no scene says which.
 
     Example:
         planner = Planner()
@@ -79,9 +79,9 @@ class Planner:
         self, scene: PlanningScene | None = None, config: PlannerConfig | None = None, *, robot: Robot = DUAL_PANDA
     ) -> None:
         self.config = config or PlannerConfig()
-        self.scene = scene or PlanningScene()
-        self.robot = robot
-        self.kinematics = Kinematics(robot)
+        self.scene = scene or PlanningScene(robot=robot)
+        self.robot = self.scene.robot
+        self.kinematics = Kinematics(self.robot)
         self.goals = PoseGoals(self.kinematics)
         self._engines: OrderedDict[PlanningScene, SceneEngines] = OrderedDict()
         config = self.config
@@ -94,8 +94,14 @@ class Planner:
         )
 
     def engines(self, scene: PlanningScene | None = None) -> SceneEngines:
-        """Return both engines and the verifier of a scene, from the last few scenes or newly built."""
+        """Return geometry and proof of a scene, from the last few scenes or newly built.
+
+        Raises:
+            UsageError: The scene is of other arms.
+        """
         scene = scene or self.scene
+        if scene.robot != self.robot:
+            raise UsageError(f"the planner is for two {self.robot.arm.name}, the scene for two {scene.robot.arm.name}")
         if scene not in self._engines:
             self._engines[scene] = SceneEngines(scene, self.config.verify_step_rad)
             while len(self._engines) > _SCENES_KEPT:
@@ -133,7 +139,7 @@ class Planner:
         q_start = check_joints(q_start, "start", self.robot)
         goal = goal_joints(group, q_start, q_goal, self.robot)
         engines = self._ready(scene, times, q_start)
-        require_free(engines.mujoco, goal, "goal")
+        require_free(engines, goal, "goal")
         return self._plan(group, q_start, [goal], engines, seed, self._budget(budget_s), times)
 
     def plan_to_poses(
@@ -161,7 +167,7 @@ class Planner:
                 group,
                 q_start,
                 targets,
-                engines.mujoco,
+                engines,
                 np.random.default_rng([seed, 1]),
                 restarts_n=self.config.ik_restarts_n,
                 candidates_n=self.config.goal_candidates_n,
@@ -171,7 +177,7 @@ class Planner:
     def _ready(self, scene: PlanningScene | None, times: PhaseTimes, q_start: Array) -> SceneEngines:
         with times.phase("scene"):
             engines = self.engines(scene)
-        require_free(engines.mujoco, q_start, "start")
+        require_free(engines, q_start, "start")
         return engines
 
     def _budget(self, budget_s: float | None) -> float:

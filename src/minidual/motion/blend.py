@@ -12,7 +12,7 @@ import numpy as np
 
 from minidual.motion.edges import EdgeChecker
 from minidual.motion.smooth_path import SmoothPath
-from minidual.robot.constants import Array
+from minidual.robot.pair import Array
 
 _SHRINK = 0.5
 _D_MIN_RAD = 1e-3
@@ -23,7 +23,7 @@ def blended_path(path: Array, checker: EdgeChecker, radius_rad: float, step_rad:
     """Return the rounded polyline, its corners checked and shrunk where they touch; None if a corner stays blocked.
 
     Args:
-        path: Polyline (n, 14), n >= 2, without repeated vertices.
+        path: Polyline (n, dof), n >= 2, without repeated vertices.
         checker: Collision checks.
         radius_rad: Largest half length of a corner.
         step_rad: Largest joint step between checks of a corner.

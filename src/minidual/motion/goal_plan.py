@@ -168,7 +168,7 @@ class GoalPlanner:
             group,
             q_near,
             resolved.targets,
-            self.planner.engines(scene).mujoco,
+            self.planner.engines(scene),
             np.random.default_rng([seed, 3]),
             restarts_n=self.planner.config.ik_restarts_n,
             candidates_n=1,

@@ -8,9 +8,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from minidual.collision.errors import GoalInCollisionError, OutOfLimitsError, StartInCollisionError
-from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.errors import UsageError, unknown_name
 from minidual.motion.ik import ArmIK, check_pose
+from minidual.proof.scene_engines import SceneEngines
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array, Robot
@@ -74,7 +74,7 @@ def goal_joints(group: str, q_start: Array, q_goal: Array, robot: Robot = DUAL_P
     return full
 
 
-def require_free(engine: MujocoEngine, q: Array, what: str) -> None:
+def require_free(engine: SceneEngines, q: Array, what: str) -> None:
     """Check that nothing touches at q (n,).
 
     Raises:
@@ -120,7 +120,7 @@ class PoseGoals:
         group: str,
         q_start: Array,
         targets: Mapping[str, Array],
-        engine: MujocoEngine,
+        engine: SceneEngines,
         rng: np.random.Generator,
         *,
         restarts_n: int,

@@ -141,7 +141,7 @@ class LinearPlanner:
         """
         checked = check_targets(group, targets)
         q_start = check_joints(q_start, "start", self._robot)
-        require_free(engines.mujoco, q_start, "start")
+        require_free(engines, q_start, "start")
         tips = dict(zip(SIDES, self._kinematics.tcp_poses(q_start), strict=True))
         lines = {arm: Line(tips[arm], T) for arm, T in checked.items()}
         move = self._move(group, q_start, lines, engines, tip_limits or TipLimits())
@@ -203,7 +203,7 @@ class LinearPlanner:
                         "a singular posture)"
                     )
                 q[ik.joints] = solution.q
-            near = engines.mujoco.closest(q, 0.001)
+            near = engines.closest(q, 0.001)
             if near and near[0].distance_m <= 0.0:
                 return np.array(Q), f"collision: {near[0]}"
             Q.append(q)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from time import perf_counter
 
 from minidual.proof.verify import Verification
-from minidual.robot.constants import Array
+from minidual.robot.pair import Array
 from minidual.robot.trajectory import Trajectory
 
 PHASES: tuple[str, ...] = ("scene", "ik", "search", "shortcut", "blend", "timing", "verify")
@@ -41,9 +41,9 @@ class PlanResult:
     """A verified plan.
 
     Attributes:
-        trajectory: Timed samples of all 14 joints.
-        path: Polyline (n, 14) after shortcutting.
-        q_goal: Configuration (14,) that was reached.
+        trajectory: Timed samples of all joints.
+        path: Polyline (n, dof) after shortcutting.
+        q_goal: Configuration (dof,) that was reached.
         verification: The proof.
         times_s: Wall time by phase.
         total_s: Wall time from goal in to verified trajectory out.

@@ -16,9 +16,9 @@ import ompl.base as ob
 import ompl.geometric as og
 import ompl.util as ou
 
-from minidual.errors import unknown_name
 from minidual.motion.edges import EdgeChecker
-from minidual.robot.constants import Q_LOWER, Q_UPPER, Array
+from minidual.registry import Registry
+from minidual.robot.pair import Array
 
 
 def _tree(name: str) -> Callable[[Any, float], Any]:
@@ -30,30 +30,18 @@ def _tree(name: str) -> Callable[[Any, float], Any]:
     return make
 
 
-def _informed(name: str) -> Callable[[Any, float], Any]:
-    return lambda si, _range_rad: getattr(og, name)(si)
-
-
-PLANNERS: dict[str, Callable[[Any, float], Any]] = {
-    "rrtconnect": _tree("RRTConnect"),
-    "rrt": _tree("RRT"),
-    "rrtstar": _tree("RRTstar"),
-    "bitstar": _informed("BITstar"),
-    "kpiece": _tree("KPIECE1"),
-}
+PLANNERS: Registry[Callable[[Any, float], Any]] = Registry(
+    "planner",
+    {
+        "rrtconnect": _tree("RRTConnect"),
+        "rrt": _tree("RRT"),
+        "rrtstar": _tree("RRTstar"),
+        "bitstar": lambda si, _range_rad: og.BITstar(si),
+        "kpiece": _tree("KPIECE1"),
+    },
+)
 """OMPL's planners by the name that configuration uses. PRM is not among them: it asks from threads of its own whether
 to stop, and waits for ever on a condition written in Python."""
-
-
-def require_planner(name: str) -> str:
-    """Return the name if it is known.
-
-    Raises:
-        UsageError: No planner of this name.
-    """
-    if name not in PLANNERS:
-        raise unknown_name("planner", name, PLANNERS)
-    return name
 
 
 class _Validity(ob.StateValidityChecker):
@@ -86,7 +74,7 @@ def search(
     checks_max: int,
     deadline: float,
 ) -> Array | None:
-    """Return a polyline (n, 14) from q_start to q_goal, both (14,), or None.
+    """Return a polyline (n, dof) from q_start to q_goal, both (dof,), or None.
 
     Args:
         checker: Collision checks with padding.
@@ -101,7 +89,8 @@ def search(
     """
     ou.setLogLevel(ou.LOG_NONE)  # setSeed complains on a second call although it does what it should
     ou.RNG.setSeed(1 + seed % (2**31 - 2))
-    lower, upper = Q_LOWER[joints], Q_UPPER[joints]
+    robot = checker.robot
+    lower, upper = robot.q_lower[joints], robot.q_upper[joints]
     dof = len(lower)
     space = ob.RealVectorStateSpace(dof)
     bounds = ob.RealVectorBounds(dof)
@@ -136,7 +125,7 @@ def search(
     objective = ob.PathLengthOptimizationObjective(si)
     objective.setCostThreshold(ob.Cost(float("inf")))  # the optimising planners stop at their first solution
     problem.setOptimizationObjective(objective)
-    worker = PLANNERS[require_planner(planner)](si, range_rad)
+    worker = PLANNERS[planner](si, range_rad)
     worker.setProblemDefinition(problem)
     worker.setup()
     checks_end = checker.checks_n + checks_max

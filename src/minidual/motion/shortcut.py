@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from minidual.motion.edges import EdgeChecker
-from minidual.robot.constants import GROUPS, Array
+from minidual.robot.pair import SIDES, Array
 
 
 def path_length(path: Array) -> float:
@@ -16,20 +16,21 @@ def path_length(path: Array) -> float:
 
 
 def shortcut(path: Array, checker: EdgeChecker, rng: np.random.Generator, rounds_n: int) -> Array:
-    """Return a shorter polyline (m, 14) with the same ends, free wherever the checker says so.
+    """Return a shorter polyline (m, dof) with the same ends, free wherever the checker says so.
 
     Every other round moves one arm alone: the arms often need a detour at different times, and a straight line
     for both at once would be blocked by either.
 
     Args:
-        path: Polyline (n, 14), free.
+        path: Polyline (n, dof), free.
         checker: Collision checks.
         rng: Random numbers.
         rounds_n: Random stretches to try.
     """
     path = _drop_vertices(path, checker)
-    both_move = all(np.ptp(path[:, GROUPS[f"{arm}_arm"]], axis=0).max() > 0.0 for arm in ("left", "right"))
-    parts = [slice(0, 14), GROUPS["left_arm"], slice(0, 14), GROUPS["right_arm"]] if both_move else [slice(0, 14)]
+    whole, *arms = (checker.robot.groups[name] for name in ("both_arms", *(f"{side}_arm" for side in SIDES)))
+    both_move = all(np.ptp(path[:, arm], axis=0).max() > 0.0 for arm in arms)
+    parts = [whole, arms[0], whole, arms[1]] if both_move else [whole]
     for k in range(rounds_n):
         if len(path) < 3:
             break
@@ -63,9 +64,8 @@ def _cut_stretch(path: Array, checker: EdgeChecker, rng: np.random.Generator, jo
     a = path[i0] + (s0 - marks[i0]) / lengths[i0] * (path[i0 + 1] - path[i0])
     b = path[i1] + (s1 - marks[i1]) / lengths[i1] * (path[i1 + 1] - path[i1])
     inner = path[i0 + 1 : i1 + 1]
-    if joints == slice(0, 14):
-        stretch = np.array([a, b])
-    else:
+    stretch = np.array([a, b])
+    if joints != checker.robot.groups["both_arms"]:
         # The chosen arm goes straight from a to b; the other one keeps its own motion at the same fractions.
         stretch = np.vstack([a, inner, b])
         fractions = (np.concatenate([[s0], marks[i0 + 1 : i1 + 1], [s1]]) - s0) / (s1 - s0)

@@ -1,19 +1,18 @@
 """Separating planes, compiled: is there a plane between two parts, at one state or all through a stretch of motion?
 
-A part is a few convex solids: the hull of some vertices, made thicker by a ball (sphere, capsule) or by a disc
-(cylinder). Two solids are apart by at least d if along some direction everything of one lies d beyond everything of the
-other. To see that takes their farthest points along this one direction; how the direction was found does not matter, so
-the search for it (from the last direction that worked, by the algorithm of Gilbert, Johnson and Keerthi) needs no trust.
+A part is a few convex solids: the hull of some vertices, thickened by a ball (sphere, capsule) or by a disc (cylinder).
+Two solids are apart by at least d if along some direction all of one lies d beyond all of the other. Checking a direction
+takes the farthest points along it. How the direction was found does not matter, so the search for it (from the last
+direction that worked, by the algorithm of Gilbert, Johnson and Keerthi) needs no trust.
 
-All through a stretch of motion: take the straight line in joint space between its two ends. A vertex moves on a curve
-there, p(x), 0 <= x <= 1, whose second derivative is bounded: turning joints i and j moves it by no more than its distance
-from the axis of the outer one, for each product of their steps. So it stays within an eighth of that bound of the chord
-between its places at the two ends. Where the motion leaves the straight line in joint space by e_j, it moves by at most
-the reach r_j e_j more. A plane that separates two solids at both ends by more than what they may deviate together
-therefore separates them in between. Two links of one arm are looked at from the inner one, so that only the joints
-between them count.
+All through a stretch: take the straight line in joint space between its two ends. A vertex moves on a curve p(x),
+0 <= x <= 1, whose second derivative is bounded: for each product of the steps of joints i and j by the distance from the
+axis of the outer one. So it stays within an eighth of that bound of the chord between its places at the two ends. Where
+the motion leaves the straight line in joint space by e_j, it moves by at most the reach r_j e_j more. A plane that
+separates two solids at both ends by more than both may deviate therefore separates them in between. Two links of one arm
+are seen from the inner one, so that only the joints between them count.
 
-A number that is none proves nothing: sums keep a NaN where comparisons would lose it, and it compares false with all.
+NaN counts as "not proven". Sums propagate NaN; comparisons would drop it.
 
 All helpers live in this file because numba's cache watches no other for changes.
 """
@@ -21,26 +20,19 @@ All helpers live in this file because numba's cache watches no other for changes
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numba import njit
 
-from minidual.robot.compiled import kernel
-from minidual.robot.constants import Array
-
-ARM_DOF = 7
-DOF = 14
+from minidual.robot.compiled import inlined, kernel
+from minidual.robot.pair import Array
 
 JOINT = np.dtype([("parent", "i8"), ("R", "f8", (3, 3)), ("p", "f8", 3)])
 """A joint: the frame before it (0 is the world, k + 1 that of joint k) and its placement there; it turns about its z."""
-SOLID = np.dtype(
-    [("first", "i8"), ("end", "i8"), ("ball", "f8"), ("disc", "f8"), ("x", "f8"), ("y", "f8"), ("z", "f8")]
-)
-"""A convex solid: its rows of vertices, the radii [m] that make it thicker, the axis of the disc."""
+SOLID = np.dtype([("first", "i8"), ("end", "i8")] + [(name, "f8") for name in ("ball", "disc", "x", "y", "z")])
+"""A convex solid: its rows of vertices, the radii [m] that thicken it, the axis of the disc."""
 PART = np.dtype(
-    [("first", "i8"), ("end", "i8"), ("frame", "i8"), ("x", "f8"), ("y", "f8"), ("z", "f8"), ("radius", "f8")]
+    [(name, "i8") for name in ("first", "end", "frame")] + [(name, "f8") for name in ("x", "y", "z", "radius")]
 )
 """A part: its rows of solids, the frame that carries it, a ball round it in this frame [m]."""
 PAIR = np.dtype([(name, "i8") for name in ("a", "b", "frame", "row", "moves_a", "moves_b")])
@@ -49,37 +41,33 @@ and where the deviations of the two stand in the flattened table of `_deviate`."
 
 Rows = np.ndarray
 """Records or whole numbers, (n,)."""
-Geometry = tuple[Rows, Array, Rows, Rows, Rows]
-"""Joints (14,), vertices (v, 3) [m] in the frames that carry them, solids, parts, pairs."""
-Work = tuple[Array, Array, Array, Array, Array, Array]
-"""Memory for one state: poses of the frames, centres of the parts, two ends of a pair, a simplex."""
+Geometry = tuple[Rows, Array, Rows, Rows, Rows, Array]
+"""Joints (dof,), vertices (v, 3) [m] in the frames that carry them, solids, parts, pairs, and the reach (parts, dof / 2)
+[m] of each part from each joint of its arm, 0 where it does not move the part."""
+Work = tuple[Array, Array, Array, Array, Array, Array, Array]
+"""Memory: the last direction of every plane; of n states the poses R, p of the frames and the centres C of the parts;
+poses R, p of a pair at two ends; a simplex."""
+Keep = tuple[float, Array, Array, float]
+"""The distance to keep [m] (padding), states (t, dof) near which less is enough (tight), their clearances (t,) [m], and
+the joint distance [rad] over which it grows back to the padding."""
 Point = tuple[float, float, float, float]
 """A distance and a point."""
-
-FREE, BLOCKED, UNDECIDED = 0, 1, 2
 
 _TRIES = 40
 """Directions tried for one plane."""
 _EXACT_M = 1e-4
 
 
-def _inner(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile what only kernels call, into their code.
-
-    `_nrt=False`: numba counts the references of every array at every call otherwise, in atomic operations, which takes
-    five times as long as the calls do. Without it a function may not allocate anything; none of these does.
-    """
-    return njit(error_model="numpy", forceinline=True, _nrt=False)(function)
-
-
-@_inner
-def place(joints: Rows, parts: Rows, q: Array, n: int, R: Array, p: Array, C: Array) -> None:
-    """Write into row n of R, p and C the pose of every frame at q (14,), (15, 3, 3) and (15, 3), and the centres."""
+@inlined
+def _place(geometry: Geometry, q: Array, n: int, work: Work) -> None:
+    """Write the poses of all frames and the centres of all parts at q (dof,) into row n of the work."""
+    joints, parts = geometry[0], geometry[3]
+    R, p, C = work[1], work[2], work[3]
     for r in range(3):
         for c in range(3):
             R[n, 0, r, c] = 1.0 if r == c else 0.0
         p[n, 0, r] = 0.0
-    for j in range(DOF):
+    for j in range(len(joints)):
         f = joints[j].parent
         own_R, own_p = joints[j].R, joints[j].p
         c, s = math.cos(q[j]), math.sin(q[j])
@@ -98,9 +86,10 @@ def place(joints: Rows, parts: Rows, q: Array, n: int, R: Array, p: Array, C: Ar
             C[n, k, r] = R[n, f, r, 0] * x + R[n, f, r, 1] * y + R[n, f, r, 2] * z + p[n, f, r]
 
 
-@_inner
-def _seen_from(R: Array, p: Array, n: int, f: int, a: int, seen_R: Array, seen_p: Array, to: int) -> None:
-    """Write the pose of frame a as seen from frame f, at state n, into row `to`."""
+@inlined
+def _seen_from(work: Work, n: int, f: int, a: int, to: int) -> None:
+    """Write the pose of frame a as seen from frame f, at state n, into row `to` of the pair's poses."""
+    R, p, seen_R, seen_p = work[1], work[2], work[4], work[5]
     if f == 0:
         for r in range(3):
             for c in range(3):
@@ -115,9 +104,10 @@ def _seen_from(R: Array, p: Array, n: int, f: int, a: int, seen_R: Array, seen_p
         seen_p[to, r] = u * x + v * y + w * z
 
 
-@_inner
-def _farthest(vertices: Array, solids: Rows, k: int, R: Array, p: Array, n: int, x: float, y: float, z: float) -> Point:
+@inlined
+def _farthest(geometry: Geometry, k: int, R: Array, p: Array, n: int, x: float, y: float, z: float) -> Point:
     """Return how far solid k in pose n goes along (x, y, z), without its ball, and the point that goes there."""
+    vertices, solids = geometry[1], geometry[2]
     mx = R[n, 0, 0] * x + R[n, 1, 0] * y + R[n, 2, 0] * z
     my = R[n, 0, 1] * x + R[n, 1, 1] * y + R[n, 2, 1] * z
     mz = R[n, 0, 2] * x + R[n, 1, 2] * y + R[n, 2, 2] * z
@@ -152,19 +142,18 @@ def _farthest(vertices: Array, solids: Rows, k: int, R: Array, p: Array, n: int,
     )
 
 
-@_inner
-def _difference(
-    vertices: Array, solids: Rows, a: int, b: int, R: Array, p: Array, ends: int, x: float, y: float, z: float
-) -> Point:
+@inlined
+def _difference(geometry: Geometry, a: int, b: int, ends: int, x: float, y: float, z: float, work: Work) -> Point:
     """Return how far solid a lies beyond solid b along (x, y, z), least over the ends, and the vector from b to a there.
 
-    Rows 0 and 1 of R and p are the poses of a and b at the first end, rows 2 and 3 those at the second.
+    Rows 0 and 1 of the pair's poses are those of a and b at the first end, rows 2 and 3 those at the second.
     """
+    R, p = work[4], work[5]
     gap = np.inf
     sx, sy, sz = 0.0, 0.0, 0.0
     for end in range(ends):
-        back, ax, ay, az = _farthest(vertices, solids, a, R, p, 2 * end, -x, -y, -z)
-        front, bx, by, bz = _farthest(vertices, solids, b, R, p, 2 * end + 1, x, y, z)
+        back, ax, ay, az = _farthest(geometry, a, R, p, 2 * end, -x, -y, -z)
+        front, bx, by, bz = _farthest(geometry, b, R, p, 2 * end + 1, x, y, z)
         here = -back - front
         if here != here:
             return np.nan, ax - bx, ay - by, az - bz
@@ -174,7 +163,7 @@ def _difference(
     return gap, sx, sy, sz
 
 
-@_inner
+@inlined
 def _on_triangle(S: Array, i: int, j: int, k: int) -> tuple[float, float, float]:
     """Return the weights of rows i, j and k of S (4, 3) in the point of their triangle nearest to the origin.
 
@@ -210,7 +199,7 @@ def _on_triangle(S: Array, i: int, j: int, k: int) -> tuple[float, float, float]
     return of_a / whole, of_b / whole, of_c / whole
 
 
-@_inner
+@inlined
 def _outside(S: Array, i: int, j: int, k: int, m: int) -> bool:
     """Return whether the origin does not lie on the same side of the triangle i, j, k as row m of S (4, 3)."""
     ux, uy, uz = S[j, 0] - S[i, 0], S[j, 1] - S[i, 1], S[j, 2] - S[i, 2]
@@ -221,7 +210,7 @@ def _outside(S: Array, i: int, j: int, k: int, m: int) -> bool:
     return not here * there > 0.0
 
 
-@_inner
+@inlined
 def _nearest(S: Array, count: int) -> tuple[int, float, float, float]:
     """Return (count, x, y, z): the point nearest to the origin of the simplex in the first rows of S (4, 3).
 
@@ -263,27 +252,15 @@ def _nearest(S: Array, count: int) -> tuple[int, float, float, float]:
     return kept, x, y, z
 
 
-@_inner
-def _separate(
-    vertices: Array,
-    solids: Rows,
-    a: int,
-    b: int,
-    R: Array,
-    p: Array,
-    ends: int,
-    need: float,
-    exact: bool,
-    directions: Array,
-    row: int,
-    S: Array,
-) -> tuple[float, float]:
-    """Return (gap, bound): solids a and b are apart by at least `gap` at all ends, and by at most `bound`.
+@inlined
+def _separate(geometry: Geometry, a: int, b: int, ends: int, need: float, exact: bool, row: int, work: Work) -> float:
+    """Return by how much solids a and b are apart at all ends, at least.
 
     The algorithm of Gilbert, Johnson and Keerthi, on the differences of points of a and b at any end. It stops as soon as
     a direction shows more than `need`, or no direction can; if `exact`, only when the two meet, up to `_EXACT_M`. The best
-    direction stays in `directions`. S (4, 3) is memory.
+    direction stays in its row.
     """
+    solids, directions, S = geometry[2], work[0], work[6]
     thick = solids[a].ball + solids[b].ball
     x, y, z = directions[row, 0], directions[row, 1], directions[row, 2]
     size, count = np.inf, 0
@@ -291,7 +268,7 @@ def _separate(
         z = 1.0  # any direction will do to begin with
     best, bx, by, bz = -np.inf, x, y, z
     for _ in range(_TRIES):
-        gap, sx, sy, sz = _difference(vertices, solids, a, b, R, p, ends, x, y, z)
+        gap, sx, sy, sz = _difference(geometry, a, b, ends, x, y, z, work)
         if gap - thick > best:
             best, bx, by, bz = gap - thick, x, y, z
         if best > need:
@@ -307,12 +284,13 @@ def _separate(
             break
         x, y, z = wx / size, wy / size, wz / size
     directions[row, 0], directions[row, 1], directions[row, 2] = bx, by, bz
-    return best, size - thick
+    return best
 
 
-@_inner
-def _between_balls(parts: Rows, pair: Any, R: Array, C: Array, i: int, j: int) -> float:
+@inlined
+def _between_balls(geometry: Geometry, pair: Any, i: int, j: int, work: Work) -> float:
     """Return the least distance of the balls round two parts on the straight way between states i and j."""
+    parts, R, C = geometry[3], work[1], work[3]
     a, b, f = pair.a, pair.b, pair.frame
     x, y, z = C[i, a, 0] - C[i, b, 0], C[i, a, 1] - C[i, b, 1], C[i, a, 2] - C[i, b, 2]
     if i != j:
@@ -336,126 +314,108 @@ def _between_balls(parts: Rows, pair: Any, R: Array, C: Array, i: int, j: int) -
     return math.sqrt(x * x + y * y + z * z) - parts[a].radius - parts[b].radius
 
 
-@_inner
-def _beside(
-    vertices: Array,
-    solids: Rows,
-    parts: Rows,
-    pair: Any,
-    R: Array,
-    p: Array,
-    C: Array,
-    i: int,
-    j: int,
-    directions: Array,
-) -> float:
+@inlined
+def _beside(geometry: Geometry, pair: Any, i: int, j: int, work: Work) -> float:
     """Return by how much the ball round part a lies beyond part b along their last direction, at states i and j.
 
     Minus infinity where b is not one solid that stands still. It settles most pairs of a link and a box.
     """
+    solids, parts = geometry[2], geometry[3]
+    directions, R, p, C = work[0], work[1], work[2], work[3]
     a, b = pair.a, pair.b
     x, y, z = directions[pair.row, 0], directions[pair.row, 1], directions[pair.row, 2]
     if parts[b].frame != 0 or parts[b].end - parts[b].first != 1 or (x == 0.0 and y == 0.0 and z == 0.0):
         return -np.inf
-    front, _, _, _ = _farthest(vertices, solids, parts[b].first, R[i], p[i], 0, x, y, z)
+    front, _, _, _ = _farthest(geometry, parts[b].first, R[i], p[i], 0, x, y, z)
     back = min(C[i, a, 0] * x + C[i, a, 1] * y + C[i, a, 2] * z, C[j, a, 0] * x + C[j, a, 1] * y + C[j, a, 2] * z)
     return back - parts[a].radius - front - solids[parts[b].first].ball
 
 
-@_inner
-def _apart(
-    vertices: Array,
-    solids: Rows,
-    parts: Rows,
-    pair: Any,
-    R: Array,
-    p: Array,
-    i: int,
-    j: int,
-    need: float,
-    directions: Array,
-    seen_R: Array,
-    seen_p: Array,
-    S: Array,
-) -> tuple[float, float]:
-    """Return (gap, bound): the parts of a pair are apart by at least `gap` at states i and j, and by at most `bound`.
+@inlined
+def _apart(geometry: Geometry, pair: Any, i: int, j: int, need: float, exact: bool, work: Work) -> float:
+    """Return by how much the parts of a pair are surely apart at states i and j.
 
-    It ends at the first two solids that are not seen farther apart than `need`; the bound is theirs, else infinite.
+    It ends at the first two solids that are not seen farther apart than `need`; if `exact`, all are looked at and `need`
+    falls to the smallest gap.
     """
+    parts = geometry[3]
     a, b = pair.a, pair.b
     ends = 1 if i == j else 2
     for end in range(ends):
         n = i if end == 0 else j
-        _seen_from(R, p, n, pair.frame, parts[a].frame, seen_R, seen_p, 2 * end)
-        _seen_from(R, p, n, pair.frame, parts[b].frame, seen_R, seen_p, 2 * end + 1)
+        _seen_from(work, n, pair.frame, parts[a].frame, 2 * end)
+        _seen_from(work, n, pair.frame, parts[b].frame, 2 * end + 1)
     least = np.inf
     row = pair.row
     for s in range(parts[a].first, parts[a].end):
         for o in range(parts[b].first, parts[b].end):
-            gap, bound = _separate(vertices, solids, s, o, seen_R, seen_p, ends, need, False, directions, row, S)
+            gap = _separate(geometry, s, o, ends, need, exact, row, work)
             row += 1
             if not gap > need:
-                return gap, bound
+                if not exact or gap == -np.inf or gap != gap:
+                    return gap
+                need = gap
             least = min(least, gap)
-    return least, np.inf
+    return least
 
 
-@_inner
-def _deviate(reach: Array, first_joint: Rows, step: Array, off: Array, table: Array) -> None:
-    """Write into the table (m + 1, 8) [m] how far part m may leave its chords, as seen from what its joint i carries.
+@inlined
+def _deviate(geometry: Geometry, step: Array, off: Array, table: Array) -> None:
+    """Write into the table (m + 1, n + 1) [m] how far part m may leave its chords, as seen from what its joint i carries.
 
-    reach: (m, 7) [m], of the parts that move, from each joint of their arm; 0 where it moves them not.
-    first_joint: (m,), 0 or 7.
-    step: (14,) [rad], between the ends of the stretch.
-    off: (14,) [rad], by how much the motion leaves the straight line in joint space.
+    The last row stands for what stands still.
+
+    step: (dof,) [rad], between the ends of the stretch.
+    off: (dof,) [rad], by how much the motion leaves the straight line in joint space.
     """
-    moving = len(first_joint)
-    for i in range(ARM_DOF + 1):
-        table[moving, i] = 0.0
-    for m in range(moving):
-        first = first_joint[m]
-        for i in range(ARM_DOF):
+    parts, reach = geometry[3], geometry[5]
+    n = reach.shape[1]
+    table[:] = 0.0
+    for m in range(len(parts)):
+        if parts[m].frame == 0:
+            continue
+        first = n if parts[m].frame > n else 0
+        for i in range(n):
             total, inside = 0.0, 0.0
-            for j in range(i, ARM_DOF):
+            for j in range(i, n):
                 turn = abs(step[first + j])
                 total += reach[m, j] * (off[first + j] + 0.125 * turn * (turn + 2.0 * inside))
                 inside += turn
             table[m, i] = total
-        table[m, ARM_DOF] = 0.0
 
 
-@_inner
+@inlined
 def _off_chord(q: Array, bend: Array, i: int, j: int, step: Array, off: Array) -> None:
-    """Write the joint step (14,) from sample i to j, and by how much (14,) the motion leaves the straight line.
+    """Write the joint step (dof,) from sample i to j, and by how much (dof,) the motion leaves the straight line.
 
-    bend: (n - 1, 14) [rad], by how much it leaves the straight line between two neighbouring samples.
+    bend: (n - 1, dof) [rad], by how much it leaves the straight line between two neighbouring samples.
     """
     square, total = 0.0, 0.0
-    for c in range(DOF):
+    for c in range(q.shape[1]):
         step[c] = q[j, c] - q[i, c]
         off[c] = 0.0
         square += step[c] * step[c]
     for k in range(i, j):
         x = 0.0
         if square > 0.0:
-            for c in range(DOF):
+            for c in range(q.shape[1]):
                 x += (q[k, c] - q[i, c]) * step[c]
             x = min(1.0, max(0.0, x / square))
-        for c in range(DOF):
+        for c in range(q.shape[1]):
             # Between two samples the motion is off by no more than the worse of the two is, and its own bend.
             away = abs(q[k, c] - q[i, c] - x * step[c]) + max(bend[k, c], bend[max(k - 1, i), c])
             total += away
             off[c] = max(off[c], away)
     if not total < np.inf:  # `max` loses a NaN, the sum does not
-        for c in range(DOF):
+        for c in range(q.shape[1]):
             off[c] = np.inf
 
 
-@_inner
+@inlined
 def _bends(q: Array, v: Array, dt: float, bend: Array) -> None:
-    """Write by how much (n - 1, 14) [rad] the cubics between samples q and v (n, 14), dt [s] apart, leave their chords."""
+    """Write by how much (n - 1, dof) [rad] the cubics between samples q and v (n, dof), dt [s] apart, leave their chords."""
     for k in range(len(q) - 1):
-        for c in range(DOF):
+        for c in range(q.shape[1]):
             # A second derivative is largest at an end; a curve leaves its chord by an eighth of it.
             rise, before, after = q[k + 1, c] - q[k, c], v[k, c] * dt, v[k + 1, c] * dt
             first = 6.0 * rise - 4.0 * before - 2.0 * after
@@ -463,18 +423,18 @@ def _bends(q: Array, v: Array, dt: float, bend: Array) -> None:
             bend[k, c] = 0.125 * max(abs(first), abs(last))
 
 
-@_inner
+@inlined
 def _first_stretches(q: Array, length: float, stack: Array) -> int:
     """Fill the stack with stretches of about `length` [rad], summed over the joints, the first on top; return how many."""
     last = len(q) - 1
     whole = 0.0
     for k in range(last):
-        for c in range(DOF):
+        for c in range(q.shape[1]):
             whole += abs(q[k + 1, c] - q[k, c])
     count = max(1, min(len(stack) // 2, math.ceil(whole / length))) if whole < np.inf else 1
     begin, gone, done = 0, 0.0, 0
     for k in range(last):
-        for c in range(DOF):
+        for c in range(q.shape[1]):
             gone += abs(q[k + 1, c] - q[k, c])
         if gone >= (done + 1) * whole / count or k + 1 == last:
             stack[done, 0], stack[done, 1] = begin, k + 1
@@ -491,23 +451,12 @@ def _first_stretches(q: Array, length: float, stack: Array) -> int:
 
 @kernel()
 def prove(
-    geometry: Geometry,
-    reach: Array,
-    first_joint: Rows,
-    q: Array,
-    v: Array,
-    dt: float,
-    length: float,
-    chosen: Rows,
-    need: float,
-    directions: Array,
+    geometry: Geometry, q: Array, v: Array, dt: float, length: float, chosen: Rows, need: float, directions: Array
 ) -> tuple[np.ndarray, int, int]:
-    """Prove that pairs stay farther apart than `need` all through a motion: cubics between samples q, v (n, 14).
+    """Prove that pairs stay farther apart than `need` all through a motion: cubics between samples q, v (n, dof).
 
     Args:
-        geometry: (joints, vertices, solids, parts, pairs), see `minidual.proof.solids`.
-        reach: (m, 7) [m], see `_deviate`.
-        first_joint: (m,), see `_deviate`.
+        geometry: See `minidual.proof.solids`.
         q: Samples [rad]; n >= 2.
         v: Their velocities [rad/s].
         dt: Step between them [s].
@@ -522,14 +471,14 @@ def prove(
         failed: First sample of a stretch from one sample to the next that is not proven, or -1.
         pair: Its pair, or -1.
     """
-    joints, vertices, solids, parts, pairs = geometry
-    n = len(q)
-    R, p, C = np.empty((n, DOF + 1, 3, 3)), np.empty((n, DOF + 1, 3)), np.empty((n, len(parts), 3))
+    parts, pairs = geometry[3], geometry[4]
+    n, dof = q.shape
+    R, p, C = np.empty((n, dof + 1, 3, 3)), np.empty((n, dof + 1, 3)), np.empty((n, len(parts), 3))
+    work = (directions, R, p, C, np.empty((4, 3, 3)), np.empty((4, 3)), np.empty((4, 3)))
     asked = np.zeros(n, dtype=np.bool_)
-    bend, step, off = np.empty((n - 1, DOF)), np.empty(DOF), np.empty(DOF)
-    table = np.empty((len(first_joint) + 1, ARM_DOF + 1))
+    bend, step, off = np.empty((n - 1, dof)), np.empty(dof), np.empty(dof)
+    table = np.empty((len(parts) + 1, geometry[5].shape[1] + 1))
     moved = table.reshape(-1)
-    seen_R, seen_p, S = np.empty((4, 3, 3)), np.empty((4, 3)), np.empty((4, 3))
     order = chosen.copy()
     stack = np.empty((512, 2), dtype=np.int64)
     _bends(q, v, dt, bend)
@@ -539,20 +488,19 @@ def prove(
         i, j = stack[top, 0], stack[top, 1]
         for k in (i, j):
             if not asked[k]:
-                place(joints, parts, q[k], k, R, p, C)
+                _place(geometry, q[k], k, work)
                 asked[k] = True
         _off_chord(q, bend, i, j, step, off)
-        _deviate(reach, first_joint, step, off, table)
+        _deviate(geometry, step, off, table)
         open_at = -1
         for at in range(len(order)):
             pair = pairs[order[at]]
             deviation = moved[pair.moves_a] + moved[pair.moves_b]
-            if _between_balls(parts, pair, R, C, i, j) - deviation > need:
+            if _between_balls(geometry, pair, i, j, work) - deviation > need:
                 continue
-            if _beside(vertices, solids, parts, pair, R, p, C, i, j, directions) - deviation > need:
+            if _beside(geometry, pair, i, j, work) - deviation > need:
                 continue
-            gap, _ = _apart(vertices, solids, parts, pair, R, p, i, j, need + deviation, directions, seen_R, seen_p, S)
-            if not gap - deviation > need:
+            if not _apart(geometry, pair, i, j, need + deviation, False, work) - deviation > need:
                 open_at = at
                 break
         if open_at < 0:
@@ -568,7 +516,7 @@ def prove(
     return asked, -1, -1
 
 
-@_inner
+@inlined
 def _to_front(order: Rows, at: int) -> int:
     """Move one element to the front, the others keep their order; return it."""
     row = order[at]
@@ -578,119 +526,72 @@ def _to_front(order: Rows, at: int) -> int:
     return row
 
 
-@_inner
-def _verdict(
-    geometry: Geometry,
-    q: Array,
-    chosen: Rows,
-    padding: float,
-    tight: Array,
-    clearances: Array,
-    relax: float,
-    directions: Array,
-    work: Work,
-) -> int:
-    """Return the verdict on one state, see `survey`."""
-    joints, vertices, solids, parts, pairs = geometry
-    R, p, C, seen_R, seen_p, S = work
+@inlined
+def _free(geometry: Geometry, q: Array, chosen: Rows, keep: Keep, work: Work) -> bool:
+    """Return whether one state keeps its distance, see `survey`."""
+    padding, tight, clearances, relax = keep
+    pairs = geometry[4]
     need = padding
     for t in range(len(tight)):
         away = 0.0
-        for c in range(DOF):
+        for c in range(len(q)):
             away = max(away, abs(q[c] - tight[t, c]))
         need = min(need, clearances[t] + (padding - clearances[t]) * min(1.0, away / relax))
-    place(joints, parts, q, 0, R, p, C)
+    _place(geometry, q, 0, work)
     for at in range(len(chosen)):
         pair = pairs[chosen[at]]
-        if _between_balls(parts, pair, R, C, 0, 0) > need:
+        if _between_balls(geometry, pair, 0, 0, work) > need or _beside(geometry, pair, 0, 0, work) > need:
             continue
-        if _beside(vertices, solids, parts, pair, R, p, C, 0, 0, directions) > need:
-            continue
-        gap, bound = _apart(vertices, solids, parts, pair, R, p, 0, 0, need, directions, seen_R, seen_p, S)
-        if not gap > need:
+        if not _apart(geometry, pair, 0, 0, need, False, work) > need:
             _to_front(chosen, at)
-            return BLOCKED if bound <= need else UNDECIDED
-    return FREE
+            return False
+    return True
 
 
 @kernel()
-def survey(
-    geometry: Geometry,
-    Q: Array,
-    begin: int,
-    chosen: Rows,
-    padding: float,
-    tight: Array,
-    clearances: Array,
-    relax: float,
-    directions: Array,
-    work: Work,
-) -> tuple[int, int]:
-    """Return (k, verdict): the first row of Q (n, 14), from row `begin` on, that is not free; (n, FREE) if all are.
+def survey(geometry: Geometry, Q: Array, chosen: Rows, keep: Keep, work: Work) -> int:
+    """Return the first row of Q (n, dof) that is not free, n if all are.
 
-    FREE: all pairs are farther apart than `padding`, or near a state of `tight` (t, 14) farther than its clearance (t,)
-    and a part of what lacks to the padding that grows to the whole at `relax` [rad]. BLOCKED: some pair is surely not.
-    UNDECIDED: neither was seen. `chosen` (c,), rows of `pairs`, is put in the order in which they block; `work` and
-    `directions` are memory.
+    Free: planes show all pairs farther apart than the padding, or near a tight state farther than its clearance and a part
+    of what lacks to the padding, which grows to the whole at `relax`. `chosen` (c,), rows of `pairs`, is put in the order in
+    which they block; the work is memory.
     """
-    for k in range(begin, len(Q)):
-        verdict = _verdict(geometry, Q[k], chosen, padding, tight, clearances, relax, directions, work)
-        if verdict != FREE:
-            return k, verdict
-    return len(Q), FREE
+    for k in range(len(Q)):
+        if not _free(geometry, Q[k], chosen, keep, work):
+            return k
+    return len(Q)
 
 
 @kernel()
 def sweep(
-    geometry: Geometry,
-    a: Array,
-    b: Array,
-    fractions: Array,
-    begin: int,
-    q: Array,
-    chosen: Rows,
-    padding: float,
-    tight: Array,
-    clearances: Array,
-    relax: float,
-    directions: Array,
-    work: Work,
-) -> tuple[int, int]:
-    """Return (k, verdict) as `survey` does for the states a + fractions[k] (b - a), the last one written into q (14,)."""
-    for k in range(begin, len(fractions)):
-        for c in range(DOF):
+    geometry: Geometry, a: Array, b: Array, fractions: Array, q: Array, chosen: Rows, keep: Keep, work: Work
+) -> int:
+    """Return what `survey` does for the states a + fractions[k] (b - a); q (dof,) is memory."""
+    for k in range(len(fractions)):
+        for c in range(len(q)):
             q[c] = a[c] + fractions[k] * (b[c] - a[c])
-        verdict = _verdict(geometry, q, chosen, padding, tight, clearances, relax, directions, work)
-        if verdict != FREE:
-            return k, verdict
-    return len(fractions), FREE
+        if not _free(geometry, q, chosen, keep, work):
+            return k
+    return len(fractions)
 
 
 @kernel()
-def clearance(geometry: Geometry, Q: Array, chosen: Rows, most: float, directions: Array, work: Work) -> float:
-    """Return the smallest distance [m] of the pairs at the rows of Q (n, 14) that planes show, at most `most`.
+def clearance(geometry: Geometry, Q: Array, chosen: Rows, most: float, work: Work) -> float:
+    """Return the smallest distance [m] of the pairs at the rows of Q (n, dof) that planes show, at most `most`.
 
     It is never more than the true one; where things touch it is negative, where nothing can be shown minus infinity.
     """
-    joints, vertices, solids, parts, pairs = geometry
-    R, p, C, seen_R, seen_p, S = work
+    pairs = geometry[4]
     least = most
     for k in range(len(Q)):
-        place(joints, parts, Q[k], 0, R, p, C)
+        _place(geometry, Q[k], 0, work)
         for at in range(len(chosen)):
             pair = pairs[chosen[at]]
-            if _between_balls(parts, pair, R, C, 0, 0) > least:
+            if _between_balls(geometry, pair, 0, 0, work) > least:
                 continue
-            a, b = pair.a, pair.b
-            _seen_from(R, p, 0, pair.frame, parts[a].frame, seen_R, seen_p, 0)
-            _seen_from(R, p, 0, pair.frame, parts[b].frame, seen_R, seen_p, 1)
-            row = pair.row
-            for s in range(parts[a].first, parts[a].end):
-                for o in range(parts[b].first, parts[b].end):
-                    gap, _ = _separate(vertices, solids, s, o, seen_R, seen_p, 1, least, True, directions, row, S)
-                    row += 1
-                    if not gap > least:
-                        least = gap
-                        if least == -np.inf:
-                            return least  # nothing was shown
+            gap = _apart(geometry, pair, 0, 0, least, True, work)
+            if not gap > least:
+                least = gap
+                if not least > -np.inf:
+                    return -np.inf  # nothing was shown
     return least

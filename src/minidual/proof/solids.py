@@ -1,108 +1,140 @@
 """The geometry of a scene as the proof reads it: convex solids on the frames of the joints, and what must not touch.
 
-It is read from coal's compiled scene, so it is what that engine sees; that it is also what MuJoCo sees is held by a test
-over every kind of shape.
+If joint j turns by e, a point at distance r from its axis moves by at most r |e|. The reach bounds r in any posture: the
+lengths of the links between, plus the radius of the part round the joint that carries it.
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import coal
 import numpy as np
+import pinocchio as pin
 
-from minidual.collision.coal_engine import CoalEngine
+from minidual.collision.coal_engine import convex_solids, robot_geometry
 from minidual.collision.scene import PlanningScene
 from minidual.proof import planes
 from minidual.proof.planes import JOINT, PAIR, PART, SOLID
-from minidual.proof.reach import Reaches
 from minidual.robot.compiled import floats
-from minidual.robot.constants import DOF, DOF_PER_ARM, Array
+from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array, Robot
 
 _BOX_CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 _ENDS = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
+
+
+@dataclass(frozen=True)
+class _Solid:
+    """Vertices (n, 3) [m] in the frame of a joint, the radii of the ball and of the disc about `axis`."""
+
+    points: Array
+    ball: float
+    disc: float
+    axis: tuple[float, float, float]
 
 
 class Solids:
     """Convex solids of one scene, in the memory that `minidual.proof.planes` works on.
 
     Attributes:
-        geometry: (joints, vertices, solids, parts, pairs), the first argument of every kernel.
-        reach, first_joint: Of the parts that move, see `minidual.proof.reach`.
+        geometry: The first argument of every kernel.
         pairs: Names of the pairs that must not touch, in the order of the scene.
+        robot: The arms.
     """
 
-    def __init__(self, scene: PlanningScene, engine: CoalEngine) -> None:
-        self.pairs = scene.checked_pairs
-        reaches = Reaches(scene, engine)
-        self.reach, self.first_joint = reaches.reach, reaches.first_joint
+    def __init__(self, scene: PlanningScene) -> None:
+        self.robot, self.pairs = scene.robot, scene.checked_pairs
+        model = Kinematics(self.robot).model
+        solids = dict(_robot_solids(self.robot))
+        for shape in scene.solid_obstacles:
+            solids[shape.name] = 0, _placed(shape, pin.SE3(shape.T_parent_shape))
+        for held in scene.attached:
+            frame = model.frames[model.getFrameId(held.link)]
+            solids[held.name] = (
+                frame.parentJoint,
+                _placed(held.shape, frame.placement * pin.SE3(held.shape.T_parent_shape)),
+            )
         vertices: list[Array] = []
-        solids: list[tuple[Any, ...]] = []
+        rows: list[tuple[Any, ...]] = []
         parts: list[tuple[Any, ...]] = []
+        reaches: list[Array] = []
+        end = 0
         for name in scene.names:
-            first = len(solids)
-            balls: list[tuple[Array, float]] = []
-            items = [engine.geometry.geometryObjects[k] for k in engine.items[name]]
-            for item in items:
-                points, ball, disc = _solid(item.geometry)
-                points = points @ item.placement.rotation.T + item.placement.translation
-                begin = sum(map(len, vertices))
-                axis = item.placement.rotation[:, 2]
-                solids.append((begin, begin + len(points), ball, disc, *axis))
-                vertices.append(points)
-                balls.append((points, ball + disc))
+            frame, own = solids[name]
+            first = len(rows)
+            for solid in own:
+                begin, end = end, end + len(solid.points)
+                rows.append((begin, end, solid.ball, solid.disc, *solid.axis))
+                vertices.append(solid.points)
             # The mean of the vertices lies inside their hull: no farther from any axis than the part reaches.
-            centre = np.vstack([points for points, _ in balls]).mean(axis=0)
-            radius = np.max([np.linalg.norm(points - centre, axis=1).max() + more for points, more in balls])
-            parts.append((first, len(solids), items[0].parentJoint, *centre, radius))
+            centre = np.vstack([solid.points for solid in own]).mean(axis=0)
+            parts.append((first, len(rows), frame, *centre, _radius(own, centre)))
+            reaches.append(self._reach(model, frame, _radius(own, np.zeros(3))))
         self._parts = np.array(parts, dtype=PART)
-        self._directions_n = 0
-        model = engine.model
-        joints = np.zeros(DOF, dtype=JOINT)
-        for k in range(DOF):
+        joints = np.zeros(self.robot.dof, dtype=JOINT)
+        for k in range(self.robot.dof):
             placement = model.jointPlacements[k + 1]
             joints[k] = (model.parents[k + 1], placement.rotation, placement.translation)
         self.geometry = (
             joints,
             np.vstack(vertices),
-            np.array(solids, dtype=SOLID),
+            np.array(rows, dtype=SOLID),
             self._parts,
-            self._pairs(scene, reaches),
+            self._pairs({name: k for k, name in enumerate(scene.names)}),
+            np.array(reaches),
         )
 
-    def _pairs(self, scene: PlanningScene, reaches: Reaches) -> np.ndarray:
-        rows = {name: k for k, name in enumerate(scene.names)}
+    def _reach(self, model: pin.Model, frame: int, radius: float) -> Array:
+        """Return (n,) [m]: the largest distance of a part from each joint of its arm, 0 where that moves it not."""
+        n = self.robot.dof_per_arm
+        reach = np.zeros(n)
+        for k in range(frame, 0 if frame <= n else n, -1):
+            reach[(k - 1) % n] = radius
+            radius += float(np.linalg.norm(model.jointPlacements[k].translation))
+        return reach
+
+    def _pairs(self, rows: dict[str, int]) -> np.ndarray:
+        n = self.robot.dof_per_arm
         counts = (self._parts["end"] - self._parts["first"]).tolist()
         frames = self._parts["frame"].tolist()
+        still, width = len(frames) * (n + 1), n + 1
         pairs: list[tuple[int, ...]] = []
-        for (name_a, name_b), moves in zip(scene.checked_pairs, reaches.moves, strict=True):
+        directions_n = 0
+        for name_a, name_b in self.pairs:
             a, b = rows[name_a], rows[name_b]
-            one_arm = frames[a] and frames[b] and (frames[a] > DOF_PER_ARM) == (frames[b] > DOF_PER_ARM)
-            frame = min(frames[a], frames[b]) if one_arm else 0
-            pairs.append((a, b, frame, self._directions_n, *moves))
-            self._directions_n += counts[a] * counts[b]
+            f, g = frames[a], frames[b]
+            if f and g and (f > n) == (g > n):
+                # Two parts of one arm are seen from the frame of the inner one, which stands still there.
+                inner = min(f, g)
+                seen = inner if inner <= n else inner - n
+                moves = (a * width + seen, still) if f >= g else (still, b * width + seen)
+            else:
+                inner, moves = 0, (a * width if f else still, b * width if g else still)
+            pairs.append((a, b, inner, directions_n, *moves))
+            directions_n += counts[a] * counts[b]
+        self._directions_n = directions_n
         return np.array(pairs, dtype=PAIR)
 
     def of_arms(self, arms: Sequence[str]) -> np.ndarray:
         """Return the rows of the pairs of which one part at least moves with one of these arms ("left", "right")."""
-        frames = self._parts["frame"]
+        frames, n = self._parts["frame"], self.robot.dof_per_arm
         moves = np.zeros(len(frames), dtype=bool)
         if "left" in arms:
-            moves |= (frames > 0) & (frames <= DOF_PER_ARM)
+            moves |= (frames > 0) & (frames <= n)
         if "right" in arms:
-            moves |= frames > DOF_PER_ARM
+            moves |= frames > n
         pairs = self.geometry[4]
         return np.flatnonzero(moves[pairs["a"]] | moves[pairs["b"]])
 
-    def directions(self) -> Array:
-        """Return memory for the directions in which planes are sought, empty."""
-        return np.zeros((self._directions_n, 3))
-
     def workspace(self) -> planes.Work:
-        """Return memory for one state, the last argument of `planes.survey` and `planes.clearance`."""
-        one = DOF + 1
+        """Return memory for one state, the last argument of the kernels; it keeps the directions of planes."""
+        one = self.robot.dof + 1
         return (
+            np.zeros((self._directions_n, 3)),
             np.empty((1, one, 3, 3)),
             np.empty((1, one, 3)),
             np.empty((1, len(self._parts), 3)),
@@ -111,8 +143,17 @@ class Solids:
             np.empty((4, 3)),
         )
 
+    def keep(self, padding_m: float) -> planes.Keep:
+        """Return the demand of a distance that nothing relaxes."""
+        return float(padding_m), np.zeros((0, self.robot.dof)), np.zeros(0), 1.0
+
+    def free(self, q: Array, padding_m: float = 0.0) -> bool:
+        """Return whether planes show all pairs farther apart than `padding_m` at q (dof,)."""
+        everything = np.arange(len(self.pairs))
+        return planes.survey(self.geometry, floats(q[None]), everything, self.keep(padding_m), self.workspace()) == 1
+
     def clearance(self, Q: Array, most_m: float, rows: np.ndarray | None = None) -> float:
-        """Return the smallest distance [m] at the rows of Q (n, 14) that is sure, at most `most_m`.
+        """Return the smallest distance [m] at the rows of Q (n, dof) that is sure, at most `most_m`.
 
         Args:
             Q: Configurations.
@@ -120,22 +161,46 @@ class Solids:
             rows: Rows of the pairs that count; all of them by default.
         """
         rows = np.arange(len(self.pairs)) if rows is None else rows
-        found = planes.clearance(self.geometry, floats(Q), rows, most_m, self.directions(), self.workspace())
+        found = planes.clearance(self.geometry, floats(Q), rows, most_m, self.workspace())
         return float(found)
 
 
-def _solid(shape: Any) -> tuple[Array, float, float]:
-    """Return vertices (n, 3) [m] in the frame of the shape, and the radii of the ball and of the disc about z."""
+@functools.cache
+def _robot_solids(robot: Robot) -> dict[str, tuple[int, tuple[_Solid, ...]]]:
+    """Return (index of the joint that carries it, or 0; its solids) of every link."""
+    model = Kinematics(robot).model
+    found: dict[str, tuple[int, tuple[_Solid, ...]]] = {}
+    for item in robot_geometry(robot).geometryObjects:
+        name = model.frames[item.parentFrame].name
+        _, before = found.get(name, (0, ()))
+        found[name] = item.parentJoint, (*before, _solid(item.geometry, item.placement))
+    return found
+
+
+def _placed(shape: Any, placement: pin.SE3) -> tuple[_Solid, ...]:
+    return tuple(_solid(solid, placement) for solid in convex_solids(shape))
+
+
+def _solid(shape: Any, placement: pin.SE3) -> _Solid:
+    """Return a shape of coal at a placement in the frame of a joint."""
+    ball = disc = 0.0
     match shape:
         case coal.Sphere():
-            return np.zeros((1, 3)), shape.radius, 0.0
+            points, ball = np.zeros((1, 3)), shape.radius
         case coal.Capsule():
-            return _ENDS * shape.halfLength, shape.radius, 0.0
+            points, ball = _ENDS * shape.halfLength, shape.radius
         case coal.Cylinder():
-            return _ENDS * shape.halfLength, 0.0, shape.radius
+            points, disc = _ENDS * shape.halfLength, shape.radius
         case coal.Box():
-            return _BOX_CORNERS * shape.halfSide, 0.0, 0.0
+            points = _BOX_CORNERS * shape.halfSide
         case coal.ConvexBase():
-            return np.array(shape.points()), 0.0, 0.0
+            points = np.array(shape.points())
         case _:
             raise TypeError(f"no solid for a {type(shape).__name__}")
+    x, y, z = placement.rotation[:, 2].tolist()
+    return _Solid(points @ placement.rotation.T + placement.translation, ball, disc, (x, y, z))
+
+
+def _radius(solids: Sequence[_Solid], centre: Array) -> float:
+    """Return the radius [m] of a ball about `centre` that holds all solids."""
+    return max(float(np.linalg.norm(s.points - centre, axis=1).max()) + s.ball + s.disc for s in solids)

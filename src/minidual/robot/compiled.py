@@ -13,12 +13,16 @@ from typing import Any
 import numpy as np
 from numba import njit
 from numba.core import types
+from numba.core.options import DefaultOptions
 
-from minidual.robot.constants import Array
+from minidual.robot.pair import Array
 
 VECTOR = types.float64[::1]
 ROWS = types.float64[:, ::1]
 BLOCKS = types.float64[:, :, ::1]
+UNCOUNTED: dict[str, bool] = {"_nrt": False} if hasattr(DefaultOptions, "_nrt") else {}
+"""A private flag of numba: no counting of references to every array at every call, atomic operations that take five times
+as long as the calls do. A numba without the flag compiles slower code that computes the same."""
 
 
 def kernel(signature: Any = None) -> Callable[[Callable[..., Any]], Any]:
@@ -33,6 +37,11 @@ def kernel(signature: Any = None) -> Callable[[Callable[..., Any]], Any]:
             return njit(signature, error_model="numpy")(function)
 
     return compiled
+
+
+def inlined(function: Callable[..., Any]) -> Any:
+    """Compile what only kernels call, into their code; it must not allocate anything."""
+    return njit(error_model="numpy", forceinline=True, **UNCOUNTED)(function)
 
 
 def floats(x: Array) -> Array:

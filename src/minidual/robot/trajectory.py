@@ -29,9 +29,9 @@ def largest(x: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Samples of all joints of both arms on a regular time grid; both ends are at rest.
+    """Samples of all joints on a regular time grid; both ends are at rest.
 
-    The plan of one arm holds the other: its columns are constant.
+    A plan of one arm is a trajectory of both: the other arm's columns are constant, so it is held.
 
     Attributes:
         times: (n,) [s], regular, from 0; n >= 2.
@@ -51,7 +51,7 @@ class Trajectory:
         n = len(self.times)
         if n < 2 or self.q.ndim != 2 or any(x.shape != (n, self.q.shape[1]) for x in (self.q, self.v, self.a)):
             raise UsageError(
-                f"a trajectory needs n >= 2 times and q, v, a of one shape (n, dof); got {self.times.shape}, "
+                f"a trajectory needs n >= 2 times and q, v, a of one shape (n, joints); got {self.times.shape}, "
                 f"{self.q.shape}, {self.v.shape}, {self.a.shape}"
             )
         if not all(_all_finite(x) for x in (self.times, self.q, self.v, self.a)):
@@ -94,20 +94,6 @@ class Trajectory:
         v = ((q0 - q1) * (6 * x**2 - 6 * x) + v0 * (3 * x**2 - 4 * x + 1) + v1 * (3 * x**2 - 2 * x)) / h
         a = self.a[i] * (1 - x) + self.a[i + 1] * x
         return q, v, a
-
-    def positions(self, times: Array) -> Array:
-        """Return q (m, dof) at times (m,) [s], the first part of `sample_many`."""
-        t = np.clip(np.asarray(times, dtype=float), 0.0, self.duration_s)
-        h = self.dt_s
-        i = np.minimum((t / h).astype(int), len(self.times) - 2)
-        x = ((t - self.times[i]) / h)[:, None]
-        y = 1.0 - x
-        start, end = self.q[i], self.q[i + 1]
-        return (
-            start * (y * y * (1.0 + 2.0 * x))
-            + end * (x * x * (1.0 + 2.0 * y))
-            + (self.v[i] * (x * y * y * h) - self.v[i + 1] * (x * x * y * h))
-        )
 
     def variation_rates(self) -> Array:
         """Return (n - 1, dof) [rad/s]: the largest speed of each joint within each step, exactly bounded.
@@ -153,9 +139,9 @@ class Trajectory:
 
     def write_csv(self, path: Path, joint_names: Sequence[str]) -> None:
         """Write time, q, v and a of all samples, one row each."""
+        header = [f"{name}_{unit}" for unit in ("rad", "rad_per_s", "rad_per_s2") for name in joint_names]
         with path.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
-            units = ("rad", "rad_per_s", "rad_per_s2")
-            writer.writerow(["time_s", *(f"{name}_{unit}" for unit in units for name in joint_names)])
+            writer.writerow(["time_s", *header])
             table = np.column_stack([self.times, self.q, self.v, self.a])
             writer.writerows([f"{x:.9g}" for x in row] for row in table)

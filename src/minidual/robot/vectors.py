@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from minidual.robot.constants import Array
+from minidual.robot.pair import Array
 from minidual.robot.poses import rotation_log
 
 Vector = Sequence[float]

@@ -148,5 +148,5 @@ def _checker(name: str, planner: Planner, query: Query) -> Callable[[Trajectory]
         return lambda t: engines.verifier.certify(t).ok
     if name.endswith("both engines"):
         return lambda t: _free(engines.verifier.audit(t))
-    engine = engines.mujoco if name.endswith("mujoco") else engines.coal
+    engine = engines.verifier.engine("mujoco" if name.endswith("mujoco") else "coal")
     return lambda t: not engine.collisions(collision_samples(t)).any()

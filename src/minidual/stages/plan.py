@@ -47,7 +47,7 @@ def run(context: StageContext) -> StageResult:
     write_rows([o.row() for o in every], folder / "queries.csv")
     if again:
         write_rows([o.row() for o in again], folder / "queries_second_seed.csv")
-    pairs = [{"first": a, "second": b, "reason": reason} for a, b, reason in default_acm().table()]
+    pairs = [{"first": a, "second": b, "reason": reason} for a, b, reason in default_acm(robot).table()]
     write_rows(pairs, folder / "allowed_collisions.csv")
     for group, done in outcomes.items():
         trajectory = next((o.result.trajectory for o in done if o.result is not None), None)

@@ -9,6 +9,7 @@ from minidual.collision.acm import acm_report
 from minidual.collision.scene import PlanningScene
 from minidual.collision.scene_file import load_scene
 from minidual.gate.tool import ToolContext, ToolResult
+from minidual.robot.arms import robot_from
 
 _MEANINGS = {
     "rigid": "carried by one joint: they cannot move against each other",
@@ -20,11 +21,12 @@ _MEANINGS = {
 
 def plan_acm(context: ToolContext) -> ToolResult:
     """Return the matrix of the robot, with the rules of --scene laid over it if one is given."""
-    report = acm_report()
-    scene = PlanningScene()
+    robot = robot_from(context.config.robot)
+    report = acm_report(robot)
+    scene = PlanningScene(robot=robot)
     notes: list[str] = []
     if "scene" in context.options:
-        loaded = load_scene(Path(context.options["scene"]))
+        loaded = load_scene(Path(context.options["scene"]), robot)
         scene, notes = loaded.scene, list(loaded.notes)
     table = scene.allowed.table()
     lines = [f"{first:26s} {second:26s} {reason}" for first, second, reason in table]

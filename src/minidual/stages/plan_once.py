@@ -57,12 +57,13 @@ def plan_once(context: ToolContext) -> ToolResult:
 def _prepare(context: ToolContext, group: str) -> tuple[GoalPlanner, PlanningScene, Array, list[str]]:
     """Return planner, scene, start (n,) and notes; whatever is typed wrongly is said before anything is planned."""
     group_arms(group)  # refuses an unknown name
-    scene, notes = PlanningScene(), []
+    config, notes = context.config, list[str]()
+    robot = robot_from(config.robot)
+    scene = PlanningScene(robot=robot)
     if "scene" in context.options:
-        loaded = load_scene(Path(context.options["scene"]))
+        loaded = load_scene(Path(context.options["scene"]), robot)
         scene, notes = loaded.scene, list(loaded.notes)
-    config = context.config
-    planner = GoalPlanner(Planner(scene, config.plan.planner, robot=robot_from(config.robot)), config.semantics)
+    planner = GoalPlanner(Planner(scene, config.plan.planner), config.semantics)
     q_home = planner.states.joints("home", "both_arms", planner.robot.home)
     start = goal_of(context.options.get("from", "home"), planner.states)
     # A start places both arms, whichever group moves afterwards; a start of one hand leaves the other at home.
@@ -108,11 +109,11 @@ def _write(
     notes = [*result.rejections]
     if targets["out"] is not None:
         with _writing(targets["out"]) as path:
-            result.trajectory.write_json(path, robot_from(context.config.robot).joint_names)
+            result.trajectory.write_json(path, scene.robot.joint_names)
         notes.append(f"trajectory: {path}")
     if targets["csv"] is not None:
         with _writing(targets["csv"]) as path:
-            result.trajectory.write_csv(path, robot_from(context.config.robot).joint_names)
+            result.trajectory.write_csv(path, scene.robot.joint_names)
         notes.append(f"trajectory: {path}")
     if targets["picture"] is not None:
         from minidual.show.planning import write_picture

@@ -316,7 +316,7 @@ class HeldWork:
         self._hands = HandsIK(*self._grasps, tools.kinematics)
         self._T_start = self._object_at(query.q_start)
         _require_held(self._hands, query.q_start, self._T_start)
-        require_free(self._engines.mujoco, query.q_start, "start")
+        require_free(self._engines, query.q_start, "start")
         self._path = ObjectPath([self._T_start, query.T_world_goal])
         self.rejections: list[str] = []
 
@@ -377,7 +377,7 @@ class HeldWork:
         found = [
             (near[0].distance_m, str(near[0]), k)
             for k, q in enumerate(joints)
-            if (near := self._engines.mujoco.closest(q, self._tools.config.padding_m))
+            if (near := self._engines.closest(q, self._tools.config.padding_m))
         ]
         if not found:
             return "parts come nearer than the padding"
@@ -391,7 +391,7 @@ class HeldWork:
             IKUnreachableError, GoalInCollisionError: There is none.
             ClosedChainError: Each of them lies at a joint limit.
         """
-        query, config, mujoco, robot = self._query, self._tools.config, self._engines.mujoco, self._hands.robot
+        query, config, mujoco, robot = self._query, self._tools.config, self._engines, self._hands.robot
         goals = [end] if end is not None and not mujoco.in_collision(end) else []
         roomy = bool(goals) and not mujoco.closest(goals[0], config.padding_m)
         if not (roomy and wanted_n == 1):

@@ -76,7 +76,7 @@ class Carry(Stage):
             group_of(start.held_by),
             start.q,
             targets,
-            engines.mujoco,
+            engines,
             tools.rng(2, index),
             restarts_n=tools.planner.config.ik_restarts_n,
             candidates_n=1,

@@ -163,11 +163,11 @@ def engine_agreement(scene: PlanningScene, states_n: int, seed: int) -> float:
     Half of the states are uniform within the limits (most collide), half lie round home (most are free).
     """
     planner = Planner(scene)
-    engines, robot = planner.engines(), planner.robot
+    engine, robot = planner.engines().verifier.engine, planner.robot
     lower, upper = robot.q_lower, robot.q_upper
     rng = np.random.default_rng([seed, 11])
     half = states_n // 2
     uniform = rng.uniform(lower, upper, (half, robot.dof))
     near_home = robot.home + rng.uniform(-0.8, 0.8, (states_n - half, robot.dof))
     Q = np.vstack([uniform, np.clip(near_home, lower, upper)])
-    return float(np.mean(engines.mujoco.collisions(Q) == engines.coal.collisions(Q)))
+    return float(np.mean(engine("mujoco").collisions(Q) == engine("coal").collisions(Q)))

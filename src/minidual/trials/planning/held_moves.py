@@ -111,7 +111,7 @@ class HeldMoveGenerator:
                 PlanningScene(obstacles=(TABLE, *obstacles)), self._shape, self._grasps[0], rests_on=rests_on
             )
             engines = SceneEngines(scene)
-            engine = engines.mujoco
+            engine = engines.verifier.engine("mujoco")
             start = self._held(rng, engine, self._start(rng), self._home, 0.0 if self._from_table else _ROOM_M)
             if start is None:
                 unreachable += 1

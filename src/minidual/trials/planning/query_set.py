@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from minidual.collision.engine import ENGINES
 from minidual.errors import DataError
 from minidual.proof.scene_engines import SceneEngines
 from minidual.proof.verify import STEP_RAD
@@ -102,4 +103,4 @@ def polyline_states(path: Array, step_rad: float = STEP_RAD) -> Array:
 def is_free(path: Array, engines: SceneEngines) -> bool:
     """Return whether both engines see every sample of a polyline (k, n) free."""
     Q = polyline_states(path)
-    return not engines.mujoco.collisions(Q).any() and not engines.coal.collisions(Q).any()
+    return not any(engines.verifier.engine(name).collisions(Q).any() for name in ENGINES)
