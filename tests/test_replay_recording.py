@@ -13,7 +13,7 @@ from minidual.cli import run_command_line
 from minidual.config.supervisor import SupervisorConfig
 from minidual.control.loop import JointLoop
 from minidual.control.reflexes import ReflexError
-from minidual.control.supervisor import Supervisor
+from minidual.control.supervisor import Supervisor, dumping
 from minidual.errors import DataError, UsageError
 from minidual.plant import recording as module
 from minidual.plant.recorder import Recorder
@@ -73,9 +73,9 @@ class TestRepeating:
         ends = []
         found = replay(recorded, on_step=lambda world: ends.append((world.q, world.object_pose())))
         assert found.exact
-        assert found.largest == 0.0
+        assert found.largest_deviation == 0.0
         assert found.compared == len(recorded.keyframes) - 1 == STEPS // 100  # the start agrees by itself
-        assert found.signs == ()
+        assert found.first == ()
         assert (found.from_s, found.to_s) == (0.0, pytest.approx(0.7))
         assert (ends[-1][0] == q_end).all()
         assert (ends[-1][1] == T_end).all()
@@ -94,10 +94,10 @@ class TestRepeating:
         recorded = read_recording(trial[0])
         assert recorded.push_steps.tolist() == [300, 350]
         without = module.Recording(**{**vars(recorded), "pushes": np.zeros_like(recorded.pushes)})
-        time_s, what, size = replay(without).deviates
-        assert time_s == pytest.approx(0.4)
-        assert "rod_free" in what
-        assert size > 1e-3
+        off = replay(without).deviates
+        assert off.time_s == pytest.approx(0.4)
+        assert "rod_free" in off.what
+        assert off.size > 1e-3
 
     def test_a_changed_control_is_found_with_its_joint(self, trial):
         recorded = read_recording(trial[0])
@@ -105,9 +105,9 @@ class TestRepeating:
         controls[450, 4] += 1e-6
         found = replay(module.Recording(**{**vars(recorded), "controls": controls}))
         assert not found.exact
-        assert found.deviates[0] == pytest.approx(0.5)
-        assert "panda_joint" in found.deviates[1]
-        assert 0.0 < found.largest < 1e-3
+        assert found.deviates.time_s == pytest.approx(0.5)
+        assert "panda_joint" in found.deviates.what
+        assert 0.0 < found.largest_deviation < 1e-3
 
     def test_a_change_in_the_last_step_is_seen(self, trial):
         recorded = read_recording(trial[0])
@@ -116,8 +116,8 @@ class TestRepeating:
         controls[-1, 4] += 1e-3
         found = replay(module.Recording(**{**vars(recorded), "controls": controls}))
         assert not found.exact
-        assert found.deviates[0] == pytest.approx(0.7)
-        assert "left_panda_joint5" in found.deviates[1]
+        assert found.deviates.time_s == pytest.approx(0.7)
+        assert "left_panda_joint5" in found.deviates.what
 
     def test_a_file_without_a_last_state_is_read_and_its_end_is_not_claimed(self, trial, tmp_path):
         recorded = read_recording(trial[0])
@@ -147,8 +147,8 @@ class TestRepeating:
         for _ in range(100):
             world.step()
         found = replay(recorder.recording("tampered"))
-        assert found.deviates[0] == pytest.approx(0.2)
-        assert found.largest > 0.005
+        assert found.deviates.time_s == pytest.approx(0.2)
+        assert found.largest_deviation > 0.005
 
     def test_a_changed_model_is_kept_with_it(self, scene, kinematics):
         from minidual.plant.model import build_model
@@ -157,12 +157,12 @@ class TestRepeating:
         heavy.model.body_mass[heavy.model.body("rod").id] *= 2.0
         found = replay(move(heavy, kinematics, 200).recording("heavy"))
         assert found.exact
-        assert found.changed == ("body_mass",)
+        assert found.model_changed == ("body_mass",)
 
     def test_a_visual_model_gives_the_same_recording(self, visual_world, kinematics, trial):
         found = replay(move(visual_world, kinematics, 200).recording("seen"))
         assert found.exact
-        assert found.changed == ()
+        assert found.model_changed == ()
 
     def test_the_window_keeps_the_last_second_and_still_repeats(self, world, kinematics):
         recorder = move(world, kinematics, 1730, window_s=0.5)
@@ -204,7 +204,7 @@ class TestDumps:
         found = replay(dump)
         assert found.exact
         assert found.ended == "a command is not finite at 1.234 s"
-        assert found.signs[-1].what == "command of right_panda_joint3_motor is not finite"
+        assert found.first[-1].what == "command of right_panda_joint3_motor is not finite"
 
     def test_an_exploding_state_is_dumped_and_what_came_first_is_named(self, world, kinematics, tmp_path, quiet_mujoco):
         world.recorder = Recorder(world, window_s=1.0, folder=tmp_path)
@@ -215,11 +215,11 @@ class TestDumps:
             stand(loop, 100)
         found = replay(read_recording(next(tmp_path.iterdir())))
         assert not found.exact  # somebody wrote into the state, and that is what it says
-        assert found.deviates[1] in ("velocity of left_panda_joint3", "position of left_panda_joint3")
+        assert found.deviates.what in ("velocity of left_panda_joint3", "position of left_panda_joint3")
 
     def test_a_reflex_writes_its_last_second(self, world, kinematics, tmp_path):
         world.recorder = Recorder(world, window_s=1.0, folder=tmp_path)
-        supervisor = Supervisor(SupervisorConfig(), on_reflex=world.recorder.on_reflex)
+        supervisor = Supervisor(SupervisorConfig(), on_reflex=dumping(world.recorder))
         loop = JointLoop(world, kinematics)
         world_command = world.command
         world.command = lambda tau, fingers: world_command(supervisor.guard(world.time, world.q, world.v, tau), fingers)
@@ -365,7 +365,7 @@ class TestCommand:
 
     def test_it_shows_the_tick_of_the_reflex_though_the_motors_never_saw_it(self, run, world, kinematics, tmp_path):
         recorder = move(world, kinematics, 150, folder=tmp_path / "dumps")
-        supervisor = Supervisor(SupervisorConfig(), on_reflex=recorder.on_reflex)
+        supervisor = Supervisor(SupervisorConfig(), on_reflex=dumping(recorder))
         tau = np.full(14, 0.25)
         tau[4] = np.nan
         with pytest.raises(ReflexError) as caught:

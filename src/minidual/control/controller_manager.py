@@ -8,7 +8,8 @@ must be gone sooner (a squeeze that has lost its object), as fast as the drives 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import cast
 
 import numpy as np
 
@@ -54,7 +55,6 @@ class ControllerManager:
         self._offset = np.zeros(robot.dof)
         self.tau = np.zeros(robot.dof)
         """Torques (n,) [Nm] of the last step."""
-        self._reference = np.zeros(robot.dof)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -134,15 +134,7 @@ class ControllerManager:
 
     def update(self, q: Array, v: Array) -> Array:
         """Run one control step; return torques (n,) [Nm], each joint's from the one controller that claims it."""
-        if self._whole is not None:
-            tau = self._whole.update(q, v)
-        else:
-            tau = np.empty(self._robot.dof)
-            for controller in self._active:
-                part = controller.update(q, v)
-                for arm in controller.arms:
-                    joints = self._robot.joints_of(arm)
-                    tau[joints] = part[joints]
+        tau = self._joined(lambda controller: controller.update(q, v))
         if self._fade_left:
             tau = self._faded(tau)
         self.tau = tau
@@ -151,28 +143,26 @@ class ControllerManager:
     @property
     def reference(self) -> Array:
         """Joint references (n,) [rad] of the last step."""
-        if self._whole is not None:
-            return self._whole.reference
-        for controller in self._active:
-            for arm in controller.arms:
-                joints = self._robot.joints_of(arm)
-                self._reference[joints] = controller.reference[joints]
-        return self._reference.copy()
+        return self._joined(lambda controller: controller.reference)
 
     @property
     def acceleration(self) -> Array | None:
         """Acceleration (n,) [rad/s^2] of the commanded reference in the last step, or None where there is none."""
+        if any(controller.acceleration is None for controller in self._active):
+            return None
+        return self._joined(lambda controller: cast("Array", controller.acceleration))
+
+    def _joined(self, part: Callable[[Controller], Array]) -> Array:
+        """Return (n,) numbers, each joint's from the one controller that claims it."""
         if self._whole is not None:
-            return self._whole.acceleration
-        whole = np.empty(self._robot.dof)
+            return part(self._whole)
+        joined = np.empty(self._robot.dof)
         for controller in self._active:
-            part = controller.acceleration
-            if part is None:
-                return None
+            values = part(controller)
             for arm in controller.arms:
                 joints = self._robot.joints_of(arm)
-                whole[joints] = part[joints]
-        return whole
+                joined[joints] = values[joints]
+        return joined
 
     def _faded(self, tau: Array) -> Array:
         if self._rate is not None:

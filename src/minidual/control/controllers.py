@@ -10,7 +10,7 @@ Each claims one or both arms. Activated, it holds what it measures; it never sta
 
 from __future__ import annotations
 
-from typing import Protocol
+from abc import ABC, abstractmethod
 
 import numpy as np
 
@@ -27,47 +27,46 @@ _BLEND_S = 0.5
 """Over this time what is left between the reference and the start of a trajectory fades away."""
 
 
-class Controller(Protocol):
+class Controller(ABC):
     """Turns commands into torques of the joints it claims.
 
     name: Of the table. arms: Indices of the arms it claims.
     """
 
     name: str
-    arms: tuple[int, ...]
+    arms: tuple[int, ...] = (0, 1)
 
+    @abstractmethod
     def find_fault(self, command: Command) -> Fault | None:
         """Return why it cannot take a command now, or None."""
-        ...
 
     def not_ready(self) -> str:
         """Return why it cannot be activated, or an empty string."""
-        ...
+        return ""
 
+    @abstractmethod
     def activate(self, q: Array, v: Array) -> None:
         """Take over at measured q (n,) [rad] and v (n,) [rad/s]: hold, without a jump."""
-        ...
 
-    def follow(self, output: ArbiterOutput) -> None:
+    def follow(self, output: ArbiterOutput) -> None:  # noqa: B027 - a controller may follow nothing
         """Take what the arbiter let through at this tick."""
-        ...
 
+    @abstractmethod
     def update(self, q: Array, v: Array) -> Array:
         """Run one control step; return torques (n,) [Nm], of which those of its own joints count."""
-        ...
 
     @property
+    @abstractmethod
     def reference(self) -> Array:
         """Joint reference (n,) [rad] of the last step; where there is none, the measured joints."""
-        ...
 
     @property
     def acceleration(self) -> Array | None:
         """Acceleration (n,) [rad/s^2] of the commanded reference in the last step, or None where there is none."""
-        ...
+        return None
 
 
-class JointTrajectoryController:
+class JointTrajectoryController(Controller):
     """Follows streamed targets through the reference filter, and timed trajectories as they are.
 
     Args:
@@ -106,10 +105,6 @@ class JointTrajectoryController:
             return None
         return "wrong_controller", f"controller {self.name} takes joint commands, no {type(command).__name__}"
 
-    def not_ready(self) -> str:
-        """Return an empty string: nothing need be set up."""
-        return ""
-
     def activate(self, q: Array, v: Array) -> None:
         """Start the reference at what is measured; the target of the next tick says where it goes."""
         self._filter.reset(q, v)
@@ -122,8 +117,9 @@ class JointTrajectoryController:
         """Take the target, and what trajectories of its arms have begun."""
         self._target = output.q_target
         for execution in output.executions:
-            new = isinstance(execution, TrajectoryExecution) and execution not in self._executions
-            if new and set(execution.arms) & set(self.arms):
+            if not isinstance(execution, TrajectoryExecution) or execution in self._executions:
+                continue
+            if set(execution.arms) & set(self.arms):
                 offset = self._last_q[execution.joints] - execution.q
                 self._executions[execution] = (offset, 0 if np.abs(offset).max() > 1e-12 else -1)
 

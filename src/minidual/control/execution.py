@@ -68,7 +68,25 @@ class _Clock:
             self.t_s = min(self.k * self._dt, self._end_s)
 
 
-class TrajectoryExecution:
+class _Execution:
+    """A timed command with its clock."""
+
+    def __init__(self, arms: tuple[int, ...], duration_s: float, dt_s: float) -> None:
+        self.arms = arms
+        self._clock = _Clock(duration_s, dt_s)
+
+    @property
+    def finished(self) -> bool:
+        """Whether it has been played to its end, or has come to rest after `brake`."""
+        return self._clock.finished
+
+    @property
+    def braking(self) -> bool:
+        """Whether it is coming to rest before its end."""
+        return self._clock.braking
+
+
+class TrajectoryExecution(_Execution):
     """A trajectory under way.
 
     Args:
@@ -82,25 +100,14 @@ class TrajectoryExecution:
     """
 
     def __init__(self, command: TrajectoryCommand, dt_s: float, robot: Robot) -> None:
+        super().__init__(command.arms, command.motion.duration_s, dt_s)
         self.command = command
-        self.arms = command.arms
         self.joints = robot.groups[command.group]
         self._a_max = robot.a_max[self.joints]
         self._columns = own_columns(command, robot)
-        self._clock = _Clock(command.motion.duration_s, dt_s)
         times = np.minimum(np.arange(self._clock.steps + 1) * dt_s, command.motion.duration_s)
         self._q, self._v, self._a = (x[:, self._columns] for x in command.motion.sample_many(times))
         self.q, self.v, self.a = self._q[0], self._v[0], self._a[0]
-
-    @property
-    def finished(self) -> bool:
-        """Whether it has been played to its end, or has come to rest after `brake`."""
-        return self._clock.finished
-
-    @property
-    def braking(self) -> bool:
-        """Whether it is coming to rest before its end."""
-        return self._clock.braking
 
     def brake(self) -> None:
         """Come to rest on the path, at a bounded deceleration."""
@@ -124,7 +131,7 @@ class TrajectoryExecution:
         self.q, self.v, self.a = q, v * clock.rate, a * clock.rate**2 - v * clock.slope
 
 
-class ObjectExecution:
+class ObjectExecution(_Execution):
     """An object path under way.
 
     Attributes:
@@ -133,21 +140,10 @@ class ObjectExecution:
     """
 
     def __init__(self, command: ObjectCommand, dt_s: float) -> None:
+        super().__init__(command.arms, command.motion.duration_s, dt_s)
         self.command = command
-        self.arms = command.arms
-        self._clock = _Clock(command.motion.duration_s, dt_s)
         self.desired = command.motion.at(0.0)
         self.squeeze_n = command.squeeze_n(0.0)
-
-    @property
-    def finished(self) -> bool:
-        """Whether it has been played to its end, or has come to rest after `brake`."""
-        return self._clock.finished
-
-    @property
-    def braking(self) -> bool:
-        """Whether it is coming to rest before its end."""
-        return self._clock.braking
 
     def brake(self) -> None:
         """Come to rest on the path; the squeeze stays as it is by then."""

@@ -15,6 +15,7 @@ import math
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from numba import from_dtype, njit
 from numba.core import types
 
@@ -65,7 +66,7 @@ _ROTATION = types.float64[::1, :]
 """Pinocchio's matrices lie in memory column by column."""
 
 
-def view(law: Array) -> dict[str, Array]:
+def view(law: npt.NDArray[np.void]) -> dict[str, Any]:
     """Return numpy's view of every field of the law (1,)."""
     return {name: law[name][0] if law[name].ndim > 1 else law[name] for name in LAW.names or ()}
 

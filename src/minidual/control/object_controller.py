@@ -9,6 +9,7 @@ import numpy as np
 
 from minidual.control.command_checks import Fault
 from minidual.control.commands import ArbiterOutput, Command, ObjectCommand
+from minidual.control.controllers import Controller
 from minidual.control.execution import ObjectExecution
 from minidual.control.object_impedance import HeldObject, ImpedanceGains, ObjectImpedance, ObjectState, bounded
 from minidual.errors import UsageError
@@ -35,7 +36,7 @@ class ObjectSensor(Protocol):
         ...
 
 
-class ObjectImpedanceController:
+class ObjectImpedanceController(Controller):
     """Both arms around one object: its path is followed as by a damped spring, its squeeze is servoed.
 
     Args:
@@ -46,7 +47,6 @@ class ObjectImpedanceController:
     """
 
     name = "object_impedance"
-    arms = (0, 1)
 
     def __init__(
         self,
@@ -134,8 +134,9 @@ class ObjectImpedanceController:
         self._squeeze = min(self._squeeze + step, sensor.grip_limit_n)
         measured, internal_force = sensor.read()
         self._reference = q
+        desired = measured if self._desired is None else self._desired
         return law.torque(
-            q, v, measured, self._desired, internal_force_n=self._squeeze, measured_internal_force_n=internal_force
+            q, v, measured, desired, internal_force_n=self._squeeze, measured_internal_force_n=internal_force
         )
 
     @property
@@ -147,11 +148,6 @@ class ObjectImpedanceController:
     def reference(self) -> Array:
         """Measured joints (n,) [rad]: an impedance has no joint reference."""
         return self._reference
-
-    @property
-    def acceleration(self) -> Array | None:
-        """None: an impedance has no joint reference."""
-        return None
 
     def _ready_law(self) -> ObjectImpedance:
         if self._law is None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from minidual.control.command_checks import Fault
-from minidual.control.commands import ArbiterOutput, Command
+from minidual.control.commands import Command
+from minidual.control.controllers import Controller
 from minidual.control.joint_control import ComputedTorque
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
@@ -64,7 +65,7 @@ class SoftStop:
         return (self._q + self.duration_s * way * self._v, speed * self._v, slope / self.duration_s * self._v)
 
 
-class SoftStopController:
+class SoftStopController(Controller):
     """Takes both arms over in motion, brings them to rest on one common profile, and holds them there softly.
 
     It takes no commands: it is what the stack changes to when the arms must stop at once (`ControlStack.halt`).
@@ -76,7 +77,6 @@ class SoftStopController:
     """
 
     name = "soft_stop"
-    arms = (0, 1)
 
     def __init__(self, kinematics: Kinematics, dt_s: float, *, deceleration_share: float = STOP_SHARE) -> None:
         self._servo = ComputedTorque(kinematics, natural_frequency_rad_s=_STOP_FREQUENCY_RAD_S)
@@ -90,18 +90,11 @@ class SoftStopController:
         detail = f"controller {self.name} takes no commands, no {type(command).__name__}; ask for a mode"
         return "wrong_controller", detail
 
-    def not_ready(self) -> str:
-        """Return an empty string: nothing need be set up."""
-        return ""
-
     def activate(self, q: Array, v: Array) -> None:
         """Begin to stop from what is measured."""
         self._motion = SoftStop(q, v, self._deceleration)
         self._steps = 0
         self._reference = np.array(q, dtype=float)
-
-    def follow(self, output: ArbiterOutput) -> None:
-        """Follow nothing."""
 
     def update(self, q: Array, v: Array) -> Array:
         """Run one control step."""
@@ -114,8 +107,3 @@ class SoftStopController:
     def reference(self) -> Array:
         """Joint reference (n,) [rad] of the last step."""
         return self._reference
-
-    @property
-    def acceleration(self) -> Array | None:
-        """None: it brakes, nobody commands."""
-        return None

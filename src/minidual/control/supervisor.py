@@ -21,6 +21,7 @@ from minidual.control import limits
 from minidual.control.reflexes import Reflex, ReflexError
 from minidual.control.supervised_stop import SupervisedStop
 from minidual.errors import UsageError
+from minidual.plant.recorder import Recorder
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array
 
@@ -28,6 +29,12 @@ Distance = Callable[[Array], tuple[str, float]]
 """Takes q (n,) [rad]; returns the nearest pair of parts that may not touch ("a with b") and its distance [m]."""
 OnReflex = Callable[[Reflex], Path | None]
 """Called once when a reflex comes; may return the file with the replayable state that it wrote."""
+
+
+def dumping(recorder: Recorder) -> OnReflex:
+    """Return what writes a recorder's last second to its folder when a reflex comes."""
+    return lambda reflex: recorder.dump(reflex.name, reflex.text, details=reflex.details)
+
 
 SEEN = ("measured_position_rad", "measured_velocity_rad_per_s", "asked_torque_nm")
 """What a reflex keeps of its tick, one number a joint; those that are not finite are written as text."""

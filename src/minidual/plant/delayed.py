@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from typing import Any
 
 from minidual.errors import UsageError
 from minidual.plant.protocol import Plant
 from minidual.robot.pair import Array, Robot
 
+_MEASURED = ("stamp_s", "q", "v", "tau", "fingers", "grip")
 
-@dataclass(frozen=True)
-class _State:
-    stamp_s: float
-    q: Array
-    v: Array
-    tau: Array
-    fingers: Array
-    grip: Array
+
+def _late(name: str, doc: str) -> Any:
+    return property(lambda self: self._states[0][name].copy(), doc=doc)
 
 
 class DelayedPlant:
@@ -33,11 +29,17 @@ class DelayedPlant:
         UsageError: The delay is negative.
     """
 
+    q = _late("q", "Joint positions (n,) [rad].")
+    v = _late("v", "Joint velocities (n,) [rad/s].")
+    tau = _late("tau", "Torques (n,) [Nm].")
+    fingers = _late("fingers", "Distance (2,) [m] of each hand's fingers from the middle.")
+    grip = _late("grip", "Closing force (2,) [N] of each hand.")
+
     def __init__(self, plant: Plant, delay_s: float) -> None:
         if not delay_s >= 0.0:
             raise UsageError(f"delay_s is {delay_s}; it must be at least 0")
         self._plant, self.dt = plant, plant.dt
-        self._states: deque[_State] = deque(maxlen=round(delay_s / plant.dt) + 1)
+        self._states: deque[dict[str, Any]] = deque(maxlen=round(delay_s / plant.dt) + 1)
         self.forget()
 
     def forget(self) -> None:
@@ -46,8 +48,7 @@ class DelayedPlant:
         self._note()
 
     def _note(self) -> None:
-        plant = self._plant
-        self._states.append(_State(plant.stamp_s, plant.q, plant.v, plant.tau, plant.fingers, plant.grip))
+        self._states.append({name: getattr(self._plant, name) for name in _MEASURED})
 
     @property
     def robot(self) -> Robot:
@@ -62,32 +63,7 @@ class DelayedPlant:
     @property
     def stamp_s(self) -> float:
         """When the measurements were taken [s]."""
-        return self._states[0].stamp_s
-
-    @property
-    def q(self) -> Array:
-        """Joint positions (n,) [rad]."""
-        return self._states[0].q.copy()
-
-    @property
-    def v(self) -> Array:
-        """Joint velocities (n,) [rad/s]."""
-        return self._states[0].v.copy()
-
-    @property
-    def tau(self) -> Array:
-        """Torques (n,) [Nm]."""
-        return self._states[0].tau.copy()
-
-    @property
-    def fingers(self) -> Array:
-        """Distance (2,) [m] of each hand's fingers from the middle."""
-        return self._states[0].fingers.copy()
-
-    @property
-    def grip(self) -> Array:
-        """Closing force (2,) [N] of each hand."""
-        return self._states[0].grip.copy()
+        return self._states[0]["stamp_s"]
 
     @property
     def grip_max_n(self) -> float:

@@ -6,7 +6,7 @@ import itertools
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -19,25 +19,6 @@ if TYPE_CHECKING:
 
 _KEYFRAME_S, _KEYFRAME_TRIAL_S = 0.02, 0.1
 """Distance of keyframes: close where the fault lies, sparse over a whole trial, which repeats from them anyway."""
-
-
-class Cause(Protocol):
-    """What made somebody want a dump, such as a reflex of the supervisor."""
-
-    @property
-    def name(self) -> str:
-        """Short name, for the file's name."""
-        ...
-
-    @property
-    def text(self) -> str:
-        """One line for people."""
-        ...
-
-    @property
-    def details(self) -> Mapping[str, Any]:
-        """What the controls and states of the world do not tell, such as a torque that was asked for in vain."""
-        ...
 
 
 class Recorder:
@@ -176,7 +157,3 @@ class Recorder:
         except OSError as error:
             self.write_error = error
             return None
-
-    def on_reflex(self, cause: Cause) -> Path | None:
-        """Dump the window for a reflex: give it to the supervisor as `on_reflex=recorder.on_reflex`."""
-        return self.dump(cause.name, cause.text, details=cause.details)

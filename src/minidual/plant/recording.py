@@ -209,11 +209,11 @@ def _assemble(path: Path, arrays: dict[str, npt.NDArray[Any]]) -> Recording:
             f"{path} has version {version} of the format; this minidual reads version {VERSION}", remedy=made_by
         )
     try:
+        fields: dict[str, Any] = {name: header[name] for name in _HEADER} | {name: arrays[name] for name in _ARRAYS}
         recording = Recording(
             scene=SceneConfig.model_validate(header["scene"]),
             model={name[6:]: values for name, values in arrays.items() if name.startswith("model.")},
-            **{name: header[name] for name in _HEADER},
-            **{name: arrays[name] for name in _ARRAYS},
+            **fields,
         )
     except ValidationError as error:
         raise DataError(

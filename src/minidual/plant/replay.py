@@ -46,6 +46,15 @@ class Sign:
 
 
 @dataclass(frozen=True)
+class Deviation:
+    """Where the replayed state differs from the recorded one: quantity `what` at `time_s`, by `size` in its unit."""
+
+    time_s: float
+    what: str
+    size: float
+
+
+@dataclass(frozen=True)
 class Replayed:
     """What a replay found.
 
@@ -53,11 +62,11 @@ class Replayed:
         from_s, to_s: Simulated time that was run [s].
         steps: Number of steps.
         compared: Number of keyframes compared; the one that the replay starts from is none of them.
-        largest: Largest deviation from a keyframe, in the unit of `largest_at`; 0.0 is equality to the bit.
-        deviates: First keyframe that differs: (time [s], quantity, deviation), or None.
-        changed: Fields of the model that differ from the scene's, by a condition or another version of the robot.
-        libraries: (name, version then, version now) of everything that differs.
-        signs: What was out of bounds first, in order.
+        largest_deviation: From any keyframe; 0.0 is equality to the bit.
+        deviates: First keyframe that differs, or None.
+        model_changed: Physical fields of the model that differ from the scene's.
+        versions_differ: `name`, `was` and `is` of every library whose version differs.
+        first: What was out of bounds first, in order.
         ended: Why the replay stopped before its end, or None.
     """
 
@@ -65,11 +74,11 @@ class Replayed:
     to_s: float
     steps: int
     compared: int
-    largest: float
-    deviates: tuple[float, str, float] | None
-    changed: tuple[str, ...]
-    libraries: tuple[tuple[str, str, str], ...]
-    signs: tuple[Sign, ...]
+    largest_deviation: float
+    deviates: Deviation | None
+    model_changed: tuple[str, ...]
+    versions_differ: tuple[dict[str, str], ...]
+    first: tuple[Sign, ...]
     ended: str | None
 
     @property
@@ -111,7 +120,7 @@ def replay(
     names = _state_names(world)
     scratch = mujoco.MjData(model)
     signs: dict[str, Sign] = {}
-    deviates: tuple[float, str, float] | None = None
+    deviates: Deviation | None = None
     largest, compared, ended, done = 0.0, 0, None, first
     with _quiet():
         if on_step is not None:
@@ -123,7 +132,7 @@ def replay(
                 size, name = _deviation(world.data, scratch, names)
                 largest = max(largest, size) if size == size else size
                 if size != 0.0 and deviates is None:
-                    deviates = (float(world.data.time), name, size)
+                    deviates = Deviation(float(world.data.time), name, size)
             if step == last:
                 break
             controls = recording.controls[step]
@@ -144,19 +153,22 @@ def replay(
             if on_step is not None:
                 on_step(world)
     then, now = recording.libraries, versions()
-    differing = tuple((name, str(then.get(name, "none")), now[name]) for name in now if then.get(name) != now[name])
     start = recording.start_s
     return Replayed(
-        start + first * recording.dt_s,
-        start + done * recording.dt_s,
-        done - first,
-        compared,
-        largest,
-        deviates,
-        tuple(changed),
-        differing,
-        tuple(sorted(signs.values(), key=lambda sign: sign.time_s)),
-        ended,
+        from_s=start + first * recording.dt_s,
+        to_s=start + done * recording.dt_s,
+        steps=done - first,
+        compared=compared,
+        largest_deviation=largest,
+        deviates=deviates,
+        model_changed=tuple(changed),
+        versions_differ=tuple(
+            {"name": name, "was": str(then.get(name, "none")), "is": now[name]}
+            for name in now
+            if then.get(name) != now[name]
+        ),
+        first=tuple(sorted(signs.values(), key=lambda sign: sign.time_s)),
+        ended=ended,
     )
 
 

@@ -62,7 +62,7 @@ def find_checkpoint(context: ToolContext) -> Path:
 
 def _run(context: ToolContext, wanted: tuple[str, ...], checkpoint: Path | None) -> ModesResult:
     from minidual.control.stack import ControlStack
-    from minidual.control.supervisor import Supervisor
+    from minidual.control.supervisor import Supervisor, dumping
     from minidual.durable import write_text
     from minidual.gate.canonical import canonical, dumps
     from minidual.plant.recorder import Recorder
@@ -90,7 +90,7 @@ def _run(context: ToolContext, wanted: tuple[str, ...], checkpoint: Path | None)
         dt_s=world.dt,
         kinematics=Kinematics(robot),
         self_distance=arm_distance(robot),
-        on_reflex=world.recorder.on_reflex,
+        on_reflex=dumping(world.recorder),
     )
     stack = ControlStack(world, kinematics, config.arbiter, rate_hz=config.teleop.rate_hz, supervisor=supervisor)
     with Camera.recorded(world.model, config.scene.camera) as eyes:

@@ -2,30 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from minidual.errors import ExitCode, UsageError
+from minidual.errors import ExitCode, UsageError, unknown_name
 from minidual.gate.tool import ToolContext, ToolResult
-
-if TYPE_CHECKING:
-    from minidual.plant.recording import Recording
-    from minidual.plant.replay import Replayed
-    from minidual.show.figures.replay_film import Postures
+from minidual.plant.recording import Recording, read_recording
+from minidual.plant.replay import Replayed, replay
+from minidual.show.figures.replay_film import CAMERAS, FILM_FPS, Postures, film_postures, sheet_of_postures
 
 _FRAMES = 8
 
 
 def replay_tool(context: ToolContext) -> ToolResult:
     """Replay the file; exit 1 if the physics does not repeat although all versions are the same."""
-    from minidual.plant.recording import read_recording
-    from minidual.plant.replay import replay
-    from minidual.show.figures.replay_film import CAMERAS, FILM_FPS, Postures
-
     options = context.options
     camera = options.get("camera", "overview")
     if camera not in CAMERAS:
-        raise UsageError(f"no camera '{camera}'; there are {', '.join(CAMERAS)}")
+        raise unknown_name("camera", camera, CAMERAS)
     slowdown, frames = options.get("slowdown", 1.0), options.get("frames", _FRAMES)
     if not 0.1 <= slowdown <= 100.0:
         raise UsageError(f"--slowdown is {slowdown:g}; 0.1 <= value <= 100")
@@ -39,7 +33,7 @@ def replay_tool(context: ToolContext) -> ToolResult:
     postures = Postures(max(recording.dt_s, step_s)) if video or picture else None
     found = replay(recording, from_s=options.get("from-s"), to_s=options.get("to-s"), on_step=postures)
     notes = _draw(recording, postures, video, picture, camera, frames)
-    broken = found.deviates is not None and not found.libraries
+    broken = found.deviates is not None and not found.versions_differ
     return ToolResult(
         lines=_lines(path, recording, found),
         notes=notes,
@@ -63,8 +57,6 @@ def _target(text: str | None, ending: str) -> Path | None:
 def _draw(
     recording: Recording, postures: Postures | None, video: Path | None, picture: Path | None, camera: str, frames: int
 ) -> list[str]:
-    from minidual.show.figures.replay_film import film_postures, sheet_of_postures
-
     notes: list[str] = []
     if postures is not None and video is not None:
         count = film_postures(recording.scene, postures, video, camera=camera)
@@ -85,11 +77,12 @@ def _lines(path: Path, recording: Recording, found: Replayed) -> list[str]:
         f"  replayed  {found.from_s:.3f} s to {found.to_s:.3f} s ({found.steps} steps) of {extent}",
         f"  repeats   {_repeats(found)}",
     ]
-    if found.libraries:
-        lines.append("  versions  " + ", ".join(f"{n}: was {a}, is {b}" for n, a, b in found.libraries))
-    if found.changed:
-        lines.append(f"  model     changed from the scene's: {', '.join(found.changed)}")
-    lines += [f"  first     {sign.text}" for sign in found.signs] or ["  first     nothing went out of bounds"]
+    if found.versions_differ:
+        differ = ", ".join(f"{row['name']}: was {row['was']}, is {row['is']}" for row in found.versions_differ)
+        lines.append(f"  versions  {differ}")
+    if found.model_changed:
+        lines.append(f"  model     changed from the scene's: {', '.join(found.model_changed)}")
+    lines += [f"  first     {sign.text}" for sign in found.first] or ["  first     nothing went out of bounds"]
     if recording.kind == "dump":  # the tick of the reflex, which the motors never saw
         lines += [f"  {name}: {_row(values)}" for name, values in recording.details.items()]
     if found.ended is not None:
@@ -108,9 +101,13 @@ def _repeats(found: Replayed) -> str:
         return "nothing compared: no check point lies in this stretch"
     if found.deviates is None:
         return f"to the bit, at {found.compared} of {found.compared} check points"
-    time_s, what, size = found.deviates
-    why = "another version may round differently" if found.libraries else "the state was changed between two steps"
-    return f"no: {what} is off by {size:.3g} at {time_s:.3f} s, {found.largest:.3g} at most; {why}"
+    off = found.deviates
+    why = (
+        "another version may round differently" if found.versions_differ else "the state was changed between two steps"
+    )
+    return (
+        f"no: {off.what} is off by {off.size:.3g} at {off.time_s:.3f} s, {found.largest_deviation:.3g} at most; {why}"
+    )
 
 
 def _document(path: Path, recording: Recording, found: Replayed) -> dict[str, object]:
@@ -121,20 +118,6 @@ def _document(path: Path, recording: Recording, found: Replayed) -> dict[str, ob
         "seed": recording.seed,
         "details": dict(recording.details),
         "made_by": dict(recording.libraries),
-        "from_s": found.from_s,
-        "to_s": found.to_s,
-        "steps": found.steps,
         "exact": found.exact,
-        "compared": found.compared,
-        "largest_deviation": found.largest,
-        "deviates": None
-        if found.deviates is None
-        else dict(zip(("time_s", "what", "size"), found.deviates, strict=True)),
-        "versions_differ": [{"name": n, "was": a, "is": b} for n, a, b in found.libraries],
-        "model_changed": list(found.changed),
-        "first": [
-            {"time_s": s.time_s, "what": s.what, "value": s.value, "bound": s.bound, "unit": s.unit}
-            for s in found.signs
-        ],
-        "ended": found.ended,
+        **asdict(found),
     }
