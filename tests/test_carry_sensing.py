@@ -201,7 +201,6 @@ class Blind:
         "object_twist",
         "object_forces",
         "pinch",
-        "contact_wrenches",
         "internal_force",
         "on_table",
         "contact_pairs",

@@ -12,6 +12,7 @@ import pytest
 from arm_scripts import solve_hands
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import brentq
 
 from minidual.config.scene import SceneConfig
 from minidual.control import kernels
@@ -22,7 +23,7 @@ from minidual.control.object_impedance import (
     ObjectState,
     SingularPostureError,
 )
-from minidual.control.pinch import largest_squeeze, pinch_force
+from minidual.control.pinch import pinch_force
 from minidual.errors import UsageError
 from minidual.robot.constants import DOF, HOME, TAU_MAX
 from minidual.robot.kinematics import HandMotion, Kinematics
@@ -281,15 +282,15 @@ class TestHeld:
 
     def test_pads_carry_no_more_than_friction_lets_them(self, held: BenchScene) -> None:
         """The limit is real: asked for 75 N at mu 0.5 and 60 N of pinch, the pads hold 60 N and slip at once."""
-        limit = largest_squeeze(60.0, 0.5, safety=1.0)
-        assert limit == pytest.approx(60.0)
+        limit = 60.0
+        assert pinch_force(limit, 0.5, safety=1.0) == pytest.approx(60.0)
         held.restore()
         felt = [felt for _, felt in self._run(held, ObjectState(held.rest), 400, 75.0)]
         slipped = int(np.argmax(np.array(felt) < 20.0))
         assert 0 < slipped < 50
         assert 0.95 * limit < np.max(felt[:slipped]) < 1.05 * limit
         held.restore()
-        asked = largest_squeeze(60.0, 0.5, 0.2, safety=1.25)
+        asked = brentq(lambda squeeze: pinch_force(squeeze, 0.5, 0.2, safety=1.25) - 60.0, 0.0, 80.0)
         felt = [felt for _, felt in self._run(held, ObjectState(held.rest), 400, asked)]
         assert felt[-1] == pytest.approx(asked, abs=0.5)
         held.restore()
@@ -306,16 +307,6 @@ class TestPinch:
         assert least > pinch_force(27.0, 0.7)
         assert pinch_force(27.0, 0.7, 1.0, tilt_rad=0.2) > least
         assert pinch_force(27.0, 0.7, 1.0, acceleration_m_per_s2=3.0) > least
-
-    @given(st.floats(0.0, 80.0), st.floats(0.1, 1.5), st.floats(0.0, 2.0), st.floats(1.0, 3.0), st.floats(-0.3, 0.3))
-    def test_the_largest_squeeze_is_the_way_back(
-        self, squeeze: float, mu: float, mass: float, safety: float, tilt: float
-    ) -> None:
-        pinch = pinch_force(squeeze, mu, mass, safety=safety, tilt_rad=tilt)
-        assert largest_squeeze(pinch, mu, mass, safety=safety, tilt_rad=tilt) == pytest.approx(squeeze, abs=1e-6)
-
-    def test_a_pinch_too_weak_for_the_weight_carries_no_squeeze(self) -> None:
-        assert largest_squeeze(5.0, 0.3, 1.0) == 0.0
 
     @pytest.mark.parametrize(
         ("values", "message"),

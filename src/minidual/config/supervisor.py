@@ -27,8 +27,8 @@ class SupervisorConfig(StrictModel):
     """A motor may stand at its torque limit for this long."""
     acceleration_scale: float = Field(default=1.0, gt=0.0, le=1.0)
     jerk_reflex: bool = False
-    """Stop at a jerk of the commanded reference over its limit, as the real arm does. Off, such ticks are counted:
-    the reference filter bounds acceleration, not jerk, and the torque's rate is limited in any case."""
+    """Stop at a jerk of the commanded reference over its limit, as the real arm does. Off by default: the reference
+    filter bounds acceleration, not jerk, and the torque's rate is limited in any case."""
     tcp_speed_max_m_per_s: float = Field(default=1.7, gt=0.0, le=1.7)
     workspace_m: Box = ((-0.9, 1.1), (-1.2, 1.2), (-0.005, 1.6))
     """Ranges of x, y and z in the world that no tool centre point may leave."""

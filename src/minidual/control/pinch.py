@@ -47,44 +47,14 @@ def pinch_force(
     Raises:
         UsageError: A value without meaning, named with its bound.
     """
-    _check(mu, mass_kg, safety)
-    if not squeeze_n >= 0.0:
-        raise UsageError(f"squeeze {squeeze_n} N: must be at least 0, hands do not pull")
-    along, across = _load(mass_kg, tilt_rad, acceleration_m_per_s2)
-    return safety * math.hypot(squeeze_n + along, across) / (2.0 * mu)
-
-
-def largest_squeeze(
-    pinch_n: float,
-    mu: float,
-    mass_kg: float = 0.0,
-    *,
-    safety: float = SAFETY,
-    tilt_rad: float = 0.0,
-    acceleration_m_per_s2: float = 0.0,
-) -> float:
-    """Return the largest squeeze [N] that fingers pressing with pinch_n carry: `pinch_force` turned round.
-
-    Zero if the pads cannot even carry the object's weight.
-
-    Raises:
-        UsageError: A value without meaning, named with its bound.
-    """
-    _check(mu, mass_kg, safety)
-    along, across = _load(mass_kg, tilt_rad, acceleration_m_per_s2)
-    carried = 2.0 * mu * pinch_n / safety
-    return max(0.0, math.sqrt(max(0.0, carried**2 - across**2)) - along)
-
-
-def _load(mass_kg: float, tilt_rad: float, acceleration_m_per_s2: float) -> tuple[float, float]:
-    half = 0.5 * mass_kg * (_GRAVITY + acceleration_m_per_s2)
-    return half * abs(math.sin(tilt_rad)), half * math.cos(tilt_rad)
-
-
-def _check(mu: float, mass_kg: float, safety: float) -> None:
     if not mu > 0.0:
         raise UsageError(f"friction coefficient {mu}: must be above 0, no pinch holds without friction")
     if not mass_kg >= 0.0:
         raise UsageError(f"mass {mass_kg} kg: must be at least 0")
     if not safety >= 1.0:
         raise UsageError(f"safety factor {safety}: must be at least 1")
+    if not squeeze_n >= 0.0:
+        raise UsageError(f"squeeze {squeeze_n} N: must be at least 0, hands do not pull")
+    half = 0.5 * mass_kg * (_GRAVITY + acceleration_m_per_s2)
+    along, across = half * abs(math.sin(tilt_rad)), half * math.cos(tilt_rad)
+    return safety * math.hypot(squeeze_n + along, across) / (2.0 * mu)

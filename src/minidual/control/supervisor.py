@@ -73,7 +73,6 @@ class Supervisor:
         self._slow_ticks = max(1, round(self.config.slow_period_s / dt_s))
         self._rows = np.zeros((len(limits.ROWS), self._robot.dof))
         self._ratio = np.zeros_like(self._rows)
-        self._jerk_ticks = 0
         self._reflex: Reflex | None = None
         self._estop: str | None = None
         self.reset()
@@ -100,7 +99,6 @@ class Supervisor:
         self._saturated = np.zeros(self._robot.dof, dtype=int)
         self._jumps = np.zeros(self._robot.dof, dtype=int)
         self._asked = self._zero
-        self._jerk_ticks = 0
         self._q_good: Array | None = None
         self._v_good = self._zero
 
@@ -108,11 +106,6 @@ class Supervisor:
     def reflex(self) -> Reflex | None:
         """The reflex that holds the arms, or None."""
         return self._reflex
-
-    @property
-    def jerk_ticks(self) -> int:
-        """Ticks since the reset in which the reference's jerk was over the limit."""
-        return self._jerk_ticks
 
     def estop(self, reason: str = "pressed") -> None:
         """Stop the arms in the next tick. May be called at any time, from any thread."""
@@ -215,10 +208,8 @@ class Supervisor:
         self._trip_ratio("joint_velocity", time_s, v, bounds.v_max)
         self._trip_ratio("torque_range", time_s, tau, bounds.tau_max, tolerance=limits.TORQUE_TOLERANCE)
         self._trip_ratio("reference_acceleration", time_s, a_ref, bounds.a_max, tolerance=1e-9)
-        if np.max(np.abs(a_step) / bounds.a_step) > 1.0 + 1e-9:
-            self._jerk_ticks += 1
-            if self.config.jerk_reflex:
-                self._trip_ratio("reference_jerk", time_s, a_step / self.dt_s, bounds.a_step / self.dt_s)
+        if self.config.jerk_reflex:
+            self._trip_ratio("reference_jerk", time_s, a_step / self.dt_s, bounds.a_step / self.dt_s, tolerance=1e-9)
         return self._bound_torque(time_s, tau, step)
 
     def _bound_torque(self, time_s: float, tau: Array, step: Array) -> Array:

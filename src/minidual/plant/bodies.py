@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import mujoco
@@ -31,21 +30,6 @@ def contact_sensor(name: str, side: str, finger_link: str) -> str:
     return f"{name}_{side}_{finger_link}"
 
 
-@dataclass(frozen=True)
-class ContactWrench:
-    """Net contact of the two fingers of one hand on an object, world axes.
-
-    Attributes:
-        force: (3,) [N], of the hand on the object.
-        torque: (3,) [Nm], about the object's centre of mass.
-        pinch: Normal force of the weaker finger [N]; zero unless both touch.
-    """
-
-    force: Array
-    torque: Array
-    pinch: float
-
-
 class NamedObject:
     """Reads one object. Views into MjData are made once: looking up a field costs as much as reading three numbers.
 
@@ -66,9 +50,8 @@ class NamedObject:
         self._axis = self._R[:, 1]
         hand = robot.hand
         first = int(model.sensor(contact_sensor(name, robot.sides[0], hand.finger_links[0])).adr[0])
-        self._contacts = data.sensordata[first : first + 36].reshape(2, 2, 9)  # arm, finger, field
-        self._forces = self._contacts[:, :, :3]
-        self._readings, self._along = self._contacts.reshape(4, 9), np.zeros(9)
+        self._readings = data.sensordata[first : first + 12].reshape(4, 3)
+        self._forces = self._readings.reshape(2, 2, 3)  # arm, finger, force
         palms = [int(model.body(palm).id) for palm in robot.palm_names]
         self._hand_axes = [data.xmat[palm].reshape(3, 3)[:, 1] for palm in palms]  # the fingers move along them
         self._v, self._w = self.qvel[:3], self.qvel[3:]
@@ -111,24 +94,11 @@ class NamedObject:
             pinches.append(max(0.0, min(-left, right)))
         return np.array(pinches)
 
-    def wrenches(self) -> tuple[ContactWrench, ContactWrench]:
-        """Return the net wrench of each hand on the object."""
-        pinch = self.pinch()
-        result = []
-        for arm in range(2):
-            force = self._forces[arm].sum(axis=0)
-            torque = np.zeros(3)
-            for reading in self._contacts[arm]:
-                torque += reading[3:6] + np.cross(reading[6:9] - self._p, reading[:3])
-            result.append(ContactWrench(force, torque, float(pinch[arm])))
-        return result[0], result[1]
-
     def internal_force(self) -> float:
         """Return the squeeze along the object's y axis [N]; the left hand holds the +y end.
 
         It is the smaller of the two hands' axial forces towards each other: positive when they press, negative when
         they pull. One hand alone gives at most zero.
         """
-        self._along[:3] = self._axis  # picks the forces out of the four fingers' readings in one product
-        a, b, c, d = self._readings.dot(self._along).tolist()
+        a, b, c, d = self._readings.dot(self._axis).tolist()
         return min(-a - b, c + d)

@@ -152,9 +152,8 @@ def _add_cameras(spec: mujoco.MjSpec, robot: Robot) -> None:
 
 
 def _add_contact_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
-    """One net wrench a finger and object, of the finger on it: force (3,), torque (3,), point (3,), world axes."""
-    fields = mujoco.mjtConDataField
-    data = sum(1 << int(f) for f in (fields.mjCONDATA_FORCE, fields.mjCONDATA_TORQUE, fields.mjCONDATA_POS))
+    """One net force (3,) a finger and object, of the finger on it, world axes."""
+    data = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)
     netforce = 3
     for name in [body.name for body in free_bodies(spec)]:
         for side in robot.sides:

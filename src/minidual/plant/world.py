@@ -11,7 +11,7 @@ import numpy as np
 from minidual.config.scene import SceneConfig
 from minidual.errors import MinidualError, UsageError, unknown_name
 from minidual.plant.addresses import map_joints
-from minidual.plant.bodies import ContactWrench, NamedObject, ObjectPose, object_names
+from minidual.plant.bodies import NamedObject, ObjectPose, object_names
 from minidual.plant.model import build_model
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.pair import Array, Robot
@@ -168,10 +168,6 @@ class World:
     def pinch(self, name: str | None = None) -> Array:
         """Return the pinch of each hand on an object (2,) [N]: normal force of its weaker finger."""
         return self.truth(name).pinch()
-
-    def contact_wrenches(self, name: str | None = None) -> tuple[ContactWrench, ContactWrench]:
-        """Return the net wrench of each hand on an object."""
-        return self.truth(name).wrenches()
 
     def internal_force(self, name: str | None = None) -> float:
         """Return the squeeze along an object's y axis [N]; see `NamedObject.internal_force`."""

@@ -17,7 +17,7 @@ import numpy as np
 from minidual.config.control import CarryConfig
 from minidual.control.object_estimate import HeldEstimate, RestingEstimate
 from minidual.control.object_impedance import ObjectState
-from minidual.plant.sensing import Reading, Sensors
+from minidual.plant.protocol import ObjectSensors, Reading
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
@@ -44,7 +44,7 @@ class CarryWatch:
         RuntimeError: The first reading of the sensors holds no pose.
     """
 
-    def __init__(self, world: World, kinematics: Kinematics, config: CarryConfig, sensors: Sensors) -> None:
+    def __init__(self, world: World, kinematics: Kinematics, config: CarryConfig, sensors: ObjectSensors) -> None:
         self._world, self._kinematics, self._config, self._sensors = world, kinematics, config, sensors
         self._monitor = FaultMonitor(
             config.faults, dt_s=world.dt, width_m=2.0 * world.scene.rod.half_width_m, pinch_n=config.impedance.pinch_n

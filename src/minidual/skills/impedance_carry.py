@@ -18,6 +18,7 @@ from minidual.control.object_impedance import ObjectState, SingularPostureError
 from minidual.control.object_path import ObjectPath
 from minidual.control.stack import DEFAULT_CONTROLLERS, OBJECT_CONTROLLERS, ControlStack, Guard
 from minidual.control.supervisor import Supervisor
+from minidual.plant.protocol import ObjectSensors
 from minidual.plant.sensing import Sensors
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
@@ -75,7 +76,7 @@ class ImpedanceCarry:
         config: CarryConfig,
         trial: Trial,
         *,
-        sensors: Sensors | None = None,
+        sensors: ObjectSensors | None = None,
         seed: int = 0,
         supervisor: Guard | None = None,
         arbiter: ArbiterConfig | None = None,
