@@ -1,5 +1,7 @@
 """Separating planes: their geometry is that of both engines, and what they prove is true between the samples too."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from planning_oracles import CoalDistances, farthest_in_mujoco, states
@@ -8,11 +10,13 @@ from minidual.collision.scene import Attached, PlanningScene
 from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, Sphere
 from minidual.proof import planes
 from minidual.proof.scene_engines import SceneEngines
-from minidual.robot.constants import DOF, HOME
+from minidual.robot.arms import ARM_MODELS, DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Robot
 from minidual.robot.trajectory import Trajectory
 
 HALF = np.sqrt(0.5)
+DOF, HOME = DUAL_PANDA.dof, DUAL_PANDA.home
 WEDGE = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.12, 0.0], [0.02, 0.03, 0.15]])
 
 
@@ -104,12 +108,17 @@ def test_kinematics_are_those_of_pinocchio(engines):
             assert np.abs(mine @ flange - T).max() < 1e-12
 
 
-def test_the_solids_are_what_mujoco_compiled(scene, engines):
+@pytest.mark.parametrize("arm", list(ARM_MODELS))
+def test_the_solids_are_what_mujoco_compiled(scene, arm):
     """Along random directions every part goes as far in the one as in the other: the hulls are the same."""
+    robot = Robot(ARM_MODELS[arm])
+    held = dataclasses.replace(scene.attached[0], link="left_panda_hand")
+    scene = PlanningScene(scene.obstacles, (held,), robot=robot)
+    engines = SceneEngines(scene)
     rng = np.random.default_rng(1)
     _, vertices, solids, parts, *_ = engines.solids.geometry
     seen = 0
-    for q in states(6)[:6]:
+    for q in robot.home + rng.uniform(-0.8, 0.8, (6, robot.dof)):
         engines.verifier.engine("mujoco").contact_count(q)
         R, p = placed(engines.solids, q)
         for name, part in zip(scene.names, parts, strict=True):

@@ -48,16 +48,14 @@ class Solids:
 
     def __init__(self, scene: PlanningScene) -> None:
         self.robot, self.pairs = scene.robot, scene.checked_pairs
-        model = Kinematics(self.robot).model
+        model, chain = Kinematics(self.robot).model, _chain(self.robot)
         solids = dict(_robot_solids(self.robot))
         for shape in scene.solid_obstacles:
             solids[shape.name] = 0, _placed(shape, pin.SE3(shape.T_parent_shape))
         for held in scene.attached:
             frame = model.frames[model.getFrameId(held.link)]
-            solids[held.name] = (
-                frame.parentJoint,
-                _placed(held.shape, frame.placement * pin.SE3(held.shape.T_parent_shape)),
-            )
+            on_frame = chain.turns[frame.parentJoint] * frame.placement
+            solids[held.name] = frame.parentJoint, _placed(held.shape, on_frame * pin.SE3(held.shape.T_parent_shape))
         vertices: list[Array] = []
         rows: list[tuple[Any, ...]] = []
         parts: list[tuple[Any, ...]] = []
@@ -73,14 +71,10 @@ class Solids:
             # The mean of the vertices lies inside their hull: no farther from any axis than the part reaches.
             centre = np.vstack([solid.points for solid in own]).mean(axis=0)
             parts.append((first, len(rows), frame, *centre, _radius(own, centre)))
-            reaches.append(self._reach(model, frame, _radius(own, np.zeros(3))))
+            reaches.append(self._reach(chain.joints, frame, _radius(own, np.zeros(3))))
         self._parts = np.array(parts, dtype=PART)
-        joints = np.zeros(self.robot.dof, dtype=JOINT)
-        for k in range(self.robot.dof):
-            placement = model.jointPlacements[k + 1]
-            joints[k] = (model.parents[k + 1], placement.rotation, placement.translation)
         self.geometry = (
-            joints,
+            chain.joints,
             np.vstack(vertices),
             np.array(rows, dtype=SOLID),
             self._parts,
@@ -88,13 +82,13 @@ class Solids:
             np.array(reaches),
         )
 
-    def _reach(self, model: pin.Model, frame: int, radius: float) -> Array:
+    def _reach(self, joints: np.ndarray, frame: int, radius: float) -> Array:
         """Return (n,) [m]: the largest distance of a part from each joint of its arm, 0 where that moves it not."""
         n = self.robot.dof_per_arm
         reach = np.zeros(n)
         for k in range(frame, 0 if frame <= n else n, -1):
             reach[(k - 1) % n] = radius
-            radius += float(np.linalg.norm(model.jointPlacements[k].translation))
+            radius += float(np.linalg.norm(joints[k - 1]["p"]))
         return reach
 
     def _pairs(self, rows: dict[str, int]) -> np.ndarray:
@@ -165,15 +159,50 @@ class Solids:
         return float(found)
 
 
+@dataclass(frozen=True)
+class _Chain:
+    """The joints as the planes read them: each frame is turned so that its joint turns about its own z.
+
+    joints: (dof,) records JOINT.
+    turns: For every frame of the model, the world first, its placement as seen from the turned one.
+    """
+
+    joints: np.ndarray
+    turns: tuple[pin.SE3, ...]
+
+
+@functools.cache
+def _chain(robot: Robot) -> _Chain:
+    """Return the joints of the arms.
+
+    Raises:
+        ValueError: A joint is no hinge.
+    """
+    model = Kinematics(robot).model
+    turned = [pin.SE3.Identity()]
+    joints = np.zeros(robot.dof, dtype=JOINT)
+    for k in range(1, robot.dof + 1):
+        data = model.joints[k].createData()
+        model.joints[k].calc(data, np.ones(model.nq))
+        axis = pin.log3(data.M.rotation)  # by one radian
+        if abs(float(np.linalg.norm(axis)) - 1.0) > 1e-9 or np.any(data.M.translation):
+            raise ValueError(f"{model.names[k]} is a {model.joints[k].shortname()}; arms need hinges")
+        to_axis = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).matrix()
+        turned.append(pin.SE3(to_axis, np.zeros(3)))
+        placement = turned[model.parents[k]].inverse() * model.jointPlacements[k] * turned[k]
+        joints[k - 1] = (model.parents[k], placement.rotation, placement.translation)
+    return _Chain(joints, tuple(turn.inverse() for turn in turned))
+
+
 @functools.cache
 def _robot_solids(robot: Robot) -> dict[str, tuple[int, tuple[_Solid, ...]]]:
     """Return (index of the joint that carries it, or 0; its solids) of every link."""
-    model = Kinematics(robot).model
+    model, turns = Kinematics(robot).model, _chain(robot).turns
     found: dict[str, tuple[int, tuple[_Solid, ...]]] = {}
     for item in robot_geometry(robot).geometryObjects:
         name = model.frames[item.parentFrame].name
         _, before = found.get(name, (0, ()))
-        found[name] = item.parentJoint, (*before, _solid(item.geometry, item.placement))
+        found[name] = item.parentJoint, (*before, _solid(item.geometry, turns[item.parentJoint] * item.placement))
     return found
 
 
