@@ -40,7 +40,7 @@ class Witness:
         self.flushed_at = -np.inf
         self.last: np.ndarray | None = None
         self.outputs: list[ArbiterOutput] = []
-        arbiter.on_flush(self._flushed)
+        arbiter.on_flush.append(self._flushed)
 
     def _flushed(self, mode: str) -> None:
         self.flushed_at = self.now

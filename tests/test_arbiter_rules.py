@@ -132,7 +132,7 @@ def test_an_old_chunk_never_runs_after_a_switch(desk: Desk) -> None:
 
 def test_sources_are_told_to_drop_their_queues(desk: Desk) -> None:
     told: list[str] = []
-    desk.arbiter.on_flush(told.append)
+    desk.arbiter.on_flush.append(told.append)
     desk.hand_over("policy")
     desk.hand_over("teleop")
     assert told == ["policy", "teleop"]

@@ -79,9 +79,11 @@ class CommandArbiter:
         self.config = ArbiterConfig() if config is None else config
         self._robot = robot
         self._underway = Underway(control_dt_s, robot, admit)
-        self._confirm_listeners: list[Callable[[str], None]] = []
+        self.on_confirm: list[Callable[[str], None]] = []
+        """Called with the mode when a switch is confirmed, before the new source's first command is taken."""
+        self.on_flush: list[Callable[[str], None]] = []
+        """Called with the mode whenever a switch begins, so that sources drop queued chunks too."""
         self._mailboxes = {source: Mailbox(source, robot) for source in SOURCES}
-        self._listeners: list[Callable[[str], None]] = []
         self._requests: list[str] = []
         self._halt: tuple[str, Array | None] | None = None
         self._refusals: list[Refusal] = []
@@ -109,14 +111,6 @@ class CommandArbiter:
     def executions(self) -> tuple[Execution, ...]:
         """Timed commands under way."""
         return self._underway.executions
-
-    def on_confirm(self, listener: Callable[[str], None]) -> None:
-        """Call `listener(mode)` when a switch is confirmed, before the new source's first command is taken."""
-        self._confirm_listeners.append(listener)
-
-    def on_flush(self, listener: Callable[[str], None]) -> None:
-        """Call `listener(mode)` whenever a switch to `mode` begins, so that sources drop queued chunks too."""
-        self._listeners.append(listener)
 
     def propose(self, source: str, command: Command) -> Refusal | None:
         """Offer a command; return why it is refused, or None.
@@ -292,7 +286,7 @@ class CommandArbiter:
         """Forget every command; tell the listeners for which mode."""
         for mailbox in self._mailboxes.values():
             mailbox.flush(now_s)
-        for listener in self._listeners:
+        for listener in self.on_flush:
             listener(mode)
 
     def _settle(self, switch: _Switch, now_s: float, speed: float, posture: Array) -> str | None:
@@ -304,7 +298,7 @@ class CommandArbiter:
             self._source = None if mode == HOLD else mode
             self._state = ArbiterState.HOLDING if mode == HOLD else ArbiterState.WAITING
             self._heard_s = now_s
-            for listener in self._confirm_listeners:
+            for listener in self.on_confirm:
                 listener(mode)
             return mode
         if waited >= self.config.settle_timeout_s:

@@ -20,118 +20,101 @@ class ReflexKind:
     """One row of the table.
 
     Attributes:
-        name: Stable name.
         libfranka: Name of the same error of the real arm, for those who move on to it; empty if it has none.
         cause: What happened, in one line.
         remedy: What to look at.
         unit: Of value and bound.
     """
 
-    name: str
     libfranka: str
     cause: str
     remedy: str
     unit: str
 
 
-_KINDS = (
-    ReflexKind(
-        "joint_position",
+REFLEXES: dict[str, ReflexKind] = {
+    "joint_position": ReflexKind(
         "joint_position_limits_violation",
         "a joint is beyond its position limit, or too fast to stop before it",
         "keep targets inside the limits and slow down towards them; minidual.robot.arms has the limits",
         "rad",
     ),
-    ReflexKind(
-        "joint_velocity",
+    "joint_velocity": ReflexKind(
         "joint_velocity_violation",
         "a joint is faster than its limit",
         "lower the velocity scale of the plan, or filter the targets (control/reference.py)",
         "rad/s",
     ),
-    ReflexKind(
-        "torque_range",
+    "torque_range": ReflexKind(
         "tau_j_range_violation",
         "a controller asked for more torque than the motor has",
         "clip the controller's output and find out why it needs so much: gains, payload, a jump of the target",
         "Nm",
     ),
-    ReflexKind(
-        "torque_rate",
+    "torque_rate": ReflexKind(
         "controller_torque_discontinuity",
         "a controller kept asking for faster changes of torque than the motors follow",
         "look for an oscillation or chatter: lower gains, filter velocities, smooth the reference",
         "Nm/s",
     ),
-    ReflexKind(
-        "torque_saturation",
+    "torque_saturation": ReflexKind(
         "",
         "a motor stood at its torque limit",
         "slow the motion down, lighten the load, or free the arm if it pushes against something",
         "Nm",
     ),
-    ReflexKind(
-        "reference_acceleration",
+    "reference_acceleration": ReflexKind(
         "joint_motion_generator_velocity_discontinuity",
         "the commanded reference accelerates more than the joint may",
         "time the trajectory within the limits (plan.planner.acceleration_scale), or send targets through the filter",
         "rad/s^2",
     ),
-    ReflexKind(
-        "reference_jerk",
+    "reference_jerk": ReflexKind(
         "joint_motion_generator_acceleration_discontinuity",
         "the acceleration of the commanded reference jumps",
         "use a profile with bounded jerk (quintic, ruckig), or send targets through a filter",
         "rad/s^3",
     ),
-    ReflexKind(
-        "tcp_speed",
+    "tcp_speed": ReflexKind(
         "cartesian_velocity_violation",
         "a hand is faster than its limit",
         "slow the motion down, or plan with a limit on the speed of the hand",
         "m/s",
     ),
-    ReflexKind(
-        "workspace",
+    "workspace": ReflexKind(
         "cartesian_position_limits_violation",
         "a hand is leaving the workspace",
         "check the target; widen supervisor.workspace_m if the place is truly free",
         "m",
     ),
-    ReflexKind(
-        "self_collision",
+    "self_collision": ReflexKind(
         "self_collision_avoidance_violation",
         "two parts of the arms come too close",
         "plan around it (minidual plan checks collisions), or part the arms by hand before the reset",
         "m",
     ),
-    ReflexKind(
-        "emergency_stop", "", "the emergency stop was pressed", "make the scene safe, then reset the supervisor", ""
+    "emergency_stop": ReflexKind(
+        "", "the emergency stop was pressed", "make the scene safe, then reset the supervisor", ""
     ),
-    ReflexKind(
-        "not_finite",
+    "not_finite": ReflexKind(
         "",
         "a measurement or a torque is not a finite number",
         "look at the sensors and at the controller's inputs: the first that is no number is the cause",
         "",
     ),
-    ReflexKind(
-        "controller_failed",
+    "controller_failed": ReflexKind(
         "",
         "a controller gives no torque",
         "remove what it names, or recover with controllers that need less, such as both_arms",
         "",
     ),
-    ReflexKind(
-        "stale_command",
+    "stale_command": ReflexKind(
         "communication_constraints_violation",
         "nobody has given a command for too long",
         "see that the source runs and keeps its rate; supervisor.stale_s is how long it may be silent",
         "s",
     ),
-)
-
-REFLEXES: dict[str, ReflexKind] = {kind.name: kind for kind in _KINDS}
+}
 """Every reflex by its name."""
 
 

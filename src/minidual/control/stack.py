@@ -110,8 +110,8 @@ class ControlStack:
             admit=lambda command: self.manager.find_fault(command),
             robot=self._robot,
         )
-        self.arbiter.on_flush(self._flushed)
-        self.arbiter.on_confirm(self._confirmed)
+        self.arbiter.on_flush = self._flush_listeners
+        self.arbiter.on_confirm.append(self._confirmed)
         self.manager = ControllerManager([self.manager[name] for name in self.manager.names], plant.dt, self._robot)
         self.impedance.forget()
         self.grippers.reset()
@@ -378,10 +378,6 @@ class ControlStack:
     def _reset_supervisor(self) -> None:
         if self.supervisor is not None:
             self.supervisor.reset()
-
-    def _flushed(self, mode: str) -> None:
-        for listener in self._flush_listeners:
-            listener(mode)
 
     def _confirmed(self, mode: str) -> None:
         names = self._wanted.pop(mode, self.manager.active)
