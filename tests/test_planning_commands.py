@@ -17,7 +17,7 @@ from minidual.proof.verify import CLEARANCE_MAX_M
 from minidual.robot.constants import HOME, JOINT_NAMES
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.trajectory import Trajectory
-from minidual.show.planning import Poser, play, scene_model
+from minidual.show.planning import Poser, play
 from minidual.show.watch import tcp_preview
 from minidual.stages.plan_once import _clearance
 from minidual.stages.registry import STAGES
@@ -218,7 +218,7 @@ def furnished():
 
 def test_what_is_shown_is_where_the_plan_says(scene, furnished, swing):
     """Oracle: the shown model's bodies against forward kinematics, its obstacles against the scene."""
-    poser = Poser(scene_model(scene, furnished))
+    poser = Poser(scene, furnished)
     data = poser.place(swing.q[-1])
     shown = data.body("left_panda_hand_tcp").xpos
     assert np.abs(shown - Kinematics().tcp_poses(swing.q[-1])[0][:3, 3]).max() < 1e-9

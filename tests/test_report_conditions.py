@@ -182,7 +182,7 @@ def test_losses_and_pairs_are_listed_only_where_the_trials_show_them(
     words = re.sub(r"<[^>]*>", "", built(given, tmp_path)[1])
     assert "act under push +x: −75 points on 20 starts (95 % interval −" in words
     assert "push +x: moveit against act +95 points" in words
-    assert "act under push +x: grip lost 20; it stopped itself in 20." in words
+    assert "act under push +x: grip lost (20); it stopped itself in 20." in words
     few = samples.benchmark_data(samples.disturbed_trials(4))
     assert facts(few, given).losses == ()
 

@@ -136,6 +136,15 @@ def test_a_smoke_run_says_smoke_at_its_very_top(tmp_path: Path, where: str) -> N
     assert json.loads((tmp_path / "report" / "report.json").read_text())["acceptance"] is False
 
 
+def test_a_weakened_limit_is_said_and_is_not_acceptance(tmp_path: Path) -> None:
+    given = samples.make_run(tmp_path)
+    plan = replace(given.verdicts["plan"], weakened=("plan.queries_n is 1, the profile asks 100",))
+    report, text = built(replace(given, verdicts={**given.verdicts, "plan": plan}), tmp_path)
+    assert report.state == "weakened"
+    assert "plan.queries_n is 1" in Page(text).before_heading
+    assert json.loads((tmp_path / "report" / "report.json").read_text())["acceptance"] is False
+
+
 def test_a_missing_method_fails_the_report_and_shows_the_hole(tmp_path: Path) -> None:
     given = samples.make_run(tmp_path)
     table = dict(given.verdicts["benchmark"].data["methods"])

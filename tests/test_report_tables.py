@@ -198,8 +198,8 @@ def test_failures_are_named_with_their_time(report: Report, page: str) -> None:
         ("act", "arrived", 3),
         ("act", "held", 2),
     ]
-    assert "act: 5 of 20 trials failed: missed the goal 3, median time " in page
-    assert "moveit: 1 of 20 trials failed: grip lost 1, median time " in page
+    assert "act: 5 of 20 trials failed: missed the goal (3, median time " in page
+    assert "moveit: 1 of 20 trials failed: grip lost (1, median time " in page
     assert "impedance: 0 of 20 trials failed." in page
 
 

@@ -23,6 +23,7 @@ from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot
 from minidual.robot.trajectory import Trajectory
+from minidual.show.figures.canvas import sheet
 from minidual.show.view import Overlay, View
 from minidual.show.watch import tcp_preview
 from minidual.trials.planning.evaluate import Outcome
@@ -33,9 +34,9 @@ _LOOK_S = 1.0
 """A round stands still this long at its end."""
 
 
-def scene_model(config: SceneConfig, scene: PlanningScene) -> mujoco.MjModel:
+def scene_model(config: SceneConfig, scene: PlanningScene, robot: Robot = DUAL_PANDA) -> mujoco.MjModel:
     """Return the simulated world, with visual meshes, holding what the planning scene holds (and no object of a task)."""
-    spec = build_spec(config, visuals=True)
+    spec = build_spec(config, robot, visuals=True)
     for body in free_bodies(spec):
         for geom in body.geoms:
             geom.rgba = [0.0, 0.0, 0.0, 0.0]
@@ -69,16 +70,17 @@ def _add_body(spec: Any, parent: Any, shape: Shape, rgba: tuple[float, ...]) -> 
 
 
 class Poser:
-    """Places the arms of a shown model.
+    """Places the arms in the shown world.
 
     Args:
-        model: From `scene_model`.
-        robot: Its arms.
+        config: The world around.
+        scene: Obstacles and held objects.
+        robot: The arms.
     """
 
-    def __init__(self, model: mujoco.MjModel, robot: Robot = DUAL_PANDA) -> None:
-        self.model, self.kinematics = model, Kinematics(robot)
-        self.data = mujoco.MjData(model)
+    def __init__(self, config: SceneConfig, scene: PlanningScene, robot: Robot = DUAL_PANDA) -> None:
+        self.model, self.kinematics = scene_model(config, scene, robot), Kinematics(robot)
+        model, self.data = self.model, mujoco.MjData(self.model)
         self._joints = map_joints(model, robot.joint_names, torque=True).qpos
         self.data.qpos[map_joints(model, robot.finger_joint_names, torque=False).qpos] = robot.hand.travel_m
 
@@ -97,6 +99,7 @@ def play(
     title: str,
     *,
     rounds_n: int | None,
+    robot: Robot = DUAL_PANDA,
     note: str = "",
     sleep: Callable[[float], None] = time.sleep,
 ) -> None:
@@ -109,10 +112,11 @@ def play(
         trajectory: The plan.
         title: Shown beside it.
         rounds_n: How often; None repeats until the view is closed.
+        robot: The arms.
         note: Shown beside it.
         sleep: Waits [s].
     """
-    poser = Poser(scene_model(config, scene))
+    poser = Poser(config, scene, robot)
     end = poser.place(trajectory.q[-1]).qpos.copy()
     words = Overlay(title=title, mode="moveit", source="planner", state="played, not simulated")
     words = replace(words, preview=replace(tcp_preview(poser.kinematics, trajectory.q), ghosts=(end,)))
@@ -130,32 +134,43 @@ def play(
             return
 
 
-def play_queries(view: View | None, config: SceneConfig, outcomes: Mapping[str, Sequence[Outcome]]) -> None:
+def play_queries(
+    view: View | None, config: SceneConfig, robot: Robot, outcomes: Mapping[str, Sequence[Outcome]]
+) -> None:
     """Play the first solved query of each group once; without a view do nothing."""
     for group, done in outcomes.items():
         first = next((o for o in done if o.result is not None), None)
         if view is not None and first is not None and first.result is not None:
             title, note = f"plan, {group}, query {first.query.index}", f"planned in {1e3 * first.total_s:.0f} ms"
-            play(view, config, first.query.scene, first.result.trajectory, title, rounds_n=1, note=note)
+            found = first.result.trajectory
+            play(view, config, first.query.scene, found, title, rounds_n=1, robot=robot, note=note)
 
 
-def write_picture(path: Path, config: SceneConfig, scene: PlanningScene, trajectory: Trajectory, title: str) -> None:
-    """Draw a plan: the world from the front corner and from above, arms at the end, pale at the start and between."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+def write_paths(path: Path, config: SceneConfig, robot: Robot, outcomes: Mapping[str, Sequence[Outcome]]) -> None:
+    """Draw one solved query of each group: the longest of those that needed a search, or the longest."""
+    shown: list[tuple[str, Any]] = []
+    for group, done in outcomes.items():
+        solved = [(o, o.result) for o in done if o.result is not None]
+        if solved:
+            o, result = max(solved, key=lambda pair: (not pair[1].direct, pair[1].trajectory.duration_s))
+            title = f"{group}, query {o.query.index}: planned in {1e3 * o.total_s:.0f} ms, lasts {result.trajectory.duration_s:.2f} s"
+            shown += zip((title, ""), _renders(config, o.query.scene, result.trajectory, robot), strict=True)
+    if shown:
+        sheet(shown, 2, path, title="Pale: start and midway. Solid: end. Lines: paths of the hands.", width_in=5.0)
 
-    poser = Poser(scene_model(config, scene))
-    views = [_render(poser, trajectory, camera) for camera in (_corner_camera(), _top_camera())]
-    figure = Figure(figsize=(13.0, 5.6), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
-    for axis, image, name in zip(
-        figure.subplots(1, 2), views, ("from the front corner", "from above, the arms' bases on the left"), strict=True
-    ):
-        axis.imshow(image)
-        axis.set_axis_off()
-        axis.set_title(name, fontsize=10)
-    figure.suptitle(f"{title}: pale where it begins and passes, solid where it ends", fontsize=12)
-    figure.savefig(path)
+
+def write_picture(
+    path: Path, config: SceneConfig, scene: PlanningScene, trajectory: Trajectory, title: str, robot: Robot = DUAL_PANDA
+) -> None:
+    """Draw a plan from the front corner and from above: arms solid at the end, pale at the start and midway."""
+    names = ("from the front corner", "from above, the arms' bases on the left")
+    pictures = list(zip(names, _renders(config, scene, trajectory, robot), strict=True))
+    sheet(pictures, 2, path, title=f"{title}: pale at the start and midway, solid at the end", width_in=6.5)
+
+
+def _renders(config: SceneConfig, scene: PlanningScene, trajectory: Trajectory, robot: Robot) -> list[Any]:
+    poser = Poser(config, scene, robot)
+    return [_render(poser, trajectory, camera) for camera in (_corner_camera(), _top_camera())]
 
 
 def _corner_camera() -> mujoco.MjvCamera:

@@ -104,7 +104,7 @@ def run(context: StageContext) -> StageResult:
     from minidual.config.seeds import stream
     from minidual.robot.arms import robot_from
     from minidual.show.figures.film import film_trial
-    from minidual.show.figures.trial_figures import draw_trial
+    from minidual.show.figures.trial import draw_trial
     from minidual.show.watch import watch_trials
     from minidual.tasks.task import make_task
     from minidual.trials.methods import MethodInputs

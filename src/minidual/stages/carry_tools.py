@@ -59,7 +59,7 @@ def tune(context: ToolContext) -> ToolResult:
     """Search squeeze and stiffness by carrying; write them as a profile."""
     import yaml
 
-    from minidual.show.figures.tuning_figure import draw_tuning
+    from minidual.show.figures.tuning import draw_tuning
     from minidual.tasks.task import task_config
     from minidual.trials.tables import write_text
     from minidual.trials.tuning import CARRIES_N, Tuner, TuningError, write_rows

@@ -9,7 +9,7 @@ from minidual.errors import ExitCode, UsageError, unknown_name
 from minidual.gate.tool import ToolContext, ToolResult
 from minidual.plant.recording import Recording, read_recording
 from minidual.plant.replay import Replayed, replay
-from minidual.show.figures.replay_film import CAMERAS, FILM_FPS, Postures, film_postures, sheet_of_postures
+from minidual.show.figures.film import CAMERAS, FILM_FPS, Postures, film_postures, sheet_of_postures
 
 _FRAMES = 8
 

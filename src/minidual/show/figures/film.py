@@ -1,39 +1,42 @@
-"""Film a trial: the same trial again, in a world with visual meshes, seen by the overview camera."""
+"""Films: a trial run once more, or recorded postures, seen by a camera of the scene."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+import mujoco
+import numpy as np
+
+from minidual.config.scene import SceneConfig
+from minidual.errors import unknown_name
 from minidual.plant.model import build_model
 from minidual.plant.render import Camera, Image, write_video
 from minidual.plant.world import World
-from minidual.robot.arms import robot_from
+from minidual.robot.arms import DUAL_PANDA, robot_from
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array, Robot
+from minidual.show.figures.canvas import sheet
 from minidual.tasks.task import Trial, make_task
 from minidual.trials.methods import Factory, Method, MethodInputs, load_factory
 from minidual.trials.trials import TrialResult, run_trial
 
 FILM_FPS = 25
 FILM_SIZE = (640, 480)
+CAMERAS = ("overview", "high", "left", "right")
 
 
 def film_trial(
     method: str, inputs: MethodInputs, trial: Trial, path: Path, *, factory: Factory | None = None
 ) -> TrialResult:
-    """Run `trial` once more, write it to `path` (mp4) and return its result.
-
-    The result is that of the filmed run, so a film never shows another trial than the one it names.
-    """
+    """Run `trial` once more, write it to `path` (mp4) and return the result of the filmed run."""
     robot = robot_from(inputs.config.robot)
-    model = build_model(inputs.config.scene, robot, visuals=True)
-    world = World(inputs.config.scene, robot, model=model)
+    world = World(inputs.config.scene, robot, visuals=True)
     make = load_factory(method, inputs) if factory is None else factory
     frames: list[Image] = []
-    with Camera(model, *FILM_SIZE, shadows=True) as camera:
-        result, _ = run_trial(
-            method, make, world, Kinematics(robot), make_task(inputs.config), trial, on_step=film_hook(camera, frames)
-        )
+    with Camera(world.model, *FILM_SIZE, shadows=True) as camera:
+        hook = film_hook(camera, frames)
+        result, _ = run_trial(method, make, world, Kinematics(robot), make_task(inputs.config), trial, on_step=hook)
     write_video(path, frames, fps=FILM_FPS)
     return result
 
@@ -46,3 +49,60 @@ def film_hook(camera: Camera, frames: list[Image], *, view: str = "overview") ->
             frames.append(camera.picture(world.data, view))
 
     return hook
+
+
+class Postures:
+    """A step hook that keeps the state of the whole model at even times.
+
+    Args:
+        period_s: Simulated time between two of them [s].
+    """
+
+    def __init__(self, period_s: float) -> None:
+        self._period_s = period_s
+        self._next_s = -np.inf
+        self.times: list[float] = []
+        self.qpos: list[Array] = []
+
+    def __call__(self, world: World) -> None:
+        """Keep the present state if it is due."""
+        if world.time >= self._next_s - 1e-9:
+            self._next_s = world.time + self._period_s
+            self.times.append(world.time)
+            self.qpos.append(world.data.qpos.copy())
+
+
+def film_postures(
+    scene: SceneConfig, postures: Postures, path: Path, *, camera: str = "overview", robot: Robot = DUAL_PANDA
+) -> int:
+    """Write the postures as an mp4 at FILM_FPS and return the number of frames."""
+    return write_video(path, _pictures(scene, robot, postures.qpos, camera), fps=FILM_FPS)
+
+
+def sheet_of_postures(
+    scene: SceneConfig,
+    postures: Postures,
+    path: Path,
+    *,
+    frames: int,
+    camera: str = "overview",
+    robot: Robot = DUAL_PANDA,
+) -> int:
+    """Draw up to `frames` postures, evenly spread from first to last, into one png; return their number."""
+    chosen = np.unique(np.linspace(0, len(postures.times) - 1, frames).round().astype(int))
+    pictures = _pictures(scene, robot, [postures.qpos[i] for i in chosen], camera)
+    named = [(f"{postures.times[i]:.3f} s", picture.copy()) for i, picture in zip(chosen, pictures, strict=True)]
+    sheet(named, min(4, len(named)), path)
+    return len(named)
+
+
+def _pictures(scene: SceneConfig, robot: Robot, qpos: Sequence[Array], camera: str) -> Iterator[Image]:
+    if camera not in CAMERAS:
+        raise unknown_name("camera", camera, CAMERAS)
+    model = build_model(scene, robot, visuals=True)
+    data = mujoco.MjData(model)
+    with Camera(model, *FILM_SIZE, shadows=True) as eye:
+        for posture in qpos:
+            data.qpos[:] = posture
+            mujoco.mj_forward(model, data)
+            yield eye.picture(data, camera)

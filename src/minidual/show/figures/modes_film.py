@@ -1,4 +1,4 @@
-"""The film of the three modes: the scene, and over it who has the arms."""
+"""The film of the three modes: the scene, and under it the source in control."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from PIL import ImageDraw, ImageFont
 
 from minidual.control.stack import ControlStack
 from minidual.plant.render import Camera, Image
+from minidual.show.figures.film import FILM_FPS
 
-FILM_FPS = 25
 FILM_SIZE = (720, 540)
 _BAR_PX = 64
 _LAST_S = 1.0

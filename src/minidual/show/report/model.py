@@ -13,7 +13,7 @@ from minidual.show.report.tables import Tables
 from minidual.show.report.wording import joined
 from minidual.trials.conditions import CLEAN
 
-OverallState = Literal["pass", "fail", "smoke", "tainted"]
+OverallState = Literal["pass", "fail", "weakened", "smoke", "tainted"]
 
 
 @dataclass(frozen=True)
@@ -57,6 +57,10 @@ class ReportInput:
     def counts_as_acceptance(self) -> bool:
         """Whether the profile of the report and of every verdict counts as acceptance."""
         return self.acceptance and all(verdict.acceptance_profile for verdict in self.verdicts.values())
+
+    def weakened(self) -> list[str]:
+        """Return the counts and limits, of any stage, that asked for less than the shipped profile."""
+        return list(dict.fromkeys(line for verdict in self.verdicts.values() for line in verdict.weakened))
 
     def not_passing(self) -> list[str]:
         """Return the stages without a passing verdict."""
@@ -105,12 +109,14 @@ def report_checks(given: ReportInput, tables: Tables) -> list[Check]:
 
 
 def overall_state(given: ReportInput, checks: Sequence[Check]) -> OverallState:
-    """Return the state at the head of the page; tainted comes before fail, fail before smoke, smoke before pass."""
+    """Return the state at the head of the page; the gravest that applies."""
     if given.all_waivers():
         return "tainted"
     if derive_status(checks) != "pass" or given.code_changes:
         return "fail"
-    return "pass" if given.counts_as_acceptance() else "smoke"
+    if not given.counts_as_acceptance():
+        return "smoke"
+    return "weakened" if given.weakened() else "pass"
 
 
 def banners(given: ReportInput, checks: Sequence[Check]) -> tuple[Banner, ...]:
@@ -135,6 +141,9 @@ def banners(given: ReportInput, checks: Sequence[Check]) -> tuple[Banner, ...]:
     if not given.counts_as_acceptance():
         meaning = "Few trials and little training show that the parts fit together. The rates below prove nothing else."
         found.append(Banner("smoke", f"{given.profile}: wiring only, not acceptance", (meaning,)))
+    if given.weakened():
+        title = f"Less was asked than the {given.profile} profile asks: not acceptance"
+        found.append(Banner("smoke", title, tuple(given.weakened())))
     overrides = sorted({text for verdict in given.verdicts.values() for text in verdict.overrides})
     if overrides:
         found.append(Banner("note", f"Values of the {given.profile} profile were overridden", tuple(overrides)))

@@ -16,7 +16,13 @@ from minidual.show.report.indicators import INDICATORS
 from minidual.show.report.paired import CERTAIN
 from minidual.show.report.wording import duration, fault, joined, percent, points
 
-_STATE_WORDS = {"pass": "Pass", "fail": "Fail", "smoke": "Smoke: wiring only", "tainted": "Tainted"}
+_STATE_WORDS = {
+    "pass": "Pass",
+    "fail": "Fail",
+    "weakened": "Weakened",
+    "smoke": "Smoke: wiring only",
+    "tainted": "Tainted",
+}
 _RESULT_WORDS = {True: "pass", False: "fail", None: "reported"}
 
 

@@ -1,0 +1,42 @@
+"""The look that all figures share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+
+INK, LIMIT = "#1f3b57", "#c0392b"
+BLUE, ORANGE, GREEN = "#2f6db5", "#e07b27", "#3a9a5b"
+
+
+def new_figure(rows: int, columns: int, width_in: float, height_in: float, **options: Any) -> tuple[Figure, Any]:
+    """Return a figure and its axes, an array (rows, columns); `options` go to `Figure.subplots`."""
+    figure = Figure(figsize=(width_in, height_in), dpi=110, layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False, **options)
+    for axis in axes.flat:
+        axis.grid(alpha=0.25)
+        axis.set_axisbelow(True)
+        axis.spines[["top", "right"]].set_visible(False)
+    return figure, axes
+
+
+def limit_line(axis: Any, at: float, label: str | None = "limit", style: str = "--") -> None:
+    """Draw a limit across an axis at the height `at`."""
+    axis.axhline(at, color=LIMIT, lw=1, ls=style, label=label)
+
+
+def sheet(images: list[tuple[str, Any]], columns: int, path: Path, *, title: str = "", width_in: float = 3.4) -> None:
+    """Write pictures (H, W, 3) with a title each as one sheet, row by row."""
+    rows = -(-len(images) // columns)
+    height, width = images[0][1].shape[:2]
+    figure, axes = new_figure(rows, columns, width_in * columns, (width_in * height / width + 0.3) * rows + 0.3)
+    for axis in axes.flat:
+        axis.set_axis_off()
+    for axis, (name, image) in zip(axes.flat, images, strict=False):
+        axis.imshow(image)
+        axis.set_title(name, fontsize=10, loc="left")
+    if title:
+        figure.suptitle(title, fontsize=12)
+    figure.savefig(path, metadata={"Software": None})
