@@ -183,7 +183,7 @@ def _corner_camera() -> mujoco.MjvCamera:
 def _top_camera() -> mujoco.MjvCamera:
     camera = mujoco.MjvCamera()
     camera.lookat[:] = (0.35, 0.0, 0.1)
-    camera.distance, camera.azimuth, camera.elevation = 2.3, 90.0, -89.0
+    camera.distance, camera.azimuth, camera.elevation = 1.9, 90.0, -89.0
     return camera
 
 

@@ -2,20 +2,36 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import numpy as np
+
+from minidual.control.reflexes import ReflexError
+from minidual.control.stack import ControlStack
+from minidual.control.supervisor import Supervisor, dumping
+from minidual.durable import write_text
 from minidual.errors import ExitCode, GateClosedError, UsageError
+from minidual.gate.canonical import canonical, dumps
+from minidual.gate.progress import Task as Bar
 from minidual.gate.tool import ToolContext, ToolResult
-
-if TYPE_CHECKING:
-    from minidual.control.stack import ControlStack
-    from minidual.gate.progress import Task as Bar
-    from minidual.plant.render import Image
-    from minidual.tasks.task import Task, Trial
-    from minidual.trials.modes import ModesResult
-    from minidual.trials.modes_drivers import Driver
+from minidual.motion.api import Planner
+from minidual.plant.recorder import Recorder
+from minidual.plant.render import Camera, Image, write_video
+from minidual.plant.world import World
+from minidual.robot.arms import robot_from
+from minidual.robot.kinematics import Kinematics
+from minidual.show.figures.film import FILM_FPS
+from minidual.show.figures.modes_film import FILM_SIZE, filmed
+from minidual.show.view import Overlay
+from minidual.show.watch import watched
+from minidual.skills.operator import ScriptedOperator
+from minidual.skills.supervised import arm_distance
+from minidual.tasks.task import Task, Trial, make_task
+from minidual.trials.modes import DEFAULT_MODES, ModesDemo, ModesResult, SwitchError, parse_modes
+from minidual.trials.modes_drivers import Driver, MoveitDriver, PolicyDriver, TeleopDriver
 
 _INTERRUPT_SHARE = 0.55
 """The planner's first motion is interrupted after this part of it: a switch of arms in motion."""
@@ -23,8 +39,6 @@ _INTERRUPT_SHARE = 0.55
 
 def modes(context: ToolContext) -> ToolResult:
     """Run the demonstration, write film and log, and hold every switch to its bounds; exit 1 where it ends early."""
-    from minidual.trials.modes import DEFAULT_MODES, parse_modes
-
     named = context.options.get("modes")
     wanted = DEFAULT_MODES if named is None else parse_modes(named)
     checkpoint = find_checkpoint(context) if "policy" in wanted else None
@@ -61,22 +75,6 @@ def find_checkpoint(context: ToolContext) -> Path:
 
 
 def _run(context: ToolContext, wanted: tuple[str, ...], checkpoint: Path | None) -> ModesResult:
-    from minidual.control.stack import ControlStack
-    from minidual.control.supervisor import Supervisor, dumping
-    from minidual.durable import write_text
-    from minidual.gate.canonical import canonical, dumps
-    from minidual.plant.recorder import Recorder
-    from minidual.plant.render import Camera, write_video
-    from minidual.plant.world import World
-    from minidual.robot.arms import robot_from
-    from minidual.robot.kinematics import Kinematics
-    from minidual.show.figures.modes_film import FILM_FPS, FILM_SIZE, filmed
-    from minidual.show.view import Overlay
-    from minidual.show.watch import watched
-    from minidual.skills.supervised import arm_distance
-    from minidual.tasks.task import make_task
-    from minidual.trials.modes import ModesDemo
-
     config = context.config
     robot = robot_from(config.robot)
     world = World(config.scene, robot, visuals=True)
@@ -107,7 +105,7 @@ def _run(context: ToolContext, wanted: tuple[str, ...], checkpoint: Path | None)
             watched(context.view, world, tell),
             context.progress.task("modes", len(wanted)) as task,
         ):
-            pictures = filmed(_counted(_until_stopped(demo.steps(), stopped), task), stack, camera)
+            pictures = filmed(_counted(demo.steps(), task, stopped), stack, camera)
             write_video(context.output / "modes.mp4", pictures, fps=FILM_FPS)
     result = demo.result(config.arbiter, ended="; ".join(stopped))
     demo.recorder.write_csv(context.output / "modes.csv")
@@ -135,18 +133,14 @@ def _turns(
     picture: Callable[[str], Image],
 ) -> list[tuple[str, Callable[[], Driver]]]:
     """Return who drives in each turn; what several turns share is loaded once."""
-    from minidual.motion.api import Planner
-    from minidual.skills.operator import ScriptedOperator
-    from minidual.trials.modes_drivers import MoveitDriver, PolicyDriver, TeleopDriver
-
-    config, seed = context.config, context.seed
-    planner = Planner(config=config.plan.planner, robot=stack.plant.robot)
+    config, seed, robot = context.config, context.seed, stack.plant.robot
+    planner = Planner(config=config.plan.planner, robot=robot)
     operator = ScriptedOperator(config.scene, config.teleop.operator)
     runtime: Any = None
     if checkpoint is not None:
-        from minidual.policies.pilot import load_runtime
+        from minidual.policies.pilot import load_runtime  # torch takes seconds to load
 
-        runtime = load_runtime(checkpoint, config.deploy, stack.plant.robot)
+        runtime = load_runtime(checkpoint, config.deploy, robot)
 
     def make(mode: str, last: bool) -> Driver:
         if mode == "moveit":
@@ -156,29 +150,20 @@ def _turns(
             return TeleopDriver(stack, operator, trial, seed, config.teleop.rate_hz)
         return PolicyDriver(stack, runtime, picture, job, trial)
 
-    final = len(wanted) - 1
-    return [(mode, lambda mode=mode, k=k: make(mode, k == final)) for k, mode in enumerate(wanted)]
+    return [(mode, functools.partial(make, mode, k == len(wanted))) for k, mode in enumerate(wanted, start=1)]
 
 
-def _until_stopped(steps: Iterator[tuple[str, str]], stopped: list[str]) -> Iterator[tuple[str, str]]:
-    """Pass the steps on until the arms are stopped or a mode fails; say why in `stopped`: log and film are kept."""
-    from minidual.control.reflexes import ReflexError
-    from minidual.trials.modes import SwitchError
-
-    try:
-        yield from steps
-    except (SwitchError, ReflexError) as error:
-        stopped.append(str(error))
-
-
-def _counted(steps: Iterator[tuple[str, str]], task: Bar) -> Iterator[tuple[str, str]]:
-    """Pass the steps on, counting the turns that have ended."""
+def _counted(steps: Iterator[tuple[str, str]], task: Bar, stopped: list[str]) -> Iterator[tuple[str, str]]:
+    """Pass the steps on and count turns. Where the arms are stopped or a mode fails, end and add why to `stopped`."""
     before: tuple[str, str] | None = None
-    for now in steps:
-        if before is not None and now != before:
-            task.advance(note=f"{before[0]} done")
-        before = now
-        yield now
+    try:
+        for now in steps:
+            if before is not None and now != before:
+                task.advance(note=f"{before[0]} done")
+            before = now
+            yield now
+    except (SwitchError, ReflexError) as error:  # log and film are kept
+        stopped.append(str(error))
     task.advance(note="film")
 
 
@@ -196,7 +181,9 @@ def _notes(result: ModesResult, context: ToolContext) -> list[str]:
     ]
     notes.append(f"{'bound':<46}{first_step:>12.4f}{'speed limit':>15}{torque:>12.2f}")
     for outcome in result.outcomes:
-        what = ", ".join(f"{k} {_text(v)}" for k, v in outcome.items() if k != "mode")
+        what = ", ".join(
+            f"{k} {np.round(v, 4) if isinstance(v, float | list) else v}" for k, v in outcome.items() if k != "mode"
+        )
         notes.append(f"{outcome['mode']}: {what}")
     for name in sorted({r[1] for r in result.refusals}):
         notes.append(f"refused as {name}: {sum(r[1] == name for r in result.refusals)}")
@@ -207,11 +194,3 @@ def _notes(result: ModesResult, context: ToolContext) -> list[str]:
         notes.append("every step at every switch within its bound")
     notes.append(f"log, film: {context.folder}")
     return notes
-
-
-def _text(value: object) -> str:
-    if isinstance(value, float):
-        return f"{value:.3g}"
-    if isinstance(value, list):
-        return "[" + ", ".join(_text(v) for v in value) + "]"
-    return str(value)

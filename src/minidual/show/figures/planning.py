@@ -34,6 +34,8 @@ def write_times(
         if limit is not None:
             spread.plot([limit * 1e3] * 2, ends, color=LIMIT, lw=1.6, ls="--")
     spread.set_xscale("log")
+    spread.xaxis.set_major_formatter("{x:g}")
+    spread.xaxis.set_minor_formatter("{x:g}")
     spread.grid(axis="x", which="both", alpha=0.25)
     spread.set_yticks(range(len(groups)), groups)
     spread.set_ylim(-0.6, len(groups) - 0.3)
