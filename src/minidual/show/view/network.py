@@ -18,28 +18,22 @@ def free_port(host: str, first: int, tries: int = PORTS_TRIED) -> int:
     Raises:
         UsageError: The interface is not this machine's, or none of the ports is free.
     """
-    for port in range(first, min(first + tries, 65536)):
+    last = min(first + tries, 65536) - 1
+    for port in range(first, last + 1):
         try:
-            addresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
-            for family, kind, protocol, _, address in addresses:
+            for family, kind, protocol, _, address in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM):
                 with socket.socket(family, kind, protocol) as probe:
                     probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
                     probe.bind(address)
-        except PermissionError as error:
-            raise UsageError(
-                f"port {port} of {host} may not be bound by this user", remedy="take one from 1024 up: --view-port 8080"
-            ) from error
+            return port
         except OSError as error:
-            if error.errno == errno.EADDRINUSE:
-                continue
-            raise UsageError(
-                f"the view cannot bind interface '{host}': {error.strerror or error}",
-                remedy="--view-host 127.0.0.1 for this machine only, or an address that this machine has",
-            ) from error
-        return port
+            if error.errno != errno.EADDRINUSE:
+                raise UsageError(
+                    f"the view cannot bind interface '{host}', port {port}: {error.strerror or error}",
+                    remedy="--view-host 127.0.0.1 for this machine only, and a --view-port from 1024 up",
+                ) from error
     raise UsageError(
-        f"no free port for the view among {first} to {min(first + tries, 65536) - 1}",
-        remedy="end the program that holds them, or --view-port N",
+        f"no free port for the view among {first} to {last}", remedy="end the program that holds them, or --view-port N"
     )
 
 
@@ -59,11 +53,8 @@ def url(host: str, port: int) -> str:
 
 def tunnel_command(port: int) -> str:
     """Return what to type on another machine so that the same address works there."""
-    return f"ssh -L {port}:127.0.0.1:{port} {_user()}@{socket.gethostname()}"
-
-
-def _user() -> str:
     try:
-        return getpass.getuser()
+        user = getpass.getuser()
     except (KeyError, OSError):  # a container without a passwd entry for this user
-        return "user"
+        user = "user"
+    return f"ssh -L {port}:127.0.0.1:{port} {user}@{socket.gethostname()}"

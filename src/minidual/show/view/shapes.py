@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 import numpy.typing as npt
+import trimesh
 
 HIDDEN_GROUP = 3
 """Geoms of this group and above are for collision; MuJoCo's own viewer hides them too."""
@@ -39,8 +40,6 @@ def moving_bodies(model: mujoco.MjModel) -> list[int]:
 
 def body_meshes(model: mujoco.MjModel) -> list[BodyMesh]:
     """Return the visible meshes of a model; geoms of one body and colour are one mesh, as each mesh costs."""
-    import trimesh
-
     parts: dict[tuple[int, tuple[float, ...]], list[trimesh.Trimesh]] = {}
     for geom, mesh in _visible(model):
         rgba = tuple(round(float(c), 4) for c in model.geom_rgba[geom])
@@ -54,7 +53,7 @@ def body_meshes(model: mujoco.MjModel) -> list[BodyMesh]:
     return result
 
 
-def _visible(model: mujoco.MjModel) -> Iterator[tuple[int, object]]:
+def _visible(model: mujoco.MjModel) -> Iterator[tuple[int, trimesh.Trimesh]]:
     """Yield (geom, mesh in its body's frame) of every geom that is drawn and has a shape of its own."""
     for geom in range(model.ngeom):
         if int(model.geom_group[geom]) >= HIDDEN_GROUP or float(model.geom_rgba[geom, 3]) == 0.0:
@@ -70,30 +69,24 @@ def _visible(model: mujoco.MjModel) -> Iterator[tuple[int, object]]:
         yield geom, mesh
 
 
-def _mesh(model: mujoco.MjModel, geom: int) -> object | None:
-    """Return the trimesh of a geom in its own frame, or None for a plane, which has no end."""
-    import trimesh
-
-    kind = mujoco.mjtGeom
-    size = model.geom_size[geom]
-    shape = int(model.geom_type[geom])
-    if shape == int(kind.mjGEOM_MESH):
+def _mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
+    """Return the mesh of a geom in its own frame, or None for an infinite plane."""
+    size, kind = model.geom_size[geom], mujoco.mjtGeom(int(model.geom_type[geom]))
+    if kind == mujoco.mjtGeom.mjGEOM_MESH:
         mesh = model.mesh(int(model.geom_dataid[geom]))
         vertices = model.mesh_vert[int(mesh.vertadr[0]) :][: int(mesh.vertnum[0])]
         faces = model.mesh_face[int(mesh.faceadr[0]) :][: int(mesh.facenum[0])]
         return trimesh.Trimesh(vertices.astype(float), faces.astype(int), process=False)
-    if shape == int(kind.mjGEOM_BOX):
-        return trimesh.creation.box(extents=2.0 * size)
-    if shape == int(kind.mjGEOM_CYLINDER):
-        return trimesh.creation.cylinder(radius=size[0], height=2.0 * size[1], sections=40)
-    if shape == int(kind.mjGEOM_CAPSULE):
-        return trimesh.creation.capsule(radius=size[0], height=2.0 * size[1], count=[24, 24])
-    if shape == int(kind.mjGEOM_SPHERE):
-        return trimesh.creation.icosphere(subdivisions=3, radius=size[0])
-    if shape == int(kind.mjGEOM_ELLIPSOID):
-        ball = trimesh.creation.icosphere(subdivisions=3)
-        ball.apply_scale(size)
-        return ball
+    match kind:
+        case mujoco.mjtGeom.mjGEOM_BOX:
+            return trimesh.creation.box(extents=2.0 * size)
+        case mujoco.mjtGeom.mjGEOM_CYLINDER:
+            return trimesh.creation.cylinder(radius=size[0], height=2.0 * size[1], sections=40)
+        case mujoco.mjtGeom.mjGEOM_CAPSULE:
+            return trimesh.creation.capsule(radius=size[0], height=2.0 * size[1], count=[24, 24])
+        case mujoco.mjtGeom.mjGEOM_SPHERE | mujoco.mjtGeom.mjGEOM_ELLIPSOID:
+            ball = trimesh.creation.icosphere(subdivisions=3)
+            return ball.apply_scale(size[0] if kind == mujoco.mjtGeom.mjGEOM_SPHERE else size)
     return None
 
 

@@ -16,7 +16,7 @@ from minidual.show.view.network import free_port, is_loopback, tunnel_command, u
 from minidual.show.view.overlay import Array, Overlay, Slider
 from minidual.show.view.pace import Metronome, SpeedMeter
 from minidual.show.view.panel import Panel
-from minidual.show.view.web_scene import WebScene
+from minidual.show.view.scene import Scene
 
 _PANEL_HZ = 6.0
 _UNWATCHED = 10.0
@@ -67,7 +67,7 @@ class WebView:
         self.port = self._server.get_port()
         self.url: str | None = url(config.host, self.port)
         self._panel = Panel(self._server)
-        self._scene: WebScene | None = None
+        self._scene: Scene | None = None
         self._model: mujoco.MjModel | None = None
         self._metronome = Metronome(config.rate_hz)
         self._panel_metronome = Metronome(_PANEL_HZ)
@@ -111,7 +111,7 @@ class WebView:
             return
         with self._lock:
             self._slot = None
-            self._scene = WebScene(self._server, model)
+            self._scene = Scene(self._server, model)
             self._model = model
 
     def due(self) -> bool:
@@ -146,7 +146,7 @@ class WebView:
             self._broken = True
             self._say(f"the view ended early ({type(error).__name__}: {error}); what it showed goes on")
 
-    def _draw(self, scene: WebScene, frame: _Frame) -> None:
+    def _draw(self, scene: Scene, frame: _Frame) -> None:
         speed = self._speed.add(frame.overlay.time_s)
         with self._server.atomic():
             scene.move(frame.positions, frame.quaternions)

@@ -1,0 +1,157 @@
+"""The scene in the browser: built once, then only poses, arrows and lines are sent."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from minidual.show.view.overlay import NO_PREVIEW, Array, Arrow, Preview
+from minidual.show.view.shapes import BodyMesh, body_meshes, floor_height, moving_bodies
+
+_ARROW_M_PER_N = 0.0025
+"""Length of a force arrow: 40 N are 10 cm."""
+_ARROW_MIN_N = 0.5
+_MOVED = 1e-5
+"""Least change of a position [m] or quaternion entry that is sent; the screen shows 1 mm at best."""
+_FLAT_M = 0.002
+"""A thinner mesh, such as a mark on the table, casts no shadow: it would blur itself."""
+_GHOSTS_MAX, _GHOST_MOVED = 4, 1e-3
+_GHOST_RGB, _FLOOR_RGB, _FOG_RGB = (70, 160, 255), (214, 220, 228), (255, 255, 255)
+_CAMERA, _TARGET, _FOV_RAD = (1.85, -0.85, 0.95), (0.30, 0.10, 0.17), 0.70
+_FLOOR_HALF_M = 30.0
+"""The edge of the floor lies in the fog."""
+
+
+class Scene:
+    """What the browser draws for one model.
+
+    Args:
+        server: A viser server; what was drawn before is removed.
+        model: With visual meshes.
+    """
+
+    def __init__(self, server: Any, model: mujoco.MjModel) -> None:
+        self._server, self._model = server, model
+        self._meshes = body_meshes(model)
+        self._arrows: Any = None
+        self._preview: Preview = NO_PREVIEW
+        self._preview_nodes: list[Any] = []
+        server.scene.reset()
+        self._light()
+        height = floor_height(model)
+        if height is not None:
+            corners = _FLOOR_HALF_M * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], dtype=np.float32)
+            faces, position = np.array([[0, 1, 2], [0, 2, 3]]), (0.0, 0.0, height)
+            server.scene.add_mesh_simple(
+                "/floor", corners, faces, color=_FLOOR_RGB, position=position, cast_shadow=False
+            )
+        drawn = {mesh.body for mesh in self._meshes}
+        rest = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, rest)
+        self._frames = {body: self._add_frame(f"/scene/{_name(model, body)}", rest, body) for body in sorted(drawn)}
+        self._moving = [body for body in moving_bodies(model) if body in drawn]
+        self._sent = {body: np.full(7, np.inf) for body in self._moving}
+        for index, mesh in enumerate(self._meshes):
+            self._add_mesh(f"/scene/{_name(model, mesh.body)}/mesh{index}", mesh)
+
+    def _light(self) -> None:
+        scene, camera = self._server.scene, self._server.initial_camera
+        scene.set_up_direction("+z")
+        scene.configure_environment_map("studio", background=False, environment_intensity=0.22)
+        scene.configure_default_lights(enabled=False)
+        scene.add_light_hemisphere("/light/sky", ground_color=(120, 126, 138), intensity=0.42)
+        scene.add_light_directional(
+            "/light/key", color=(255, 250, 240), intensity=1.15, cast_shadow=True, position=(1.2, 1.0, 2.6)
+        )
+        scene.configure_fog(4.0, 14.0, color=_FOG_RGB)
+        camera.position, camera.look_at, camera.up, camera.fov = _CAMERA, _TARGET, (0.0, 0.0, 1.0), _FOV_RAD
+        camera.near, camera.far = 0.05, 60.0
+
+    def _add_frame(self, name: str, data: mujoco.MjData, body: int) -> Any:
+        position, wxyz = data.xpos[body].copy(), data.xquat[body].copy()
+        return self._server.scene.add_frame(name, show_axes=False, position=position, wxyz=wxyz)
+
+    def _add_mesh(self, name: str, mesh: BodyMesh, *, ghost: bool = False) -> None:
+        opacity = 0.28 if ghost else (mesh.rgba[3] if mesh.rgba[3] < 1.0 else None)
+        flat = float(np.ptp(mesh.vertices, axis=0).min()) < _FLAT_M
+        self._server.scene.add_mesh_simple(
+            name,
+            mesh.vertices,
+            mesh.faces,
+            color=_GHOST_RGB if ghost else tuple(round(255 * c) for c in mesh.rgba[:3]),
+            opacity=opacity,
+            cast_shadow=not (ghost or flat),
+            receive_shadow=not ghost,
+        )
+
+    def move(self, positions: Array, quaternions: Array) -> int:
+        """Send the poses of the moving bodies that changed; return how many did.
+
+        Args:
+            positions: (nbody, 3) world [m].
+            quaternions: (nbody, 4) wxyz.
+        """
+        sent = 0
+        for body in self._moving:
+            pose = np.concatenate([positions[body], quaternions[body]])
+            if np.abs(pose - self._sent[body]).max() >= _MOVED:
+                self._sent[body] = pose
+                self._frames[body].position, self._frames[body].wxyz = pose[:3], pose[3:]
+                sent += 1
+        return sent
+
+    def draw_forces(self, arrows: Sequence[Arrow]) -> None:
+        """Draw forces as arrows in place of the last ones."""
+        shown = [a for a in arrows if float(np.linalg.norm(a.force)) >= _ARROW_MIN_N]
+        if not shown:
+            if self._arrows is not None:
+                self._arrows.visible = False
+            return
+        points = np.array([[a.start, a.start + _ARROW_M_PER_N * a.force] for a in shown], dtype=np.float32)
+        colours = np.array([a.rgb for a in shown], dtype=np.uint8)
+        if self._arrows is None or len(self._arrows.points) != len(points):
+            self._arrows = self._server.scene.add_arrows(
+                "/forces", points, colours, shaft_radius=0.006, head_radius=0.014, head_length=0.03
+            )
+        else:
+            self._arrows.points, self._arrows.colors = points, colours
+        self._arrows.visible = True
+
+    def draw_preview(self, preview: Preview) -> None:
+        """Draw what is planned; the same object as before is drawn already."""
+        if preview is self._preview:
+            return
+        self._preview = preview
+        for node in self._preview_nodes:
+            node.remove()
+        self._preview_nodes = []
+        for line in preview.paths:
+            points = np.asarray(line.points, dtype=np.float32)
+            pieces = np.stack([points[:-1], points[1:]], axis=1)
+            self._preview_nodes.append(
+                self._server.scene.add_line_segments(f"/plan/{line.name}", pieces, line.rgb, thickness=0.006)
+            )
+        for index, qpos in enumerate(preview.ghosts[:_GHOSTS_MAX]):
+            self._add_ghost(f"/plan/ghost{index}", qpos)
+
+    def _add_ghost(self, root: str, qpos: Array) -> None:
+        """Draw the bodies that are elsewhere in the state `qpos`, half transparent."""
+        data = mujoco.MjData(self._model)
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(self._model, data)
+        self._preview_nodes.append(self._server.scene.add_frame(root, show_axes=False))
+        poses = {body: np.concatenate([data.xpos[body], data.xquat[body]]) for body in self._moving}
+        elsewhere = {body for body, pose in poses.items() if np.abs(pose - self._sent[body]).max() > _GHOST_MOVED}
+        for body in elsewhere:
+            self._add_frame(f"{root}/{_name(self._model, body)}", data, body)
+        for number, mesh in enumerate(self._meshes):
+            if mesh.body in elsewhere:
+                self._add_mesh(f"{root}/{_name(self._model, mesh.body)}/mesh{number}", mesh, ghost=True)
+
+
+def _name(model: mujoco.MjModel, body: int) -> str:
+    """Return a unique name without slashes, at which the browser's tree splits."""
+    return f"{body}_{model.body(body).name.replace('/', '_')}"
