@@ -19,9 +19,8 @@ from minidual.plant.addresses import map_joints
 from minidual.plant.bodies import free_bodies
 from minidual.plant.model import GROUP_COLLISION, build_spec
 from minidual.plant.scenery import GROUP_MARKER, GROUP_VISUAL
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array, Robot
+from minidual.robot.pair import Array
 from minidual.robot.trajectory import Trajectory
 from minidual.show.figures.canvas import sheet
 from minidual.show.view import Overlay, View
@@ -34,9 +33,9 @@ _LOOK_S = 1.0
 """A round stands still this long at its end."""
 
 
-def scene_model(config: SceneConfig, scene: PlanningScene, robot: Robot = DUAL_PANDA) -> mujoco.MjModel:
+def scene_model(config: SceneConfig, scene: PlanningScene) -> mujoco.MjModel:
     """Return the simulated world, with visual meshes, holding what the planning scene holds (and no object of a task)."""
-    spec = build_spec(config, robot, visuals=True)
+    spec = build_spec(config, scene.robot, visuals=True)
     for body in free_bodies(spec):
         for geom in body.geoms:
             geom.rgba = [0.0, 0.0, 0.0, 0.0]
@@ -74,13 +73,12 @@ class Poser:
 
     Args:
         config: The world around.
-        scene: Obstacles and held objects.
-        robot: The arms.
+        scene: Arms, obstacles and held objects.
     """
 
-    def __init__(self, config: SceneConfig, scene: PlanningScene, robot: Robot = DUAL_PANDA) -> None:
-        self.model, self.kinematics = scene_model(config, scene, robot), Kinematics(robot)
-        model, self.data = self.model, mujoco.MjData(self.model)
+    def __init__(self, config: SceneConfig, scene: PlanningScene) -> None:
+        robot, model = scene.robot, scene_model(config, scene)
+        self.model, self.data, self.kinematics = model, mujoco.MjData(model), Kinematics(robot)
         self._joints = map_joints(model, robot.joint_names, torque=True).qpos
         self.data.qpos[map_joints(model, robot.finger_joint_names, torque=False).qpos] = robot.hand.travel_m
 
@@ -99,7 +97,6 @@ def play(
     title: str,
     *,
     rounds_n: int | None,
-    robot: Robot = DUAL_PANDA,
     note: str = "",
     sleep: Callable[[float], None] = time.sleep,
 ) -> None:
@@ -108,15 +105,14 @@ def play(
     Args:
         view: Live view.
         config: The world around.
-        scene: Obstacles and held objects of the plan.
+        scene: Arms, obstacles and held objects of the plan.
         trajectory: The plan.
         title: Shown beside it.
         rounds_n: How often; None repeats until the view is closed.
-        robot: The arms.
         note: Shown beside it.
         sleep: Waits [s].
     """
-    poser = Poser(config, scene, robot)
+    poser = Poser(config, scene)
     end = poser.place(trajectory.q[-1]).qpos.copy()
     words = Overlay(title=title, mode="moveit", source="planner", state="played, not simulated")
     words = replace(words, preview=replace(tcp_preview(poser.kinematics, trajectory.q), ghosts=(end,)))
@@ -134,19 +130,17 @@ def play(
             return
 
 
-def play_queries(
-    view: View | None, config: SceneConfig, robot: Robot, outcomes: Mapping[str, Sequence[Outcome]]
-) -> None:
+def play_queries(view: View | None, config: SceneConfig, outcomes: Mapping[str, Sequence[Outcome]]) -> None:
     """Play the first solved query of each group once; without a view do nothing."""
     for group, done in outcomes.items():
         first = next((o for o in done if o.result is not None), None)
         if view is not None and first is not None and first.result is not None:
             title, note = f"plan, {group}, query {first.query.index}", f"planned in {1e3 * first.total_s:.0f} ms"
             found = first.result.trajectory
-            play(view, config, first.query.scene, found, title, rounds_n=1, robot=robot, note=note)
+            play(view, config, first.query.scene, found, title, rounds_n=1, note=note)
 
 
-def write_paths(path: Path, config: SceneConfig, robot: Robot, outcomes: Mapping[str, Sequence[Outcome]]) -> None:
+def write_paths(path: Path, config: SceneConfig, outcomes: Mapping[str, Sequence[Outcome]]) -> None:
     """Draw one solved query of each group: the longest of those that needed a search, or the longest."""
     shown: list[tuple[str, Any]] = []
     for group, done in outcomes.items():
@@ -154,22 +148,20 @@ def write_paths(path: Path, config: SceneConfig, robot: Robot, outcomes: Mapping
         if solved:
             o, result = max(solved, key=lambda pair: (not pair[1].direct, pair[1].trajectory.duration_s))
             title = f"{group}, query {o.query.index}: planned in {1e3 * o.total_s:.0f} ms, lasts {result.trajectory.duration_s:.2f} s"
-            shown += zip((title, ""), _renders(config, o.query.scene, result.trajectory, robot), strict=True)
+            shown += zip((title, ""), _renders(config, o.query.scene, result.trajectory), strict=True)
     if shown:
         sheet(shown, 2, path, title="Pale: start and midway. Solid: end. Lines: paths of the hands.", width_in=5.0)
 
 
-def write_picture(
-    path: Path, config: SceneConfig, scene: PlanningScene, trajectory: Trajectory, title: str, robot: Robot = DUAL_PANDA
-) -> None:
+def write_picture(path: Path, config: SceneConfig, scene: PlanningScene, trajectory: Trajectory, title: str) -> None:
     """Draw a plan from the front corner and from above: arms solid at the end, pale at the start and midway."""
     names = ("from the front corner", "from above, the arms' bases on the left")
-    pictures = list(zip(names, _renders(config, scene, trajectory, robot), strict=True))
+    pictures = list(zip(names, _renders(config, scene, trajectory), strict=True))
     sheet(pictures, 2, path, title=f"{title}: pale at the start and midway, solid at the end", width_in=6.5)
 
 
-def _renders(config: SceneConfig, scene: PlanningScene, trajectory: Trajectory, robot: Robot) -> list[Any]:
-    poser = Poser(config, scene, robot)
+def _renders(config: SceneConfig, scene: PlanningScene, trajectory: Trajectory) -> list[Any]:
+    poser = Poser(config, scene)
     return [_render(poser, trajectory, camera) for camera in (_corner_camera(), _top_camera())]
 
 
@@ -203,7 +195,7 @@ def _render(poser: Poser, trajectory: Trajectory, camera: mujoco.MjvCamera) -> A
 
 
 def _add_ghost(shown: Any, poser: Poser, q: Array, option: mujoco.MjvOption, alpha: float) -> None:
-    """Add the arms at q (14,) once more, pale."""
+    """Add the arms at q (n,) once more, pale."""
     before = shown.ngeom
     mujoco.mjv_addGeoms(
         poser.model, poser.place(q), option, mujoco.MjvPerturb(), int(mujoco.mjtCatBit.mjCAT_DYNAMIC), shown

@@ -196,7 +196,7 @@ class StackNarrator:
         return self._preview
 
     def _paths(self, command: TrajectoryCommand) -> tuple[PathLine, ...]:
-        times = np.linspace(0.0, command.motion.duration_s, _PATH_POINTS)
+        times: Array = np.linspace(0.0, command.motion.duration_s, _PATH_POINTS, dtype=np.float64)
         qs = np.tile(self._stack.plant.q, (len(times), 1))
         group = self._kinematics.robot.groups[command.group]
         found = command.motion.sample_many(times)[0]

@@ -37,7 +37,7 @@ def run(context: StageContext) -> StageResult:
 
         outcomes = run_queries(config, seed, advance)
         second = run_queries(config, config.second_seed, advance, config.second_queries_n)
-    play_queries(context.view, context.config.scene, robot, outcomes)
+    play_queries(context.view, context.config.scene, outcomes)
     agreement = engine_agreement(outcomes["both_arms"][0].query.scene, config.agreement_states_n, seed)
     repeatable = all(repeats(config, done[0]) for done in outcomes.values())
     carries = failed_carries(config, context.config.scene, _CARRIES_N, seed)
@@ -54,7 +54,7 @@ def run(context: StageContext) -> StageResult:
         if trajectory is not None:
             trajectory.write_csv(folder / f"trajectory_{group}.csv", robot.joint_names)
             trajectory.write_json(folder / f"trajectory_{group}.json", robot.joint_names, _JSON_EVERY)
-    write_paths(folder / "paths.png", context.config.scene, robot, outcomes)
+    write_paths(folder / "paths.png", context.config.scene, outcomes)
     write_times(outcomes, folder / "times.png", config.time_median_max_s.model_dump())
     checks = [check for group, done in outcomes.items() for check in group_checks(group, done, config)]
     if again:

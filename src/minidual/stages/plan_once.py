@@ -119,7 +119,7 @@ def _write(
         from minidual.show.planning import write_picture
 
         with _writing(targets["picture"]) as path:
-            write_picture(path, context.config.scene, scene, result.trajectory, title, robot_from(context.config.robot))
+            write_picture(path, context.config.scene, scene, result.trajectory, title)
         notes.append(f"picture: {path}")
     return notes
 
@@ -130,8 +130,7 @@ def _play(context: ToolContext, scene: PlanningScene, result: PlanResult, title:
 
     rounds = None if sys.stdin is not None and sys.stdin.isatty() else 1
     try:
-        robot = robot_from(context.config.robot)
-        play(context.view, context.config.scene, scene, result.trajectory, title, rounds_n=rounds, robot=robot)
+        play(context.view, context.config.scene, scene, result.trajectory, title, rounds_n=rounds)
     except KeyboardInterrupt:
         return
 

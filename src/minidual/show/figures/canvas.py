@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,9 @@ def limit_line(axis: Any, at: float, label: str | None = "limit", style: str = "
     axis.axhline(at, color=LIMIT, lw=1, ls=style, label=label)
 
 
-def sheet(images: list[tuple[str, Any]], columns: int, path: Path, *, title: str = "", width_in: float = 3.4) -> None:
+def sheet(
+    images: Sequence[tuple[str, Any]], columns: int, path: Path, *, title: str = "", width_in: float = 3.4
+) -> None:
     """Write pictures (H, W, 3) with a title each as one sheet, row by row."""
     rows = -(-len(images) // columns)
     height, width = images[0][1].shape[:2]

@@ -72,7 +72,8 @@ def _rows(names: Sequence[str], name: str, height: float) -> Iterator[tuple[Any,
 
     `svg()` returns the text after drawing.
     """
-    with mpl.rc_context({**_STYLE, "svg.hashsalt": name}):
+    style: Any = {**_STYLE, "svg.hashsalt": name}
+    with mpl.rc_context(style):
         figure = Canvas(figsize=(_WIDTH_IN, 0.95 + 0.47 * height), layout="constrained")
         figure.patch.set_alpha(0.0)
         axes = figure.subplots()

@@ -78,8 +78,8 @@ class Cell:
     def excellent(self, indicator: Indicator) -> bool:
         """Return whether the value is on the good side of the excellent limit."""
         measure = self.measures.get(indicator.key)
-        judged = measure is not None and (self.competes or indicator is SUCCESS)
-        return judged and indicator.is_excellent(measure.value)
+        judged = self.competes or indicator is SUCCESS
+        return judged and measure is not None and indicator.is_excellent(measure.value)
 
 
 @dataclass(frozen=True)
