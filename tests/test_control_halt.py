@@ -12,9 +12,9 @@ from test_control_controllers import PAIR, hand_over, move, stack_on, trajectory
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import ArbiterState, JointCommand, ObjectCommand
 from minidual.control.controller_manager import ControllerSwitchError
-from minidual.control.motors import SwitchedOff
 from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.control.reflexes import ReflexError
+from minidual.control.soft_stop import SwitchedOff
 from minidual.control.stack import OBJECT_CONTROLLERS, ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from minidual.control.command_checks import Fault
@@ -9,7 +11,7 @@ from minidual.control.commands import Command
 from minidual.control.controllers import Controller
 from minidual.control.joint_control import ComputedTorque
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array
+from minidual.robot.pair import Array, Robot
 
 STOP_SHARE = 0.5
 """Deceleration of a soft stop, as a share of the joints' acceleration limits."""
@@ -37,6 +39,29 @@ class TorqueRate:
         np.maximum(change, -self._step, change)
         self.tau = self.tau + change
         return self.tau
+
+
+class SwitchedOff:
+    """Arms whose motors are told no torque: it falls to zero at the drives' rate and stays there.
+
+    Args:
+        arms: Indices of the arms.
+        tau: Torques (n,) [Nm] that act now.
+        dt_s: Control step.
+        robot: The two arms.
+    """
+
+    def __init__(self, arms: Sequence[int], tau: Array, dt_s: float, robot: Robot) -> None:
+        self._joints = np.repeat([arm in arms for arm in (0, 1)], robot.dof_per_arm)
+        self._rate, self._zero = TorqueRate(tau, dt_s, robot.arm.tau_rate_max), np.zeros_like(tau)
+
+    def step(self) -> None:
+        """Advance by one control step."""
+        self._rate.limit(self._zero)
+
+    def apply(self, tau: Array) -> Array:
+        """Return the torques (n,) with those of the arms that are off in their place."""
+        return np.where(self._joints, self._rate.tau, tau)
 
 
 class SoftStop:

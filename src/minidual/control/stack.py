@@ -26,9 +26,9 @@ from minidual.control.commands import HOLD, ArbiterOutput, ArbiterState, Command
 from minidual.control.controller_manager import ControllerManager, ControllerSwitchError
 from minidual.control.controllers import Controller, JointTrajectoryController
 from minidual.control.gripper import JOINT_PINCH_N, Grippers
-from minidual.control.motors import Guard, SwitchedOff
 from minidual.control.object_controller import ObjectImpedanceController, ObjectSensor
-from minidual.control.soft_stop import STOP_SHARE, SoftStopController
+from minidual.control.soft_stop import STOP_SHARE, SoftStopController, SwitchedOff
+from minidual.control.supervisor import Supervisor
 from minidual.errors import MinidualError, UsageError
 from minidual.plant.protocol import Plant
 from minidual.robot.kinematics import Kinematics
@@ -69,7 +69,7 @@ class ControlStack:
         rate_hz: float = 50.0,
         controllers: Sequence[str] = DEFAULT_CONTROLLERS,
         pinch_force_n: float = JOINT_PINCH_N,
-        supervisor: Guard | None = None,
+        supervisor: Supervisor | None = None,
         sensor: ObjectSensor | None = None,
         stop_share: float = STOP_SHARE,
     ) -> None:

@@ -16,7 +16,8 @@ from minidual.config.arbiter import ArbiterConfig
 from minidual.config.teleop import TeleopConfig
 from minidual.control.commands import ArbiterOutput, ArbiterState, JointCommand, Refusal
 from minidual.control.reflexes import ReflexError
-from minidual.control.stack import ControlStack, Guard
+from minidual.control.stack import ControlStack
+from minidual.control.supervisor import Supervisor
 from minidual.demos.leader import Leader
 from minidual.demos.mirror import Mirror
 from minidual.demos.observation import Observation, Observer
@@ -98,7 +99,7 @@ class TeleopSession:
         config: TeleopConfig,
         arbiter: ArbiterConfig,
         *,
-        supervisor: Guard | None = None,
+        supervisor: Supervisor | None = None,
     ) -> None:
         self.world, self.observer, self.config = world, observer, config
         self.mirror = Mirror(world.robot, config.mirror)

@@ -12,7 +12,8 @@ from minidual.config.arbiter import ArbiterConfig
 from minidual.config.learning import DeployConfig
 from minidual.control.commands import ArbiterState, JointCommand
 from minidual.control.reflexes import ReflexError
-from minidual.control.stack import ControlStack, Guard
+from minidual.control.stack import ControlStack
+from minidual.control.supervisor import Supervisor
 from minidual.errors import DataError
 from minidual.plant.world import World
 from minidual.policies.policy import Image, PolicyRuntime
@@ -60,7 +61,7 @@ class PolicyPilot:
         arbiter: ArbiterConfig,
         rate_hz: float,
         *,
-        supervisor: Guard | None = None,
+        supervisor: Supervisor | None = None,
     ) -> None:
         self.world = world
         self.aborted: str | None = None

@@ -16,7 +16,7 @@ from minidual.config.seeds import stream
 from minidual.control.commands import Command, JointCommand, ObjectCommand, TrajectoryCommand
 from minidual.control.object_impedance import ObjectState, SingularPostureError
 from minidual.control.object_path import ObjectPath
-from minidual.control.stack import DEFAULT_CONTROLLERS, OBJECT_CONTROLLERS, ControlStack, Guard
+from minidual.control.stack import DEFAULT_CONTROLLERS, OBJECT_CONTROLLERS, ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.plant.protocol import ObjectSensors
 from minidual.plant.sensing import Sensors
@@ -78,7 +78,7 @@ class ImpedanceCarry:
         *,
         sensors: ObjectSensors | None = None,
         seed: int = 0,
-        supervisor: Guard | None = None,
+        supervisor: Supervisor | None = None,
         arbiter: ArbiterConfig | None = None,
     ) -> None:
         self.world, self._config, self._trial = world, config, trial
