@@ -19,6 +19,7 @@ from minidual.config.arbiter import ArbiterConfig
 from minidual.control.arbiter import CommandArbiter
 from minidual.control.commands import HOLD, SOURCES, ArbiterOutput, ArbiterState, JointCommand
 from minidual.control.mailbox import Mailbox
+from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.constants import A_MAX, GROUPS, HOME, Q_LOWER, Q_UPPER
 
 CONFIG = ArbiterConfig()
@@ -159,7 +160,7 @@ histories = st.lists(st.one_of(proposals, ticks, requests, bursts, switches), ma
 @settings(max_examples=250, deadline=None)
 @given(histories)
 def test_one_source_bounded_steps_and_never_silence(events: list[Event]) -> None:
-    witness = Witness(CommandArbiter(CONFIG))
+    witness = Witness(CommandArbiter(DUAL_PANDA, CONFIG))
     witness.play([TICK, *events])  # holds every output to the rules as it comes
     ticks_asked = 1 + sum(event[0] == "tick" for event in events)
     assert len(witness.outputs) >= ticks_asked, "a tick without an output"
@@ -171,7 +172,7 @@ def test_random_histories_reach_every_state() -> None:
     @settings(max_examples=150, deadline=None, derandomize=True, database=None)
     @given(histories)
     def collect(events: list[Event]) -> None:
-        witness = Witness(CommandArbiter(CONFIG))
+        witness = Witness(CommandArbiter(DUAL_PANDA, CONFIG))
         witness.play([TICK, *events])
         seen.update({out.state for out in witness.outputs})
 
@@ -183,7 +184,7 @@ def test_random_histories_reach_every_state() -> None:
 @settings(max_examples=50, deadline=None)
 @given(histories)
 def test_the_same_history_gives_the_same_output(events: list[Event]) -> None:
-    first, second = Witness(CommandArbiter(CONFIG)), Witness(CommandArbiter(CONFIG))
+    first, second = Witness(CommandArbiter(DUAL_PANDA, CONFIG)), Witness(CommandArbiter(DUAL_PANDA, CONFIG))
     for witness in (first, second):
         witness.play([TICK, *events])
     for a, b in zip(first.outputs, second.outputs, strict=True):
@@ -219,7 +220,7 @@ HISTORY: list[Event] = [
 
 
 def test_the_crafted_history_passes_an_arbiter_that_is_whole() -> None:
-    witness = Witness(CommandArbiter(CONFIG))
+    witness = Witness(CommandArbiter(DUAL_PANDA, CONFIG))
     witness.play(HISTORY)
     assert [o.active_source for o in witness.outputs].count("teleop") == 3
     assert witness.outputs[-1].active_source == "policy"
@@ -228,16 +229,16 @@ def test_the_crafted_history_passes_an_arbiter_that_is_whole() -> None:
 def test_the_witness_sees_a_mailbox_that_is_not_flushed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Mailbox, "flush", lambda self, now_s: None)
     with pytest.raises(AssertionError, match=r"leaked|before the switch|jumped"):
-        Witness(CommandArbiter(CONFIG)).play(HISTORY)
+        Witness(CommandArbiter(DUAL_PANDA, CONFIG)).play(HISTORY)
 
 
 def test_the_witness_sees_a_missing_bound() -> None:
     with pytest.raises(AssertionError, match="jumped by"):
-        Witness(CommandArbiter(ArbiterConfig(switch_step_max_rad=0.5))).play(HISTORY)
+        Witness(CommandArbiter(DUAL_PANDA, ArbiterConfig(switch_step_max_rad=0.5))).play(HISTORY)
 
 
 def test_the_witness_sees_two_sources_in_one_tick(monkeypatch: pytest.MonkeyPatch) -> None:
-    arbiter = CommandArbiter(CONFIG)
+    arbiter = CommandArbiter(DUAL_PANDA, CONFIG)
     everyone = arbiter._mailboxes["teleop"]  # all sources drop their commands into one box
     for source in SOURCES:
         monkeypatch.setitem(arbiter._mailboxes, source, everyone)

@@ -11,6 +11,7 @@ from minidual.config.arbiter import ArbiterConfig
 from minidual.control.arbiter import CommandArbiter
 from minidual.control.commands import ArbiterOutput, ArbiterState, JointCommand
 from minidual.errors import UsageError
+from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.constants import HOME, Q_UPPER
 
 DT = 0.02
@@ -21,7 +22,7 @@ class Desk:
     """An arbiter with a clock, and arms that stand wherever they are told to."""
 
     def __init__(self, **config: Any) -> None:
-        self.arbiter = CommandArbiter(ArbiterConfig(**config))
+        self.arbiter = CommandArbiter(DUAL_PANDA, ArbiterConfig(**config))
         self.now = 0.0
         self.q = HOME.copy()
         self.v = STILL

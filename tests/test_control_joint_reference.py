@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from minidual.control.reference import ReferenceFilter
+from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.constants import A_MAX, DOF, HOME, Q_LOWER, Q_UPPER, V_MAX
 
 DT = 0.001
@@ -15,7 +16,7 @@ DT = 0.001
 
 def play(targets, start=HOME, **options):
     """Return q, v, a, each (T, 14), for targets (T, 14)."""
-    reference = ReferenceFilter(DT, **options)
+    reference = ReferenceFilter(DT, DUAL_PANDA, **options)
     reference.reset(start)
     return tuple(np.array(x) for x in zip(*(reference.step(target) for target in targets), strict=True))
 
@@ -69,7 +70,7 @@ def test_q_v_and_a_are_derivatives_of_each_other():
 
 
 def test_a_reset_keeps_a_given_velocity():
-    reference = ReferenceFilter(DT)
+    reference = ReferenceFilter(DT, DUAL_PANDA)
     reference.reset(HOME, np.full(DOF, 0.3))
     q, v, _ = reference.step(HOME)
     assert (q > HOME).all()

@@ -20,7 +20,9 @@ from minidual.plant.recorder import Recorder
 from minidual.plant.recording import read_recording, write_recording
 from minidual.plant.replay import replay
 from minidual.plant.world import SimulationDivergedError, World
+from minidual.robot.arms import ARM_MODELS
 from minidual.robot.constants import DOF, HOME
+from minidual.robot.pair import Robot
 from minidual.stages.registry import STAGES, TOOLS
 
 STEPS = 700
@@ -89,6 +91,18 @@ class TestRepeating:
         for times in ({"from_s": -0.1}, {"to_s": 0.9}, {"from_s": 0.5, "to_s": 0.5}):
             with pytest.raises(UsageError, match=r"runs from 0\.000 s to 0\.700 s"):
                 replay(read_recording(path), **times)
+
+    def test_it_runs_on_the_arm_that_it_was_made_with(self, scene, tmp_path):
+        robot = Robot(ARM_MODELS["ur5"])
+        world = World(scene, robot)
+        recorder = Recorder(world)
+        world.recorder, tau = recorder, np.linspace(-5.0, 5.0, robot.dof)
+        for _ in range(150):
+            world.command(tau, np.zeros(2))
+            world.step()
+        recorded = read_recording(recorder.write(tmp_path / "ur5.npz", "another arm"))
+        assert recorded.arm == "ur5"
+        assert replay(recorded).exact
 
     def test_the_push_is_part_of_it(self, trial):
         recorded = read_recording(trial[0])

@@ -36,7 +36,6 @@ from minidual.control.execution import Execution
 from minidual.control.mailbox import Mailbox
 from minidual.control.underway import Underway
 from minidual.errors import UsageError, unknown_name
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.pair import SIDES, Array, Robot
 
 _STOP_SHARE = 0.5
@@ -60,21 +59,21 @@ class CommandArbiter:
     asks the arms for less, never for more.
 
     Args:
+        robot: The two arms.
         config: Bounds and times.
         gripper: Opening (2,) to hold until a source commands another.
         control_dt_s: Step of the control loop that runs timed commands.
         admit: Says why the controllers cannot take a command now, or None; by default they take joint commands.
-        robot: The two arms.
     """
 
     def __init__(
         self,
+        robot: Robot,
         config: ArbiterConfig | None = None,
         *,
         gripper: Array | None = None,
         control_dt_s: float = 0.001,
         admit: Callable[[Command], Fault | None] | None = None,
-        robot: Robot = DUAL_PANDA,
     ) -> None:
         self.config = ArbiterConfig() if config is None else config
         self._robot = robot

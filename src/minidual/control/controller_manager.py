@@ -18,7 +18,6 @@ from minidual.control.commands import ArbiterOutput, Command
 from minidual.control.controllers import Controller
 from minidual.control.soft_stop import TorqueRate
 from minidual.errors import MinidualError, unknown_name
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.pair import SIDES, Array, Robot
 
 
@@ -40,9 +39,7 @@ class ControllerManager:
         fade_s: How long the difference of the torques at a switch takes to fade.
     """
 
-    def __init__(
-        self, controllers: Sequence[Controller], dt_s: float, robot: Robot = DUAL_PANDA, *, fade_s: float = 0.1
-    ) -> None:
+    def __init__(self, controllers: Sequence[Controller], dt_s: float, robot: Robot, *, fade_s: float = 0.1) -> None:
         self._robot = robot
         self._all = {c.name: c for c in controllers}
         self._active: tuple[Controller, ...] = ()

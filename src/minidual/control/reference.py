@@ -18,7 +18,6 @@ from __future__ import annotations
 import numpy as np
 
 from minidual.control.kernels import follow_target
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.pair import Array, Robot
 
 _BRAKE_SHARE = 0.9
@@ -36,7 +35,7 @@ class ReferenceFilter:
     """
 
     def __init__(
-        self, dt_s: float, robot: Robot = DUAL_PANDA, *, bandwidth_rad_s: float = 30.0, acceleration_scale: float = 0.8
+        self, dt_s: float, robot: Robot, *, bandwidth_rad_s: float = 30.0, acceleration_scale: float = 0.8
     ) -> None:
         self._w, self._dt = bandwidth_rad_s, dt_s
         a_max = acceleration_scale * robot.a_max

@@ -105,10 +105,7 @@ class ControlStack:
         """
         plant = self.plant
         self.arbiter = CommandArbiter(
-            self._config,
-            control_dt_s=plant.dt,
-            admit=lambda command: self.manager.find_fault(command),
-            robot=self._robot,
+            self._robot, self._config, control_dt_s=plant.dt, admit=lambda command: self.manager.find_fault(command)
         )
         self.arbiter.on_flush = self._flush_listeners
         self.arbiter.on_confirm.append(self._confirmed)

@@ -27,10 +27,12 @@ import numpy.typing as npt
 from pydantic import ValidationError
 
 import minidual
+from minidual.config.robot import RobotConfig
 from minidual.config.scene import SceneConfig
 from minidual.durable import replacing
 from minidual.errors import DataError
-from minidual.robot.pair import Array
+from minidual.robot.arms import robot_from
+from minidual.robot.pair import Array, Robot
 
 FORMAT = "minidual-recording"
 VERSION = 2
@@ -80,6 +82,11 @@ class Recording:
     libraries: Mapping[str, str]
     seed: int | None = None
     details: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def robot(self) -> Robot:
+        """The two arms."""
+        return robot_from(RobotConfig(arm=self.arm))
 
     @property
     def dt_s(self) -> float:

@@ -9,12 +9,10 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from minidual.config.robot import RobotConfig
 from minidual.errors import UsageError
 from minidual.plant.model import build_model
 from minidual.plant.recording import STATE, Recording, apply_physical_fields, versions
 from minidual.plant.world import World
-from minidual.robot.arms import robot_from
 from minidual.robot.pair import Array
 
 _POSITION_TOLERANCE_RAD = 1e-3
@@ -106,10 +104,9 @@ def replay(
         UsageError: The times lie outside the recording.
         DataError: The recording does not fit the robot of this version.
     """
-    robot = robot_from(RobotConfig(arm=recording.arm))
-    model = build_model(recording.scene, robot, visuals=False)
+    model = build_model(recording.scene, recording.robot, visuals=False)
     changed = apply_physical_fields(model, recording.model)
-    world = World(recording.scene, robot, model=model)
+    world = World(recording.scene, recording.robot, model=model)
     first, last = _steps(recording, world, from_s, to_s)
     keyframe = int(np.searchsorted(recording.keyframe_steps, first, side="right")) - 1
     first = int(recording.keyframe_steps[keyframe])

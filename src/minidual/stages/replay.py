@@ -59,10 +59,12 @@ def _draw(
 ) -> list[str]:
     notes: list[str] = []
     if postures is not None and video is not None:
-        count = film_postures(recording.scene, postures, video, camera=camera)
+        count = film_postures(recording.scene, postures, video, camera=camera, robot=recording.robot)
         notes.append(f"film of {count} frames: {video}")
     if postures is not None and picture is not None:
-        count = sheet_of_postures(recording.scene, postures, picture, frames=frames, camera=camera)
+        count = sheet_of_postures(
+            recording.scene, postures, picture, frames=frames, camera=camera, robot=recording.robot
+        )
         notes.append(f"sheet of {count} frames: {picture}")
     return notes
 
