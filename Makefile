@@ -32,8 +32,8 @@ test: $(READY) egl ## run the fast tests
 test-slow: $(READY) egl ## run the tests marked slow
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 HF_HUB_OFFLINE=1 $(BIN)/python -m pytest -m slow $(ARGS)
 
-bench: $(READY) ## one control step beside bare physics, and what else is timed
-	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/minidual bench $(ARGS)
+bench: $(READY) ## time control steps, planning, a new scene and a cold start
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m scripts.bench $(ARGS)
 
 lint: $(READY) ## ruff, its formatter, and the direction of imports
 	@$(BIN)/ruff check .

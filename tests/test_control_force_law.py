@@ -29,7 +29,7 @@ from minidual.robot.constants import DOF, HOME, TAU_MAX
 from minidual.robot.kinematics import HandMotion, Kinematics
 from minidual.robot.poses import inverse, pose, rot_z, rotation_log
 from minidual.robot.vectors import cross, inner, minus, plus, times
-from minidual.stages.bench_scenes import BenchScene, held_scene
+from scripts.bench.scenes import BenchScene, held_scene
 
 triples = st.lists(st.floats(-2.0, 2.0), min_size=3, max_size=3).map(np.array)
 

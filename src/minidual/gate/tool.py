@@ -1,7 +1,7 @@
 """Commands that are no stage: they show, measure or try something, write no verdict and open no gate.
 
 A tool is a function that takes a `ToolContext` and returns a `ToolResult`; it stands as a row in
-`minidual/stages/tools.py` and is a command of its own (`minidual bench`), or as an aside in the row of a stage, where
+`minidual/stages/tools.py` and is a command of its own (`minidual view`), or as an aside in the row of a stage, where
 one of its options asks for it instead of the stage (`minidual carry --tune`):
 
     def tune(context: ToolContext) -> ToolResult:

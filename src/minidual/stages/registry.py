@@ -234,16 +234,6 @@ STAGES = StageTable(
 
 TOOLS: tuple[ToolEntry, ...] = (
     ToolEntry(
-        "bench",
-        "minidual.stages.bench:bench",
-        "Time beside a yardstick of the same run: one control step against bare physics, and where the rest goes",
-        (
-            Option("names", "What to time (default: everything).", argument=True, many=True),
-            Option("repeats", "How often each thing is timed.", int),
-            Option("check", "Exit 1 if a number exceeds its limit.", bool),
-        ),
-    ),
-    ToolEntry(
         "view",
         "minidual.stages.scene_view:view_scene",
         "Show the scene in real time in a browser, with a slider for each joint",

@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-import importlib
-import json
 import time
 
 import numpy as np
 import pytest
 
-from minidual.cli import run_command_line
+from minidual.config.root import Config
 from minidual.config.scene import SceneConfig
 from minidual.control.object_impedance import ImpedanceGains
-from minidual.errors import ExitCode, UsageError
-from minidual.robot.constants import HOME
-from minidual.stages import bench_control
-from minidual.stages import bench_rows as bench
-from minidual.stages.bench_control import CASES, COLUMNS, Case, measure_case, trajectory_14
-from minidual.stages.bench_rows import BENCHES, BenchInputs, BenchRow, BenchSpec, BenchTable, parse_benches
-from minidual.stages.bench_scenes import BenchScene, free_scene, held_scene
-from minidual.stages.bench_step import step_cost
-from minidual.stages.registry import STAGES, TOOLS
+from minidual.errors import UsageError
+from minidual.registry import Registry
 from minidual.tasks.rod_carry import tilt_rad
+from scripts.bench import __main__ as bench
+from scripts.bench import control, planning
+from scripts.bench.control import CASES, COLUMNS, Case, measure_case, trajectory_14
+from scripts.bench.scenes import BenchScene, free_scene, held_scene
+from scripts.bench.step import step_cost
+from scripts.bench.tables import BenchInputs, BenchRow, BenchTable
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +53,7 @@ class TestScenes:
         assert held.world.data.qpos.tobytes() + held.world.data.sensordata.tobytes() == before
 
     @pytest.mark.parametrize("make", CASES)
-    def test_every_case_keeps_its_situation(self, make: bench_control.MakeCase, held: BenchScene) -> None:
+    def test_every_case_keeps_its_situation(self, make: control.MakeCase, held: BenchScene) -> None:
         held.restore()
         case = make(held)
         for _ in range(300):
@@ -120,7 +117,7 @@ class TestStepCost:
             assert set(row.limits) == {"ratio"}
 
     def test_an_imagined_object_has_no_limit_to_keep(self, free: BenchScene) -> None:
-        assert measure_case(free, bench_control.object_impedance, 50).limits == {}
+        assert measure_case(free, control.object_impedance, 50).limits == {}
 
 
 class TestTable:
@@ -145,23 +142,6 @@ class TestTable:
         assert len(self.TABLE.exceeded) == 2
 
 
-class TestRegistry:
-    def test_every_target_exists(self) -> None:
-        for spec in BENCHES.values():
-            module, function = spec.target.split(":")
-            assert callable(getattr(importlib.import_module(module), function))
-            assert spec.summary
-            assert spec.repeats_n > 0
-
-    def test_names(self) -> None:
-        assert parse_benches(()) == tuple(BENCHES)
-        assert parse_benches(("control",)) == ("control",)
-        with pytest.raises(UsageError, match="control"):
-            parse_benches(("contrl",))
-        with pytest.raises(UsageError, match="twice"):
-            parse_benches(("control", "control"))
-
-
 def toy(inputs: BenchInputs) -> BenchTable:
     inputs.advance("toy")
     return BenchTable("toy", ("n",), (BenchRow("row", {"n": float(inputs.repeats_n)}, {"n": 10.0}),))
@@ -169,49 +149,47 @@ def toy(inputs: BenchInputs) -> BenchTable:
 
 class TestCommand:
     @pytest.fixture
-    def call(self, tmp_path, capsys, monkeypatch):
-        monkeypatch.setattr(bench, "BENCHES", {"toy": BenchSpec(f"{__name__}:toy", "A toy", 3)})
+    def call(self, capsys, monkeypatch):
+        monkeypatch.setattr(bench, "BENCHES", Registry("bench", {"toy": toy}))
 
         def run(*words: str) -> tuple[int, str, str]:
-            code = run_command_line(["bench", *words, "--runs-dir", str(tmp_path)], STAGES, TOOLS)
+            code = bench.main(list(words))
             out = capsys.readouterr()
             return code, out.out, out.err
 
         return run
 
     def test_within_limits(self, call) -> None:
-        code, out, _ = call("--check")
-        assert code == ExitCode.PASS
+        code, out, _ = call("--check", "--repeats", "3")
+        assert code == 0
         assert "row" in out
 
     def test_over_a_limit_is_said_and_with_check_fails(self, call) -> None:
         code, out, err = call("toy", "--repeats", "11")
-        assert code == ExitCode.PASS
+        assert code == 0
         assert "!" in out
         assert "row: n 11.00, limit 10" in err
-        assert call("--repeats", "11", "--check")[0] == ExitCode.ACCEPTANCE_FAILED
-
-    def test_json(self, call) -> None:
-        code, out, _ = call("--json", "--repeats", "4")
-        document = json.loads(out)
-        assert code == ExitCode.PASS
-        assert document["benches"]["toy"]["rows"][0]["numbers"] == {"n": 4.0}
-        assert document["exceeded"] == []
+        assert call("--repeats", "11", "--check")[0] == 1
 
     def test_usage(self, call) -> None:
-        code, _, err = call("nonsense")
-        assert code == ExitCode.USAGE
-        assert "toy" in err
-        assert call("--repeats", "0")[0] == ExitCode.USAGE
+        with pytest.raises(UsageError, match="toy"):
+            call("nonsense")
+        with pytest.raises(SystemExit):
+            call("--repeats", "0")
 
 
-def test_env_check_still_learns_its_step_cost(free: BenchScene) -> None:
-    from minidual.control.loop import JointLoop
-    from minidual.stages.bench_step import control_step_cost
+def test_every_bench_can_be_loaded() -> None:
+    assert set(bench.BENCHES) == set(bench.REPEATS_N)
+    assert all(callable(bench.BENCHES[name]) for name in bench.BENCHES)
 
-    loop = JointLoop(free.world, free.kinematics)
-    cost = control_step_cost(loop, 120)
-    assert cost.ratio > 1.0
-    assert cost.p99_us >= cost.median_us > cost.bare_median_us > 0.0
-    assert np.array_equal(free.world.q, HOME)
-    free.restore()
+
+def test_planning_is_measured_with_its_goals_beside() -> None:
+    table = planning.measure(BenchInputs(Config(), 20261, 1))
+    rows = {row.name: row for row in table.rows}
+    assert len(rows) == 8
+    assert all(np.isfinite(value) and value > 0.0 for row in table.rows for value in row.numbers.values())
+    for group, goal_ms in planning.GOALS_MS.items():
+        row = rows[f"{group}: rrtconnect, proven"]
+        assert row.limits == {"median_ms": goal_ms}
+        assert row.numbers["solved_pct"] == row.numbers["free_pct"] == 100.0
+    assert rows["cold start"].limits == {"median_ms": planning.COLD_START_MAX_MS}

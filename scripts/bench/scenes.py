@@ -19,8 +19,8 @@ from minidual.control.object_impedance import HeldObject, ImpedanceGains, Object
 from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.errors import MinidualError
 from minidual.plant.world import World
-from minidual.robot.constants import Array
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array
 from minidual.robot.poses import inverse, pose
 from minidual.skills.reach import approach_postures
 from minidual.stages.env_check.tracking import sine_reference

@@ -14,12 +14,8 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 
-from minidual.control.loop import JointLoop
 from minidual.plant.world import World
-from minidual.robot.constants import Array
-from minidual.stages.env_check.tracking import sine_reference
-
-_OPEN = np.ones(2)
+from minidual.robot.pair import Array
 
 Step = Callable[[], object]
 """One whole step, or one part of it, ready to be called."""
@@ -114,20 +110,3 @@ def step_cost(
 
 def _median_us(times_ns: Array) -> float:
     return float(np.median(times_ns)) / 1e3
-
-
-def control_step_cost(loop: JointLoop, steps_n: int, *, block: int = 50) -> StepCost:
-    """Time single steps of `loop` while the arms swing free."""
-    world = loop.world
-    world.reset()
-    loop.reset()
-    reference = iter([sine_reference(world.robot, 0.1, 0.5, k * world.dt) for k in range(steps_n)])
-    sample = next(reference)
-
-    def take() -> None:
-        nonlocal sample
-        sample = next(reference, sample)
-
-    cost = step_cost(world, lambda: loop.follow(*sample, _OPEN), steps_n, before=take, block=block)
-    world.reset()
-    return cost

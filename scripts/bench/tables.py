@@ -1,19 +1,11 @@
-"""What can be timed: one explicit table, each row a lazy target.
-
-A bench measures something against a yardstick of the same run, because an absolute time says as much about the
-machine and its other work as about the code. It returns a table of numbers and the limits they should keep; who asks
-decides what follows from a limit that does not hold.
-"""
+"""What a bench gets and gives: inputs, rows of numbers with limits, a table as text."""
 
 from __future__ import annotations
 
-import importlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from minidual.config.root import Config
-from minidual.errors import UsageError, unknown_name
 
 
 @dataclass(frozen=True)
@@ -91,23 +83,6 @@ class BenchTable:
         ]
         return [self.title, "", *(row.rstrip() for row in rows), "", *self.notes]
 
-    def to_json(self) -> dict[str, Any]:
-        """Return the same as a document."""
-        return {
-            "title": self.title,
-            "columns": list(self.columns),
-            "rows": [
-                {
-                    "name": row.name,
-                    "numbers": dict(row.numbers),
-                    "limits": dict(row.limits),
-                    "exceeded": list(row.exceeded),
-                }
-                for row in self.rows
-            ],
-            "notes": list(self.notes),
-        }
-
     @staticmethod
     def _cell(row: BenchRow, column: str, *, over: bool) -> str:
         if column not in row.numbers:
@@ -120,50 +95,4 @@ def _digits(number: float) -> int:
     return 2 if abs(number) < 10.0 else 1 if abs(number) < 100.0 else 0
 
 
-@dataclass(frozen=True)
-class BenchSpec:
-    """One row of the table.
-
-    Attributes:
-        target: `module:function`; called as function(inputs: BenchInputs) it returns a BenchTable.
-        summary: One line for people.
-        repeats_n: How often it times by default.
-    """
-
-    target: str
-    summary: str
-    repeats_n: int
-
-    def run(self, inputs: BenchInputs) -> BenchTable:
-        """Measure."""
-        module, function = self.target.split(":")
-        measure: Any = getattr(importlib.import_module(module), function)
-        return measure(inputs)
-
-
-BENCHES: dict[str, BenchSpec] = {
-    "control": BenchSpec(
-        "minidual.stages.bench_control:measure",
-        "one 1 kHz step of every controller against bare physics, arms free and holding the rod",
-        2000,
-    ),
-    "planning": BenchSpec(
-        "minidual.stages.bench_planning:measure",
-        "planners and checkers on the stored hard queries, and the price of proof",
-        20,
-    ),
-}
-
-
-def parse_benches(names: Sequence[str]) -> tuple[str, ...]:
-    """Return the benches named, each once; all of them if none is.
-
-    Raises:
-        UsageError: An unknown or repeated name.
-    """
-    for name in names:
-        if name not in BENCHES:
-            raise unknown_name("bench", name, BENCHES)
-        if list(names).count(name) > 1:
-            raise UsageError(f"bench '{name}' is named twice")
-    return tuple(names) or tuple(BENCHES)
+Bench = Callable[[BenchInputs], BenchTable]

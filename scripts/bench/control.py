@@ -10,11 +10,10 @@ import numpy as np
 from minidual.config.root import Config
 from minidual.control.loop import JointLoop
 from minidual.control.object_impedance import ImpedanceGains, ObjectState
-from minidual.robot.constants import DOF, GROUPS
 from minidual.robot.kinematics import HandMotion
-from minidual.stages.bench_rows import BenchInputs, BenchRow, BenchTable
-from minidual.stages.bench_scenes import BenchScene, JointSample, free_scene, held_scene
-from minidual.stages.bench_step import Step, StepCost, step_cost
+from scripts.bench.scenes import BenchScene, JointSample, free_scene, held_scene
+from scripts.bench.step import Step, StepCost, step_cost
+from scripts.bench.tables import BenchInputs, BenchRow, BenchTable
 
 JOINT_RATIO_MAX, OBJECT_RATIO_MAX = 1.5, 2.0
 """A whole step of joint control, and of object impedance, over bare physics."""
@@ -59,8 +58,8 @@ def trajectory_14(scene: BenchScene) -> Case:
 
 def trajectory_7(scene: BenchScene) -> Case:
     """Controller B: the left arm follows a trajectory of 7 joints, the right one is held."""
-    loop, arm = _loop(scene), GROUPS["left_arm"]
-    q, v, a = scene.q_rest.copy(), np.zeros(DOF), np.zeros(DOF)
+    loop, arm = _loop(scene), scene.world.robot.groups["left_arm"]
+    q, v, a = scene.q_rest.copy(), np.zeros(len(scene.q_rest)), np.zeros(len(scene.q_rest))
     q_arm, v_arm, a_arm = q[arm], v[arm], a[arm]
     now = _Latest[JointSample]((q[arm], v[arm], a[arm]) for q, v, a in scene.joint_samples())
 
@@ -98,13 +97,13 @@ def object_impedance(scene: BenchScene) -> Case:
         world.command(tau, grippers.step(scene.gripper))
         world.step()
 
-    hands, kinematics, rest = HandMotion(scene.kinematics), scene.kinematics, np.zeros(DOF)
+    hands, kinematics, rest = HandMotion(scene.kinematics), scene.kinematics, np.zeros(len(scene.q_rest))
 
     def dynamics() -> None:
         hands.update(scene.q_rest, rest, rest)
         kinematics.rnea(scene.q_rest, rest, rest)
 
-    tau, targets = np.zeros(DOF), np.zeros(2)
+    tau, targets = np.zeros(len(scene.q_rest)), np.zeros(2)
 
     def read() -> None:
         scene.sense()
@@ -179,8 +178,8 @@ def _loop(scene: BenchScene) -> JointLoop:
 
 
 def _joint_parts(scene: BenchScene) -> dict[str, Step]:
-    kinematics, q, rest = scene.kinematics, scene.q_rest, np.zeros(DOF)
-    tau, targets = np.zeros(DOF), np.zeros(2)
+    kinematics, q, rest = scene.kinematics, scene.q_rest, np.zeros(len(scene.q_rest))
+    tau, targets = np.zeros(len(scene.q_rest)), np.zeros(2)
     return {"read": lambda: _read_and_write(scene, tau, targets), "dynamics": lambda: kinematics.rnea(q, rest, rest)}
 
 

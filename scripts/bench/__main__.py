@@ -1,0 +1,44 @@
+"""`make bench`, or `python -m scripts.bench [control] [planning] [--repeats N] [--check]`.
+
+A bench measures against a yardstick of the same run: an absolute time says as much about the machine and its other work
+as about the code.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from minidual.config.root import Config
+from minidual.registry import Registry
+from scripts.bench.tables import Bench, BenchInputs
+
+BENCHES: Registry[Bench] = Registry(
+    "bench", {"control": "scripts.bench.control:measure", "planning": "scripts.bench.planning:measure"}
+)
+REPEATS_N = {"control": 2000, "planning": 20}
+
+
+def main(words: list[str]) -> int:
+    """Measure what is named, everything if nothing is; return 1 if --check is given and a limit does not hold."""
+    parser = argparse.ArgumentParser(prog="make bench ARGS=", description=__doc__)
+    parser.add_argument("names", nargs="*", help=f"what to time: {', '.join(BENCHES)} (default: everything)")
+    parser.add_argument("--repeats", type=int, help="how often each thing is timed")
+    parser.add_argument("--seed", type=int, default=20261, help="of the planning queries")
+    parser.add_argument("--check", action="store_true", help="exit 1 if a number exceeds its limit")
+    options = parser.parse_args(words)
+    if options.repeats is not None and options.repeats < 1:
+        parser.error(f"--repeats {options.repeats}: at least 1")
+    exceeded: list[str] = []
+    for name in BENCHES.names(options.names) if options.names else tuple(BENCHES):
+        repeats_n = options.repeats or REPEATS_N.get(name, 20)
+        table = BENCHES[name](BenchInputs(Config(), options.seed, repeats_n, lambda what: print(what, file=sys.stderr)))
+        print("\n".join(table.lines()), end="\n\n", flush=True)
+        exceeded += table.exceeded
+    for text in exceeded:
+        print(f"over its limit (!): {text}", file=sys.stderr)
+    return int(options.check and bool(exceeded))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
