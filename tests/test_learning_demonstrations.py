@@ -8,10 +8,11 @@ import torch
 from learning_world import APPROACH, demonstrations
 
 from minidual.config.learning import TrainConfig
+from minidual.demos.lerobot_reader import camera_key
 from minidual.errors import DataError
 from minidual.policies.batches import BatchMaker
 from minidual.policies.demonstrations import Demonstrations, WeightedRows, gripper_switches, split_episodes
-from minidual.policies.normalisation import dataset_statistics, image_key, normalise_images
+from minidual.policies.normalisation import dataset_statistics, normalise_images
 
 
 def tiny(ticks: int = 60, episodes: int = 3, seed: int = 0) -> Demonstrations:
@@ -78,7 +79,7 @@ def test_statistics_are_those_of_the_data_and_floored() -> None:
     assert np.allclose(stats["action"]["mean"], demos.action.mean(axis=0), atol=1e-6)
     assert stats["observation.state"]["std"][3] == pytest.approx(0.01)
     pixels = demos.images["high"].reshape(-1, 3) / 255.0
-    assert np.allclose(stats[image_key("high")]["std"].flatten(), pixels.std(axis=0), atol=1e-4)
+    assert np.allclose(stats[camera_key("high")]["std"].flatten(), pixels.std(axis=0), atol=1e-4)
 
 
 def test_batch_holds_the_chunk_after_each_row_and_repeats_the_last_command() -> None:

@@ -4,50 +4,42 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from lerobot.configs import FeatureType, PolicyFeature
 from test_learning_demonstrations import tiny
 from test_learning_train import SMALL
 
 from minidual.config.learning import TrainConfig
 from minidual.errors import DataError, EnvironmentMissingError, UsageError
+from minidual.policies.kinds import POLICIES, ChunkPolicy, Image
 from minidual.policies.policy import PolicyRuntime
-from minidual.policies.train import train
 
 IMAGE = {"high": np.zeros((12, 16, 3), np.uint8)}
 STATE = np.zeros(16)
 
 
-class CountingPolicy:
+class CountingPolicy(ChunkPolicy):
     """Emits chunk number n as n + k / 1000 for tick k, so that every action tells where it comes from."""
 
     def __init__(self, chunk: int, cameras: tuple[str, ...] = ("high",)) -> None:
         self.calls = 0
-        visual = PolicyFeature(type=FeatureType.VISUAL, shape=(3, 12, 16))
-        vector = PolicyFeature(type=FeatureType.STATE, shape=(16,))
-        self.config = SimpleNamespace(
-            chunk_size=chunk,
-            image_features={f"observation.images.cam_{c}": visual for c in cameras},
-            robot_state_feature=vector,
-            action_feature=vector,
-        )
+        self.seen: list[dict[str, Image]] = []
+        self.chunk_size, self.dim, self.cameras = chunk, 16, dict.fromkeys(cameras, (12, 16))
 
-    def predict_action_chunk(self, batch: dict[str, torch.Tensor]) -> torch.Tensor:
+    def predict(self, images: Mapping[str, Image], state: np.ndarray) -> np.ndarray:
         self.calls += 1
-        ticks = self.calls + torch.arange(self.config.chunk_size) / 1000
-        return ticks[None, :, None].expand(1, -1, 16)
+        self.seen.append(dict(images))
+        return np.repeat((self.calls + np.arange(self.chunk_size) / 1000)[:, None], self.dim, axis=1)
 
 
 def counting(chunk: int = 10, **options: Any) -> tuple[PolicyRuntime, CountingPolicy]:
     policy = CountingPolicy(chunk)
-    same = lambda x: x  # noqa: E731
-    return PolicyRuntime(policy, same, same, **{"n_action_steps": 5, "blend_ticks": 0, **options}), policy
+    return PolicyRuntime(policy, **{"n_action_steps": 5, "blend_ticks": 0, **options}), policy
 
 
 def first(runtime: PolicyRuntime, ticks: int) -> list[float]:
@@ -57,7 +49,7 @@ def first(runtime: PolicyRuntime, ticks: int) -> list[float]:
 @pytest.fixture(scope="module")
 def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("policy") / "checkpoint"
-    train(tiny(), TrainConfig(**SMALL), 0, folder)
+    POLICIES["spatial_act"].train(tiny(), TrainConfig(**SMALL), 0, folder)
     return folder
 
 
@@ -67,11 +59,10 @@ def test_a_chunk_runs_for_its_steps_and_then_the_next_is_inferred() -> None:
     assert policy.calls == 2
 
 
-@pytest.mark.parametrize("forget", ["reset", "flush"])
-def test_after_a_flush_nothing_of_the_old_chunk_runs(forget: str) -> None:
+def test_after_a_reset_nothing_of_the_old_chunk_runs() -> None:
     runtime, _ = counting(blend_ticks=4)
     first(runtime, 2)
-    getattr(runtime, forget)()
+    runtime.reset()
     assert first(runtime, 5) == pytest.approx([2.0, 2.001, 2.002, 2.003, 2.004], abs=1e-6)  # no blend with chunk 1
 
 
@@ -122,9 +113,8 @@ def test_pictures_are_rendered_only_when_they_are_looked_at() -> None:
 def test_timing_counts_inferences_only() -> None:
     runtime, _ = counting()
     first(runtime, 12)
-    assert runtime.timing.inferences == 3
-    assert runtime.inference_hz > 0
-    assert runtime.timing.mean_s <= runtime.timing.max_s
+    assert len(runtime.times_s) == 3
+    assert runtime.inference_hz == pytest.approx(1 / np.mean(runtime.times_s[1:]))
 
 
 def test_wrong_observations_are_refused() -> None:
@@ -143,7 +133,7 @@ def test_wrong_observations_are_refused() -> None:
 
 def test_an_action_that_is_not_finite_never_leaves() -> None:
     runtime, policy = counting()
-    policy.predict_action_chunk = lambda batch: torch.full((1, 10, 16), torch.nan)  # type: ignore[method-assign]
+    policy.predict = lambda images, state: np.full((10, 16), np.nan)  # type: ignore[method-assign]
     with pytest.raises(DataError, match="emitted an action that is not finite"):
         runtime.act(IMAGE, STATE)
 
@@ -153,19 +143,21 @@ def test_impossible_queues_and_limits_are_refused() -> None:
         counting(n_action_steps=11)
     with pytest.raises(UsageError, match="blend_ticks -1"):
         counting(blend_ticks=-1)
-    with pytest.raises(UsageError, match="limits must be two rising arrays"):
+    with pytest.raises(UsageError, match="drives 14 joints; the limits are"):
         counting(limits=(np.ones(14), np.zeros(14)))
+    with pytest.raises(UsageError, match="drives 14 joints") as caught:
+        counting(limits=(np.zeros(12), np.ones(12)))
+    assert "robot.arm" in str(caught.value.remedy)
 
 
 def test_cameras_keep_the_order_of_training_whatever_the_order_given() -> None:
     policy = CountingPolicy(10, cameras=("high", "left"))
-    seen: list[dict[str, torch.Tensor]] = []
-    runtime = PolicyRuntime(policy, lambda o: seen.append(o) or o, lambda a: a, n_action_steps=1)
+    runtime = PolicyRuntime(policy, n_action_steps=1)
     bright = np.full((12, 16, 3), 255, np.uint8)
     runtime.act({"left": bright, "right": bright, "high": IMAGE["high"]}, STATE)
-    assert seen[0]["observation.images.cam_left"].mean() == 1.0
-    assert seen[0]["observation.images.cam_high"].mean() == 0.0
-    assert "observation.images.cam_right" not in seen[0]
+    assert list(policy.seen[0]) == ["high", "left"]
+    assert policy.seen[0]["left"].min() == 255
+    assert policy.seen[0]["high"].max() == 0
 
 
 def test_a_checkpoint_drives_and_repeats(checkpoint: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,10 +16,10 @@ from test_learning_demonstrations import tiny
 
 from minidual.config.learning import TrainConfig
 from minidual.errors import DataError, EnvironmentMissingError, UsageError
-from minidual.policies.checkpoint import load_policy
+from minidual.policies.act import ACT_KIND, SPATIAL_ACT, use_bf16
 from minidual.policies.demonstrations import Demonstrations
-from minidual.policies.records import draw_loss, write_loss_csv
-from minidual.policies.train import TrainResult, train
+from minidual.policies.kinds import POLICIES
+from minidual.policies.records import TrainResult, draw_loss, write_loss_csv
 
 SMALL = {
     "chunk_size": 10,
@@ -33,6 +34,10 @@ SMALL = {
     "log_every_steps": 2,
     "validate_every_steps": 2,
 }
+
+
+def train(demos: Demonstrations, config: TrainConfig, *args: Any, **options: Any) -> TrainResult:
+    return POLICIES[config.policy].train(demos, config, *args, **options)
 
 
 @pytest.fixture(scope="module")
@@ -147,12 +152,12 @@ def test_the_configured_learning_rate_is_what_the_curve_shows(demos: Demonstrati
 def test_stock_resnet_act_loads_with_plain_lerobot(demos: Demonstrations, tmp_path: Path) -> None:
     from lerobot.policies.act.modeling_act import ACTPolicy
 
-    config = TrainConfig(**{**SMALL, "backbone": "resnet18", "steps": 2, "use_vae": True})
+    config = TrainConfig(**{**SMALL, "policy": "act", "steps": 2, "use_vae": True})
     result = train(demos, config, 0, tmp_path / "a")
     assert result.parameters > 11e6
     assert json.loads((tmp_path / "a" / "config.json").read_text())["type"] == "act"
     theirs = ACTPolicy.from_pretrained(tmp_path / "a")
-    ours, _, _ = load_policy(tmp_path / "a")
+    ours = ACT_KIND.read(tmp_path / "a").policy
     batch = {"observation.state": torch.zeros(1, 16), "observation.images.cam_high": torch.zeros(1, 3, 12, 16)}
     assert torch.equal(theirs.predict_action_chunk(dict(batch)), ours.predict_action_chunk(dict(batch)))
 
@@ -163,8 +168,8 @@ def test_spatial_checkpoint_is_labelled_and_lerobot_reads_it(demos: Demonstratio
 
     train(demos, TrainConfig(**SMALL), 0, tmp_path / "a")
     record = json.loads((tmp_path / "a" / "config.json").read_text())
-    assert (record["type"], record["vision_backbone"]) == ("spatial_act", "spatial_softmax")
-    assert record["pretrained_backbone_weights"] is None
+    assert record["type"] == "spatial_act"
+    assert "vision_backbone" not in record
     config = PreTrainedConfig.from_pretrained(tmp_path / "a")
     policy = get_policy_class(config.type).from_pretrained(tmp_path / "a", config=config, strict=True)
     pre, post = make_pre_post_processors(config, pretrained_path=str(tmp_path / "a"))
@@ -181,7 +186,7 @@ def test_processors_of_the_checkpoint_normalise_as_training_does(demos: Demonstr
 
     config = TrainConfig(**SMALL)
     train(demos, config, 0, tmp_path / "a")
-    _, pre, post = load_policy(tmp_path / "a")
+    _, pre, post = SPATIAL_ACT.read(tmp_path / "a")
     episodes, _ = split_episodes([0, 1, 2], config.validation_fraction, stream(0, "train.split"))
     stats = dataset_statistics(demos, demos.rows_of(episodes), config.std_floor)
     trained_on = BatchMaker(demos, config, stats).clean(np.array([33]))
@@ -190,6 +195,17 @@ def test_processors_of_the_checkpoint_normalise_as_training_does(demos: Demonstr
     for key in ("observation.state", "observation.images.cam_high"):
         assert torch.allclose(seen[key], trained_on[key], atol=1e-5)
     assert torch.allclose(post(trained_on["action"])[0], torch.from_numpy(demos.action[33:43]), atol=1e-5)
+
+
+def test_precision_follows_what_the_processor_computes_natively() -> None:
+    # These names are torch's public account of the processor; without them "auto" would silently be float32.
+    capabilities = torch.cpu.get_capabilities()
+    if capabilities["architecture"] == "x86_64":
+        assert {"avx512_bf16", "amx_tile"} <= capabilities.keys()
+    native = bool(capabilities.get("avx512_bf16") or capabilities.get("amx_tile"))
+    assert use_bf16(TrainConfig(precision="auto")) is native
+    assert use_bf16(TrainConfig(precision="bf16"))
+    assert not use_bf16(TrainConfig(precision="fp32"))
 
 
 def test_cuda_without_a_device_is_an_environment_error(demos: Demonstrations, tmp_path: Path) -> None:
@@ -223,7 +239,8 @@ def test_records_hold_the_curve(demos: Demonstrations, tmp_path: Path) -> None:
         {"dim_model": 64, "heads": 7},
         {"learning_rate": 0.0},
         {"learning_rate": float("nan")},
-        {"backbone": "resnet50"},
+        {"policy": ""},
+        {"policy": "act", "keyframe_weight": 0.5},
         {"steps": 0},
         {"unknown": 1},
     ],

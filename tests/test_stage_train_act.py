@@ -10,7 +10,8 @@ import pytest
 
 from minidual.config.learning import TrainConfig
 from minidual.policies.acceptance import EmittedActions
-from minidual.policies.train import TrainResult
+from minidual.policies.records import TrainResult
+from minidual.robot.arms import DUAL_PANDA
 from minidual.stages.train_act import train_checks
 
 RESULT = TrainResult(
@@ -44,14 +45,17 @@ EMITTED = EmittedActions(
 
 def failing(result: dict[str, Any] | None = None, emitted: dict[str, Any] | None = None) -> set[str]:
     checks = train_checks(
-        dataclasses.replace(RESULT, **(result or {})), dataclasses.replace(EMITTED, **(emitted or {})), TrainConfig()
+        dataclasses.replace(RESULT, **(result or {})),
+        dataclasses.replace(EMITTED, **(emitted or {})),
+        TrainConfig(),
+        DUAL_PANDA,
     )
     return {check.name for check in checks if check.passed is False}
 
 
 def test_a_sound_training_passes_every_limit() -> None:
     assert failing() == set()
-    limited = {c.name for c in train_checks(RESULT, EMITTED, TrainConfig()) if c.limited}
+    limited = {c.name for c in train_checks(RESULT, EMITTED, TrainConfig(), DUAL_PANDA) if c.limited}
     assert limited == {
         "loss_ratio",
         "actions_in_limits",

@@ -8,15 +8,15 @@ from pydantic import Field, model_validator
 
 from minidual.config.base import StrictModel
 
-Backbone = Literal["spatial_softmax", "resnet18"]
-
 
 class TrainConfig(StrictModel):
-    """How ACT is built and trained. The defaults are the CPU recipe; the gpu profile is the full-size ACT."""
+    """How a policy is built and trained. The defaults are the CPU recipe; the gpu profile is the full-size ACT."""
 
     # Architecture
-    backbone: Backbone = Field(
-        default="spatial_softmax", description="image encoder: own keypoints, or LeRobot's resnet18"
+    policy: str = Field(
+        default="spatial_act",
+        min_length=1,
+        description="row of the table of policies: spatial_act (keypoints, then ACT), act (LeRobot's stock ACT)",
     )
     chunk_size: int = Field(default=50, ge=1, le=500, description="actions predicted per inference, in ticks")
     dim_model: int = Field(default=128, ge=16, le=1024, multiple_of=16, description="transformer width")
@@ -32,7 +32,7 @@ class TrainConfig(StrictModel):
         default=1.0,
         ge=0.0,
         le=100.0,
-        description="weight of the grasp-posture loss (spatial_softmax only); 0 leaves it out",
+        description="weight of the grasp-posture loss (spatial_act only); 0 leaves it out",
     )
 
     # Optimisation
@@ -80,8 +80,8 @@ class TrainConfig(StrictModel):
     def _consistent(self) -> Self:
         if self.dim_model % self.heads:
             raise ValueError(f"dim_model {self.dim_model} is not a multiple of heads {self.heads}")
-        if self.backbone == "resnet18" and self.keyframe_weight not in (0.0, 1.0):
-            raise ValueError("keyframe_weight belongs to backbone spatial_softmax; resnet18 is the stock ACT")
+        if self.policy == "act" and self.keyframe_weight not in (0.0, 1.0):
+            raise ValueError("keyframe_weight belongs to policy spatial_act; act is the stock ACT")
         return self
 
 

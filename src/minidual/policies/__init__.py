@@ -1,5 +1,5 @@
-"""Learning: ACT training on demonstrations and the runtime that lets a checkpoint drive the arms.
+"""Learned policies: kinds in one table, training on demonstrations, and the runtime that drives the arms.
 
-Nothing here imports torch or LeRobot at module import time except the modules under `spatial_act`,
-`backbone`, `train` and `policy`; import those lazily.
+`kinds`, `demonstrations`, `records`, `policy` and `pilot` import neither torch nor LeRobot; a kind loads them when it is
+used.
 """

@@ -1,4 +1,4 @@
-"""What a fresh checkpoint must do before it may drive anything: load, emit 16 finite numbers, stay inside limits."""
+"""What a fresh checkpoint must do before it drives anything: load, emit finite actions of the robot, stay inside limits."""
 
 from __future__ import annotations
 
@@ -6,21 +6,24 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from minidual.policies.demonstrations import JOINTS_N, Demonstrations
+from minidual.policies.demonstrations import Demonstrations
 from minidual.policies.policy import PolicyRuntime
-
-Floats = NDArray[np.float64]
+from minidual.robot.pair import Robot
 
 
 @dataclass(frozen=True)
 class EmittedActions:
     """What the reloaded policy emitted on recorded observations.
 
-    `in_limits` is the share of joint targets inside the limits as the network gives them; `in_limits_emitted` the
-    same for the actions that leave the runtime, which clamps. `overshoot_max_rad` is how far the worst raw target
-    lies outside. `joints_n` and `grippers_n` are the widths of an action.
+    Attributes:
+        in_limits: Share of joint targets inside the limits as predicted.
+        in_limits_emitted: The same as they leave the runtime, which clamps.
+        overshoot_max_rad: How far the worst predicted target lies outside.
+        joints_n: Joint targets of an action.
+        grippers_n: Gripper commands of an action.
+        samples: Observations.
+        inference_hz: Inferences a second.
     """
 
     in_limits: float
@@ -33,22 +36,13 @@ class EmittedActions:
 
 
 def exercise_checkpoint(
-    checkpoint: Path, demos: Demonstrations, lower: Floats, upper: Floats, *, samples: int = 256, device: str = "cpu"
+    checkpoint: Path, demos: Demonstrations, robot: Robot, *, samples: int = 256, device: str = "cpu"
 ) -> EmittedActions:
-    """Load `checkpoint` as deployment does and run it on `samples` ticks spread evenly over the dataset.
-
-    Args:
-        checkpoint: folder of the checkpoint.
-        demos: the recorded observations.
-        lower: (14,) lower joint limits [rad].
-        upper: (14,) upper joint limits [rad].
-        samples: how many ticks.
-        device: where to run.
-    """
+    """Load `checkpoint` as deployment does and run it on `samples` ticks spread evenly over the dataset."""
+    lower, upper = robot.q_lower, robot.q_upper
     runtime = PolicyRuntime.load(checkpoint, device, n_action_steps=1, blend_ticks=0, limits=(lower, upper))
     rows = np.linspace(0, len(demos) - 1, min(samples, len(demos))).astype(np.int64)
-    chunks: list[Floats] = []
-    emitted: list[Floats] = []
+    chunks, emitted = [], []
     for row in rows:
         images = {camera: demos.images[camera][row] for camera in demos.cameras}
         state = demos.state[row].astype(np.float64)
@@ -56,14 +50,14 @@ def exercise_checkpoint(
         runtime.reset()
         emitted.append(runtime.act(images, state))
     raw = np.concatenate(chunks)
-    joints, sent = raw[:, :JOINTS_N], np.array(emitted)[:, :JOINTS_N]
+    joints, sent = raw[:, : robot.dof], np.array(emitted)[:, : robot.dof]
     outside = np.maximum(np.maximum(lower - joints, joints - upper), 0.0)
     return EmittedActions(
         in_limits=float((outside == 0.0).mean()),
         in_limits_emitted=float(((sent >= lower) & (sent <= upper)).mean()),
         overshoot_max_rad=float(outside.max()),
         joints_n=joints.shape[1],
-        grippers_n=raw.shape[1] - JOINTS_N,
+        grippers_n=raw.shape[1] - robot.dof,
         samples=len(rows),
         inference_hz=runtime.inference_hz,
     )

@@ -1,9 +1,8 @@
 """A small convolutional encoder that reports where things are: strided conv and spatial softmax.
 
-A plain strided convolution with pooling learns the training episodes by heart and localises nothing; a
-spatial softmax hands the transformer the expected pixel coordinates of a few learned features instead
-(Finn et al., Deep Spatial Autoencoders for Visuomotor Learning, 2016). Coordinates stay in float32 from the
-softmax on: bfloat16 resolves only a quarter of a pixel over a 128-pixel row.
+A plain strided convolution with pooling memorises the training episodes and localises nothing; a spatial softmax gives
+the transformer the expected pixel coordinates of a few learned features (Finn et al., Deep Spatial Autoencoders for
+Visuomotor Learning, 2016). Coordinates stay in float32: bfloat16 resolves a quarter of a pixel over 128.
 """
 
 from __future__ import annotations
@@ -23,11 +22,6 @@ class SpatialSoftmax(nn.Module):
         super().__init__()
         self.channels = channels
         self.log_inverse_temperature = nn.Parameter(torch.zeros(channels))
-
-    @property
-    def output_dim(self) -> int:
-        """Numbers per image."""
-        return 3 * self.channels
 
     def forward(self, logits: Tensor) -> Tensor:
         """Map (B, K, h, w) logits to (B, 3 K) coordinates and spreads, computed in float32."""
@@ -51,8 +45,7 @@ def _pixel_centres(count: int, device: torch.device) -> Tensor:
 class KeypointEncoder(nn.Module):
     """Image (B, 3, H, W), normalised, to keypoints (B, 3 K): four convolutions at stride 2 and 4.
 
-    The convolutions run under bfloat16 autocast when `bf16` is set; on a processor with native bfloat16
-    that doubles the training rate.
+    The convolutions run under bfloat16 autocast when `bf16` is set: twice the training rate where it is native.
     """
 
     def __init__(self, keypoints: int, widths: tuple[int, int, int] = (32, 32, 64)) -> None:
@@ -76,11 +69,6 @@ class KeypointEncoder(nn.Module):
                 nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
                 if module.bias is not None:
                     nn.init.zeros_(module.bias)
-
-    @property
-    def output_dim(self) -> int:
-        """Numbers per image."""
-        return self.pool.output_dim
 
     def forward(self, image: Tensor) -> Tensor:
         """Return the keypoints (B, 3 K) of normalised images (B, 3, H, W)."""

@@ -1,30 +1,36 @@
-"""Demonstrations in memory: the arrays of a dataset, the phase of each tick, and weighted batches.
+"""Demonstrations in memory: the arrays of a dataset, the phase of each tick, and weighted sampling.
 
 All images stay uint8 in the arrays they were read into; only the batch at hand becomes float.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from minidual.demos.lerobot_reader import read_dataset
+from minidual.demos.quality import grip_changes
+from minidual.demos.schema import GRIPPERS_N
 from minidual.errors import DataError
-
-JOINTS_N = 14
-GRIPPERS_N = 2
-STATE_DIM = JOINTS_N + GRIPPERS_N
 
 
 @dataclass(frozen=True)
 class Demonstrations:
     """N ticks of recorded episodes.
 
-    `images` maps camera name to (N, H, W, 3) uint8; `state` and `action` are (N, 16) float32: 14 joint positions
-    in rad, left then right, then 2 gripper values. `episode_index` is (N,), ascending; ticks of an episode are
-    contiguous and in order. `keyframe_ticks` is (N, K): the row index of the K-th gripper switch of the episode,
-    or -1 where the episode has none. `phase` is (N,): how many switches lie behind the tick (0 is the approach).
+    Attributes:
+        images: (N, H, W, 3) uint8 by camera.
+        state: (N, dim) float32: joints [rad], left then right, then two openings.
+        action: (N, dim) float32, likewise.
+        episode_index: (N,) ascending; the ticks of an episode are contiguous and in order.
+        keyframes_n: Gripper switches that are kept as keyframes (K).
+        phase: (N,) number of switches before the tick; 0 is the approach.
+        keyframe_ticks: (N, K) row of the K-th switch of the episode, -1 where there is none.
+        last_tick: (N,) last row of the episode.
     """
 
     images: dict[str, NDArray[np.uint8]]
@@ -37,16 +43,12 @@ class Demonstrations:
     last_tick: NDArray[np.int64] = field(init=False)
 
     def __post_init__(self) -> None:
-        """Check shapes and values, then derive the phases.
-
-        Raises:
-            DataError: no ticks, shapes that disagree, a value that is not finite, episodes out of order.
-        """
+        """Derive the phases; DataError for no ticks, wrong shapes, values not finite, or episodes out of order."""
         _check(self)
         phase = np.zeros(len(self), dtype=np.int64)
         ticks = np.full((len(self), self.keyframes_n), -1, dtype=np.int64)
         last = np.zeros(len(self), dtype=np.int64)
-        gripper = self.action[:, JOINTS_N:]
+        gripper = self.action[:, self.joints_n :]
         span = gripper.max(axis=0) - gripper.min(axis=0)
         for start, stop in self.episode_bounds().values():
             switches = gripper_switches(gripper[start:stop], span)
@@ -65,6 +67,16 @@ class Demonstrations:
         return int(self.state.shape[0])
 
     @property
+    def dim(self) -> int:
+        """Entries of a state and of an action."""
+        return int(self.state.shape[1])
+
+    @property
+    def joints_n(self) -> int:
+        """Joints among them."""
+        return self.dim - GRIPPERS_N
+
+    @property
     def cameras(self) -> list[str]:
         """Camera names in their one order: by name."""
         return sorted(self.images)
@@ -78,26 +90,44 @@ class Demonstrations:
     def rows_of(self, episodes: list[int]) -> NDArray[np.int64]:
         """Return the row indices of `episodes`, in order."""
         bounds = self.episode_bounds()
-        return np.concatenate([np.arange(*bounds[e]) for e in episodes]).astype(np.int64)
+        return np.concatenate([np.empty(0, np.int64), *(np.arange(*bounds[e]) for e in episodes)])
+
+
+def load_demonstrations(
+    root: Path, cameras: Sequence[str], progress: Callable[[int], None] | None = None
+) -> Demonstrations:
+    """Read the LeRobot dataset at `root` with the images of `cameras` (all of them when empty).
+
+    `progress` is called with the number of images decoded since its last call.
+
+    Raises:
+        DataError: The dataset is missing or corrupt.
+        UsageError: The dataset has no such camera.
+    """
+    tables = read_dataset(root)
+    wanted = sorted(cameras or tables.cameras)
+    for camera in wanted:
+        tables.size(camera)
+    images = {camera: tables.images(camera, progress) for camera in wanted}
+    return Demonstrations(images, tables.state, tables.action, tables.episode_index)
 
 
 def gripper_switches(gripper: NDArray[np.float32], span: NDArray[np.float32]) -> list[int]:
     """Return the ticks at which the gripper command changes over, earliest first.
 
-    Works for openings in metres and for 0/1 commands of either sign: a switch is a crossing of the middle between
-    the extremes, and the two grippers count as one event when they switch within 25 ticks of each other.
+    A switch is a crossing of the middle between the extremes; two grippers that switch within 25 ticks of each other
+    count once.
 
     Args:
         gripper: (T, 2) gripper actions of one episode.
-        span: (2,) range of each gripper over the whole dataset; a gripper that never moves is ignored.
+        span: (2,) range of each gripper over the dataset; one that hardly moves in the episode is ignored.
     """
     crossings: list[int] = []
     for column in range(gripper.shape[1]):
         values = gripper[:, column]
         if span[column] <= 1e-6 or values.max() - values.min() < 0.5 * span[column]:
             continue
-        above = values > 0.5 * (values.max() + values.min())
-        crossings.extend((np.flatnonzero(above[1:] != above[:-1]) + 1).tolist())
+        crossings.extend(grip_changes(values))
     events: list[int] = []
     for tick in sorted(crossings):
         if not events or tick - events[-1] > 25:
@@ -106,7 +136,7 @@ def gripper_switches(gripper: NDArray[np.float32], span: NDArray[np.float32]) ->
 
 
 def split_episodes(episodes: list[int], fraction: float, rng: np.random.Generator) -> tuple[list[int], list[int]]:
-    """Split episode numbers into (training, validation); a single episode, or fraction 0, leaves none to validate."""
+    """Split episode numbers into (training, validation); one episode, or fraction 0, leaves none to validate."""
     count = min(round(fraction * len(episodes)), len(episodes) - 1)
     if fraction > 0 and len(episodes) > 1:
         count = max(count, 1)
@@ -133,8 +163,8 @@ def _check(demos: Demonstrations) -> None:
     if count == 0:
         raise DataError("the dataset holds no ticks", remedy="minidual teleop-record")
     for name, array in (("state", demos.state), ("action", demos.action)):
-        if array.shape != (count, STATE_DIM):
-            raise DataError(f"dataset column '{name}' has shape {array.shape}; expected ({count}, {STATE_DIM})")
+        if array.ndim != 2 or array.shape != demos.state.shape or array.shape[1] <= GRIPPERS_N:
+            raise DataError(f"dataset column '{name}' has shape {array.shape}, 'state' {demos.state.shape}")
         bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
         if bad.size:
             raise DataError(

@@ -7,28 +7,24 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from minidual.demos.lerobot_reader import ACTION, STATE, camera_key
 from minidual.policies.demonstrations import Demonstrations
 
-# LeRobot divides by std + eps; training here must do the same to the last bit that matters.
 LEROBOT_EPS = 1e-8
+"""LeRobot's processors, which deployment uses, divide by std + eps; so must training."""
 IMAGE_SAMPLE = 512
 
 Stats = dict[str, dict[str, Tensor]]
 
 
-def image_key(camera: str) -> str:
-    """Return LeRobot's key of a camera: high becomes observation.images.cam_high."""
-    return f"observation.images.cam_{camera}"
-
-
 def dataset_statistics(demos: Demonstrations, rows: NDArray[np.int64], std_floor: float) -> Stats:
     """Return mean and std of state, action and images over `rows`.
 
-    State and action: (16,); images: (3, 1, 1) of values in [0, 1], over at most 512 evenly spaced frames. Each std
+    State and action: (dim,); images: (3, 1, 1) of values in [0, 1], over at most 512 evenly spaced frames. Each std
     is at least `std_floor`: a joint that hardly moves must not turn encoder noise into large inputs.
     """
     stats: Stats = {}
-    for key, array in (("observation.state", demos.state), ("action", demos.action)):
+    for key, array in ((STATE, demos.state), (ACTION, demos.action)):
         values = array[rows].astype(np.float64)
         stats[key] = _mean_std(values.mean(axis=0), values.std(axis=0), std_floor)
     chosen = rows[np.linspace(0, len(rows) - 1, min(IMAGE_SAMPLE, len(rows))).astype(np.int64)]
@@ -36,7 +32,7 @@ def dataset_statistics(demos: Demonstrations, rows: NDArray[np.int64], std_floor
         pixels = demos.images[camera][chosen].reshape(-1, 3)
         mean = np.array([pixels[:, c].mean(dtype=np.float64) for c in range(3)]) / 255.0
         std = np.array([pixels[:, c].std(dtype=np.float64) for c in range(3)]) / 255.0
-        stats[image_key(camera)] = _mean_std(mean[:, None, None], std[:, None, None], std_floor)
+        stats[camera_key(camera)] = _mean_std(mean[:, None, None], std[:, None, None], std_floor)
     return stats
 
 

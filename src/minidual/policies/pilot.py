@@ -1,4 +1,4 @@
-"""A trained policy at the controls: cameras and joints in, joint targets out, through the command arbiter at 50 Hz."""
+"""A trained policy at the controls: cameras and joints in, joint targets out, through the command arbiter."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.errors import DataError
 from minidual.plant.world import World
-from minidual.policies.policy import Image, PolicyRuntime
+from minidual.policies.kinds import Image
+from minidual.policies.policy import PolicyRuntime
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Robot
 
@@ -28,6 +29,7 @@ def load_runtime(checkpoint: Path, config: DeployConfig, robot: Robot) -> Policy
 
     Raises:
         DataError: The checkpoint is missing or corrupt.
+        UsageError: It drives other arms.
     """
     return PolicyRuntime.load(
         checkpoint,
@@ -68,7 +70,7 @@ class PolicyPilot:
         self._runtime, self._picture = runtime, picture
         self.stack = ControlStack(world, kinematics, arbiter, rate_hz=rate_hz, supervisor=supervisor)
         # A switch must drop the chunk that is under way, or it would run on after the switch.
-        self.stack.on_flush(lambda mode: runtime.flush())
+        self.stack.on_flush(lambda mode: runtime.reset())
         runtime.reset()
         self.stack.request(SOURCE)
         self._steps_per_tick = round(1.0 / (rate_hz * world.dt))
@@ -88,7 +90,7 @@ class PolicyPilot:
         return self.aborted is not None
 
     def step(self) -> None:
-        """Run one control and physics step; every 20 ms a tick of policy and arbiter before it."""
+        """Run one control and physics step; with a tick of policy and arbiter before it where one is due."""
         if self._step % self._steps_per_tick == 0:
             self._tick()
         self._step += 1
@@ -109,7 +111,8 @@ class PolicyPilot:
                 self.stack.request("hold")
             else:
                 self._sequence += 1
-                command = JointCommand(action[:14], np.clip(action[14:], 0.0, 1.0), world.time, self._sequence)
+                n = self._runtime.joints_n
+                command = JointCommand(action[:n], np.clip(action[n:], 0.0, 1.0), world.time, self._sequence)
                 if self.stack.propose(SOURCE, command) is not None:
                     self.refusals += 1
         self.stack.arbitrate()

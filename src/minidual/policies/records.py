@@ -1,17 +1,51 @@
-"""Files a training leaves beside its checkpoint: loss.csv, loss.png and train.json."""
+"""What a training did, and the files it leaves beside its checkpoint: loss.csv, loss.png and train.json."""
 
 from __future__ import annotations
 
 import csv
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from minidual.policies.train import LossRow, TrainResult
+
+@dataclass(frozen=True)
+class LossRow:
+    """One line of the loss curve: means since the last line, and validation where it was computed."""
+
+    step: int
+    loss: float
+    l1: float
+    keyframe: float | None
+    learning_rate: float
+    validation_l1: float | None = None
+    validation_keyframe_rad: float | None = None
+
+
+@dataclass
+class TrainResult:
+    """What a training run did. L1 is in units of the action's std; it does not select checkpoints."""
+
+    steps: int
+    steps_asked: int
+    train_s: float
+    samples_per_s: float
+    parameters: int
+    loss_initial: float
+    loss_final: float
+    loss_ratio: float
+    training_episodes: list[int]
+    validation_episodes: list[int]
+    ticks: int
+    validation_l1: float | None = None
+    validation_keyframe_rad: float | None = None
+    bf16: bool = False
+    resumed_from_step: int = 0
+    stopped_by: str = "steps"
+    curve: list[LossRow] = field(default_factory=list)
 
 
 def write_loss_csv(curve: Sequence[LossRow], path: Path) -> None:
@@ -54,7 +88,7 @@ def draw_loss(result: TrainResult, path: Path) -> None:
     above.set_yscale("log")
     above.set_ylabel("L1 [std of the actions]")
     above.set_title(
-        f"ACT training: {result.parameters / 1e6:.2f} M parameters, {result.steps} steps, "
+        f"Training: {result.parameters / 1e6:.2f} M parameters, {result.steps} steps, "
         f"{result.train_s / 60:.1f} min, {result.samples_per_s:.0f} samples/s",
         loc="left",
         fontsize=11,

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from minidual.config.root import Config
 from minidual.demos.leader import LEADERS
-from minidual.errors import ConfigError
+from minidual.errors import ConfigError, unknown_name
+from minidual.policies.kinds import POLICIES
 from minidual.trials.conditions import condition, parse_conditions
 from minidual.trials.methods import method_spec, parse_methods
 
@@ -22,6 +23,12 @@ def check_plan(config: Config) -> None:
 def check_leader(config: Config) -> None:
     """Refuse a leader that does not exist."""
     LEADERS[config.teleop.leader]
+
+
+def check_policy(config: Config) -> None:
+    """Refuse a policy that does not exist, without loading the libraries of one that does."""
+    if config.train.policy not in POLICIES:
+        raise unknown_name("policy", config.train.policy, POLICIES)
 
 
 def check_benchmark(config: Config) -> None:

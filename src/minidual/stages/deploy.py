@@ -45,7 +45,7 @@ def deploy_checks(
             inference_hz_min,
             "hz",
             "whole inference with pre- and post-processing must keep up with the arms",
-            "use the spatial_softmax backbone, or a smaller image",
+            "use the policy spatial_act, or a smaller image",
         ),
     ]
 

@@ -28,7 +28,8 @@ from minidual.tasks.rod_carry import grasp_offsets, level_part, placement
 from minidual.tasks.task import Task, Trial
 
 if TYPE_CHECKING:
-    from minidual.policies.policy import Image, PolicyRuntime
+    from minidual.policies.kinds import Image
+    from minidual.policies.policy import PolicyRuntime
 
 _JOIN_SPEED_RAD_S = 0.7
 _JOIN_MIN_S = 1.0
@@ -258,7 +259,7 @@ class PolicyDriver:
         self._judge = Judge(task, trial)
         self._sequence = 0
         self._began_s = self._finished_s = 0.0
-        stack.on_flush(lambda mode: runtime.flush())
+        stack.on_flush(lambda mode: runtime.reset())
 
     def begin(self) -> None:
         """Start an episode."""
@@ -270,9 +271,9 @@ class PolicyDriver:
         world: World = self.stack.plant
         state = np.concatenate([world.q, world.gripper])
         images = {name: partial(self._picture, name) for name in self._runtime.cameras}
-        action = self._runtime.act(images, state)
+        action, n = self._runtime.act(images, state), self._runtime.joints_n
         self._sequence += 1
-        command = JointCommand(action[:14], np.clip(action[14:], 0.0, 1.0), world.time, self._sequence)
+        command = JointCommand(action[:n], np.clip(action[n:], 0.0, 1.0), world.time, self._sequence)
         self.stack.propose("policy", command)
 
     def watch(self) -> None:

@@ -1,0 +1,223 @@
+"""ACT through LeRobot: the stock policy, and the one with a spatial-softmax image encoder; checkpoints in LeRobot's layout."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from draccus.utils import DecodingError, ParsingError
+from lerobot.configs import FeatureType, PolicyFeature, PreTrainedConfig
+from lerobot.policies.act.configuration_act import ACTConfig
+from lerobot.policies.act.modeling_act import ACTPolicy
+from lerobot.policies.factory import make_pre_post_processors
+from lerobot.policies.pretrained import PreTrainedPolicy
+from numpy.typing import NDArray
+from safetensors import SafetensorError
+from safetensors.torch import load_model
+
+from minidual import durable
+from minidual.config.learning import TrainConfig
+from minidual.demos.lerobot_reader import ACTION, IMAGE_PREFIX, STATE, camera_key
+from minidual.errors import DataError, EnvironmentMissingError
+from minidual.policies.demonstrations import Demonstrations
+from minidual.policies.kinds import REMEDY, Advance, ChunkPolicy, Image, PolicyKind
+from minidual.policies.normalisation import Stats
+from minidual.policies.records import TrainResult
+from minidual.policies.spatial_act.configuration_spatial_act import SpatialActConfig
+from minidual.policies.spatial_act.modeling_spatial_act import SpatialActPolicy
+from minidual.policies.train import Trained, train
+
+REQUIRED = ("config.json", "model.safetensors", "policy_preprocessor.json", "policy_postprocessor.json")
+
+
+class ActKind(PolicyKind):
+    """LeRobot's stock ACT with a resnet18."""
+
+    config_class: type[PreTrainedConfig] = ACTConfig
+    policy_class: type[PreTrainedPolicy] = ACTPolicy
+
+    def make(self, config: TrainConfig, common: Mapping[str, Any]) -> PreTrainedPolicy:
+        """Return a new policy; weights from the torch generator as it stands.
+
+        Args:
+            config: Settings of this kind.
+            common: Settings of the transformer and the features, as LeRobot names them.
+        """
+        return ACTPolicy(ACTConfig(vision_backbone="resnet18", pretrained_backbone_weights=None, **common))
+
+    def require(self, device: str) -> None:
+        """Raise EnvironmentMissingError if torch sees no such device."""
+        if device == "cuda" and not torch.cuda.is_available():
+            raise EnvironmentMissingError(
+                "the configuration asks for device 'cuda', but torch finds no CUDA device; devices here: cpu",
+                remedy="use --profile standard, or --set train.device=cpu --set deploy.device=cpu",
+            )
+
+    def train(
+        self,
+        demos: Demonstrations,
+        config: TrainConfig,
+        seed: int,
+        folder: Path,
+        *,
+        resume_dir: Path | None = None,
+        advance: Advance | None = None,
+    ) -> TrainResult:
+        """Train in torch; see `PolicyKind.train`."""
+        self.require(config.device)
+        if folder.exists():
+            raise DataError(f"the checkpoint folder {folder} exists already", remedy=f"{REMEDY} --force")
+
+        def build(stats: Stats) -> Trained:
+            policy = self.make(config, _common(config, demos)).to(config.device)
+            return Trained(policy, *make_pre_post_processors(policy.config, dataset_stats=stats))
+
+        result, trained = train(build, demos, config, seed, resume_dir=resume_dir, advance=advance)
+        with durable.replacing(folder) as partial:
+            partial.mkdir(parents=True)
+            for part in trained:
+                part.save_pretrained(partial)
+        return result
+
+    def load(self, folder: Path, device: str, threads: int | None) -> ChunkPolicy:
+        """Load a checkpoint; see `PolicyKind.load`."""
+        self.require(device)
+        return TorchChunkPolicy(self.read(folder, device), threads)
+
+    def read(self, folder: Path, device: str = "cpu") -> Trained:
+        """Return policy (in evaluation mode) and processors of a checkpoint."""
+        if missing := [name for name in REQUIRED if not (folder / name).is_file()]:
+            raise DataError(f"checkpoint {folder} lacks {', '.join(missing)}", remedy=f"{REMEDY} --force")
+        try:
+            config = _read_config(folder, device)
+            if not isinstance(config, self.config_class):
+                raise ValueError(f"its configuration is a {type(config).__name__}, not a {self.config_class.__name__}")
+            policy = self.policy_class(config)
+            load_model(policy, folder / "model.safetensors", strict=True, device=device)
+            overrides = {"device_processor": {"device": device}}
+            processors = make_pre_post_processors(config, pretrained_path=str(folder), preprocessor_overrides=overrides)
+        except (
+            OSError,
+            ValueError,
+            KeyError,
+            TypeError,
+            RuntimeError,
+            SafetensorError,
+            DecodingError,
+            ParsingError,
+        ) as error:
+            first = str(error).splitlines()[0] if str(error) else type(error).__name__
+            raise DataError(f"checkpoint {folder} cannot be read: {first}", remedy=f"{REMEDY} --force") from error
+        policy.to(device)
+        policy.eval()
+        return Trained(policy, *processors)
+
+
+class SpatialActKind(ActKind):
+    """ACT's transformer behind a small encoder of keypoints."""
+
+    config_class = SpatialActConfig
+    policy_class = SpatialActPolicy
+
+    def make(self, config: TrainConfig, common: Mapping[str, Any]) -> PreTrainedPolicy:
+        """Return a new policy with its image encoders in the configured precision."""
+        described = SpatialActConfig(keypoints=config.keypoints, keyframe_weight=config.keyframe_weight, **common)
+        policy = SpatialActPolicy(described)
+        policy.model.use_precision(bf16=use_bf16(config))
+        return policy
+
+
+ACT_KIND, SPATIAL_ACT = ActKind(), SpatialActKind()
+
+
+def _common(config: TrainConfig, demos: Demonstrations) -> dict[str, Any]:
+    """Return what both kinds share: features named after the cameras, the transformer, the optimiser."""
+    inputs = {STATE: PolicyFeature(type=FeatureType.STATE, shape=(demos.dim,))}
+    for camera in demos.cameras:
+        size = demos.images[camera].shape[1:3]
+        inputs[camera_key(camera)] = PolicyFeature(type=FeatureType.VISUAL, shape=(3, *size))
+    return {
+        "input_features": inputs,
+        "output_features": {ACTION: PolicyFeature(type=FeatureType.ACTION, shape=(demos.dim,))},
+        "device": config.device,
+        "push_to_hub": False,
+        "chunk_size": config.chunk_size,
+        "n_action_steps": config.chunk_size,
+        "dim_model": config.dim_model,
+        "n_heads": config.heads,
+        "dim_feedforward": config.dim_feedforward,
+        "n_encoder_layers": config.encoder_layers,
+        "n_decoder_layers": config.decoder_layers,
+        "use_vae": config.use_vae,
+        "kl_weight": config.kl_weight,
+        "dropout": config.dropout,
+        "optimizer_lr": config.learning_rate,
+        "optimizer_lr_backbone": config.learning_rate,
+        "optimizer_weight_decay": config.weight_decay,
+    }
+
+
+def use_bf16(config: TrainConfig) -> bool:
+    """Return whether the convolutions compute in bfloat16: as configured, or where it is native under "auto"."""
+    if config.precision != "auto":
+        return config.precision == "bf16"
+    if config.device == "cuda":
+        return torch.cuda.is_bf16_supported()
+    # Without native instructions bfloat16 is emulated and several times slower than float32.
+    can = torch.cpu.get_capabilities()
+    return bool(can.get("avx512_bf16") or can.get("amx_tile"))
+
+
+def _read_config(folder: Path, device: str) -> PreTrainedConfig:
+    # LeRobot parses with a command-line parser that reports a bad file on stderr and exits.
+    with contextlib.redirect_stderr(io.StringIO()) as said:
+        try:
+            return PreTrainedConfig.from_pretrained(folder, cli_overrides=[f"--device={device}"])
+        except SystemExit as error:
+            raise ValueError(f"config.json does not parse: {said.getvalue()[:200]}") from error
+
+
+class TorchChunkPolicy(ChunkPolicy):
+    """A LeRobot policy with its processors."""
+
+    def __init__(self, trained: Trained, threads: int | None) -> None:
+        self._trained, self._threads = trained, threads
+        config = trained.policy.config
+        state, action = config.robot_state_feature, config.action_feature
+        if state is None or action is None or tuple(state.shape) != tuple(action.shape):
+            raise DataError("the checkpoint does not map a state to actions of the same joints and grippers")
+        self.chunk_size, self.dim = int(config.chunk_size), int(action.shape[0])
+        self.cameras: dict[str, tuple[int, int]] = {}
+        for key, feature in config.image_features.items():
+            if not key.startswith(IMAGE_PREFIX):
+                raise DataError(f"the checkpoint reads '{key}'; cameras here are named {IMAGE_PREFIX}<name>")
+            self.cameras[key.removeprefix(IMAGE_PREFIX)] = (int(feature.shape[1]), int(feature.shape[2]))
+
+    def predict(self, images: Mapping[str, Image], state: NDArray[np.float32]) -> NDArray[np.float64]:
+        """Return one chunk."""
+        observation: dict[str, Any] = {STATE: torch.from_numpy(state)}
+        for camera, pixels in images.items():
+            observation[camera_key(camera)] = torch.from_numpy(pixels).permute(2, 0, 1).float().div_(255.0)
+        with torch.inference_mode(), _threads(self._threads):
+            batch = self._trained.preprocessor(observation)
+            chunk = self._trained.postprocessor(self._trained.policy.predict_action_chunk(batch))
+        return chunk[0].to(torch.float64).numpy()
+
+
+@contextlib.contextmanager
+def _threads(count: int | None) -> Iterator[None]:
+    """Set torch's threads and put them back; None leaves them."""
+    before = torch.get_num_threads()
+    if count is None or count == before:
+        yield
+        return
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
