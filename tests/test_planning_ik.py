@@ -8,8 +8,10 @@ from minidual.collision.errors import IKUnreachableError
 from minidual.errors import UsageError
 from minidual.motion.ik import ArmIK, check_pose
 from minidual.motion.ik_descent import frames_of_arm
+from minidual.robot.arms import ARM_MODELS
 from minidual.robot.constants import GROUPS, HOME
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Robot
 
 
 @pytest.fixture(scope="module", params=["left", "right"])
@@ -209,3 +211,41 @@ def test_an_arm_of_another_build_is_refused():
         frames_of_arm(kinematics.model, slice(3, 10), left)
     with pytest.raises(ValueError, match="not fixed to the last"):
         frames_of_arm(kinematics.model, slice(0, 7), right)
+
+
+@pytest.mark.parametrize("name", ["xarm7", "ur5"])
+def test_arms_of_other_models_are_solved_too(name):
+    """Limits of two turns, six joints, hinges about y: forward kinematics by Pinocchio, round trip, projection."""
+    kinematics = Kinematics(Robot(ARM_MODELS[name]))
+    arm = ArmIK("right", kinematics)
+    rng = np.random.default_rng(12)
+    full, n = kinematics.robot.home.copy(), kinematics.robot.dof_per_arm
+    for _ in range(20):
+        full[arm.joints] = rng.uniform(arm.lower, arm.upper)
+        T = kinematics.tcp_poses(full)[1]
+        assert np.abs(arm.tcp_pose(full[arm.joints]) - T).max() < 1e-13
+        q = next(arm.solutions(T, kinematics.robot.home[arm.joints], rng, 30))
+        assert ((q >= arm.lower) & (q <= arm.upper)).all()
+        assert np.abs(arm.tcp_pose(q) - T).max() < 1e-6
+        moved = arm.nearest(T, q + rng.normal(0.0, 1e-3, n))
+        assert moved is not None
+        assert np.abs(arm.tcp_pose(moved) - T).max() < 1e-7
+
+
+def test_the_nearest_solution_is_the_projection(solver):
+    """The step from a configuration close by is orthogonal to the free motion of the arm; a wish moves along it."""
+    q = HOME[GROUPS[f"{solver.arm}_arm"]]
+    T = solver.tcp_pose(q)
+    near = q + np.random.default_rng(13).normal(0.0, 1e-3, 7)
+    found = solver.nearest(T, near)
+    _, J = solver.error_and_jacobian(found, T)
+    free = np.linalg.svd(J)[2][-1]
+    assert abs(free @ (found - near)) < 1e-5
+    assert np.abs(solver.tcp_pose(found) - T).max() < 1e-8
+    wished = solver.nearest(T, q, 0.05 * free)
+    assert abs(free @ (wished - q)) == pytest.approx(0.05, abs=2e-3)
+    assert np.abs(solver.tcp_pose(wished) - T).max() < 1e-8
+    far = T.copy()
+    far[0, 3] += 1.0
+    assert solver.nearest(far, q) is None
+    assert solver.nearest(T, np.full(7, np.nan)) is None

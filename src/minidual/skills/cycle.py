@@ -5,7 +5,8 @@ from __future__ import annotations
 from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Box, Capsule
 from minidual.config.scene import ObjectConfig, SceneConfig
-from minidual.robot.pair import SIDES, Array
+from minidual.robot.arms import DUAL_PANDA
+from minidual.robot.pair import SIDES, Array, Robot
 from minidual.skills.pipeline.carrying import Carry, Place
 from minidual.skills.pipeline.hands import Close, Descend, Grip, Open, Reach, Retreat
 from minidual.skills.pipeline.search import Pipeline
@@ -23,13 +24,14 @@ def thing_of(body: ObjectConfig, name: str) -> Thing:
     return Thing(Capsule(name, (0.0, 0.0, 0.0), _ALONG_Y, radius_m=body.radius_m, length_m=length))
 
 
-def around(scene: SceneConfig) -> PlanningScene:
+def around(scene: SceneConfig, robot: Robot = DUAL_PANDA) -> PlanningScene:
     """Return what stands in the way of a task."""
     block = scene.task.obstacle
     if block is None:
-        return PlanningScene()
+        return PlanningScene(robot=robot)
     x, y = block.xy_m
-    return PlanningScene().with_obstacles(Box("obstacle", (x, y, block.size_m[2] / 2), size_m=block.size_m))
+    box = Box("obstacle", (x, y, block.size_m[2] / 2), size_m=block.size_m)
+    return PlanningScene(robot=robot).with_obstacles(box)
 
 
 def carry_pipeline(scene: SceneConfig, T_world_goal: Array) -> Pipeline:

@@ -85,7 +85,7 @@ def execute(
         Segment("carry", plan, _CLOSED),
         still("settle", plan.q[-1], PHASES["settle"].hold_s, _CLOSED),
     ]
-    drive = Drive(ControlStack(world, Kinematics()), segments)
+    drive = Drive(ControlStack(world, Kinematics(world.robot)), segments)
     errors, pinch = [], []
     while not drive.done:
         T_before, pinch_before = world.object_pose(), float(world.pinch().min())

@@ -69,7 +69,9 @@ class PlannedCarry(Drive):
         gap = None
         if supervisor is not None:
             gap = Gap(arm_distance(world.robot), supervisor.config.self_collision_min_m + _GAP_MARGIN_M)
-        tools = Tools(around(scene), thing_of(scene.object, scene.object.name), planner, seed, gap, holder=carrier)
+        tools = Tools(
+            around(scene, world.robot), thing_of(scene.object, scene.object.name), planner, seed, gap, holder=carrier
+        )
         self.solution: Solution | None = None
         why: str | None = None
         try:

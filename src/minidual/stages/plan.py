@@ -35,12 +35,12 @@ def run(context: StageContext) -> StageResult:
         def advance(outcome: Outcome) -> None:
             task.advance(note=outcome.query.group)
 
-        outcomes = run_queries(config, seed, advance)
-        second = run_queries(config, config.second_seed, advance, config.second_queries_n)
+        outcomes = run_queries(config, seed, advance, robot=robot)
+        second = run_queries(config, config.second_seed, advance, config.second_queries_n, robot)
     play_queries(context.view, context.config.scene, outcomes)
     agreement = engine_agreement(outcomes["both_arms"][0].query.scene, config.agreement_states_n, seed)
     repeatable = all(repeats(config, done[0]) for done in outcomes.values())
-    carries = failed_carries(config, context.config.scene, _CARRIES_N, seed)
+    carries = failed_carries(config, context.config.scene, _CARRIES_N, seed, robot)
     held = run_held(context)
     every = [o for done in outcomes.values() for o in done]
     again = [o for done in second.values() for o in done]

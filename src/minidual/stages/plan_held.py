@@ -16,6 +16,7 @@ from minidual.gate.check import Check
 from minidual.gate.stage import StageContext
 from minidual.motion.held.path import RESIDUAL_MAX_M, RESIDUAL_MAX_RAD
 from minidual.plant.world import World
+from minidual.robot.arms import robot_from
 from minidual.show.view import Overlay
 from minidual.show.watch import watched
 from minidual.skills.held_execution import Execution, execute
@@ -64,12 +65,12 @@ class HeldResults:
 def run_held(context: StageContext) -> HeldResults:
     """Plan the moves of both seeds and drive some; writes held_moves.csv."""
     plan, scene, seed = context.config.plan, context.config.scene, context.seed
-    held, outcomes, executions = plan.held, {}, []
+    held, outcomes, executions, robot = plan.held, {}, [], robot_from(context.config.robot)
     with context.progress.task("held moves", 2 * held.moves_n + held.executed_n) as task:
         for name, offset in _SEED_OFFSETS.items():
-            outcomes[name] = run_moves(plan, scene, seed + offset, lambda _, name=name: task.advance(note=name))
-        world = World(scene)
-        driven, undriven = table_plans(plan, scene, held.executed_n, seed + _DRIVEN_SEED_OFFSET)
+            outcomes[name] = run_moves(plan, scene, seed + offset, lambda _, name=name: task.advance(note=name), robot)
+        world = World(scene, robot=robot)
+        driven, undriven = table_plans(plan, scene, held.executed_n, seed + _DRIVEN_SEED_OFFSET, robot)
         words = Overlay(title="plan, held-object move", mode="joint", source="plan")
         for trajectory in driven:
             with watched(context.view, world, lambda: words):

@@ -40,7 +40,6 @@ from minidual.motion.held.search import JOINT_WEIGHT_M, HeldSpace, Q, X, search_
 from minidual.motion.ik import check_pose
 from minidual.motion.timing import MotionLimits
 from minidual.proof.scene_engines import SceneEngines
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array, Robot
 from minidual.robot.poses import inverse
@@ -72,12 +71,7 @@ def grasp_of(q: Array, T_world_object: Array, kinematics: Kinematics | None = No
 
 
 def scene_holding(
-    scene: PlanningScene,
-    shape: Shape,
-    T_object_tcp_left: Array,
-    *,
-    rests_on: Sequence[str] = ("table",),
-    robot: Robot = DUAL_PANDA,
+    scene: PlanningScene, shape: Shape, T_object_tcp_left: Array, *, rests_on: Sequence[str] = ("table",)
 ) -> PlanningScene:
     """Return the scene with an object in both hands.
 
@@ -86,13 +80,12 @@ def scene_holding(
         shape: The object, its place given in the object's frame.
         T_object_tcp_left: Grasp of the left hand, whose motion the object follows (so does the right, by plan).
         rests_on: Obstacles that the object may touch, because it is lifted off them and put down on them.
-        robot: Whose hands.
     """
     T_tcp_shape = inverse(T_object_tcp_left) @ shape.T_parent_shape
     x, y, z, w = pin.Quaternion(T_tcp_shape[:3, :3]).coeffs().tolist()
     held = replace(shape, position_m=tuple(T_tcp_shape[:3, 3].tolist()), quat_wxyz=(w, x, y, z))
-    hands = tuple(link for side in SIDES for link in robot.hand_links(side))
-    scene = scene.with_attached(Attached(held, robot.tcp_names[0], hands))
+    hands = tuple(link for side in SIDES for link in scene.robot.hand_links(side))
+    scene = scene.with_attached(Attached(held, scene.robot.tcp_names[0], hands))
     for obstacle in rests_on:
         scene = scene.allowing(shape.name, obstacle, "the object is lifted off it and put down on it")
     return scene

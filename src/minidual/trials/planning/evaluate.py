@@ -18,8 +18,10 @@ from minidual.motion.api import Planner
 from minidual.motion.result import PHASES, PlanResult
 from minidual.motion.shortcut import path_length
 from minidual.proof.verify import Audit
+from minidual.robot.arms import DUAL_PANDA
+from minidual.robot.pair import Robot
 from minidual.trials.planning.queries import Query, QueryGenerator
-from minidual.trials.planning.query_set import OBSTACLES_N, stored_set
+from minidual.trials.planning.query_set import OBSTACLES_N, ROBOT, stored_set
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,10 +108,13 @@ def plan_query(planner: Planner, query: Query) -> Outcome:
     return Outcome(query, result, reason, message, perf_counter() - begin, scene_s, process_time() - cpu_begin)
 
 
-def query_source(seed: int, obstacles_n: int, blocked_fraction: float) -> Callable[[str, int], Query]:
+def query_source(
+    seed: int, obstacles_n: int, blocked_fraction: float, robot: Robot = DUAL_PANDA
+) -> Callable[[str, int], Query]:
     """Return what gives query `index` of a group: the stored set of the seed if there is one, else the generator."""
-    generator = QueryGenerator(seed, obstacles_n, blocked_fraction)
-    stored = stored_set(seed) if (obstacles_n, blocked_fraction) == (OBSTACLES_N, 1.0) else None
+    generator = QueryGenerator(seed, obstacles_n, blocked_fraction, robot)
+    fits = (obstacles_n, blocked_fraction, robot) == (OBSTACLES_N, 1.0, ROBOT)
+    stored = stored_set(seed) if fits else None
     if stored is None:
         return generator.query
 
@@ -121,7 +126,11 @@ def query_source(seed: int, obstacles_n: int, blocked_fraction: float) -> Callab
 
 
 def run_queries(
-    config: PlanConfig, seed: int, on_query: Callable[[Outcome], None] = lambda _: None, queries_n: int | None = None
+    config: PlanConfig,
+    seed: int,
+    on_query: Callable[[Outcome], None] = lambda _: None,
+    queries_n: int | None = None,
+    robot: Robot = DUAL_PANDA,
 ) -> dict[str, list[Outcome]]:
     """Plan queries of every group, in one process so that the times mean something, and audit what was proven.
 
@@ -130,13 +139,14 @@ def run_queries(
         seed: Seed of the query set.
         on_query: Called after each.
         queries_n: Queries per group; `config.queries_n` by default.
+        robot: The arms.
     """
-    planner = Planner(config=config.planner)
+    planner = Planner(config=config.planner, robot=robot)
     home = planner.robot.home
     # Import and compile what the first query would otherwise pay for; whether this one is solved does not matter.
     with suppress(PlanningError):
         planner.plan_to_joints("both_arms", home, home + 0.05)
-    source = query_source(seed, config.obstacles_n, config.blocked_fraction)
+    source = query_source(seed, config.obstacles_n, config.blocked_fraction, robot)
     outcomes: dict[str, list[Outcome]] = {group: [] for group in planner.robot.groups}
     for group, done in outcomes.items():
         for index in range(config.queries_n if queries_n is None else queries_n):
@@ -153,7 +163,7 @@ def repeats(config: PlanConfig, outcome: Outcome) -> bool:
     """Return whether a fresh planner gives the same trajectory, bit for bit, for a query that was solved."""
     if outcome.result is None:
         return False
-    again = plan_query(Planner(config=config.planner), outcome.query).result
+    again = plan_query(Planner(outcome.query.scene, config.planner), outcome.query).result
     return again is not None and again.trajectory.digest() == outcome.result.trajectory.digest()
 
 

@@ -16,7 +16,9 @@ from minidual.motion.api import Planner
 from minidual.motion.held.hands import HandsIK
 from minidual.motion.held.path import CarriedTrajectory
 from minidual.motion.held.planner import HeldPlanner, HeldQuery
+from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Robot
 from minidual.robot.poses import inverse
 from minidual.skills.cycle import around, carry_pipeline, thing_of
 from minidual.skills.pipeline.search import TaskFailedError
@@ -110,7 +112,11 @@ def plan_move(planner: HeldPlanner, move: HeldMove) -> MoveOutcome:
 
 
 def run_moves(
-    config: PlanConfig, scene: SceneConfig, seed: int, on_move: Callable[[MoveOutcome], None] = lambda _: None
+    config: PlanConfig,
+    scene: SceneConfig,
+    seed: int,
+    on_move: Callable[[MoveOutcome], None] = lambda _: None,
+    robot: Robot = DUAL_PANDA,
 ) -> list[MoveOutcome]:
     """Plan `config.held.moves_n` moves of one generator seed.
 
@@ -119,11 +125,13 @@ def run_moves(
         scene: Holds the object.
         seed: Seed of the set.
         on_move: Called after each.
+        robot: The arms.
     """
-    planner, generator = HeldPlanner(Planner(config=config.planner)), HeldMoveGenerator(seed, scene)
+    planner = HeldPlanner(Planner(config=config.planner, robot=robot))
+    generator = HeldMoveGenerator(seed, scene, robot)
     # Import and compile what the first move would otherwise pay for; whether this one is solved does not matter.
     with suppress(PlanningError):
-        planner.plan(HeldMoveGenerator(seed + 1, scene).move(0).query)
+        planner.plan(HeldMoveGenerator(seed + 1, scene, robot).move(0).query)
     outcomes = []
     for index in range(config.held.moves_n):
         outcomes.append(plan_move(planner, generator.move(index)))
@@ -132,10 +140,11 @@ def run_moves(
 
 
 def table_plans(
-    config: PlanConfig, scene: SceneConfig, count: int, seed: int
+    config: PlanConfig, scene: SceneConfig, count: int, seed: int, robot: Robot = DUAL_PANDA
 ) -> tuple[list[CarriedTrajectory], list[str]]:
     """Return `count` plans that lift the object off the table and move it, and a line for each that was not made."""
-    planner, generator = HeldPlanner(Planner(config=config.planner)), HeldMoveGenerator(seed, scene, from_table=True)
+    planner = HeldPlanner(Planner(config=config.planner, robot=robot))
+    generator = HeldMoveGenerator(seed, scene, robot, from_table=True)
     plans: list[CarriedTrajectory] = []
     failures: list[str] = []
     for index in range(count):
@@ -146,10 +155,13 @@ def table_plans(
     return plans, failures
 
 
-def failed_carries(config: PlanConfig, scene: SceneConfig, count: int, seed: int) -> list[str]:
+def failed_carries(
+    config: PlanConfig, scene: SceneConfig, count: int, seed: int, robot: Robot = DUAL_PANDA
+) -> list[str]:
     """Plan the carry of the scene's task from `count` random starts, as moveit does; return a line for each failure."""
     body, task = scene.object, scene.task
-    tools = Tools(around(scene), thing_of(body, body.name), Planner(config=config.planner))
+    planner = Planner(config=config.planner, robot=robot)
+    tools = Tools(around(scene, robot), thing_of(body, body.name), planner)
     rng = np.random.default_rng([seed, 13])
     goal = level_pose(*task.goal_xy_m, body.rest_height_m, task.goal_yaw_rad)
     failures = []
@@ -158,7 +170,7 @@ def failed_carries(config: PlanConfig, scene: SceneConfig, count: int, seed: int
         yaw = rng.uniform(-task.start_range_rad, task.start_range_rad)
         start = level_pose(task.start_xy_m[0] + dx, task.start_xy_m[1] + dy, body.rest_height_m, yaw)
         try:
-            carry_pipeline(scene, goal).solve(State(tools.robot.home, start), replace(tools, seed=k))
+            carry_pipeline(scene, goal).solve(State(robot.home, start), replace(tools, seed=k))
         except TaskFailedError as error:
             failures.append(f"carry {k}: {error.summary}")
     return failures

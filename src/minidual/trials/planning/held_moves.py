@@ -17,13 +17,15 @@ from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import TABLE, PlanningScene
 from minidual.config.scene import SceneConfig
 from minidual.config.seeds import stream
+from minidual.motion.api import Planner
 from minidual.motion.edges import EdgeChecker
 from minidual.motion.held.hands import HandsIK
 from minidual.motion.held.path import ObjectChart, ObjectPath
 from minidual.motion.held.planner import HeldPlanner, HeldQuery, scene_holding
 from minidual.motion.held.search import HeldSpace, search_object
 from minidual.proof.scene_engines import SceneEngines
-from minidual.robot.pair import Array
+from minidual.robot.arms import DUAL_PANDA
+from minidual.robot.pair import Array, Robot
 from minidual.robot.poses import pose, rot_x, rot_z
 from minidual.skills.cycle import thing_of
 from minidual.tasks.rod_carry import grasp_offsets
@@ -81,18 +83,21 @@ class HeldMoveGenerator:
     Args:
         seed: Seed of the set.
         scene: Holds the object and its grasps.
+        robot: The arms.
         from_table: Start with the object level on the table, which it may touch, and nothing else around.
     """
 
-    def __init__(self, seed: int, scene: SceneConfig | None = None, *, from_table: bool = False) -> None:
+    def __init__(
+        self, seed: int, scene: SceneConfig | None = None, robot: Robot = DUAL_PANDA, *, from_table: bool = False
+    ) -> None:
         scene = scene or SceneConfig()
         self._seed = seed
         self._from_table = from_table
         self._height_m = scene.object.rest_height_m
         self._grasps = grasp_offsets(scene)
         self._shape = thing_of(scene.object, scene.object.name).shape
-        self._prover = HeldPlanner()
-        self._home = self._prover.planner.robot.home
+        self._prover = HeldPlanner(Planner(robot=robot))
+        self._robot = robot
         self._hands = HandsIK(*self._grasps, self._prover.kinematics)
 
     def move(self, index: int) -> HeldMove:
@@ -106,13 +111,16 @@ class HeldMoveGenerator:
         rests_on = ("table",) if self._from_table else ()
         undecided = unreachable = 0
         for _ in range(_TRIES_N):
-            obstacles = random_obstacles(rng, _OBSTACLES_N) if with_obstacles else ()
+            obstacles = random_obstacles(rng, _OBSTACLES_N, self._robot) if with_obstacles else ()
             scene = scene_holding(
-                PlanningScene(obstacles=(TABLE, *obstacles)), self._shape, self._grasps[0], rests_on=rests_on
+                PlanningScene(obstacles=(TABLE, *obstacles), robot=self._robot),
+                self._shape,
+                self._grasps[0],
+                rests_on=rests_on,
             )
             engines = SceneEngines(scene)
             engine = engines.verifier.engine("mujoco")
-            start = self._held(rng, engine, self._start(rng), self._home, 0.0 if self._from_table else _ROOM_M)
+            start = self._held(rng, engine, self._start(rng), self._robot.home, 0.0 if self._from_table else _ROOM_M)
             if start is None:
                 unreachable += 1
                 continue

@@ -22,7 +22,8 @@ from minidual.collision.shapes import Box, Cylinder, Shape
 from minidual.motion.goals import group_arms
 from minidual.motion.ik import ArmIK
 from minidual.robot.arms import DUAL_PANDA
-from minidual.robot.pair import SIDES, Array
+from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import SIDES, Array, Robot
 from minidual.robot.poses import pose, rot_x, rot_z
 
 _ROOM_M = 0.01
@@ -81,13 +82,17 @@ class QueryGenerator:
         seed: Seed of the set.
         obstacles_n: Obstacles of each query.
         blocked_fraction: Share of the queries that must be hard; the others may be anything.
+        robot: The arms.
     """
 
-    def __init__(self, seed: int, obstacles_n: int = 5, blocked_fraction: float = 1.0) -> None:
+    def __init__(
+        self, seed: int, obstacles_n: int = 5, blocked_fraction: float = 1.0, robot: Robot = DUAL_PANDA
+    ) -> None:
         self._seed = seed
         self._obstacles_n = obstacles_n
         self._blocked_fraction = blocked_fraction
-        self._home = DUAL_PANDA.home
+        self._robot = robot
+        self._solvers = solvers(robot)
 
     def kind(self, group: str, index: int) -> str:
         """Return what query `index` of a group must be, a name of `KINDS`."""
@@ -128,13 +133,13 @@ class QueryGenerator:
         """Return the query that this attempt's scene gives, or None if it gives none of the wanted kind."""
         arms = group_arms(group)
         kind = self.kind(group, index)
-        scene = scene_of(self._seed, group, index, attempt, self._obstacles_n)
+        scene = scene_of(self._seed, group, index, attempt, self._obstacles_n, self._robot)
         rng = np.random.default_rng([self._seed, list(DUAL_PANDA.groups).index(group), index, attempt, 1])
         engine = MujocoEngine(scene)
         crossed_at_goal = bool(rng.integers(2))
         for _ in range(_PAIRS_TRIES_N):
             crossed = kind == "crossing"
-            start = self._configuration(rng, engine, self._home, SIDES, crossed=crossed and not crossed_at_goal)
+            start = self._configuration(rng, engine, self._robot.home, SIDES, crossed=crossed and not crossed_at_goal)
             if start is None:
                 continue
             goal = self._configuration(rng, engine, start, arms, crossed=crossed and crossed_at_goal)
@@ -143,8 +148,8 @@ class QueryGenerator:
             between = _touched_between(engine, start, goal)
             if not _is_kind(kind, arms, between):
                 continue
-            targets = goal_targets(group, goal)
-            if crossed and not _swapped(goal_targets(group, start), targets):
+            targets = goal_targets(group, goal, self._robot)
+            if crossed and not _swapped(goal_targets(group, start, self._robot), targets):
                 continue
             seed, as_poses = int(rng.integers(2**31)), goal_as_poses(index)
             return Query(group, index, seed, scene, start, goal, targets, as_poses, bool(between), kind, attempt)
@@ -169,16 +174,16 @@ class QueryGenerator:
                 solution = self._reach(rng, arm, T_world_tcp)
                 if solution is None:
                     break
-                q[solvers()[arm].joints] = solution
+                q[self._solvers[arm].joints] = solution
             else:
                 if not engine.closest(q, _ROOM_M):
                     return q
         return None
 
     def _reach(self, rng: np.random.Generator, arm: str, T_world_tcp: Array) -> Array | None:
-        solver = solvers()[arm]
+        solver = self._solvers[arm]
         for k in range(_IK_STARTS_N):
-            start = self._home[solver.joints] if k == 0 else rng.uniform(solver.lower, solver.upper)
+            start = self._robot.home[solver.joints] if k == 0 else rng.uniform(solver.lower, solver.upper)
             solution = solver.solve(T_world_tcp, start)
             if solution.reached:
                 return solution.q
@@ -186,14 +191,14 @@ class QueryGenerator:
 
 
 @functools.cache
-def solvers() -> dict[str, ArmIK]:
+def solvers(robot: Robot) -> dict[str, ArmIK]:
     """Return the inverse kinematics of both arms."""
-    return {side: ArmIK(side) for side in SIDES}
+    return {side: ArmIK(side, Kinematics(robot)) for side in SIDES}
 
 
-def goal_targets(group: str, q: Array) -> dict[str, Array]:
+def goal_targets(group: str, q: Array, robot: Robot) -> dict[str, Array]:
     """Return T_world_tcp (4, 4) of the group's arms at q (n,)."""
-    return {arm: solvers()[arm].tcp_pose(q[solvers()[arm].joints]) for arm in group_arms(group)}
+    return {arm: solvers(robot)[arm].tcp_pose(q[robot.groups[f"{arm}_arm"]]) for arm in group_arms(group)}
 
 
 def _swapped(before: dict[str, Array], after: dict[str, Array]) -> bool:
@@ -232,10 +237,12 @@ def goal_as_poses(index: int) -> bool:
     return index % 4 >= 2
 
 
-def scene_of(seed: int, group: str, index: int, attempt: int, obstacles_n: int) -> PlanningScene:
+def scene_of(
+    seed: int, group: str, index: int, attempt: int, obstacles_n: int, robot: Robot = DUAL_PANDA
+) -> PlanningScene:
     """Return the scene of one attempt at a query."""
     rng = np.random.default_rng([seed, list(DUAL_PANDA.groups).index(group), index, attempt, 0])
-    return PlanningScene(obstacles=(TABLE, *random_obstacles(rng, obstacles_n)))
+    return PlanningScene(obstacles=(TABLE, *random_obstacles(rng, obstacles_n, robot)), robot=robot)
 
 
 def random_pose(rng: np.random.Generator, arm: str) -> Array:
@@ -248,14 +255,14 @@ def random_pose(rng: np.random.Generator, arm: str) -> Array:
     return pose(lean @ rot_z(yaw) @ rot_x(np.pi), position)
 
 
-def random_obstacles(rng: np.random.Generator, count: int) -> tuple[Shape, ...]:
+def random_obstacles(rng: np.random.Generator, count: int, robot: Robot = DUAL_PANDA) -> tuple[Shape, ...]:
     """Return boxes and cylinders standing on the table in front of the arms, clear of the bases."""
     shapes: list[Shape] = []
     for k in range(count):
         height = float(rng.uniform(0.10, 0.40))
         while True:
             x, y = float(rng.uniform(0.25, 0.75)), float(rng.uniform(-0.60, 0.60))
-            if all(np.hypot(x - bx, y - by) > 0.28 for bx, by, _ in DUAL_PANDA.base_positions_m):
+            if all(np.hypot(x - bx, y - by) > 0.28 for bx, by, _ in robot.base_positions_m):
                 break
         place = (round(x, 4), round(y, 4), round(0.5 * height, 4))
         if rng.random() < 0.5:

@@ -56,7 +56,7 @@ class QuerySet:
         """Return a stored query."""
         attempt, seed = int(self.attempts[group][index]), int(self._seeds[group][index])
         start, goal = (np.array(q) for q in self._ends[group][index])
-        scene, targets = scene_of(self.seed, group, index, attempt, OBSTACLES_N), goal_targets(group, goal)
+        scene, targets = scene_of(self.seed, group, index, attempt, OBSTACLES_N), goal_targets(group, goal, ROBOT)
         kind = QueryGenerator.kind_of(group, index)
         return Query(group, index, seed, scene, start, goal, targets, goal_as_poses(index), True, kind, attempt)
 
