@@ -18,39 +18,36 @@ def perturb(context: ToolContext) -> ToolResult:
     from minidual.show.watch import watch_trials
     from minidual.tasks.task import task_config
     from minidual.trials.methods import MethodInputs
-    from minidual.trials.perturbation import (
-        DROP_MAX,
-        run_perturbations,
-        table_lines,
-        touching,
-        why_not,
-        write_perturbations,
-    )
+    from minidual.trials.benchmark import count_trials
+    from minidual.trials.perturbation import DROP_MAX, run_perturbations, touching
+    from minidual.trials.tables import markdown, write_csv, write_rows
 
     trials_n = int(context.options.get("trials", PERTURB_TRIALS_N))
     inputs = MethodInputs(task_config(context.config), context.seed)
-    applying = [c for c in touching("impedance").values() if not why_not("impedance", c, inputs.config)]
-    with context.progress.task("disturbed carries", len(applying) * trials_n) as task:
+    asked = dict.fromkeys(touching("impedance"), trials_n)
+    with context.progress.task("disturbed carries", count_trials(["impedance"], asked, inputs.config)) as task:
         found, trials = run_perturbations(
             "impedance",
             inputs,
             trials_n,
             workers=context.workers,
-            on_trial=lambda name, result: task.advance(note=name),
+            on_trial=lambda result: task.advance(note=result.metrics.condition),
             watch=watch_trials(context.view),
         )
-    write_perturbations(context.output, found, trials)
+    rows = [r.row() for r in found]
+    write_rows(context.output / "conditions.csv", rows)
+    write_csv(context.output / "trials.csv", trials)
     failed = [r for r in found if r.fails]
     notes = [
-        f"{r.condition.name}: {r.summary.successes_n} of {r.summary.trials_n}, {100 * r.drop:.0f} points fewer than clean "
-        f"(limit {100 * DROP_MAX:.0f}): {r.example}"
+        f"{r.name}: {s.successes_n} of {s.trials_n}, {100 * r.drop:.0f} points fewer than clean (limit "
+        f"{100 * DROP_MAX:.0f}): {r.example}"
         for r in failed
-        if r.summary is not None
+        if (s := r.cell.summary) is not None
     ]
     return ToolResult(
-        lines=table_lines(found),
+        lines=markdown(rows),
         notes=[*notes, f"written to {context.folder}"],
-        data={"trials_n": trials_n, "drop_max": DROP_MAX, "conditions": [r.row() for r in found]},
+        data={"trials_n": trials_n, "drop_max": DROP_MAX, "conditions": rows},
         exit_code=ExitCode.ACCEPTANCE_FAILED if failed else ExitCode.PASS,
     )
 
@@ -61,8 +58,8 @@ def tune(context: ToolContext) -> ToolResult:
 
     from minidual.show.figures.tuning import draw_tuning
     from minidual.tasks.task import task_config
-    from minidual.trials.tables import write_text
-    from minidual.trials.tuning import CARRIES_N, Tuner, TuningError, write_rows
+    from minidual.trials.tables import markdown, write_rows, write_text
+    from minidual.trials.tuning import CARRIES_N, Tuner, TuningError
 
     config = task_config(context.config)
     with context.progress.task("tuning") as task:
@@ -75,7 +72,7 @@ def tune(context: ToolContext) -> ToolResult:
         try:
             tuning = tuner.run()
         except TuningError:
-            write_text(context.output / "tuning.csv", write_rows(tuner.steps))
+            write_rows(context.output / "tuning.csv", [s.row() for s in tuner.steps])
             context.publish()  # what was tried is what tells why nothing was found
             raise
     profile = {"extends": _base(context.profile), **_as_typed(context.config)}
@@ -87,13 +84,11 @@ def tune(context: ToolContext) -> ToolResult:
         f"# held {CARRIES_N} of {CARRIES_N} carries; see tuning.csv and tuning.png beside this file.\n"
     )
     write_text(context.output / "tuned.yaml", head + yaml.safe_dump(profile, sort_keys=False))
-    write_text(context.output / "tuning.csv", write_rows(tuning.steps))
+    write_rows(context.output / "tuning.csv", [s.row() for s in tuning.steps])
     draw_tuning(tuning, config.scene.task.internal_force_min_n, context.output / "tuning.png")
     rows = [s.row() for s in (tuning.final, *tuning.compared)]
-    lines = ["| " + " | ".join(k.replace("_", " ") for k in rows[0]) + " |", "|" + "---|" * len(rows[0])]
-    lines += ["| " + " | ".join(str(v) for v in row.values()) + " |" for row in rows]
     return ToolResult(
-        lines=lines,
+        lines=markdown(rows),
         notes=[
             f"least squeeze that holds: {tuning.least_force_n:.1f} N",
             f"chosen: {tuning.force_n:.1f} N and {tuning.stiffness_n_per_m:.0f} N/m",

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 from minidual.config.root import Config
 from minidual.config.seeds import stream
+from minidual.tasks.task import make_task
 from minidual.trials.conditions import CLEAN, condition
 from minidual.trials.methods import MethodInputs
 from minidual.trials.metrics import MethodSummary, TrialMetrics, summarise
-from minidual.trials.perturbation import run_under, undisturbed, why_not
-from minidual.trials.tables import write_text
-from minidual.trials.trials import TrialResult, Watch
+from minidual.trials.runner import TrialResult, Watch, run_trials
+from minidual.trials.tables import write_rows
 
 PURPOSE = "benchmark"
 """Random stream of the starts: all methods and conditions get the same ones, and no stage before has seen them."""
@@ -74,7 +72,7 @@ class BenchmarkCell:
 
 def count_trials(methods: Sequence[str], trials_n: Mapping[str, int], config: Config) -> int:
     """Return how many trials `run_benchmark` runs: those that do not apply are left out."""
-    return sum(n for m in methods for c, n in trials_n.items() if not why_not(m, condition(c), config))
+    return sum(n for m in methods for c, n in trials_n.items() if not condition(c).why_not(m, config))
 
 
 def run_benchmark(
@@ -83,6 +81,7 @@ def run_benchmark(
     inputs: MethodInputs,
     *,
     workers: int,
+    purpose: str = PURPOSE,
     on_trial: Callable[[TrialResult], None] | None = None,
     watch: Watch | None = None,
 ) -> tuple[list[BenchmarkCell], list[TrialMetrics]]:
@@ -93,6 +92,7 @@ def run_benchmark(
         trials_n: {condition: trials of each method}.
         inputs: What the methods are built from.
         workers: Processes.
+        purpose: Random stream of the starts.
         on_trial: Called after each trial.
         watch: Where trials are shown, if anywhere.
 
@@ -104,17 +104,24 @@ def run_benchmark(
     everything: list[TrialMetrics] = []
     for method in methods:
         for name, n in trials_n.items():
-            reason = why_not(method, condition(name), inputs.config)
+            under = condition(name)
+            reason = under.why_not(method, inputs.config)
             if reason:
                 cells.append(BenchmarkCell(method, name, n, None, reason))
                 continue
             rows: list[TrialMetrics] = []
-            for result in run_under(method, inputs, condition(name), PURPOSE, n, workers=workers, watch=watch):
+            config = under.config_under(inputs.config)
+            task = make_task(config)
+            trials = [task.trial(inputs.seed, purpose, i) for i in range(n)]
+            for result, _ in run_trials(
+                method, replace(inputs, config=config), trials, workers=workers, condition=name, watch=watch
+            ):
                 rows.append(result.metrics)
                 if on_trial is not None:
                     on_trial(result)
-            rng = stream(inputs.seed, f"bootstrap/{PURPOSE}/{method}/{name}")
-            missed = undisturbed(condition(name), rows)
+            rng = stream(inputs.seed, f"bootstrap/{purpose}/{method}/{name}")
+            # A success in which the push or move never took place is a clean trial under another name.
+            missed = tuple(t.index for t in rows if under.act is not None and t.success and t.disturbed is not True)
             cells.append(BenchmarkCell(method, name, n, summarise(rows, rng), undisturbed=missed))
             everything += rows
     return cells, everything
@@ -132,12 +139,7 @@ def write_cells(path: Path, cells: Sequence[BenchmarkCell]) -> Path:
         applies = "yes" if cell.summary is not None else f"no: {cell.why_not}"
         values = {} if cell.summary is None else cell.summary.to_row()
         rows.append({"method": cell.method, "condition": cell.condition, "applies": applies, **values})
-    names = list(dict.fromkeys(name for row in rows for name in row))
-    text = io.StringIO()
-    writer = csv.DictWriter(text, fieldnames=names, restval="does not apply", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return write_text(path, text.getvalue())
+    return write_rows(path, rows, missing="does not apply")
 
 
 def conditions_data(cells: Sequence[BenchmarkCell]) -> dict[str, Any]:

@@ -1,37 +1,39 @@
 """What the world does to a trial: pushes, another mass, another friction, worse sensing. One table, the clean one first.
 
-A condition changes the plant and the sensors; the method is told nothing of it. The rod that is 50 % heavier is still
-the 0.2 kg rod to whoever carries it. One thing is known: samples carry their time stamp, so whoever uses it (the pose
-estimate of the carry does) allows for the age of a late pose. What changes the plant touches every method; what changes a sensor touches those
-that read it, and a method that does not is not run under it: the trials would be the clean ones under another name.
+A condition changes the plant or the sensors, and the method is told nothing of it: an object that is 50 % heavier is
+still the 0.2 kg object to whoever carries it. (Samples carry their time stamp, so the age of a late pose is known.) What
+changes the plant touches every method; what changes a sensor touches the methods that read it, and the others are not
+run under it: their trials would be the clean ones under another name.
+
+Other distributions add rows through the entry point group `minidual.conditions` (docs/howto-condition.md).
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
-import mujoco
 import numpy as np
 from pydantic import ValidationError
 
 from minidual.config.change import changed
 from minidual.config.root import Config
 from minidual.errors import UsageError, unknown_name
-from minidual.plant.bodies import object_names
-from minidual.plant.world import World
+from minidual.registry import Registry
 from minidual.robot.pair import Array
+from minidual.tasks.task import Task
+from minidual.trials.methods import SENSES, method_spec
+
+if TYPE_CHECKING:  # MuJoCo is not loaded to read the table
+    import mujoco
+
+    from minidual.plant.world import World
 
 CLEAN = "clean"
+_HINGE = 3  # mujoco.mjtJoint.mjJNT_HINGE: the joints of the arms; fingers slide
 ALL = "all"
-SENSES: dict[str, str] = {
-    "pose": "sensed pose of the object",
-    "feedback": "pose or contact force during the motion",
-    "picture": "picture",
-}
-"""What a method may read of the object, and what it is called in a sentence; joints are read by all."""
 _RISEN_M = 0.05
 """A push comes while the object is in the air: it waits until the object has risen this far ..."""
 _DELAY_S = (0.2, 1.2)
@@ -55,28 +57,8 @@ class Disturbance(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class Push:
-    """A force on the object's centre of mass, world axes: full for `duration_s`, with a ramp before and after.
-
-    Without the ramps it would be a blow: 20 N on 0.2 kg from one millisecond to the next throws a rigid object off
-    the pad for an instant, which no hand, tool or wall with some give does.
-    """
-
-    force_n: tuple[float, float, float]
-    duration_s: float = 0.2
-    ramp_s: float = 0.02
-
-    @property
-    def length_s(self) -> float:
-        """Time from its first to its last force."""
-        return self.duration_s + 2.0 * self.ramp_s
-
-    def at(self, t_s: float) -> Array:
-        """Return the force (3,) [N] at a time after the push began."""
-        left = self.length_s - t_s
-        share = min(1.0, max(0.0, min(t_s, left) / self.ramp_s))
-        return share * np.array(self.force_n)
+Change = Callable[["mujoco.MjModel", Task, int], None]
+"""Changes the compiled model for a trial by its index; what it changes is changed back afterwards."""
 
 
 @dataclass(frozen=True)
@@ -86,27 +68,20 @@ class Condition:
     Attributes:
         name: As in tables and trials.
         summary: One line for people.
-        push: Force while the object is in the air.
-        move_m: How far somebody moves the object along the table, in a direction of each trial's own.
-        mass_factor: Of the object's mass and inertia.
-        friction: Of object, pads and table, in place of the configured one.
-        joint_friction_factor: Viscous and Coulomb friction of one joint, another one each trial.
-        light_factor: Of every light, as the cameras see it.
+        act: Makes what happens during a trial from the task and the trial's random stream.
+        change: Changes the plant.
+        instead_of: Configured values {dotted path: value} that `change` puts others in place of.
         settings: Configuration values {dotted path: value} under which the trial runs, for the sensors.
         factors: Of configured values {dotted path: factor}, for the sensors too.
-        sense: Row of SENSES that it changes and nothing else does; empty if it changes the plant, which no method
-            escapes.
+        sense: Row of SENSES that it changes and nothing else does; empty if it changes the plant.
         promised: Whether a carry must hold it. One that is not is compared, and measured by no limit.
     """
 
     name: str
     summary: str
-    push: Push | None = None
-    move_m: float = 0.0
-    mass_factor: float = 1.0
-    friction: float | None = None
-    joint_friction_factor: float = 1.0
-    light_factor: float = 1.0
+    act: Callable[[Task, np.random.Generator], Disturbance] | None = None
+    change: Change | None = None
+    instead_of: Mapping[str, float] = field(default_factory=dict)
     settings: Mapping[str, float] = field(default_factory=dict)
     factors: Mapping[str, float] = field(default_factory=dict)
     sense: str = ""
@@ -117,21 +92,27 @@ class Condition:
         """The name without blanks, for checks and files."""
         return self.name.replace(" ", "_")
 
-    def why_not(self, method: str, senses: Collection[str]) -> str:
-        """Return why it cannot touch a method that reads `senses` (rows of SENSES), or an empty string if it can."""
-        return "" if not self.sense or self.sense in senses else f"{method} reads no {SENSES[self.sense]}"
+    def why_not(self, method: str, config: Config) -> str:
+        """Return why it is not run for a method: it cannot touch it, or its trials would be the clean ones; or ""."""
+        if self.sense and self.sense not in method_spec(method).senses:
+            return f"{method} reads no {SENSES[self.sense]}"
+        if any(value == _configured(config, path) for path, value in self.instead_of.items()):
+            return ", ".join(f"the {p.rsplit('.', 1)[1]} is {v:g} without it" for p, v in self.instead_of.items())
+        values = self._values(config)
+        if values and all(value == _configured(config, path) for path, value in values.items()):
+            return "without it too, " + ", ".join(f"{path} is {value:g}" for path, value in values.items())
+        return ""
 
-    def settings_under(self, config: Config) -> dict[str, float]:
-        """Return the configuration values {dotted path: value} of its trials, where `config` is that of the clean ones."""
+    def _values(self, config: Config) -> dict[str, float]:
         return {**self.settings, **{path: k * _configured(config, path) for path, k in self.factors.items()}}
 
     def config_under(self, config: Config) -> Config:
-        """Return the configuration of its trials.
+        """Return the configuration of its trials, where `config` is that of the clean ones.
 
         Raises:
             UsageError: Its values are out of their bounds, as three times a loud noise may be.
         """
-        values = self.settings_under(config)
+        values = self._values(config)
         try:
             return changed(config, values)
         except ValidationError as error:
@@ -141,73 +122,27 @@ class Condition:
                 remedy="leave the condition out, or configure less noise",
             ) from error
 
-    def same_as_clean(self, config: Config) -> str:
-        """Return why its trials would be the clean ones under another name, or an empty string if they differ."""
-        if self.friction is not None and self.friction == config.scene.rod.friction:
-            return f"the friction is {self.friction:g} without it"
-        values = self.settings_under(config)
-        if values and all(value == _configured(config, path) for path, value in values.items()):
-            return "without it too, " + ", ".join(f"{path} is {value:g}" for path, value in values.items())
-        return ""
-
-    @property
-    def acts_once(self) -> bool:
-        """Whether it is something that happens during a trial, and so may fail to happen."""
-        return self.push is not None or self.move_m != 0.0
-
-    @property
-    def changes_the_plant(self) -> bool:
-        """Whether the compiled model differs from the clean one."""
-        return self.mass_factor != 1.0 or self.friction is not None or self.joint_friction_factor != 1.0
-
-    @property
-    def changes_the_model(self) -> bool:
-        """Whether anything in the compiled model differs, light included."""
-        return self.changes_the_plant or self.light_factor != 1.0
-
     @contextmanager
-    def applied(self, model: mujoco.MjModel, index: int) -> Generator[None]:
+    def applied(self, model: mujoco.MjModel, task: Task, index: int) -> Generator[None]:
         """Change a compiled model for trial `index`, and change it back; nothing else may hold it meanwhile."""
-        if not self.changes_the_model:
+        if self.change is None:
             yield
             return
-        kept = {name: np.array(getattr(model, name)) for name in _CHANGED}
-        lamp = {name: np.array(getattr(model.vis.headlight, name)) for name in _LAMP}
+        kept = [(values, values.copy()) for place in (model, model.vis.headlight) for values in _arrays(place)]
         try:
-            self._change(model, index)  # in here: one that breaks half way must not leave the rest to the next trial
+            self.change(model, task, index)  # in here: one that breaks half way must not leave the rest to the next trial
+            _derive(model)
             yield
         finally:
-            for name, values in kept.items():
-                getattr(model, name)[:] = values
-            for name, values in lamp.items():
-                getattr(model.vis.headlight, name)[:] = values
+            for values, before in kept:
+                values[...] = before
             _derive(model)
 
-    def _change(self, model: mujoco.MjModel, index: int) -> None:
-        rod = int(model.body(object_names(model)[0]).id)
-        model.body_mass[rod] *= self.mass_factor
-        model.body_inertia[rod] *= self.mass_factor
-        if self.friction is not None:
-            # MuJoCo takes the larger friction of the two geoms in contact, so all of them change.
-            for i in range(model.ngeom):
-                name = model.geom(i).name
-                if int(model.geom_bodyid[i]) == rod or name.endswith("_pad") or name == "table_top":
-                    model.geom_friction[i, 0] = self.friction
-        hinges = np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE))  # the arms', in storage order
-        joint = model.joint(int(hinges[index % len(hinges)]))
-        joint.damping[0] *= self.joint_friction_factor
-        joint.frictionloss[0] *= self.joint_friction_factor
-        model.light_diffuse *= self.light_factor
-        model.light_specular *= self.light_factor
-        for name in _LAMP:
-            getattr(model.vis.headlight, name)[:] *= self.light_factor
-        _derive(model)
 
-    def disturbance(self, rng: np.random.Generator) -> Disturbance | None:
-        """Return what acts on the world after every step of a trial, or None if nothing does."""
-        if self.move_m:
-            return _Mover(self.move_m, float(rng.uniform(0.0, 2.0 * np.pi)))
-        return None if self.push is None else _Pusher(self.push, float(rng.uniform(*_DELAY_S)))
+def _arrays(place: Any) -> list[Array]:
+    """Return the arrays of a model, or of a part of it: views of its memory."""
+    found = (getattr(place, name) for name in dir(place) if not name.startswith("_"))
+    return [values for values in found if isinstance(values, np.ndarray)]
 
 
 def _configured(config: Config, path: str) -> float:
@@ -218,35 +153,93 @@ def _configured(config: Config, path: str) -> float:
     return float(found)
 
 
-_CHANGED = (
-    "body_mass",
-    "body_inertia",
-    "geom_friction",
-    "dof_damping",
-    "dof_frictionloss",
-    "light_diffuse",
-    "light_specular",
-)
-_LAMP = ("ambient", "diffuse", "specular")
-
-
 def _derive(model: mujoco.MjModel) -> None:
     """Recompute what MuJoCo derives from masses: subtree masses and the weights that soften its constraints."""
+    import mujoco
+
     mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
-class _Pusher:
-    """Pushes once. It reads the truth, as the hand of somebody who stands beside the table would."""
+def mass(factor: float) -> Change:
+    """Scale mass and inertia of the carried object."""
 
-    def __init__(self, push: Push, delay_s: float) -> None:
-        self._push, self._delay_s = push, delay_s
+    def change(model: mujoco.MjModel, task: Task, index: int) -> None:
+        body = model.body(task.carried).id
+        model.body_mass[body] *= factor
+        model.body_inertia[body] *= factor
+
+    return change
+
+
+def friction(value: float) -> Change:
+    """Set the friction of objects, pads and table."""
+
+    def change(model: mujoco.MjModel, task: Task, index: int) -> None:
+        # MuJoCo takes the larger friction of the two geoms in contact, so all of them change.
+        objects = {int(model.body(name).id) for name in task.scene.objects}
+        for i in range(model.ngeom):
+            name = model.geom(i).name
+            if int(model.geom_bodyid[i]) in objects or name.endswith("_pad") or name == "table_top":
+                model.geom_friction[i, 0] = value
+
+    return change
+
+
+def joint_friction(factor: float) -> Change:
+    """Scale viscous and Coulomb friction of one joint, another one each trial."""
+
+    def change(model: mujoco.MjModel, task: Task, index: int) -> None:
+        motors = [int(j) for j in model.actuator_trnid[:, 0] if model.jnt_type[j] == _HINGE]
+        joint = model.joint(motors[index % len(motors)])
+        joint.damping[0] *= factor
+        joint.frictionloss[0] *= factor
+
+    return change
+
+
+def light(factor: float) -> Change:
+    """Scale every light, as the cameras see it."""
+
+    def change(model: mujoco.MjModel, task: Task, index: int) -> None:
+        lamp = model.vis.headlight
+        for values in (model.light_diffuse, model.light_specular, lamp.ambient, lamp.diffuse, lamp.specular):
+            values *= factor
+
+    return change
+
+
+class Push:
+    """A force on the carried object's centre of mass, once: full for a time, with a ramp before and after.
+
+    Without ramps it would be a blow: 20 N on 0.2 kg from one millisecond to the next throws a rigid object off the pad,
+    which no hand, tool or wall with some give does. It reads the truth, as somebody beside the table would.
+
+    Args:
+        force_n: (3,) world axes.
+        name: Of the object.
+        delay_s: From when the object has risen to when the push begins.
+        duration_s: Time of the full force.
+        ramp_s: Time of each ramp.
+    """
+
+    def __init__(
+        self, force_n: Sequence[float], name: str, delay_s: float, *, duration_s: float = 0.2, ramp_s: float = 0.02
+    ) -> None:
+        self._force, self._name, self._delay_s = np.array(force_n, dtype=float), name, delay_s
+        self.length_s, self._ramp_s = duration_s + 2.0 * ramp_s, ramp_s
         self._rest_m: float | None = None
         self._risen_s: float | None = None
         self._aloft = True
         self.took_place = False
 
+    def at(self, t_s: float) -> Array:
+        """Return the force (3,) [N] at a time after the push began."""
+        share = min(1.0, max(0.0, min(t_s, self.length_s - t_s) / self._ramp_s))
+        return share * self._force
+
     def __call__(self, world: World) -> None:
-        body = world.truth().body
+        """Push, or wait."""
+        body = world.truth(self._name).body
         height = float(world.data.xpos[body, 2])
         if self._rest_m is None:
             self._rest_m = height
@@ -255,78 +248,98 @@ class _Pusher:
                 self._risen_s = world.time
             return
         since = world.time - self._risen_s - self._delay_s
-        world.data.xfrc_applied[body, :3] = self._push.at(since)
-        if 0.0 <= since < self._push.length_s:
+        world.data.xfrc_applied[body, :3] = self.at(since)
+        if 0.0 <= since < self.length_s:
             self._aloft = self._aloft and height - self._rest_m > _ALOFT_M
-        elif since >= self._push.length_s:
+        elif since >= self.length_s:
             self.took_place = self._aloft
 
 
-class _Mover:
-    """Moves the object once: it lies elsewhere from one step to the next, at rest, as high and turned as before."""
+class Move:
+    """Moves the carried object once: from one step to the next it lies elsewhere, as high and turned as before."""
 
-    def __init__(self, distance_m: float, direction_rad: float) -> None:
-        self._by = distance_m * np.array([np.cos(direction_rad), np.sin(direction_rad)])
+    def __init__(self, by_m: Array, name: str) -> None:
+        self._by, self._name = by_m, name
         self.took_place = False
 
     def __call__(self, world: World) -> None:
-        if self.took_place or world.time < _MOVED_AT_S:
-            return
-        world.truth().qpos[:2] += self._by
-        self.took_place = True
+        """Move it, or wait."""
+        if not self.took_place and world.time >= _MOVED_AT_S:
+            world.truth(self._name).qpos[:2] += self._by
+            self.took_place = True
+
+
+def push(force_n: Sequence[float]) -> Callable[[Task, np.random.Generator], Disturbance]:
+    """Return the maker of a push at a random time while the object is in the air."""
+    return lambda task, rng: Push(force_n, task.carried, float(rng.uniform(*_DELAY_S)))
+
+
+def move(distance_m: float) -> Callable[[Task, np.random.Generator], Disturbance]:
+    """Return the maker of a move in a random direction."""
+
+    def make(task: Task, rng: np.random.Generator) -> Disturbance:
+        direction = float(rng.uniform(0.0, 2.0 * np.pi))
+        return Move(distance_m * np.array([np.cos(direction), np.sin(direction)]), task.carried)
+
+    return make
 
 
 _PUSH_N = 20.0
 _AXES = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
+_FRICTION = "scene.object.friction"
 
-CONDITIONS: dict[str, Condition] = {
-    c.name: c
-    for c in (
-        Condition(CLEAN, "nothing disturbs the trial"),
-        *(
-            Condition(
-                f"push {axis}",
-                f"{_PUSH_N:.0f} N along {axis} for 0.2 s while the object is in the air",
-                push=Push((_PUSH_N * x, _PUSH_N * y, _PUSH_N * z)),
-            )
-            for axis, (x, y, z) in _AXES.items()
-        ),
+CONDITIONS: Registry[Condition] = Registry("condition", group="minidual.conditions")
+for _row in (
+    Condition(CLEAN, "nothing disturbs the trial"),
+    *(
         Condition(
-            "moved 20 mm",
-            "somebody moves the object 20 mm along the table while the hands approach",
-            move_m=0.020,
-            promised=False,
-        ),
-        Condition("mass -50 %", "an object of half the mass that is expected", mass_factor=0.5),
-        Condition("mass +50 %", "an object of one and a half times the mass that is expected", mass_factor=1.5),
-        Condition("friction 0.3", "pads, object and table have friction 0.3, which nobody is told", friction=0.3),
-        Condition("friction 0.7", "pads, object and table have friction 0.7, which nobody is told", friction=0.7),
+            f"push {axis}",
+            f"{_PUSH_N:.0f} N along {axis} for 0.2 s while the object is in the air",
+            act=push([_PUSH_N * u for u in unit]),
+        )
+        for axis, unit in _AXES.items()
+    ),
+    Condition(
+        "moved 20 mm",
+        "somebody moves the object 20 mm along the table while the hands approach",
+        act=move(0.020),
+        promised=False,
+    ),
+    Condition("mass -50 %", "an object of half the mass that is expected", change=mass(0.5)),
+    Condition("mass +50 %", "an object of one and a half times the mass that is expected", change=mass(1.5)),
+    *(
         Condition(
-            "pose noise x3",
-            "the camera sees the object three times as badly",
-            factors={"carry.sensing.pose_noise_m": 3.0, "carry.sensing.pose_noise_rad": 3.0},
-            sense="pose",
-        ),
-        Condition(
-            "delay 20 ms",
-            "pose and forces arrive 20 ms late",
-            settings={"carry.sensing.delay_s": 0.020},
-            sense="feedback",
-        ),
-        Condition("light -30 %", "the cameras look at a darker room", light_factor=0.7, sense="picture"),
-        Condition(
-            "joint friction x2", "one joint, another each trial, with doubled friction", joint_friction_factor=2.0
-        ),
-    )
-}
-
-
-_COMPACT = {name.replace(" ", ""): name for name in CONDITIONS}
+            f"friction {mu}",
+            f"pads, object and table have friction {mu}, which nobody is told",
+            change=friction(mu),
+            instead_of={_FRICTION: mu},
+        )
+        for mu in (0.3, 0.7)
+    ),
+    Condition(
+        "pose noise x3",
+        "the camera sees the object three times as badly",
+        factors={"carry.sensing.pose_noise_m": 3.0, "carry.sensing.pose_noise_rad": 3.0},
+        sense="pose",
+    ),
+    Condition(
+        "delay 20 ms",
+        "pose and forces arrive 20 ms late",
+        settings={"carry.sensing.delay_s": 0.020},
+        sense="feedback",
+    ),
+    Condition("light -30 %", "the cameras look at a darker room", change=light(0.7), sense="picture"),
+    Condition(
+        "joint friction x2", "one joint, another each trial, with doubled friction", change=joint_friction(2.0)
+    ),
+):
+    CONDITIONS.add(_row.name, _row)
 
 
 def condition(name: str) -> Condition:
     """Return a condition by name, or say which exist; blanks may be underscores or be left out: mass_+50_%."""
-    known = _COMPACT.get(name.replace(" ", "").replace("_", ""))
+    short = name.replace(" ", "").replace("_", "")
+    known = next((n for n in CONDITIONS if n.replace(" ", "").replace("_", "") == short), None)
     if known is None:
         raise unknown_name("condition", name, CONDITIONS)
     return CONDITIONS[known]
@@ -336,16 +349,14 @@ def parse_conditions(text: str | Sequence[str]) -> tuple[str, ...]:
     """Return the conditions named in `clean,push +x,friction 0.3`, each once, the clean one first; `all` names all.
 
     Raises:
-        UsageError: An unknown or repeated name, or `clean` is not among them: what a disturbance costs is counted from
-            there.
+        UsageError: An unknown or repeated name, or `clean` is not among them: losses are counted from there.
     """
     typed = [n.strip() for n in (text.split(",") if isinstance(text, str) else text)]
     typed = [n for n in typed if n]
     if ALL in typed:
         if len(typed) > 1:
-            raise UsageError(
-                f"'{ALL}' stands for every condition, beside it stands {', '.join(n for n in typed if n != ALL)}"
-            )
+            others = ", ".join(n for n in typed if n != ALL)
+            raise UsageError(f"'{ALL}' stands for every condition, beside it stands {others}")
         return tuple(CONDITIONS)
     names = [condition(n).name for n in typed]
     for name in names:
@@ -353,7 +364,8 @@ def parse_conditions(text: str | Sequence[str]) -> tuple[str, ...]:
             raise UsageError(f"condition '{name}' is named twice in {', '.join(typed)}")
     if CLEAN not in names:
         raise UsageError(
-            f"the conditions {', '.join(typed) or '(none)'} lack '{CLEAN}': the limits hold there, and every loss is counted from it",
+            f"the conditions {', '.join(typed) or '(none)'} lack '{CLEAN}': the limits hold there, and every loss is "
+            "counted from it",
             remedy="--conditions " + ",".join([CLEAN, *(CONDITIONS[n].key for n in names)]),
         )
     return (CLEAN, *(n for n in names if n != CLEAN))

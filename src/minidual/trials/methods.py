@@ -1,7 +1,8 @@
-"""The methods that are compared: one explicit table, each row a lazy target.
+"""Who does a task: one table of methods, each row a lazy target.
 
-A method drives a world through one rod trial: `step()` until `done`. It may read joints, cameras and contact
-sensors; the judge alone reads the truth.
+A method drives a world through one trial: `step()` until `done`. It may read joints, cameras and contact sensors; the
+judge alone reads the truth. Other distributions add rows through the entry point group `minidual.methods`
+(docs/howto-method.md).
 """
 
 from __future__ import annotations
@@ -10,14 +11,23 @@ import importlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from minidual.config.root import Config
-from minidual.errors import UsageError, unknown_name
-from minidual.plant.world import World
-from minidual.robot.kinematics import Kinematics
+from minidual.errors import UsageError
+from minidual.registry import Registry
 from minidual.tasks.task import Trial
-from minidual.trials.conditions import SENSES
+
+if TYPE_CHECKING:  # MuJoCo is not loaded to read the table
+    from minidual.plant.world import World
+    from minidual.robot.kinematics import Kinematics
+
+SENSES: dict[str, str] = {
+    "pose": "sensed pose of the object",
+    "feedback": "pose or contact force during the motion",
+    "picture": "picture",
+}
+"""What a method may read of the object, and what it is called in a sentence; joints are read by all."""
 
 
 class Method(Protocol):
@@ -41,6 +51,9 @@ class Method(Protocol):
         ...
 
 
+type Factory = Callable[[World, Kinematics, Trial], Method]
+
+
 @dataclass(frozen=True)
 class MethodInputs:
     """What a factory may use.
@@ -61,56 +74,57 @@ class MethodSpec:
     """One row of the table.
 
     Attributes:
-        target: `module:function`; called as function(inputs) it returns a factory
-            (world, kinematics, trial) -> Method, loading what all trials share (a policy, a planner) once.
+        target: `module:function`, or the function; called with the inputs it returns a `Factory`, loading what all
+            trials share (a policy, a planner) once.
         summary: One line for people.
         needs_images: The world must be compiled with visual meshes.
         demands: Optional conditions of success that its trials must meet too.
-        senses: Rows of `conditions.SENSES`: what it reads of the object. Disturbances of other senses do not apply.
+        senses: Rows of SENSES: what it reads of the object. Disturbances of other senses do not apply.
     """
 
-    target: str
+    target: str | Callable[[MethodInputs], Factory]
     summary: str
     needs_images: bool = False
     demands: frozenset[str] = frozenset()
     senses: frozenset[str] = frozenset(SENSES)
 
+    def factory(self, inputs: MethodInputs) -> Factory:
+        """Return the trial factory."""
+        make: Any = self.target
+        if isinstance(make, str):
+            module, _, function = make.partition(":")
+            make = getattr(importlib.import_module(module), function)
+        return make(inputs)
 
-METHODS: dict[str, MethodSpec] = {
-    "moveit": MethodSpec(
-        "minidual.trials.drivers:planned",
-        "OMPL in MoveIt 2's role, joint trajectory control",
-        senses=frozenset({"pose"}),
-    ),
-    "impedance": MethodSpec(
-        "minidual.trials.drivers:impedance",
-        "object impedance with internal force control",
-        demands=frozenset({"squeezed"}),
-        senses=frozenset({"pose", "feedback"}),
-    ),
-    "act": MethodSpec(
-        "minidual.trials.drivers:policy",
-        "ACT policy from camera and joints",
-        needs_images=True,
-        senses=frozenset({"picture"}),
-    ),
-}
 
-Factory = Callable[[World, Kinematics, Trial], Method]
+METHODS: Registry[MethodSpec] = Registry(
+    "method",
+    {
+        "moveit": MethodSpec(
+            "minidual.trials.model_based:planned",
+            "OMPL in MoveIt 2's role, joint trajectory control",
+            senses=frozenset({"pose"}),
+        ),
+        "impedance": MethodSpec(
+            "minidual.trials.model_based:impedance",
+            "object impedance with internal force control",
+            demands=frozenset({"squeezed"}),
+            senses=frozenset({"pose", "feedback"}),
+        ),
+        "act": MethodSpec(
+            "minidual.trials.learned:policy",
+            "ACT policy from camera and joints",
+            needs_images=True,
+            senses=frozenset({"picture"}),
+        ),
+    },
+    group="minidual.methods",
+)
 
 
 def method_spec(name: str) -> MethodSpec:
     """Return the row of a method, or say which exist."""
-    if name not in METHODS:
-        raise unknown_name("method", name, METHODS)
     return METHODS[name]
-
-
-def load_factory(name: str, inputs: MethodInputs) -> Factory:
-    """Return the trial factory of a method."""
-    module, function = method_spec(name).target.split(":")
-    make: Any = getattr(importlib.import_module(module), function)
-    return make(inputs)
 
 
 def parse_methods(text: str | Sequence[str]) -> tuple[str, ...]:
@@ -119,7 +133,7 @@ def parse_methods(text: str | Sequence[str]) -> tuple[str, ...]:
     Raises:
         UsageError: An unknown or repeated name, or none at all.
     """
-    names = [n.strip() for n in text.split(",")] if isinstance(text, str) else list(text)
+    names = [n.strip() for n in (text.split(",") if isinstance(text, str) else text)]
     names = [n for n in names if n]
     if not names:
         raise UsageError("no method named", remedy=f"--methods {','.join(METHODS)}")

@@ -10,7 +10,6 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,10 +17,8 @@ from numpy.typing import NDArray
 from minidual.demos.quality import path_length_m
 from minidual.demos.smoothness import min_duration_s, rms_jerk
 from minidual.errors import DataError, NothingEvaluatedError, UsageError
+from minidual.tasks.judge import Outcome
 from minidual.trials.statistics import bootstrap_median_interval, wilson_interval
-
-if TYPE_CHECKING:
-    from minidual.tasks.judge import Outcome
 
 #: What stands in a table where a value does not exist.
 NO_SUCCESS = "no successful trial"
@@ -72,6 +69,14 @@ class TrialMetrics:
     goal_error_m: float
     aborted: str = ""
     disturbed: bool | None = None
+
+    @property
+    def text(self) -> str:
+        """Return what happened as one line for people."""
+        if self.success:
+            return "success"
+        stop = f" (stopped itself: {self.aborted})" if self.aborted else ""
+        return f"{self.failure} at {self.failed_at_s:.2f} s: {self.reason}{stop}"
 
     def to_row(self) -> dict[str, Cell]:
         """Return the trial for CSV or JSON, with words where a number does not exist."""
@@ -165,9 +170,7 @@ class MethodSummary:
 
 def jerk_or_nan(q: NDArray[np.floating], rate_hz: float) -> float:
     """Return `rms_jerk`, or NaN for a trial that ended before it can be measured (half a second)."""
-    if (len(q) - 1) / rate_hz < min_duration_s():
-        return math.nan
-    return rms_jerk(q, rate_hz)
+    return math.nan if (len(q) - 1) / rate_hz < min_duration_s() else rms_jerk(q, rate_hz)
 
 
 def trial_metrics(
@@ -176,35 +179,39 @@ def trial_metrics(
     outcome: Outcome,
     *,
     q: NDArray[np.floating],
-    torque_ratio_max: float,
     tcp_positions: NDArray[np.floating],
     rate_hz: float,
+    torque_ratio_max: float,
     condition: str = "clean",
+    aborted: str = "",
 ) -> TrialMetrics:
-    """Return the metrics of one trial from its log and the task's verdict.
+    """Return the metrics of one trial from its log and the judge's verdict.
 
     Args:
         method: Who drove the arms.
         index: Number of the trial.
-        outcome: The verdict of the task's success test.
+        outcome: The judge's verdict.
         q: (T, n) measured joints, rad.
-        torque_ratio_max: Largest motor torque over its limit, of every step.
         tcp_positions: (T, 2, 3) measured tool centres, metres.
         rate_hz: Rate of the logs, 1/s.
+        torque_ratio_max: Largest |torque| / limit over joints and steps.
         condition: What the world did to the trial.
+        aborted: Why the method stopped itself.
 
     Raises:
-        DataError: logs of wrong shape or with values that are not finite.
+        DataError: Logs of wrong shape or with values that are not finite.
     """
     positions = np.asarray(tcp_positions, dtype=float)
-    for name, log, row in (("q", q, np.shape(q)[1:2] or (1,)), ("tcp_positions", positions, (2, 3))):
-        if log.shape != (len(q), *row):
+    for name, log, shape in (("q", q, (len(q), *q.shape[1:2])), ("tcp_positions", positions, (len(q), 2, 3))):
+        if log.shape != shape or log.ndim < 2:
             raise DataError(
-                f"the log of {name} of {method}, trial {index}, has shape {log.shape}; it must be {(len(q), *row)}"
+                f"the log of {name} of {method}, trial {index}, has shape {log.shape}; it must be {shape}"
             )
         if not np.all(np.isfinite(log)):
             raise DataError(f"the log of {name} of {method}, trial {index}, holds NaN or infinity")
-    first = min(outcome.faults, key=lambda fault: fault.at_s) if outcome.faults else None
+    if not math.isfinite(torque_ratio_max):
+        raise DataError(f"the torques of {method}, trial {index}, hold NaN or infinity")
+    first = min(outcome.faults, key=lambda fault: fault.at_s, default=None)
     if outcome.success:
         failure, detail, failed_at = "", "", math.nan
     elif first is None:
@@ -227,6 +234,7 @@ def trial_metrics(
         internal_force_min_n=outcome.internal_force_min_n,
         pinch_force_min_n=outcome.pinch_min_n,
         goal_error_m=outcome.goal_error_m,
+        aborted=aborted,
     )
 
 
@@ -250,18 +258,18 @@ def summarise(trials: Sequence[TrialMetrics], rng: np.random.Generator) -> Metho
         raise UsageError(f"method {trials[0].method} ran the same trial twice; a trial would count double")
     won = [trial for trial in trials if trial.success]
     low, high = wilson_interval(len(won), len(trials))
-    durations = [trial.duration_s for trial in won]
-    duration_low, duration_high = _interval(durations, rng)
-    torques = [trial.torque_ratio_max for trial in trials]
-    torque_low, torque_high = _interval(torques, rng)
-    jerks = [trial.jerk_rms for trial in trials if math.isfinite(trial.jerk_rms)]
-    jerk_low, jerk_high = _interval(jerks, rng)
-    tilts = [trial.tilt_max_rad for trial in trials]
-    tilt_low, tilt_high = _interval(tilts, rng)
-    paths = [trial.path_length_m for trial in won]
-    path_low, path_high = _interval(paths, rng)
     counts = Counter(trial.failure for trial in trials if not trial.success)
-    return MethodSummary(
+
+    def spread(values: Sequence[float], *names: str) -> dict[str, float]:
+        """Return median and interval; NaN of nothing, an interval of NaN where a value is not finite."""
+        middle = float(np.median(values)) if len(values) else math.nan
+        known = len(values) > 0 and bool(np.all(np.isfinite(values)))
+        ends = bootstrap_median_interval(values, rng) if known else (math.nan, math.nan)
+        return dict(zip(names, (middle, *ends), strict=True))
+
+    torques, tilts = [t.torque_ratio_max for t in trials], [t.tilt_max_rad for t in trials]
+    jerks = [t.jerk_rms for t in trials if math.isfinite(t.jerk_rms)]
+    return MethodSummary(  # np.max and np.min pass a NaN on; the built-ins may lose it
         method=trials[0].method,
         condition=trials[0].condition,
         trials_n=len(trials),
@@ -269,46 +277,19 @@ def summarise(trials: Sequence[TrialMetrics], rng: np.random.Generator) -> Metho
         success_rate=len(won) / len(trials),
         success_low=low,
         success_high=high,
-        duration_median_s=_median(durations),
-        duration_low_s=duration_low,
-        duration_high_s=duration_high,
-        torque_ratio_max=float(np.max(torques)),  # np.max passes a NaN on
-        torque_ratio_median=_median(torques),
-        torque_ratio_low=torque_low,
-        torque_ratio_high=torque_high,
-        jerk_rms_median=_median(jerks),
-        jerk_rms_low=jerk_low,
-        jerk_rms_high=jerk_high,
+        **spread([t.duration_s for t in won], "duration_median_s", "duration_low_s", "duration_high_s"),
+        torque_ratio_max=float(np.max(torques)),
+        **spread(torques, "torque_ratio_median", "torque_ratio_low", "torque_ratio_high"),
+        **spread(jerks, "jerk_rms_median", "jerk_rms_low", "jerk_rms_high"),
         tilt_max_rad=float(np.max(tilts)),
-        tilt_median_rad=_median(tilts),
-        tilt_low_rad=tilt_low,
-        tilt_high_rad=tilt_high,
-        path_length_m=_median(paths),
-        path_length_low_m=path_low,
-        path_length_high_m=path_high,
-        internal_force_min_n=_least([trial.internal_force_min_n for trial in won]),
-        pinch_force_min_n=_least([trial.pinch_force_min_n for trial in won]),
-        goal_error_median_m=_median([trial.goal_error_m for trial in trials]),
+        **spread(tilts, "tilt_median_rad", "tilt_low_rad", "tilt_high_rad"),
+        **spread([t.path_length_m for t in won], "path_length_m", "path_length_low_m", "path_length_high_m"),
+        internal_force_min_n=float(np.min([t.internal_force_min_n for t in won])) if won else math.nan,
+        pinch_force_min_n=float(np.min([t.pinch_force_min_n for t in won])) if won else math.nan,
+        goal_error_median_m=float(np.median([t.goal_error_m for t in trials])),
         failures=tuple(sorted(counts.items(), key=lambda item: (-item[1], item[0]))),
-        stopped_n=sum(bool(trial.aborted) and not trial.success for trial in trials),
+        stopped_n=sum(bool(t.aborted) and not t.success for t in trials),
     )
-
-
-def _least(values: Sequence[float]) -> float:
-    """Return the least, or NaN of nothing and of anything with a NaN in it, wherever that stands."""
-    return float(np.min(values)) if len(values) else math.nan
-
-
-def _median(values: Sequence[float]) -> float:
-    """Return the median, or NaN of nothing."""
-    return float(np.median(values)) if len(values) else math.nan
-
-
-def _interval(values: Sequence[float], rng: np.random.Generator) -> tuple[float, float]:
-    """Return the interval of the median; NaN of nothing, and of anything that is not finite."""
-    if not values or not np.all(np.isfinite(values)):
-        return math.nan, math.nan
-    return bootstrap_median_interval(values, rng)
 
 
 def _said(value: Cell, words: str) -> Cell:

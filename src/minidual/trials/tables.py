@@ -33,12 +33,7 @@ def write_csv(path: Path | str, rows: Sequence[TrialMetrics | MethodSummary]) ->
     """Write one row a trial or a method; raise NothingEvaluatedError for an empty table."""
     if not rows:
         raise NothingEvaluatedError(f"no rows for {path}: nothing was evaluated")
-    cells = [row.to_row() for row in rows]
-    text = io.StringIO()
-    writer = csv.DictWriter(text, fieldnames=list(cells[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(cells)
-    return write_text(Path(path), text.getvalue())
+    return write_rows(Path(path), [row.to_row() for row in rows])
 
 
 def write_json(
@@ -84,6 +79,23 @@ def write_json(
 
 def _with_failures(summary: MethodSummary) -> dict[str, Any]:
     return {**summary.to_row(), "failures": dict(summary.failures)}
+
+
+def write_rows(path: Path, rows: Sequence[Mapping[str, Any]], *, missing: str = "") -> Path:
+    """Write rows as CSV under the names of all of them in order of appearance; `missing` fills what a row lacks."""
+    text = io.StringIO()
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    writer = csv.DictWriter(text, fieldnames=names, restval=missing, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return write_text(path, text.getvalue())
+
+
+def markdown(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return rows of the same names as a Markdown table, to read and to paste."""
+    heads = [head.replace("_", " ") for head in rows[0]]
+    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+    return lines + ["| " + " | ".join(str(v) for v in row.values()) + " |" for row in rows]
 
 
 def write_text(path: Path, text: str) -> Path:

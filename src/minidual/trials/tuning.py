@@ -13,11 +13,11 @@ phases: the usual procedure for object impedance, soft and safe before strong an
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import joblib
 import numpy as np
 from scipy.optimize import brentq
 from scipy.signal import butter, sosfiltfilt
@@ -27,10 +27,10 @@ from minidual.config.root import Config
 from minidual.errors import MinidualError
 from minidual.plant.world import World
 from minidual.robot.pair import Array
-from minidual.tasks.rod_carry import tilt_rad
+from minidual.tasks.success import ObjectTruth
 from minidual.tasks.task import Trial, make_task
 from minidual.trials.methods import Method, MethodInputs
-from minidual.trials.trials import Bench
+from minidual.trials.runner import LOG_RATE_HZ, Bench, one_thread
 
 PURPOSE = "tuning"
 """Random stream of the starts; no acceptance trial comes from it."""
@@ -45,7 +45,6 @@ OSCILLATION_MAX_M = 0.0003
 TRACKING_MAX_M = 0.01
 COMPARED_N = (20.0, 40.0, 80.0)
 _HIGH_PASS_HZ = 5.0
-_LOG_HZ = 250.0
 _FORCE_STEP_N, _STIFFNESS_STEP_N_PER_M = 0.5, 10.0
 _SAFE_TORQUE = 0.95
 
@@ -194,9 +193,7 @@ class Tuner:
 
     def step(self, phase: str, force_n: float, stiffness_n_per_m: float) -> TuningStep:
         """Run the carries of one step."""
-        import joblib
-
-        os.environ["OMP_NUM_THREADS"] = "1"  # more numeric threads only wait for each other
+        one_thread()
         config = changed(self._config, gains(force_n, stiffness_n_per_m))
         inputs = MethodInputs(config, self._seed)
         task = make_task(config)
@@ -273,8 +270,10 @@ def _raise_until(value: Callable[[float], float], ladder: Sequence[float], toler
 def carry_once(inputs: MethodInputs, trial: Trial) -> Carried:
     """Carry once and measure; the true pose of the object is read for the score alone."""
     bench = Bench("impedance", inputs)
-    every = round(1.0 / (_LOG_HZ * bench.world.dt))
-    rows: list[tuple[float, Array, float, float, float]] = []
+    name, tau_max = bench.task.carried, bench.world.robot.tau_max
+    seen = ObjectTruth(name, bench.task.scene.objects[name])
+    every = round(1.0 / (LOG_RATE_HZ * bench.world.dt))
+    rows: list[tuple[float, ...]] = []
     count = 0
 
     def watch(world: World, method: Method) -> None:
@@ -283,23 +282,16 @@ def carry_once(inputs: MethodInputs, trial: Trial) -> Carried:
         desired = getattr(method, "desired", None)
         if count % every or method.phase != "carry" or desired is None:
             return
-        T = world.object_pose()
-        rows.append(
-            (
-                world.time,
-                T[:3, 3] - desired.T_world_object[:3, 3],
-                world.internal_force(),
-                float(np.max(np.abs(world.tau) / world.robot.tau_max)),
-                tilt_rad(T),
-            )
-        )
+        seen.refresh(world)
+        error = seen.T[:3, 3] - desired.T_world_object[:3, 3]
+        torque = float(np.max(np.abs(world.tau) / tau_max))
+        rows.append((world.time, *error, seen.squeeze_n, torque, seen.tilt_rad))
 
     result, _ = bench.run(trial, on_step=watch)
-    metrics = result.metrics
-    t, errors, force, torque, tilt = (
-        (np.array(c) for c in zip(*rows, strict=True)) if rows else (np.zeros(0), np.zeros((0, 3)), *[np.zeros(0)] * 3)
-    )
+    t, x, y, z, force, torque, tilt = np.array(rows).reshape(-1, 7).T
+    errors = np.column_stack([x, y, z])
     size = np.linalg.norm(errors, axis=1)
+    metrics = result.metrics
     return Carried(
         result.success,
         result.text,
@@ -316,7 +308,7 @@ def carry_once(inputs: MethodInputs, trial: Trial) -> Carried:
     )
 
 
-def oscillation_m(errors: Array, rate_hz: float = _LOG_HZ) -> float:
+def oscillation_m(errors: Array, rate_hz: float = LOG_RATE_HZ) -> float:
     """Return the RMS of tracking errors (T, 3) [m] above 5 Hz, zero phase; NaN if too short to tell."""
     if len(errors) < rate_hz / 2:
         return float("nan")
@@ -327,16 +319,3 @@ def oscillation_m(errors: Array, rate_hz: float = _LOG_HZ) -> float:
 
 def _said(value: float, digits: int) -> Any:
     return round(value, digits) if np.isfinite(value) else "not measured"
-
-
-def write_rows(steps: Sequence[TuningStep]) -> str:
-    """Return tuning.csv."""
-    import csv
-    import io
-
-    rows = [s.row() for s in steps]
-    text = io.StringIO()
-    writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()

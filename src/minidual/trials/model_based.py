@@ -1,0 +1,50 @@
+"""Methods that know the object's model: object impedance, and planned motion with joint control."""
+
+from __future__ import annotations
+
+from minidual.config.seeds import stream
+from minidual.plant.sensing import Sensors
+from minidual.plant.world import World
+from minidual.robot.arms import robot_from
+from minidual.robot.kinematics import Kinematics
+from minidual.skills.impedance_carry import ImpedanceCarry
+from minidual.skills.planned_carry import PlannedCarry, make_planners
+from minidual.skills.supervised import trial_supervisor
+from minidual.tasks.task import Trial
+from minidual.trials.methods import Factory, MethodInputs
+
+
+def impedance(inputs: MethodInputs) -> Factory:
+    """Object impedance."""
+    config = inputs.config
+    supervisor = trial_supervisor(config.supervisor, config.scene.physics.timestep_s, robot_from(config.robot))
+    return lambda world, kinematics, trial: ImpedanceCarry(
+        world, kinematics, config.carry, trial, seed=inputs.seed, supervisor=supervisor, arbiter=config.arbiter
+    )
+
+
+def planned(inputs: MethodInputs) -> Factory:
+    """Plan from one reading of the pose sensor, then control joint trajectories."""
+    config = inputs.config
+    supervisor = trial_supervisor(config.supervisor, config.scene.physics.timestep_s, robot_from(config.robot))
+    planner, carrier = make_planners(config.plan.planner)
+
+    def make(world: World, kinematics: Kinematics, trial: Trial) -> PlannedCarry:
+        # The sensor and the noise that object impedance has, on the same stream: both begin from the same reading.
+        rng = stream(inputs.seed, f"sensing/{trial.purpose}", trial.index)
+        seen = Sensors(world, config.carry.sensing, rng).sense().pose
+        if seen is None:
+            raise RuntimeError("the first reading of the sensors holds a pose")
+        return PlannedCarry(
+            world,
+            kinematics,
+            planner,
+            carrier,
+            trial,
+            inputs.seed + trial.index,
+            config.arbiter,
+            T_world_object=seen.T_world_object,
+            supervisor=supervisor,
+        )
+
+    return make

@@ -1,0 +1,266 @@
+"""Run trials of a task: one or many, on one core or all, judged, logged, watched, filmed or recorded."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import joblib
+import mujoco
+import numpy as np
+
+from minidual.config.seeds import stream
+from minidual.control.object_impedance import SingularPostureError
+from minidual.errors import MinidualError
+from minidual.plant.model import build_model
+from minidual.plant.recorder import Recorder
+from minidual.plant.world import SimulationDivergedError, World
+from minidual.robot.arms import robot_from
+from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array
+from minidual.tasks.judge import Fault, begin
+from minidual.tasks.success import ObjectTruth
+from minidual.tasks.task import Task, Trial, make_task
+from minidual.trials.conditions import CLEAN
+from minidual.trials.conditions import condition as named_condition
+from minidual.trials.methods import Method, MethodInputs, MethodSpec, method_spec
+from minidual.trials.metrics import TrialMetrics, trial_metrics
+
+LOG_RATE_HZ = 250
+SETTLED_S = 0.5
+"""A trial ends this long after it is finished; methods without an end of their own would go on."""
+_SATURATED = 0.999
+"""Share of its limit from which a motor counts as saturated; controllers clip at the limit itself."""
+_STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+_BROKEN: dict[type[MinidualError], str] = {SimulationDivergedError: "diverged", SingularPostureError: "singular"}
+"""What may end a trial from below its method, and the name under which it fails then."""
+
+StepHook = Callable[[World, Method], None]
+"""Called after each step of a trial; it only reads."""
+Watch = Callable[["Bench", str], StepHook]
+"""Given the bench and a title before each trial that is watched; returns the trial's step hook."""
+
+
+@dataclass
+class TrialLog:
+    """Time series of one trial at 250 Hz.
+
+    Attributes:
+        t: (T,) [s].
+        q: (T, n) measured joints [rad].
+        tau: (T, n) motor torques [Nm].
+        tcp: (T, 2, 3) positions of the tool centre points [m].
+        position: (T, 3) position of the carried object [m].
+        tilt: (T,) [rad].
+        pinch: (T, 2) [N].
+        internal_force: (T,) [N].
+        phase: (T,) names.
+    """
+
+    t: Array
+    q: Array
+    tau: Array
+    tcp: Array
+    position: Array
+    tilt: Array
+    pinch: Array
+    internal_force: Array
+    phase: list[str]
+
+
+@dataclass(frozen=True)
+class TrialResult:
+    """One trial as run.
+
+    Attributes:
+        metrics: The row of the tables.
+        lifted: Whether the object rose clear of the table.
+        saturated_max_s: Longest time that one motor stood at its torque limit.
+    """
+
+    metrics: TrialMetrics
+    lifted: bool = True
+    saturated_max_s: float = 0.0
+
+    @property
+    def success(self) -> bool:
+        """Whether all conditions of success were met."""
+        return self.metrics.success
+
+    @property
+    def text(self) -> str:
+        """Return the outcome as one line for people."""
+        return self.metrics.text
+
+
+class _Motors:
+    """The largest torque over its limit, and the longest time at a limit."""
+
+    def __init__(self, limit: Array) -> None:
+        self._limit, self.peak = limit, np.zeros(len(limit))
+        self._steps, self.longest = np.zeros(len(limit), dtype=int), 0
+        self._any = False
+
+    def observe(self, tau: Array) -> None:
+        ratio = np.abs(tau) / self._limit
+        np.maximum(self.peak, ratio, out=self.peak)
+        if ratio.max() >= _SATURATED or self._any:
+            self._steps = np.where(ratio >= _SATURATED, self._steps + 1, 0)
+            self.longest = max(self.longest, int(self._steps.max()))
+            self._any = bool(self._steps.any())
+
+
+class Bench:
+    """A world and a method, built once in a process and used for many trials.
+
+    Args:
+        method: Row of the table of methods.
+        inputs: What it is built from.
+        visuals: Compile visual meshes even where the method needs none, to film.
+    """
+
+    def __init__(self, method: str, inputs: MethodInputs, *, visuals: bool = False) -> None:
+        self.method, self.seed = method, inputs.seed
+        self.spec: MethodSpec = method_spec(method)
+        self.task: Task = make_task(inputs.config)
+        robot = robot_from(inputs.config.robot)
+        model = build_model(self.task.scene, robot, visuals=visuals or self.spec.needs_images)
+        self.world = World(self.task.scene, robot, model=model)
+        self.kinematics = Kinematics(robot)
+        self.factory = self.spec.factory(inputs)
+
+    def run(
+        self, trial: Trial, *, condition: str = CLEAN, on_step: StepHook | None = None
+    ) -> tuple[TrialResult, TrialLog]:
+        """Run one trial to its end or its time limit under a condition, and judge it.
+
+        A trial that breaks (_BROKEN) has failed and is judged as it stood after its last whole step.
+        """
+        spec = named_condition(condition)
+        rng = stream(self.seed, f"disturbance/{trial.purpose}/{spec.name}", trial.index)
+        disturb = None if spec.act is None else spec.act(self.task, rng)
+        with spec.applied(self.world.model, self.task, trial.index):
+            result, log = self._run(trial, spec.name, disturb, on_step)
+        if disturb is not None:
+            result = replace(result, metrics=replace(result.metrics, disturbed=disturb.took_place))
+        return result, log
+
+    def record(self, trial: Trial, path: Path) -> TrialResult:
+        """Run a trial once more, write it to `path` (.npz) for `minidual replay` and return its result."""
+        recorder = self.world.recorder = Recorder(self.world, seed=self.seed)
+        result, _ = self.run(trial)
+        self.world.recorder = None
+        carry = self.task.config.carry
+        details = {"method": self.method, "purpose": trial.purpose, "trial": trial.index, "success": result.success}
+        details |= {"task": self.task.name, "object": carry.object, "motion": carry.motion}
+        recorder.write(path, f"{self.method}, trial {trial.index}: {result.text}", details=details)
+        return result
+
+    def _run(
+        self, trial: Trial, condition: str, disturb: Callable[[World], None] | None, on_step: StepHook | None
+    ) -> tuple[TrialResult, TrialLog]:
+        world = self.world
+        judge = begin(world, self.task, trial, self.spec.demands)
+        method = self.factory(world, self.kinematics, trial)
+        every = round(1.0 / (LOG_RATE_HZ * world.dt))
+        seen = ObjectTruth(self.task.carried, self.task.scene.objects[self.task.carried])
+        rows: list[tuple[Any, ...]] = []
+        motors = _Motors(world.robot.tau_max)
+        finished_s, broken = 0.0, None
+        last = np.empty(mujoco.mj_stateSize(world.model, _STATE))
+        mujoco.mj_getState(world.model, world.data, last, _STATE)
+        for step in range(round(self.task.time_limit_s / world.dt)):
+            try:
+                method.step()
+            except tuple(_BROKEN) as error:
+                mujoco.mj_setState(world.model, world.data, last, _STATE)  # one that diverged has been reset
+                mujoco.mj_forward(world.model, world.data)
+                broken = Fault(_BROKEN[type(error)], world.time, error.message)
+                rows = rows or [self._sample(seen, method.phase)]
+                break
+            mujoco.mj_getState(world.model, world.data, last, _STATE)
+            judge.observe(world)
+            motors.observe(world.tau)
+            if step % every == 0:
+                rows.append(self._sample(seen, method.phase))
+            if disturb is not None:
+                disturb(world)
+            if on_step is not None:
+                on_step(world, method)
+            finished_s = finished_s + world.dt if judge.finished else 0.0
+            if method.done or finished_s > SETTLED_S:
+                break
+        *numbers, phases = zip(*rows, strict=True)
+        log = TrialLog(*(np.array(c) for c in numbers), list(phases))
+        outcome = judge.outcome(world)
+        if broken is not None:  # its fault stands before those that only follow from it
+            outcome = replace(outcome, success=False, faults=(broken, *outcome.faults))
+        metrics = trial_metrics(
+            self.method,
+            trial.index,
+            outcome,
+            q=log.q,
+            tcp_positions=log.tcp,
+            rate_hz=LOG_RATE_HZ,
+            torque_ratio_max=float(motors.peak.max()),
+            condition=condition,
+            aborted=method.aborted or "",
+        )
+        lifted = outcome.rise_m > self.task.scene.task.clear_height_m
+        return TrialResult(metrics, lifted, motors.longest * world.dt), log
+
+    def _sample(self, seen: ObjectTruth, phase: str) -> tuple[Any, ...]:
+        world, q = self.world, self.world.q
+        left, right = self.kinematics.tcp_poses(q)
+        seen.refresh(world)
+        hands = np.array([left[:3, 3], right[:3, 3]])
+        return world.time, q, world.tau, hands, seen.T[:3, 3], seen.tilt_rad, seen.pinch, seen.squeeze_n, phase
+
+
+_BENCHES: dict[str, Bench] = {}
+
+
+def _run_in_worker(
+    method: str, inputs: MethodInputs, trial: Trial, condition: str, keep_log: bool
+) -> tuple[TrialResult, TrialLog | None]:
+    key = f"{method}/{inputs.checkpoint}/{inputs.seed}/{inputs.config.model_dump_json()}"
+    if key not in _BENCHES:
+        _BENCHES.clear()
+        _BENCHES[key] = Bench(method, inputs)
+    result, log = _BENCHES[key].run(trial, condition=condition)
+    return result, log if keep_log else None
+
+
+def run_trials(
+    method: str,
+    inputs: MethodInputs,
+    trials: Sequence[Trial],
+    *,
+    workers: int,
+    condition: str = CLEAN,
+    keep_logs: bool = False,
+    watch: Watch | None = None,
+) -> Iterator[tuple[TrialResult, TrialLog | None]]:
+    """Run trials over processes and yield their results in order; the results do not depend on `workers`.
+
+    Watched trials run in this process, one after another, and give the same results.
+    """
+    if watch is not None:
+        bench = Bench(method, inputs)
+        for number, trial in enumerate(trials, start=1):
+            title = f"{method}, trial {number} of {len(trials)}" + (f", {condition}" if condition != CLEAN else "")
+            yield bench.run(trial, condition=condition, on_step=watch(bench, title))
+        return
+    one_thread()
+    yield from joblib.Parallel(n_jobs=min(workers, max(1, len(trials))), return_as="generator", batch_size=1)(
+        joblib.delayed(_run_in_worker)(method, inputs, trial, condition, keep_logs) for trial in trials
+    )
+
+
+def one_thread() -> None:
+    """Give each process that starts now one numeric thread: on a busy machine more of them only wait for each other."""
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = "1"
