@@ -10,7 +10,7 @@ from minidual.config.root import Config
 from minidual.skills.faults import FaultMonitor
 from minidual.trials.conditions import condition
 from minidual.trials.methods import MethodInputs
-from minidual.trials.trials import Bench
+from minidual.trials.runner import Bench
 
 
 @pytest.fixture(scope="module")

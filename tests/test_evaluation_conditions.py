@@ -8,9 +8,11 @@ from minidual.config.root import Config
 from minidual.errors import UsageError
 from minidual.plant.model import build_model
 from minidual.plant.world import World
+from minidual.tasks.task import make_task
 from minidual.trials import conditions
-from minidual.trials.conditions import CLEAN, CONDITIONS, SENSES, Push, _Pusher, condition, parse_conditions
+from minidual.trials.conditions import CLEAN, CONDITIONS, SENSES, Push, condition, parse_conditions
 
+TASK = make_task(Config())
 FIELDS = (
     "body_mass",
     "body_subtreemass",
@@ -42,11 +44,11 @@ def model():
 @pytest.mark.parametrize("name", CONDITIONS)
 def test_the_model_is_as_before_afterwards(model, name):
     before = fields(model)
-    with condition(name).applied(model, 3):
+    with condition(name).applied(model, TASK, 3):
         changed = {f for f, value in fields(model).items() if not np.array_equal(before[f], value)}
         lights = {f for f in changed if "light" in f or f in ("ambient", "diffuse", "specular")}
-        assert bool(changed) == condition(name).changes_the_model
-        assert bool(changed - lights) == condition(name).changes_the_plant
+        assert bool(changed) == (condition(name).change is not None)
+        assert bool(changed - lights) == (condition(name).change is not None and not condition(name).sense)
     for f, value in fields(model).items():
         np.testing.assert_array_equal(before[f], value, err_msg=f)
 
@@ -54,13 +56,13 @@ def test_the_model_is_as_before_afterwards(model, name):
 def test_mass_and_inertia_scale_together(model):
     rod = model.body("rod").id
     mass, inertia = model.body_mass[rod], np.array(model.body_inertia[rod])
-    with condition("mass +50 %").applied(model, 0):
+    with condition("mass +50 %").applied(model, TASK, 0):
         assert model.body_mass[rod] == pytest.approx(1.5 * mass)
         np.testing.assert_allclose(model.body_inertia[rod], 1.5 * inertia)
 
 
 def test_friction_holds_for_every_surface_that_the_object_meets(model):
-    with condition("friction 0.3").applied(model, 0):
+    with condition("friction 0.3").applied(model, TASK, 0):
         for name in ("rod", "table_top", "left_panda_leftfinger_pad", "right_panda_rightfinger_pad"):
             assert model.geom(name).friction[0] == pytest.approx(0.3)
 
@@ -68,7 +70,7 @@ def test_friction_holds_for_every_surface_that_the_object_meets(model):
 def test_another_joint_each_trial(model):
     for index, joint in ((0, "left_panda_joint1"), (13, "right_panda_joint7"), (14, "left_panda_joint1")):
         plain, before = float(model.joint(joint).damping[0]), np.array(model.dof_damping)
-        with condition("joint friction x2").applied(model, index):
+        with condition("joint friction x2").applied(model, TASK, index):
             assert model.joint(joint).damping[0] == pytest.approx(2.0 * plain)
             assert np.sum(model.dof_damping != before) == 1
 
@@ -77,7 +79,7 @@ def test_a_push_gives_the_object_its_impulse(model):
     """A free object pushed by F for dt, and by half of it during two ramps, gains F (dt + ramp) / m."""
     world = World(Config().scene, model=model)
     world.reset()
-    pusher = _Pusher(Push((20.0, 0.0, 0.0), 0.02, ramp_s=0.005), delay_s=0.01)
+    pusher = Push((20.0, 0.0, 0.0), "rod", 0.01, duration_s=0.02, ramp_s=0.005)
     pusher(world)  # sees it at rest
     world.truth().qpos[2] += 0.3  # somebody lifted it
     gained = []
@@ -93,7 +95,7 @@ def test_a_push_gives_the_object_its_impulse(model):
 def test_an_object_on_the_table_is_not_pushed(model):
     world = World(Config().scene, model=model)
     world.reset()
-    pusher = _Pusher(Push((20.0, 0.0, 0.0)), delay_s=0.0)
+    pusher = Push((20.0, 0.0, 0.0), "rod", 0.0)
     for _ in range(20):
         world.step()
         pusher(world)
@@ -104,7 +106,7 @@ def test_an_object_on_the_table_is_not_pushed(model):
 def test_a_push_on_an_object_that_was_put_down_again_did_not_take_place(model):
     world = World(Config().scene, model=model)
     world.reset()
-    pusher = _Pusher(Push((20.0, 0.0, 0.0), 0.02, ramp_s=0.005), delay_s=0.01)
+    pusher = Push((20.0, 0.0, 0.0), "rod", 0.01, duration_s=0.02, ramp_s=0.005)
     pusher(world)
     for lifted in (0.3, -0.3):
         world.truth().qpos[2] += lifted
@@ -123,7 +125,7 @@ def test_a_change_that_breaks_half_way_is_taken_back(model, monkeypatch):
     before, derive = fields(model), conditions._derive
     calls = iter((broken, derive))
     monkeypatch.setattr(conditions, "_derive", lambda model: next(calls)(model))
-    with pytest.raises(ValueError, match="no constants"), condition("mass +50 %").applied(model, 0):
+    with pytest.raises(ValueError, match="no constants"), condition("mass +50 %").applied(model, TASK, 0):
         pass
     for f, value in fields(model).items():
         np.testing.assert_array_equal(before[f], value, err_msg=f)
@@ -133,7 +135,7 @@ def test_an_object_is_moved_once_and_lies_still_afterwards(model):
     world = World(Config().scene, model=model)
     world.reset()
     before = world.object_pose()
-    act = condition("moved 20 mm").disturbance(np.random.default_rng(1))
+    act = condition("moved 20 mm").act(TASK, np.random.default_rng(1))
     for _ in range(450):
         world.step()
         act(world)
@@ -151,8 +153,8 @@ def test_an_object_is_moved_once_and_lies_still_afterwards(model):
 
 def test_the_first_condition_is_clean_and_names_are_checked():
     assert next(iter(CONDITIONS)) == CLEAN
-    assert not CONDITIONS[CLEAN].changes_the_plant
-    assert CONDITIONS[CLEAN].disturbance(np.random.default_rng(0)) is None
+    assert CONDITIONS[CLEAN].change is None
+    assert CONDITIONS[CLEAN].act is None
     for typed in ("mass +50 %", "mass_+50_%", "mass+50%"):
         assert condition(typed) is CONDITIONS["mass +50 %"]
     with pytest.raises(UsageError, match=r"no condition 'fricton 0\.3'") as refused:
@@ -176,12 +178,12 @@ def test_a_list_of_conditions_begins_with_the_clean_one():
 
 def test_what_changes_a_sense_alone_does_not_touch_who_lacks_it():
     noise = CONDITIONS["pose noise x3"]
-    assert noise.why_not("act", {"picture"}) == "act reads no sensed pose of the object"
-    assert noise.why_not("impedance", {"pose", "feedback"}) == ""
-    assert CONDITIONS["mass +50 %"].why_not("act", ()) == "", "nobody escapes the plant"
+    assert noise.why_not("act", Config()) == "act reads no sensed pose of the object"
+    assert noise.why_not("impedance", Config()) == ""
+    assert CONDITIONS["mass +50 %"].why_not("act", Config()) == "", "nobody escapes the plant"
     assert {c.sense for c in CONDITIONS.values() if c.sense} == set(SENSES)
     for c in CONDITIONS.values():
-        assert not (c.sense and (c.changes_the_plant or c.push)), "a change of the plant touches every method"
+        assert not (c.sense and c.act), "what happens in a trial touches every method"
 
 
 def test_a_darker_room_gives_darker_pictures(visual_model):
@@ -190,7 +192,7 @@ def test_a_darker_room_gives_darker_pictures(visual_model):
     world = World(Config().scene, model=visual_model)
     camera = Camera.recorded(visual_model, Config().scene.camera)
     bright = camera.picture(world.data, "high")
-    with condition("light -30 %").applied(visual_model, 0):
+    with condition("light -30 %").applied(visual_model, TASK, 0):
         dark = camera.picture(world.data, "high")
     assert 0.6 < dark.mean() / bright.mean() < 0.9
     np.testing.assert_array_equal(camera.picture(world.data, "high"), bright)

@@ -9,12 +9,13 @@ from minidual.config.root import Config
 from minidual.errors import ExitCode, UsageError
 from minidual.gate.tool import ToolContext
 from minidual.stages.carry_tools import perturb
-from minidual.trials import perturbation
+from minidual.trials import benchmark
 from minidual.trials.conditions import CONDITIONS
 from minidual.trials.methods import MethodInputs
 from minidual.trials.metrics import TrialMetrics
-from minidual.trials.perturbation import Robustness, run_perturbations, table_lines, touching
-from minidual.trials.trials import TrialResult
+from minidual.trials.perturbation import Robustness, run_perturbations, touching
+from minidual.trials.runner import TrialResult
+from minidual.trials.tables import markdown
 
 
 def trial_result(index: int, condition: str, *, success: bool) -> TrialResult:
@@ -35,9 +36,9 @@ def trial_result(index: int, condition: str, *, success: bool) -> TrialResult:
         39.0,
         60.0,
         0.001,
-        disturbed=True if CONDITIONS[condition].acts_once else None,
+        disturbed=True if CONDITIONS[condition].act else None,
     )
-    return TrialResult(metrics, (), "", lifted=True, wall_s=1.0)
+    return TrialResult(metrics)
 
 
 @pytest.fixture
@@ -52,13 +53,13 @@ def outcomes(monkeypatch):
             failed = trial.index < failures.get(condition, 0)
             yield trial_result(trial.index, condition, success=not failed), None
 
-    monkeypatch.setattr(perturbation, "run_trials", run_trials)
+    monkeypatch.setattr(benchmark, "run_trials", run_trials)
     return failures, asked
 
 
 def found(failures=(), trials_n=20):
     rows, _ = run_perturbations("impedance", MethodInputs(Config(), 5), trials_n, workers=1)
-    return {row.condition.name: row for row in rows}
+    return {row.name: row for row in rows}
 
 
 def test_every_condition_has_the_same_starts(outcomes):
@@ -109,7 +110,7 @@ def test_what_never_succeeds_loses_nothing_and_still_fails(outcomes):
 def test_a_loss_that_is_no_number_does_not_hold(outcomes):
     row = found()["clean"]
     assert row.holds
-    assert not Robustness(row.condition, row.summary, float("nan"), "").holds
+    assert not Robustness(row.cell, float("nan"), "").holds
 
 
 def test_the_command_fails_when_a_condition_costs_too_much(outcomes, tmp_path):
@@ -135,7 +136,7 @@ def test_a_row_that_would_be_the_clean_one_says_so_and_does_not_hold(outcomes, t
     assert "| yes |" not in line
     (plain,) = [line for line in result.lines if line.startswith("| friction 0.7 |")]
     assert "| yes |" in plain
-    assert not found()["friction 0.3"].why_not
+    assert not found()["friction 0.3"].cell.why_not
 
 
 def test_noise_times_three_is_a_factor_of_the_noise_there_is():
@@ -146,14 +147,14 @@ def test_noise_times_three_is_a_factor_of_the_noise_there_is():
 
 
 def test_a_row_with_a_success_that_nothing_pushed_does_not_hold(outcomes, monkeypatch, tmp_path):
-    run = perturbation.run_trials
+    run = benchmark.run_trials
 
     def missed(*given, condition, **other):
         for result, log in run(*given, condition=condition, **other):
             metrics = dataclasses.replace(result.metrics, disturbed=False)
             yield (dataclasses.replace(result, metrics=metrics) if condition == "push -y" else result), log
 
-    monkeypatch.setattr(perturbation, "run_trials", missed)
+    monkeypatch.setattr(benchmark, "run_trials", missed)
     rows = found()
     assert [name for name, row in rows.items() if not row.holds] == ["push -y"]
     assert "never took place" in rows["push -y"].example
@@ -162,7 +163,7 @@ def test_a_row_with_a_success_that_nothing_pushed_does_not_hold(outcomes, monkey
 
 
 def test_the_table_has_a_line_for_every_condition(outcomes):
-    assert len(table_lines(list(found().values()))) == len(touching("impedance")) + 2
+    assert len(markdown([row.row() for row in found().values()])) == len(touching("impedance")) + 2
 
 
 def test_a_changed_configuration_is_validated():

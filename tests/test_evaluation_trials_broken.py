@@ -12,7 +12,8 @@ from minidual.control.object_impedance import SingularPostureError
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.tasks.task import Trial
-from minidual.trials.trials import run_trial
+from minidual.trials.methods import METHODS
+from minidual.trials.runner import Bench
 
 
 class Stands:
@@ -48,9 +49,11 @@ def trial(world: World) -> Trial:
 
 
 def _run(world: World, trial: Trial, **how: object):
-    return run_trial(
-        "impedance", lambda w, k, _trial: Stands(w, k, **how), world, Kinematics(), carry_task(world.scene), trial
-    )
+    bench = Bench.__new__(Bench)  # on the world of the other tests: none is compiled
+    bench.method, bench.seed, bench.spec, bench.task = "impedance", 5, METHODS["impedance"], carry_task(world.scene)
+    bench.world, bench.kinematics = world, Kinematics()
+    bench.factory = lambda w, k, _trial: Stands(w, k, **how)
+    return bench.run(trial)
 
 
 @pytest.mark.parametrize("breaks", ["diverged", "exploded", "singular"])

@@ -30,7 +30,7 @@ def plant(monkeypatch):
 
     def carry_once(inputs, trial):
         impedance = inputs.config.carry.impedance
-        starts.append((trial.purpose, trial.start["rod"]))
+        starts.append((trial.purpose, *trial.start.values()))
         least = impedance.internal_force_n - law["loss_n"]
         holds = least > NEEDED_N and impedance.internal_force_n < law["slips_n"]
         oscillation = OSCILLATION_MAX_M * impedance.stiffness_n_per_m / law["oscillates"]

@@ -17,8 +17,7 @@ from minidual.gate.progress import SilentProgress
 from minidual.stages.carry import _record
 from minidual.stages.registry import STAGES
 from minidual.trials.methods import MethodInputs
-from minidual.trials.trial_records import TrialRecords
-from minidual.trials.trials import run_trials
+from minidual.trials.runner import Bench, run_trials
 
 
 @pytest.mark.parametrize("setting", ["carry.object=glas", "carry.motion=overr"])
@@ -58,31 +57,26 @@ def test_results_do_not_depend_on_the_processes_and_a_recording_is_the_same_tria
         [result.metrics for result, _ in run_trials("impedance", inputs, trials, workers=n)] for n in (1, 3)
     )
     assert [repr(m) for m in alone] == [repr(m) for m in shared]
-    again = TrialRecords("impedance", inputs).write(trials[1], tmp_path / "trial.npz")
+    again = Bench("impedance", inputs).record(trials[1], tmp_path / "trial.npz")
     assert repr(again.metrics) == repr(alone[1])
     assert (tmp_path / "trial.npz").stat().st_size > 10_000
 
 
-def test_a_trial_that_is_both_median_and_worst_is_recorded_as_both(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_trial_that_is_both_median_and_worst_is_recorded_as_both(tmp_path: Path) -> None:
     written: list[tuple[int, str]] = []
     success = SimpleNamespace(text="success", success=True)
     failure = SimpleNamespace(text="held at 2.00 s", success=False)
     results: list[Any] = [success, failure, failure]
 
     class Records:
-        def __init__(self, *_args: object) -> None: ...
-
-        def write(self, trial: Any, path: Path) -> Any:
+        def record(self, trial: Any, path: Path) -> Any:
             written.append((trial, path.name))
             return results[trial]
 
-    monkeypatch.setattr("minidual.trials.trial_records.TrialRecords", Records)
     context: Any = SimpleNamespace(folder=tmp_path, progress=SilentProgress())
     trials: list[Any] = [0, 1, 2]
-    _record(context, None, trials, results, {"median": 0, "worst": 0})  # type: ignore[arg-type]
+    _record(context, Records(), trials, results, {"median": 0, "worst": 0})  # type: ignore[arg-type]
     assert written == [(1, "trial001.npz"), (2, "trial002.npz"), (0, "median.npz"), (0, "worst.npz")]
     written.clear()
-    _record(context, None, trials, results, {"median": 1, "worst": 2})  # type: ignore[arg-type]
+    _record(context, Records(), trials, results, {"median": 1, "worst": 2})  # type: ignore[arg-type]
     assert written == [(1, "median.npz"), (2, "worst.npz")]

@@ -28,7 +28,7 @@ from minidual.skills.planned_carry import PlannedCarry, make_planners
 from minidual.skills.supervised import arm_distance, trial_supervisor
 from minidual.tasks.task import Trial
 from minidual.trials.methods import MethodInputs
-from minidual.trials.trials import Bench
+from minidual.trials.runner import Bench
 
 SEED = 7
 FRAIL = SupervisorConfig(velocity_scale=0.05)
@@ -139,8 +139,8 @@ def test_a_reflex_is_a_fault_of_a_carry_and_the_supervisor_stops_the_arms(world:
     bench = Bench("impedance", MethodInputs(config, SEED))
     result, log = bench.run(sample_trial(config.scene, SEED, "benchmark", 0))
     assert not result.success
-    assert "reflex" in result.aborted
-    assert "joint_velocity" in result.aborted
+    assert "reflex" in result.metrics.aborted
+    assert "joint_velocity" in result.metrics.aborted
     assert "stop" in log.phase
     assert bench.world.gripper.min() > 0.9, "a hand that had nothing to do with it closed"
     assert np.abs(bench.world.v).max() < 0.01

@@ -22,7 +22,7 @@ from minidual.show.view.pace import Metronome
 from minidual.show.view.web import WebView
 from minidual.show.watch import Watcher, overlay, visual_model, watch_trials, watched
 from minidual.trials.methods import MethodInputs
-from minidual.trials.trials import run_trials
+from minidual.trials.runner import run_trials
 
 CONFIG = Config()
 SUBPROTOCOL = "viser-v1.1.1"

@@ -24,7 +24,7 @@ from minidual.show.view import NO_PREVIEW, Arrow, Overlay, PathLine, Preview, Vi
 from minidual.show.view.overlay import ARM_RGB
 from minidual.show.view.pace import Brake
 from minidual.trials.methods import Method
-from minidual.trials.trials import Bench, StepHook, Watch
+from minidual.trials.runner import Bench, StepHook, Watch
 
 _ASIDE_M = np.array([0.05, 0.0, 0.0])
 """Forces are drawn this far in front of the hands; the object would hide them otherwise."""

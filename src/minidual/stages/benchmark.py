@@ -3,22 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
+from minidual.config.evaluation import BenchmarkConfig
 from minidual.demos.smoothness import JERK_FILTER
 from minidual.gate.check import Check
 from minidual.gate.stage import StageContext, StageResult
-
-if TYPE_CHECKING:
-    from minidual.config.evaluation import BenchmarkConfig
-    from minidual.trials.benchmark import BenchmarkCell
-    from minidual.trials.metrics import MethodSummary
+from minidual.show.watch import watch_trials
+from minidual.trials.benchmark import (
+    BenchmarkCell,
+    conditions_data,
+    count_trials,
+    run_benchmark,
+    summaries,
+    write_cells,
+)
+from minidual.trials.comparisons import compare_all, compare_with_clean
+from minidual.trials.conditions import CLEAN, parse_conditions
+from minidual.trials.methods import MethodInputs, parse_methods
+from minidual.trials.metrics import MethodSummary
+from minidual.trials.runner import TrialResult
+from minidual.trials.tables import write_csv, write_json
 
 _UNITS = {
     "duration_median_s": ("s", "median over successful trials, start to released at rest"),
     "torque_ratio_max": ("", "largest motor torque over its limit, all trials"),
     "jerk_rms_median": ("rad/s^3", JERK_FILTER),
-    "tilt_max_rad": ("rad", "largest tilt of the rod, all trials, failed ones too"),
+    "tilt_max_rad": ("rad", "largest tilt of the object, all trials, failed ones too"),
     "path_length_m": ("m", "median path of a hand, mean of the two, over successful trials"),
 }
 
@@ -111,14 +121,6 @@ def _interval(summary: MethodSummary) -> str:
 
 def run(context: StageContext) -> StageResult:
     """Run all trials of all methods under all conditions and write the tables."""
-    from minidual.show.watch import watch_trials
-    from minidual.trials.benchmark import conditions_data, count_trials, run_benchmark, summaries, write_cells
-    from minidual.trials.comparisons import compare_all, compare_with_clean
-    from minidual.trials.conditions import CLEAN, parse_conditions
-    from minidual.trials.methods import MethodInputs, parse_methods
-    from minidual.trials.tables import write_csv, write_json
-    from minidual.trials.trials import TrialResult
-
     config, seed, folder = context.config.benchmark, context.seed, context.folder
     methods, conditions = parse_methods(config.methods), parse_conditions(config.conditions)
     inputs = MethodInputs(context.config, seed, context.upstream["train-act"] / "checkpoint")

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
 
+import numpy as np
+
+from minidual.config.control import CarryLimits
+from minidual.config.seeds import stream
 from minidual.demos.smoothness import JERK_FILTER
+from minidual.errors import DataError
 from minidual.gate.check import Check
 from minidual.gate.stage import StageContext, StageResult
+from minidual.robot.arms import robot_from
+from minidual.show.figures.film import film_trial
+from minidual.show.figures.trial import draw_trial
+from minidual.show.watch import watch_trials
+from minidual.tasks.task import Trial, make_task
+from minidual.trials.methods import MethodInputs
+from minidual.trials.metrics import TrialMetrics, summarise
+from minidual.trials.runner import Bench, TrialResult, run_trials
+from minidual.trials.tables import write_csv, write_json
 
-if TYPE_CHECKING:
-    from minidual.config.control import CarryLimits
-    from minidual.tasks.task import Trial
-    from minidual.trials.methods import MethodInputs
-    from minidual.trials.metrics import TrialMetrics
-    from minidual.trials.trials import TrialResult
-
+METHOD = "impedance"
 RECORDED_FAILURES_MAX = 20
 """Recordings of failed trials that the stage keeps; trials.csv has all of them."""
 
@@ -30,6 +37,8 @@ def carry_checks(
 ) -> list[Check]:
     """Return the checks of the stage for judged trials; extremes are over all trials, failed ones too.
 
+    np.max and np.min pass a NaN on, so that its check fails; the built-ins may lose it.
+
     Args:
         trials: At least one.
         limits: What they must reach together.
@@ -37,8 +46,6 @@ def carry_checks(
         time_limit_s: What a failed trial counts as.
         saturated_max_s: Longest time that a motor stood at its limit, over all trials.
     """
-    import numpy as np  # np.max and np.min pass a NaN on, so that its check fails; the built-ins may lose it
-
     return [
         Check(
             "success_rate",
@@ -99,31 +106,18 @@ def carry_checks(
 
 def run(context: StageContext) -> StageResult:
     """Run the trials; plot, film and record the median and the worst, and record what failed."""
-    import numpy as np
-
-    from minidual.config.seeds import stream
-    from minidual.robot.arms import robot_from
-    from minidual.show.figures.film import film_trial
-    from minidual.show.figures.trial import draw_trial
-    from minidual.show.watch import watch_trials
-    from minidual.tasks.task import make_task
-    from minidual.trials.methods import MethodInputs
-    from minidual.trials.metrics import summarise
-    from minidual.trials.tables import write_csv, write_json
-    from minidual.trials.trials import run_trials
-
-    config, job = context.config, make_task(context.config)
-    scene, robot = config.scene, robot_from(config.robot)
+    config, task = context.config, make_task(context.config)
+    asked, robot = task.scene.task, robot_from(config.robot)
     inputs = MethodInputs(config, context.seed)
-    trials = [job.trial(context.seed, "carry", i) for i in range(config.carry.trials_n)]
+    trials = [task.trial(context.seed, "carry", i) for i in range(config.carry.trials_n)]
     results, logs = [], []
-    with context.progress.task("carries", len(trials)) as task:
+    with context.progress.task("carries", len(trials)) as bar:
         for result, log in run_trials(
-            "impedance", inputs, trials, workers=context.workers, keep_logs=True, watch=watch_trials(context.view)
+            METHOD, inputs, trials, workers=context.workers, keep_logs=True, watch=watch_trials(context.view)
         ):
             results.append(result)
             logs.append(log)
-            task.advance(note="" if result.success else f"trial {result.metrics.index}: {result.text}")
+            bar.advance(note="" if result.success else f"trial {result.metrics.index}: {result.text}")
     metrics = [r.metrics for r in results]
     summary = summarise(metrics, stream(context.seed, "bootstrap/carry"))
     write_csv(context.folder / "trials.csv", metrics)
@@ -132,35 +126,27 @@ def run(context: StageContext) -> StageResult:
     order = np.argsort([-m.tilt_max_rad if m.success else -np.inf for m in metrics], kind="stable")
     shown = {"median": int(order[len(order) // 2]), "worst": int(order[0])}
     films = {"median": "carry.mp4", "worst": "worst.mp4"}
-    with context.progress.task("films", len(shown)) as task:
+    with context.progress.task("films", len(shown)) as bar:
         for label, i in shown.items():
             title = f"{config.carry.object}, {config.carry.motion}: {label} trial ({i}): {results[i].text}"
-            draw_trial(logs[i], scene, robot, context.folder / f"{label}.png", title=title)
-            film_trial("impedance", inputs, trials[i], context.folder / films[label])
-            task.advance()
-    _record(context, inputs, trials, results, shown)
+            draw_trial(logs[i], task.scene, robot, context.folder / f"{label}.png", title=title)
+            film_trial(METHOD, inputs, trials[i], context.folder / films[label])
+            bar.advance()
+    _record(context, Bench(METHOD, inputs), trials, results, shown)
 
+    saturated = float(np.max([r.saturated_max_s for r in results]))
     checks = carry_checks(
         metrics,
         config.carry.limits,
-        force_limit_n=scene.task.internal_force_min_n,
-        time_limit_s=scene.task.time_limit_s,
-        saturated_max_s=float(np.max([r.saturated_max_s for r in results])),
+        force_limit_n=asked.internal_force_min_n,
+        time_limit_s=asked.time_limit_s,
+        saturated_max_s=saturated,
     )
+    worst_goal, least_pinch = np.max([m.goal_error_m for m in metrics]), np.min([m.pinch_force_min_n for m in metrics])
     checks += [
         Check("success_low", summary.success_low, unit="", why="lower end of the 95 % Wilson interval"),
-        Check(
-            "goal_error_max_m",
-            float(np.max([m.goal_error_m for m in metrics])),
-            unit="m",
-            why="largest distance from the goal",
-        ),
-        Check(
-            "pinch_force_min_n",
-            float(np.min([m.pinch_force_min_n for m in metrics])),
-            unit="N",
-            why="least grip in the air",
-        ),
+        Check("goal_error_max_m", float(worst_goal), unit="m", why="largest distance from the goal"),
+        Check("pinch_force_min_n", float(least_pinch), unit="N", why="least grip in the air"),
         Check("duration_median_s", summary.duration_median_s, unit="s", why="median of the successful trials"),
         Check("jerk_rms_median", summary.jerk_rms_median, unit="rad/s^3", why=JERK_FILTER),
     ]
@@ -171,29 +157,29 @@ def run(context: StageContext) -> StageResult:
         "success_low": summary.success_low,
         "success_high": summary.success_high,
         "failures": dict(summary.failures),
-        "stopped": {str(r.metrics.index): r.aborted for r in results if r.aborted},
+        "stopped": {str(m.index): m.aborted for m in metrics if m.aborted},
         "shown": shown,
     }
     return StageResult(checks=checks, data=data)
 
 
 def _record(
-    context: StageContext, inputs: MethodInputs, trials: list[Trial], results: list[TrialResult], shown: dict[str, int]
+    context: StageContext,
+    bench: Bench,
+    trials: Sequence[Trial],
+    results: Sequence[TrialResult],
+    shown: Mapping[str, int],
 ) -> None:
     """Write recordings for `minidual replay` of the median, the worst and the first trials that failed."""
-    from minidual.errors import DataError
-    from minidual.trials.trial_records import TrialRecords
-
     failed = [i for i, result in enumerate(results) if not result.success]
     named = [(i, f"trial{i:03d}") for i in failed[:RECORDED_FAILURES_MAX] if i not in shown.values()]
     named += [(i, label) for label, i in shown.items()]  # one trial may be both
-    records = TrialRecords("impedance", inputs)
-    with context.progress.task("recordings", len(named)) as task:
+    with context.progress.task("recordings", len(named)) as bar:
         for i, label in named:
-            again = records.write(trials[i], context.folder / f"{label}.npz")
+            again = bench.record(trials[i], context.folder / f"{label}.npz")
             if again.text != results[i].text:
                 raise DataError(
                     f"trial {i} ended otherwise when it was recorded: {again.text}; before: {results[i].text}",
                     remedy="trials must depend on their seed alone; report this",
                 )
-            task.advance()
+            bar.advance()

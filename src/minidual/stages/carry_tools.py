@@ -17,8 +17,8 @@ def perturb(context: ToolContext) -> ToolResult:
     """Run the carry under every condition and compare its success with the clean one."""
     from minidual.show.watch import watch_trials
     from minidual.tasks.task import task_config
-    from minidual.trials.methods import MethodInputs
     from minidual.trials.benchmark import count_trials
+    from minidual.trials.methods import MethodInputs
     from minidual.trials.perturbation import DROP_MAX, run_perturbations, touching
     from minidual.trials.tables import markdown, write_csv, write_rows
 

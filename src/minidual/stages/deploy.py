@@ -4,15 +4,28 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import numpy as np
+
+from minidual.config.seeds import stream
+from minidual.demos.episode import episode_paths, read_meta
 from minidual.gate.check import Check
 from minidual.gate.stage import StageContext, StageResult
+from minidual.policies.pilot import load_runtime
+from minidual.robot.arms import robot_from
+from minidual.show.figures.film import film_trial
+from minidual.show.watch import watch_trials
+from minidual.tasks.task import Trial, make_task
+from minidual.trials.methods import MethodInputs
+from minidual.trials.metrics import MethodSummary, summarise
+from minidual.trials.runner import TrialResult, run_trials
+from minidual.trials.statistics import wilson_interval
+from minidual.trials.tables import write_csv, write_json
 
-if TYPE_CHECKING:
-    from minidual.trials.trials import TrialResult
-
+METHOD = "act"
 HELD_OUT, TRAINING = "deploy", "demonstrations"
 """Random streams: trials held out from training, and the very starts that the demonstrations had."""
 
@@ -21,8 +34,6 @@ def deploy_checks(
     successes: int, trials: int, inference_hz: float, *, success_rate_min: float | None, inference_hz_min: float
 ) -> list[Check]:
     """Return the checks of the stage; without `success_rate_min` the rate is reported, not judged (smoke)."""
-    from minidual.trials.statistics import wilson_interval
-
     low, high = wilson_interval(successes, trials)
     op = None if success_rate_min is None else ">"
     return [
@@ -52,100 +63,72 @@ def deploy_checks(
 
 def run(context: StageContext) -> StageResult:
     """Run held-out and training starts, then film a success and a failure."""
-    from dataclasses import replace
-
-    from minidual.config.seeds import stream
-    from minidual.show.figures.film import film_trial
-    from minidual.show.watch import watch_trials
-    from minidual.tasks.task import make_task
-    from minidual.trials.methods import MethodInputs
-    from minidual.trials.metrics import summarise
-    from minidual.trials.tables import write_csv, write_json
-    from minidual.trials.trials import run_trials
-
-    config, job = context.config, make_task(context.config)
+    config, task = context.config, make_task(context.config)
     settings = config.deploy
     checkpoint = context.upstream["train-act"] / "checkpoint"
     inputs = MethodInputs(config, context.seed, checkpoint)
-    held_out = [job.trial(context.seed, HELD_OUT, i) for i in range(settings.trials)]
-    seen = [
-        job.trial(context.seed, TRAINING, i, widen=config.teleop.widen)
-        for i in _demonstrated(context.upstream["teleop-record"], settings.training_trials)
-    ]
-    results: dict[str, list[TrialResult]] = {"held_out": [], "training": []}
-    with context.progress.task("policy trials", len(held_out) + len(seen)) as task:
-        for starts, trials in (("held_out", held_out), ("training", seen)):
+    shown = _demonstrated(context.upstream["teleop-record"], settings.training_trials)
+    starts = {
+        "held_out": [task.trial(context.seed, HELD_OUT, i) for i in range(settings.trials)],
+        "training": [task.trial(context.seed, TRAINING, i, widen=config.teleop.widen) for i in shown],
+    }
+    results: dict[str, list[TrialResult]] = {name: [] for name in starts}
+    with context.progress.task("policy trials", sum(map(len, starts.values()))) as bar:
+        for name, trials in starts.items():
             for result, _ in run_trials(
-                "act", inputs, trials, workers=context.workers, watch=watch_trials(context.view)
+                METHOD, inputs, trials, workers=context.workers, watch=watch_trials(context.view)
             ):
                 # Nothing disturbs either; in the tables the two sets of starts stand as conditions.
-                results[starts].append(replace(result, metrics=replace(result.metrics, condition=starts)))
-                done = sum(r.success for r in results[starts])
-                task.advance(note=f"{starts} {done}/{len(results[starts])}")
-    everything = results["held_out"] + results["training"]
+                results[name].append(replace(result, metrics=replace(result.metrics, condition=name)))
+                done = sum(r.success for r in results[name])
+                bar.advance(note=f"{name} {done}/{len(results[name])}")
+    everything = [r for rows in results.values() for r in rows]
     metrics = [r.metrics for r in everything]
     rng = stream(context.seed, "bootstrap/deploy")
     summaries = {name: summarise([r.metrics for r in rows], rng) for name, rows in results.items() if rows}
     write_csv(context.folder / "trials.csv", metrics)
     write_json(context.folder / "trials.json", list(summaries.values()), metrics)
-    _film(context, inputs, held_out, results["held_out"], film_trial)
+    _film(context, inputs, starts["held_out"], results["held_out"])
 
-    successes = sum(r.success for r in results["held_out"])
-    inference_hz = measure_inference(checkpoint, context)
+    summary = summaries["held_out"]
     checks = deploy_checks(
-        successes,
-        len(held_out),
-        inference_hz,
+        summary.successes_n,
+        summary.trials_n,
+        measure_inference(checkpoint, context),
         success_rate_min=settings.success_rate_min if settings.judge_success else None,
         inference_hz_min=settings.inference_hz_min,
     )
-    summary = summaries["held_out"]
-    data: dict[str, Any] = {
-        "trials": summary.trials_n,
-        "success_low": summary.success_low,
-        "success_high": summary.success_high,
-        "failures": dict(summary.failures),
-    }
+    data: dict[str, Any] = {**_interval(summary), "failures": dict(summary.failures)}
     if "training" in summaries:
         training = summaries["training"]
         checks.append(Check("training_success_rate", training.success_rate, why="the same on starts it was trained on"))
-        data["training"] = {
-            "trials": training.trials_n,
-            "success_rate": training.success_rate,
-            "success_low": training.success_low,
-            "success_high": training.success_high,
-        }
+        data["training"] = {**_interval(training), "success_rate": training.success_rate}
     errors = [r.metrics.goal_error_m for r in everything if r.lifted]
     if errors:
-        checks.append(
-            Check("goal_error_median_m", statistics.median(errors), unit="m", why="of trials that lifted the rod")
-        )
+        why = "of trials that lifted the object"
+        checks.append(Check("goal_error_median_m", statistics.median(errors), unit="m", why=why))
     return StageResult(checks=checks, data=data)
 
 
-@staticmethod
-def _film(context: StageContext, inputs: Any, trials: Sequence[Any], results: Sequence[TrialResult], film: Any) -> None:
+def _interval(summary: MethodSummary) -> dict[str, float]:
+    return {"trials": summary.trials_n, "success_low": summary.success_low, "success_high": summary.success_high}
+
+
+def _film(context: StageContext, inputs: MethodInputs, trials: Sequence[Trial], results: Sequence[TrialResult]) -> None:
     for label, wanted in (("success", True), ("failure", False)):
         index = next((i for i, r in enumerate(results) if r.success is wanted), None)
         if index is not None:
-            filmed = film("act", inputs, trials[index], context.folder / f"{label}.mp4")
+            filmed = film_trial(METHOD, inputs, trials[index], context.folder / f"{label}.mp4")
             context.progress.note(f"{label}.mp4 shows trial {index}: {filmed.text}")
 
 
 def _demonstrated(teleop_folder: Path, count: int) -> list[int]:
     """Return the trial indices of the first demonstrations that were kept."""
-    from minidual.demos.episode import episode_paths, read_meta
-
     return [read_meta(path).trial for path in episode_paths(teleop_folder / "episodes")[:count]]
 
 
 def measure_inference(checkpoint: Path, context: StageContext, inferences: int = 60) -> float:
     """Return whole inferences per second, alone on the machine, as the closed loop runs them."""
-    import numpy as np
-
-    from minidual.policies.pilot import load_runtime
-    from minidual.robot.arms import robot_from
-
     robot = robot_from(context.config.robot)
     runtime = load_runtime(checkpoint, context.config.deploy, robot)
     rng = np.random.default_rng(0)

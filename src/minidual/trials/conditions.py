@@ -98,12 +98,13 @@ class Condition:
             return f"{method} reads no {SENSES[self.sense]}"
         if any(value == _configured(config, path) for path, value in self.instead_of.items()):
             return ", ".join(f"the {p.rsplit('.', 1)[1]} is {v:g} without it" for p, v in self.instead_of.items())
-        values = self._values(config)
+        values = self.settings_under(config)
         if values and all(value == _configured(config, path) for path, value in values.items()):
             return "without it too, " + ", ".join(f"{path} is {value:g}" for path, value in values.items())
         return ""
 
-    def _values(self, config: Config) -> dict[str, float]:
+    def settings_under(self, config: Config) -> dict[str, float]:
+        """Return the configuration values of its trials, where `config` is that of the clean ones."""
         return {**self.settings, **{path: k * _configured(config, path) for path, k in self.factors.items()}}
 
     def config_under(self, config: Config) -> Config:
@@ -112,7 +113,7 @@ class Condition:
         Raises:
             UsageError: Its values are out of their bounds, as three times a loud noise may be.
         """
-        values = self._values(config)
+        values = self.settings_under(config)
         try:
             return changed(config, values)
         except ValidationError as error:
@@ -130,7 +131,9 @@ class Condition:
             return
         kept = [(values, values.copy()) for place in (model, model.vis.headlight) for values in _arrays(place)]
         try:
-            self.change(model, task, index)  # in here: one that breaks half way must not leave the rest to the next trial
+            self.change(
+                model, task, index
+            )  # in here: one that breaks half way must not leave the rest to the next trial
             _derive(model)
             yield
         finally:
@@ -189,8 +192,8 @@ def joint_friction(factor: float) -> Change:
     """Scale viscous and Coulomb friction of one joint, another one each trial."""
 
     def change(model: mujoco.MjModel, task: Task, index: int) -> None:
-        motors = [int(j) for j in model.actuator_trnid[:, 0] if model.jnt_type[j] == _HINGE]
-        joint = model.joint(motors[index % len(motors)])
+        hinges = np.flatnonzero(model.jnt_type == _HINGE)
+        joint = model.joint(int(hinges[index % len(hinges)]))
         joint.damping[0] *= factor
         joint.frictionloss[0] *= factor
 
@@ -323,15 +326,10 @@ for _row in (
         sense="pose",
     ),
     Condition(
-        "delay 20 ms",
-        "pose and forces arrive 20 ms late",
-        settings={"carry.sensing.delay_s": 0.020},
-        sense="feedback",
+        "delay 20 ms", "pose and forces arrive 20 ms late", settings={"carry.sensing.delay_s": 0.020}, sense="feedback"
     ),
     Condition("light -30 %", "the cameras look at a darker room", change=light(0.7), sense="picture"),
-    Condition(
-        "joint friction x2", "one joint, another each trial, with doubled friction", change=joint_friction(2.0)
-    ),
+    Condition("joint friction x2", "one joint, another each trial, with doubled friction", change=joint_friction(2.0)),
 ):
     CONDITIONS.add(_row.name, _row)
 

@@ -18,8 +18,9 @@ def policy(inputs: MethodInputs) -> Factory:
     if inputs.checkpoint is None:
         raise UsageError("a learned method needs a checkpoint", remedy="minidual train-act")
     config = inputs.config
-    runtime = load_runtime(inputs.checkpoint, config.deploy)
-    supervisor = trial_supervisor(config.supervisor, config.scene.physics.timestep_s, robot_from(config.robot))
+    robot = robot_from(config.robot)
+    runtime = load_runtime(inputs.checkpoint, config.deploy, robot)
+    supervisor = trial_supervisor(config.supervisor, config.scene.physics.timestep_s, robot)
     cameras: dict[int, Camera] = {}  # one a model, not one a trial: an OpenGL context is slow to make
 
     def make(world: World, kinematics: Kinematics, trial: Trial) -> PolicyPilot:

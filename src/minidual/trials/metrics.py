@@ -204,9 +204,7 @@ def trial_metrics(
     positions = np.asarray(tcp_positions, dtype=float)
     for name, log, shape in (("q", q, (len(q), *q.shape[1:2])), ("tcp_positions", positions, (len(q), 2, 3))):
         if log.shape != shape or log.ndim < 2:
-            raise DataError(
-                f"the log of {name} of {method}, trial {index}, has shape {log.shape}; it must be {shape}"
-            )
+            raise DataError(f"the log of {name} of {method}, trial {index}, has shape {log.shape}; it must be {shape}")
         if not np.all(np.isfinite(log)):
             raise DataError(f"the log of {name} of {method}, trial {index}, holds NaN or infinity")
     if not math.isfinite(torque_ratio_max):

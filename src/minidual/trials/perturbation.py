@@ -59,14 +59,18 @@ class Robustness:
     def row(self) -> dict[str, Any]:
         """Return the line of the table."""
         s = self.cell.summary
-        values = ["-"] * 6 if s is None else [
-            f"{s.successes_n} of {s.trials_n}",
-            f"{100 * s.success_low:.0f} to {100 * s.success_high:.0f} %",
-            f"{100 * self.drop:+.0f} points",
-            _number(s.internal_force_min_n, 1.0, 1),
-            _number(s.tilt_max_rad, float(np.degrees(1.0)), 2),
-            _number(s.torque_ratio_max, 100.0, 0),
-        ]
+        values = (
+            ["-"] * 6
+            if s is None
+            else [
+                f"{s.successes_n} of {s.trials_n}",
+                f"{100 * s.success_low:.0f} to {100 * s.success_high:.0f} %",
+                f"{100 * self.drop:+.0f} points",
+                _number(s.internal_force_min_n, 1.0, 1),
+                _number(s.tilt_max_rad, float(np.degrees(1.0)), 2),
+                _number(s.torque_ratio_max, 100.0, 0),
+            ]
+        )
         names = ("successes", "interval", "drop", "least_squeeze_n", "largest_tilt_deg", "peak_torque_percent")
         verdict = f"does not apply: {self.cell.why_not}" if s is None else "yes" if self.holds else "NO"
         ends = {"holds": verdict, "first_failure": "-" if s is None else self.example}
@@ -93,7 +97,13 @@ def run_perturbations(
     for condition in asked.values():
         condition.config_under(inputs.config)  # one that is out of bounds is refused before minutes of trials
     cells, trials = run_benchmark(
-        [method], dict.fromkeys(asked, trials_n), inputs, workers=workers, purpose=PURPOSE, on_trial=on_trial, watch=watch
+        [method],
+        dict.fromkeys(asked, trials_n),
+        inputs,
+        workers=workers,
+        purpose=PURPOSE,
+        on_trial=on_trial,
+        watch=watch,
     )
     rates = {c.condition: c.summary.success_rate for c in cells if c.summary is not None}
     rate_min = inputs.config.carry.limits.success_rate_min

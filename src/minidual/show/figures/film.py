@@ -13,30 +13,27 @@ from minidual.errors import unknown_name
 from minidual.plant.model import build_model
 from minidual.plant.render import Camera, Image, write_video
 from minidual.plant.world import World
-from minidual.robot.arms import DUAL_PANDA, robot_from
-from minidual.robot.kinematics import Kinematics
+from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.pair import Array, Robot
 from minidual.show.figures.canvas import sheet
-from minidual.tasks.task import Trial, make_task
-from minidual.trials.methods import Factory, Method, MethodInputs, load_factory
-from minidual.trials.trials import TrialResult, run_trial
+from minidual.tasks.task import Trial
+from minidual.trials.methods import Method, MethodInputs
+from minidual.trials.runner import Bench, TrialResult
 
 FILM_FPS = 25
 FILM_SIZE = (640, 480)
 CAMERAS = ("overview", "high", "left", "right")
 
 
-def film_trial(
-    method: str, inputs: MethodInputs, trial: Trial, path: Path, *, factory: Factory | None = None
-) -> TrialResult:
-    """Run `trial` once more, write it to `path` (mp4) and return the result of the filmed run."""
-    robot = robot_from(inputs.config.robot)
-    world = World(inputs.config.scene, robot, visuals=True)
-    make = load_factory(method, inputs) if factory is None else factory
+def film_trial(method: str, inputs: MethodInputs, trial: Trial, path: Path) -> TrialResult:
+    """Run `trial` once more, write it to `path` (mp4) and return its result.
+
+    The result is that of the filmed run, so a film never shows another trial than the one it names.
+    """
+    bench = Bench(method, inputs, visuals=True)
     frames: list[Image] = []
-    with Camera(world.model, *FILM_SIZE, shadows=True) as camera:
-        hook = film_hook(camera, frames)
-        result, _ = run_trial(method, make, world, Kinematics(robot), make_task(inputs.config), trial, on_step=hook)
+    with Camera(bench.world.model, *FILM_SIZE, shadows=True) as camera:
+        result, _ = bench.run(trial, on_step=film_hook(camera, frames))
     write_video(path, frames, fps=FILM_FPS)
     return result
 

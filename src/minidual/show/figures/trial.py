@@ -10,16 +10,16 @@ import numpy as np
 from minidual.config.scene import SceneConfig
 from minidual.robot.pair import Robot
 from minidual.show.figures.canvas import BLUE, GREEN, INK, ORANGE, limit_line, new_figure
-from minidual.trials.trials import TrialLog
+from minidual.trials.runner import TrialLog
 
 
 def draw_trial(log: TrialLog, scene: SceneConfig, robot: Robot, path: Path, *, title: str) -> None:
     """Write a four-panel figure of one trial: position, tilt, forces and torque ratios."""
     figure, ((motion, tilt), (force, torque)) = new_figure(2, 2, 11, 6.4, sharex=True)
     task = scene.task
-    goal = np.array([*task.goal_xy_m, scene.rod.rest_height_m])
+    goal = np.array([*task.goal_xy_m, scene.object.rest_height_m])
     for k, (name, colour) in enumerate((("x", BLUE), ("y", ORANGE), ("z", GREEN))):
-        motion.plot(log.t, log.rod[:, k], color=colour, label=name)
+        motion.plot(log.t, log.position[:, k], color=colour, label=name)
         motion.axhline(goal[k], color=colour, lw=0.8, ls=":")
     if task.obstacle is not None:
         limit_line(motion, task.obstacle.size_m[2], "top of the obstacle")
@@ -35,8 +35,8 @@ def draw_trial(log: TrialLog, scene: SceneConfig, robot: Robot, path: Path, *, t
     limit_line(force, task.pinch_min_n, "least allowed in the air")
     if task.internal_force_min_n != task.pinch_min_n:
         limit_line(force, task.internal_force_min_n, "least squeeze allowed in the air", ":")
-    if scene.rod.break_force_n is not None:
-        limit_line(force, scene.rod.break_force_n, "force of a hand that breaks it", "-.")
+    if scene.object.break_force_n is not None:
+        limit_line(force, scene.object.break_force_n, "force of a hand that breaks it", "-.")
     force.set(title="Forces on the object", ylabel="N", xlabel="s")
 
     left, right = np.split(np.abs(log.tau) / robot.tau_max, 2, axis=1)
