@@ -5,6 +5,7 @@ Both arms are of one model, so the left one stands for both:
 - `rigid`: no joint lies between the links (the last link, hand and fingers: the fingers are locked);
 - `adjacent`: one joint lies between them, and it connects them directly; their hulls overlap there;
 - `always`: they touch at home and in at least 95 % of the samples, so touching means nothing;
+- `model`: the arm's model says that they cannot touch, where their hulls come near each other;
 - `never`: they touched in none of the samples.
 
 Samples are uniform within the joint limits. From 20 000 on their number doubles until no pair changes its class over two
@@ -190,6 +191,11 @@ def _structural_pairs(robot: Robot) -> Iterable[tuple[tuple[str, str], str]]:
     first: dict[int, str] = {}  # the first link behind each joint: the one that the joint connects
     for link in links.values():
         first.setdefault(link.joints_before, link.name)
+    known = set(links)
+    for pair in robot.arm.never_touch:
+        a, b = (f"{SIDES[0]}_{link}" for link in pair)
+        if known.issuperset((a, b)):
+            yield (a, b), "model"
     for a, b in itertools.combinations(links, 2):
         gap = links[b].joints_before - links[a].joints_before
         if gap == 0:
@@ -205,7 +211,11 @@ def model_hash(robot: Robot) -> str:
     digest.update(re.sub(r'filename="[^"]*/([^"/]+)"', r'filename="\1"', urdf).encode())
     for file in sorted(set(re.findall(r'filename="([^"]+)"', urdf))):
         digest.update(Path(file).read_bytes())
-    digest.update(repr((robot.arm.home, robot.arm.q_lower, robot.arm.q_upper, robot.hand.travel_m)).encode())
+    digest.update(
+        repr(
+            (robot.arm.home, robot.arm.q_lower, robot.arm.q_upper, robot.hand.travel_m, robot.arm.never_touch)
+        ).encode()
+    )
     return digest.hexdigest()
 
 

@@ -75,7 +75,7 @@ class ArmModel:
         urdf: Description: an absolute path, or package://DISTRIBUTION/path within an installed distribution. Meshes are
             package:// addresses or relative to the file.
         srdf: Pairs of links that never collide, found in the same way; None for none.
-        never_touch: More such pairs; names without the side's prefix.
+        never_touch: More such pairs, without the side's prefix; planning leaves them out too.
         joints: Joint names, base first, without the side's prefix.
         base_link: Name of the link that stands on the table.
         flange_link: Name of the link that carries the hand; only the links from base to flange are taken.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 from minidual.collision.arm_distance import ArmDistance
+from minidual.collision.scene import PlanningScene
 from minidual.config.supervisor import SupervisorConfig
 from minidual.control.supervisor import Supervisor
 from minidual.robot.kinematics import Kinematics
@@ -14,7 +15,7 @@ from minidual.robot.pair import Robot
 @cache
 def arm_distance(robot: Robot) -> ArmDistance:
     """Return the distance between the arms, built once a process: it compiles a model of its own."""
-    return ArmDistance()
+    return ArmDistance(PlanningScene(robot=robot))
 
 
 def trial_supervisor(config: SupervisorConfig, dt_s: float, robot: Robot) -> Supervisor:
