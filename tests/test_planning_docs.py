@@ -25,7 +25,7 @@ def test_the_examples_run(name, capsys):
     else:
         carried = next(s.Ts_world_object for s in names["solution"].segments if s.Ts_world_object is not None)
         assert np.abs(carried[-1][:2, 3] - (0.5, -0.25)).max() < 1e-9
-        assert "carry the rod: solved" in capsys.readouterr().out
+        assert "rod_carry: solved" in capsys.readouterr().out
 
 
 def test_files_and_options_that_are_named_exist():

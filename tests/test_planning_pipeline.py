@@ -26,7 +26,7 @@ from minidual.skills.pipeline.state import CLOSED, OPEN, State, scene_of
 from minidual.tasks.rod_carry import grasp_offsets
 
 RADIUS, HOME = 0.00887, DUAL_PANDA.home
-ROD = thing_of(SceneConfig().rod, "rod")
+ROD = thing_of(SceneConfig().object)
 GRASPS = dict(zip(SIDES, grasp_offsets(SceneConfig()), strict=True))
 BOTH = Grip("both ends", GRASPS)
 

@@ -18,19 +18,21 @@ from minidual.control.supervisor import Supervisor
 from minidual.demos.leader import ScriptedLeader
 from minidual.demos.observation import Observer
 from minidual.demos.session import TeleopSession
+from minidual.motion.api import Planner
 from minidual.plant.world import World
 from minidual.policies.pilot import PolicyPilot
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.constants import HOME, Array
 from minidual.robot.kinematics import Kinematics
 from minidual.skills.operator import ScriptedOperator
-from minidual.skills.planned_carry import PlannedCarry, make_planners
+from minidual.skills.planned_carry import PlannedCarry
 from minidual.skills.supervised import arm_distance, trial_supervisor
-from minidual.tasks.task import Trial
+from minidual.tasks.task import Trial, make_task
 from minidual.trials.methods import MethodInputs
 from minidual.trials.runner import Bench
 
 SEED = 7
+TASK = make_task(Config())
 FRAIL = SupervisorConfig(velocity_scale=0.05)
 """Stops at 5 % of the joints' speed limits: any motion is too fast."""
 
@@ -90,18 +92,18 @@ def test_a_reflex_ends_the_trial_of_a_policy(world: World, trial: Trial, config:
 
 
 def test_a_reflex_ends_a_planned_trial(world: World, trial: Trial) -> None:
-    planner, carrier = make_planners(Config().plan.planner)
+    planner = Planner()
     carry = PlannedCarry(
-        world, Kinematics(), planner, carrier, trial, SEED, supervisor=trial_supervisor(FRAIL, world.dt, DUAL_PANDA)
+        world, Kinematics(), planner, TASK, trial, SEED, supervisor=trial_supervisor(FRAIL, world.dt, DUAL_PANDA)
     )
     assert _steps(carry, 2000) < 2000
     assert "phase 'approach': reflex joint_velocity" in (carry.aborted or "")
 
 
 def test_a_planned_trial_keeps_the_distance_that_the_supervisor_watches(world: World, trial: Trial) -> None:
-    planner, carrier = make_planners(Config().plan.planner)
+    planner = Planner()
     supervisor = trial_supervisor(SupervisorConfig(), world.dt, DUAL_PANDA)
-    carry = PlannedCarry(world, Kinematics(), planner, carrier, trial, SEED, supervisor=supervisor)
+    carry = PlannedCarry(world, Kinematics(), planner, TASK, trial, SEED, supervisor=supervisor)
     assert carry.solution is not None
     distance = arm_distance(DUAL_PANDA)
     gaps = [distance(q)[1] for segment in carry.solution.segments for q in segment.trajectory.q]
@@ -110,7 +112,7 @@ def test_a_planned_trial_keeps_the_distance_that_the_supervisor_watches(world: W
     # What no plan keeps is said, and nothing moves.
     world.reset(poses=trial.start)
     wide = trial_supervisor(SupervisorConfig(self_collision_min_m=0.14), world.dt, DUAL_PANDA)
-    carry = PlannedCarry(world, Kinematics(), planner, carrier, trial, SEED, supervisor=wide)
+    carry = PlannedCarry(world, Kinematics(), planner, TASK, trial, SEED, supervisor=wide)
     assert carry.done
     assert "they must keep 145" in (carry.aborted or "")
 

@@ -60,11 +60,13 @@ class Step:
         phase: Row of the phase table (minidual.skills).
         hands: Which hands do it.
         object: Name of the object; empty for the task's first.
+        places: Poses (4, 4) in the world to bring it to in this step, the preferred one first; none for the trial's goal.
     """
 
     phase: str
     hands: tuple[str, ...] = SIDES
     object: str = ""
+    places: tuple[Array, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -120,7 +122,9 @@ class Task:
 
 
 TASKS: Registry[Callable[[Config], Task]] = Registry(
-    "task", {"rod_carry": "minidual.tasks.rod_carry:rod_carry"}, group="minidual.tasks"
+    "task",
+    {"rod_carry": "minidual.tasks.rod_carry:rod_carry", "handover": "minidual.tasks.handover:handover"},
+    group="minidual.tasks",
 )
 
 

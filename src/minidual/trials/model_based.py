@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from minidual.config.seeds import stream
+from minidual.motion.api import Planner
 from minidual.plant.sensing import Sensors
 from minidual.plant.world import World
 from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
 from minidual.skills.impedance_carry import ImpedanceCarry
-from minidual.skills.planned_carry import PlannedCarry, make_planners
+from minidual.skills.planned_carry import PlannedCarry
 from minidual.skills.supervised import trial_supervisor
-from minidual.tasks.task import Trial
+from minidual.tasks.task import Trial, make_task
 from minidual.trials.methods import Factory, MethodInputs
 
 
@@ -26,8 +27,9 @@ def impedance(inputs: MethodInputs) -> Factory:
 def planned(inputs: MethodInputs) -> Factory:
     """Plan from one reading of the pose sensor, then control joint trajectories."""
     config = inputs.config
-    supervisor = trial_supervisor(config.supervisor, config.scene.physics.timestep_s, robot_from(config.robot))
-    planner, carrier = make_planners(config.plan.planner)
+    robot = robot_from(config.robot)
+    supervisor = trial_supervisor(config.supervisor, config.scene.physics.timestep_s, robot)
+    planner, task = Planner(config=config.plan.planner, robot=robot), make_task(config)
 
     def make(world: World, kinematics: Kinematics, trial: Trial) -> PlannedCarry:
         # The sensor and the noise that object impedance has, on the same stream: both begin from the same reading.
@@ -39,7 +41,7 @@ def planned(inputs: MethodInputs) -> Factory:
             world,
             kinematics,
             planner,
-            carrier,
+            task,
             trial,
             inputs.seed + trial.index,
             config.arbiter,

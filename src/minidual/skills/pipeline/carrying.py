@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from minidual.collision.errors import PlanningError
@@ -37,7 +37,7 @@ class Carry(Stage):
     """Bring the held object to one of several places.
 
     Two hands try one motion without a stop (up, across, down) first. Otherwise, and where that is blocked: straight
-    up, a free motion, straight down.
+    up, across (straight, or a free motion where that is blocked), straight down.
 
     Args:
         name: Of the stage.
@@ -63,16 +63,19 @@ class Carry(Stage):
             except PlanningError as error:
                 yield failure(error, place.label)
                 continue
-            if len(start.held_by) == len(SIDES) and start.rests and place.rests:
+            both = len(start.held_by) == len(SIDES)
+            if both and start.rests and place.rests:
                 yield self._at_once(place, start, tools)
-            for rank, height in enumerate(self._heights, 1):
-                yield self._in_parts(place, height, 0.2 * rank, start, tools)
+            ways = [(0.2, self._freely)] if both else [(0.0, self._straight_across), (1.0, self._freely)]
+            for extra, across in ways:
+                for rank, height in enumerate(self._heights):
+                    yield self._in_parts(place, height, 0.2 * rank + extra, across, start, tools)
 
     def _check(self, place: Place, index: int, start: State, tools: Tools) -> None:
         """Raise PlanningError where the hands cannot have the object there: out of reach, or something is there."""
         engines = tools.planner.engines(tools.scene(start, resting=place.rests))
         targets = {arm: place.T_world_object @ T for arm, T in start.held_by.items()}
-        tools.poses.candidates(
+        tools.planner.goals.candidates(
             group_of(start.held_by),
             start.q,
             targets,
@@ -91,15 +94,23 @@ class Carry(Stage):
             return failure(error, f"{place.label}, at once")
         return Candidate(place.label, place.cost, _at(place, start, segment), (segment,))
 
-    def _in_parts(self, place: Place, height: float, cost: float, start: State, tools: Tools) -> Offer:
-        label = f"{place.label}, {100 * height:.0f} cm up"
+    def _in_parts(
+        self,
+        place: Place,
+        height: float,
+        cost: float,
+        across: Callable[[Array, State, Tools], Segment],
+        start: State,
+        tools: Tools,
+    ) -> Offer:
+        label = f"{place.label}, {100 * height:.0f} cm up, {'straight' if across == self._straight_across else 'round'}"
         state, segments, part = start, [], "lift"
         try:
             if start.rests:
                 state = self._straight("lift", raised(start.T_world_object, height), state, tools, segments)
             part = "carry"
             above = raised(place.T_world_object, height) if place.rests else place.T_world_object
-            segments.append(self._freely(above, state, tools))
+            segments.append(across(above, state, tools))
             state = replace(state, q=segments[-1].trajectory.q[-1], T_world_object=above, rests=False)
             part = "lower"
             if place.rests:
@@ -109,14 +120,19 @@ class Carry(Stage):
         return Candidate(label, place.cost + cost, _at(place, state, segments[-1]), tuple(segments))
 
     def _straight(self, phase: str, T_world_goal: Array, state: State, tools: Tools, segments: list[Segment]) -> State:
-        """Append the straight motion with the object to a pose; return the state after it."""
-        if len(state.held_by) == len(SIDES):
-            segment = self._in_both_hands([state.T_world_object, T_world_goal], state, tools, phase)
-        else:
-            targets = {arm: T_world_goal @ T for arm, T in state.held_by.items()}
-            segment = straight(tools, phase, state, targets, tools.scene(state, resting=True))
+        """Append the straight motion with the object off or onto what it stands on; return the state after it."""
+        segment = self._line(phase, T_world_goal, state, tools, resting=True)
         segments.append(segment)
         return replace(state, q=segment.trajectory.q[-1], T_world_object=T_world_goal)
+
+    def _straight_across(self, T_world_goal: Array, state: State, tools: Tools) -> Segment:
+        return self._line("carry", T_world_goal, state, tools, resting=False)
+
+    def _line(self, phase: str, T_world_goal: Array, state: State, tools: Tools, *, resting: bool) -> Segment:
+        if len(state.held_by) == len(SIDES):
+            return self._in_both_hands([state.T_world_object, T_world_goal], state, tools, phase)
+        targets = {arm: T_world_goal @ T for arm, T in state.held_by.items()}
+        return straight(tools, phase, state, targets, tools.scene(state, resting=resting))
 
     def _in_both_hands(self, way: list[Array], state: State, tools: Tools, phase: str = "carry") -> Segment:
         left, right = (state.held_by[arm] for arm in SIDES)

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from minidual.collision.errors import PlanningError
 from minidual.collision.scene import PlanningScene
 from minidual.motion.api import Planner
-from minidual.motion.goals import PoseGoals
 from minidual.motion.held.planner import HeldPlanner
 from minidual.motion.linear import LinearPlanner
-from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array, Robot
 from minidual.robot.trajectory import Trajectory
 from minidual.skills.pipeline.state import Segment, State, Thing, scene_of
@@ -99,15 +98,21 @@ class Tools:
     planner: Planner
     seed: int = 0
     gap: Gap | None = None
-    linear: LinearPlanner = field(default_factory=LinearPlanner)
-    holder: HeldPlanner = field(default_factory=HeldPlanner)
-    poses: PoseGoals = field(default_factory=PoseGoals)
-    kinematics: Kinematics = field(default_factory=Kinematics)
+
+    @cached_property
+    def linear(self) -> LinearPlanner:
+        """Straight motions of hands."""
+        return LinearPlanner(kinematics=self.planner.kinematics)
+
+    @cached_property
+    def holder(self) -> HeldPlanner:
+        """Motions of an object in both hands."""
+        return HeldPlanner(self.planner)
 
     @property
     def robot(self) -> Robot:
         """The arms."""
-        return self.kinematics.robot
+        return self.planner.robot
 
     def scene(self, state: State, *, touching: Iterable[str] = (), resting: bool = False) -> PlanningScene:
         """Return the planning scene of a state; see `scene_of`."""
@@ -119,7 +124,7 @@ class Tools:
 
     def tips(self, q: Array) -> dict[str, Array]:
         """Return {arm: T_world_tcp (4, 4)} of a posture (n,)."""
-        return dict(zip(SIDES, self.kinematics.tcp_poses(q), strict=True))
+        return dict(zip(SIDES, self.planner.kinematics.tcp_poses(q), strict=True))
 
     def proven(self, phase: str, motion: Trajectory, state: State, scene: PlanningScene, **more: Array) -> Segment:
         """Return the segment of a motion, proven in a scene.

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from time import perf_counter, process_time
 
 import numpy as np
 
 from minidual.collision.errors import PlanningError
 from minidual.config.planning import PlanConfig
+from minidual.config.root import Config
 from minidual.config.scene import SceneConfig
 from minidual.motion.api import Planner
 from minidual.motion.held.hands import HandsIK
@@ -20,11 +21,11 @@ from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Robot
 from minidual.robot.poses import inverse
-from minidual.skills.cycle import around, carry_pipeline, thing_of
+from minidual.skills.cycle import around, pipeline_of, pose_of, thing_of
 from minidual.skills.pipeline.search import TaskFailedError
 from minidual.skills.pipeline.stage import Tools
 from minidual.skills.pipeline.state import State
-from minidual.tasks.rod_carry import level_pose
+from minidual.tasks.rod_carry import rod_carry
 from minidual.trials.planning.held_moves import HeldMove, HeldMoveGenerator
 
 
@@ -158,19 +159,15 @@ def table_plans(
 def failed_carries(
     config: PlanConfig, scene: SceneConfig, count: int, seed: int, robot: Robot = DUAL_PANDA
 ) -> list[str]:
-    """Plan the carry of the scene's task from `count` random starts, as moveit does; return a line for each failure."""
-    body, task = scene.object, scene.task
-    planner = Planner(config=config.planner, robot=robot)
-    tools = Tools(around(scene, robot), thing_of(body, body.name), planner)
-    rng = np.random.default_rng([seed, 13])
-    goal = level_pose(*task.goal_xy_m, body.rest_height_m, task.goal_yaw_rad)
+    """Plan `count` trials of the carry in a scene, as method moveit does; return a line for each failure."""
+    task = rod_carry(Config(scene=scene))
+    body, planner = scene.object, Planner(config=config.planner, robot=robot)
     failures = []
     for k in range(count):
-        dx, dy = rng.uniform(-task.start_range_m, task.start_range_m, 2)
-        yaw = rng.uniform(-task.start_range_rad, task.start_range_rad)
-        start = level_pose(task.start_xy_m[0] + dx, task.start_xy_m[1] + dy, body.rest_height_m, yaw)
+        trial = task.trial(seed, "plan", k)
+        start = State(robot.home, pose_of(body, trial.start[body.name]))
         try:
-            carry_pipeline(scene, goal).solve(State(robot.home, start), replace(tools, seed=k))
+            pipeline_of(task, trial).solve(start, Tools(around(scene, robot), thing_of(body), planner, seed + k))
         except TaskFailedError as error:
             failures.append(f"carry {k}: {error.summary}")
     return failures
