@@ -41,6 +41,7 @@ class Still:
     """A policy that asks for one posture."""
 
     inference_hz = 100.0
+    joints_n = 14
 
     def __init__(self, away_rad: float) -> None:
         self.cameras: dict[str, tuple[int, int]] = {}
