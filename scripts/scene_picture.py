@@ -11,7 +11,6 @@ from minidual.config.scene import SceneConfig
 from minidual.motion.ik import ArmIK
 from minidual.plant.render import Camera
 from minidual.plant.world import World
-from minidual.robot.constants import ARMS, GROUPS, HOME
 from minidual.tasks.rod_carry import grasp_offsets, level_pose
 
 _SIZE_PX = (1264, 711)
@@ -26,11 +25,11 @@ def render(path: Path) -> None:
     world = World(scene, visuals=True)
     T_world_rod = level_pose(0.5, 0.06, 0.20, 0.12)
     hands = [
-        ArmIK(arm).solve(T_world_rod @ T_rod_tcp, HOME[GROUPS[f"{arm}_arm"]]).q
-        for arm, T_rod_tcp in zip(ARMS, grasp_offsets(scene), strict=True)
+        ArmIK(side).solve(T_world_rod @ T_rod_tcp, np.array(world.robot.arm.home)).q
+        for side, T_rod_tcp in zip(world.robot.sides, grasp_offsets(scene), strict=True)
     ]
     world.reset(np.concatenate(hands))
-    world.data.qpos[world.finger_joints.qpos] = scene.rod.radius_m
+    world.data.qpos[world.fingers.qpos] = scene.rod.radius_m
     world.place(None, T_world_rod)
     buffer = world.model.vis.global_  # room for twice the size in each direction
     buffer.offwidth, buffer.offheight = 2 * _SIZE_PX[0], 2 * _SIZE_PX[1]

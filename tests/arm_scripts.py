@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from panda import HOME, Q_LOWER, Q_UPPER
 
 from minidual.config.scene import SceneConfig
 from minidual.control.loop import JointLoop
-from minidual.robot.constants import HOME, Q_LOWER, Q_UPPER, Array
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array
 from minidual.robot.poses import pose, rotation_log
 from minidual.tasks.rod_carry import grasp_offsets, level_pose
 

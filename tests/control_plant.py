@@ -6,13 +6,14 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from panda import HOME, JOINT_DAMPING
 
 from minidual.config.scene import SceneConfig
 from minidual.control.object_impedance import HeldObject, ObjectState
 from minidual.plant.world import World
 from minidual.robot.arms import DUAL_PANDA
-from minidual.robot.constants import HOME, JOINT_DAMPING, Array
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array
 from minidual.robot.poses import inverse, pose
 
 

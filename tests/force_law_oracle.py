@@ -7,10 +7,11 @@ Jacobians is a finite difference of Pinocchio's, the dynamics are M qdd + h.
 from __future__ import annotations
 
 import numpy as np
+from panda import DOF, GROUPS, JOINT_DAMPING, TAU_MAX
 
 from minidual.control.object_impedance import HeldObject, ImpedanceGains, ObjectState
-from minidual.robot.constants import DOF, GROUPS, JOINT_DAMPING, TAU_MAX, Array
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array
 from minidual.robot.poses import rotation_log
 
 GRAVITY = np.array([0.0, 0.0, -9.81])

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from panda import DOF, HOME
 
 from minidual.control.joint_control import ComputedTorque
 from minidual.control.reflexes import ReflexError
 from minidual.control.supervisor import Supervisor
 from minidual.plant.world import World
-from minidual.robot.constants import DOF, HOME, Array
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array
 
 OPEN_M = np.full(2, 0.04)
 Reference = Callable[[float], tuple[Array, Array, Array]]

@@ -5,11 +5,12 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pinocchio as pin
+from panda import HOME, Q_LOWER, Q_UPPER
 
 from minidual.collision.coal_engine import CoalEngine
 from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import PlanningScene
-from minidual.robot.constants import HOME, Q_LOWER, Q_UPPER, Array
+from minidual.robot.pair import Array
 
 
 def states(count: int, seed: int = 0, spread: float = 0.8) -> Array:

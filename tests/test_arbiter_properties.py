@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from panda import A_MAX, GROUPS, HOME, Q_LOWER, Q_UPPER
 
 from minidual.config.arbiter import ArbiterConfig
 from minidual.control.arbiter import CommandArbiter
 from minidual.control.commands import HOLD, SOURCES, ArbiterOutput, ArbiterState, JointCommand
 from minidual.control.mailbox import Mailbox
 from minidual.robot.arms import DUAL_PANDA
-from minidual.robot.constants import A_MAX, GROUPS, HOME, Q_LOWER, Q_UPPER
 
 CONFIG = ArbiterConfig()
 DRIVEN = (ArbiterState.ALIGNING, ArbiterState.ACTIVE)

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from panda import HOME, Q_UPPER
 
 from minidual.config.arbiter import ArbiterConfig
 from minidual.control.arbiter import CommandArbiter
 from minidual.control.commands import ArbiterOutput, ArbiterState, JointCommand
 from minidual.errors import UsageError
 from minidual.robot.arms import DUAL_PANDA
-from minidual.robot.constants import HOME, Q_UPPER
 
 DT = 0.02
 STILL = np.zeros(14)

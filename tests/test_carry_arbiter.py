@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from carry_trials import sample_trial
+from panda import HOME, TAU_RATE_MAX
 
 from minidual.config.control import CarryConfig
 from minidual.config.scene import SceneConfig
@@ -21,8 +22,8 @@ from minidual.control.supervisor import Supervisor
 from minidual.plant.sensing import Reading, Sensors
 from minidual.plant.world import World
 from minidual.robot.arms import DUAL_PANDA
-from minidual.robot.constants import HOME, TAU_RATE_MAX, Array
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array
 from minidual.show.view.overlay import Overlay
 from minidual.show.watch import trial_hook
 from minidual.skills.carry_motions import JointMove, carrying, plan_path, releasing, squeezing

@@ -9,13 +9,13 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 from carry_trials import rod_trial, sample_trial
+from panda import A_MAX, DOF, HOME, TAU_MAX, TAU_RATE_MAX
 
 from minidual.config.control import CarryConfig, CarryFaultConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.object_impedance import ObjectImpedance, SingularPostureError
 from minidual.control.soft_stop import SoftStop, TorqueRate
 from minidual.plant.world import World
-from minidual.robot.constants import A_MAX, DOF, HOME, TAU_MAX, TAU_RATE_MAX
 from minidual.robot.kinematics import Kinematics
 from minidual.skills.faults import FAULTS, FaultMonitor
 from minidual.skills.impedance_carry import ImpedanceCarry

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from panda import FINGER_TRAVEL_M
 
 from minidual.config.change import preset
 from minidual.config.root import Config
 from minidual.config.scene import OBSTACLE, ObstacleConfig, TaskConfig
 from minidual.errors import UsageError
 from minidual.plant.world import World
-from minidual.robot.constants import FINGER_TRAVEL_M
 from minidual.robot.kinematics import Kinematics
 from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.tasks.judge import Judge, Outcome

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from carry_trials import sample_trial
+from panda import HOME
 
 from minidual.config.control import CarryConfig, SensingConfig
 from minidual.config.scene import SceneConfig
@@ -16,7 +17,6 @@ from minidual.config.seeds import stream
 from minidual.control.object_estimate import HeldEstimate, RestingEstimate
 from minidual.plant.sensing import Sensors
 from minidual.plant.world import World
-from minidual.robot.constants import HOME
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse, pose, rot_x, rot_z, rotation_log
 from minidual.skills.impedance_carry import ImpedanceCarry

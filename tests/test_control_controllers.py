@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from arm_scripts import pinch_rod
 from control_plant import ArmsPlant, HandsObject, TrueObject
+from panda import A_MAX, HOME, V_MAX
 
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import ArbiterState, JointCommand, ObjectCommand, TrajectoryCommand
@@ -18,8 +19,8 @@ from minidual.control.object_path import ObjectPath, Waypoint, minimum_jerk
 from minidual.control.stack import ControlStack
 from minidual.errors import MinidualError, UsageError
 from minidual.plant.world import World
-from minidual.robot.constants import A_MAX, HOME, V_MAX, Array
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array
 from minidual.robot.poses import inverse
 from minidual.robot.trajectory import Trajectory
 

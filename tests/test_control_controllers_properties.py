@@ -15,6 +15,7 @@ import pytest
 from control_plant import ArmsPlant, HandsObject
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from panda import GROUPS, HOME, V_MAX
 from test_control_controllers import move
 
 from minidual.config.arbiter import ArbiterConfig
@@ -27,8 +28,8 @@ from minidual.control.controller_manager import ControllerManager, ControllerSwi
 from minidual.control.mailbox import Mailbox
 from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.control.stack import ControlStack
-from minidual.robot.constants import GROUPS, HOME, V_MAX, Array
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array
 
 Event = tuple[Any, ...]
 CONFIG = ArbiterConfig()

@@ -7,13 +7,13 @@ import numpy as np
 from carry_trials import rod_judge, rod_trial, sample_trial
 from hypothesis import given
 from hypothesis import strategies as st
+from panda import HOME, JOINT_DAMPING
 
 from minidual.config.control import CarryConfig, SensingConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.object_impedance import GRAVITY, HeldObject, ImpedanceGains, ObjectImpedance, ObjectState
 from minidual.control.object_path import ObjectPath, Waypoint, minimum_jerk
 from minidual.plant.world import World
-from minidual.robot.constants import HOME, JOINT_DAMPING
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse, pose, rot_x, rot_z
 from minidual.skills.impedance_carry import ImpedanceCarry

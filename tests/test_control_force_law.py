@@ -12,6 +12,7 @@ import pytest
 from arm_scripts import solve_hands
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from panda import DOF, HOME, TAU_MAX
 from scipy.optimize import brentq
 
 from minidual.config.scene import SceneConfig
@@ -25,7 +26,6 @@ from minidual.control.object_impedance import (
 )
 from minidual.control.pinch import pinch_force
 from minidual.errors import UsageError
-from minidual.robot.constants import DOF, HOME, TAU_MAX
 from minidual.robot.kinematics import HandMotion, Kinematics
 from minidual.robot.poses import inverse, pose, rot_z, rotation_log
 from minidual.robot.vectors import cross, inner, minus, plus, times

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from control_plant import ArmsPlant, HandsObject
+from panda import A_MAX, HOME
 from test_control_controllers import PAIR, hand_over, move, stack_on, trajectory
 
 from minidual.config.scene import SceneConfig
@@ -19,7 +20,7 @@ from minidual.control.stack import OBJECT_CONTROLLERS, ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
 from minidual.robot.arms import DUAL_PANDA
-from minidual.robot.constants import A_MAX, HOME, Array
+from minidual.robot.pair import Array
 
 STOPPING = ("soft_stop",)
 CLOSED = np.zeros(2)

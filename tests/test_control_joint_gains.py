@@ -7,6 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from panda import A_MAX, DOF, HOME, JOINT_ARMATURE, JOINT_DAMPING, JOINT_NAMES
 
 from minidual.control.joint_control import ComputedTorque, JointFriction
 from minidual.control.kernels import add_friction
@@ -14,7 +15,6 @@ from minidual.control.loop import JointLoop
 from minidual.plant.model import build_spec
 from minidual.plant.world import World
 from minidual.robot.arms import DUAL_PANDA
-from minidual.robot.constants import A_MAX, DOF, HOME, JOINT_ARMATURE, JOINT_DAMPING, JOINT_NAMES
 from minidual.robot.kinematics import Kinematics
 from minidual.stages.env_check.tracking import sine_response
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from panda import A_MAX, DOF, HOME, Q_LOWER, Q_UPPER, V_MAX
 
 from minidual.control.reference import ReferenceFilter
 from minidual.robot.arms import DUAL_PANDA
-from minidual.robot.constants import A_MAX, DOF, HOME, Q_LOWER, Q_UPPER, V_MAX
 
 DT = 0.001
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from carry_trials import carry_task, sample_trial
+from panda import HOME
 
 from minidual.config.arbiter import ArbiterConfig
 from minidual.config.root import Config
@@ -22,8 +23,8 @@ from minidual.errors import ExitCode, GateClosedError, UsageError
 from minidual.gate.tool import ToolContext
 from minidual.motion.api import Planner
 from minidual.plant.world import World
-from minidual.robot.constants import HOME, Array
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array
 from minidual.show.figures.modes_film import captioned
 from minidual.skills.operator import ScriptedOperator
 from minidual.stages.modes import find_checkpoint, modes

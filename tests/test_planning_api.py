@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from panda import GROUPS, HOME, Q_UPPER
 
 from minidual.collision.errors import (
     GoalInCollisionError,
@@ -20,7 +21,6 @@ from minidual.config.planning import PlannerConfig, PlannerName
 from minidual.errors import UsageError
 from minidual.motion.api import Planner, _Effort
 from minidual.motion.search import PLANNERS
-from minidual.robot.constants import GROUPS, HOME, Q_UPPER
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import pose, rot_x, rot_z
 

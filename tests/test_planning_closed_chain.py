@@ -3,6 +3,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
+from panda import A_MAX, HOME, V_MAX
 
 from minidual.collision.errors import ClosedChainError, OutOfLimitsError
 from minidual.collision.scene import PlanningScene
@@ -11,7 +12,6 @@ from minidual.errors import UsageError
 from minidual.motion.api import Planner
 from minidual.motion.held.path import ObjectLimits, ObjectPath
 from minidual.motion.held.planner import HeldPlanner, grasp_of, scene_holding
-from minidual.robot.constants import A_MAX, HOME, V_MAX
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse, pose, rot_x, rot_z
 

@@ -6,6 +6,7 @@ import time
 
 import numpy as np
 import pytest
+from panda import HOME, Q_LOWER, Q_UPPER
 
 from minidual.collision.errors import (
     ClosedChainError,
@@ -28,7 +29,6 @@ from minidual.motion.held.path import ObjectChart, ObjectPath
 from minidual.motion.held.planner import HeldPlanner, HeldQuery, HeldWork, scene_holding
 from minidual.motion.held.search import HeldSpace, Q, X, search_object, shorten
 from minidual.plant.world import World
-from minidual.robot.constants import HOME, Q_LOWER, Q_UPPER
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse, pose, rot_x, rot_z
 from minidual.skills.cycle import thing_of

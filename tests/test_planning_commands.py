@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from panda import HOME, JOINT_NAMES
 
 from minidual.cli import run_command_line
 from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, Sphere
 from minidual.motion.api import Planner
 from minidual.proof.verify import CLEARANCE_MAX_M
-from minidual.robot.constants import HOME, JOINT_NAMES
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.trajectory import Trajectory
 from minidual.show.planning import Poser, play

@@ -5,6 +5,7 @@ import time
 import numpy as np
 import pinocchio as pin
 import pytest
+from panda import HOME, Q_LOWER, Q_UPPER
 
 from minidual.collision.errors import ClosedChainError
 from minidual.collision.scene import PlanningScene
@@ -17,7 +18,6 @@ from minidual.motion.held.hands import HandsIK
 from minidual.motion.held.path import ObjectPath
 from minidual.motion.held.planner import scene_holding
 from minidual.proof.scene_engines import SceneEngines
-from minidual.robot.constants import HOME, Q_LOWER, Q_UPPER
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse, pose, rot_z
 from minidual.skills.cycle import thing_of

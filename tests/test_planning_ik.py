@@ -3,13 +3,13 @@
 import numpy as np
 import pinocchio as pin
 import pytest
+from panda import GROUPS, HOME
 
 from minidual.collision.errors import IKUnreachableError
 from minidual.errors import UsageError
 from minidual.motion.ik import ArmIK, check_pose
 from minidual.motion.ik_descent import frames_of_arm
 from minidual.robot.arms import ARM_MODELS
-from minidual.robot.constants import GROUPS, HOME
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Robot
 

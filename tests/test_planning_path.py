@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from panda import A_MAX, HOME, JERK_MAX, TAU_MAX, V_MAX
 
 from minidual.collision.errors import TimingError
 from minidual.collision.scene import PlanningScene
@@ -18,7 +19,6 @@ from minidual.motion.shortcut import path_length, shortcut
 from minidual.motion.timing import MotionLimits, sample_parameters, time_path, torque_ratio
 from minidual.proof.scene_engines import SceneEngines
 from minidual.robot.arms import DUAL_PANDA
-from minidual.robot.constants import A_MAX, HOME, JERK_MAX, TAU_MAX, V_MAX
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.trajectory import Trajectory
 

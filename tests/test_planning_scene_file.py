@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from panda import HOME, Q_LOWER, Q_UPPER
 from scipy.spatial import ConvexHull
 
 from minidual.collision import meshes
@@ -20,7 +21,6 @@ from minidual.errors import ConfigError, DataError, MinidualError, UsageError
 from minidual.motion.api import Planner
 from minidual.motion.goal import StateGoal, load_goal
 from minidual.motion.goal_plan import GoalPlanner
-from minidual.robot.constants import HOME, Q_LOWER, Q_UPPER
 from minidual.robot.kinematics import Kinematics
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from panda import GROUPS
 
 from minidual.collision.coal_engine import CoalEngine
 from minidual.collision.errors import PlanningError
@@ -18,7 +19,6 @@ from minidual.errors import ConfigError, DataError
 from minidual.gate.stage import StageContext
 from minidual.motion.api import Planner
 from minidual.proof.verify import Audit
-from minidual.robot.constants import GROUPS
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import pose
 from minidual.stages import plan

@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pytest
+from panda import A_MAX, HOME, Q_UPPER
 
 from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Box, Sphere
@@ -13,7 +14,6 @@ from minidual.errors import UsageError
 from minidual.motion.api import Planner
 from minidual.proof import certificate, limits
 from minidual.proof.verify import STEP_RAD, collision_samples
-from minidual.robot.constants import A_MAX, HOME, Q_UPPER
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.trajectory import Trajectory
 from minidual.trials.planning.evaluate import plan_query

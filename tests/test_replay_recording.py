@@ -8,6 +8,7 @@ import zipfile
 import av
 import numpy as np
 import pytest
+from panda import DOF, HOME
 
 from minidual.cli import run_command_line
 from minidual.config.supervisor import SupervisorConfig
@@ -21,7 +22,6 @@ from minidual.plant.recording import read_recording, write_recording
 from minidual.plant.replay import replay
 from minidual.plant.world import SimulationDivergedError, World
 from minidual.robot.arms import ARM_MODELS
-from minidual.robot.constants import DOF, HOME
 from minidual.robot.pair import Robot
 from minidual.stages.registry import STAGES, TOOLS
 

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from panda import HOME
 
 from minidual.collision.scene import PlanningScene
 from minidual.motion.edges import EdgeChecker
 from minidual.proof import planes
 from minidual.proof.scene_engines import SceneEngines
 from minidual.robot import compiled
-from minidual.robot.constants import HOME
 
 
 def test_without_a_place_for_the_cache_it_compiles_in_memory(monkeypatch):

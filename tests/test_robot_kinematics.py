@@ -107,7 +107,7 @@ def test_the_mass_matrix_is_symmetric_and_positive(kinematics):
 
 
 def test_at_home_both_hands_point_down_in_front_of_their_bases(kinematics):
-    from minidual.robot.constants import BASE_POSITIONS_M, HOME
+    from panda import BASE_POSITIONS_M, HOME
 
     for arm, T in zip(ARMS, kinematics.tcp_poses(HOME), strict=True):
         assert T[:3, 2] == pytest.approx([0.0, 0.0, -1.0], abs=2e-3)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import mujoco
 import pytest
+from panda import FINGER_JOINT_NAMES, JOINT_NAMES
 
 from minidual.errors import UsageError
 from minidual.plant.addresses import map_joints
 from minidual.plant.model import build_spec
 from minidual.plant.world import World
-from minidual.robot.constants import FINGER_JOINT_NAMES, JOINT_NAMES
 
 
 def edited(scene, edit):

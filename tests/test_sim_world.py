@@ -6,13 +6,13 @@ import mujoco
 import numpy as np
 import pytest
 from arm_scripts import pinch_rod
+from panda import DOF, HOME, TAU_MAX
 
 from minidual.config.scene import ObjectConfig, SceneConfig
 from minidual.control.loop import JointLoop
 from minidual.errors import UsageError
 from minidual.plant.bodies import contact_sensor
 from minidual.plant.world import SimulationDivergedError, World
-from minidual.robot.constants import DOF, HOME, TAU_MAX
 
 ZERO = np.zeros(DOF)
 OPEN = np.full(2, 0.04)

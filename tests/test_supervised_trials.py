@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from carry_trials import carry_task, sample_trial
+from panda import HOME
 
 from minidual.config.arbiter import ArbiterConfig
 from minidual.config.root import Config
@@ -22,8 +23,8 @@ from minidual.motion.api import Planner
 from minidual.plant.world import World
 from minidual.policies.pilot import PolicyPilot
 from minidual.robot.arms import DUAL_PANDA
-from minidual.robot.constants import HOME, Array
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array
 from minidual.skills.operator import ScriptedOperator
 from minidual.skills.planned_carry import PlannedCarry
 from minidual.skills.supervised import arm_distance, trial_supervisor

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from guarded_arms import GuardedArms, accelerate
+from panda import A_MAX, DOF, HOME, JOINT_NAMES, Q_LOWER, Q_UPPER, TAU_MAX, TAU_RATE_MAX, V_MAX
 
 from minidual.collision.arm_distance import ArmDistance
 from minidual.config.supervisor import SupervisorConfig
@@ -20,7 +21,6 @@ from minidual.control.reflexes import REFLEXES, Reflex, ReflexError
 from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
 from minidual.robot.arms import DUAL_PANDA
-from minidual.robot.constants import A_MAX, DOF, HOME, JOINT_NAMES, Q_LOWER, Q_UPPER, TAU_MAX, TAU_RATE_MAX, V_MAX
 from minidual.robot.kinematics import Kinematics
 from minidual.stages.env_check.tracking import sine_reference
 

@@ -10,10 +10,10 @@ import pytest
 from arm_scripts import carry_script
 from carry_trials import rod_trial
 from gymnasium.utils.env_checker import check_env
+from panda import HOME, Q_UPPER
 
 from minidual.config.scene import CameraConfig, SceneConfig, TaskConfig
 from minidual.errors import UsageError
-from minidual.robot.constants import HOME, Q_UPPER
 from minidual.trials.gym_env import ROD_CARRY_ID, RodCarryEnv
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from carry_trials import rod_trial, sample_trial
+from panda import A_MAX, HOME, Q_LOWER, Q_UPPER, V_MAX
 
 from minidual.config.scene import SceneConfig
 from minidual.config.teleop import OperatorConfig
 from minidual.control.object_path import minimum_jerk
 from minidual.errors import UsageError
 from minidual.motion.ik import PostureIK
-from minidual.robot.constants import A_MAX, HOME, Q_LOWER, Q_UPPER, V_MAX
 from minidual.robot.kinematics import Kinematics
 from minidual.skills.operator import ScriptedOperator
 from minidual.tasks.rod_carry import grasp_offsets, level_pose

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from carry_trials import carry_task, sample_trial
+from panda import HOME
 
 from minidual.config.arbiter import ArbiterConfig
 from minidual.config.teleop import TeleopConfig
@@ -18,8 +19,8 @@ from minidual.demos.observation import Observer
 from minidual.demos.session import SessionResult, TeleopSession, Tick
 from minidual.errors import UsageError
 from minidual.plant.world import World
-from minidual.robot.constants import HOME, Array
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array
 from minidual.skills.operator import ScriptedOperator
 
 SEED = 7

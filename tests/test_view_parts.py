@@ -5,11 +5,11 @@ import socket
 import mujoco
 import numpy as np
 import pytest
+from panda import FINGER_JOINT_NAMES, JOINT_NAMES
 
 from minidual.config.scene import SceneConfig
 from minidual.errors import UsageError
 from minidual.plant.model import build_model
-from minidual.robot.constants import FINGER_JOINT_NAMES, JOINT_NAMES
 from minidual.show.view import NAMES, Overlay, make_view
 from minidual.show.view.network import free_port, is_loopback, tunnel_command, url
 from minidual.show.view.pace import Brake, Metronome, SpeedMeter

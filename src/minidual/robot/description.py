@@ -198,10 +198,3 @@ def pair_urdf(robot: Robot) -> str:
         ET.SubElement(base, "parent", link="world")
         ET.SubElement(base, "child", link=f"{side}_{robot.arm.base_link}")
     return ET.tostring(root, encoding="unicode")
-
-
-def dual_panda_urdf() -> str:
-    """Return `pair_urdf` of the default robot; to go."""
-    from minidual.robot.arms import DUAL_PANDA
-
-    return pair_urdf(DUAL_PANDA)

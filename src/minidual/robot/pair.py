@@ -2,6 +2,11 @@
 
 Storage order is fixed: `q` is (n,), the left arm's joints, then the right arm's, in radians; the two grippers are kept
 apart as (2,). Nothing outside `minidual.robot` may assume how many joints an arm has.
+
+Frames. `T_world_tcp` is the pose of the tool centre point in the world, so inner names cancel:
+`T_world_rod = T_world_tcp @ T_tcp_rod`. A pose is a (4, 4) homogeneous matrix. Twists and wrenches are
+[linear; angular] (6,), in world-aligned axes unless a name says otherwise. Quaternions are wxyz. The world's origin lies on
+the table top (z = 0) between the bases; x points away from the bases, left is +y.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from minidual.robot.constants import Array
+from minidual.robot.pair import Array
 
 
 def pose(rotation: Array, position: Array | tuple[float, float, float]) -> Array:
