@@ -1,8 +1,8 @@
 """The command arbiter: the only writer of joint commands.
 
-Sources (moveit, teleop, policy) propose; one at most drives. A switch holds the measured posture, flushes every
-mailbox, waits until the arms are still, and then lets exactly one source through, starting from the present
-posture. Every tick yields a target: where no source drives, a posture is held.
+Sources (moveit, teleop, policy) propose commands; at most one drives. A switch holds the measured posture, flushes all
+mailboxes, waits until the arms are still and then lets one source through. Every tick yields a target; without a driving
+source it is a held posture.
 
                  request           still            first command
     holding -----------> settling ------> waiting ----------------> active <----> aligning
@@ -13,13 +13,11 @@ posture. Every tick yields a target: where no source drives, a posture is held.
                             ^           silent for stop_after_s
                             | halt, from any state
 
-Streamed targets go through bounded step by step. A timed command (trajectory, object path) is taken once, if it
-starts where the arms are, and then runs at the control rate; the source waits, active, until it ends, and affirms
-meanwhile that it is there. A switch, or a source that is not there any more, brakes it along its path; moving arms are
-stopped at a bounded deceleration: nothing is stopped by a jump. A halt is for when the path itself is what is wrong: what
-is under way is dropped, and the controllers bring the arms to rest from where they are.
+Streamed targets are bounded step by step. A timed command (trajectory, object path) is taken once, if it starts where the
+arms are, and runs at the control rate while its source affirms that it is alive. A switch or a silent source brakes it
+along its path. A halt drops it: the controllers stop the arms from where they are.
 
-Time is what `tick` is told; nothing here reads a clock, so a run under simulated time repeats exactly.
+`tick` is told the time; nothing here reads a clock.
 """
 
 from __future__ import annotations
@@ -54,9 +52,8 @@ class _Switch:
 class CommandArbiter:
     """Decides at each tick which joint target reaches the controllers.
 
-    The output moves by at most `switch_step_max_rad` a tick and joint while a source drives. A hold that begins
-    takes the measured posture (of moving arms: where they can come to rest), wherever the last target was: that
-    asks the arms for less, never for more.
+    While a source drives, the target of a joint moves by at most `switch_step_max_rad` a tick. A hold takes the measured
+    posture, or where moving arms can come to rest.
 
     Args:
         robot: The two arms.
@@ -114,31 +111,24 @@ class CommandArbiter:
     def propose(self, source: str, command: Command) -> Refusal | None:
         """Offer a command; return why it is refused, or None.
 
-        What can only be judged by the present posture is judged at the tick that would take the command, and
-        reported there. A source that does not drive may propose too: its commands are checked and kept, and forgotten at the
-        next switch.
+        What depends on the posture is judged and reported at the tick that would take the command. Commands of a source that
+        does not drive are checked and kept until the next switch.
 
         Raises:
             UsageError: There is no such source.
         """
-        if source not in self._mailboxes:
-            raise unknown_name("command source", source, SOURCES)
-        refusal = self._mailboxes[source].put(command)
+        refusal = self._mailbox(source).put(command)
         if refusal is not None:
             self._refusals.append(refusal)
         return refusal
 
     def affirm(self, source: str) -> None:
-        """Say that a source is still there. A timed command runs on only while its source says so.
-
-        It counts from the next tick on; whoever is silent for longer than `stale_s` has its timed commands braked
-        along their paths, and must propose again. Commands that are taken count too.
+        """Say that a source is alive. Its timed commands are braked after `stale_s` without this or a new command.
 
         Raises:
             UsageError: There is no such source.
         """
-        if source not in self._mailboxes:
-            raise unknown_name("command source", source, SOURCES)
+        self._mailbox(source)
         self._affirmed.add(source)
 
     def request(self, mode: str) -> None:
@@ -152,25 +142,29 @@ class CommandArbiter:
         self._requests.append(mode)
 
     def halt(self, source: str, gripper: Array | None = None) -> None:
-        """Ask for the arms to stop at the next tick, from where they are; anybody may, and nobody drives afterwards.
+        """Ask for the arms to stop at the next tick from where they are; nobody drives afterwards.
 
-        What is under way is dropped, not braked along its path, and a switch that waits for stillness is refused.
+        Timed commands are dropped, not braked along their paths; a switch that settles is refused.
 
         Args:
             source: Who asks.
-            gripper: Openings (2,) to take; only from the source that drives, otherwise refused (`not_driving`)
-                while the arms stop all the same. The hands stay as they are by default.
+            gripper: Openings (2,) to take, from the driving source only (else refused, `not_driving`; the arms stop all the
+                same). By default the hands stay as they are.
 
         Raises:
             UsageError: There is no such source.
         """
-        if source not in self._mailboxes:
-            raise unknown_name("command source", source, SOURCES)
+        self._mailbox(source)
         fault = None if gripper is None else opening_fault(gripper)
         if fault is not None:
             self._refuse(source, *fault)
             gripper = None
         self._halt = (source, gripper)
+
+    def _mailbox(self, source: str) -> Mailbox:
+        if source not in self._mailboxes:
+            raise unknown_name("command source", source, SOURCES)
+        return self._mailboxes[source]
 
     def tick(self, now_s: float, q_measured: Array, v_measured: Array) -> ArbiterOutput:
         """Return the target of this tick.

@@ -1,10 +1,8 @@
 """What travels through the arbiter: proposed commands, refusals, and what goes on to the controllers.
 
-Three kinds of command, one for each kind of source:
-
-* `JointCommand`       a joint target of this instant, streamed at 50 to 100 Hz (leader, policy)
+* `JointCommand`       a joint target, streamed at 50 to 100 Hz (leader, policy)
 * `TrajectoryCommand`  a timed joint trajectory, taken once and run at 1 kHz (planner)
-* `ObjectCommand`      a timed path of a held object with the squeeze on it, run at 1 kHz (object impedance)
+* `ObjectCommand`      a timed path of a held object with its squeeze, run at 1 kHz (object impedance)
 """
 
 from __future__ import annotations
@@ -21,7 +19,7 @@ if TYPE_CHECKING:
     from minidual.control.object_impedance import ObjectState
 
 SOURCES: tuple[str, ...] = ("moveit", "teleop", "policy")
-"""Who may propose commands; each is a mode of the system, and one at most drives at a time."""
+"""Who may propose commands; each is a mode, and at most one drives at a time."""
 
 HOLD = "hold"
 """The mode in which nobody drives."""
@@ -102,9 +100,7 @@ class TimedMotion(Protocol):
 
 @dataclass(frozen=True)
 class TrajectoryCommand:
-    """A timed joint trajectory that a source proposes; it starts when the arbiter takes it.
-
-    It need not be repeated: it has a clock of its own, ends by itself, and ends at rest.
+    """A timed joint trajectory that a source proposes once; it starts when the arbiter takes it and ends at rest.
 
     Attributes:
         motion: The trajectory; it must start where the arms are.
@@ -185,11 +181,10 @@ class Refusal:
 class ArbiterState(StrEnum):
     """What the arbiter does with the arms.
 
-    holding: nobody drives; the posture is held. settling: a switch waits for the arms to be still.
-    waiting: the source may drive, and has nothing under way: it has not spoken yet, or its trajectory has ended.
-    aligning: the target moves at a bounded rate from the present posture to what the source asks for. active: the
-    source's commands go through. stale: the source fell silent; its last target is held. stopped: it stayed silent,
-    or the arms would not come to rest; only a new request goes on from here.
+    holding: nobody drives. settling: a switch waits for the arms to be still. waiting: the source may drive and has
+    nothing under way. aligning: the target moves at a bounded rate towards the source's. active: the source's commands go
+    through. stale: the source is silent; its last target is held. stopped: it stayed silent, or the arms did not come to
+    rest; only a new request leads on.
     """
 
     HOLDING = "holding"
@@ -203,7 +198,7 @@ class ArbiterState(StrEnum):
 
 @dataclass(frozen=True)
 class ArbiterOutput:
-    """What reaches the controllers at one tick; the only thing that does.
+    """What reaches the controllers at one tick.
 
     Attributes:
         q_target: (n,) [rad], always finite and inside the limits.

@@ -21,6 +21,7 @@ JOINT_PINCH_N = 60.0
 """Pinch force of the joint-space modes [N]; 1.5 times what the internal force of a stiff pair can ask for."""
 _COMPLIANCE_M_PER_NS = 0.01
 """k: a servo of 5000 N/m settles on F with a time constant of 20 ms."""
+_NEAR = 0.9
 
 
 class Grippers:
@@ -69,14 +70,16 @@ class Grippers:
         targets, step = self._targets, self._step_m
         if is_open[0] and is_open[1] and targets[0] == targets[1] == self._travel_m:
             return self.targets_m
-        grip, fingers = self._plant.grip.tolist(), self._plant.fingers.tolist()
+        grip = self._plant.grip.tolist()
         for hand, target in enumerate(targets):
             if is_open[hand]:
                 targets[hand] = min(target + step, self._travel_m)
-            else:
-                way = self._gain * (grip[hand] - self._force_n)
-                lowest = fingers[hand] - 0.5 * self._travel_m
-                targets[hand] = min(max(target + min(step, max(-step, way)), lowest), self._travel_m)
+                continue
+            way = self._gain * (grip[hand] - self._force_n)
+            target = min(target + min(step, max(-step, way)), self._travel_m)
+            if grip[hand] < _NEAR * self._force_n:  # else the target cannot be far ahead of the fingers
+                target = max(target, float(self._plant.fingers[hand]) - 0.5 * self._travel_m)
+            targets[hand] = target
         self.targets_m = np.array(targets)
         return self.targets_m
 

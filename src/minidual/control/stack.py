@@ -9,9 +9,9 @@
         stack.affirm("moveit")
         stack.step()
 
-One `step` is one tick of 1 kHz: the state is read once, the arbiter runs when it is due (at its own rate, and at once
-when a timed command has been proposed or has ended), the active controllers give torques, the supervisor may bound
-or stop them, the plant moves. See docs/control.md.
+One `step` is one tick of 1 kHz: the arbiter runs when it is due (at its own rate, and at once when a timed command was
+proposed or has ended), the active controllers give torques, the supervisor bounds or stops them, the plant moves. See
+docs/control.md.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 
 DEFAULT_CONTROLLERS: tuple[str, ...] = ("both_arms",)
-"""What drives the arms until something else is asked for."""
+"""Active until another set is asked for."""
 OBJECT_CONTROLLERS: tuple[str, ...] = ("object_impedance",)
-"""What drives them with an object between them."""
+"""Active with an object in both hands."""
 _STOPPING: tuple[str, ...] = ("soft_stop",)
 
 
@@ -99,9 +99,9 @@ class ControlStack:
         self.reset()
 
     def reset(self) -> None:
-        """Start from where the arms are, at rest, hands open, nobody driving, nothing held. Listeners stay.
+        """Start from where the arms are, hands open, nobody driving, nothing held; call it with every reset of the plant.
 
-        It belongs to every reset of the plant.
+        Listeners stay.
         """
         plant = self.plant
         self.arbiter = CommandArbiter(
@@ -142,7 +142,7 @@ class ControlStack:
         return refusal
 
     def affirm(self, source: str) -> None:
-        """Say that a source is still there; call it at the arbiter's rate while a timed command of its runs.
+        """Say that a source is alive; call it at the arbiter's rate while its timed command runs.
 
         Raises:
             UsageError: There is no such source.
@@ -154,9 +154,8 @@ class ControlStack:
 
         Args:
             mode: One of the sources, or "hold".
-            controllers: The set to drive with from the moment the switch is confirmed; `both_arms` by default,
-                and for "hold" those that are active then. A mode that drives already changes to a named set at once, as
-                by `switch_controllers`, and keeps the active one if none is named.
+            controllers: Set to activate when the switch is confirmed; by default `both_arms`, for "hold" those active then.
+                If the mode drives already, a named set takes over at once, as by `switch_controllers`.
 
         Raises:
             UsageError: There is no such mode or controller.
@@ -199,14 +198,13 @@ class ControlStack:
         self._due = True
 
     def halt(self, source: str, gripper: Array | None = None) -> None:
-        """Stop the arms in the next step, from where they are, whatever is under way: for when the path is what is wrong.
+        """Stop the arms in the next step from where they are, whatever is under way; nobody drives afterwards.
 
-        Anybody may, as anybody may request "hold"; nobody drives afterwards. Controller `soft_stop` takes over in that
-        step; the next mode that is requested brings its own.
+        Controller `soft_stop` takes over in that step, until the next mode that is requested brings its own.
 
         Args:
             source: Who asks.
-            gripper: Openings (2,) to take, from the source that drives only; the hands stay as they are by default.
+            gripper: Openings (2,) to take, from the driving source only; by default the hands stay as they are.
 
         Raises:
             UsageError: There is no such source.
@@ -215,10 +213,9 @@ class ControlStack:
         self._due = True
 
     def switch_off(self, arms: Sequence[int]) -> None:
-        """Tell the motors of these arms no torque any more until the reset, whatever controllers and supervisor ask for.
+        """Command no torque to these arms until the reset, so that dead drives that come back find none.
 
-        For motors that have gone: drives that come back must not find a torque waiting. What is told falls to zero at
-        the drives' rate. The arms named before stay off only if they are named again.
+        The torque falls to zero at the drives' rate. Arms named before stay off only if they are named again.
         """
         self._off = SwitchedOff(arms, self.applied, self.plant.dt, self._robot)
 
@@ -227,7 +224,7 @@ class ControlStack:
         self._flush_listeners.append(listener)
 
     def recover(self) -> None:
-        """Go on after a reflex: the controllers take over from the supervisor where the arms stand, nobody driving."""
+        """Go on after a reflex: the controllers take over where the arms stand, nobody drives."""
         self._reset_supervisor()
         self.reflex = None
         for name in self.manager.active:
@@ -238,7 +235,7 @@ class ControlStack:
 
     @property
     def source(self) -> str | None:
-        """Whose turn it is, whether it speaks or not."""
+        """The source that may drive, or None."""
         return self.arbiter.source
 
     @property
@@ -253,7 +250,7 @@ class ControlStack:
 
     @property
     def tick_next(self) -> bool:
-        """Whether the next `step` begins with a regular tick of the arbiter: the instant to propose a streamed command."""
+        """Whether the next `step` begins with a regular tick of the arbiter: propose streamed commands then."""
         return self._countdown == 0
 
     @property
@@ -272,8 +269,7 @@ class ControlStack:
         """Run one tick of 1 kHz, the arbiter's before it when it is due.
 
         Raises:
-            The named error of the supervisor, once, after the tick in which it stopped the arms; further steps
-            bring them to rest.
+            ReflexError: Once, after the tick in which the supervisor stopped the arms; further steps bring them to rest.
         """
         if self._countdown == 0 or self._due:
             self.arbitrate()
@@ -299,10 +295,10 @@ class ControlStack:
         return output
 
     def advance(self) -> None:
-        """Run one control and physics step on what the arbiter let through last.
+        """Run one control and physics step on the arbiter's last output.
 
         Raises:
-            The named error of the supervisor, or without one that of a controller, once and after the step.
+            ReflexError: Once, after the step; without a supervisor the error of the controller or plant.
         """
         plant, output = self.plant, self.output
         for execution in output.executions:

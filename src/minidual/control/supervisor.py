@@ -1,10 +1,9 @@
 """The supervisor: stands between the controllers and the motors, and stops the arms when a bound does not hold.
 
-`guard` is called once a tick with what was measured and what the controller asks for, and returns the torque to
-apply. All joint bounds are one comparison of six rows of the joints' numbers; what needs kinematics is looked at every
-`slow_period_s`, with a look-ahead that makes the period safe. The first tick in which something does not hold raises a
-`ReflexError` that carries the torque of that tick; from then on `guard` returns the torques of a soft stop until
-`reset`, whatever it is given. See docs/supervisor.md.
+`guard` gets the measurements and the controllers' torque once a tick and returns the torque to apply. All joint bounds are
+one comparison; bounds that need kinematics are checked every `slow_period_s`, with a look-ahead that makes the period
+safe. The first tick out of bounds raises a `ReflexError` with that tick's torque; from then on `guard` returns the torques
+of a soft stop until `reset`. See docs/supervisor.md.
 """
 
 from __future__ import annotations
@@ -82,8 +81,7 @@ class Supervisor:
     def reset(self) -> None:
         """Forget the latched reflex, the last torque and the clock.
 
-        A pressed emergency stop is forgotten only if it is the reflex that was reported: one that was pressed while
-        another reflex held the arms, or between two trials, stops them in the first tick that follows.
+        An emergency stop is forgotten only if it was the reported reflex; otherwise it stops the arms in the next tick.
         """
         if self._reflex is not None and self._reflex.name == "emergency_stop":
             self._estop = None
@@ -112,9 +110,9 @@ class Supervisor:
         self._estop = reason  # one assignment: atomic, nothing to lock
 
     def fail(self, time_s: float, q: Array, v: Array, why: str) -> Array:
-        """Stop the arms because the controllers give no torque; `why` is what they say. Takes the place of `guard`.
+        """Stop the arms because the controllers give no torque; call it instead of `guard`.
 
-        While a reflex holds the arms it returns the torques (n,) [Nm] of the soft stop, as `guard` does.
+        While a reflex holds the arms it returns the torques (n,) [Nm] of the soft stop.
 
         Raises:
             ReflexError: Once, `controller_failed`; its `tau` is to be applied.
