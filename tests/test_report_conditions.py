@@ -151,8 +151,9 @@ def test_the_page_shows_what_applies_what_is_lost_and_what_is_behind_it(given: R
     assert part.count("<table") == 1 + 5
     document = json.loads((tmp_path / "report" / "report.json").read_text(encoding="utf-8"))
     act = document["conditions"]["push +x"]["methods"]["act"]
-    assert (act["success_rate"]["value"], act["success_rate"]["low"]) == (0.0, 0.0)
-    assert act["success_rate"]["high"] == pytest.approx(0.161, abs=1e-3)
+    rate = act["measures"]["success_rate"]
+    assert (rate["value"], rate["low"]) == (0.0, 0.0)
+    assert rate["high"] == pytest.approx(0.161, abs=1e-3)
     assert act["loss"]["difference"] == -0.75
     assert document["conditions"]["delay 20 ms"]["methods"]["act"]["state"] == "spared"
 

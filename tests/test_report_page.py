@@ -277,7 +277,7 @@ def test_the_json_says_what_the_page_says(tmp_path: Path) -> None:
     document = json.loads((tmp_path / "report" / "report.json").read_text(encoding="utf-8"))
     assert document["state"] == report.state == "pass"
     assert [stage["name"] for stage in document["stages"]] == [name for name, _ in samples.STAGES]
-    assert document["comparison"]["methods"]["act"]["success_rate"]["value"] == pytest.approx(0.75)
+    assert document["comparison"]["methods"]["act"]["measures"]["success_rate"]["value"] == pytest.approx(0.75)
     pair = document["analysis"]["pairs"][0]
     assert (pair["first"], pair["second"], pair["starts"]) == ("moveit", "impedance", 20)
     assert "moveit against impedance" in text

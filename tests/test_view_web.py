@@ -188,7 +188,7 @@ def test_clients_that_vanish_do_not_hold_the_run_up(view: WebView) -> None:
 
 def test_sliders_give_their_values(view: WebView) -> None:
     assert view.slider_values().shape == (0,)
-    assert view.offer([Slider("a", "x", -1.0, 1.0, 0.25), Slider("a", "y", 0.0, 1.0, 1.0)])
+    view.offer([Slider("a", "x", -1.0, 1.0, 0.25), Slider("a", "y", 0.0, 1.0, 1.0)])
     assert view.slider_values().tolist() == [0.25, 1.0]
     view._panel._sliders[0].value = -0.5
     assert view.slider_values().tolist() == [-0.5, 1.0]

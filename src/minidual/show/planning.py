@@ -162,20 +162,14 @@ def write_picture(path: Path, config: SceneConfig, scene: PlanningScene, traject
 
 def _renders(config: SceneConfig, scene: PlanningScene, trajectory: Trajectory) -> list[Any]:
     poser = Poser(config, scene)
-    return [_render(poser, trajectory, camera) for camera in (_corner_camera(), _top_camera())]
+    cameras = _camera((0.3, 0.0, 0.25), 2.1, 148.0, -28.0), _camera((0.35, 0.0, 0.1), 1.9, 90.0, -89.0)
+    return [_render(poser, trajectory, camera) for camera in cameras]
 
 
-def _corner_camera() -> mujoco.MjvCamera:
+def _camera(lookat: tuple[float, float, float], distance: float, azimuth: float, elevation: float) -> mujoco.MjvCamera:
     camera = mujoco.MjvCamera()
-    camera.lookat[:] = (0.3, 0.0, 0.25)
-    camera.distance, camera.azimuth, camera.elevation = 2.1, 148.0, -28.0
-    return camera
-
-
-def _top_camera() -> mujoco.MjvCamera:
-    camera = mujoco.MjvCamera()
-    camera.lookat[:] = (0.35, 0.0, 0.1)
-    camera.distance, camera.azimuth, camera.elevation = 1.9, 90.0, -89.0
+    camera.lookat[:] = lookat
+    camera.distance, camera.azimuth, camera.elevation = distance, azimuth, elevation
     return camera
 
 

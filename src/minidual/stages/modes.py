@@ -105,7 +105,7 @@ def _run(context: ToolContext, wanted: tuple[str, ...], checkpoint: Path | None)
             watched(context.view, world, tell),
             context.progress.task("modes", len(wanted)) as task,
         ):
-            pictures = filmed(_counted(demo.steps(), task, stopped), stack, camera)
+            pictures = filmed(_counted(demo.steps(), task, stopped), stack, world, camera)
             write_video(context.output / "modes.mp4", pictures, fps=FILM_FPS)
     result = demo.result(config.arbiter, ended="; ".join(stopped))
     demo.recorder.write_csv(context.output / "modes.csv")

@@ -10,6 +10,7 @@ from PIL import ImageDraw, ImageFont
 
 from minidual.control.stack import ControlStack
 from minidual.plant.render import Camera, Image
+from minidual.plant.world import World
 from minidual.show.figures.film import FILM_FPS
 
 FILM_SIZE = (720, 540)
@@ -19,9 +20,9 @@ _COLOURS = {"moveit": (32, 108, 214), "teleop": (20, 140, 90), "policy": (150, 6
 _NOBODY = (96, 96, 96)
 
 
-def filmed(steps: Iterator[tuple[str, str]], stack: ControlStack, camera: Camera) -> Iterator[Image]:
+def filmed(steps: Iterator[tuple[str, str]], stack: ControlStack, world: World, camera: Camera) -> Iterator[Image]:
     """Run `steps`; yield a captioned picture every 1 / FILM_FPS seconds of simulated time. The last one stays a while."""
-    world, count = stack.plant, 0
+    count = 0
     mode = doing = ""
     for mode, doing in steps:
         if world.time * FILM_FPS >= count:

@@ -62,7 +62,7 @@ def build_report(given: model.ReportInput, folder: Path) -> Report:
 def document(report: Report) -> dict[str, Any]:
     """Return the report as JSON types: what the page shows, without pictures."""
     given, facts = report.given, report.facts
-    made = given.newest.fingerprint if given.newest else None
+    made = given.newest.fingerprint.to_json() if given.newest else {}
     clean, *disturbed = report.tables.rows
     margins = [{"stage": m.stage, "check": m.check.name, "share_of_limit": m.relative} for m in facts.margins]
     return {
@@ -74,8 +74,7 @@ def document(report: Report) -> dict[str, Any]:
         "seed": given.seed,
         "banners": [asdict(banner) for banner in report.banners],
         "checks": [check.to_json() for check in report.shown_checks],
-        "made_with": made
-        and {"version": made.version, "commit": made.commit, "machine": made.machine, "libraries": made.libraries},
+        "made_with": {name: made[name] for name in ("version", "commit", "machine", "libraries") if name in made},
         "total_s": report.total_s,
         "stages": [_stage(given, name) for name, _summary in given.stages],
         "comparison": {"missing": report.tables.missing(), "methods": {c.method: _cell(c) for c in clean.cells}},
@@ -88,30 +87,13 @@ def document(report: Report) -> dict[str, Any]:
 
 
 def _cell(cell: Cell) -> dict[str, Any]:
-    if cell.state != "measured":
-        return {"state": cell.state, "why": cell.why}
-    found = {i.key: (measure, cell.excellent(i)) for i in INDICATORS if (measure := cell.measures[i.key])}
-    return {
-        "state": cell.state,
-        "trials": cell.trials,
-        "loss": None if cell.loss is None else asdict(cell.loss),
-        "failures": dict(cell.failures),
-        "stopped": cell.stopped,
-        **dict.fromkeys(cell.measures),
-        **{key: {**asdict(measure), "excellent": excellent} for key, (measure, excellent) in found.items()},
-    }
+    excellent = [indicator.key for indicator in INDICATORS if cell.excellent(indicator)]
+    return {**asdict(cell), "failures": dict(cell.failures), "excellent": excellent}
 
 
 def _stage(given: model.ReportInput, name: str) -> dict[str, Any]:
-    verdict = given.verdicts.get(name)
-    if verdict is None:
+    if name not in given.verdicts:
         return {"name": name, "status": "missing"}
-    return {
-        "name": name,
-        "status": verdict.status,
-        "acceptance": verdict.acceptance,
-        "duration_s": verdict.duration_s,
-        "finished_at": verdict.finished_at,
-        "checks": [check.to_json() for check in verdict.checks],
-        "notes": list(verdict.notes),
-    }
+    record = given.verdicts[name].to_json()
+    kept = ("status", "acceptance", "duration_s", "finished_at", "checks", "notes")
+    return {"name": name, **{key: record[key] for key in kept}}

@@ -98,20 +98,34 @@ def _limit_line(axes: Any, at: float, label: str) -> None:
     )  # fmt: skip
 
 
-def success_figure(row: Row) -> Figure | None:
-    """Success rate of each method with its interval; None without a rate."""
-    found = [(cell.method, cell.success) for cell in row.cells if cell.success is not None]
-    if not found:
+def success_figure(rows: Sequence[Row], name: str, title: str) -> Figure | None:
+    """Success of every method with its interval, one band for each row; None without a rate."""
+    if not any(cell.success for row in rows for cell in row.cells):
         return None
-    with _rows([method for method, _ in found], "success", len(found)) as (_figure, axes, svg):
-        for i, (_method, rate) in enumerate(found):
-            axes.barh(i, 100.0 * rate.value, height=0.5, color=COLOURS[i % len(COLOURS)], alpha=0.85)
-            middle, ends = 50.0 * (rate.low + rate.high), 50.0 * (rate.high - rate.low)
-            axes.errorbar(middle, i, xerr=ends, color=INK, linewidth=1.6, capsize=4, capthick=1.6)
-        _limit_line(axes, 100.0 * float(SUCCESS.excellent or 0.0), f"excellent {SUCCESS.excellent_text}")
-        axes.set_xlim(0, 101)
+    methods = [cell.method for cell in rows[0].cells]
+    names = methods if len(rows) == 1 else [row.condition for row in rows]
+    height = len(methods) if len(rows) == 1 else 0.42 * len(methods) * len(rows)
+    with _rows(names, name, height) as (figure, axes, svg):
+        for i, row in enumerate(rows):
+            if len(rows) > 1 and i % 2 == 0:
+                axes.axhspan(i - 0.5, i + 0.5, color=GRID, alpha=0.35, linewidth=0)
+            for k, cell in enumerate(row.cells):
+                y = k if len(rows) == 1 else i + _BAND * ((k + 0.5) / len(methods) - 0.5)
+                rate, colour = cell.success, COLOURS[k % len(COLOURS)]
+                if rate is None:
+                    words = "does not apply" if cell.state == "spared" else "missing"
+                    axes.text(0, y, f"{cell.method}: {words}", fontsize=7.5, va="center", color=FAINT)
+                    continue
+                label = cell.method if i == 0 else None
+                axes.plot([100 * rate.low, 100 * rate.high], [y, y], color=colour, linewidth=2.0, alpha=0.75)
+                axes.plot(100 * rate.value, y, "o", color=colour, markersize=6.5, markeredgewidth=0, label=label)
+        if len(rows) > 1:
+            figure.legend(loc="outside upper center", ncols=len(methods), frameon=False, fontsize=9)
+        else:
+            _limit_line(axes, 100.0 * float(SUCCESS.excellent or 0.0), f"excellent {SUCCESS.excellent_text}")
+        axes.set_xlim(-2, 102)
         axes.set_xlabel("success, %")
-        return Figure("success", "Success", "Bars: share of trials. Lines: 95 % Wilson interval.", svg())
+        return Figure(name, title, "Dots: share of trials that passed. Lines: 95 % Wilson interval.", svg())
 
 
 def strip_figure(indicator: Indicator, methods: Sequence[str], trials: Sequence[Trial]) -> Figure | None:
@@ -170,39 +184,15 @@ def failures_figure(methods: Sequence[str], trials: Sequence[Trial]) -> Figure |
         return Figure("failures", "Reasons of failure", "What failed first in each failed trial.", svg())
 
 
-def condition_figure(tables: Tables) -> Figure | None:
-    """Success of every method under every condition as a dot plot; None where nothing disturbs."""
-    rows = tables.rows
-    if len(rows) < 2:
-        return None
-    methods = [cell.method for cell in rows[0].cells]
-    height = 0.42 * len(methods) * len(rows)
-    with _rows([row.condition for row in rows], "conditions", height) as (figure, axes, svg):
-        for i, row in enumerate(rows):
-            if i % 2 == 0:
-                axes.axhspan(i - 0.5, i + 0.5, color=GRID, alpha=0.35, linewidth=0)
-            for k, cell in enumerate(row.cells):
-                y, rate = i + _BAND * ((k + 0.5) / len(methods) - 0.5), cell.success
-                colour = COLOURS[k % len(COLOURS)]
-                if rate is not None:
-                    axes.plot([100 * rate.low, 100 * rate.high], [y, y], color=colour, linewidth=2.0, alpha=0.75)
-                    axes.plot(100 * rate.value, y, "o", color=colour, markersize=6.5, markeredgewidth=0)
-                else:
-                    words = "does not apply" if cell.state == "spared" else "missing"
-                    axes.text(0, y, f"{cell.method}: {words}", fontsize=7.5, va="center", color=FAINT)
-        for k, method in enumerate(methods):
-            axes.plot([], [], "o-", color=COLOURS[k % len(COLOURS)], markersize=6.5, linewidth=2.0, label=method)
-        axes.set_ylim(len(rows) - 0.5, -0.5)
-        axes.set_xlim(-2, 102)
-        axes.set_xlabel("success, %")
-        figure.legend(loc="outside upper center", ncols=len(methods), frameon=False, fontsize=9)
-        caption = "Dots: share of trials that passed. Lines: 95 % Wilson interval. The first row is undisturbed."
-        return Figure("conditions", "Success under each disturbance", caption, svg())
-
-
 def benchmark_figures(tables: Tables, trials: Sequence[Trial]) -> list[Figure]:
     """Return every figure of the undisturbed trials for which there is data."""
     methods = [cell.method for cell in tables.clean.cells]
     strips = (strip_figure(indicator, methods, trials) for indicator in INDICATORS[1:])
-    drawn = [success_figure(tables.clean), *strips, failures_figure(methods, trials)]
+    drawn = [success_figure(tables.rows[:1], "success", "Success"), *strips, failures_figure(methods, trials)]
     return [figure for figure in drawn if figure is not None]
+
+
+def condition_figure(tables: Tables) -> Figure | None:
+    """Return the figure of success under each condition; None where nothing disturbs."""
+    title = "Success under each disturbance, the first row undisturbed"
+    return success_figure(tables.rows, "conditions", title) if len(tables.rows) > 1 else None

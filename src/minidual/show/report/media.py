@@ -33,7 +33,6 @@ _CAPTIONS: dict[tuple[str, str], str] = {
 }
 _PICTURES = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg"}
 _FILM = ".mp4"
-_FOLDERS = ("figures", "pictures", "videos", "films")
 EMBED_PICTURE_BYTES = 1_000_000
 EMBED_FILM_BYTES = 1_500_000
 MEDIA_FOLDER = "media"
@@ -61,13 +60,9 @@ class Medium:
 
 
 def is_shown(name: str) -> bool:
-    """Return whether an artefact belongs on the page: a picture or film at the top of its stage's folder.
-
-    Deeper ones are data (the videos of a dataset), not illustrations.
-    """
+    """Return whether an artefact is a picture or film at the top of its stage's folder; deeper ones are data."""
     path = PurePosixPath(name)
-    shown = path.suffix.lower() in (*_PICTURES, _FILM)
-    return shown and (len(path.parts) == 1 or (len(path.parts) == 2 and path.parts[0] in _FOLDERS))
+    return path.suffix.lower() in (*_PICTURES, _FILM) and len(path.parts) == 1
 
 
 def caption(stage: str, name: str) -> str:

@@ -1,36 +1,30 @@
-"""What every back-end of the live view offers."""
+"""What a live view offers."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
+
+import mujoco
 
 from minidual.show.view.overlay import Array, Overlay, Slider
 
-if TYPE_CHECKING:
-    import mujoco
-
 
 class View(Protocol):
-    """Shows a model in motion. It reads; nothing that a view does reaches the simulation.
+    """Shows a model in motion, and changes nothing in the simulation.
 
-    The one who moves the arms calls `open` once and then, as often as it likes:
+    Call `open` once, then as often as you like:
 
         if view.due():
             view.update(data, Overlay(data.time, mode="moveit"))
 
-    `due` costs a look at the clock, so that between two pictures nothing is gathered. `update` copies and returns:
-    it neither waits for a client nor raises when one goes away.
+    Between two pictures `due` only reads the clock. `update` copies and returns: it neither waits for a client nor raises
+    when one goes away.
     """
 
     @property
     def name(self) -> str:
-        """Name of the back-end."""
-        ...
-
-    @property
-    def speed_max(self) -> float:
-        """Simulated seconds a second that a watched run may not exceed; 0 for no limit."""
+        """Value of `--view`."""
         ...
 
     @property
@@ -39,16 +33,19 @@ class View(Protocol):
         ...
 
     @property
+    def speed_max(self) -> float:
+        """Simulated seconds a second that a watched run may not exceed; 0 for no limit."""
+        ...
+
+    @property
     def alive(self) -> bool:
-        """Whether anybody can still see it; False after `close`, and when its window was closed."""
+        """Whether anybody can still see it; False after `close`."""
         ...
 
     def open(self, model: mujoco.MjModel) -> None:
-        """Show `model`; another model replaces the one before.
+        """Show `model`, with visual meshes, in place of the one before.
 
-        Args:
-            model: With visual meshes. The states given to `update` may come from one without: only the poses
-                of its bodies are read, so the simulated model stays the one that would run unwatched.
+        The states given to `update` may come from a model without meshes: only the poses of its bodies are read.
         """
         ...
 
@@ -57,15 +54,15 @@ class View(Protocol):
         ...
 
     def update(self, data: mujoco.MjData, overlay: Overlay) -> None:
-        """Show this state (its bodies' poses must be those of its qpos, as after mj_step or mj_kinematics)."""
+        """Show this state; its bodies must be up to date, as after mj_step or mj_kinematics."""
         ...
 
-    def offer(self, sliders: Sequence[Slider]) -> bool:
-        """Offer values to set; return whether this view can."""
+    def offer(self, sliders: Sequence[Slider]) -> None:
+        """Offer values to set."""
         ...
 
     def slider_values(self) -> Array:
-        """Return the present values (n,) of the sliders offered, or (0,) where there are none."""
+        """Return the present values (n,) of the sliders offered, inside their bounds; (0,) without any."""
         ...
 
     def close(self) -> None:

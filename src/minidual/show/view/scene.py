@@ -53,7 +53,7 @@ class Scene:
         mujoco.mj_kinematics(model, rest)
         self._frames = {body: self._add_frame(f"/scene/{_name(model, body)}", rest, body) for body in sorted(drawn)}
         self._moving = [body for body in moving_bodies(model) if body in drawn]
-        self._sent = {body: np.full(7, np.inf) for body in self._moving}
+        self._sent: dict[int, Array] = {body: np.full(7, np.inf) for body in self._moving}
         for index, mesh in enumerate(self._meshes):
             self._add_mesh(f"/scene/{_name(model, mesh.body)}/mesh{index}", mesh)
 

@@ -124,10 +124,9 @@ class WebView:
         self._metronome.done(1.0 if self.clients_n else _UNWATCHED)
         self._wake.set()
 
-    def offer(self, sliders: Sequence[Slider]) -> bool:
+    def offer(self, sliders: Sequence[Slider]) -> None:
         """Offer values to set."""
         self._panel.offer(sliders)
-        return True
 
     def slider_values(self) -> Array:
         """Return the values of the sliders offered."""
