@@ -132,7 +132,7 @@ def test_what_would_be_the_clean_trials_is_not_run_under_another_name(
     assert says in cells[1].why_not
     assert cells[1].settled
     assert count_trials(("impedance",), {CLEAN: 2, name: 2}, inputs.config) == 2
-    assert not CONDITIONS[name].same_as_clean(Config()), "the standard configuration differs"
+    assert not CONDITIONS[name].why_not("impedance", Config()), "the standard configuration differs"
 
 
 def test_a_cell_depends_on_neither_the_order_nor_the_company(asked: list[Any]) -> None:

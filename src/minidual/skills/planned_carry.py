@@ -60,7 +60,8 @@ class PlannedCarry(Drive):
         supervisor: Supervisor | None = None,
     ) -> None:
         self.world, body = world, task.objects[task.carried].body
-        start = level_part(world.object_pose(body.name) if T_world_object is None else T_world_object)
+        self.T_world_object = world.object_pose(body.name) if T_world_object is None else T_world_object
+        start = level_part(self.T_world_object)
         gap = None
         if supervisor is not None:
             gap = Gap(arm_distance(world.robot), supervisor.config.self_collision_min_m + _GAP_MARGIN_M)

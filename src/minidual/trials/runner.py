@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -79,11 +79,13 @@ class TrialResult:
         metrics: The row of the tables.
         lifted: Whether the object rose clear of the table.
         saturated_max_s: Longest time that one motor stood at its torque limit.
+        measured: Numbers of the task's conditions of success, by name with unit, and `progress`.
     """
 
     metrics: TrialMetrics
     lifted: bool = True
     saturated_max_s: float = 0.0
+    measured: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def success(self) -> bool:
@@ -210,7 +212,7 @@ class Bench:
             aborted=method.aborted or "",
         )
         lifted = outcome.rise_m > self.task.scene.task.clear_height_m
-        return TrialResult(metrics, lifted, motors.longest * world.dt), log
+        return TrialResult(metrics, lifted, motors.longest * world.dt, outcome.measured), log
 
     def _sample(self, seen: ObjectTruth, phase: str) -> tuple[Any, ...]:
         world, q = self.world, self.world.q
