@@ -39,7 +39,7 @@ from minidual.trials.planning.evaluate_carries import plan_move, run_moves, tabl
 from minidual.trials.planning.held_moves import HeldMoveGenerator
 
 GRASPS = grasp_offsets(SceneConfig())
-ROD = thing_of(SceneConfig().object, "rod").shape
+ROD = thing_of(SceneConfig().object).shape
 START = pose(np.eye(3), (0.5, 0.2, 0.25))
 GOAL = pose(rot_z(0.3), (0.5, -0.2, 0.25))
 WALL = Box("wall", (0.5, 0.0, 0.16), size_m=(0.3, 0.04, 0.32))

@@ -24,7 +24,7 @@ from minidual.skills.cycle import thing_of
 from minidual.tasks.rod_carry import grasp_offsets
 
 GRASPS = grasp_offsets(SceneConfig())
-ROD = thing_of(SceneConfig().object, "rod").shape
+ROD = thing_of(SceneConfig().object).shape
 T_LEFT_RIGHT = inverse(GRASPS[0]) @ GRASPS[1]
 
 

@@ -44,12 +44,15 @@ PLANNERS: Registry[Callable[[Any, float], Any]] = Registry(
 to stop, and waits for ever on a condition written in Python."""
 
 
-class _Validity(ob.StateValidityChecker):
+class Validity(ob.StateValidityChecker):
+    """Asks a function whether a state is free."""
+
     def __init__(self, si: Any, free: Callable[[Any], bool]) -> None:
         super().__init__(si)
         self._free = free
 
     def isValid(self, state: Any) -> bool:
+        """Return whether a state is free."""
         return self._free(state)
 
 
@@ -60,6 +63,30 @@ class _Motion(ob.MotionValidator):
 
     def checkMotion(self, s1: Any, s2: Any) -> bool:
         return self._edge_free(s1, s2)
+
+
+def bounded_space(lower: Array, upper: Array) -> Any:
+    """Return OMPL's space of d joints within limits, each (d,)."""
+    space, bounds = ob.RealVectorStateSpace(len(lower)), ob.RealVectorBounds(len(lower))
+    for i, (low, high) in enumerate(zip(lower.tolist(), upper.tolist(), strict=True)):
+        bounds.setLow(i, low)
+        bounds.setHigh(i, high)
+    space.setBounds(bounds)
+    return space
+
+
+def seeded(seed: int) -> None:
+    """Seed OMPL's random numbers and silence it: setSeed complains on a second call although it does what it should."""
+    ou.setLogLevel(ou.LOG_NONE)
+    ou.RNG.setSeed(1 + seed % (2**31 - 2))
+
+
+def exact_path(worker: Any, problem: Any, enough: Callable[[], bool]) -> Any:
+    """Return the path that a planner finds before `enough` says to stop, or None; approximate ones do not count."""
+    worker.setProblemDefinition(problem)
+    worker.setup()
+    status = worker.solve(ob.PlannerTerminationCondition(lambda: problem.hasExactSolution() or enough()))
+    return problem.getSolutionPath() if status.getStatus() == ob.PlannerStatus.EXACT_SOLUTION else None
 
 
 def search(
@@ -87,19 +114,10 @@ def search(
         checks_max: State checks after which the search gives up.
         deadline: time.perf_counter() at which it gives up whatever the count.
     """
-    ou.setLogLevel(ou.LOG_NONE)  # setSeed complains on a second call although it does what it should
-    ou.RNG.setSeed(1 + seed % (2**31 - 2))
+    seeded(seed)
     robot = checker.robot
-    lower, upper = robot.q_lower[joints], robot.q_upper[joints]
-    dof = len(lower)
-    space = ob.RealVectorStateSpace(dof)
-    bounds = ob.RealVectorBounds(dof)
-    for i in range(dof):
-        bounds.setLow(i, float(lower[i]))
-        bounds.setHigh(i, float(upper[i]))
-    space.setBounds(bounds)
-    si = ob.SpaceInformation(space)
-    indices = range(dof)
+    si = ob.SpaceInformation(bounded_space(robot.q_lower[joints], robot.q_upper[joints]))
+    indices = range(len(q_start[joints]))
 
     def full(state: Any) -> Array:
         q = q_start.copy()
@@ -109,7 +127,7 @@ def search(
     def edge_free(s1: Any, s2: Any) -> bool:
         return checker.edge_free(full(s1), full(s2))
 
-    validity = _Validity(si, lambda state: checker.free(full(state)))
+    validity = Validity(si, lambda state: checker.free(full(state)))
     motion = _Motion(si, edge_free)
     si.setStateValidityChecker(validity)
     si.setMotionValidator(motion)
@@ -125,16 +143,10 @@ def search(
     objective = ob.PathLengthOptimizationObjective(si)
     objective.setCostThreshold(ob.Cost(float("inf")))  # the optimising planners stop at their first solution
     problem.setOptimizationObjective(objective)
-    worker = PLANNERS[planner](si, range_rad)
-    worker.setProblemDefinition(problem)
-    worker.setup()
     checks_end = checker.checks_n + checks_max
 
     def enough() -> bool:
-        return problem.hasExactSolution() or checker.checks_n >= checks_end or time.perf_counter() > deadline
+        return checker.checks_n >= checks_end or time.perf_counter() > deadline
 
-    status = worker.solve(ob.PlannerTerminationCondition(enough))
-    if status.getStatus() != ob.PlannerStatus.EXACT_SOLUTION:
-        return None
-    path = problem.getSolutionPath()
-    return np.array([full(path.getState(i)) for i in range(path.getStateCount())])
+    path = exact_path(PLANNERS[planner](si, range_rad), problem, enough)
+    return None if path is None else np.array([full(path.getState(i)) for i in range(path.getStateCount())])

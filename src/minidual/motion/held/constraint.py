@@ -16,19 +16,19 @@ state is projected again afterwards.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import ompl.base as ob
 import ompl.geometric as og
-import ompl.util as ou
 import pinocchio as pin
 
 from minidual.collision.errors import ClosedChainError
 from minidual.errors import unknown_name
 from minidual.motion.edges import EdgeChecker
 from minidual.motion.ik import check_pose
+from minidual.motion.search import Validity, bounded_space, exact_path, seeded
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 from minidual.robot.poses import inverse
@@ -154,15 +154,6 @@ class OmplGraspConstraint(ob.Constraint):
         out[:] = self._constraint.value_and_jacobian(np.asarray(x))[1]
 
 
-class _Validity(ob.StateValidityChecker):
-    def __init__(self, si: Any, free: Callable[[Any], bool]) -> None:
-        super().__init__(si)
-        self._free = free
-
-    def isValid(self, state: Any) -> bool:
-        return self._free(state)
-
-
 def search_manifold(
     constraint: GraspConstraint,
     checker: EdgeChecker,
@@ -194,8 +185,7 @@ def search_manifold(
     """
     if space not in SPACES:
         raise unknown_name("constrained space", space, SPACES)
-    ou.setLogLevel(ou.LOG_NONE)
-    ou.RNG.setSeed(1 + seed % (2**31 - 2))
+    seeded(seed)
     q_start = constraint.require(q_start, "start")
     for goal in map(constraint.project, q_goals):
         if time.perf_counter() > deadline:
@@ -218,22 +208,17 @@ def _search(
     deadline: float,
 ) -> Array | None:
     robot = constraint.robot
-    ambient, bounds = ob.RealVectorStateSpace(robot.dof), ob.RealVectorBounds(robot.dof)
     low = np.maximum(np.minimum(start, goal) - box_rad, robot.q_lower)
     high = np.minimum(np.maximum(start, goal) + box_rad, robot.q_upper)
-    for i in range(robot.dof):
-        bounds.setLow(i, float(low[i]))
-        bounds.setHigh(i, float(high[i]))
-    ambient.setBounds(bounds)
     held = OmplGraspConstraint(constraint)
-    space = SPACES[space_name](ambient, held)
+    space = SPACES[space_name](bounded_space(low, high), held)
     si = ob.ConstrainedSpaceInformation(space)
     space.setDelta(_DELTA_RAD)
 
     def joints(state: Any) -> Array:
         return np.array([state[i] for i in range(robot.dof)])
 
-    validity = _Validity(si, lambda state: checker.free(joints(state)))
+    validity = Validity(si, lambda state: checker.free(joints(state)))
     si.setStateValidityChecker(validity)
     si.setup()
     problem = ob.ProblemDefinition(si)
@@ -247,19 +232,16 @@ def _search(
     problem.setStartAndGoalStates(states[0], states[1])
     planner = og.RRTConnect(si)
     planner.setRange(1.0)
-    planner.setProblemDefinition(problem)
-    planner.setup()
     checks_end = checker.checks_n + checks_max
 
     def enough() -> bool:
         # Where hardly a state gets as far as a collision check, the projections count.
         spent = checker.checks_n >= checks_end or held.calls_n >= _CALLS_A_CHECK * checks_max
-        return problem.hasExactSolution() or spent or time.perf_counter() > deadline
+        return spent or time.perf_counter() > deadline
 
-    status = planner.solve(ob.PlannerTerminationCondition(enough))
-    if status.getStatus() != ob.PlannerStatus.EXACT_SOLUTION:
+    path = exact_path(planner, problem, enough)
+    if path is None:
         return None
-    path = problem.getSolutionPath()
     path.interpolate()
     points = [constraint.project(joints(path.getState(i))) for i in range(path.getStateCount())]
     return None if any(q is None for q in points) else np.array(points)

@@ -95,7 +95,7 @@ class HeldMoveGenerator:
         self._from_table = from_table
         self._height_m = scene.object.rest_height_m
         self._grasps = grasp_offsets(scene)
-        self._shape = thing_of(scene.object, scene.object.name).shape
+        self._shape = thing_of(scene.object).shape
         self._prover = HeldPlanner(Planner(robot=robot))
         self._robot = robot
         self._hands = HandsIK(*self._grasps, self._prover.kinematics)
