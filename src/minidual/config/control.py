@@ -14,7 +14,7 @@ class EnvCheckConfig(StrictModel):
     """Step of joint 1 of each arm, outwards."""
     step_duration_s: float = Field(default=2.0, ge=1.0, le=10.0)
     step_error_max_rad: float = Field(default=0.005, gt=0.0, le=0.05)
-    """Limit on the 14-D error norm that is left after the step."""
+    """Limit on the error norm of all joints that is left after the step."""
     single_step_rad: float = Field(default=0.1, gt=0.0, le=0.3)
     """Step of one joint alone."""
     single_duration_s: float = Field(default=0.6, ge=0.3, le=5.0)
@@ -22,7 +22,7 @@ class EnvCheckConfig(StrictModel):
     sine_frequency_hz: float = Field(default=0.5, gt=0.0, le=1.0)
     sine_duration_s: float = Field(default=10.0, ge=1.0, le=60.0)
     sine_rms_max_rad: float = Field(default=0.02, gt=0.0, le=0.05)
-    """Limit on the RMS over time of the 14-D error norm while all joints swing at once."""
+    """Limit on the RMS over time of the error norm of all joints while all joints swing at once."""
     pulse_share: float = Field(default=0.1, gt=0.0, le=0.5)
     """Torque pulse that tells which joint a motor moves, as a share of the motor's limit."""
     rise_max_s: float = Field(default=0.25, gt=0.0, le=1.0)

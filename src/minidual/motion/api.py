@@ -123,8 +123,8 @@ class Planner:
 
         Args:
             group: "left_arm", "right_arm" or "both_arms"; the other arm is held.
-            q_start: All 14 joints [rad].
-            q_goal: All 14 joints, or only the group's own.
+            q_start: All joints [rad].
+            q_goal: All joints, or only the group's own.
             scene: Scene of this query.
             seed: The same query with the same seed gives the same trajectory.
             budget_s: Wall time after which to give up; the configuration's by default.
@@ -249,7 +249,7 @@ class Planner:
         times: PhaseTimes,
         budget_s: float,
     ) -> tuple[Array | None, EdgeChecker]:
-        """Return a free polyline (n, 14), or None, and the checker that it was made with."""
+        """Return a free polyline (k, n), or None, and the checker that it was made with."""
         with times.phase("search"):
             # Start and goals were checked whole; on the way only pairs with a moving part can change.
             checker = EdgeChecker(engines, effort.padding_m, (q_start, goal), effort.step_rad, group_arms(group))
@@ -289,7 +289,7 @@ class Planner:
 
 
 def _rest(q: Array, group: str) -> Trajectory:
-    """Return the trajectory that stays at q (14,)."""
+    """Return the trajectory that stays at q (n,)."""
     still = np.zeros((2, len(q)))
     return Trajectory(np.array([0.0, DT_S]), np.array([q, q]), still, still.copy(), group)
 

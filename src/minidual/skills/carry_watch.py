@@ -162,7 +162,7 @@ class CarryWatch:
         return next((finding for finding in found if finding is not None), None)
 
     def motors(self, told: Array, applied: Array) -> Finding:
-        """Compare torques (14,) [Nm] told and given in the last step."""
+        """Compare torques (n,) [Nm] told and given in the last step."""
         return self._monitor.motors(told, applied)
 
     def _gaps_m(self) -> Array:

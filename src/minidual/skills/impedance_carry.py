@@ -185,7 +185,7 @@ class ImpedanceCarry:
         return self._sequence
 
     def _move(self, phase: str, q_goal: Array, *, duration_s: float | None = None) -> None:
-        """Enter a phase in which the open hands go from where they were sent last to a posture (14,)."""
+        """Enter a phase in which the open hands go from where they were sent last to a posture (n,)."""
         if duration_s is None:
             duration_s = joint_duration_s(self._q_last, q_goal, self._config.pace, self.world.robot)
         motion = JointMove(Quintic(self._q_last, q_goal, duration_s), self.world.dt)
@@ -199,7 +199,7 @@ class ImpedanceCarry:
         self._enter(phase)
 
     def _grasp(self, q_near: Array, *, above_m: float = 0.0) -> Array | None:
-        """Return the posture (14,) with the hands at or over their grasps; None, and a soft stop, where there is none."""
+        """Return the posture (n,) with the hands at or over their grasps; None, and a soft stop, where there is none."""
         level = level_part(self._watch.T_world_object)
         try:
             return grasp_posture(self._scene, self.world.robot, level, q_near, above_m=above_m)

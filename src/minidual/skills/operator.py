@@ -49,7 +49,7 @@ class Demonstration:
 
     Attributes:
         rate_hz: Ticks a second.
-        q: Joint targets (T, 14) [rad]; q[0] is the home posture.
+        q: Joint targets (T, n) [rad]; q[0] is the home posture.
         gripper: Opening commands (T, 2), 0 closed or 1 open.
         phases: The stretches, in order.
     """
@@ -65,7 +65,7 @@ class Demonstration:
         return len(self.q) / self.rate_hz
 
     def at(self, elapsed_s: float) -> tuple[Array, Array]:
-        """Return joint targets (14,) and openings (2,) at a time since the start [s]; the last ones after the end."""
+        """Return joint targets (n,) and openings (2,) at a time since the start [s]; the last ones after the end."""
         tick = min(max(round(elapsed_s * self.rate_hz), 0), len(self.q) - 1)
         return self.q[tick], self.gripper[tick]
 

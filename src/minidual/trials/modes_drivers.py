@@ -190,7 +190,7 @@ class TeleopDriver:
     ) -> None:
         self.stack, self._operator, self._target = stack, operator, target.start
         self._seed, self._rate = seed, rate_hz
-        self._move = _Move(np.empty((0, 14)), np.empty((0, 2)))
+        self._move = _Move(np.empty((0, self.stack.plant.robot.dof)), np.empty((0, 2)))
         self._k = 0
 
     def begin(self) -> None:
@@ -209,7 +209,7 @@ class TeleopDriver:
         self._move = _Move(q, gripper)
 
     def _between(self, a: Array, b: Array) -> Array:
-        """Return rest-to-rest joint targets (n, 14) from a to b."""
+        """Return rest-to-rest joint targets (k, n) from a to b."""
         span = max(_JOIN_MIN_S, 1.875 * float(np.abs(b - a).max()) / _JOIN_SPEED_RAD_S)
         n = round(span * self._rate)
         blend = np.array([minimum_jerk(k / n)[0] for k in range(n + 1)])

@@ -53,8 +53,8 @@ class Query:
         index: Number within the group.
         seed: Seed for the planner.
         scene: Table and obstacles.
-        q_start: Free start (14,) [rad].
-        q_goal: Free goal (14,), a witness that the poses can be reached.
+        q_start: Free start (n,) [rad].
+        q_goal: Free goal (n,), a witness that the poses can be reached.
         targets: Tcp poses of the group's arms at the goal.
         as_poses: Whether the planner is given the poses (and does its own IK) or the joints.
         blocked: Whether the straight line from start to goal touches something.
