@@ -29,7 +29,7 @@ def render(path: Path) -> None:
         for side, T_rod_tcp in zip(world.robot.sides, grasp_offsets(scene), strict=True)
     ]
     world.reset(np.concatenate(hands))
-    world.data.qpos[world.finger_joints.qpos] = scene.rod.radius_m
+    world.data.qpos[world.finger_joints.qpos] = scene.object.radius_m
     world.place(None, T_world_rod)
     buffer = world.model.vis.global_  # room for twice the size in each direction
     buffer.offwidth, buffer.offheight = 2 * _SIZE_PX[0], 2 * _SIZE_PX[1]

@@ -42,7 +42,7 @@ def grasp_posture(scene: SceneConfig, kinematics: Kinematics, T_world_level: Arr
 def pinch_rod(loop: JointLoop, scene: SceneConfig, kinematics: Kinematics, *, hands: Array = _CLOSED) -> Array:
     """Put the open hands round the nominal rod, close those whose opening in `hands` is 0; return the posture."""
     x, y = scene.task.start_xy_m
-    q = grasp_posture(scene, kinematics, level_pose(x, y, scene.rod.radius_m, 0.0))
+    q = grasp_posture(scene, kinematics, level_pose(x, y, scene.object.radius_m, 0.0))
     loop.world.reset(q)
     loop.reset()
     for _ in range(900):
@@ -65,13 +65,13 @@ def carry_script(scene: SceneConfig, kinematics: Kinematics, start: tuple[float,
         for k in range(1, n + 1):
             u = k / n
             x, y, z, yaw = np.array(a) + u**3 * (10 - 15 * u + 6 * u * u) * (np.array(b) - np.array(a))
-            q = grasp_posture(scene, kinematics, level_pose(x, y, scene.rod.radius_m + z, yaw), q)
+            q = grasp_posture(scene, kinematics, level_pose(x, y, scene.object.radius_m + z, yaw), q)
             actions.append(np.concatenate([q, hands]))
 
     def at(place: tuple[float, float, float], z: float) -> tuple[float, float, float, float]:
         return place[0], place[1], z, place[2]
 
-    first = grasp_posture(scene, kinematics, level_pose(start[0], start[1], scene.rod.radius_m + 0.1, start[2]))
+    first = grasp_posture(scene, kinematics, level_pose(start[0], start[1], scene.object.radius_m + 0.1, start[2]))
     for k in range(1, 76):
         u = k / 75
         s = u**3 * (10 - 15 * u + 6 * u * u)

@@ -267,7 +267,7 @@ def test_an_object_lost_while_the_arbiter_brakes_halts_the_arms(world: World) ->
     assert np.abs(world.v).max() < 0.05
     left, right = Kinematics().tcp_poses(world.q)
     apart_m = float(np.linalg.norm(left[:3, 3] - right[:3, 3]))
-    assert apart_m > 2.0 * world.scene.rod.grasp_offset_m - 0.04
+    assert apart_m > 2.0 * world.scene.object.grasp_offset_m - 0.04
 
 
 def test_an_object_lost_after_a_hold_halts_the_arms(world: World) -> None:
@@ -293,7 +293,7 @@ def test_an_object_lost_after_a_hold_halts_the_arms(world: World) -> None:
     assert np.abs(world.v).max() < 0.05
     left, right = Kinematics().tcp_poses(world.q)
     apart_m = float(np.linalg.norm(left[:3, 3] - right[:3, 3]))
-    assert apart_m > 2.0 * world.scene.rod.grasp_offset_m - 0.04
+    assert apart_m > 2.0 * world.scene.object.grasp_offset_m - 0.04
 
 
 def test_an_object_that_stays_is_held_for_as_long_as_nobody_asks_for_the_arms(world: World) -> None:
@@ -351,7 +351,7 @@ def test_an_object_command_that_comes_late_is_refused_and_ends_the_carry(
     assert seen.carry.fault is not None
     assert seen.carry.fault.name == "interrupted"
     assert seen.carry.fault.detail.startswith("stale: ObjectCommand is 0.2")
-    assert world.object_pose()[2, 3] < world.scene.rod.rest_height_m + 0.002
+    assert world.object_pose()[2, 3] < world.scene.object.rest_height_m + 0.002
     assert world.pinch().min() > 20.0
     assert seen.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
 
@@ -422,7 +422,7 @@ def test_a_joint_move_is_its_quintic_and_its_derivatives_are() -> None:
 
 @pytest.mark.parametrize("squeeze_n", [13.0, 40.0, 80.0])
 def test_the_squeeze_is_asked_for_no_faster_than_controller_c_gives_it(scene: SceneConfig, squeeze_n: float) -> None:
-    T = level_pose(*scene.task.start_xy_m, scene.rod.rest_height_m, 0.0)
+    T = level_pose(*scene.task.start_xy_m, scene.object.rest_height_m, 0.0)
     path = plan_path(
         scene, DUAL_PANDA, CarryConfig(), (*scene.task.goal_xy_m, 0.0), T, approach_postures(scene, DUAL_PANDA, T)[1]
     )

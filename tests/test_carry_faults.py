@@ -123,7 +123,7 @@ def motors_off(arm: str) -> Callable[[World], None]:
 
 
 def a_hand_has_closed_past(world: World) -> bool:
-    return float((0.08 * world.gripper).min()) < 2.0 * world.scene.rod.radius_m
+    return float((0.08 * world.gripper).min()) < 2.0 * world.scene.object.radius_m
 
 
 SCENARIOS = {
@@ -346,7 +346,7 @@ def test_an_unreachable_goal_is_told_before_the_object_is_lifted(scene: SceneCon
         highest = max(highest, float(world.object_pose()[2, 3]))
     assert carry.fault is not None
     assert carry.fault.name == "unreachable"
-    assert highest < far.rod.radius_m + 0.002
+    assert highest < far.object.radius_m + 0.002
 
 
 def test_a_rod_out_of_reach_is_a_fault_before_the_arms_move(world: World) -> None:

@@ -292,7 +292,7 @@ def test_seven_joints_move_and_the_other_arm_is_held(plant: ArmsPlant, controlle
 
 
 def _grasped(world: World, kinematics: Kinematics) -> HeldObject:
-    rod = world.scene.rod
+    rod = world.scene.object
     grasps: Any = tuple(inverse(world.object_pose()) @ T for T in kinematics.tcp_poses(world.q))
     across = rod.mass_kg * rod.length_m**2 / 12.0
     inertia = np.diag([across, 1e-5, across])

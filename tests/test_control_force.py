@@ -179,7 +179,7 @@ def test_a_missing_rod_is_named_and_stops_the_trial(scene: SceneConfig) -> None:
     judge = rod_judge(scene, trial, demand_internal_force=True)
     while not carry.done and world.time < 14.0:
         if carry.phase == "close":  # somebody takes the rod away from between the fingers
-            world.truth().qpos[:3] = (0.5, 0.6, scene.rod.radius_m)
+            world.truth().qpos[:3] = (0.5, 0.6, scene.object.radius_m)
         carry.step()
         judge.observe(world)
     assert carry.aborted is not None
@@ -191,6 +191,6 @@ def test_a_missing_rod_is_named_and_stops_the_trial(scene: SceneConfig) -> None:
 def test_grasp_offsets_point_down_and_lie_symmetric(scene: SceneConfig) -> None:
     left, right = grasp_offsets(scene)
     assert np.allclose(left[:3, 2], [0, 0, -1])
-    assert np.isclose(left[1, 3], scene.rod.grasp_offset_m)
-    assert np.isclose(right[1, 3], -scene.rod.grasp_offset_m)
+    assert np.isclose(left[1, 3], scene.object.grasp_offset_m)
+    assert np.isclose(right[1, 3], -scene.object.grasp_offset_m)
     assert np.allclose(left[:3, :3], rot_z(np.pi / 2) @ rot_x(np.pi))

@@ -40,7 +40,7 @@ class TestReset:
         assert np.array_equal(world.q, HOME)
         assert not world.v.any()
         assert world.gripper == pytest.approx([1.0, 1.0])
-        assert world.object_pose()[:3, 3] == pytest.approx([*scene.task.start_xy_m, scene.rod.radius_m])
+        assert world.object_pose()[:3, 3] == pytest.approx([*scene.task.start_xy_m, scene.object.radius_m])
         assert world.on_table()
 
     def test_rolling_out_twice_from_a_reset_gives_the_same_bytes(self, world):

@@ -14,12 +14,12 @@ from panda import HOME, Q_UPPER
 
 from minidual.config.scene import CameraConfig, SceneConfig, TaskConfig
 from minidual.errors import UsageError
-from minidual.trials.gym_env import ROD_CARRY_ID, RodCarryEnv
+from minidual.trials.gym_env import TaskEnv
 
 
 @pytest.fixture(scope="module")
 def env():
-    made = RodCarryEnv(rod_pose=True)
+    made = TaskEnv(object_pose=True)
     yield made
     made.close()
 
@@ -31,11 +31,11 @@ def action(q=HOME, hands=(1.0, 1.0)):
 def test_gymnasiums_own_checker_passes_with_images_and_rendering():
     small = SceneConfig(camera=CameraConfig(width_px=64, height_px=48))
     made = gymnasium.make(
-        f"minidual.trials.gym_env:{ROD_CARRY_ID}",
+        "minidual.trials.gym_env:minidual/RodCarry-v0",
         scene=small,
         images=("high", "left"),
         render_mode="rgb_array",
-        rod_pose=True,
+        object_pose=True,
         render_width_px=160,
         render_height_px=120,
     )
@@ -86,10 +86,10 @@ def test_the_same_seed_gives_the_same_rollout_and_another_seed_another_start(env
     def rollout(seed):
         env.action_space.seed(seed)
         observation, info = env.reset(seed=seed)
-        states = [np.concatenate([observation["state"], observation["rod"]])]
+        states = [np.concatenate([observation["state"], observation["object"]])]
         for _ in range(15):
             observation, reward, *_ = env.step(env.action_space.sample())
-            states.append(np.concatenate([observation["state"], observation["rod"]]) + reward)
+            states.append(np.concatenate([observation["state"], observation["object"]]) + reward)
         return np.array(states), info["trial"].start
 
     first, start = rollout(3)
@@ -109,11 +109,11 @@ def test_a_given_trial_is_the_one_played(env):
     trial = rod_trial("test", 7, (0.47, 0.22, 0.1), (0.5, -0.25, 0.0))
     observation, info = env.reset(options={"trial": trial})
     assert info["trial"] is trial
-    assert observation["rod"][:2] == pytest.approx([0.47, 0.22], abs=1e-6)
+    assert observation["object"][:2] == pytest.approx([0.47, 0.22], abs=1e-6)
 
 
 def test_time_runs_at_fifty_hertz_and_out_at_the_limit():
-    made = RodCarryEnv(SceneConfig(task=TaskConfig(time_limit_s=1.5)))
+    made = TaskEnv(SceneConfig(task=TaskConfig(time_limit_s=1.5)))
     made.reset(seed=0)
     for k in range(1, 76):
         _, _, terminated, truncated, info = made.step(action())
@@ -148,12 +148,12 @@ def test_a_nan_or_a_wrong_shape_is_refused(env, bad):
 
 def test_errors_name_what_exists(env):
     with pytest.raises(UsageError, match="no camera 'top'; there are high, left, right"):
-        RodCarryEnv(images=("top",))
+        TaskEnv(images=("top",))
     with pytest.raises(UsageError, match="no render mode 'human'"):
-        RodCarryEnv(render_mode="human")
+        TaskEnv(render_mode="human")
     with pytest.raises(UsageError, match="no option 'trail'"):
         env.reset(options={"trail": 1})
     with pytest.raises(UsageError, match="Trial"):
         env.reset(options={"trial": (0, 0, 0)})
     with pytest.raises(UsageError, match="before it was reset"):
-        RodCarryEnv().step(action())
+        TaskEnv().step(action())

@@ -60,14 +60,14 @@ def test_the_hands_hold_the_rod_from_grasp_to_release(operator: ScriptedOperator
         (_tick(operator, "descend"), trial.start["rod"]),
         (_tick(operator, "open") - 1, trial.goal["rod"]),
     ):
-        T_world_rod = level_pose(x, y, scene.rod.radius_m, yaw)
+        T_world_rod = level_pose(x, y, scene.object.radius_m, yaw)
         left, right = kinematics.tcp_poses(demo.q[tick])
         np.testing.assert_allclose(left, T_world_rod @ left_grasp, atol=1e-5)
         np.testing.assert_allclose(right, T_world_rod @ right_grasp, atol=1e-5)
     # Between the two the hands must not pull at the rod: their distance is the rod's all the way.
     for tick in range(_tick(operator, "descend"), _tick(operator, "open"), 10):
         left, right = kinematics.tcp_poses(demo.q[tick])
-        assert np.linalg.norm(left[:3, 3] - right[:3, 3]) == pytest.approx(2 * scene.rod.grasp_offset_m, abs=1e-6)
+        assert np.linalg.norm(left[:3, 3] - right[:3, 3]) == pytest.approx(2 * scene.object.grasp_offset_m, abs=1e-6)
 
 
 def test_grippers_close_once_and_open_once(operator: ScriptedOperator) -> None:

@@ -189,4 +189,4 @@ def held_rod(scene: SceneConfig, T_world_rod: Array, tcps: tuple[Array, Array]) 
     """Return the rod as the law must know it, in the hands at the poses `tcps`."""
     to_rod = inverse(T_world_rod)
     grasps = (to_rod @ tcps[0], to_rod @ tcps[1])
-    return HeldObject(scene.rod.mass_kg, np.diag(scene.rod.inertia_kg_m2), grasps, np.array([0.0, 1.0, 0.0]))
+    return HeldObject(scene.object.mass_kg, np.diag(scene.object.inertia_kg_m2), grasps, np.array([0.0, 1.0, 0.0]))

@@ -153,11 +153,6 @@ class SceneConfig(StrictModel):
         """All objects by name, the carried one first."""
         return {item.name: item for item in (self.object, *self.more)}
 
-    @property
-    def rod(self) -> ObjectConfig:
-        """The carried object (an older name)."""
-        return self.object
-
     @model_validator(mode="after")
     def _names_differ(self) -> SceneConfig:
         if len(self.objects) < 1 + len(self.more):

@@ -141,7 +141,7 @@ def plan_path(
     yaw = float(np.arctan2(level[1, 0], level[0, 0]))
     gx, gy, goal_yaw = goal
     high = z + scene.task.lift_height_m
-    rest, landing = scene.rod.rest_height_m, config.pace.landing_m
+    rest, landing = scene.object.rest_height_m, config.pace.landing_m
     ends = [
         ((x, y, high), yaw, config.lift_s),
         ((gx, gy, high), goal_yaw, config.transport_s),
@@ -161,7 +161,7 @@ def plan_path(
 
 def held_object(scene: SceneConfig, T_world_object: Array, T_world_tcps: tuple[Array, Array]) -> HeldObject:
     """Return what the law must know of the task's object at a pose (4, 4), held by hands at two poses."""
-    rod = scene.rod
+    rod = scene.object
     left, right = (inverse(T_world_object) @ T for T in T_world_tcps)
     return HeldObject(rod.mass_kg, np.diag(rod.inertia_kg_m2), (left, right), np.array([0.0, 1.0, 0.0]))
 

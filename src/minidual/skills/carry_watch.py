@@ -47,7 +47,10 @@ class CarryWatch:
     def __init__(self, world: World, kinematics: Kinematics, config: CarryConfig, sensors: ObjectSensors) -> None:
         self._world, self._kinematics, self._config, self._sensors = world, kinematics, config, sensors
         self._monitor = FaultMonitor(
-            config.faults, dt_s=world.dt, width_m=2.0 * world.scene.rod.half_width_m, pinch_n=config.impedance.pinch_n
+            config.faults,
+            dt_s=world.dt,
+            width_m=2.0 * world.scene.object.half_width_m,
+            pinch_n=config.impedance.pinch_n,
         )
         self._reading: Reading = sensors.sense()
         if self._reading.pose is None:

@@ -167,7 +167,7 @@ class ScriptedOperator:
         start = np.array(placement(trial.start[self.scene.object.name])) + error * (1.0 - progress["correct"])
         x, y, yaw = start + (np.array(placement(trial.goal[self.scene.object.name])) - start) * progress["carry"]
         height = (
-            self.scene.rod.radius_m
+            self.scene.object.radius_m
             + PHASES["approach"].rise_m * (1.0 - progress["descend"] + progress["retreat"])
             + lift * (progress["lift"] - progress["lower"])
         )

@@ -1,11 +1,8 @@
-"""The rod task as a Gymnasium environment: joint targets in, joint state and pictures out, at 50 Hz.
-
-It runs on the very loop that teleoperation, policies and the planner use (`minidual.control.loop`), and the same
-judge (`minidual.tasks.success`) says whether a trial succeeded.
+"""A task as a Gymnasium environment: joint targets in, joint state and pictures out, at 50 Hz.
 
     env = gymnasium.make("minidual.trials.gym_env:minidual/RodCarry-v0", images=("high",), render_mode="rgb_array")
 
-The part before the colon is imported, which registers `minidual/RodCarry-v0`.
+The part before the colon is imported, which registers an environment for each row of the table of tasks.
 """
 
 from __future__ import annotations
@@ -30,52 +27,51 @@ from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 from minidual.tasks.judge import Judge, begin
-from minidual.tasks.rod_carry import grasp_offsets, level_part, placement
-from minidual.tasks.task import Trial, make_task
+from minidual.tasks.rod_carry import level_part, placement
+from minidual.tasks.task import TASKS, Trial, make_task
 
-ROD_CARRY_ID = "minidual/RodCarry-v0"
 CONTROL_HZ = 50
 """Rate of actions and observations."""
 
 _OVERTRAVEL_RAD = 0.1
 """Room beyond the joint limits in the observation space: a collision may push a joint a little over."""
 _FALLEN_M = -0.1
-"""A rod below this height has left the table."""
+"""An object below this height has left the table."""
 
 Observation = dict[str, Any]
 
 
-class RodCarryEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
-    """Two arms carry a rod from the table's left to its right.
+class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
+    """One task.
 
     Observation (a dictionary):
-        state: (n + 2,) float32, measured joints, left arm then right [rad], then the openings of the two hands (0..1).
+        state: (n + 2,) float32, measured joints of the left arm, then of the right [rad], then the hands' openings (0..1).
         images: only if asked for; {camera: (H, W, 3) uint8}.
-        rod: only if asked for; (7,) float32, the rod's position [m] and quaternion wxyz. Ground truth, which no
-            camera-driven policy may use.
+        object: only if asked for; (7,) float32, position [m] and quaternion wxyz of the carried object. Ground truth,
+            which no camera-driven policy may use.
 
     Action: (n + 2,) float32, joint targets [rad] within the joint limits, then the opening of each hand (below 0.4
     closes, above 0.6 opens). One action holds for 20 ms.
 
-    Reward: gain of the potential -(mean distance of the hands from their grasps + distance of the rod from its
+    Reward: gain of the potential -(mean distance of the hands from their grasps + distance of the object from its
     goal, both in metres), plus 1 on success. The potential shapes without changing which policy is best
     (Ng, Harada, Russell 1999, for a discount of 1).
 
-    An episode ends (`terminated`) when the rod lies released at its goal after it was lifted, when it has left the
-    table, or when the simulation diverged; it is cut (`truncated`) at the task's time limit. A rod put down at the
-    goal is only a success if both hands held it level all the way: `info["success"]` says so, `info["faults"]`
-    names what was missed.
+    An episode ends (`terminated`) when the trial is finished, when the object has left the table, or when the simulation
+    diverged; it is cut (`truncated`) at the task's time limit. A finished trial is a success only if every condition
+    held: `info["success"]` says so, `info["faults"]` names what was missed, `info["stages"]` what was reached.
 
     Args:
-        scene: World and task; the default one if None.
+        scene: World and limits in place of the task's defaults.
+        task: Row of the table of tasks.
         render_mode: "rgb_array" makes `render` return the overview camera's picture.
         images: Cameras to observe, out of high, left, right.
-        rod_pose: Observe the rod's pose.
+        object_pose: Observe the object's pose.
         render_width_px: Width of the picture that `render` returns.
         render_height_px: Its height.
 
     Raises:
-        UsageError: An unknown camera or render mode.
+        UsageError: An unknown task, camera or render mode.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": CONTROL_HZ}
@@ -84,9 +80,10 @@ class RodCarryEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self,
         scene: SceneConfig | None = None,
         *,
+        task: str = "rod_carry",
         render_mode: str | None = None,
         images: Sequence[str] = (),
-        rod_pose: bool = False,
+        object_pose: bool = False,
         render_width_px: int = 640,
         render_height_px: int = 480,
     ) -> None:
@@ -95,18 +92,17 @@ class RodCarryEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
                 raise unknown_name("camera", name, CAMERAS)
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise unknown_name("render mode", render_mode, self.metadata["render_modes"])
-        self._task = make_task(Config() if scene is None else Config(scene=scene))
+        self._task = make_task(Config(task=task) if scene is None else Config(task=task, scene=scene))
         self.scene = self._task.scene
         self.render_mode = render_mode
         self._images = tuple(images)
-        self._rod_pose = rod_pose
+        self._object_pose = object_pose
         self._render_size = (render_width_px, render_height_px)
         robot = robot_from(self._task.config.robot)
         self._world = World(self.scene, robot, visuals=bool(images) or render_mode is not None)
         self._kinematics = Kinematics(robot)
         self._loop = JointLoop(self._world, self._kinematics)
         self._substeps = round(1.0 / (CONTROL_HZ * self._world.dt))
-        self._grasps = grasp_offsets(self.scene)
         self._camera: Camera | None = None
         self._render_camera: Camera | None = None
         self._judge: Judge | None = None
@@ -126,9 +122,9 @@ class RodCarryEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         low = np.r_[robot.q_lower - _OVERTRAVEL_RAD, -0.1, -0.1].astype(np.float32)
         high = np.r_[robot.q_upper + _OVERTRAVEL_RAD, 1.1, 1.1].astype(np.float32)
         members: dict[str, spaces.Space[Any]] = {"state": spaces.Box(low, high)}
-        if self._rod_pose:
+        if self._object_pose:
             bound = np.array([10.0, 10.0, 10.0, 1.0, 1.0, 1.0, 1.0], dtype=np.float32)
-            members["rod"] = spaces.Box(-bound, bound)
+            members["object"] = spaces.Box(-bound, bound)
         if self._images:
             shape = (self.scene.camera.height_px, self.scene.camera.width_px, 3)
             members["images"] = spaces.Dict({name: spaces.Box(0, 255, shape, dtype=np.uint8) for name in self._images})
@@ -183,7 +179,7 @@ class RodCarryEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
             self._world.reset(poses=judge.trial.start)  # a finite last observation
         outcome = judge.outcome(self._world)
         success = outcome.success and not diverged
-        fallen = bool(self._world.object_pose()[2, 3] < _FALLEN_M)
+        fallen = bool(self._world.object_pose(self._task.carried)[2, 3] < _FALLEN_M)
         terminated = diverged or fallen or judge.finished
         truncated = not terminated and self._world.time >= self.scene.task.time_limit_s - 1e-9
         reward = float(success)
@@ -193,20 +189,19 @@ class RodCarryEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
             self._potential = potential
         info: dict[str, Any] = {"success": success, "trial": judge.trial, "time_s": self._world.time}
         if terminated or truncated:
-            info["outcome"] = outcome
+            info["outcome"], info["stages"] = outcome, judge.stages
             info["faults"] = ("diverged",) if diverged else tuple(fault.name for fault in outcome.faults)
         return self._observe(), reward, terminated, truncated, info
 
     def _measure_potential(self) -> float:
         assert self._judge is not None
-        rod = self._world.object_pose()
-        level = level_part(rod)
-        hands = [
-            float(np.linalg.norm((level @ grasp)[:3, 3] - tcp[:3, 3]))
-            for grasp, tcp in zip(self._grasps, self._kinematics.tcp_poses(self._world.q), strict=True)
-        ]
-        x, y, _ = placement(self._judge.trial.goal[self._task.carried])
-        goal = float(np.linalg.norm(rod[:3, 3] - (x, y, self.scene.rod.radius_m)))
+        name = self._task.carried
+        T = self._world.object_pose(name)
+        level, grasps = level_part(T), self._task.objects[name].grasps
+        tcps = dict(zip(self._world.robot.sides, self._kinematics.tcp_poses(self._world.q), strict=True))
+        hands = [float(np.linalg.norm((level @ grasps[side])[:3, 3] - tcps[side][:3, 3])) for side in grasps]
+        x, y, _ = placement(self._judge.trial.goal[name])
+        goal = float(np.linalg.norm(T[:3, 3] - (x, y, self.scene.objects[name].rest_height_m)))
         return -(sum(hands) / len(hands) + goal)
 
     def _observe(self) -> Observation:
@@ -215,8 +210,8 @@ class RodCarryEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         assert isinstance(space, spaces.Box)
         state = np.concatenate([world.q, world.gripper]).astype(np.float32)
         observation: Observation = {"state": np.clip(state, space.low, space.high)}
-        if self._rod_pose:
-            observation["rod"] = self._rod().astype(np.float32)
+        if self._object_pose:
+            observation["object"] = self._pose().astype(np.float32)
         if self._images:
             if self._camera is None:
                 self._camera = Camera.recorded(world.model, self.scene.camera)
@@ -224,8 +219,8 @@ class RodCarryEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
             observation["images"] = {name: camera.picture(world.data, name) for name in self._images}
         return observation
 
-    def _rod(self) -> Array:
-        body = self._world.data.body(self._world.objects[0])
+    def _pose(self) -> Array:
+        body = self._world.data.body(self._task.carried)
         return np.clip(np.concatenate([body.xpos, body.xquat]), -10.0, 10.0)
 
     def render(self) -> Image | None:  # type: ignore[override]
@@ -244,5 +239,7 @@ class RodCarryEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self._camera = self._render_camera = None
 
 
-if ROD_CARRY_ID not in registry:
-    register(id=ROD_CARRY_ID, entry_point="minidual.trials.gym_env:RodCarryEnv")
+for _name in TASKS:
+    _id = f"minidual/{_name.title().replace('_', '')}-v0"
+    if _id not in registry:
+        register(id=_id, entry_point="minidual.trials.gym_env:TaskEnv", kwargs={"task": _name})
