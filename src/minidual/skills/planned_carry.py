@@ -44,6 +44,7 @@ class PlannedCarry(Drive):
 
     Attributes:
         solution: The plan, or None where there is none.
+        record: What the search tried.
     """
 
     def __init__(
@@ -70,8 +71,9 @@ class PlannedCarry(Drive):
         why: str | None = None
         try:
             self.solution = pipeline_of(task, trial).solve(State(world.q, start), tools)
+            self.record = self.solution.record
         except TaskFailedError as error:
-            why = error.summary
+            why, self.record = error.summary, error.record
         stack = ControlStack(world, kinematics, arbiter, supervisor=supervisor)
         super().__init__(stack, () if self.solution is None else self.solution.segments)
         self.aborted = why

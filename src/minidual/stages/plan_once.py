@@ -30,7 +30,7 @@ _BUDGET_MAX_S = 600.0
 def plan_once(context: ToolContext) -> ToolResult:
     """Plan from --from to --to for --group in --scene; exit 1 where no path was found, 2 where the query is bad."""
     options = context.options
-    targets = {name: _target(name, options.get(name), end) for name, end in _ENDINGS.items()}
+    targets = {name: target_file(name, options.get(name), end) for name, end in _ENDINGS.items()}
     group = options.get("group", "both_arms")
     budget_s = options.get("budget-s")
     if budget_s is not None and not 0.0 < budget_s <= _BUDGET_MAX_S:
@@ -75,7 +75,7 @@ def _prepare(context: ToolContext, group: str) -> tuple[GoalPlanner, PlanningSce
     return planner, scene, q_start, notes
 
 
-def _target(name: str, text: str | None, ending: str) -> Path | None:
+def target_file(name: str, text: str | None, ending: str) -> Path | None:
     """Return where a file goes; refuse what could not be written before any work is done."""
     if text is None:
         return None
@@ -93,7 +93,7 @@ def _target(name: str, text: str | None, ending: str) -> Path | None:
 
 
 @contextmanager
-def _writing(path: Path) -> Generator[Path]:
+def writing(path: Path) -> Generator[Path]:
     """Turn what the disk says while a file is written into a message."""
     try:
         yield path
@@ -108,17 +108,17 @@ def _write(
 ) -> list[str]:
     notes = [*result.rejections]
     if targets["out"] is not None:
-        with _writing(targets["out"]) as path:
+        with writing(targets["out"]) as path:
             result.trajectory.write_json(path, scene.robot.joint_names)
         notes.append(f"trajectory: {path}")
     if targets["csv"] is not None:
-        with _writing(targets["csv"]) as path:
+        with writing(targets["csv"]) as path:
             result.trajectory.write_csv(path, scene.robot.joint_names)
         notes.append(f"trajectory: {path}")
     if targets["picture"] is not None:
         from minidual.show.planning import write_picture
 
-        with _writing(targets["picture"]) as path:
+        with writing(targets["picture"]) as path:
             write_picture(path, context.config.scene, scene, result.trajectory, title)
         notes.append(f"picture: {path}")
     return notes

@@ -96,6 +96,17 @@ STAGES = StageTable(
                     triggers=("to",),
                     watchable=True,
                 ),
+                ToolEntry(
+                    "plan-task",
+                    "minidual.stages.plan_task:plan_task",
+                    "Plan a whole task from one of its starts and drive it, without the gate",
+                    (
+                        Option("task", "Plan this task (rod_carry, handover ...) as a whole and drive it instead."),
+                        Option("video", "With --task: film it (.mp4)."),
+                    ),
+                    triggers=("task",),
+                    watchable=True,
+                ),
             ),
             watchable=True,
         ),

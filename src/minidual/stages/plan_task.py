@@ -1,0 +1,63 @@
+"""`minidual plan --task NAME`: plan a whole task from one of its starts, drive it in the simulator, judge it. No stage."""
+
+from __future__ import annotations
+
+from typing import cast
+
+from minidual.config.change import replaced
+from minidual.errors import ExitCode
+from minidual.gate.tool import ToolContext, ToolResult
+from minidual.plant.world import World
+from minidual.robot.arms import robot_from
+from minidual.show.figures.film import FILM_FPS, Postures, film_postures
+from minidual.show.watch import watch_trials
+from minidual.skills.planned_carry import PlannedCarry
+from minidual.stages.plan_once import target_file, writing
+from minidual.tasks.task import TASKS
+from minidual.trials.methods import Method, MethodInputs
+from minidual.trials.runner import Bench
+
+
+def plan_task(context: ToolContext) -> ToolResult:
+    """Solve the task that --task names; exit 1 where it is not solved or not done, 2 where there is no such task."""
+    name = context.options["task"]
+    video = target_file("video", context.options.get("video"), ".mp4")
+    config = TASKS[name](replaced(context.config, task=name)).config
+    bench = Bench("moveit", MethodInputs(config, context.seed))
+    trial = bench.task.trial(context.seed, "plan", 0)
+    postures, used = Postures(1.0 / FILM_FPS), list[PlannedCarry]()
+    watch = watch_trials(context.view)
+    show = None if watch is None else watch(bench, f"plan, task {name}")
+
+    def on_step(world: World, method: Method) -> None:
+        if not used:
+            used.append(cast(PlannedCarry, method))
+        postures(world)
+        if show is not None:
+            show(world, method)
+
+    result, _ = bench.run(trial, on_step=on_step)
+    carry = used[0]
+    solution, record = carry.solution, carry.record
+    lines = record.tree(name).splitlines()
+    if solution is not None:
+        lines.append(f"planned {solution.duration_s:.2f} s of motion; driven in the simulator: {result.text}")
+    notes = []
+    if video is not None and solution is not None:
+        with writing(video):
+            film_postures(config.scene, postures, video, robot=robot_from(config.robot))
+        notes.append(f"film: {video}")
+    return ToolResult(
+        lines,
+        notes,
+        {
+            "task": name,
+            "seed": context.seed,
+            "solved": solution is not None,
+            "success": result.success,
+            "result": result.text,
+            "duration_s": None if solution is None else solution.duration_s,
+            "record": record.to_json(),
+        },
+        ExitCode.PASS if result.success else ExitCode.ACCEPTANCE_FAILED,
+    )
