@@ -1,4 +1,4 @@
-"""Render docs/scene.jpg: both arms hold the rod above the table, halfway along the carry."""
+"""Render docs/scene.jpg: both arms hold the object above the table, halfway along the carry."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ def render(path: Path) -> None:
 
     scene = SceneConfig()
     world = World(scene, visuals=True)
-    T_world_rod = level_pose(0.5, 0.06, 0.20, 0.12)
+    T_world_object = level_pose(0.5, 0.06, 0.20, 0.12)
     hands = [
-        ArmIK(side).solve(T_world_rod @ T_rod_tcp, np.array(world.robot.arm.home)).q
-        for side, T_rod_tcp in zip(world.robot.sides, grasp_offsets(scene), strict=True)
+        ArmIK(side).solve(T_world_object @ T_object_tcp, np.array(world.robot.arm.home)).q
+        for side, T_object_tcp in zip(world.robot.sides, grasp_offsets(scene), strict=True)
     ]
     world.reset(np.concatenate(hands))
     world.data.qpos[world.finger_joints.qpos] = scene.object.radius_m
-    world.place(None, T_world_rod)
+    world.place(None, T_world_object)
     buffer = world.model.vis.global_  # room for twice the size in each direction
     buffer.offwidth, buffer.offheight = 2 * _SIZE_PX[0], 2 * _SIZE_PX[1]
     with Camera(world.model, *_SIZE_PX, shadows=True, supersample=2) as camera:
