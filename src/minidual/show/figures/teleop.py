@@ -28,6 +28,7 @@ def draw_quality(attempts: Sequence[Attempt], task: TaskConfig, jerk_limit_rad_s
     starts.plot(cy + square[0], cx + square[1], "k--", lw=0.8, label="tested range")
     reach = 1.6 * max(r, 0.02)
     starts.set(title="Object at the start", xlabel="y [m]", ylabel="x [m]", aspect="equal")
+    starts.locator_params(nbins=5)
     starts.set(xlim=(cy + reach, cy - reach), ylim=(cx - reach, cx + reach))
     starts.legend(fontsize=7, loc="upper right")
 
@@ -35,7 +36,9 @@ def draw_quality(attempts: Sequence[Attempt], task: TaskConfig, jerk_limit_rad_s
     jerks.set(title=f"RMS jerk (limit {jerk_limit_rad_s3:.0f} rad/s³)", xlabel="rad/s³", ylabel="episodes")
 
     shown = next((a for a in attempts if a.kept and a.path is not None), None)
-    if shown is not None and shown.path is not None:
+    if shown is None or shown.path is None:
+        motion.set_axis_off()
+    else:
         episode = read_episode(shown.path, cameras=())
         t = episode.timestamps - episode.timestamps[0]
         per_arm = episode.qpos.shape[1] // 2

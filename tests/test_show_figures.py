@@ -1,0 +1,58 @@
+"""Figures are functions of data: they draw what they are given, for any number of joints."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from minidual.config.root import Config
+from minidual.plant.world import World
+from minidual.robot.arms import robot_from
+from minidual.show.figures import canvas
+from minidual.show.figures.film import Postures, film_postures, sheet_of_postures
+from minidual.show.figures.trial import draw_trial
+from minidual.trials.runner import TrialLog
+
+
+@pytest.mark.parametrize(("arm", "joints"), [("panda", 7), ("ur5", 6)])
+def test_a_trial_is_drawn_with_the_joints_of_its_arm(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arm: str, joints: int
+) -> None:
+    config = Config.model_validate({"robot": {"arm": arm}})
+    robot = robot_from(config.robot)
+    t = np.linspace(0.0, 2.0, 50)
+    zeros = np.zeros((50, robot.dof))
+    tau = np.tile(0.5 * robot.tau_max, (50, 1))
+    tau[:, -1] = 0.9 * robot.tau_max[-1]
+    log = TrialLog(
+        t, zeros, tau, np.zeros((50, 2, 3)), np.zeros((50, 3)), 0.0 * t, np.ones((50, 2)), 0.0 * t, ["x"] * 50
+    )
+    drawn: list[Any] = []
+    make = canvas.new_figure
+    monkeypatch.setattr(
+        "minidual.show.figures.trial.new_figure", lambda *a, **k: drawn.append(make(*a, **k)) or drawn[0]
+    )
+    draw_trial(log, config.scene, robot, tmp_path / "trial.png", title="a title")
+    assert imread(tmp_path / "trial.png").std() > 0.02
+    torque = drawn[0][1][1, 1]
+    assert [text.get_text() for text in torque.get_legend().get_texts()] == [f"joint {i + 1}" for i in range(joints)]
+    assert torque.lines[joints - 1].get_ydata()[0] == pytest.approx(0.9)  # the larger of both arms
+    assert torque.lines[0].get_ydata()[0] == pytest.approx(0.5)
+
+
+def test_a_sheet_and_a_film_show_the_postures_that_were_kept(tmp_path: Path) -> None:
+
+    scene = Config().scene
+    world, keep = World(scene), Postures(0.001)
+    for _ in range(3):
+        world.step()
+        keep(world)
+    assert len(keep.times) == 3
+    assert sheet_of_postures(scene, keep, tmp_path / "sheet.png", frames=2) == 2
+    picture = imread(tmp_path / "sheet.png")
+    half = picture.shape[1] // 2
+    assert picture[40:, :half].std() > 0.05
+    assert picture[40:, half:].std() > 0.05
+    assert film_postures(scene, keep, tmp_path / "film.mp4") == 3
