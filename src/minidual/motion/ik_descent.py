@@ -190,7 +190,7 @@ def _square(e: Array) -> float:
 
 
 @njit
-def _solve(J: Array, blocked: Array, damping: float, e: Array, L: Array, y: Array) -> None:
+def _solve(J: Array, blocked: Any, damping: float, e: Array, L: Array, y: Array) -> None:
     """Fill y with (J J^T + damping I)^-1 e, J without its blocked columns, by Cholesky; NaN where there is none."""
     for i in range(6):
         for j in range(i + 1):

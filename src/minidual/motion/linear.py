@@ -170,7 +170,7 @@ class LinearPlanner:
             return LinearMove(still, 1.0, "", verification=proof)
         for refinement in range(_REFINEMENTS):
             count = max(8, int(np.ceil(length / (_STEP_M * 0.5**refinement))))
-            marks = np.linspace(0.0, length, count + 1)
+            marks = np.linspace(0.0, length, count + 1, dtype=np.float64)
             Q, reason = self._follow(q_start, lines, engines, marks)
             move = self._timed(group, marks, Q, reason, lines, engines, tips)
             if move.deviation_m < DEVIATION_MAX_M and move.deviation_rad < DEVIATION_MAX_RAD:

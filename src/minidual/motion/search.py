@@ -135,7 +135,7 @@ def search(
     problem = ob.ProblemDefinition(si)
     ends = []
     for q in (q_start, q_goal):
-        state = si.allocState()
+        state: Any = si.allocState()
         for i, value in enumerate(q[joints]):
             state[i] = float(value)
         ends.append(state)

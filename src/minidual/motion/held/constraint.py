@@ -224,7 +224,7 @@ def _search(
     problem = ob.ProblemDefinition(si)
     states = []
     for q in (start, goal):
-        state = si.allocState()
+        state: Any = si.allocState()
         state.copy(np.array(q))
         if space_name == "atlas":
             space.anchorChart(state)

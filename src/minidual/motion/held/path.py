@@ -212,7 +212,7 @@ def fine_curve(
     strays = before = (np.inf, np.inf)
     step = length
     for _ in range(_REFINEMENTS):
-        marks = np.linspace(0.0, length, count + 1)
+        marks = np.linspace(0.0, length, count + 1, dtype=np.float64)
         curve = HeldCurve(chart, marks, solve(marks, chart.poses(coordinates(marks, 0))), coordinates, knots)
         step = float(marks[1])
         between = np.concatenate([marks[:-1] + share * step for share in _BETWEEN])

@@ -186,7 +186,7 @@ class HeldMoveGenerator:
 
     def _blocked(self, engine: MujocoEngine, start: tuple[Array, Array], T_goal: Array) -> bool:
         path = ObjectPath([start[0], T_goal])
-        marks = np.linspace(0.0, path.length, max(8, int(path.length / 0.01)))
+        marks = np.linspace(0.0, path.length, max(8, int(path.length / 0.01)), dtype=np.float64)
         Q, stuck = self._hands.follow(path.poses(marks), start[1])
         return stuck is not None or bool(engine.collisions(Q).any())
 
