@@ -104,7 +104,7 @@ def test_planner_leader_and_planner_again_carry_the_rod_within_every_bound(world
         assert 0.0 < switch.torque_step_nm <= 1.0 + 1e-9
         assert switch.first_step_rad < 0.1
         assert switch.first_command_s >= switch.confirmed_s
-    assert result.outcomes[1]["rod_error_m"] < 0.005
+    assert result.outcomes[1]["goal_error_m"] < 0.005
     np.testing.assert_allclose(world.q, HOME, atol=5e-3)
     assert len(steps) == round(result.duration_s / world.dt)
     assert [mode for mode, _ in steps[:1]] == ["moveit"]
@@ -159,7 +159,7 @@ def test_the_policy_gets_its_turn_and_its_queue_is_dropped_at_every_switch(world
     limit = world.scene.task.time_limit_s
     assert world.time == pytest.approx(limit + 0.02, abs=0.05), "a policy that does nothing is ended by the clock"
     assert stage.runtime.flushes == 2
-    assert demo._outcomes[0]["rod_put_down_at_goal"] is False
+    assert demo._outcomes[0]["put_down_at_goal"] is False
 
 
 def test_a_mode_that_falls_silent_ends_the_demonstration(world: World) -> None:

@@ -60,14 +60,7 @@ class ModesResult:
 
     def to_json(self) -> dict[str, Any]:
         """Return it as plain data."""
-        return {
-            "switches": [asdict(s) for s in self.switches],
-            "outcomes": list(self.outcomes),
-            "faults": list(self.faults),
-            "refusals": [list(r) for r in self.refusals],
-            "duration_s": self.duration_s,
-            "ended": self.ended or None,
-        }
+        return {**asdict(self), "ended": self.ended or None}
 
 
 class ModesDemo:

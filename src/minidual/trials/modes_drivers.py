@@ -1,16 +1,15 @@
 """What each mode does in the demonstration of the three modes: who proposes which commands.
 
-moveit  drives to above the rod, or home at the end of the demonstration (one arm after the other, 7 joints each)
-teleop  a scripted leader fetches the rod from where it lies and puts it down at a start pose of the rod task
+moveit  drives to above the object, or home at the end of the demonstration, one arm after the other
+teleop  a scripted leader fetches the object from where it lies and puts it down at a start pose of the task
 policy  the trained policy carries it to the goal, as in `minidual deploy`
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, NoReturn, Protocol
+from typing import TYPE_CHECKING, NoReturn
 
 import numpy as np
 
@@ -42,45 +41,42 @@ class SwitchError(MinidualError):
     exit_code = ExitCode.ACCEPTANCE_FAILED
 
 
-class Driver(Protocol):
+class Driver:
     """One mode's turn.
 
     controllers: The set it drives with. caption: What it does, for people.
     """
 
-    controllers: tuple[str, ...]
-    caption: str
+    controllers: tuple[str, ...] = DEFAULT_CONTROLLERS
+    caption = ""
 
     def begin(self) -> None:
         """Called when the switch is confirmed."""
-        ...
 
     def tick(self) -> None:
         """Called before each tick of the arbiter: propose."""
-        ...
 
     def watch(self) -> None:
         """Called after each control step."""
-        ...
 
     @property
     def done(self) -> bool:
         """Whether the next mode may have the arms."""
-        ...
+        return True
 
     def result(self) -> dict[str, object]:
         """Return what came of it, for the log."""
-        ...
+        return {}
 
 
-class MoveitDriver:
+class MoveitDriver(Driver):
     """Plans when it gets its turn, proposes the trajectories, and may be interrupted in the middle of one.
 
     Args:
         stack: Where to propose.
         planner: Plans both goals.
         seed: Of the planner.
-        home: Drive home, arm by arm, under the two single-arm controllers; else to above the rod with both.
+        home: Drive home, arm by arm, under the two single-arm controllers; else to above the object with both.
         share: Part of the motion after which the next mode may ask for the arms.
     """
 
@@ -88,7 +84,7 @@ class MoveitDriver:
         self.stack, self._planner, self._seed = stack, planner, seed
         self._home, self._share = home, share
         self.controllers = ("left_arm", "right_arm") if home else DEFAULT_CONTROLLERS
-        self.caption = "planned: home, one arm after the other" if home else "planned: to above the rod"
+        self.caption = "planned: home, one arm after the other" if home else "planned: to above the object"
         self._groups = ["left_arm", "right_arm"] if home else ["both_arms"]
         self._sequence = 0
         self._began_s = self._planned_s = 0.0
@@ -143,10 +139,10 @@ class MoveitDriver:
                 group, world.q, world.robot.home[world.robot.groups[group]], seed=self._seed
             )
         else:
-            rod = level_part(world.object_pose())
-            rod[2, 3] += PHASES["approach"].rise_m
+            lies = level_part(world.object_pose())
+            lies[2, 3] += PHASES["approach"].rise_m
             grasps = grasp_offsets(world.scene)
-            targets = {arm: rod @ grasp for arm, grasp in zip(world.robot.sides, grasps, strict=True)}
+            targets = {arm: lies @ grasp for arm, grasp in zip(world.robot.sides, grasps, strict=True)}
             result = self._planner.plan_to_poses(group, world.q, targets, seed=self._seed)
         self._planned_s += result.total_s
         self._motion_s.append(result.trajectory.duration_s)
@@ -163,16 +159,8 @@ class MoveitDriver:
         )
 
 
-@dataclass(frozen=True)
-class _Move:
-    """A stretch of the leader's motion: joint targets and openings, one row a tick."""
-
-    q: Array
-    gripper: Array
-
-
-class TeleopDriver:
-    """A scripted leader that starts wherever the arms are, fetches the rod, and goes home.
+class TeleopDriver(Driver):
+    """A scripted leader that starts wherever the arms are, fetches the object, and goes home.
 
     Args:
         stack: Where to propose.
@@ -182,22 +170,21 @@ class TeleopDriver:
         rate_hz: Ticks a second.
     """
 
-    controllers = DEFAULT_CONTROLLERS
-    caption = "scripted leader: fetches the rod, puts it at a new start"
+    caption = "scripted leader: fetches the object, puts it at a new start"
 
     def __init__(
         self, stack: ControlStack, operator: ScriptedOperator, target: Trial, seed: int, rate_hz: float
     ) -> None:
         self.stack, self._operator, self._target = stack, operator, target.start
         self._seed, self._rate = seed, rate_hz
-        self._move = _Move(np.empty((0, self.stack.plant.robot.dof)), np.empty((0, 2)))
+        self._q, self._opening = np.empty((0, stack.plant.robot.dof)), np.empty((0, 2))
         self._k = 0
 
     def begin(self) -> None:
-        """Plan from the present posture and rod."""
+        """Plan from the present posture and object."""
         world: World = self.stack.plant
-        rod = level_part(world.object_pose())
-        trial = Trial("modes", 0, {world.objects[0]: placement(rod)}, self._target)
+        lies = level_part(world.object_pose())
+        trial = Trial("modes", 0, {world.objects[0]: placement(lies)}, self._target)
         plan = self._operator.plan(trial, seed=self._seed, rate_hz=self._rate)
         over = next(p.end_s for p in plan.phases if p.name == "approach")
         first = round(over * self._rate)
@@ -206,7 +193,7 @@ class TeleopDriver:
         q = np.vstack([there, q, back])
         gripper = np.ones((len(q), 2))
         gripper[len(there) : len(q) - len(back)] = plan.gripper[first:]
-        self._move = _Move(q, gripper)
+        self._q, self._opening = q, gripper
 
     def _between(self, a: Array, b: Array) -> Array:
         """Return rest-to-rest joint targets (k, n) from a to b."""
@@ -217,29 +204,26 @@ class TeleopDriver:
 
     def tick(self) -> None:
         """Propose the leader's present posture."""
-        k = min(self._k, len(self._move.q) - 1)
+        k = min(self._k, len(self._q) - 1)
         self._k += 1
-        command = JointCommand(self._move.q[k], self._move.gripper[k], self.stack.plant.time, self._k)
+        command = JointCommand(self._q[k], self._opening[k], self.stack.plant.time, self._k)
         self.stack.propose("teleop", command)
-
-    def watch(self) -> None:
-        """Nothing need be watched."""
 
     @property
     def done(self) -> bool:
         """Whether the leader is home again."""
-        return self._k >= len(self._move.q) + round(0.2 * self._rate)
+        return self._k >= len(self._q) + round(0.2 * self._rate)
 
     def result(self) -> dict[str, object]:
-        """Return where the rod lies now, against where it was to be put."""
-        rod = level_part(self.stack.plant.object_pose())
+        """Return where the object lies now, against where it was to be put."""
+        lies = level_part(self.stack.plant.object_pose())
         x, y, _ = placement(next(iter(self._target.values())))
-        error = float(np.hypot(rod[0, 3] - x, rod[1, 3] - y))
-        return {"rod_error_m": error}
+        error = float(np.hypot(lies[0, 3] - x, lies[1, 3] - y))
+        return {"goal_error_m": error}
 
 
-class PolicyDriver:
-    """The policy at the controls; it sees pictures and joints, never the rod's pose.
+class PolicyDriver(Driver):
+    """The policy at the controls; it sees pictures and joints, never the object's pose.
 
     Args:
         stack: Where to propose; its flush drops the policy's chunk.
@@ -249,8 +233,7 @@ class PolicyDriver:
         trial: Where the object must go.
     """
 
-    controllers = DEFAULT_CONTROLLERS
-    caption = "ACT policy: carries the rod to the goal"
+    caption = "ACT policy: carries the object to the goal"
 
     def __init__(
         self, stack: ControlStack, runtime: PolicyRuntime, picture: Callable[[str], Image], task: Task, trial: Trial
@@ -285,16 +268,16 @@ class PolicyDriver:
 
     @property
     def done(self) -> bool:
-        """Whether the rod has lain at its goal for a while, or the task's time is over."""
+        """Whether the object has lain at its goal for a while, or the task's time is over."""
         world: World = self.stack.plant
         over = world.time - self._began_s >= world.scene.task.time_limit_s
         return over or (self._judge.finished and world.time - self._finished_s >= _QUIET_S)
 
     def result(self) -> dict[str, object]:
-        """Return whether the rod lies released at its goal, and how far off."""
+        """Return whether the object lies released at its goal, and how far off."""
         error = self._judge.outcome(self.stack.plant).goal_error_m
         return {
-            "rod_put_down_at_goal": bool(self._judge.finished),
-            "rod_error_m": error,
+            "put_down_at_goal": bool(self._judge.finished),
+            "goal_error_m": error,
             "inference_hz": self._runtime.inference_hz,
         }
