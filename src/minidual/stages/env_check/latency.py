@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from unittest.mock import patch
 
 import numpy as np
 
 from minidual.config.arbiter import ArbiterConfig
 from minidual.config.supervisor import SupervisorConfig
 from minidual.control.commands import JointCommand
-from minidual.control.joint_control import ComputedTorque
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
@@ -18,7 +18,6 @@ from minidual.errors import MinidualError
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
-from minidual.stages.env_check.tracking import sine_reference
 
 _SOURCE = "policy"
 _NUDGE_RAD = 0.02
@@ -27,6 +26,7 @@ _CHANGED_SHARE = 0.5
 asks for twenty times that; what is left of the one before changes it by a hundredth."""
 _SETTLE_STEPS = 120
 _STILL_RAD_S = 0.01
+_SWING_RAD, _SWINGS_S, _REST_MAX_S = 0.3, 2.0, 2.0
 
 
 @dataclass(frozen=True)
@@ -118,21 +118,17 @@ def _steps_until_torque(rig: LatencyRig) -> int:
 
 def _wall_us(rig: LatencyRig) -> float:
     """Return the wall time from propose to the call that hands the torques over [us]."""
-    world = rig.world
-    command = world.command
-    reached = [0]
+    reached: list[int] = []
+    command = rig.world.command
 
     def stamped(tau: Array, fingers: Array) -> None:
-        reached[0] = time.perf_counter_ns()
+        reached.append(time.perf_counter_ns())
         command(tau, fingers)
 
-    world.command = stamped  # type: ignore[method-assign]
-    try:
+    with patch.object(rig.world, "command", stamped):
         began = time.perf_counter_ns()
         rig.propose()
         rig.stack.step()
-    finally:
-        world.command = command  # type: ignore[method-assign]
     return (reached[0] - began) / 1e3
 
 
@@ -144,43 +140,28 @@ class StopResponse:
         ticks: Control steps from the call to the reflex `emergency_stop`; 1 is the next, 0 if it did not come.
         rest_s: Simulated time until no joint is faster than 0.01 rad/s; NaN if they do not come to rest in 2 s.
         speed_rad_s: Fastest joint when it was called.
-        torque_step_nm: Largest change of a torque in one tick of the stop.
     """
 
     ticks: int
     rest_s: float
     speed_rad_s: float
-    torque_step_nm: float
 
 
-def emergency_stop(world: World, kinematics: Kinematics, config: SupervisorConfig) -> StopResponse:
-    """Swing all joints, press the emergency stop where they are fastest, and watch them come to rest."""
-    controller, supervisor = (
-        ComputedTorque(kinematics),
-        Supervisor(config, dt_s=world.dt, kinematics=Kinematics(world.robot)),
-    )
-    world.reset(sine_reference(world.robot, 0.3, 0.5, 0.0)[0])
-    fingers = np.full(2, world.robot.hand.travel_m)
-    pressed: int | None = None
-    speed, ticks, change = 0.0, 0, 0.0
-    applied = np.zeros_like(world.q)
-    for k in range(round(2.5 / world.dt)):
-        t, q, v = world.time, world.q, world.v
-        if k == round(0.5 / world.dt):
+def emergency_stop(rig: LatencyRig) -> StopResponse:
+    """Swing all joints about home, press the emergency stop where they are fastest, and watch them come to rest."""
+    world, supervisor, home = rig.world, rig.supervisor, rig.world.robot.home
+    press = round(_SWINGS_S / world.dt)
+    speed, ticks = 0.0, 0
+    for k in range(press + round(_REST_MAX_S / world.dt)):
+        rig.target = home + _SWING_RAD * np.sin(2.0 * np.pi * k * world.dt / _SWINGS_S)
+        if k == press:
+            speed = float(np.max(np.abs(world.v)))
             supervisor.estop("environment check")
-            pressed, speed = k, float(np.max(np.abs(v)))
-        tau = controller.torque(q, v, *sine_reference(world.robot, 0.3, 0.5, t))
         try:
-            tau = supervisor.guard(t, q, v, tau)
+            rig.hold_step()
         except ReflexError as error:
-            tau = error.tau
-            if error.reflex.name == "emergency_stop" and pressed is not None:
-                ticks = k + 1 - pressed
-        if supervisor.reflex is not None:
-            change = max(change, float(np.max(np.abs(tau - applied))))
-        applied = tau
-        world.command(tau, fingers)
-        world.step()
+            if k >= press and error.reflex.name == "emergency_stop":
+                ticks = k + 1 - press
         if supervisor.reflex is not None and np.max(np.abs(world.v)) < _STILL_RAD_S:
-            return StopResponse(ticks, world.time - supervisor.reflex.time_s, speed, change)
-    return StopResponse(ticks, float("nan"), speed, change)
+            return StopResponse(ticks, world.time - supervisor.reflex.time_s, speed)
+    return StopResponse(ticks, float("nan"), speed)

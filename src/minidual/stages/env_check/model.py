@@ -6,12 +6,15 @@ Each function measures a world through the interface that every controller uses 
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
 from minidual.control.loop import JointLoop
+from minidual.errors import UsageError
+from minidual.plant.addresses import map_joints
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot
@@ -20,15 +23,13 @@ from minidual.stages.env_check.tracking import sine_reference
 
 def drivable_joints(model: mujoco.MjModel, robot: Robot) -> list[str]:
     """Return those arm joints that the model has as hinges with a torque motor on them."""
-    driven = {
-        model.joint(int(model.actuator_trnid[i, 0])).name
-        for i in range(model.nu)
-        if int(model.actuator_trntype[i]) == int(mujoco.mjtTrn.mjTRN_JOINT)
-        and int(model.actuator_biastype[i]) == int(mujoco.mjtBias.mjBIAS_NONE)
-    }
-    hinge = int(mujoco.mjtJoint.mjJNT_HINGE)
-    hinges = {model.joint(i).name for i in range(model.njnt) if int(model.jnt_type[i]) == hinge}
-    return [name for name in robot.joint_names if name in driven and name in hinges]
+    found = []
+    for name in robot.joint_names:
+        with suppress(UsageError):  # no such joint, no actuator, or a servo
+            map_joints(model, [name], torque=True)
+            if int(model.joint(name).type[0]) == int(mujoco.mjtJoint.mjJNT_HINGE):
+                found.append(name)
+    return found
 
 
 @dataclass(frozen=True)

@@ -9,17 +9,14 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from OpenGL import GL
 
 from minidual.plant.model import CAMERAS
 from minidual.plant.render import Camera, Image, write_video
 from minidual.plant.world import World
 from minidual.robot.pair import Robot
+from minidual.show.figures.canvas import BLUE, INK, ORANGE, limit_line, new_figure, sheet
 from minidual.stages.env_check.tracking import JointResponse, Tracking
-
-_LEFT, _RIGHT, _GREY, _LIMIT = "#1f5fa8", "#d1661b", "#5b6670", "#b3261e"
 
 
 @dataclass(frozen=True)
@@ -96,19 +93,8 @@ def save_cameras(world: World, path: Path) -> None:
     """Save one figure of the three recorded cameras and the overview."""
     with Camera(world.model, 480, 360, supersample=2) as camera:
         pictures = {name: camera.picture(world.data, name) for name in (*CAMERAS, "overview")}
-    titles = {
-        "high": "high (recorded)",
-        "left": "left wrist (recorded)",
-        "right": "right wrist (recorded)",
-        "overview": "overview (for people)",
-    }
-    figure = _figure(9.6, 7.6)
-    for place, (name, picture) in enumerate(pictures.items()):
-        axes = figure.add_subplot(2, 2, place + 1)
-        axes.imshow(picture)
-        axes.set_title(titles[name], fontsize=10, loc="left", color=_GREY)
-        axes.set_axis_off()
-    _save(figure, path)
+    kinds = {"high": "recorded", "left": "wrist, recorded", "right": "wrist, recorded", "overview": "for people"}
+    sheet([(f"{name} ({kinds[name]})", picture) for name, picture in pictures.items()], 2, path, width_in=4.8)
 
 
 def save_tracking(
@@ -136,60 +122,38 @@ def save_tracking(
         sine_limit_rad: Limit on the RMS of the swing.
         rise_limit_s: Limit on the rise time.
     """
-    figure = _figure(15.0, 7.2)
-    (both, norm, alone), (swing, errors, rise) = figure.subplots(2, 3)
+    figure, ((both, norm, alone), (swing, errors, rise)) = new_figure(2, 3, 15.0, 7.2)
     n, x, every = robot.dof_per_arm, np.arange(robot.dof), max(1, len(sine.t) // 2000)
     for j in range(robot.dof):
         arm = j // n
-        style: dict[str, Any] = {"color": (_LEFT, _RIGHT)[arm], "lw": 1.0}
+        style: dict[str, Any] = {"color": (BLUE, ORANGE)[arm], "lw": 1.0}
         if j % n == 0:
             both.plot(step.t, step.reference[:, j], ls="--", alpha=0.6, **style)
             both.plot(step.t, step.measured[:, j], label=f"{robot.sides[arm]} joint 1", **style)
             style["label"] = f"{robot.sides[arm]} arm"
         alone.plot(steps[j].t, steps[j].share(j), ls=("-", (0, (4, 4)))[arm], **style)  # the arms answer alike
         swing.plot(sine.t[::every], 1e3 * (sine.measured - sine.reference)[::every, j], alpha=0.55, **style)
-    norm.semilogy(step.t, np.maximum(step.error_norm, 1e-16), color=_GREY, lw=1.6)
-    norm.axhline(step_limit_rad, color=_LIMIT, lw=1, ls="--", label=f"limit {step_limit_rad:g} rad")
-    alone.axhline(1.0, color=_GREY, lw=0.8, ls=":")
-    colours = np.repeat([_LEFT, _RIGHT], n)
+    norm.semilogy(step.t, np.maximum(step.error_norm, 1e-16), color=INK)
+    limit_line(norm, step_limit_rad, f"limit {step_limit_rad:g} rad")
+    colours = np.repeat([BLUE, ORANGE], n)
     errors.bar(x - 0.2, 1e3 * sine.joint_rms, width=0.38, color=colours, label="RMS while all swing")
     left = [1e3 * row.settled_rad for row in rows]
     errors.bar(x + 0.2, left, width=0.38, color=colours, alpha=0.4, label="left after its own step")
-    errors.axhline(
-        1e3 * sine_limit_rad, color=_LIMIT, lw=1, ls="--", label=f"limit of the swing, {sine_limit_rad:g} rad"
-    )
+    limit_line(errors, 1e3 * sine_limit_rad, f"limit of the swing, {sine_limit_rad:g} rad")
     errors.set_yscale("log")
     rise.bar(x, [1e3 * row.rise_s for row in rows], width=0.7, color=colours, alpha=0.85)
-    rise.axhline(1e3 * rise_limit_s, color=_LIMIT, lw=1, ls="--", label=f"limit {1e3 * rise_limit_s:g} ms")
+    limit_line(rise, 1e3 * rise_limit_s, f"limit {1e3 * rise_limit_s:g} ms")
+    texts = {
+        both: ("Step of joint 1, both arms", "time [s]", "position [rad]"),
+        norm: (f"Error left of the step: {step.settled:.1e} rad", "time [s]", "error norm of all joints [rad]"),
+        alone: (f"A step of {abs(rows[0].step_rad):g} rad, each joint alone", "time [s]", "share of the step"),
+        swing: (f"All {robot.dof} joints swinging: RMS {1e3 * sine.rms:.2g} mrad", "time [s]", "error [mrad]"),
+        errors: ("Each joint", "joint", "error [mrad]"),
+        rise: ("Rise time of its own step, 10 % to 90 %", "joint", "time [ms]"),
+    }
+    for axes, (title, across, up) in texts.items():
+        axes.set(title=title, xlabel=across, ylabel=up)
+        axes.legend(frameon=False, fontsize=8)
     for axes in (errors, rise):
         axes.set_xticks(x, [f"{'LR'[j // n]}{j % n + 1}" for j in x], fontsize=8)
-    swing.set_ylim(top=1.3 * swing.get_ylim()[1])
-    rise.set_ylim(top=1.25e3 * rise_limit_s)
-    _label(both, "Step of joint 1, both arms", "time [s]", "position [rad]")
-    _label(norm, f"Error left of the step: {step.settled:.1e} rad", "time [s]", "error norm of all joints [rad]")
-    _label(alone, f"A step of {abs(rows[0].step_rad):g} rad, each joint alone", "time [s]", "share of the step")
-    _label(swing, f"All {robot.dof} joints swinging: RMS {1e3 * sine.rms:.2g} mrad", "time [s]", "error [mrad]")
-    _label(errors, "Each joint", "joint", "error [mrad]")
-    _label(rise, "Rise time of its own step, 10 % to 90 %", "joint", "time [ms]")
-    _save(figure, path)
-
-
-def _figure(width_in: float, height_in: float) -> Figure:
-    """Return an empty figure that needs no display and no global state."""
-    figure = Figure(figsize=(width_in, height_in), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def _label(axes: Any, title: str, x: str, y: str) -> None:
-    axes.set_title(title, fontsize=10, loc="left")
-    axes.set_xlabel(x, fontsize=9)
-    axes.set_ylabel(y, fontsize=9)
-    axes.tick_params(labelsize=8, colors=_GREY)
-    axes.grid(True, alpha=0.25, lw=0.6)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False, fontsize=8)
-
-
-def _save(figure: Figure, path: Path) -> None:
-    figure.savefig(path, dpi=120, metadata={"Software": None})  # no date inside: the same run writes the same bytes
+    figure.savefig(path, metadata={"Software": None})  # no date inside: the same run writes the same bytes

@@ -19,20 +19,11 @@ from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
 from minidual.show.view import Overlay
 from minidual.show.watch import watched
-from minidual.stages.env_check import pictures
+from minidual.stages.env_check import model as measure
+from minidual.stages.env_check import pictures, tracking
 from minidual.stages.env_check.checks import Measured, installation_checks, measured_checks
 from minidual.stages.env_check.installation import machine, required_libraries, system_packages
 from minidual.stages.env_check.latency import LatencyRig, command_latency, emergency_stop
-from minidual.stages.env_check.model import control_step_cost, drivable_joints, model_agreement, torque_pulse_mapping
-from minidual.stages.env_check.tracking import (
-    JointResponse,
-    arm_contacts,
-    joint_responses,
-    outward_step,
-    sine_response,
-    single_joint_steps,
-    step_response,
-)
 
 
 def run(context: StageContext) -> StageResult:
@@ -42,16 +33,16 @@ def run(context: StageContext) -> StageResult:
     with context.progress.task("environment", 9) as task:
         libraries, packages = required_libraries(), system_packages()
         model = build_model(context.config.scene, robot, visuals=True)
-        joints = drivable_joints(model, robot)
+        joints = measure.drivable_joints(model, robot)
         installed = installation_checks(libraries, packages, len(joints), robot)
         if len(joints) != robot.dof:  # no world can be built on it; this check says why
             return StageResult(checks=installed)
         world, kinematics = World(context.config.scene, robot, model=model), Kinematics(robot)
         loop = JointLoop(world, kinematics)
-        contacts, cameras = arm_contacts(world), pictures.check_cameras(world)
+        contacts, cameras = tracking.arm_contacts(world), pictures.check_cameras(world)
         pictures.save_cameras(world, folder / "cameras.png")
         task.advance(note="cameras")
-        mapping = torque_pulse_mapping(world, kinematics, pulse_share=config.pulse_share)
+        mapping = measure.torque_pulse_mapping(world, kinematics, pulse_share=config.pulse_share)
         task.advance(note="mapping")
         doing = "each joint alone"
 
@@ -59,26 +50,28 @@ def run(context: StageContext) -> StageResult:
             return Overlay(title="env-check", mode="joint", source="env-check", state=doing)
 
         with watched(context.view, world, tell):
-            steps = single_joint_steps(loop, config.single_step_rad, config.single_duration_s)
+            steps = tracking.single_joint_steps(loop, config.single_step_rad, config.single_duration_s)
             task.advance(note=doing)
             doing = "a step"
-            step = step_response(loop, outward_step(robot, config.step_rad), config.step_duration_s)
+            step = tracking.step_response(loop, tracking.outward_step(robot, config.step_rad), config.step_duration_s)
             task.advance(note=doing)
             doing = "all joints swing"
-            sine = sine_response(loop, config.sine_amplitude_rad, config.sine_frequency_hz, config.sine_duration_s)
+            sine = tracking.sine_response(
+                loop, config.sine_amplitude_rad, config.sine_frequency_hz, config.sine_duration_s
+            )
             task.advance(note=doing)
         states = stream(context.seed, "env-check/states")
-        agreement = model_agreement(world, kinematics, states, config.agreement_states_n)
+        agreement = measure.model_agreement(world, kinematics, states, config.agreement_states_n)
         task.advance(note="two engines")
-        cost = control_step_cost(loop, config.cost_steps_n)
+        cost = measure.control_step_cost(loop, config.cost_steps_n)
         task.advance(note="step cost")
         rig = LatencyRig(world, kinematics, context.config.arbiter, supervisor, context.config.teleop.rate_hz)
         latency = command_latency(rig)
-        stop = emergency_stop(world, kinematics, supervisor)
+        stop = emergency_stop(rig)
         task.advance(note="latency")
         size = {"width_px": config.video_width_px, "height_px": config.video_height_px}
         frames = pictures.film(world, sine, folder / "sine.mp4", fps=config.video_fps, **size)
-        responses = joint_responses(robot, steps, sine)
+        responses = tracking.joint_responses(robot, steps, sine)
         _write_joints(folder / "joints.csv", responses)
         pictures.save_tracking(
             folder / "tracking.png",
@@ -126,7 +119,7 @@ def run(context: StageContext) -> StageResult:
     return StageResult(checks=[*installed, *measured_checks(measured, config, robot)], data=data, notes=notes)
 
 
-def _write_joints(path: Path, rows: Sequence[JointResponse]) -> None:
+def _write_joints(path: Path, rows: Sequence[tracking.JointResponse]) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, fieldnames=list(asdict(rows[0])), lineterminator="\n")
         writer.writeheader()
