@@ -18,7 +18,8 @@ from panda import A_MAX, GROUPS, HOME, Q_LOWER, Q_UPPER
 
 from minidual.config.arbiter import ArbiterConfig
 from minidual.control.arbiter import CommandArbiter
-from minidual.control.commands import HOLD, SOURCES, ArbiterOutput, ArbiterState, JointCommand
+from minidual.control.commands import HOLD, SOURCES, ArbiterState, JointCommand
+from minidual.control.execution import ArbiterOutput
 from minidual.control.mailbox import Mailbox
 from minidual.robot.arms import DUAL_PANDA
 

@@ -10,7 +10,8 @@ from panda import HOME, Q_UPPER
 
 from minidual.config.arbiter import ArbiterConfig
 from minidual.control.arbiter import CommandArbiter
-from minidual.control.commands import ArbiterOutput, ArbiterState, JointCommand
+from minidual.control.commands import ArbiterState, JointCommand
+from minidual.control.execution import ArbiterOutput
 from minidual.errors import UsageError
 from minidual.robot.arms import DUAL_PANDA
 

@@ -29,8 +29,8 @@ import numpy as np
 
 from minidual.config.arbiter import ArbiterConfig
 from minidual.control.command_checks import Fault, opening_fault
-from minidual.control.commands import HOLD, SOURCES, ArbiterOutput, ArbiterState, Command, JointCommand, Refusal
-from minidual.control.execution import Execution
+from minidual.control.commands import HOLD, SOURCES, ArbiterState, Command, JointCommand, Refusal
+from minidual.control.execution import ArbiterOutput, Execution
 from minidual.control.mailbox import Mailbox
 from minidual.control.underway import Underway
 from minidual.errors import UsageError, unknown_name

@@ -10,13 +10,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
+from minidual.control.object_impedance import ObjectState
 from minidual.robot.pair import SIDES, Array
-
-if TYPE_CHECKING:
-    from minidual.control.execution import Execution
-    from minidual.control.object_impedance import ObjectState
 
 SOURCES: tuple[str, ...] = ("moveit", "teleop", "policy")
 """Who may propose commands; each is a mode, and at most one drives at a time."""
@@ -194,30 +191,3 @@ class ArbiterState(StrEnum):
     ACTIVE = "active"
     STALE = "stale"
     STOPPED = "stopped"
-
-
-@dataclass(frozen=True)
-class ArbiterOutput:
-    """What reaches the controllers at one tick.
-
-    Attributes:
-        q_target: (n,) [rad], always finite and inside the limits.
-        gripper: (2,), 0 closed to 1 open.
-        state: What the arbiter does.
-        active_source: Whose command went through in this tick, or None while a posture is held.
-        held_arms: Arms that no fresh command drives in this tick.
-        switched_to: The mode whose request was confirmed in this tick, or None.
-        refusals: Everything refused since the last tick.
-        executions: Timed commands under way; the arms they drive follow them and not `q_target`.
-        halted: Whether a halt was carried out in this tick: the arms stop now, wherever they are.
-    """
-
-    q_target: Array
-    gripper: Array
-    state: ArbiterState
-    active_source: str | None
-    held_arms: tuple[str, ...]
-    switched_to: str | None
-    refusals: tuple[Refusal, ...]
-    executions: tuple[Execution, ...] = ()
-    halted: bool = False

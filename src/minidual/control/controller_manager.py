@@ -14,8 +14,9 @@ from typing import cast
 import numpy as np
 
 from minidual.control.command_checks import Fault
-from minidual.control.commands import ArbiterOutput, Command
+from minidual.control.commands import Command
 from minidual.control.controllers import Controller
+from minidual.control.execution import ArbiterOutput
 from minidual.control.soft_stop import TorqueRate
 from minidual.errors import MinidualError, unknown_name
 from minidual.robot.pair import SIDES, Array, Robot

@@ -15,8 +15,8 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from minidual.control.command_checks import Fault
-from minidual.control.commands import ArbiterOutput, Command, JointCommand, TrajectoryCommand, arms_of
-from minidual.control.execution import TrajectoryExecution
+from minidual.control.commands import Command, JointCommand, TrajectoryCommand, arms_of
+from minidual.control.execution import ArbiterOutput, TrajectoryExecution
 from minidual.control.joint_control import ComputedTorque
 from minidual.control.object_path import minimum_jerk
 from minidual.control.reference import ReferenceFilter

@@ -10,12 +10,14 @@ dr/dt rises from zero to a bounded slope and falls to zero again over short ramp
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from minidual.control.command_checks import own_columns
-from minidual.control.commands import ObjectCommand, TrajectoryCommand
+from minidual.control.commands import ArbiterState, ObjectCommand, Refusal, TrajectoryCommand
 from minidual.control.object_impedance import ObjectState
-from minidual.robot.pair import Robot
+from minidual.robot.pair import Array, Robot
 
 BRAKE_SHARE = 0.8
 """Share of the joints' acceleration limits that braking along a trajectory may take."""
@@ -165,3 +167,30 @@ class ObjectExecution(_Execution):
 
 
 Execution = TrajectoryExecution | ObjectExecution
+
+
+@dataclass(frozen=True)
+class ArbiterOutput:
+    """What reaches the controllers at one tick.
+
+    Attributes:
+        q_target: (n,) [rad], always finite and inside the limits.
+        gripper: (2,), 0 closed to 1 open.
+        state: What the arbiter does.
+        active_source: Whose command went through in this tick, or None while a posture is held.
+        held_arms: Arms that no fresh command drives in this tick.
+        switched_to: The mode whose request was confirmed in this tick, or None.
+        refusals: Everything refused since the last tick.
+        executions: Timed commands under way; the arms they drive follow them and not `q_target`.
+        halted: Whether a halt was carried out in this tick: the arms stop now, wherever they are.
+    """
+
+    q_target: Array
+    gripper: Array
+    state: ArbiterState
+    active_source: str | None
+    held_arms: tuple[str, ...]
+    switched_to: str | None
+    refusals: tuple[Refusal, ...]
+    executions: tuple[Execution, ...] = ()
+    halted: bool = False

@@ -8,9 +8,9 @@ from typing import Protocol
 import numpy as np
 
 from minidual.control.command_checks import Fault
-from minidual.control.commands import ArbiterOutput, Command, ObjectCommand
+from minidual.control.commands import Command, ObjectCommand
 from minidual.control.controllers import Controller
-from minidual.control.execution import ObjectExecution
+from minidual.control.execution import ArbiterOutput, ObjectExecution
 from minidual.control.object_impedance import HeldObject, ImpedanceGains, ObjectImpedance, ObjectState, bounded
 from minidual.errors import UsageError
 from minidual.robot.kinematics import Kinematics

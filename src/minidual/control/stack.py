@@ -22,9 +22,10 @@ import numpy as np
 
 from minidual.config.arbiter import ArbiterConfig
 from minidual.control.arbiter import CommandArbiter
-from minidual.control.commands import HOLD, ArbiterOutput, ArbiterState, Command, JointCommand, Refusal
+from minidual.control.commands import HOLD, ArbiterState, Command, JointCommand, Refusal
 from minidual.control.controller_manager import ControllerManager, ControllerSwitchError
 from minidual.control.controllers import Controller, JointTrajectoryController
+from minidual.control.execution import ArbiterOutput
 from minidual.control.gripper import JOINT_PINCH_N, Grippers
 from minidual.control.object_controller import ObjectImpedanceController, ObjectSensor
 from minidual.control.soft_stop import STOP_SHARE, SoftStopController, SwitchedOff

@@ -20,7 +20,7 @@ from minidual.control import limits
 from minidual.control.reflexes import Reflex, ReflexError
 from minidual.control.supervised_stop import SupervisedStop
 from minidual.errors import UsageError
-from minidual.plant.recorder import Recorder
+from minidual.plant.world import StepRecorder
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array
 
@@ -30,7 +30,7 @@ OnReflex = Callable[[Reflex], Path | None]
 """Called once when a reflex comes; may return the file with the replayable state that it wrote."""
 
 
-def dumping(recorder: Recorder) -> OnReflex:
+def dumping(recorder: StepRecorder) -> OnReflex:
     """Return what writes a recorder's last second to its folder when a reflex comes."""
     return lambda reflex: recorder.dump(reflex.name, reflex.text, details=reflex.details)
 

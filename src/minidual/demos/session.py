@@ -14,7 +14,8 @@ import numpy as np
 
 from minidual.config.arbiter import ArbiterConfig
 from minidual.config.teleop import TeleopConfig
-from minidual.control.commands import ArbiterOutput, ArbiterState, JointCommand, Refusal
+from minidual.control.commands import ArbiterState, JointCommand, Refusal
+from minidual.control.execution import ArbiterOutput
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor

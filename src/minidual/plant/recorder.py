@@ -6,16 +6,14 @@ import itertools
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from minidual.plant.recording import STATE, Recording, physical_fields, versions, write_recording
+from minidual.plant.world import World
 from minidual.robot.pair import Array
-
-if TYPE_CHECKING:
-    from minidual.plant.world import World
 
 _KEYFRAME_S, _KEYFRAME_TRIAL_S = 0.02, 0.1
 """Distance of keyframes: close where the fault lies, sparse over a whole trial, which repeats from them anyway."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Protocol
 
 import mujoco
 import numpy as np
@@ -16,10 +17,17 @@ from minidual.plant.model import build_model
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.pair import Array, Robot
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
-    from minidual.plant.recorder import Recorder
+class StepRecorder(Protocol):
+    """Keeps what a replay needs; `minidual.plant.recorder.Recorder` is one."""
+
+    def before_step(self) -> None:
+        """Note the controls of the step that is about to be made."""
+        ...
+
+    def dump(self, name: str, reason: str, *, details: Mapping[str, Any] | None = None) -> Path | None:
+        """Write what was kept; return the file, or None where nothing was written."""
+        ...
 
 
 class SimulationDivergedError(MinidualError):
@@ -76,7 +84,7 @@ class World:
         self._finger_ctrl = tuple(
             np.ascontiguousarray(self.finger_joints.ctrl.reshape(2, 2).T)
         )  # a strided index is slow
-        self.recorder: Recorder | None = None
+        self.recorder: StepRecorder | None = None
         """Keeps what a replay needs, where one is wanted (see minidual.plant.recorder)."""
         self.observer: Callable[[World], None] | None = None
         """Called after every step, where somebody watches (see minidual.show.watch); it only reads."""
