@@ -33,16 +33,22 @@ def table_html(overlay: Overlay, speed: float | None) -> str:
         ("simulated time", f"{overlay.time_s:.2f} s"),
         ("speed", "" if speed is None else f"{speed:.2f} x real time"),
     ]
-    forces = _forces(overlay)
-    if forces is not None:  # adding zero after rounding leaves no minus sign before a zero
-        rows += [(name, f"{round(n, 1) + 0.0:.1f} N") for (name, _), n in zip(_FORCES, forces, strict=True)]
-    cells = "".join(
-        f"<tr><td style='opacity:.6;padding-right:1em'>{name}</td><td style='text-align:right'>{html.escape(text)}</td></tr>"
-        for name, text in rows
-        if text
-    )
+    cells = "".join(_row(name, text) for name, text in rows if text)
+    for (name, rgb), force in zip(_FORCES, _forces(overlay) or (), strict=False):
+        cells += _row(name, f"{round(force, 1) + 0.0:.1f} N", rgb)  # adding zero leaves no minus sign before a zero
     title = f"<b>{html.escape(overlay.title)}</b>" if overlay.title else ""
     return f"<div style='padding:4px 12px;font-size:13px'>{title}<table style='width:100%'>{cells}</table></div>"
+
+
+def _row(name: str, text: str, rgb: tuple[int, int, int] | None = None) -> str:
+    """Return one row of the table; a colour marks the row's line in the plot."""
+    mark = "" if rgb is None else f"<span style='color:{_css(rgb)}'>&#9632;</span> "
+    value = f"<td style='text-align:right'>{mark}{html.escape(text)}</td>"
+    return f"<tr><td style='opacity:.6;padding-right:1em'>{name}</td>{value}</tr>"
+
+
+def _css(rgb: tuple[int, int, int]) -> str:
+    return "rgb({},{},{})".format(*rgb)
 
 
 def _forces(overlay: Overlay) -> tuple[float, float, float] | None:
@@ -61,7 +67,7 @@ class Panel:
         self._gui.set_panel_label("minidual")
         self._table = self._gui.add_html("starting ...")
         lines = [
-            uplot.Series(label=f"{name} [N]", stroke="rgb({},{},{})".format(*rgb), width=1.5, points={"show": False})
+            uplot.Series(label=f"{name} [N]", stroke=_css(rgb), width=1.5, points={"show": False})
             for name, rgb in _FORCES
         ]
         self._plot = self._gui.add_uplot(
