@@ -43,11 +43,7 @@ def plant(monkeypatch):
             oscillation,
             0.001,
             law["torque"],
-            t,
-            0.001 + 0 * t,
-            least + 0 * t,
-            0.5 + 0 * t,
-            0 * t,
+            np.array([t, 0.001 + 0 * t, least + 0 * t, 0.5 + 0 * t, 0 * t]),
         )
 
     monkeypatch.setattr(tuning, "carry_once", carry_once)

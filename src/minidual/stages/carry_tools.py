@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import yaml
+
+from minidual.config.root import Config
 from minidual.errors import ExitCode
 from minidual.gate.tool import ToolContext, ToolResult
-
-if TYPE_CHECKING:
-    from minidual.config.root import Config
+from minidual.show.figures.tuning import draw_tuning
+from minidual.show.watch import watch_trials
+from minidual.tasks.task import task_config
+from minidual.trials.benchmark import count_trials
+from minidual.trials.methods import MethodInputs
+from minidual.trials.perturbation import DROP_MAX, run_perturbations, touching
+from minidual.trials.tables import markdown, write_csv, write_rows, write_text
+from minidual.trials.tuning import CARRIES_N, Tuner, TuningError
 
 PERTURB_TRIALS_N = 20
 
 
 def perturb(context: ToolContext) -> ToolResult:
     """Run the carry under every condition and compare its success with the clean one."""
-    from minidual.show.watch import watch_trials
-    from minidual.tasks.task import task_config
-    from minidual.trials.benchmark import count_trials
-    from minidual.trials.methods import MethodInputs
-    from minidual.trials.perturbation import DROP_MAX, run_perturbations, touching
-    from minidual.trials.tables import markdown, write_csv, write_rows
-
     trials_n = int(context.options.get("trials", PERTURB_TRIALS_N))
     inputs = MethodInputs(task_config(context.config), context.seed)
     asked = dict.fromkeys(touching("impedance"), trials_n)
@@ -54,13 +55,6 @@ def perturb(context: ToolContext) -> ToolResult:
 
 def tune(context: ToolContext) -> ToolResult:
     """Search squeeze and stiffness by carrying; write them as a profile."""
-    import yaml
-
-    from minidual.show.figures.tuning import draw_tuning
-    from minidual.tasks.task import task_config
-    from minidual.trials.tables import markdown, write_rows, write_text
-    from minidual.trials.tuning import CARRIES_N, Tuner, TuningError
-
     config = task_config(context.config)
     with context.progress.task("tuning") as task:
         tuner = Tuner(

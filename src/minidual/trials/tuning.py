@@ -65,7 +65,8 @@ class Carried:
         oscillation_m: RMS of that distance above 5 Hz; NaN likewise.
         tilt_max_rad: Largest tilt.
         torque_ratio_max: Largest torque over its limit.
-        t_s, error_m, force_n, torque_ratio, tilt_rad: (T,) each, while the object was carried, for the figure.
+        series: (5, T) while the object was carried, for the figure: time [s], error [m], internal force [N], largest
+            torque over its limit, tilt [rad].
     """
 
     success: bool
@@ -75,11 +76,7 @@ class Carried:
     oscillation_m: float
     tilt_max_rad: float
     torque_ratio_max: float
-    t_s: Array
-    error_m: Array
-    force_n: Array
-    torque_ratio: Array
-    tilt_rad: Array
+    series: Array
 
 
 @dataclass(frozen=True)
@@ -300,11 +297,7 @@ def carry_once(inputs: MethodInputs, trial: Trial) -> Carried:
         oscillation_m(errors),
         metrics.tilt_max_rad,
         metrics.torque_ratio_max,
-        t,
-        size,
-        force,
-        torque,
-        tilt,
+        np.array([t, size, force, torque, tilt]),
     )
 
 

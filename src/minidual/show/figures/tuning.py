@@ -30,16 +30,16 @@ def draw_tuning(tuning: Tuning, needed_n: float, path: Path) -> None:
     stiffness.set(title=title, xlabel="stiffness (N/m)", ylabel="RMS above 5 Hz (mm)", ylim=(0, None))
 
     panels: tuple[tuple[Any, str, str, Callable[[Carried], Array], float | None], ...] = (
-        (track, "Tracking error of the object", "mm", lambda c: 1e3 * c.error_m, 1e3 * TRACKING_MAX_M),
-        (squeeze, "Internal force", "N", lambda c: c.force_n, needed_n),
-        (torque, "Largest motor torque / limit", "", lambda c: c.torque_ratio, 1.0),
-        (tilt, "Tilt", "deg", lambda c: np.degrees(c.tilt_rad), None),
+        (track, "Tracking error of the object", "mm", lambda c: 1e3 * c.series[1], 1e3 * TRACKING_MAX_M),
+        (squeeze, "Internal force", "N", lambda c: c.series[2], needed_n),
+        (torque, "Largest motor torque / limit", "", lambda c: c.series[3], 1.0),
+        (tilt, "Tilt", "deg", lambda c: np.degrees(c.series[4]), None),
     )
     for axis, title, unit, value, limit in panels:
         for step, colour in zip(tuning.compared, (GREEN, BLUE, ORANGE), strict=True):
             carry = step.carries[0]
             label = f"{step.force_n:.0f} N" + ("" if step.holds else " (does not hold)")
-            axis.plot(carry.t_s - carry.t_s[:1], value(carry), color=colour, lw=1.2, label=label)
+            axis.plot(carry.series[0] - carry.series[0, :1], value(carry), color=colour, lw=1.2, label=label)
         if limit is not None:
             limit_line(axis, limit)
         axis.set(title=f"{title}, {tuning.stiffness_n_per_m:.0f} N/m", xlabel="s since the lift", ylabel=unit)
