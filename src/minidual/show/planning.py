@@ -162,7 +162,7 @@ def write_picture(path: Path, config: SceneConfig, scene: PlanningScene, traject
 
 def _renders(config: SceneConfig, scene: PlanningScene, trajectory: Trajectory) -> list[Any]:
     poser = Poser(config, scene)
-    cameras = _camera((0.3, 0.0, 0.25), 2.1, 148.0, -28.0), _camera((0.35, 0.0, 0.1), 1.9, 90.0, -89.0)
+    cameras = _camera((0.3, 0.0, 0.25), 2.1, 148.0, -28.0), _camera((0.35, 0.0, 0.1), 2.2, 90.0, -89.0)
     return [_render(poser, trajectory, camera) for camera in cameras]
 
 

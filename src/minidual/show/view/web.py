@@ -20,15 +20,15 @@ from minidual.show.view.scene import Scene
 
 _PANEL_HZ = 6.0
 _UNWATCHED = 10.0
-"""While no browser is connected pictures come this many times more rarely: the next one to connect gets the last."""
+"""While no browser is connected, pictures are this many times rarer; the next browser gets the last one."""
 _FAREWELL_S = 0.3
 
 
 class _Server(viser.ViserServer):
-    """A viser server that opens no public tunnel, whoever asks."""
+    """A viser server that never opens a public tunnel."""
 
     def request_share_url(self, verbose: bool = True) -> None:
-        """Refuse: the scene leaves this machine only through a tunnel of its user's own."""
+        """Refuse."""
         del verbose
 
 
@@ -44,9 +44,8 @@ class _Frame:
 class WebView:
     """See minidual.show.view.protocol.View.
 
-    `update` leaves a copy in a slot and returns. A thread takes the newest copy and hands it to the server, whose
-    own loop talks to the browsers. A slow, closed or broken client therefore costs the simulation nothing, and an
-    error in the thread ends the view, says so once, and nothing else.
+    `update` leaves a copy in a slot and returns. A thread hands the newest copy to the server. A slow, closed or broken
+    client costs the simulation nothing; an error in the thread ends the view, is reported once, and the run goes on.
 
     Args:
         config: Interface, first port, rate.
@@ -156,7 +155,7 @@ class WebView:
             self._panel_metronome.done()
 
     def close(self) -> None:
-        """Say good-bye in the page and end the server."""
+        """Mark the page as ended and stop the server."""
         if self._ending:
             return
         last = self._slot
