@@ -34,7 +34,7 @@ class SupervisorConfig(StrictModel):
     """Ranges of x, y and z in the world that no tool centre point may leave."""
     self_collision_min_m: float = Field(default=0.01, gt=0.0, le=0.2)
     stale_s: float = Field(default=0.1, gt=0.0, le=2.0)
-    """The arms stop when whoever reports commands to the supervisor has not done so for this long."""
+    """The arms stop when the arbiter has not reported to the supervisor for this long."""
     slow_period_s: float = Field(default=0.01, ge=0.001, le=0.02)
     """Period of the checks that need kinematics; see docs/supervisor.md for why it is short enough."""
     stop_deceleration_scale: float = Field(default=0.4, gt=0.0, le=0.8)

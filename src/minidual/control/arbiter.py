@@ -258,7 +258,7 @@ class CommandArbiter:
         self._state = ArbiterState.SETTLING
 
     def _begin_halt(self, now_s: float, posture: Array, v_measured: Array) -> bool:
-        """Drop what is under way and take the turn from whoever has it, if a halt was asked for; return whether."""
+        """Carry out a halt that was asked for: drop timed commands, end the turn. Return whether there was one."""
         if self._halt is None:
             return False
         (source, gripper), self._halt = self._halt, None

@@ -1,4 +1,4 @@
-"""What is wrong with a command by itself: checked when it is proposed, whoever drives."""
+"""Checks of a command that need no posture; they run when it is proposed."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Fault = tuple[str, str]
 
 
 def find_fault(command: Command, robot: Robot) -> Fault | None:
-    """Return (name, detail) of what is wrong with a command by itself, or None."""
+    """Return (name, detail) of the first check that a command fails, or None."""
     if isinstance(command, ObjectCommand):
         return _common_fault(command) or _object_fault(command)
     if command.group not in robot.groups:

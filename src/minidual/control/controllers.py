@@ -5,7 +5,7 @@ B  `left_arm`, `right_arm`      the same for one arm
 C  `object_impedance`           both arms and the object between them (see object_controller)
    `soft_stop`                  brings both arms to rest and holds them softly (see soft_stop)
 
-Each claims one or both arms. Activated, it holds what it measures; it never starts with a jump of its own.
+Each claims one or both arms and begins by holding the measured posture.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 
 _BLEND_S = 0.5
-"""Over this time what is left between the reference and the start of a trajectory fades away."""
+"""Time in which the offset between the reference and the start of a trajectory fades."""
 
 
 class Controller(ABC):

@@ -1,7 +1,7 @@
-"""The joint-space control loop that teleoperation, policy and planner share.
+"""Joint control without arbiter and supervisor.
 
-Whoever produces joint targets, the same filter, the same controller and the same grippers turn them into
-torques; recording and deployment therefore run on one plant.
+One filter, one controller and one pair of grippers turn joint targets into torques, without arbitration: for measurements
+and for the Gymnasium environment. Everything else moves the arms through the control stack.
 """
 
 from __future__ import annotations

@@ -64,7 +64,7 @@ class Mailbox:
     def fresh(self, now_s: float, stale_s: float) -> tuple[dict[int, JointCommand], list[Refusal]]:
         """Return the command of each arm that is at most `stale_s` old, and refusals of stamps from the future.
 
-        A stamp further ahead than `stale_s` would keep its command fresh for ever; it is dropped.
+        A stamp further ahead than `stale_s` would never become stale; it is dropped.
         """
         fresh: dict[int, JointCommand] = {}
         refusals: list[Refusal] = []

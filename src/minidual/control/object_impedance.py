@@ -33,7 +33,7 @@ _BENT = "keep the elbows bent: a stretched arm cannot carry"
 
 
 def bounded(value: float, low: float, high: float) -> float:
-    """Return the value within its bounds; NaN stays NaN, so that whoever looks at the torques finds it."""
+    """Return the value within its bounds; NaN stays NaN."""
     return high if value > high else low if value < low else value
 
 

@@ -99,7 +99,7 @@ REFLEXES: dict[str, ReflexKind] = {
     "not_finite": ReflexKind(
         "",
         "a measurement or a torque is not a finite number",
-        "look at the sensors and at the controller's inputs: the first that is no number is the cause",
+        "look at the sensors and at the controller's inputs: the first that is not finite is the cause",
         "",
     ),
     "controller_failed": ReflexKind(

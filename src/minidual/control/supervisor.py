@@ -312,7 +312,7 @@ class Supervisor:
         if self._on_reflex is not None:
             try:
                 dump = self._on_reflex(reflex)
-            except Exception as error:  # whatever it is, it must not stand in the way of this tick's torque
+            except Exception as error:  # the torque of this tick is returned whatever the callback does
                 failure = error
         raise ReflexError(
             reflex, tau, dump, "" if failure is None else f"{type(failure).__name__}: {failure}"

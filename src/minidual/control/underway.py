@@ -74,7 +74,7 @@ class Underway:
         return target, ended
 
     def drop(self) -> None:
-        """Forget everything, wherever it is on its path: somebody else stops the arms."""
+        """Forget everything; the caller stops the arms."""
         self.executions = ()
 
     def brake(self) -> None:

@@ -29,7 +29,7 @@ class Recorder:
         world: The world.
         window_s: Keep this much of the past; None keeps everything since the reset.
         seed: Of the run, for the file.
-        folder: Where dumps go; without it nothing is dumped by itself.
+        folder: Where dumps go; without it nothing is dumped.
     """
 
     def __init__(
@@ -143,7 +143,7 @@ class Recorder:
     def dump(self, name: str, reason: str, *, details: Mapping[str, Any] | None = None) -> Path | None:
         """Write the window into the dump folder; return the file, or None where there is no folder or it fails.
 
-        A dump must not stand in the way of stopping the arms: `write_error` keeps what the disk said.
+        It never raises for the disk, so that the arms are stopped in any case; `write_error` keeps the error.
         """
         if self._folder is None or self._count == 0:
             return None

@@ -87,7 +87,7 @@ class World:
         self.recorder: StepRecorder | None = None
         """Keeps what a replay needs, where one is wanted (see minidual.plant.recorder)."""
         self.observer: Callable[[World], None] | None = None
-        """Called after every step, where somebody watches (see minidual.show.watch); it only reads."""
+        """Called after every step by a viewer (see minidual.show.watch); it only reads."""
         self.reset()
 
     @property
