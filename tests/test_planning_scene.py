@@ -13,7 +13,7 @@ from minidual.collision.engine import Pairs
 from minidual.collision.links import collision_links, links_of
 from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import TABLE, Attached, PlanningScene
-from minidual.collision.shapes import Box, Capsule, Cylinder, Sphere, bounding_radius
+from minidual.collision.shapes import Box, Capsule, Cylinder, Sphere
 from minidual.errors import UsageError
 from minidual.robot.arms import DUAL_PANDA, PANDA
 from minidual.robot.description import never_touching
@@ -54,11 +54,6 @@ def test_joints_before_counts_the_joints_that_move_a_link():
 def test_bad_shapes_are_refused(make, says):
     with pytest.raises(UsageError, match=says):
         make()
-
-
-def test_bounding_radius():
-    assert bounding_radius(Box("b", (0, 0, 0), size_m=(2.0, 2.0, 1.0))) == pytest.approx(1.5)
-    assert bounding_radius(Capsule("c", (0, 0, 0), radius_m=0.1, length_m=0.4)) == pytest.approx(0.3)
 
 
 def test_two_things_of_one_name_are_refused():

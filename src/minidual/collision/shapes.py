@@ -148,21 +148,6 @@ class Attached:
         return self.shape.name
 
 
-def bounding_radius(shape: Shape) -> float:
-    """Return the radius [m] of the smallest ball about the shape's centre that holds it."""
-    match shape:
-        case Box():
-            return 0.5 * math.hypot(*shape.size_m)
-        case Cylinder():
-            return math.hypot(shape.radius_m, 0.5 * shape.length_m)
-        case Capsule():
-            return shape.radius_m + 0.5 * shape.length_m
-        case Sphere():
-            return shape.radius_m
-        case Mesh():
-            return float(np.linalg.norm(np.vstack(shape.vertices()), axis=1).max())
-
-
 def grown(shape: Shape, by_m: float) -> Shape:
     """Return the shape with everything in it that is nearer than `by_m`, and a little more at edges.
 

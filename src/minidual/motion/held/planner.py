@@ -384,16 +384,16 @@ class HeldWork:
             IKUnreachableError, GoalInCollisionError: There is none.
             ClosedChainError: Each of them lies at a joint limit.
         """
-        query, config, mujoco, robot = self._query, self._tools.config, self._engines, self._hands.robot
-        goals = [end] if end is not None and not mujoco.in_collision(end) else []
-        roomy = bool(goals) and not mujoco.closest(goals[0], config.padding_m)
+        query, config, engines, robot = self._query, self._tools.config, self._engines, self._hands.robot
+        goals = [end] if end is not None and not engines.in_collision(end) else []
+        roomy = bool(goals) and not engines.closest(goals[0], config.padding_m)
         if not (roomy and wanted_n == 1):
             try:
                 goals += self._tools.goals.candidates(
                     "both_arms",
                     query.q_start,
                     {arm: query.T_world_goal @ grasp for arm, grasp in zip(SIDES, self._grasps, strict=True)},
-                    mujoco,
+                    engines,
                     np.random.default_rng([query.seed, 1]),
                     restarts_n=restarts_scale * config.ik_restarts_n,
                     candidates_n=1 if wanted_n == 1 else _CANDIDATES_N,
@@ -410,7 +410,7 @@ class HeldWork:
             if q is None:
                 continue
             relaxed = self._hands.relaxed(query.T_world_goal, q)
-            q = q if mujoco.in_collision(relaxed) else relaxed
+            q = q if engines.in_collision(relaxed) else relaxed
             if all(np.abs(q - other).max() > _SAME_RAD for other in found):
                 found.append(q)
         if not found:
