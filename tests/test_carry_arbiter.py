@@ -17,6 +17,7 @@ from minidual.config.scene import SceneConfig
 from minidual.control.arbiter import CommandArbiter
 from minidual.control.commands import ArbiterState, JointCommand
 from minidual.control.object_impedance import ObjectImpedance, ObjectState
+from minidual.control.object_path import minimum_jerk
 from minidual.control.stack import DEFAULT_CONTROLLERS, OBJECT_CONTROLLERS
 from minidual.control.supervisor import Supervisor
 from minidual.plant.sensing import Reading, Sensors
@@ -28,7 +29,7 @@ from minidual.show.view.overlay import Overlay
 from minidual.show.watch import trial_hook
 from minidual.skills.carry_motions import JointMove, carrying, plan_path, releasing, squeezing
 from minidual.skills.impedance_carry import SOURCE, ImpedanceCarry
-from minidual.skills.reach import Quintic, approach_postures
+from minidual.skills.reach import grasp_posture
 from minidual.tasks.rod_carry import level_pose, tilt_rad
 
 PHASES = ("approach", "descend", "close", "squeeze", "carry", "unload", "open", "retreat")
@@ -409,14 +410,15 @@ def test_an_emergency_stop_stops_every_phase_and_leaves_the_hands(world: World, 
 def test_a_joint_move_is_its_quintic_and_its_derivatives_are() -> None:
     rng = np.random.default_rng(3)
     q0, q1 = HOME, HOME + rng.uniform(-0.3, 0.3, 14)
-    quintic = Quintic(q0, q1, 0.8124)
-    move = JointMove(quintic, 1e-3)
+    move = JointMove(q0, q1, 0.8124, 1e-3)
     assert move.q.shape == (814, 14)
     assert np.allclose(move.q[[0, -1]], [q0, q1], rtol=0.0, atol=1e-15)
     assert np.array_equal(move.v[[0, -1]], np.zeros((2, 14)))
     for k in (0, 1, 137, 400, 813):
-        for seen, wanted in zip((move.q, move.v, move.a), quintic.at(min(k * 1e-3, 0.8124)), strict=True):
-            assert np.allclose(seen[k], wanted, rtol=1e-13, atol=1e-14)
+        blend, rate, curvature = minimum_jerk(min(k * 1e-3 / 0.8124, 1.0))
+        wanted = q0 + blend * (q1 - q0), rate * (q1 - q0) / 0.8124, curvature * (q1 - q0) / 0.8124**2
+        for seen, value in zip((move.q, move.v, move.a), wanted, strict=True):
+            assert np.allclose(seen[k], value, rtol=1e-13, atol=1e-13)
     assert np.allclose(np.gradient(move.q[:-1], 1e-3, axis=0)[1:-1], move.v[1:-2], atol=1e-5)
 
 
@@ -424,7 +426,7 @@ def test_a_joint_move_is_its_quintic_and_its_derivatives_are() -> None:
 def test_the_squeeze_is_asked_for_no_faster_than_controller_c_gives_it(scene: SceneConfig, squeeze_n: float) -> None:
     T = level_pose(*scene.task.start_xy_m, scene.object.rest_height_m, 0.0)
     path = plan_path(
-        scene, DUAL_PANDA, CarryConfig(), (*scene.task.goal_xy_m, 0.0), T, approach_postures(scene, DUAL_PANDA, T)[1]
+        scene, DUAL_PANDA, CarryConfig(), (*scene.task.goal_xy_m, 0.0), T, grasp_posture(scene, DUAL_PANDA, T, HOME)
     )
     ends = {}
     for name, make in (("squeeze", squeezing), ("carry", carrying), ("release", releasing)):

@@ -22,7 +22,7 @@ from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 from minidual.robot.poses import inverse, pose
-from minidual.skills.reach import approach_postures
+from minidual.skills.reach import grasp_posture
 from minidual.stages.env_check.tracking import sine_reference
 from minidual.tasks.rod_carry import level_part
 
@@ -146,7 +146,7 @@ def held_scene(scene: SceneConfig, gains: ImpedanceGains) -> BenchScene:
         GraspFailedError: The rod was not lifted.
     """
     world, kinematics = World(scene), Kinematics()
-    _, q_grasp = approach_postures(scene, world.robot, level_part(world.object_pose()))
+    q_grasp = grasp_posture(scene, world.robot, level_part(world.object_pose()), world.robot.home)
     world.reset(q_grasp)
     loop = JointLoop(world, kinematics)
     for _ in range(_CLOSE_STEPS):

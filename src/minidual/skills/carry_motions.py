@@ -18,7 +18,6 @@ from minidual.robot.pair import Array, Robot
 from minidual.robot.poses import inverse
 from minidual.skills.pace import object_duration_s
 from minidual.skills.phases import PHASES
-from minidual.skills.reach import Quintic
 from minidual.tasks.rod_carry import level_part
 
 LANDED_S = 0.1
@@ -26,32 +25,30 @@ LANDED_S = 0.1
 
 
 class JointMove:
-    """A rest-to-rest motion of both arms (`control.commands.TimedMotion`).
+    """A minimum-jerk motion of both arms between two postures (`control.commands.TimedMotion`).
 
     Args:
-        motion: Between two postures (n,).
+        q0, q1: From and to, (n,) [rad].
+        duration_s: How long it takes.
         dt_s: Control step, on whose grid it is given.
 
     Attributes:
         q, v, a: (k, n) on the grid.
-        dt_s: Step of the grid.
-        duration_s: When it ends.
     """
 
-    def __init__(self, motion: Quintic, dt_s: float) -> None:
-        self._motion, self.dt_s, self.duration_s = motion, dt_s, motion.duration_s
-        steps = int(np.ceil(motion.duration_s / dt_s - 1e-6))
-        self.q, self.v, self.a = self.sample_many(np.minimum(np.arange(steps + 1) * dt_s, motion.duration_s))
+    def __init__(self, q0: Array, q1: Array, duration_s: float, dt_s: float) -> None:
+        self._q0, self._way, self.dt_s, self.duration_s = q0, q1 - q0, dt_s, duration_s
+        steps = int(np.ceil(duration_s / dt_s - 1e-6))
+        self.q, self.v, self.a = self.sample_many(np.minimum(np.arange(steps + 1) * dt_s, duration_s))
 
     def sample_many(self, times: Array) -> tuple[Array, Array, Array]:
-        """Return (q, v, a), each (m, n), at times (m,) [s]: `Quintic.at`, many at once."""
-        motion, duration = self._motion, self._motion.duration_s
+        """Return (q, v, a), each (m, n), at times (m,) [s]; at rest before and after."""
+        duration, way = self.duration_s, self._way
         s = np.clip(np.asarray(times, dtype=float) / duration, 0.0, 1.0)[:, None]
         blend = s**3 * (10.0 + s * (6.0 * s - 15.0))
         rate = 30.0 * s**2 * (1.0 - s) ** 2
         curvature = 60.0 * s * (1.0 + s * (2.0 * s - 3.0))
-        delta = motion.q1 - motion.q0
-        return motion.q0 + blend * delta, rate / duration * delta, curvature / duration**2 * delta
+        return self._q0 + blend * way, rate / duration * way, curvature / duration**2 * way
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,7 @@ from minidual.skills.faults import CarryFault
 from minidual.skills.pace import joint_duration_s
 from minidual.skills.phases import PHASES
 from minidual.skills.pipeline.drive import SOURCE
-from minidual.skills.reach import GraspUnreachableError, Quintic, approach_postures, grasp_posture
+from minidual.skills.reach import GraspUnreachableError, grasp_posture
 from minidual.tasks.rod_carry import level_part, placement
 from minidual.tasks.task import Trial
 
@@ -105,7 +105,12 @@ class ImpedanceCarry:
         self._path: ObjectPath | None = None
         self._T_level_object = np.eye(4)
         try:
-            self._q_over, _ = approach_postures(world.scene, world.robot, level_part(self._watch.T_world_object))
+            level = level_part(self._watch.T_world_object)
+            over_m = PHASES["approach"].rise_m
+            self._q_over = grasp_posture(world.scene, world.robot, level, world.robot.home, above_m=over_m)
+            grasp_posture(
+                world.scene, world.robot, level, self._q_over
+            )  # refuses a grasp out of reach before anything moves
         except GraspUnreachableError as error:
             self._stop_by.heed(("unreachable", error.message))
         else:
@@ -188,7 +193,7 @@ class ImpedanceCarry:
         """Enter a phase in which the open hands go from where they were sent last to a posture (n,)."""
         if duration_s is None:
             duration_s = joint_duration_s(self._q_last, q_goal, self._config.pace, self.world.robot)
-        motion = JointMove(Quintic(self._q_last, q_goal, duration_s), self.world.dt)
+        motion = JointMove(self._q_last, q_goal, duration_s, self.world.dt)
         self._q_last = q_goal
         self._propose(TrajectoryCommand(motion, _OPEN, self.world.time, self._number()))
         self._enter(phase)

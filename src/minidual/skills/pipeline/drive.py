@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 
 from minidual.control.commands import ArbiterState, TrajectoryCommand
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
-from minidual.robot.pair import Array
 from minidual.skills.pipeline.state import Segment
 
 SOURCE = "moveit"
@@ -90,52 +88,3 @@ class Drive:
     def _abort(self, reason: str) -> None:
         self.aborted = f"the arbiter stopped phase '{self.phase}' ({reason})"
         self._left = []
-
-
-@dataclass
-class Driven:
-    """What happened while one segment was driven.
-
-    Attributes:
-        phase: Its phase.
-        duration_s: Simulated time.
-        tracking_max_rad: Largest distance of a joint from the plan.
-        object_off_max_m: Largest distance of an object in both hands from its plan; None elsewhere.
-    """
-
-    phase: str
-    duration_s: float = 0.0
-    tracking_max_rad: float = 0.0
-    object_off_max_m: float | None = None
-
-
-def measured(
-    drive: Drive, T_world_object: Callable[[], Array], on_step: Callable[[str], None] | None = None
-) -> tuple[Driven, ...]:
-    """Drive to the end; return one entry a segment that was begun.
-
-    Args:
-        drive: Fresh.
-        T_world_object: Reads the true pose (4, 4) of the object, for the measurement only.
-        on_step: Gets the phase after every step.
-    """
-    done: list[Driven] = []
-    world, last = drive.stack.plant, None
-    while not drive.done:
-        drive.step()
-        segment = drive.segment
-        if segment is None or drive.elapsed_s == 0.0:
-            continue
-        if segment is not last:
-            done.append(Driven(segment.phase))
-            last = segment
-        now, t = done[-1], drive.elapsed_s
-        now.duration_s = t
-        now.tracking_max_rad = float(max(now.tracking_max_rad, np.abs(world.q - segment.trajectory.sample(t)[0]).max()))
-        if segment.Ts_world_object is not None:
-            row = min(round(t / segment.trajectory.dt_s), len(segment.Ts_world_object) - 1)
-            distance = float(np.linalg.norm(T_world_object()[:3, 3] - segment.Ts_world_object[row, :3, 3]))
-            now.object_off_max_m = max(now.object_off_max_m or 0.0, distance)
-        if on_step is not None:
-            on_step(segment.phase)
-    return tuple(done)
