@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from carry_trials import rod_judge, rod_trial
+from carry_trials import carry_task, rod_judge, rod_trial
 
+from minidual.config.root import Config
+from minidual.errors import UsageError
 from minidual.robot.poses import pose, rot_x, rot_z
+from minidual.tasks.judge import Judge
+from minidual.tasks.success import Exchanged, Held
+from minidual.tasks.task import make_task
 
 RADIUS = 0.00887
 START, GOAL = (0.5, 0.25), (0.5, -0.25)
@@ -249,3 +255,57 @@ def test_touching_the_obstacle_counts_where_there_is_one(scene):
     assert judge(instants, blocked)[1].success
     instants[300] = replace(instants[300], struck=True)
     assert faults(judge(instants, blocked)[1]) == {"clear"}
+
+
+def judged(instants: list[Instant], scene, *conditions) -> Judge:
+    """Judge instants by these conditions alone."""
+    referee = Judge(dataclasses.replace(carry_task(scene), success=lambda task, trial: conditions), TRIAL)
+    for instant in instants:
+        referee.observe(instant)
+    return referee
+
+
+def test_one_hand_is_enough_where_the_task_says_so_and_none_is_not(scene):
+    instants = cycle(pinches=(60.0, 0.0))
+    assert judged(instants, scene, Held("rod", 20.0, both=False)).faults == ()
+    assert [f.name for f in judged(instants, scene, Held("rod", 20.0)).faults] == ["held"]
+    assert "firmer hand" in judged(cycle(pinches=(5.0, 1.0)), scene, Held("rod", 20.0, both=False)).faults[0].detail
+
+
+def test_an_exchange_needs_both_hands_in_the_air_at_once(scene):
+    for pinches, exchanged in (((60.0, 60.0), True), ((60.0, 0.0), False)):
+        instants = cycle(pinches=pinches)
+        outcome = judged(instants, scene, Exchanged("rod", 20.0)).outcome(instants[-1])
+        assert outcome.success == exchanged
+        assert faults(outcome) == (set() if exchanged else {"exchanged"})
+
+
+def test_progress_counts_the_stages_that_were_reached_in_order(scene):
+    referee, outcome = judge(cycle(), scene)
+    assert referee.stages == ("held", "rose", "arrived", "released")
+    assert outcome.measured["progress"] == 1.0
+    never_lifted = [replace(i, height=0.0) for i in cycle()]
+    referee, outcome = judge(never_lifted, scene)
+    assert referee.stages == ("held",)
+    assert outcome.measured["progress"] == 0.25
+
+
+def test_a_task_may_not_have_two_conditions_of_one_name(scene):
+    with pytest.raises(ValueError, match="two conditions of one name"):
+        judged([], scene, Held("rod", 20.0), Held("rod", 30.0))
+
+
+def test_an_unknown_task_is_refused_with_the_nearest_one():
+    with pytest.raises(UsageError, match="no task 'rod_cary'") as refused:
+        make_task(Config(task="rod_cary"))
+    assert refused.value.remedy == "did you mean 'rod_carry'?"
+
+
+def test_the_goal_is_drawn_about_its_nominal_place_and_the_start_stays(scene):
+    task = carry_task(scene)
+    wide = scene.model_copy(update={"task": scene.task.model_copy(update={"goal_range_m": 0.05})})
+    fixed, drawn = (carry_task(s).trial(3, "goals", 0) for s in (scene, wide))
+    assert fixed.start == drawn.start
+    assert fixed.goal == {"rod": (*GOAL, 0.0)} == task.trial(3, "goals", 1).goal
+    x, y, _ = drawn.goal["rod"]
+    assert 0.0 < np.hypot(x - GOAL[0], y - GOAL[1]) < 0.0708
