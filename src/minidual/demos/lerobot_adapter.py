@@ -26,7 +26,7 @@ from typing import Any
 
 os.environ.setdefault("HF_HUB_OFFLINE", "1")  # read when LeRobot is imported
 
-import av
+import av.logging
 import datasets
 import numpy as np
 from lerobot.configs.video import RGBEncoderConfig

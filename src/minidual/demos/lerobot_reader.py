@@ -16,6 +16,7 @@ import av
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from av.error import FFmpegError
 from numpy.typing import NDArray
 
 from minidual.errors import DataError, unknown_name
@@ -197,8 +198,9 @@ def _decode(path: Path, expected: int, size: tuple[int, int]) -> Iterator[Image]
             for frame in container.decode(video=0):
                 count += 1
                 if count <= expected:
-                    yield frame.to_ndarray(format="rgb24", width=size[1], height=size[0], interpolation="AREA")
-    except (av.FFmpegError, OSError) as error:
+                    shown: Any = frame.to_ndarray(format="rgb24", width=size[1], height=size[0], interpolation="AREA")
+                    yield shown
+    except (FFmpegError, OSError) as error:
         raise DataError(f"{path} is missing or corrupt: {error}", remedy=_AGAIN) from error
     if count != expected:
         raise DataError(f"{path} holds {count} frames; the table has {expected} rows for it", remedy=_AGAIN)

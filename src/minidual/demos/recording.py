@@ -60,7 +60,8 @@ def record_attempts(
         os.environ[name] = "1"
     os.environ.setdefault("LP_NUM_THREADS", "0")  # the software renderer draws in the calling thread
     processes = min(workers, max(1, len(indices)))
-    yield from joblib.Parallel(n_jobs=processes, return_as="generator", batch_size=1, pre_dispatch="2*n_jobs")(
+    parallel: Any = joblib.Parallel
+    yield from parallel(n_jobs=processes, return_as="generator", batch_size=1, pre_dispatch="2*n_jobs")(
         joblib.delayed(_record_in_worker)(job, index, observe) for index in indices
     )
 

@@ -188,14 +188,13 @@ class EpisodeWriter:
 
     def _spill(self) -> h5py.File:
         """Append the buffered images to the temporary file, and return it."""
-        if self._file is None:
-            self._file = h5py.File(self._partial, "w")
+        file = self._file = self._file or h5py.File(self._partial, "w")
         for camera, frames in self._images.items():
             if not frames:
                 continue
             key, block = schema.image_key(camera), np.stack(frames)
-            if key not in self._file:
-                self._file.create_dataset(
+            if key not in file:
+                file.create_dataset(
                     key,
                     shape=(0, *block.shape[1:]),
                     maxshape=(None, *block.shape[1:]),
@@ -204,14 +203,14 @@ class EpisodeWriter:
                     compression="gzip",
                     compression_opts=1,
                 )
-            dataset = self._file[key]
+            dataset = file[key]
             assert isinstance(dataset, h5py.Dataset)
             start = len(dataset)
             dataset.resize(start + len(block), axis=0)
             dataset[start:] = block
             frames.clear()
         self._buffered_bytes = 0
-        return self._file
+        return file
 
 
 def _row(field: schema.Field, value: ArrayLike | None, joints_n: int, tick: int) -> NDArray[np.float64] | None:

@@ -193,9 +193,9 @@ class _Loop:
         logged = state.curve[-1].step if state.curve else 0
         due = state.step // config.validate_every_steps > logged // config.validate_every_steps
         validation = self._validate() if due or state.step == config.steps else (None, None)
-        means = [float(np.mean([row[k] for row in state.recent])) for k in (0, 1)]
+        loss, l1 = float(np.mean([r[0] for r in state.recent])), float(np.mean([r[1] for r in state.recent]))
         keyframe = float(np.mean(keyframes)) if keyframes else None
-        state.curve.append(LossRow(state.step, *means, keyframe, self.learning_rate(state.step - 1), *validation))
+        state.curve.append(LossRow(state.step, loss, l1, keyframe, self.learning_rate(state.step - 1), *validation))
         state.recent.clear()
 
     @torch.no_grad()

@@ -54,8 +54,9 @@ class SpatialActModel(nn.Module):
 
     def use_precision(self, *, bf16: bool) -> None:
         """Set whether the convolutions compute in bfloat16, and lay their weights out for speed."""
-        self.backbone.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        for encoder in self.backbone:
+        encoders: Any = self.backbone
+        encoders.to(memory_format=torch.channels_last)
+        for encoder in encoders:
             encoder.bf16 = bf16
 
     def forward(self, batch: dict[str, Tensor]) -> Parts:
@@ -75,8 +76,8 @@ class SpatialActModel(nn.Module):
 class SpatialActPolicy(PreTrainedPolicy):
     """LeRobot policy of type `spatial_act`."""
 
-    config_class = SpatialActConfig
-    name = "spatial_act"
+    config_class: Any = SpatialActConfig
+    name: Any = "spatial_act"
 
     def __init__(self, config: SpatialActConfig, **kwargs: Any) -> None:
         super().__init__(config)

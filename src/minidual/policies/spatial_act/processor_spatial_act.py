@@ -14,4 +14,5 @@ def make_spatial_act_pre_post_processors(
     config: SpatialActConfig, dataset_stats: dict[str, dict[str, Tensor]] | None = None
 ) -> tuple[Any, Any]:
     """Return LeRobot's normalising pre-processor and un-normalising post-processor."""
-    return make_act_pre_post_processors(config, dataset_stats)
+    act: Any = config  # it has the entries of ACTConfig that are read there
+    return make_act_pre_post_processors(act, dataset_stats)
