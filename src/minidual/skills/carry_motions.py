@@ -1,7 +1,4 @@
-"""What a carry proposes to the arbiter: timed joint motions, and motions of the object with the squeeze on it.
-
-And what controller C must know before it can follow those: what is held, and how stiffly.
-"""
+"""What a carry proposes: timed joint motions and motions of the squeezed object; and what controller C must know."""
 
 from __future__ import annotations
 

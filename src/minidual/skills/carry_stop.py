@@ -1,10 +1,10 @@
 """What stops a carry, and how: each way ends in one named fault (skills/faults.py).
 
-a finding      of what is sensed: the arms are halted where they are
-motors gone    the same, and those arms are told nothing any more
-a reflex       of the supervisor, whose own soft stop acts at once
-the arbiter    asked for another mode, or having refused or braked a command: it brakes along the path and holds
-a halt         by somebody else: the arms are stopped where they are, the hands stay as they are
+finding        the arms are halted where they are
+lost motors    the same; those arms get no torque any more
+reflex         the supervisor's own soft stop acts
+arbiter        another mode is asked for, or a command is refused: it brakes along the path and holds
+halt           by another source: the arms stop where they are, the hands keep their command
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class CarryStop:
         stack.on_flush(self._flushed)
 
     def heed(self, finding: Finding) -> None:
-        """Halt the arms if something was found: they come to rest where they are."""
+        """Halt the arms where they are if something was found."""
         if finding is None or self.halted:
             return
         name, detail = finding
@@ -65,7 +65,7 @@ class CarryStop:
             self._note(name, self._stack.plant.time, detail, self._halt_s())
 
     def heed_motors(self) -> None:
-        """Look at the motors; those that are gone are told nothing more, whatever stopped the arms before."""
+        """Switch off arms whose motors are lost, whatever stopped them before."""
         if self._told is None:
             return
         finding = self._watch.motors(self._told, self._stack.plant.tau)
@@ -74,13 +74,13 @@ class CarryStop:
             self._stack.switch_off(self._watch.lost_arms)
 
     def heed_refusal(self, refusal: Refusal) -> None:
-        """Note that a command of the carry was refused: what it was to do next will not happen."""
+        """Note that a command of the carry was refused."""
         if self.fault is None:
             why = f"{refusal.name}: {refusal.detail}"
             self._note("interrupted", self._stack.plant.time, why, _BRAKED_S)
 
     def step(self) -> None:
-        """Run a step of the stack; note a reflex, and what the arbiter made of the carry's commands."""
+        """Run a step of the stack; note a reflex and what the arbiter did."""
         try:
             self._stack.step()
         except ReflexError as error:

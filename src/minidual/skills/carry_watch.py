@@ -1,11 +1,11 @@
-"""What a carry knows of the object, from sensed quantities alone, and what it finds wrong with it.
+"""What a carry knows of the object from sensed quantities, and what it finds wrong.
 
     sense()    once a control step: take in what arrives, filter the forces, move the estimate on
     read()     what controller C is told of the object
     others     findings (skills/faults.py), each for the phases in which it applies
 
-The true state of the object is not read here: joints and fingers come from their encoders, motor torques from the
-drives, the object's pose and the contact forces through `plant/sensing.py`.
+The true state is not read: joints and fingers come from encoders, motor torques from the drives, pose and contact
+forces through `plant/sensing.py`.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Carry an object under object impedance: approach, grasp, squeeze, lift, carry, lower, release, retreat.
 
-The phases only propose: timed joint motions while the hands are free, object motions with the squeeze on them while
-they hold it, all as source `moveit` of the command arbiter. Controllers A and C change places between two control
-steps when both hands have closed and when the squeeze is gone. What is sensed and what is found wrong is next door in
-`carry_watch.py`, what stops it in `carry_stop.py`, what is proposed in `carry_motions.py`. See docs/carry.md.
+Phases propose timed joint motions while the hands are free and object motions while they hold, as source `moveit`.
+Controllers A and C change places between two control steps, when both hands have closed and when the squeeze is gone.
+`carry_watch.py` senses, `carry_stop.py` stops, `carry_motions.py` makes what is proposed. See docs/carry.md.
 """
 
 from __future__ import annotations
