@@ -183,7 +183,13 @@ def test_every_bench_can_be_loaded() -> None:
     assert all(callable(bench.BENCHES[name]) for name in bench.BENCHES)
 
 
-def test_planning_is_measured_with_its_goals_beside() -> None:
+def test_the_first_plan_of_a_process_can_be_timed(capsys) -> None:
+    exec(planning._COLD, {})
+    assert 0.0 < float(capsys.readouterr().out) < 1e6
+
+
+def test_planning_is_measured_with_its_goals_beside(monkeypatch) -> None:
+    monkeypatch.setattr(planning, "_cold_start_s", lambda folder: 1.0)
     table = planning.measure(BenchInputs(Config(), 20261, 1))
     rows = {row.name: row for row in table.rows}
     assert len(rows) == 8
