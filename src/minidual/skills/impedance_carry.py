@@ -107,9 +107,8 @@ class ImpedanceCarry:
             level = level_part(self._watch.T_world_object)
             over_m = PHASES["approach"].rise_m
             self._q_over = grasp_posture(world.scene, world.robot, level, world.robot.home, above_m=over_m)
-            grasp_posture(
-                world.scene, world.robot, level, self._q_over
-            )  # refuses a grasp out of reach before anything moves
+            # A grasp out of reach is refused before anything moves.
+            grasp_posture(world.scene, world.robot, level, self._q_over)
         except GraspUnreachableError as error:
             self._stop_by.heed(("unreachable", error.message))
         else:
