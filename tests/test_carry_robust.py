@@ -47,7 +47,7 @@ def test_a_grip_that_slips_at_any_squeeze_is_given_up(bench):
     weak = Bench("impedance", MethodInputs(config, 11))
     result, _ = weak.run(sample_trial(config.scene, 11, "robust", 0), condition="friction 0.3")
     assert not result.success
-    assert "slip" in result.aborted
+    assert "slip" in result.metrics.aborted
 
 
 def test_a_camera_is_trusted_as_far_as_it_scatters():

@@ -160,11 +160,7 @@ def build_acm(robot: Robot, samples_min: int = SAMPLES_MIN, samples_max: int = S
         before = classes
     reasons |= {p: f"never in {total} samples" for p, kind in before.items() if kind == "never"}
     reasons |= {p: "always" for p, kind in before.items() if kind == "always"}
-    entries = {
-        allowed_pair(*(name.replace(f"{side}_", f"{other}_", 1) for name in pair), reason)
-        for other in SIDES
-        for pair, reason in reasons.items()
-    }
+    entries = {allowed_pair(*_on_side(pair, other), reason) for other in SIDES for pair, reason in reasons.items()}
     touched = {p: n for p, n in counts.items() if n > 0}
     rarest = min(touched, key=lambda p: touched[p]) if touched else ("", "")
     return BuiltAcm(
@@ -245,3 +241,9 @@ def _write(path: Path, built: BuiltAcm) -> None:
     with contextlib.suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, json.dumps(built.to_json(), indent=0))
+
+
+def _on_side(pair: tuple[str, str], side: str) -> tuple[str, str]:
+    """Return the pair of links of the first arm as it is called on another side."""
+    a, b = (name.replace(f"{SIDES[0]}_", f"{side}_", 1) for name in pair)
+    return a, b

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -68,7 +68,7 @@ class CollisionEngine(Protocol):
         ...
 
 
-ENGINES: Registry[Callable[[Checked], CollisionEngine]] = Registry(
+ENGINES: Registry[Callable[[Any], CollisionEngine]] = Registry(
     "collision engine",
     {"mujoco": "minidual.collision.mujoco_engine:MujocoEngine", "coal": "minidual.collision.coal_engine:CoalEngine"},
 )

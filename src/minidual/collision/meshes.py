@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import ConvexHull, QhullError, cKDTree
+from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from minidual.collision.shapes import IDENTITY, Mesh, Quat, Vec3
 from minidual.errors import DataError, UsageError
@@ -224,7 +224,7 @@ def _lids(segments: Array, axis: int, size: float) -> Array:
         return np.zeros((0, 3, 3))
     points = segments.reshape(-1, 3)
     ends = np.arange(len(points)).reshape(-1, 2)
-    near = cKDTree(points).query_pairs(1e-7 * size, output_type="ndarray").reshape(-1, 2)
+    near = KDTree(points).query_pairs(1e-7 * size, output_type="ndarray").reshape(-1, 2)
     edges = np.vstack([ends, near])
     links = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(len(points), len(points)))
     loops_n, loop = connected_components(links, directed=False)

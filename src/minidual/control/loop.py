@@ -14,7 +14,7 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 
 
-class JointLoop:
+class JointLoop[P: Plant]:
     """Drives a world from joint and gripper targets.
 
     Args:
@@ -25,12 +25,7 @@ class JointLoop:
     """
 
     def __init__(
-        self,
-        world: Plant,
-        kinematics: Kinematics,
-        *,
-        natural_frequency_rad_s: float = 20.0,
-        bandwidth_rad_s: float = 30.0,
+        self, world: P, kinematics: Kinematics, *, natural_frequency_rad_s: float = 20.0, bandwidth_rad_s: float = 30.0
     ) -> None:
         self.world = world
         self.controller = ComputedTorque(kinematics, natural_frequency_rad_s=natural_frequency_rad_s)

@@ -46,7 +46,7 @@ class PlantError(MinidualError):
     """The plant cannot be driven, or its measurements are too old."""
 
 
-class ControlStack:
+class ControlStack[P: Plant]:
     """Drives one plant.
 
     Args:
@@ -63,7 +63,7 @@ class ControlStack:
 
     def __init__(
         self,
-        plant: Plant,
+        plant: P,
         kinematics: Kinematics,
         config: ArbiterConfig | None = None,
         *,

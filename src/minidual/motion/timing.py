@@ -20,7 +20,7 @@ from minidual.collision.errors import TimingError
 from minidual.motion.speed_profile import squared_speeds
 from minidual.robot.compiled import floats
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array
+from minidual.robot.pair import Array, Indices
 from minidual.robot.trajectory import Trajectory, largest
 
 DT_S = 0.001
@@ -117,7 +117,7 @@ def torque_ratio(q: Array, v: Array, a: Array, kinematics: Kinematics, every: in
     return float(np.max(largest(kinematics.torques(q[rows], v[rows], a[rows])) / kinematics.robot.tau_max))
 
 
-def fastest_profile(path: Curve, columns: Array, v_max: Array, a_max: Array) -> tuple[Array, Array]:
+def fastest_profile(path: Curve, columns: Indices, v_max: Array, a_max: Array) -> tuple[Array, Array]:
     """Return a grid s (n,) and the fastest path speed sd (n,) on it, at rest at both ends.
 
     Args:
@@ -175,10 +175,9 @@ def sample_parameters(
     copies = max(1, round(smoothing_s / dt_s))
     if copies > 1:
         acceleration[-1] = 0.0  # at rest from here on
-        position, speed, acceleration = (
-            _averaged(values, copies, end) for values, end in ((position, s[-1]), (speed, 0.0), (acceleration, 0.0))
-        )
-    return np.arange(len(position)) * dt_s, position, speed, acceleration
+        position = _averaged(position, copies, s[-1])
+        speed, acceleration = _averaged(speed, copies, 0.0), _averaged(acceleration, copies, 0.0)
+    return np.arange(len(position), dtype=float) * dt_s, position, speed, acceleration
 
 
 def _averaged(values: Array, copies: int, end: float) -> Array:

@@ -39,8 +39,8 @@ PAIR = np.dtype([(name, "i8") for name in ("a", "b", "frame", "row", "moves_a", 
 """Two parts that must not touch, the frame in which a plane between them stands still, the first row of its directions,
 and where the deviations of the two stand in the flattened table of `_deviate`."""
 
-Rows = np.ndarray
-"""Records or whole numbers, (n,)."""
+Rows = Any
+"""Records or whole numbers, (n,); their fields are known to the compiler alone."""
 Geometry = tuple[Rows, Array, Rows, Rows, Rows, Array]
 """Joints (dof,), vertices (v, 3) [m] in the frames that carry them, solids, parts, pairs, and the reach (parts, dof / 2)
 [m] of each part from each joint of its arm, 0 where it does not move the part."""

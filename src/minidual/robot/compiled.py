@@ -41,7 +41,8 @@ def kernel(signature: Any = None) -> Callable[[Callable[..., Any]], Any]:
 
 def inlined(function: Callable[..., Any]) -> Any:
     """Compile what only kernels call, into their code; it must not allocate anything."""
-    return njit(error_model="numpy", forceinline=True, **UNCOUNTED)(function)
+    options: dict[str, Any] = {"error_model": "numpy", "forceinline": True, **UNCOUNTED}
+    return njit(**options)(function)
 
 
 def floats(x: Array) -> Array:

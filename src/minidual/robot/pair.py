@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.intp]
 
 SIDES: tuple[str, str] = ("left", "right")
 """Prefixes of the arms, in storage order."""

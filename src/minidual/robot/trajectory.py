@@ -110,7 +110,7 @@ class Trajectory:
             raise UsageError(f"slow-down factor {factor}; it must be finite and >= 1")
         n = int(np.ceil((len(self.times) - 1) * factor)) + 1
         exact = (n - 1) / (len(self.times) - 1)
-        times = np.arange(n) * self.dt_s
+        times: Array = np.arange(n, dtype=float) * self.dt_s
         q, v, a = self.sample_many(times / exact)
         return Trajectory(times, q, v / exact, a / exact**2, self.group)
 

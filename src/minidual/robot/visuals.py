@@ -80,7 +80,7 @@ def _coloured(path: Path, colour: _Colour | None) -> list[tuple[_Colour, Array, 
     by_colour: dict[_Colour, list[trimesh.Trimesh]] = {}
     for mesh in trimesh.load_scene(path).dump():
         material = getattr(mesh.visual, "material", None)
-        own = None if material is None else tuple(int(c) / 255.0 for c in material.main_color)
+        own: Any = None if material is None else tuple(int(c) / 255.0 for c in material.main_color)
         by_colour.setdefault(own or colour or _GREY, []).append(mesh)
     coloured = []
     for shade, meshes in by_colour.items():
@@ -98,7 +98,7 @@ def _decimated(meshes: list[tuple[Any, Any]], reduction: float) -> list[tuple[An
         return np.ptp(np.concatenate([vertices for vertices, _ in parts]), axis=0)
 
     for aggressiveness in (7, 3, 1):
-        fewer = [
+        fewer: list[tuple[Any, Any]] = [
             fast_simplification.simplify(
                 vertices.astype(np.float32), faces.astype(np.int32), target_reduction=reduction, agg=aggressiveness
             )

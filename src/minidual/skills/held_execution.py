@@ -102,10 +102,11 @@ def execute(
         raise NotDrivenError(drive.aborted)
     deviations = np.array(errors)
     worst = np.argmax(deviations, axis=0)
-    return Execution(
-        *np.max(deviations, axis=0).tolist(),
-        *(worst * world.dt).tolist(),
-        *deviations[0].tolist(),
-        *deviations[-1].tolist(),
-        float(np.min(pinch)),
-    )
+    numbers: list[float] = [
+        *np.max(deviations, axis=0),
+        *(worst * world.dt),
+        *deviations[0],
+        *deviations[-1],
+        np.min(pinch),
+    ]
+    return Execution(*map(float, numbers))

@@ -125,7 +125,7 @@ def _run(context: ToolContext, wanted: tuple[str, ...], checkpoint: Path | None)
 
 def _turns(
     context: ToolContext,
-    stack: ControlStack,
+    stack: ControlStack[World],
     job: Task,
     trial: Trial,
     checkpoint: Path | None,

@@ -90,7 +90,7 @@ def _compared(one: _Starts, two: _Starts, seed: int, name: str) -> dict[str, Cel
 
 def _median_difference(times: Sequence[float], seed: int, name: str) -> tuple[Cell, Cell, Cell]:
     if not times:
-        return (NO_PAIR,) * 3
+        return NO_PAIR, NO_PAIR, NO_PAIR
     if not all(math.isfinite(t) for t in times):
         raise DataError(f"{name}: a trial that succeeded has no completion time, so the pair has no difference")
     low, high = bootstrap_median_interval(times, stream(seed, f"bootstrap/paired/{name}"))

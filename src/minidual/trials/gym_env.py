@@ -107,10 +107,10 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self._render_camera: Camera | None = None
         self._judge: Judge | None = None
         self._potential = 0.0
-        self.action_space = spaces.Box(
+        self._actions = self.action_space = spaces.Box(
             np.r_[robot.q_lower, 0.0, 0.0].astype(np.float32), np.r_[robot.q_upper, 1.0, 1.0].astype(np.float32)
         )
-        self.observation_space = self._make_observation_space()
+        self._observations = self.observation_space = self._make_observation_space()
 
     @property
     def world(self) -> World:
@@ -168,7 +168,7 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
                 f"an action is {self.action_space.shape} finite numbers; this one has shape {wanted.shape}"
                 + ("" if np.isfinite(wanted).all() else " and is not finite")
             )
-        wanted = np.clip(wanted, self.action_space.low, self.action_space.high)
+        wanted = np.clip(wanted, self._actions.low, self._actions.high)
         diverged = False
         try:
             for _ in range(self._substeps):
@@ -206,7 +206,7 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
     def _observe(self) -> Observation:
         world = self._world
-        space = self.observation_space["state"]
+        space = self._observations["state"]
         assert isinstance(space, spaces.Box)
         state = np.concatenate([world.q, world.gripper]).astype(np.float32)
         observation: Observation = {"state": np.clip(state, space.low, space.high)}

@@ -33,8 +33,15 @@ SENSES: dict[str, str] = {
 class Method(Protocol):
     """One trial of one method."""
 
-    world: World
-    aborted: str | None
+    @property
+    def world(self) -> World:
+        """The plant that it drives."""
+        ...
+
+    @property
+    def aborted(self) -> str | None:
+        """Why it stopped itself, or None."""
+        ...
 
     @property
     def phase(self) -> str:

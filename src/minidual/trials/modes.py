@@ -10,6 +10,7 @@ from minidual.config.arbiter import ArbiterConfig
 from minidual.control.commands import SOURCES, ArbiterState
 from minidual.control.stack import ControlStack
 from minidual.errors import UsageError, unknown_name
+from minidual.plant.world import World
 from minidual.trials.modes_drivers import Driver, SwitchError
 from minidual.trials.modes_record import Recorder, Switch
 
@@ -71,7 +72,7 @@ class ModesDemo:
         turns: (mode, maker of its driver), in order.
     """
 
-    def __init__(self, stack: ControlStack, turns: Sequence[tuple[str, Callable[[], Driver]]]) -> None:
+    def __init__(self, stack: ControlStack[World], turns: Sequence[tuple[str, Callable[[], Driver]]]) -> None:
         self.stack = stack
         self.recorder = Recorder(stack)
         self.mode = self.doing = ""

@@ -80,7 +80,9 @@ class MoveitDriver(Driver):
         share: Part of the motion after which the next mode may ask for the arms.
     """
 
-    def __init__(self, stack: ControlStack, planner: Planner, seed: int, *, home: bool, share: float = 1.0) -> None:
+    def __init__(
+        self, stack: ControlStack[World], planner: Planner, seed: int, *, home: bool, share: float = 1.0
+    ) -> None:
         self.stack, self._planner, self._seed = stack, planner, seed
         self._home, self._share = home, share
         self.controllers = ("left_arm", "right_arm") if home else DEFAULT_CONTROLLERS
@@ -173,7 +175,7 @@ class TeleopDriver(Driver):
     caption = "scripted leader: fetches the object, puts it at a new start"
 
     def __init__(
-        self, stack: ControlStack, operator: ScriptedOperator, target: Trial, seed: int, rate_hz: float
+        self, stack: ControlStack[World], operator: ScriptedOperator, target: Trial, seed: int, rate_hz: float
     ) -> None:
         self.stack, self._operator, self._target = stack, operator, target.start
         self._seed, self._rate = seed, rate_hz
@@ -236,7 +238,12 @@ class PolicyDriver(Driver):
     caption = "ACT policy: carries the object to the goal"
 
     def __init__(
-        self, stack: ControlStack, runtime: PolicyRuntime, picture: Callable[[str], Image], task: Task, trial: Trial
+        self,
+        stack: ControlStack[World],
+        runtime: PolicyRuntime,
+        picture: Callable[[str], Image],
+        task: Task,
+        trial: Trial,
     ) -> None:
         self.stack, self._runtime, self._picture = stack, runtime, picture
         self._judge = Judge(task, trial)

@@ -12,6 +12,7 @@ import numpy as np
 from minidual.config.arbiter import ArbiterConfig
 from minidual.control.commands import ArbiterState
 from minidual.control.stack import ControlStack
+from minidual.plant.world import World
 from minidual.robot.pair import Array
 
 WINDOW_S = 0.5
@@ -96,7 +97,7 @@ class _Sample:
 class Recorder:
     """Watches every control step of a stack; call `observe` after each."""
 
-    stack: ControlStack
+    stack: ControlStack[World]
     switches: list[Switch] = field(default_factory=list)
     rows: list[tuple[Any, ...]] = field(default_factory=list)
     _last: _Sample | None = None

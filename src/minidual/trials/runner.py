@@ -196,7 +196,8 @@ class Bench:
             if method.done or finished_s > SETTLED_S:
                 break
         *numbers, phases = zip(*rows, strict=True)
-        log = TrialLog(*(np.array(c) for c in numbers), list(phases))
+        arrays: list[Any] = [np.array(column) for column in numbers]
+        log = TrialLog(*[*arrays, list(phases)])
         outcome = judge.outcome(world)
         if broken is not None:  # its fault stands before those that only follow from it
             outcome = replace(outcome, success=False, faults=(broken, *outcome.faults))

@@ -20,7 +20,9 @@ _COLOURS = {"moveit": (32, 108, 214), "teleop": (20, 140, 90), "policy": (150, 6
 _NOBODY = (96, 96, 96)
 
 
-def filmed(steps: Iterator[tuple[str, str]], stack: ControlStack, world: World, camera: Camera) -> Iterator[Image]:
+def filmed(
+    steps: Iterator[tuple[str, str]], stack: ControlStack[World], world: World, camera: Camera
+) -> Iterator[Image]:
     """Run `steps`; yield a captioned picture every 1 / FILM_FPS seconds of simulated time. The last one stays a while."""
     count = 0
     mode = doing = ""
@@ -33,7 +35,7 @@ def filmed(steps: Iterator[tuple[str, str]], stack: ControlStack, world: World, 
         yield last
 
 
-def captioned(picture: Image, stack: ControlStack, mode: str, doing: str) -> Image:
+def captioned(picture: Image, stack: ControlStack[World], mode: str, doing: str) -> Image:
     """Return the picture with a bar under it: the mode asked for, who drives, and through which controllers."""
     height, width = picture.shape[:2]
     source = stack.output.active_source

@@ -72,7 +72,7 @@ class Gap:
         """Return what comes too near on moving segments, sampled every 5 ms, or None."""
         found: list[tuple[float, str]] = []
         for motion in (s.trajectory for s in segments if s.verification is not None):
-            for q in motion.sample_many(np.arange(0.0, motion.duration_s + _GAP_STEP_S, _GAP_STEP_S))[0]:
+            for q in motion.sample_many(np.arange(0.0, motion.duration_s + _GAP_STEP_S, _GAP_STEP_S, dtype=float))[0]:
                 pair, gap = self.distance(q)
                 found.append((gap, pair))
         gap, pair = min(found, default=(np.inf, ""))

@@ -93,7 +93,7 @@ def model_agreement(world: World, kinematics: Kinematics, rng: np.random.Generat
         (mass matrix) and `bias_nm` (Coriolis, centrifugal and gravity torques).
     """
     robot, rows = world.robot, world.joints.qvel
-    largest = dict.fromkeys(("position_m", "rotation", "inertia_kg_m2", "bias_nm"), 0.0)
+    largest: dict[str, float] = dict.fromkeys(("position_m", "rotation", "inertia_kg_m2", "bias_nm"), 0.0)
     full = np.zeros((world.model.nv, world.model.nv))
 
     def compare(name: str, a: Array, b: Array) -> None:

@@ -12,9 +12,11 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
+from minidual.collision.engine import Checked
 from minidual.collision.errors import PlanningError
 from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import TABLE, PlanningScene
@@ -135,7 +137,7 @@ class QueryGenerator:
         kind = self.kind(group, index)
         scene = scene_of(self._seed, group, index, attempt, self._obstacles_n, self._robot)
         rng = np.random.default_rng([self._seed, list(DUAL_PANDA.groups).index(group), index, attempt, 1])
-        engine = MujocoEngine(scene)
+        engine = MujocoEngine(cast(Checked, scene))
         crossed_at_goal = bool(rng.integers(2))
         for _ in range(_PAIRS_TRIES_N):
             crossed = kind == "crossing"
