@@ -1,4 +1,4 @@
-"""Show a plan: the simulated world with the scene's obstacles in it, as a picture or in a live view."""
+"""Show a plan among its obstacles, as a picture or in a live view."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from minidual.trials.planning.evaluate import Outcome
 _OBSTACLE_RGBA = (0.78, 0.42, 0.25, 1.0)
 _HELD_RGBA = (0.15, 0.6, 0.4, 1.0)
 _LOOK_S = 1.0
-"""A round stands still this long at its end."""
+"""Pause at the end of each round."""
 
 
 def scene_model(config: SceneConfig, scene: PlanningScene) -> mujoco.MjModel:
-    """Return the simulated world, with visual meshes, holding what the planning scene holds (and no object of a task)."""
+    """Return the world's visual model with the planning scene's obstacles and held shapes; task objects are transparent."""
     spec = build_spec(config, scene.robot, visuals=True)
     for body in free_bodies(spec):
         for geom in body.geoms:
@@ -69,12 +69,7 @@ def _add_body(spec: Any, parent: Any, shape: Shape, rgba: tuple[float, ...]) -> 
 
 
 class Poser:
-    """Places the arms in the shown world.
-
-    Args:
-        config: The world around.
-        scene: Arms, obstacles and held objects.
-    """
+    """Places the arms in the visual model, grippers open."""
 
     def __init__(self, config: SceneConfig, scene: PlanningScene) -> None:
         robot, model = scene.robot, scene_model(config, scene)
@@ -83,7 +78,7 @@ class Poser:
         self.data.qpos[map_joints(model, robot.finger_joint_names, torque=False).qpos] = robot.hand.travel_m
 
     def place(self, q: Array) -> mujoco.MjData:
-        """Return the state with the arms at q (n,)."""
+        """Return the data with the arms at q (n,)."""
         self.data.qpos[self._joints] = q
         mujoco.mj_kinematics(self.model, self.data)
         return self.data
@@ -100,16 +95,16 @@ def play(
     note: str = "",
     sleep: Callable[[float], None] = time.sleep,
 ) -> None:
-    """Show a plan in real time, with the paths of the hands and its end half transparent; nothing is simulated.
+    """Play a plan kinematically in real time, with TCP paths and a ghost of its end posture.
 
     Args:
         view: Live view.
-        config: The world around.
-        scene: Arms, obstacles and held objects of the plan.
+        config: World around the arms.
+        scene: Arms, obstacles and held objects.
         trajectory: The plan.
-        title: Shown beside it.
-        rounds_n: How often; None repeats until the view is closed.
-        note: Shown beside it.
+        title: Panel title.
+        rounds_n: Number of rounds; None repeats until the view is closed.
+        note: Prefix of the status line.
         sleep: Waits [s].
     """
     poser = Poser(config, scene)
@@ -131,7 +126,7 @@ def play(
 
 
 def play_queries(view: View | None, config: SceneConfig, outcomes: Mapping[str, Sequence[Outcome]]) -> None:
-    """Play the first solved query of each group once; without a view do nothing."""
+    """Play the first solved query of each group once; no-op without a view."""
     for group, done in outcomes.items():
         first = next((o for o in done if o.result is not None), None)
         if view is not None and first is not None and first.result is not None:
@@ -141,7 +136,7 @@ def play_queries(view: View | None, config: SceneConfig, outcomes: Mapping[str, 
 
 
 def write_paths(path: Path, config: SceneConfig, outcomes: Mapping[str, Sequence[Outcome]]) -> None:
-    """Draw one solved query of each group: the longest of those that needed a search, or the longest."""
+    """Draw each group's longest solved trajectory, preferring those that needed a search."""
     shown: list[tuple[str, Any]] = []
     for group, done in outcomes.items():
         solved = [(o, o.result) for o in done if o.result is not None]
@@ -154,7 +149,7 @@ def write_paths(path: Path, config: SceneConfig, outcomes: Mapping[str, Sequence
 
 
 def write_picture(path: Path, config: SceneConfig, scene: PlanningScene, trajectory: Trajectory, title: str) -> None:
-    """Draw a plan from the front corner and from above: arms solid at the end, pale at the start and midway."""
+    """Draw a plan from two cameras: the arms solid at the end, pale at 0, 1/3 and 2/3 of its duration."""
     names = ("from the front corner", "from above, the arms' bases on the left")
     pictures = list(zip(names, _renders(config, scene, trajectory), strict=True))
     sheet(pictures, 2, path, title=f"{title}: pale at the start and midway, solid at the end", width_in=6.5)
@@ -189,7 +184,7 @@ def _render(poser: Poser, trajectory: Trajectory, camera: mujoco.MjvCamera) -> A
 
 
 def _add_ghost(shown: Any, poser: Poser, q: Array, option: mujoco.MjvOption, alpha: float) -> None:
-    """Add the arms at q (n,) once more, pale."""
+    """Add the arms at q (n,), pale."""
     before = shown.ngeom
     mujoco.mjv_addGeoms(
         poser.model, poser.place(q), option, mujoco.MjvPerturb(), int(mujoco.mjtCatBit.mjCAT_DYNAMIC), shown

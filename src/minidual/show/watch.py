@@ -1,4 +1,4 @@
-"""Show a world in a live view while it runs. Watching never changes the simulation: the view has its own model."""
+"""Show a running world in a live view. Watching never changes the simulation: the view uses its own model."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from minidual.trials.methods import Method
 from minidual.trials.runner import Bench, StepHook, Watch
 
 _ASIDE_M = np.array([0.05, 0.0, 0.0])
-"""Forces are drawn this far in front of the hands; the object would hide them otherwise."""
+"""Offset of force arrows from the hands, where the object would hide them."""
 _BRAKE_EVERY_S = 0.01
 _PATH_POINTS = 60
 _STATIC_M = 1e-3
 
 Narrator = Callable[[], Overlay]
-"""Returns title, mode, source, state, status and preview; `overlay` adds what the world knows."""
+"""Returns title, mode, source, state, status and preview; `overlay` adds time and forces."""
 
 
 @functools.lru_cache(maxsize=2)
@@ -42,12 +42,12 @@ def _visual_model(scene_json: str, robot: Robot) -> mujoco.MjModel:
 
 
 def visual_model(scene: SceneConfig, robot: Robot = DUAL_PANDA) -> mujoco.MjModel:
-    """Return the model of a scene with visual meshes, compiled once; its bodies are those of the simulated model."""
+    """Return a scene's model with visual meshes, cached; its bodies match the simulated model's."""
     return _visual_model(scene.model_dump_json(), robot)
 
 
 def overlay(world: World, words: Overlay) -> Overlay:
-    """Return `words` with the time and the forces of the world."""
+    """Return `words` with the world's time and forces."""
     hands = zip(world.robot.tcp_names, world.object_forces(), ARM_RGB, strict=True)
     left, right = world.pinch()
     return replace(
@@ -60,12 +60,12 @@ def overlay(world: World, words: Overlay) -> Overlay:
 
 
 class Watcher:
-    """Shows one world. Call it after every step; between two pictures it only reads the clock.
+    """Step observer that shows one world; between frames it only reads the clock.
 
     Args:
-        view: Opened on the visual model of the world's scene.
-        world: The world.
-        narrate: Called once per picture.
+        view: Opened here on the visual model of the scene.
+        world: The simulated world.
+        narrate: Called once per frame.
     """
 
     def __init__(self, view: View, world: World, narrate: Narrator) -> None:
@@ -75,7 +75,7 @@ class Watcher:
         self._braked_s = float("-inf")
 
     def __call__(self, world: World) -> None:
-        """Show the world if a picture is due."""
+        """Show the world if a frame is due."""
         if self._brake is not None and abs(world.time - self._braked_s) >= _BRAKE_EVERY_S:
             self._braked_s = world.time
             self._brake.hold(world.time)
@@ -85,7 +85,7 @@ class Watcher:
 
 @contextmanager
 def watched(view: View | None, world: World, narrate: Narrator) -> Iterator[None]:
-    """Show every step of `world` inside the block. Without a view this does nothing."""
+    """Show every step of `world` inside the block; no-op without a view."""
     if view is None:
         yield
         return
@@ -97,7 +97,7 @@ def watched(view: View | None, world: World, narrate: Narrator) -> Iterator[None
 
 
 def watch_trials(view: View | None) -> Watch | None:
-    """Return what `run_trials` takes to show its trials in `view`; None without a view."""
+    """Return the `watch` argument of `run_trials`; None without a view."""
     if view is None:
         return None
 
@@ -124,7 +124,7 @@ def trial_hook(view: View, world: World, kinematics: Kinematics, name: str, titl
 
 def _method_narrator(method: Method, kinematics: Kinematics, name: str, title: str) -> Narrator:
     stack = getattr(method, "stack", None)
-    if not isinstance(stack, ControlStack):  # it writes torques itself
+    if not isinstance(stack, ControlStack):  # the method computes torques itself
         return lambda: Overlay(title=title, mode=name, source=name, state=method.phase, status=method.aborted or "")
     narrate = StackNarrator(stack, kinematics, title, lambda: method.phase)
 
@@ -136,7 +136,7 @@ def _method_narrator(method: Method, kinematics: Kinematics, name: str, title: s
 
 
 def watch_recording(view: View | None) -> Observe | None:
-    """Return what `record` takes to show its trials in `view`; None without a view."""
+    """Return the `observe` argument of `record`; None without a view."""
     if view is None:
         return None
 
@@ -148,7 +148,7 @@ def watch_recording(view: View | None) -> Observe | None:
 
 
 def tcp_preview(kinematics: Kinematics, qs: Array) -> Preview:
-    """Return the paths of the tool centre points along postures (T, n); an arm that does not move has none."""
+    """Return the TCP paths of postures (T, n); arms that do not move are left out."""
     rows = np.unique(np.linspace(0, len(qs) - 1, min(len(qs), _PATH_POINTS)).round().astype(int))
     points = np.array([[T[:3, 3] for T in kinematics.tcp_poses(qs[row])] for row in rows])
     sides = zip(kinematics.robot.sides, points.swapaxes(0, 1), ARM_RGB, strict=True)
@@ -156,13 +156,13 @@ def tcp_preview(kinematics: Kinematics, qs: Array) -> Preview:
 
 
 class StackNarrator:
-    """Tells what a control stack does: source, arbiter state and the trajectories that are being executed.
+    """Describes a control stack: source, arbiter state and executing trajectories.
 
     Args:
-        stack: What drives the arms.
-        kinematics: For the paths of the hands.
-        title: What runs.
-        phase: Returns the phase of the driving method.
+        stack: Drives the arms.
+        kinematics: For TCP paths.
+        title: Shown title.
+        phase: Returns the driving method's phase.
     """
 
     def __init__(
@@ -173,7 +173,7 @@ class StackNarrator:
         self._preview = NO_PREVIEW
 
     def __call__(self) -> Overlay:
-        """Return what the stack does now."""
+        """Return the current overlay."""
         stack = self._stack
         state = str(stack.state)
         phase = self._phase() if self._phase is not None else ""
@@ -187,7 +187,7 @@ class StackNarrator:
         )
 
     def _planned(self) -> Preview:
-        """Return the paths of the trajectories in execution, computed once for each."""
+        """Return the TCP paths of the executing trajectories, recomputed when these change."""
         found = (execution.command for execution in self._stack.arbiter.executions)
         commands = tuple(command for command in found if isinstance(command, TrajectoryCommand))
         if [id(command) for command in commands] != [id(command) for command in self._drawn]:

@@ -1,4 +1,4 @@
-"""The look that all figures share."""
+"""Shared style of the figures."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ BLUE, ORANGE, GREEN = "#2f6db5", "#e07b27", "#3a9a5b"
 
 
 def new_figure(rows: int, columns: int, width_in: float, height_in: float, **options: Any) -> tuple[Figure, Any]:
-    """Return a figure and its axes, an array (rows, columns); `options` go to `Figure.subplots`."""
+    """Return a figure and its axes (rows, columns); `options` go to `Figure.subplots`."""
     figure = Figure(figsize=(width_in, height_in), dpi=110, layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False, **options)
     for axis in axes.flat:
@@ -24,14 +24,14 @@ def new_figure(rows: int, columns: int, width_in: float, height_in: float, **opt
 
 
 def limit_line(axis: Any, at: float, label: str | None = "limit", style: str = "--") -> None:
-    """Draw a limit across an axis at the height `at`."""
+    """Draw a horizontal limit line."""
     axis.axhline(at, color=LIMIT, lw=1, ls=style, label=label)
 
 
 def sheet(
     images: Sequence[tuple[str, Any]], columns: int, path: Path, *, title: str = "", width_in: float = 3.4
 ) -> None:
-    """Write pictures (H, W, 3) with a title each as one sheet, row by row."""
+    """Write titled images (H, W, 3) as one picture."""
     rows = -(-len(images) // columns)
     height, width = images[0][1].shape[:2]
     figure, axes = new_figure(rows, columns, width_in * columns, (width_in * height / width + 0.3) * rows + 0.3)

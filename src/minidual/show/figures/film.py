@@ -1,4 +1,4 @@
-"""Films: a trial run once more, or recorded postures, seen by a camera of the scene."""
+"""Films of trials and of recorded postures."""
 
 from __future__ import annotations
 
@@ -26,10 +26,7 @@ CAMERAS = ("overview", "high", "left", "right")
 
 
 def film_trial(method: str, inputs: MethodInputs, trial: Trial, path: Path) -> TrialResult:
-    """Run `trial` once more, write it to `path` (mp4) and return its result.
-
-    The result is that of the filmed run, so a film never shows another trial than the one it names.
-    """
+    """Run `trial` again, film it to `path` (mp4) and return the result of the filmed run."""
     bench = Bench(method, inputs, visuals=True)
     frames: list[Image] = []
     with Camera(bench.world.model, *FILM_SIZE, shadows=True) as camera:
@@ -39,7 +36,7 @@ def film_trial(method: str, inputs: MethodInputs, trial: Trial, path: Path) -> T
 
 
 def film_hook(camera: Camera, frames: list[Image], *, view: str = "overview") -> Callable[[World, Method], None]:
-    """Return a step hook that appends one picture every 1 / FILM_FPS seconds of simulated time."""
+    """Return a step hook that appends a frame every 1 / FILM_FPS simulated seconds."""
 
     def hook(world: World, method: Method) -> None:
         if world.time * FILM_FPS >= len(frames):
@@ -49,11 +46,7 @@ def film_hook(camera: Camera, frames: list[Image], *, view: str = "overview") ->
 
 
 class Postures:
-    """A step hook that keeps the state of the whole model at even times.
-
-    Args:
-        period_s: Simulated time between two of them [s].
-    """
+    """Step hook that samples qpos of the whole model every `period_s` simulated seconds."""
 
     def __init__(self, period_s: float) -> None:
         self._period_s = period_s
@@ -62,7 +55,7 @@ class Postures:
         self.qpos: list[Array] = []
 
     def __call__(self, world: World) -> None:
-        """Keep the present state if it is due."""
+        """Sample if due."""
         if world.time >= self._next_s - 1e-9:
             self._next_s = world.time + self._period_s
             self.times.append(world.time)
@@ -72,7 +65,7 @@ class Postures:
 def film_postures(
     scene: SceneConfig, postures: Postures, path: Path, *, camera: str = "overview", robot: Robot = DUAL_PANDA
 ) -> int:
-    """Write the postures as an mp4 at FILM_FPS and return the number of frames."""
+    """Write an mp4 at FILM_FPS; return the number of frames."""
     return write_video(path, _pictures(scene, robot, postures.qpos, camera), fps=FILM_FPS)
 
 
@@ -85,7 +78,7 @@ def sheet_of_postures(
     camera: str = "overview",
     robot: Robot = DUAL_PANDA,
 ) -> int:
-    """Draw up to `frames` postures, evenly spread from first to last, into one png; return their number."""
+    """Draw up to `frames` evenly spaced postures into one png; return their number."""
     chosen = np.unique(np.linspace(0, len(postures.times) - 1, frames).round().astype(int))
     pictures = _pictures(scene, robot, [postures.qpos[i] for i in chosen], camera)
     named = [(f"{postures.times[i]:.3f} s", picture.copy()) for i, picture in zip(chosen, pictures, strict=True)]

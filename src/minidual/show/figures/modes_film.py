@@ -1,4 +1,4 @@
-"""The film of the three modes: the scene, and under it the source in control."""
+"""Film of the three modes, captioned with the source in control."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _NOBODY = (96, 96, 96)
 def filmed(
     steps: Iterator[tuple[str, str]], stack: ControlStack[World], world: World, camera: Camera
 ) -> Iterator[Image]:
-    """Run `steps`; yield a captioned picture every 1 / FILM_FPS seconds of simulated time. The last one stays a while."""
+    """Run `steps`; yield captioned frames at FILM_FPS of simulated time, the last one repeated for 1 s."""
     count = 0
     mode = doing = ""
     for mode, doing in steps:
@@ -36,7 +36,7 @@ def filmed(
 
 
 def captioned(picture: Image, stack: ControlStack[World], mode: str, doing: str) -> Image:
-    """Return the picture with a bar under it: the mode asked for, who drives, and through which controllers."""
+    """Return the picture with a caption bar below it."""
     height, width = picture.shape[:2]
     source = stack.output.active_source
     colour = _NOBODY if source is None else _COLOURS[source]

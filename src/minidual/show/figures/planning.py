@@ -1,4 +1,4 @@
-"""Figure of planning times: their distribution against the limit, and the phases."""
+"""Figure of planning times."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _SHOWN = tuple(phase for phase in PHASES if phase != "scene")
 def write_times(
     outcomes: Mapping[str, Sequence[Outcome]], path: Path, median_max_s: Mapping[str, float | None]
 ) -> None:
-    """Draw the planning times of each group beside the limit of their median, and the median time of each phase."""
+    """Draw each group's planning times with its median limit, and the median per phase."""
     figure, ((spread, shares),) = new_figure(1, 2, 11.0, 4.2)
     groups = list(outcomes)
     for row, (group, done) in enumerate(outcomes.items()):

@@ -1,4 +1,4 @@
-"""The figure that shows what was recorded: starts, smoothness, and one episode's targets against its joints."""
+"""Figure of a recording."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from minidual.tasks.rod_carry import placement
 
 
 def draw_quality(attempts: Sequence[Attempt], task: TaskConfig, jerk_limit_rad_s3: float, path: Path) -> None:
-    """Write a png of the recording: start poses, RMS jerk, and the targets and joints of the first demonstration."""
+    """Draw start poses, RMS jerk, and targets against joints of the first kept demonstration."""
     figure, ((starts, jerks, motion),) = new_figure(1, 3, 13, 3.8)
     for kept, colour, label in ((True, BLUE, "kept"), (False, LIMIT, "rejected")):
         chosen = [placement(next(iter(a.trial.start.values()))) for a in attempts if a.kept is kept]

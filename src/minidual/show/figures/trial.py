@@ -1,4 +1,4 @@
-"""Figure of one trial: position and tilt of the object, forces and motor torques over time."""
+"""Figure of one trial."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from minidual.trials.runner import TrialLog
 
 
 def draw_trial(log: TrialLog, scene: SceneConfig, robot: Robot, path: Path, *, title: str) -> None:
-    """Write a four-panel figure of one trial: position, tilt, forces and torque ratios."""
+    """Draw the object's position and tilt, the forces, and torque ratios over time."""
     figure, ((motion, tilt), (force, torque)) = new_figure(2, 2, 11, 6.4, sharex=True)
     task = scene.task
     goal = np.array([*task.goal_xy_m, scene.object.rest_height_m])

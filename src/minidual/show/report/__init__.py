@@ -1,1 +1,1 @@
-"""The report: one offline page and its JSON, built from verdicts and artefacts alone."""
+"""The report: one offline page, its JSON and its figures."""

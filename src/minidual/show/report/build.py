@@ -1,6 +1,6 @@
-"""Build the report: the page, its JSON and its figures, from verdicts and artefacts alone.
+"""Build the report from verdicts and artefacts only.
 
-Neither the clock nor the machine is read, so the same verdicts give the same bytes.
+It reads neither clock nor machine: the same verdicts give the same bytes.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ TRIALS_FILE = "benchmark.csv"
 
 
 def build_report(given: model.ReportInput, folder: Path) -> Report:
-    """Write report.html, report.json and the figures into `folder` and return what they say.
+    """Write report.html, report.json and the figures into `folder`; return the report.
 
     Raises:
-        DataError: An artefact that the report needs is gone or cannot be read.
+        DataError: A needed artefact is missing or unreadable.
     """
     benchmark = given.verdicts.get("benchmark")
     tables = tabulate(given.methods, given.conditions, benchmark.data if benchmark else {})
@@ -60,7 +60,7 @@ def build_report(given: model.ReportInput, folder: Path) -> Report:
 
 
 def document(report: Report) -> dict[str, Any]:
-    """Return the report as JSON types: what the page shows, without pictures."""
+    """Return the report without pictures as JSON types."""
     given, facts = report.given, report.facts
     made = given.newest.fingerprint.to_json() if given.newest else {}
     clean, *disturbed = report.tables.rows

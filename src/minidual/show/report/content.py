@@ -1,4 +1,4 @@
-"""Everything that the report shows, gathered."""
+"""Everything the report shows."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from minidual.show.report.tables import Tables
 
 @dataclass(frozen=True)
 class Report:
-    """Everything on the page."""
+    """Content of the page."""
 
     given: ReportInput
     state: OverallState
@@ -28,12 +28,12 @@ class Report:
 
     @property
     def passing_stages(self) -> int:
-        """Number of stages with a passing verdict."""
+        """Number of passing stages."""
         return len(self.given.stages) - len(self.given.not_passing())
 
     @property
     def shown_checks(self) -> list[Check]:
-        """The report's own checks and, where they fail, those that the gate adds to its verdict."""
+        """The report's own checks, plus failed ones for waivers and code changes."""
         found = [
             ("gate.waivers", self.given.all_waivers(), "evidence behind a waived gate does not count as acceptance"),
             ("gate.code_changed", self.given.code_changes, "results of other code do not accept this code"),
@@ -42,5 +42,5 @@ class Report:
 
     @property
     def total_s(self) -> float:
-        """Wall time of all stages together."""
+        """Total wall time of the stages."""
         return sum(verdict.duration_s for verdict in self.given.verdicts.values())

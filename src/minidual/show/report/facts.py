@@ -1,4 +1,4 @@
-"""What the analysis shows: pairs of methods, failures, held-out starts and the thinnest margins, from this run alone."""
+"""Analysis of this run: pairs of methods, failures, held-out starts and thinnest margins."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ class Trial:
     """One row of benchmark.csv.
 
     Attributes:
-        method: Who drove the arms.
-        condition: What disturbed it, "clean" for nothing.
-        success: The task's success test.
+        method: Method that drove the arms.
+        condition: Disturbance; "clean" without one.
+        success: Result of the task's success test.
         failure: Name of the first fault, "" on success.
-        numbers: Columns of the indicators and failed_at_s, SI; NaN where the trial has no such value.
+        numbers: Indicator columns and failed_at_s, SI; NaN where undefined.
     """
 
     method: str
@@ -43,7 +43,7 @@ class Trial:
 
 
 def read_trials(path: Path) -> list[Trial]:
-    """Return the trials in `path`; DataError names file and line of what is missing or unreadable."""
+    """Return the trials in `path`; DataError names the file, and the line of a bad row."""
     try:
         with path.open(newline="", encoding="utf-8") as stream:
             reader = csv.DictReader(stream)
@@ -65,7 +65,7 @@ def _trial(row: Mapping[str, str | None], where: str) -> Trial:
 
 
 def _number(text: str | None) -> float:
-    """Return the number, NaN for the words that stand where a number does not exist."""
+    """Return the number, NaN for other text."""
     try:
         return float(text or "nan")
     except ValueError:
@@ -74,7 +74,7 @@ def _number(text: str | None) -> float:
 
 @dataclass(frozen=True)
 class Reason:
-    """Why trials of a method failed: name of the fault, how often, and the median time of it [s] (None: unknown)."""
+    """How often a method failed by one fault, and its median time [s] (None: unknown)."""
 
     method: str
     name: str
@@ -84,7 +84,7 @@ class Reason:
 
 @dataclass(frozen=True)
 class Gap:
-    """Success of the policy on starts held out from training, its 95 % interval, and on starts it was trained on."""
+    """Success rate of the policy on held-out starts with its 95 % interval, and on training starts."""
 
     held_out: float
     low: float | None
@@ -93,14 +93,14 @@ class Gap:
 
     @property
     def within(self) -> bool:
-        """Whether the rate on training starts lies inside the interval of the rate on held-out starts."""
+        """Whether the training rate lies inside the held-out interval."""
         known = None not in (self.low, self.high, self.training)
         return known and float(self.low or 0.0) <= float(self.training or 0.0) <= float(self.high or 0.0)
 
 
 @dataclass(frozen=True)
 class Margin:
-    """A check that holds or fails by `relative`, a share of its limit."""
+    """A check with its margin as a share of the limit."""
 
     stage: str
     check: Check
@@ -113,12 +113,12 @@ class Facts:
 
     Attributes:
         pairs: Undisturbed pairs of methods.
-        partings: Pairs under a disturbance that the trials tell apart.
-        losses: Disturbances that change the success of a method, and the trials show it.
-        reasons: Why undisturbed trials failed, by method, most frequent first.
-        gap: The policy on held-out and training starts.
-        margins: The thinnest margins, thinnest first.
-        at_best_n: Checks at the best possible value or exactly at their limit; they have no margin to rank.
+        partings: Disturbed pairs that differ significantly.
+        losses: Significant changes of a method's success by a disturbance.
+        reasons: Failures of undisturbed trials by method, most frequent first.
+        gap: Policy on held-out and training starts.
+        margins: Thinnest first.
+        at_best_n: Passed checks without a margin to rank: at their limit, or a share at 100 %.
     """
 
     pairs: tuple[Paired, ...]
@@ -134,13 +134,13 @@ def gather(verdicts: Mapping[str, Verdict], tables: Tables, trials: Sequence[Tri
     """Return the analysis.
 
     Args:
-        verdicts: Of the stages.
+        verdicts: By stage.
         tables: Methods by conditions.
-        trials: The undisturbed trials.
+        trials: Undisturbed trials only.
     """
     rows = verdicts["benchmark"].data.get("comparisons", []) if "benchmark" in verdicts else []
     pairs = read_paired(rows, "comparisons", "condition")
-    # Undisturbed pairs are corrected on their own: what they show does not depend on which disturbances are run.
+    # Undisturbed pairs are their own Holm family: their result must not depend on which disturbances are run.
     clean = corrected([pair for pair in pairs if pair.family == CLEAN])
     disturbed = corrected([pair for pair in pairs if pair.family != CLEAN])
     margins, at_best = _margins(verdicts)
@@ -176,20 +176,20 @@ def _gap(deploy: Verdict | None) -> Gap | None:
 
 
 def relative_margin(check: Check) -> float | None:
-    """Return the margin as a share of the limit; None where the check has no such margin."""
+    """Return the margin as a share of the limit, or None if undefined."""
     if check.margin is None or not check.limit or check.op == "==":
         return None
     return finite(check.margin / abs(check.limit))
 
 
 def _at_its_best(check: Check) -> bool:
-    """Return whether a passed check cannot have a margin: exactly at its limit, or a share at 100 %."""
+    """Return whether a passed check is exactly at its limit, or a share at 100 %."""
     share = not check.unit and check.limit is not None and 0.0 < check.limit <= 1.0
     return check.margin == 0.0 or (share and check.op in (">", ">=") and check.observed == 1.0)
 
 
 def _margins(verdicts: Mapping[str, Verdict]) -> tuple[list[Margin], int]:
-    """Return every margin, thinnest first, and the number of checks at their best."""
+    """Return the margins, thinnest first, and the number of checks at their best."""
     ranked: list[Margin] = []
     at_best = 0
     for stage, verdict in verdicts.items():

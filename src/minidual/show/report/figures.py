@@ -1,7 +1,6 @@
-"""Figures of the report as SVG; one drawing serves light and dark pages.
+"""Figures of the report as SVG.
 
-Matplotlib draws with fixed colours for text, grid and notes. `Figure.themed` replaces them by CSS variables; the file
-version keeps them.
+Matplotlib draws in fixed colours; `Figure.themed` replaces ink, grid and notes by CSS variables for light and dark pages.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ COLOURS = ("#2f7fd1", "#e0782f", "#2f9e6e", "#9b6bd3", "#c94f7c", "#7a8694")
 _LIMIT = "#c8452f"
 _WIDTH_IN = 5.2
 _BAND = 0.72
-"""Share of a condition's row over which its methods are spread."""
+"""Share of a condition's row height used by its methods."""
 _STYLE: dict[str, Any] = {
     "svg.fonttype": "none",
     "font.family": "sans-serif",
@@ -47,7 +46,7 @@ _STYLE: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class Figure:
-    """One figure: file name without ending, title and caption, and the SVG text."""
+    """One figure; `name` is the file stem."""
 
     name: str
     title: str
@@ -56,7 +55,7 @@ class Figure:
 
     @property
     def themed(self) -> str:
-        """The SVG for the page: no XML head, colours as CSS variables, scaled to its frame."""
+        """SVG for inlining: no XML head, CSS colours, no fixed size."""
         body = self.svg[self.svg.index("<svg") :]
         for colour, variable in _CSS.items():
             body = body.replace(colour, variable)
@@ -68,10 +67,7 @@ class Figure:
 
 @contextmanager
 def _rows(names: Sequence[str], name: str, height: float) -> Iterator[tuple[Any, Any, Callable[[], str]]]:
-    """Yield (figure, axes, svg) with one horizontal row for each of `names`, the first at the top.
-
-    `svg()` returns the text after drawing.
-    """
+    """Yield (figure, axes, svg) with a row per name, the first on top; svg() renders the text."""
     style: Any = {**_STYLE, "svg.hashsalt": name}
     with mpl.rc_context(style):
         figure = Canvas(figsize=(_WIDTH_IN, 0.95 + 0.47 * height), layout="constrained")
@@ -99,7 +95,7 @@ def _limit_line(axes: Any, at: float, label: str) -> None:
 
 
 def success_figure(rows: Sequence[Row], name: str, title: str) -> Figure | None:
-    """Success of every method with its interval, one band for each row; None without a rate."""
+    """Return success rates with intervals, a band per condition; None without a rate."""
     if not any(cell.success for row in rows for cell in row.cells):
         return None
     methods = [cell.method for cell in rows[0].cells]
@@ -129,7 +125,7 @@ def success_figure(rows: Sequence[Row], name: str, title: str) -> Figure | None:
 
 
 def strip_figure(indicator: Indicator, methods: Sequence[str], trials: Sequence[Trial]) -> Figure | None:
-    """Every trial of every method as a point, the median of the successful ones as a bar; None without a value."""
+    """Return every trial as a point with each method's median over successes; None without values."""
     column = indicator.column or ""
     found = {
         m: [t for t in trials if t.method == m and math.isfinite(t.numbers.get(column, math.nan))] for m in methods
@@ -161,12 +157,12 @@ def strip_figure(indicator: Indicator, methods: Sequence[str], trials: Sequence[
 
 
 def _spread(k: int) -> float:
-    """Return the k-th number in [0, 1) of the golden-ratio sequence: evenly spread and repeatable."""
+    """Return term k of the golden-ratio low-discrepancy sequence in [0, 1)."""
     return (0.5 + k * 0.618033988749895) % 1.0
 
 
 def failures_figure(methods: Sequence[str], trials: Sequence[Trial]) -> Figure | None:
-    """Reasons of failure by method, stacked; None if nothing failed."""
+    """Return stacked failure counts by method; None without failures."""
     counts = {m: Counter(t.failure or "unnamed" for t in trials if t.method == m and not t.success) for m in methods}
     reasons = [name for name, _n in sum(counts.values(), Counter[str]()).most_common()]
     if not reasons:
@@ -185,7 +181,7 @@ def failures_figure(methods: Sequence[str], trials: Sequence[Trial]) -> Figure |
 
 
 def benchmark_figures(tables: Tables, trials: Sequence[Trial]) -> list[Figure]:
-    """Return every figure of the undisturbed trials for which there is data."""
+    """Return the figures of the undisturbed trials that have data."""
     methods = [cell.method for cell in tables.clean.cells]
     strips = (strip_figure(indicator, methods, trials) for indicator in INDICATORS[1:])
     drawn = [success_figure(tables.rows[:1], "success", "Success"), *strips, failures_figure(methods, trials)]
@@ -193,6 +189,6 @@ def benchmark_figures(tables: Tables, trials: Sequence[Trial]) -> list[Figure]:
 
 
 def condition_figure(tables: Tables) -> Figure | None:
-    """Return the figure of success under each condition; None where nothing disturbs."""
+    """Return success by condition; None without a disturbance."""
     title = "Success under each disturbance, the first row undisturbed"
     return success_figure(tables.rows, "conditions", title) if len(tables.rows) > 1 else None

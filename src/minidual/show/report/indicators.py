@@ -1,4 +1,4 @@
-"""The indicators by which methods are compared, and how each is shown to people."""
+"""Indicators that compare methods, and their display."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 _UNSEEN = 0.0005
-"""A smaller value, in the displayed unit, is rounding error and shown as 0.000."""
+"""Smaller displayed values are rounding error, shown as 0.000."""
 
 
 @dataclass(frozen=True)
@@ -14,16 +14,16 @@ class Indicator:
     """One column of the comparison.
 
     Attributes:
-        key: Name in the benchmark's data, with its SI unit.
-        column: Name in a row of benchmark.csv; None where a row has none.
-        title: Name for people.
+        key: Name in the benchmark's data, with SI unit.
+        column: Column of benchmark.csv, if any.
+        title: Displayed name.
         unit: Displayed unit.
         scale: Displayed value / SI value.
-        excellent: Limit of "excellent", SI; None without one.
-        spread: Names in the benchmark's data of median and 95 % interval over trials (`key` may be the largest).
-        meaning: One line for the table's legend.
-        needs_success: It exists only where a trial succeeded.
-        more_is_better: Otherwise less is.
+        excellent: Limit of "excellent", SI.
+        spread: Data keys of middle, low and high end of the 95 % interval over trials.
+        meaning: Legend.
+        needs_success: Undefined without a successful trial.
+        more_is_better: Otherwise less is better.
     """
 
     key: str
@@ -45,14 +45,14 @@ class Indicator:
         return "0.000" if 0.0 < abs(seen) < _UNSEEN else three_digits(seen)
 
     def is_excellent(self, value: float) -> bool:
-        """Return whether `value` is on the good side of the excellent limit; False without a limit."""
+        """Return whether `value` beats the excellent limit."""
         if self.excellent is None:
             return False
         return value > self.excellent if self.more_is_better else value < self.excellent
 
     @property
     def excellent_text(self) -> str:
-        """The excellent limit for people, "" without one."""
+        """The excellent limit, "" without one."""
         if self.excellent is None:
             return ""
         return f"{'>' if self.more_is_better else '<'} {self.excellent * self.scale:g} {self.unit}"
@@ -70,7 +70,7 @@ def _spread(name: str, unit: str, middle: str = "median_") -> tuple[str, str, st
     return f"{name}_{middle}{unit}".rstrip("_"), f"{name}_low_{unit}".rstrip("_"), f"{name}_high_{unit}".rstrip("_")
 
 
-# The limits of "excellent" are those of the tutorial that the pipeline follows (day 11).
+# Limits of "excellent": day 11 of the tutorial that the pipeline follows.
 # fmt: off
 SUCCESS = Indicator("success_rate", None, "Success", "%", 100.0, 0.8, ("success_rate", "success_low", "success_high"),
                     "share of trials that passed the whole success test, with its 95 % Wilson interval",

@@ -1,4 +1,4 @@
-"""Pictures and films of the stages: embedded into the page when small, copied beside it when not."""
+"""Pictures and films of the stages: embedded when small, otherwise copied beside the page."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ MEDIA_FOLDER = "media"
 
 @dataclass(frozen=True)
 class Medium:
-    """A picture or a film on the page.
+    """A picture or film.
 
     Attributes:
         stage: Stage that made it.
-        name: Its path in the stage's folder.
+        name: File name in the stage's folder.
         caption: What it shows.
         source: Data URI, or path relative to the page.
-        poster: Data URI of a still picture; "" for pictures.
+        poster: Data URI of a film's still; "" for pictures.
         film: Whether it is a film.
     """
 
@@ -60,13 +60,13 @@ class Medium:
 
 
 def is_shown(name: str) -> bool:
-    """Return whether an artefact is a picture or film at the top of its stage's folder; deeper ones are data."""
+    """Return whether an artefact is a picture or film; files in subfolders are data."""
     path = PurePosixPath(name)
     return path.suffix.lower() in (*_PICTURES, _FILM) and len(path.parts) == 1
 
 
 def caption(stage: str, name: str) -> str:
-    """Return what an artefact shows, by default the words of its file name."""
+    """Return the caption, by default the words of the file name."""
     path = PurePosixPath(name)
     words = path.stem.replace("_", " ").replace("-", " ").strip()
     return _CAPTIONS.get((stage, path.name), words[:1].upper() + words[1:])
@@ -75,17 +75,17 @@ def caption(stage: str, name: str) -> str:
 def collect_media(
     stage: str, folder: Path, names: Iterable[str], captions: dict[str, str], page_folder: Path
 ) -> list[Medium]:
-    """Return the media of one stage, copying the large ones under `page_folder`/media.
+    """Return a stage's media; large files are copied to `page_folder`/media.
 
     Args:
-        stage: Name of the stage.
+        stage: Stage name.
         folder: Its finished folder.
-        names: Its artefacts, relative to `folder`.
-        captions: Captions by artefact that the stage itself gave, if any.
+        names: Artefacts relative to `folder`.
+        captions: The stage's own captions by artefact.
         page_folder: Folder of the page.
 
     Raises:
-        DataError: a file is gone, or is no picture or film.
+        DataError: A file is missing or not a readable film.
     """
     media: list[Medium] = []
     for name in sorted(name for name in names if is_shown(name)):
@@ -113,7 +113,7 @@ def _data_uri(kind: str, content: bytes) -> str:
 
 
 def _poster(path: Path) -> str:
-    """Return the frame at 40 % of a film as a JPEG data URI: the first frame seldom shows anything."""
+    """Return the frame at 40 % of a film as JPEG data URI; first frames seldom show anything."""
     try:
         with av.open(str(path)) as container:
             stream = container.streams.video[0]

@@ -1,4 +1,4 @@
-"""What the report says before it is laid out: the state of the run, its checks and its warnings."""
+"""State, checks and warnings of the report."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ OverallState = Literal["pass", "fail", "weakened", "smoke", "tainted"]
 
 @dataclass(frozen=True)
 class ReportInput:
-    """All that the report is built from.
+    """Everything the report is built from.
 
     Attributes:
-        title: Title of the page.
-        stages: (name, summary) of every stage above the report, in order.
-        verdicts: Verdicts of those that have one.
-        folders: Their finished folders.
+        title: Page title.
+        stages: (name, summary) of the stages before the report, in order.
+        verdicts: By stage, where there is one.
+        folders: Finished folders of those stages.
         waivers: Waivers that taint the report.
-        methods: Methods that the comparison must hold.
+        methods: Methods required in the comparison.
         acceptance: Whether the profile counts as acceptance.
-        profile: Name of the profile.
+        profile: Profile name.
         seed: Seed of the run.
-        conditions: Conditions that the table of disturbances must hold.
-        code_changes: {stage: modules} of the stages whose results other code made.
+        conditions: Conditions required in the table.
+        code_changes: Changed modules of stages whose results other code made.
     """
 
     title: str
@@ -47,7 +47,7 @@ class ReportInput:
     code_changes: Mapping[str, Sequence[str]] = field(default_factory=dict[str, Sequence[str]])
 
     def all_waivers(self) -> tuple[Waiver, ...]:
-        """Return every waiver once, including those that only an upstream verdict knows."""
+        """Return the distinct waivers, upstream ones included."""
         found: list[Waiver] = []
         for waiver in (*self.waivers, *(w for v in self.verdicts.values() for w in v.waivers)):
             if waiver not in found:
@@ -55,11 +55,11 @@ class ReportInput:
         return tuple(found)
 
     def counts_as_acceptance(self) -> bool:
-        """Whether the profile of the report and of every verdict counts as acceptance."""
+        """Return whether this profile and every verdict's count as acceptance."""
         return self.acceptance and all(verdict.acceptance_profile for verdict in self.verdicts.values())
 
     def weakened(self) -> list[str]:
-        """Return the counts and limits, of any stage, that asked for less than the shipped profile."""
+        """Return the counts and limits below those of the shipped profile."""
         return list(dict.fromkeys(line for verdict in self.verdicts.values() for line in verdict.weakened))
 
     def not_passing(self) -> list[str]:
@@ -68,13 +68,13 @@ class ReportInput:
 
     @property
     def newest(self) -> Verdict | None:
-        """The verdict that was finished last; it dates the report and names machine and libraries."""
+        """The last finished verdict; it dates the report and names machine and libraries."""
         return max(self.verdicts.values(), key=lambda verdict: verdict.finished_at, default=None)
 
 
 @dataclass(frozen=True)
 class Banner:
-    """A warning at the very top. kind: "tainted", "smoke", "fail" or "note"."""
+    """A warning at the top. kind: "tainted", "smoke", "fail" or "note"."""
 
     kind: str
     title: str
@@ -82,7 +82,7 @@ class Banner:
 
 
 def report_checks(given: ReportInput, tables: Tables) -> list[Check]:
-    """Return the report's own checks: nothing is missing from its tables, and every stage passed."""
+    """Return the report's own checks: complete tables, passing stages."""
     holes = tables.missing()
     shown = f"; missing: {', '.join(holes[:6])}{' ...' if len(holes) > 6 else ''}" if holes else ""
     short = given.not_passing()
@@ -109,7 +109,7 @@ def report_checks(given: ReportInput, tables: Tables) -> list[Check]:
 
 
 def overall_state(given: ReportInput, checks: Sequence[Check]) -> OverallState:
-    """Return the state at the head of the page; the gravest that applies."""
+    """Return the gravest state that applies."""
     if given.all_waivers():
         return "tainted"
     if derive_status(checks) != "pass" or given.code_changes:
@@ -120,7 +120,7 @@ def overall_state(given: ReportInput, checks: Sequence[Check]) -> OverallState:
 
 
 def banners(given: ReportInput, checks: Sequence[Check]) -> tuple[Banner, ...]:
-    """Return the warnings that stand above everything else, gravest first."""
+    """Return the warnings, gravest first."""
     found: list[Banner] = []
     waivers = given.all_waivers()
     if waivers:

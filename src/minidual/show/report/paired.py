@@ -1,4 +1,4 @@
-"""Two series of trials on shared starts: pairs of methods, and one method with and without a disturbance."""
+"""Paired success differences on shared starts, between methods or conditions."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from minidual.errors import DataError
 from minidual.trials.statistics import holm
 
 CERTAIN = 0.05
-"""Two-sided probability, after Holm's correction within its family, below which trials show a difference."""
+"""Two-sided significance level after Holm's correction within a family."""
 _NUMBERS = {
     "starts": "trials_n",
     "only_first": "only_first_n",
@@ -26,21 +26,21 @@ _FASTER = ("duration_difference_s", "duration_difference_low_s", "duration_diffe
 
 @dataclass(frozen=True)
 class Paired:
-    """Success of `first` less that of `second` on the same starts.
+    """Success of `first` minus that of `second` on the same starts.
 
     Attributes:
-        family: What both have in common: the condition of two methods, or the method of two conditions.
+        family: What both share: condition or method.
         first: Method or condition.
         second: Method or condition.
         starts: Number of shared starts.
         only_first: Starts on which only `first` succeeded.
         only_second: Starts on which only `second` succeeded.
-        difference: Of the two rates.
+        difference: Of the rates.
         low: Lower end of its 95 % interval.
         high: Upper end.
         p_value: Exact McNemar.
-        p_holm: The same, corrected for the number of rows tested together (Holm).
-        slower_s: Median difference of completion time with its 95 % interval [s]; None without a shared success.
+        p_holm: Holm-corrected over the rows tested together.
+        slower_s: Median difference of completion time with 95 % interval [s]; None without a shared success.
     """
 
     family: str
@@ -58,20 +58,20 @@ class Paired:
 
     @property
     def shown(self) -> bool:
-        """Whether the trials show a difference."""
+        """Whether the difference is significant."""
         return self.p_holm < CERTAIN
 
 
 def read_paired(rows: Any, name: str, family: str) -> list[Paired]:
-    """Return the rows of `data[name]` that are complete, not corrected yet.
+    """Return the complete rows of `data[name]`, uncorrected.
 
     Args:
-        rows: Of the benchmark's verdict.
-        name: Their name in it, for messages.
+        rows: Rows of the benchmark's verdict.
+        name: Key, for messages.
         family: Column of `Paired.family`.
 
     Raises:
-        DataError: Another shape, a row without its names, or a p value outside 0 to 1.
+        DataError: Wrong shape, missing names, or a p value outside [0, 1].
     """
     if not isinstance(rows, Sequence) or not all(isinstance(row, Mapping) for row in rows):
         raise DataError(f"the benchmark's data has no list '{name}' of mappings")
@@ -94,7 +94,7 @@ def read_paired(rows: Any, name: str, family: str) -> list[Paired]:
 
 
 def corrected(pairs: Sequence[Paired]) -> list[Paired]:
-    """Return `pairs` with the probabilities corrected over all of them."""
+    """Return `pairs` Holm-corrected over all of them."""
     return [replace(pair, p_holm=p) for pair, p in zip(pairs, holm([pair.p_value for pair in pairs]), strict=True)]
 
 

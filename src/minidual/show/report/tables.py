@@ -1,4 +1,4 @@
-"""The table of methods by conditions from the benchmark's verdict, with every hole named."""
+"""Table of methods by conditions from the benchmark's verdict; missing numbers are listed."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ class Measure:
     """One indicator of one method under one condition, SI.
 
     Attributes:
-        value: The number compared; the largest over trials for some indicators.
-        middle: Median over trials; of success its rate.
+        value: Compared number; for some indicators the maximum over trials.
+        middle: Median over trials; for success its rate.
         low: Lower end of the 95 % interval of `middle`.
         high: Upper end.
     """
@@ -35,14 +35,14 @@ class Cell:
     """One method under one condition.
 
     Attributes:
-        state: "spared": the condition does not apply to the method. "missing": success or its interval is missing.
+        state: "spared": the condition does not apply. "missing": trials, success or its interval is missing.
         why: Why it is spared.
         trials: Number of trials; None if missing.
-        measures: By key of the indicators; None where the value or its interval is missing or undefined.
-        loss: Against the same starts undisturbed; None for the undisturbed trials themselves.
-        failures: Trials by reason of failure, most frequent first.
-        stopped: Failed trials in which the method stopped itself.
-        holes: Names of numbers that should be there and are not.
+        measures: By indicator key; None if missing or undefined.
+        loss: Comparison with the undisturbed starts; None for those themselves.
+        failures: (reason, trials), most frequent first.
+        stopped: Failed trials that the method itself stopped.
+        holes: Names of missing numbers.
     """
 
     method: str
@@ -58,25 +58,25 @@ class Cell:
 
     @property
     def success(self) -> Measure | None:
-        """Success rate with its Wilson interval."""
+        """Success rate with Wilson interval."""
         return self.measures.get(SUCCESS.key)
 
     @property
     def successes(self) -> int:
-        """Number of successful trials."""
+        """Number of successes."""
         return round((self.success.value if self.success else 0.0) * (self.trials or 0))
 
     @property
     def competes(self) -> bool:
-        """Whether it succeeded at all. Otherwise its other indicators are not ranked: an object never lifted never tilts."""
+        """Whether any trial succeeded. Otherwise it is not ranked: an object never lifted never tilts."""
         return self.success is not None and self.success.value > 0.0
 
     def undefined(self, indicator: Indicator) -> bool:
-        """Return whether the indicator needs a success and there was none; such a blank is no hole."""
+        """Return whether the indicator needs a success and there was none; this is not a hole."""
         return indicator.needs_success and self.success is not None and not self.competes
 
     def excellent(self, indicator: Indicator) -> bool:
-        """Return whether the value is on the good side of the excellent limit."""
+        """Return whether the value beats the excellent limit."""
         measure = self.measures.get(indicator.key)
         judged = self.competes or indicator is SUCCESS
         return judged and measure is not None and indicator.is_excellent(measure.value)
@@ -84,14 +84,14 @@ class Cell:
 
 @dataclass(frozen=True)
 class Row:
-    """One condition: what it does, and one cell for each method."""
+    """One condition with a cell per method."""
 
     condition: str
     summary: str
     cells: tuple[Cell, ...]
 
     def is_best(self, cell: Cell, indicator: Indicator) -> bool:
-        """Return whether no other method that succeeded has a better value; False where only one has a value."""
+        """Return whether no competing method is better; False with fewer than two values."""
         found = [m.value for c in self.cells if c.competes and (m := c.measures.get(indicator.key))]
         mine = cell.measures.get(indicator.key)
         if len(found) < 2 or mine is None or not cell.competes:
@@ -101,7 +101,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Tables:
-    """All methods under all conditions that were asked for, the undisturbed row first."""
+    """Methods by conditions, the undisturbed row first."""
 
     rows: tuple[Row, ...]
 
@@ -116,12 +116,12 @@ class Tables:
         return (cell for row in self.rows for cell in row.cells)
 
     def missing(self) -> list[str]:
-        """Return "method.condition.number" for every hole."""
+        """Return "method.condition.number" per hole."""
         return [f"{cell.method}.{cell.condition}.{hole}" for cell in self.cells for hole in cell.holes]
 
 
 def finite(value: Any) -> float | None:
-    """Return `value` as a float if it is a finite number, else None (bools and words are not numbers)."""
+    """Return `value` as a float if it is a finite number, else None (also for bool)."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
     return float(value) if math.isfinite(value) else None
@@ -131,12 +131,12 @@ def tabulate(methods: Sequence[str], conditions: Sequence[str], data: Mapping[st
     """Return the table of `methods` by `conditions`.
 
     Args:
-        methods: Methods that must be there.
-        conditions: Conditions that must be there; the undisturbed one always is.
+        methods: Required methods.
+        conditions: Required conditions; CLEAN is always included.
         data: `data` of the benchmark's verdict: "methods", "conditions", "losses".
 
     Raises:
-        DataError: One of these has another shape.
+        DataError: One of these is malformed.
     """
     clean = _mapping(data.get("methods", {}), "methods")
     rows = [Row(CLEAN, "nothing disturbs the trial", tuple(_cell(m, CLEAN, clean, None) for m in methods))]

@@ -1,4 +1,4 @@
-"""Numbers, lists and the names of faults as words."""
+"""Numbers, lists and fault names as words."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ FAULTS: dict[str, str] = {
     "turned": "wrong orientation at the goal",
     "exchanged": "not handed over",
 }
-"""What it means when a condition of the success test does not hold."""
+"""Words for each failed condition of the success test."""
 
 
 def fault(name: str) -> str:
-    """Return the words for a condition that failed; its own name where the table has none."""
+    """Return the words for a failed condition; by default its name."""
     return FAULTS.get(name, name.replace("_", " ") or "unnamed")
 
 
@@ -42,11 +42,11 @@ def duration(seconds: float) -> str:
 
 
 def percent(share: float) -> str:
-    """Return "85 %"; one decimal below one per cent."""
+    """Return "85 %"; one decimal below 1 %."""
     return f"{share * 100:.1f} %" if 0.0 < share < 0.01 else f"{share * 100:.0f} %"
 
 
 def points(difference: float) -> str:
-    """Return a difference of two shares in points: "+5", "0", "−12"."""
+    """Return percentage points: "+5", "0", "−12"."""
     whole = round(100.0 * difference)
     return f"{whole:+d}".replace("-", "\u2212") if whole else "0"

@@ -1,4 +1,4 @@
-"""The live view: the scene in a browser, behind a small protocol."""
+"""Live view of the scene in a browser."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ def make_view(name: str, config: ViewConfig | None = None, *, say: Callable[[str
 
     Args:
         name: One of NAMES.
-        config: Interface, port, rate and speed; the defaults bind the loopback interface only.
-        say: Gets the lines for people: the address, warnings, that a view ended early.
+        config: By default loopback only.
+        say: Called with messages: address, warnings, early end.
 
     Raises:
-        UsageError: Unknown name, an interface that this machine does not have, or no free port.
+        UsageError: Unknown name, foreign interface, or no free port.
     """
     if name not in NAMES:
         raise unknown_name("view", name, NAMES)

@@ -1,4 +1,4 @@
-"""Which port a view can have, who can reach it, and what to type to reach it from elsewhere."""
+"""Port, address and ssh tunnel of a view."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ PORTS_TRIED = 50
 
 
 def free_port(host: str, first: int, tries: int = PORTS_TRIED) -> int:
-    """Return the first port from `first` on that can be bound on interface `host`.
+    """Return the first port from `first` that can be bound on interface `host`.
 
     Raises:
-        UsageError: The interface is not this machine's, or none of the ports is free.
+        UsageError: The interface cannot be bound, or no port is free.
     """
     last = min(first + tries, 65536) - 1
     for port in range(first, last + 1):
@@ -38,7 +38,7 @@ def free_port(host: str, first: int, tries: int = PORTS_TRIED) -> int:
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether an interface is reached from this machine only."""
+    """Return whether `host` is reachable from this machine only."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -52,7 +52,7 @@ def url(host: str, port: int) -> str:
 
 
 def tunnel_command(port: int) -> str:
-    """Return what to type on another machine so that the same address works there."""
+    """Return the ssh command that forwards the port to another machine."""
     try:
         user = getpass.getuser()
     except (KeyError, OSError):  # a container without a passwd entry for this user

@@ -1,4 +1,4 @@
-"""What a view shows besides the scene: who drives the arms, how hard they squeeze, where they will go."""
+"""State that a view shows besides the scene."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 
 ARM_RGB, OBJECT_RGB = ((32, 108, 214), (150, 62, 190)), (20, 150, 90)
-"""Colours of the left and the right arm, and of the carried object."""
+"""Colours of the left and right arm, and of the carried object."""
 
 
 @dataclass(frozen=True)
 class Arrow:
-    """A force to draw.
+    """A force.
 
     Attributes:
-        start: (3,) where it acts, world [m].
+        start: (3,) point of application, world [m].
         force: (3,) world axes [N].
         rgb: 0 to 255.
     """
@@ -30,10 +30,10 @@ class Arrow:
 
 @dataclass(frozen=True)
 class PathLine:
-    """A line through the world, such as the way of a tool centre point.
+    """A polyline, such as a TCP path.
 
     Attributes:
-        name: Unique in its preview, e.g. "left".
+        name: Unique in its preview.
         points: (N, 3) world [m], N >= 2.
         rgb: 0 to 255.
     """
@@ -45,11 +45,11 @@ class PathLine:
 
 @dataclass(frozen=True, eq=False)
 class Preview:
-    """What is planned. A view sends it anew only when it gets another object, so keep one as long as it holds.
+    """A plan. Views redraw it only when the object changes, so reuse it while it holds.
 
     Attributes:
-        paths: Lines to draw.
-        ghosts: Whole states (nq,) of the model in which to draw it half transparent, e.g. where a plan ends.
+        paths: Lines.
+        ghosts: States (nq,) drawn half transparent, e.g. the plan's end.
     """
 
     paths: tuple[PathLine, ...] = ()
@@ -61,19 +61,19 @@ NO_PREVIEW = Preview()
 
 @dataclass(frozen=True)
 class Overlay:
-    """State beside the scene at one instant. Empty text and None are not shown.
+    """State at one instant. Empty text and None are not shown.
 
     Attributes:
         time_s: Simulated time [s].
-        title: What runs, e.g. "carry, trial 3 of 100".
-        mode: The mode in force: moveit, teleop, policy, impedance.
-        source: The source whose commands reach the motors.
-        state: State of the arbiter, or the phase of a method without one.
-        status: One line for people.
-        pinch_n: Pinch force of each hand (left, right) [N].
-        internal_n: Squeeze between the hands along the object [N].
-        arrows: Forces to draw.
-        preview: What is planned.
+        title: E.g. "carry, trial 3 of 100".
+        mode: Source that may drive ("hold" if none), or method name.
+        source: Source whose commands reach the motors.
+        state: Arbiter state, method phase, or both.
+        status: One line.
+        pinch_n: Pinch force per hand (left, right) [N].
+        internal_n: Squeeze along the object [N].
+        arrows: Forces.
+        preview: The plan.
     """
 
     time_s: float = 0.0
@@ -90,14 +90,14 @@ class Overlay:
 
 @dataclass(frozen=True)
 class Slider:
-    """A value that a person may set while watching.
+    """A value that a viewer may set.
 
     Attributes:
-        group: Folder in which it stands, e.g. "left arm".
-        label: e.g. "joint 1 [rad]".
-        lower: Least value.
-        upper: Largest value.
-        value: At the beginning.
+        group: Folder, e.g. "left arm".
+        label: E.g. "joint 1 [rad]".
+        lower: Minimum.
+        upper: Maximum.
+        value: Initial value.
     """
 
     group: str

@@ -1,4 +1,4 @@
-"""When a picture is due, and how fast simulated time goes by."""
+"""Frame timing and simulation speed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Clock = Callable[[], float]
 
 
 class Metronome:
-    """Says when the next picture is due, `rate_hz` times a second of wall time at most."""
+    """Limits frames to `rate_hz` per wall-clock second."""
 
     def __init__(self, rate_hz: float, clock: Clock = time.monotonic) -> None:
         self._clock = clock
@@ -18,16 +18,16 @@ class Metronome:
         self._next_s = float("-inf")
 
     def due(self) -> bool:
-        """Return whether a period has passed since the last `done`."""
+        """Return whether the period since the last `done` is over."""
         return self._clock() >= self._next_s
 
     def done(self, slower: float = 1.0) -> None:
-        """Note that a picture was taken; the next one is due after a period times `slower`."""
+        """Note a frame; the next is due after `slower` periods."""
         self._next_s = self._clock() + self._period_s * slower
 
 
 class SpeedMeter:
-    """Measures simulated seconds a second over the last `window_s` of wall time."""
+    """Simulated seconds per wall-clock second over the last `window_s`."""
 
     def __init__(self, window_s: float = 1.0, clock: Clock = time.monotonic) -> None:
         self._clock = clock
@@ -35,10 +35,10 @@ class SpeedMeter:
         self._seen: deque[tuple[float, float]] = deque()
 
     def add(self, time_s: float) -> float | None:
-        """Take the present simulated time and return the speed, or None until two instants are known."""
+        """Add a simulated time; return the speed, None until there are two."""
         now = self._clock()
         if self._seen and time_s < self._seen[-1][1]:
-            self._seen.clear()  # a reset: time began anew
+            self._seen.clear()  # the simulation was reset
         self._seen.append((now, time_s))
         while len(self._seen) > 2 and now - self._seen[0][0] > self._window_s:
             self._seen.popleft()
@@ -47,7 +47,7 @@ class SpeedMeter:
 
 
 class Brake:
-    """Keeps simulated time from running faster than `speed` times wall time."""
+    """Limits simulated time to `speed` times wall time."""
 
     def __init__(
         self, speed: float, clock: Clock = time.monotonic, sleep: Callable[[float], None] = time.sleep
@@ -57,7 +57,7 @@ class Brake:
         self._last_s = 0.0
 
     def hold(self, time_s: float) -> None:
-        """Sleep until simulated time `time_s` may be; what was lost by being slow is not caught up."""
+        """Sleep until `time_s` is allowed; lags beyond 0.1 s are not caught up."""
         now = self._clock()
         if self._start is None or time_s < self._last_s:
             self._start = (now, time_s)

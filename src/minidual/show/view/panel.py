@@ -1,4 +1,4 @@
-"""The panel beside the scene: who drives, the forces at the hands as numbers and a plot, and sliders."""
+"""Panel beside the scene: state, forces and sliders."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from viser import uplot
 from minidual.show.view.overlay import ARM_RGB, OBJECT_RGB, Array, Overlay, Slider
 
 _FORCE_FULL_N = 80.0
-"""Top of the plot: the ceiling of the internal force."""
+"""Top of the plot: ceiling of the internal force."""
 _HISTORY = 200
 _FORCES = (
     ("pinch, left hand", ARM_RGB[0]),
@@ -24,7 +24,7 @@ _FORCES = (
 
 
 def table_html(overlay: Overlay, speed: float | None) -> str:
-    """Return what is known of one instant as a table; every text is escaped."""
+    """Return the state as an HTML table, escaped."""
     rows = [
         ("mode", overlay.mode),
         ("source in control", overlay.source),
@@ -35,13 +35,13 @@ def table_html(overlay: Overlay, speed: float | None) -> str:
     ]
     cells = "".join(_row(name, text) for name, text in rows if text)
     for (name, rgb), force in zip(_FORCES, _forces(overlay) or (), strict=False):
-        cells += _row(name, f"{round(force, 1) + 0.0:.1f} N", rgb)  # adding zero leaves no minus sign before a zero
+        cells += _row(name, f"{round(force, 1) + 0.0:.1f} N", rgb)  # adding zero removes the sign of -0.0
     title = f"<b>{html.escape(overlay.title)}</b>" if overlay.title else ""
     return f"<div style='padding:4px 12px;font-size:13px'>{title}<table style='width:100%'>{cells}</table></div>"
 
 
 def _row(name: str, text: str, rgb: tuple[int, int, int] | None = None) -> str:
-    """Return one row of the table; a colour marks the row's line in the plot."""
+    """Return a table row; `rgb` marks its plot line."""
     mark = "" if rgb is None else f"<span style='color:{_css(rgb)}'>&#9632;</span> "
     value = f"<td style='text-align:right'>{mark}{html.escape(text)}</td>"
     return f"<tr><td style='opacity:.6;padding-right:1em'>{name}</td>{value}</tr>"
@@ -52,14 +52,14 @@ def _css(rgb: tuple[int, int, int]) -> str:
 
 
 def _forces(overlay: Overlay) -> tuple[float, float, float] | None:
-    """Return (left pinch, right pinch, squeeze) [N], or None where they are not measured."""
+    """Return (left pinch, right pinch, squeeze) [N], None if not measured."""
     if overlay.pinch_n is None or overlay.internal_n is None:
         return None
     return (*overlay.pinch_n, overlay.internal_n)
 
 
 class Panel:
-    """The panel of one server."""
+    """Panel of one viser server."""
 
     def __init__(self, server: Any) -> None:
         self._gui = server.gui
@@ -84,7 +84,7 @@ class Panel:
         self._values: list[float] = []
 
     def show(self, overlay: Overlay, speed: float | None) -> None:
-        """Show the state of one instant."""
+        """Show one instant."""
         self._table.content = table_html(overlay, speed)
         forces = _forces(overlay)
         self._plot.visible = forces is not None
@@ -97,7 +97,7 @@ class Panel:
             self._plot.data = tuple(np.ascontiguousarray(column) for column in np.array(self._history).T)
 
     def offer(self, sliders: Sequence[Slider]) -> None:
-        """Add sliders, one folder for each group."""
+        """Add sliders, a folder per group."""
         self._offered += sliders
         self._values += [slider.value for slider in sliders]
         folders: dict[str, Any] = {}
@@ -111,9 +111,9 @@ class Panel:
                 )
 
     def values(self) -> Array:
-        """Return the values (n,) of the sliders, inside their bounds.
+        """Return the slider values (n,), clipped to their bounds.
 
-        Anybody who reaches the port can send any value: NaN and infinities leave the last value in place.
+        Clients may send anything; non-finite values are ignored.
         """
         for k, (handle, slider) in enumerate(zip(self._sliders, self._offered, strict=True)):
             value = float(handle.value)

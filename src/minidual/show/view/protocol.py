@@ -1,4 +1,4 @@
-"""What a live view offers."""
+"""Interface of a live view."""
 
 from __future__ import annotations
 
@@ -11,15 +11,14 @@ from minidual.show.view.overlay import Array, Overlay, Slider
 
 
 class View(Protocol):
-    """Shows a model in motion, and changes nothing in the simulation.
+    """Shows a moving model without changing the simulation.
 
-    Call `open` once, then as often as you like:
+    Call `open` once, then repeatedly:
 
         if view.due():
             view.update(data, Overlay(data.time, mode="moveit"))
 
-    Between two pictures `due` only reads the clock. `update` copies and returns: it neither waits for a client nor raises
-    when one goes away.
+    `due` only reads the clock. `update` copies; it neither waits for clients nor raises when one disconnects.
     """
 
     @property
@@ -29,42 +28,42 @@ class View(Protocol):
 
     @property
     def url(self) -> str | None:
-        """Address to open in a browser, if there is one."""
+        """Browser address, if any."""
         ...
 
     @property
     def speed_max(self) -> float:
-        """Simulated seconds a second that a watched run may not exceed; 0 for no limit."""
+        """Limit of simulated seconds per second; 0: unlimited."""
         ...
 
     @property
     def alive(self) -> bool:
-        """Whether anybody can still see it; False after `close`."""
+        """Whether it can still be seen; False after `close` or an internal error."""
         ...
 
     def open(self, model: mujoco.MjModel) -> None:
-        """Show `model`, with visual meshes, in place of the one before.
+        """Replace the shown model; it needs visual meshes.
 
-        The states given to `update` may come from a model without meshes: only the poses of its bodies are read.
+        `update` reads body poses only, so its data may come from a model without meshes.
         """
         ...
 
     def due(self) -> bool:
-        """Return whether a new picture is wanted."""
+        """Return whether a new frame is due."""
         ...
 
     def update(self, data: mujoco.MjData, overlay: Overlay) -> None:
-        """Show this state; its bodies must be up to date, as after mj_step or mj_kinematics."""
+        """Show this state; body poses must be current, as after mj_step or mj_kinematics."""
         ...
 
     def offer(self, sliders: Sequence[Slider]) -> None:
-        """Offer values to set."""
+        """Add sliders."""
         ...
 
     def slider_values(self) -> Array:
-        """Return the present values (n,) of the sliders offered, inside their bounds; (0,) without any."""
+        """Return the slider values (n,) within bounds."""
         ...
 
     def close(self) -> None:
-        """End; may be called twice."""
+        """End the view; idempotent."""
         ...

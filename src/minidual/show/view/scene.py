@@ -1,4 +1,4 @@
-"""The scene in the browser: built once, then only poses, arrows and lines are sent."""
+"""Browser scene: built once, then updated by poses, arrows and lines."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from minidual.show.view.overlay import NO_PREVIEW, Array, Arrow, Preview
 from minidual.show.view.shapes import BodyMesh, body_meshes, floor_height, moving_bodies
 
 _ARROW_M_PER_N = 0.0025
-"""Length of a force arrow: 40 N are 10 cm."""
+"""Arrow length: 10 cm at 40 N."""
 _ARROW_MIN_N = 0.5
 _MOVED = 1e-5
-"""Least change of a position [m] or quaternion entry that is sent; the screen shows 1 mm at best."""
+"""Smallest change of position [m] or quaternion entry that is sent; the screen resolves 1 mm at best."""
 _FLAT_M = 0.002
-"""A thinner mesh, such as a mark on the table, casts no shadow: it would blur itself."""
+"""Thinner meshes, such as table marks, cast no shadow, which would blur them."""
 _GHOSTS_MAX, _GHOST_MOVED = 4, 1e-3
 _GHOST_RGB, _FLOOR_RGB, _FOG_RGB = (70, 160, 255), (214, 220, 228), (255, 255, 255)
 _CAMERA, _TARGET, _FOV_RAD = (1.85, -0.85, 0.95), (0.30, 0.10, 0.17), 0.70
 _FLOOR_HALF_M = 30.0
-"""The edge of the floor lies in the fog."""
+"""Puts the floor's edge in the fog."""
 
 
 class Scene:
-    """What the browser draws for one model.
+    """Scene of one model.
 
     Args:
-        server: A viser server; what was drawn before is removed.
-        model: With visual meshes.
+        server: Viser server; its scene is reset.
+        model: Model with visual meshes.
     """
 
     def __init__(self, server: Any, model: mujoco.MjModel) -> None:
@@ -88,7 +88,7 @@ class Scene:
         )
 
     def move(self, positions: Array, quaternions: Array) -> int:
-        """Send the poses of the moving bodies that changed; return how many did.
+        """Send the changed poses of moving bodies; return their number.
 
         Args:
             positions: (nbody, 3) world [m].
@@ -104,7 +104,7 @@ class Scene:
         return sent
 
     def draw_forces(self, arrows: Sequence[Arrow]) -> None:
-        """Draw forces as arrows in place of the last ones."""
+        """Replace the force arrows."""
         shown = [a for a in arrows if float(np.linalg.norm(a.force)) >= _ARROW_MIN_N]
         if not shown:
             if self._arrows is not None:
@@ -121,7 +121,7 @@ class Scene:
         self._arrows.visible = True
 
     def draw_preview(self, preview: Preview) -> None:
-        """Draw what is planned; the same object as before is drawn already."""
+        """Draw the plan unless it is the same object as before."""
         if preview is self._preview:
             return
         self._preview = preview
@@ -138,7 +138,7 @@ class Scene:
             self._add_ghost(f"/plan/ghost{index}", qpos)
 
     def _add_ghost(self, root: str, qpos: Array) -> None:
-        """Draw the bodies that are elsewhere in the state `qpos`, half transparent."""
+        """Draw the bodies that differ from the shown state, half transparent."""
         data = mujoco.MjData(self._model)
         data.qpos[:] = qpos
         mujoco.mj_kinematics(self._model, data)
@@ -153,5 +153,5 @@ class Scene:
 
 
 def _name(model: mujoco.MjModel, body: int) -> str:
-    """Return a unique name without slashes, at which the browser's tree splits."""
+    """Return a unique name without slashes, which separate viser's tree nodes."""
     return f"{body}_{model.body(body).name.replace('/', '_')}"

@@ -1,4 +1,4 @@
-"""The visible geoms of a model as coloured triangle meshes, one a body and colour."""
+"""Visible geoms of a model as coloured triangle meshes."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ import numpy.typing as npt
 import trimesh
 
 HIDDEN_GROUP = 3
-"""Geoms of this group and above are for collision; MuJoCo's own viewer hides them too."""
+"""Geom groups from here on are for collision; MuJoCo's viewer hides them too."""
 _SHARP_RAD = np.deg2rad(35.0)
-"""An edge sharper than this stays an edge; a softer one is shaded smooth."""
+"""Sharper edges are not smooth-shaded."""
 
 
 @dataclass(frozen=True)
 class BodyMesh:
-    """Triangles of one colour in the frame of their body.
+    """Triangles of one colour, body frame.
 
     Attributes:
-        body: Index of the body; 0 is the world.
+        body: Body index; 0 is the world.
         vertices: (V, 3) [m].
         faces: (F, 3).
         rgba: (4,) 0 to 1.
@@ -34,12 +34,12 @@ class BodyMesh:
 
 
 def moving_bodies(model: mujoco.MjModel) -> list[int]:
-    """Return the bodies that can move: those not welded to the world."""
+    """Return the bodies not welded to the world."""
     return [body for body in range(1, model.nbody) if int(model.body_weldid[body]) != 0]
 
 
 def body_meshes(model: mujoco.MjModel) -> list[BodyMesh]:
-    """Return the visible meshes of a model; geoms of one body and colour are one mesh, as each mesh costs."""
+    """Return the visible meshes, merged by body and colour because every mesh costs time."""
     parts: dict[tuple[int, tuple[float, ...]], list[trimesh.Trimesh]] = {}
     for geom, mesh in _visible(model):
         rgba = tuple(round(float(c), 4) for c in model.geom_rgba[geom])
@@ -54,7 +54,7 @@ def body_meshes(model: mujoco.MjModel) -> list[BodyMesh]:
 
 
 def _visible(model: mujoco.MjModel) -> Iterator[tuple[int, trimesh.Trimesh]]:
-    """Yield (geom, mesh in its body's frame) of every geom that is drawn and has a shape of its own."""
+    """Yield (geom, mesh in body frame) of the drawn geoms; planes are skipped."""
     for geom in range(model.ngeom):
         if int(model.geom_group[geom]) >= HIDDEN_GROUP or float(model.geom_rgba[geom, 3]) == 0.0:
             continue
@@ -70,7 +70,7 @@ def _visible(model: mujoco.MjModel) -> Iterator[tuple[int, trimesh.Trimesh]]:
 
 
 def _mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
-    """Return the mesh of a geom in its own frame, or None for an infinite plane."""
+    """Return a geom's mesh in its own frame, or None for a plane."""
     size, kind = model.geom_size[geom], mujoco.mjtGeom(int(model.geom_type[geom]))
     if kind == mujoco.mjtGeom.mjGEOM_MESH:
         mesh = model.mesh(int(model.geom_dataid[geom]))
@@ -91,7 +91,7 @@ def _mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
 
 
 def floor_height(model: mujoco.MjModel) -> float | None:
-    """Return the height [m] of the first plane, or None without one."""
+    """Return the height [m] of the first plane, if any."""
     for geom in range(model.ngeom):
         if int(model.geom_type[geom]) == int(mujoco.mjtGeom.mjGEOM_PLANE):
             return float(model.geom_pos[geom, 2])

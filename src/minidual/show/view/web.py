@@ -1,4 +1,4 @@
-"""The view in a browser: a small server on the loopback interface, fed by a thread of its own."""
+"""Browser view: a local server fed by its own thread."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from minidual.show.view.scene import Scene
 
 _PANEL_HZ = 6.0
 _UNWATCHED = 10.0
-"""While no browser is connected, pictures are this many times rarer; the next browser gets the last one."""
+"""Period factor while no browser is connected."""
 _FAREWELL_S = 0.3
 
 
 class _Server(viser.ViserServer):
-    """A viser server that never opens a public tunnel."""
+    """Viser server that never opens a public tunnel."""
 
     def request_share_url(self, verbose: bool = True) -> None:
-        """Refuse."""
+        """Do nothing."""
         del verbose
 
 
 @dataclass(frozen=True)
 class _Frame:
-    """What the thread needs of one instant, copied."""
+    """Copied poses and overlay of one instant."""
 
     positions: Array
     quaternions: Array
@@ -44,12 +44,12 @@ class _Frame:
 class WebView:
     """See minidual.show.view.protocol.View.
 
-    `update` leaves a copy in a slot and returns. A thread hands the newest copy to the server. A slow, closed or broken
-    client costs the simulation nothing; an error in the thread ends the view, is reported once, and the run goes on.
+    `update` stores a copy; a thread sends the newest one. Slow or broken clients do not delay the simulation.
+    An error in the thread ends the view and is reported once.
 
     Args:
         config: Interface, first port, rate.
-        say: Gets the lines for people.
+        say: Called with messages.
 
     Raises:
         UsageError: The interface cannot be bound, or no port is free.
@@ -101,7 +101,7 @@ class WebView:
 
     @property
     def clients_n(self) -> int:
-        """Number of browsers connected."""
+        """Number of connected browsers."""
         return len(self._server.get_clients())
 
     def open(self, model: mujoco.MjModel) -> None:
@@ -114,21 +114,21 @@ class WebView:
             self._model = model
 
     def due(self) -> bool:
-        """Return whether a new picture is wanted."""
+        """Return whether a new frame is due."""
         return self._metronome.due() and self._model is not None and self.alive
 
     def update(self, data: mujoco.MjData, overlay: Overlay) -> None:
-        """Leave a copy of the bodies' poses and the overlay for the thread."""
+        """Store a copy for the thread."""
         self._slot = _Frame(data.xpos.copy(), data.xquat.copy(), overlay)
         self._metronome.done(1.0 if self.clients_n else _UNWATCHED)
         self._wake.set()
 
     def offer(self, sliders: Sequence[Slider]) -> None:
-        """Offer values to set."""
+        """Add sliders."""
         self._panel.offer(sliders)
 
     def slider_values(self) -> Array:
-        """Return the values of the sliders offered."""
+        """Return the slider values (n,)."""
         return self._panel.values()
 
     def _publish(self) -> None:
@@ -140,7 +140,7 @@ class WebView:
                     frame, self._slot = self._slot, None
                     if frame is not None and self._scene is not None and not self._ending:
                         self._draw(self._scene, frame)
-        except Exception as error:  # whatever it is, it must not reach what is being watched
+        except Exception as error:  # no error may reach the simulation
             self._broken = True
             self._say(f"the view ended early ({type(error).__name__}: {error}); what it showed goes on")
 
@@ -162,7 +162,7 @@ class WebView:
         self._ending = True
         self._wake.set()
         self._thread.join(timeout=2.0)
-        with contextlib.suppress(Exception):  # a page that cannot be told is told by the closed connection
+        with contextlib.suppress(Exception):  # the page also notices the closed connection
             overlay = last.overlay if last is not None else Overlay(np.nan)
             self._panel.show(replace(overlay, status="ended: the command has finished"), None)
             self._server.flush()
@@ -174,7 +174,7 @@ class WebView:
 
 @contextlib.contextmanager
 def _quiet() -> Generator[None]:
-    """Keep what viser says about itself from stdout, where data goes; it does not always heed `verbose`."""
+    """Keep viser's output off stdout, which carries data; viser sometimes ignores `verbose`."""
     import rich
 
     console = rich.get_console()
