@@ -1,4 +1,4 @@
-"""Show a plan among its obstacles, as a picture or in a live view."""
+"""Show a plan as picture or live."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from minidual.trials.planning.evaluate import Outcome
 _OBSTACLE_RGBA = (0.78, 0.42, 0.25, 1.0)
 _HELD_RGBA = (0.15, 0.6, 0.4, 1.0)
 _LOOK_S = 1.0
-"""Pause at the end of each round."""
+"""Pause after each round."""
 
 
 def scene_model(config: SceneConfig, scene: PlanningScene) -> mujoco.MjModel:
-    """Return the world's visual model with the planning scene's obstacles and held shapes; task objects are transparent."""
+    """Return the visual model with the scene's obstacles and held shapes, hiding task objects."""
     spec = build_spec(config, scene.robot, visuals=True)
     for body in free_bodies(spec):
         for geom in body.geoms:
@@ -95,17 +95,9 @@ def play(
     note: str = "",
     sleep: Callable[[float], None] = time.sleep,
 ) -> None:
-    """Play a plan kinematically in real time, with TCP paths and a ghost of its end posture.
+    """Play a plan in real time without simulation, with TCP paths and end posture.
 
-    Args:
-        view: Live view.
-        config: World around the arms.
-        scene: Arms, obstacles and held objects.
-        trajectory: The plan.
-        title: Panel title.
-        rounds_n: Number of rounds; None repeats until the view is closed.
-        note: Prefix of the status line.
-        sleep: Waits [s].
+    `rounds_n` None repeats until the view is closed.
     """
     poser = Poser(config, scene)
     end = poser.place(trajectory.q[-1]).qpos.copy()
@@ -126,7 +118,7 @@ def play(
 
 
 def play_queries(view: View | None, config: SceneConfig, outcomes: Mapping[str, Sequence[Outcome]]) -> None:
-    """Play the first solved query of each group once; no-op without a view."""
+    """Play each group's first solved query once."""
     for group, done in outcomes.items():
         first = next((o for o in done if o.result is not None), None)
         if view is not None and first is not None and first.result is not None:
@@ -149,7 +141,7 @@ def write_paths(path: Path, config: SceneConfig, outcomes: Mapping[str, Sequence
 
 
 def write_picture(path: Path, config: SceneConfig, scene: PlanningScene, trajectory: Trajectory, title: str) -> None:
-    """Draw a plan from two cameras: the arms solid at the end, pale at 0, 1/3 and 2/3 of its duration."""
+    """Draw a plan from two cameras, solid at the end, pale before."""
     names = ("from the front corner", "from above, the arms' bases on the left")
     pictures = list(zip(names, _renders(config, scene, trajectory), strict=True))
     sheet(pictures, 2, path, title=f"{title}: pale at the start and midway, solid at the end", width_in=6.5)
@@ -184,7 +176,6 @@ def _render(poser: Poser, trajectory: Trajectory, camera: mujoco.MjvCamera) -> A
 
 
 def _add_ghost(shown: Any, poser: Poser, q: Array, option: mujoco.MjvOption, alpha: float) -> None:
-    """Add the arms at q (n,), pale."""
     before = shown.ngeom
     mujoco.mjv_addGeoms(
         poser.model, poser.place(q), option, mujoco.MjvPerturb(), int(mujoco.mjtCatBit.mjCAT_DYNAMIC), shown

@@ -1,4 +1,4 @@
-"""Show a running world in a live view. Watching never changes the simulation: the view uses its own model."""
+"""Show a running world. Watching never changes the simulation: the view uses its own model."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from minidual.trials.methods import Method
 from minidual.trials.runner import Bench, StepHook, Watch
 
 _ASIDE_M = np.array([0.05, 0.0, 0.0])
-"""Offset of force arrows from the hands, where the object would hide them."""
+"""Force arrows start this far from the hands; the object would hide them."""
 _BRAKE_EVERY_S = 0.01
 _PATH_POINTS = 60
 _STATIC_M = 1e-3
 
 Narrator = Callable[[], Overlay]
-"""Returns title, mode, source, state, status and preview; `overlay` adds time and forces."""
+"""Returns everything but time and forces, which `overlay` adds."""
 
 
 @functools.lru_cache(maxsize=2)
@@ -42,7 +42,7 @@ def _visual_model(scene_json: str, robot: Robot) -> mujoco.MjModel:
 
 
 def visual_model(scene: SceneConfig, robot: Robot = DUAL_PANDA) -> mujoco.MjModel:
-    """Return a scene's model with visual meshes, cached; its bodies match the simulated model's."""
+    """Return a scene's visual model, cached; same bodies as simulated."""
     return _visual_model(scene.model_dump_json(), robot)
 
 
@@ -60,13 +60,7 @@ def overlay(world: World, words: Overlay) -> Overlay:
 
 
 class Watcher:
-    """Step observer that shows one world; between frames it only reads the clock.
-
-    Args:
-        view: Opened here on the visual model of the scene.
-        world: The simulated world.
-        narrate: Called once per frame.
-    """
+    """Step observer that shows one world; `narrate` is called once per frame."""
 
     def __init__(self, view: View, world: World, narrate: Narrator) -> None:
         view.open(visual_model(world.scene, world.robot))
@@ -85,7 +79,7 @@ class Watcher:
 
 @contextmanager
 def watched(view: View | None, world: World, narrate: Narrator) -> Iterator[None]:
-    """Show every step of `world` inside the block; no-op without a view."""
+    """Show `world` inside the block; no-op without a view."""
     if view is None:
         yield
         return
@@ -97,7 +91,7 @@ def watched(view: View | None, world: World, narrate: Narrator) -> Iterator[None
 
 
 def watch_trials(view: View | None) -> Watch | None:
-    """Return the `watch` argument of `run_trials`; None without a view."""
+    """Return the `watch` argument of `run_trials`."""
     if view is None:
         return None
 
@@ -108,7 +102,7 @@ def watch_trials(view: View | None) -> Watch | None:
 
 
 def trial_hook(view: View, world: World, kinematics: Kinematics, name: str, title: str) -> StepHook:
-    """Return a step hook that shows one trial of method `name`."""
+    """Return a step hook that shows a trial."""
     narrator: Narrator = Overlay
     watcher = Watcher(view, world, lambda: narrator())
     driver: Method | None = None
@@ -136,7 +130,7 @@ def _method_narrator(method: Method, kinematics: Kinematics, name: str, title: s
 
 
 def watch_recording(view: View | None) -> Observe | None:
-    """Return the `observe` argument of `record`; None without a view."""
+    """Return the `observe` argument of `record`."""
     if view is None:
         return None
 
@@ -148,7 +142,7 @@ def watch_recording(view: View | None) -> Observe | None:
 
 
 def tcp_preview(kinematics: Kinematics, qs: Array) -> Preview:
-    """Return the TCP paths of postures (T, n); arms that do not move are left out."""
+    """Return the TCP paths of postures (T, n), without resting arms."""
     rows = np.unique(np.linspace(0, len(qs) - 1, min(len(qs), _PATH_POINTS)).round().astype(int))
     points = np.array([[T[:3, 3] for T in kinematics.tcp_poses(qs[row])] for row in rows])
     sides = zip(kinematics.robot.sides, points.swapaxes(0, 1), ARM_RGB, strict=True)
@@ -156,14 +150,7 @@ def tcp_preview(kinematics: Kinematics, qs: Array) -> Preview:
 
 
 class StackNarrator:
-    """Describes a control stack: source, arbiter state and executing trajectories.
-
-    Args:
-        stack: Drives the arms.
-        kinematics: For TCP paths.
-        title: Shown title.
-        phase: Returns the driving method's phase.
-    """
+    """Describes a control stack: source, arbiter state, trajectories."""
 
     def __init__(
         self, stack: ControlStack, kinematics: Kinematics, title: str = "", phase: Callable[[], str] | None = None
@@ -187,7 +174,7 @@ class StackNarrator:
         )
 
     def _planned(self) -> Preview:
-        """Return the TCP paths of the executing trajectories, recomputed when these change."""
+        """Return the executing trajectories' TCP paths, cached."""
         found = (execution.command for execution in self._stack.arbiter.executions)
         commands = tuple(command for command in found if isinstance(command, TrajectoryCommand))
         if [id(command) for command in commands] != [id(command) for command in self._drawn]:

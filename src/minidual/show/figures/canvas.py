@@ -13,7 +13,7 @@ BLUE, ORANGE, GREEN = "#2f6db5", "#e07b27", "#3a9a5b"
 
 
 def new_figure(rows: int, columns: int, width_in: float, height_in: float, **options: Any) -> tuple[Figure, Any]:
-    """Return a figure and its axes (rows, columns); `options` go to `Figure.subplots`."""
+    """Return a figure and its axes (rows, columns)."""
     figure = Figure(figsize=(width_in, height_in), dpi=110, layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False, **options)
     for axis in axes.flat:
@@ -31,7 +31,7 @@ def limit_line(axis: Any, at: float, label: str | None = "limit", style: str = "
 def sheet(
     images: Sequence[tuple[str, Any]], columns: int, path: Path, *, title: str = "", width_in: float = 3.4
 ) -> None:
-    """Write titled images (H, W, 3) as one picture."""
+    """Write titled images (H, W, 3) to one file."""
     rows = -(-len(images) // columns)
     height, width = images[0][1].shape[:2]
     figure, axes = new_figure(rows, columns, width_in * columns, (width_in * height / width + 0.3) * rows + 0.3)

@@ -1,4 +1,4 @@
-"""Films of trials and of recorded postures."""
+"""Films of trials and postures."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ CAMERAS = ("overview", "high", "left", "right")
 
 
 def film_trial(method: str, inputs: MethodInputs, trial: Trial, path: Path) -> TrialResult:
-    """Run `trial` again, film it to `path` (mp4) and return the result of the filmed run."""
+    """Film a new run of `trial`; return that run's result."""
     bench = Bench(method, inputs, visuals=True)
     frames: list[Image] = []
     with Camera(bench.world.model, *FILM_SIZE, shadows=True) as camera:
@@ -36,7 +36,7 @@ def film_trial(method: str, inputs: MethodInputs, trial: Trial, path: Path) -> T
 
 
 def film_hook(camera: Camera, frames: list[Image], *, view: str = "overview") -> Callable[[World, Method], None]:
-    """Return a step hook that appends a frame every 1 / FILM_FPS simulated seconds."""
+    """Return a step hook that collects frames at FILM_FPS."""
 
     def hook(world: World, method: Method) -> None:
         if world.time * FILM_FPS >= len(frames):
@@ -46,7 +46,7 @@ def film_hook(camera: Camera, frames: list[Image], *, view: str = "overview") ->
 
 
 class Postures:
-    """Step hook that samples qpos of the whole model every `period_s` simulated seconds."""
+    """Step hook that samples qpos every `period_s` simulated seconds."""
 
     def __init__(self, period_s: float) -> None:
         self._period_s = period_s
@@ -65,7 +65,7 @@ class Postures:
 def film_postures(
     scene: SceneConfig, postures: Postures, path: Path, *, camera: str = "overview", robot: Robot = DUAL_PANDA
 ) -> int:
-    """Write an mp4 at FILM_FPS; return the number of frames."""
+    """Write an mp4; return the number of frames."""
     return write_video(path, _pictures(scene, robot, postures.qpos, camera), fps=FILM_FPS)
 
 
@@ -78,7 +78,7 @@ def sheet_of_postures(
     camera: str = "overview",
     robot: Robot = DUAL_PANDA,
 ) -> int:
-    """Draw up to `frames` evenly spaced postures into one png; return their number."""
+    """Draw up to `frames` evenly spaced postures."""
     chosen = np.unique(np.linspace(0, len(postures.times) - 1, frames).round().astype(int))
     pictures = _pictures(scene, robot, [postures.qpos[i] for i in chosen], camera)
     named = [(f"{postures.times[i]:.3f} s", picture.copy()) for i, picture in zip(chosen, pictures, strict=True)]

@@ -1,4 +1,4 @@
-"""Film of the three modes, captioned with the source in control."""
+"""Film of the three modes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _NOBODY = (96, 96, 96)
 def filmed(
     steps: Iterator[tuple[str, str]], stack: ControlStack[World], world: World, camera: Camera
 ) -> Iterator[Image]:
-    """Run `steps`; yield captioned frames at FILM_FPS of simulated time, the last one repeated for 1 s."""
+    """Run `steps`; yield captioned frames at FILM_FPS, the last one for 1 s."""
     count = 0
     mode = doing = ""
     for mode, doing in steps:
@@ -36,7 +36,7 @@ def filmed(
 
 
 def captioned(picture: Image, stack: ControlStack[World], mode: str, doing: str) -> Image:
-    """Return the picture with a caption bar below it."""
+    """Return the picture above a caption bar."""
     height, width = picture.shape[:2]
     source = stack.output.active_source
     colour = _NOBODY if source is None else _COLOURS[source]

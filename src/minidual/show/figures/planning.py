@@ -17,7 +17,7 @@ _SHOWN = tuple(phase for phase in PHASES if phase != "scene")
 def write_times(
     outcomes: Mapping[str, Sequence[Outcome]], path: Path, median_max_s: Mapping[str, float | None]
 ) -> None:
-    """Draw each group's planning times with its median limit, and the median per phase."""
+    """Draw planning times by group and phase."""
     figure, ((spread, shares),) = new_figure(1, 2, 11.0, 4.2)
     groups = list(outcomes)
     for row, (group, done) in enumerate(outcomes.items()):

@@ -15,7 +15,7 @@ from minidual.tasks.rod_carry import placement
 
 
 def draw_quality(attempts: Sequence[Attempt], task: TaskConfig, jerk_limit_rad_s3: float, path: Path) -> None:
-    """Draw start poses, RMS jerk, and targets against joints of the first kept demonstration."""
+    """Draw start poses, RMS jerk, and targets of one demonstration."""
     figure, ((starts, jerks, motion),) = new_figure(1, 3, 13, 3.8)
     for kept, colour, label in ((True, BLUE, "kept"), (False, LIMIT, "rejected")):
         chosen = [placement(next(iter(a.trial.start.values()))) for a in attempts if a.kept is kept]

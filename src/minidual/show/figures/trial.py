@@ -14,7 +14,7 @@ from minidual.trials.runner import TrialLog
 
 
 def draw_trial(log: TrialLog, scene: SceneConfig, robot: Robot, path: Path, *, title: str) -> None:
-    """Draw the object's position and tilt, the forces, and torque ratios over time."""
+    """Draw object pose, forces, and torque ratios."""
     figure, ((motion, tilt), (force, torque)) = new_figure(2, 2, 11, 6.4, sharex=True)
     task = scene.task
     goal = np.array([*task.goal_xy_m, scene.object.rest_height_m])

@@ -14,7 +14,7 @@ from minidual.trials.tuning import OSCILLATION_MAX_M, TRACKING_MAX_M, Carried, T
 
 
 def draw_tuning(tuning: Tuning, needed_n: float, path: Path) -> None:
-    """Draw both searches, then tracking, force, torque and tilt of the compared forces."""
+    """Draw both searches and the compared forces."""
     figure, ((force, stiffness, track), (squeeze, torque, tilt)) = new_figure(2, 3, 14, 7.2)
     steps = [s for s in tuning.steps if s.phase == "force"]
     _scatter(force, steps, lambda s: s.force_n, lambda s: s.worst("internal_force_min_n", np.min))

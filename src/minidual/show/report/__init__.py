@@ -1,1 +1,1 @@
-"""The report: one offline page, its JSON and its figures."""
+"""Offline report: page, JSON, figures."""

@@ -1,6 +1,6 @@
-"""Build the report from verdicts and artefacts only.
+"""Build the report from verdicts and artefacts.
 
-It reads neither clock nor machine: the same verdicts give the same bytes.
+It reads neither clock nor machine: equal verdicts give equal bytes.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ TRIALS_FILE = "benchmark.csv"
 
 
 def build_report(given: model.ReportInput, folder: Path) -> Report:
-    """Write report.html, report.json and the figures into `folder`; return the report.
+    """Write report.html, report.json and figures into `folder`.
 
     Raises:
-        DataError: A needed artefact is missing or unreadable.
+        DataError: An artefact is missing or unreadable.
     """
     benchmark = given.verdicts.get("benchmark")
     tables = tabulate(given.methods, given.conditions, benchmark.data if benchmark else {})
@@ -60,7 +60,7 @@ def build_report(given: model.ReportInput, folder: Path) -> Report:
 
 
 def document(report: Report) -> dict[str, Any]:
-    """Return the report without pictures as JSON types."""
+    """Return the report as JSON, without pictures."""
     given, facts = report.given, report.facts
     made = given.newest.fingerprint.to_json() if given.newest else {}
     clean, *disturbed = report.tables.rows

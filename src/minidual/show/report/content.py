@@ -33,7 +33,7 @@ class Report:
 
     @property
     def shown_checks(self) -> list[Check]:
-        """The report's own checks, plus failed ones for waivers and code changes."""
+        """The report's own checks and those failed by waivers or code changes."""
         found = [
             ("gate.waivers", self.given.all_waivers(), "evidence behind a waived gate does not count as acceptance"),
             ("gate.code_changed", self.given.code_changes, "results of other code do not accept this code"),
@@ -42,5 +42,5 @@ class Report:
 
     @property
     def total_s(self) -> float:
-        """Total wall time of the stages."""
+        """Wall time of all stages."""
         return sum(verdict.duration_s for verdict in self.given.verdicts.values())

@@ -1,4 +1,4 @@
-"""Analysis of this run: pairs of methods, failures, held-out starts and thinnest margins."""
+"""Analysis: paired comparisons, failures, held-out starts, thinnest margins."""
 
 from __future__ import annotations
 
@@ -28,11 +28,8 @@ class Trial:
     """One row of benchmark.csv.
 
     Attributes:
-        method: Method that drove the arms.
-        condition: Disturbance; "clean" without one.
-        success: Result of the task's success test.
-        failure: Name of the first fault, "" on success.
-        numbers: Indicator columns and failed_at_s, SI; NaN where undefined.
+        failure: First fault, "" on success.
+        numbers: Indicators and failed_at_s, SI; NaN where undefined.
     """
 
     method: str
@@ -43,7 +40,7 @@ class Trial:
 
 
 def read_trials(path: Path) -> list[Trial]:
-    """Return the trials in `path`; DataError names the file, and the line of a bad row."""
+    """Return the trials; DataError names file and bad line."""
     try:
         with path.open(newline="", encoding="utf-8") as stream:
             reader = csv.DictReader(stream)
@@ -65,7 +62,6 @@ def _trial(row: Mapping[str, str | None], where: str) -> Trial:
 
 
 def _number(text: str | None) -> float:
-    """Return the number, NaN for other text."""
     try:
         return float(text or "nan")
     except ValueError:
@@ -74,7 +70,7 @@ def _number(text: str | None) -> float:
 
 @dataclass(frozen=True)
 class Reason:
-    """How often a method failed by one fault, and its median time [s] (None: unknown)."""
+    """Failures of a method by one fault; `at_s` is the median time."""
 
     method: str
     name: str
@@ -84,7 +80,7 @@ class Reason:
 
 @dataclass(frozen=True)
 class Gap:
-    """Success rate of the policy on held-out starts with its 95 % interval, and on training starts."""
+    """Success of the policy on held-out starts with 95 % interval, and on training starts."""
 
     held_out: float
     low: float | None
@@ -100,7 +96,7 @@ class Gap:
 
 @dataclass(frozen=True)
 class Margin:
-    """A check with its margin as a share of the limit."""
+    """A check's margin as a share of its limit."""
 
     stage: str
     check: Check
@@ -113,12 +109,11 @@ class Facts:
 
     Attributes:
         pairs: Undisturbed pairs of methods.
-        partings: Disturbed pairs that differ significantly.
-        losses: Significant changes of a method's success by a disturbance.
-        reasons: Failures of undisturbed trials by method, most frequent first.
-        gap: Policy on held-out and training starts.
+        partings: Disturbed pairs with a significant difference.
+        losses: Significant effects of a disturbance.
+        reasons: By method, most frequent first.
         margins: Thinnest first.
-        at_best_n: Passed checks without a margin to rank: at their limit, or a share at 100 %.
+        at_best_n: Passed checks without a rankable margin.
     """
 
     pairs: tuple[Paired, ...]
@@ -131,13 +126,7 @@ class Facts:
 
 
 def gather(verdicts: Mapping[str, Verdict], tables: Tables, trials: Sequence[Trial]) -> Facts:
-    """Return the analysis.
-
-    Args:
-        verdicts: By stage.
-        tables: Methods by conditions.
-        trials: Undisturbed trials only.
-    """
+    """Return the analysis; `trials` are the undisturbed ones."""
     rows = verdicts["benchmark"].data.get("comparisons", []) if "benchmark" in verdicts else []
     pairs = read_paired(rows, "comparisons", "condition")
     # Undisturbed pairs are their own Holm family: their result must not depend on which disturbances are run.
@@ -176,20 +165,19 @@ def _gap(deploy: Verdict | None) -> Gap | None:
 
 
 def relative_margin(check: Check) -> float | None:
-    """Return the margin as a share of the limit, or None if undefined."""
+    """Return margin / limit, None if undefined."""
     if check.margin is None or not check.limit or check.op == "==":
         return None
     return finite(check.margin / abs(check.limit))
 
 
 def _at_its_best(check: Check) -> bool:
-    """Return whether a passed check is exactly at its limit, or a share at 100 %."""
+    """Return whether a passed check cannot have a margin."""
     share = not check.unit and check.limit is not None and 0.0 < check.limit <= 1.0
     return check.margin == 0.0 or (share and check.op in (">", ">=") and check.observed == 1.0)
 
 
 def _margins(verdicts: Mapping[str, Verdict]) -> tuple[list[Margin], int]:
-    """Return the margins, thinnest first, and the number of checks at their best."""
     ranked: list[Margin] = []
     at_best = 0
     for stage, verdict in verdicts.items():

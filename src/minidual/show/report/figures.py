@@ -1,6 +1,6 @@
 """Figures of the report as SVG.
 
-Matplotlib draws in fixed colours; `Figure.themed` replaces ink, grid and notes by CSS variables for light and dark pages.
+`Figure.themed` replaces fixed colours by CSS variables for light and dark pages.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ COLOURS = ("#2f7fd1", "#e0782f", "#2f9e6e", "#9b6bd3", "#c94f7c", "#7a8694")
 _LIMIT = "#c8452f"
 _WIDTH_IN = 5.2
 _BAND = 0.72
-"""Share of a condition's row height used by its methods."""
+"""Share of the row height used."""
 _STYLE: dict[str, Any] = {
     "svg.fonttype": "none",
     "font.family": "sans-serif",
@@ -55,7 +55,7 @@ class Figure:
 
     @property
     def themed(self) -> str:
-        """SVG for inlining: no XML head, CSS colours, no fixed size."""
+        """SVG for inlining: CSS colours, no header or size."""
         body = self.svg[self.svg.index("<svg") :]
         for colour, variable in _CSS.items():
             body = body.replace(colour, variable)
@@ -67,7 +67,7 @@ class Figure:
 
 @contextmanager
 def _rows(names: Sequence[str], name: str, height: float) -> Iterator[tuple[Any, Any, Callable[[], str]]]:
-    """Yield (figure, axes, svg) with a row per name, the first on top; svg() renders the text."""
+    """Yield (figure, axes, svg) with a row per name; svg() renders."""
     style: Any = {**_STYLE, "svg.hashsalt": name}
     with mpl.rc_context(style):
         figure = Canvas(figsize=(_WIDTH_IN, 0.95 + 0.47 * height), layout="constrained")
@@ -95,7 +95,7 @@ def _limit_line(axes: Any, at: float, label: str) -> None:
 
 
 def success_figure(rows: Sequence[Row], name: str, title: str) -> Figure | None:
-    """Return success rates with intervals, a band per condition; None without a rate."""
+    """Return success rates with intervals by condition, if any."""
     if not any(cell.success for row in rows for cell in row.cells):
         return None
     methods = [cell.method for cell in rows[0].cells]
@@ -125,7 +125,7 @@ def success_figure(rows: Sequence[Row], name: str, title: str) -> Figure | None:
 
 
 def strip_figure(indicator: Indicator, methods: Sequence[str], trials: Sequence[Trial]) -> Figure | None:
-    """Return every trial as a point with each method's median over successes; None without values."""
+    """Return every trial and the median of successes, if any."""
     column = indicator.column or ""
     found = {
         m: [t for t in trials if t.method == m and math.isfinite(t.numbers.get(column, math.nan))] for m in methods
@@ -157,12 +157,12 @@ def strip_figure(indicator: Indicator, methods: Sequence[str], trials: Sequence[
 
 
 def _spread(k: int) -> float:
-    """Return term k of the golden-ratio low-discrepancy sequence in [0, 1)."""
+    """Golden-ratio sequence in [0, 1): even and repeatable."""
     return (0.5 + k * 0.618033988749895) % 1.0
 
 
 def failures_figure(methods: Sequence[str], trials: Sequence[Trial]) -> Figure | None:
-    """Return stacked failure counts by method; None without failures."""
+    """Return failure counts by method, if any."""
     counts = {m: Counter(t.failure or "unnamed" for t in trials if t.method == m and not t.success) for m in methods}
     reasons = [name for name, _n in sum(counts.values(), Counter[str]()).most_common()]
     if not reasons:
@@ -181,7 +181,7 @@ def failures_figure(methods: Sequence[str], trials: Sequence[Trial]) -> Figure |
 
 
 def benchmark_figures(tables: Tables, trials: Sequence[Trial]) -> list[Figure]:
-    """Return the figures of the undisturbed trials that have data."""
+    """Return the figures of undisturbed trials."""
     methods = [cell.method for cell in tables.clean.cells]
     strips = (strip_figure(indicator, methods, trials) for indicator in INDICATORS[1:])
     drawn = [success_figure(tables.rows[:1], "success", "Success"), *strips, failures_figure(methods, trials)]
@@ -189,6 +189,6 @@ def benchmark_figures(tables: Tables, trials: Sequence[Trial]) -> list[Figure]:
 
 
 def condition_figure(tables: Tables) -> Figure | None:
-    """Return success by condition; None without a disturbance."""
+    """Return success by condition, if disturbed."""
     title = "Success under each disturbance, the first row undisturbed"
     return success_figure(tables.rows, "conditions", title) if len(tables.rows) > 1 else None

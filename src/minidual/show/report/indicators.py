@@ -1,4 +1,4 @@
-"""Indicators that compare methods, and their display."""
+"""Indicators that compare methods."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 _UNSEEN = 0.0005
-"""Smaller displayed values are rounding error, shown as 0.000."""
+"""Smaller displayed values are rounding error."""
 
 
 @dataclass(frozen=True)
@@ -14,16 +14,13 @@ class Indicator:
     """One column of the comparison.
 
     Attributes:
-        key: Name in the benchmark's data, with SI unit.
-        column: Column of benchmark.csv, if any.
-        title: Displayed name.
-        unit: Displayed unit.
+        key: Key in the benchmark's data.
+        column: Column of benchmark.csv.
         scale: Displayed value / SI value.
-        excellent: Limit of "excellent", SI.
-        spread: Data keys of middle, low and high end of the 95 % interval over trials.
+        excellent: Limit, SI.
+        spread: Keys of middle and 95 % interval.
         meaning: Legend.
-        needs_success: Undefined without a successful trial.
-        more_is_better: Otherwise less is better.
+        needs_success: Undefined without a success.
     """
 
     key: str
@@ -38,7 +35,7 @@ class Indicator:
     more_is_better: bool = False
 
     def shown(self, value: float) -> str:
-        """Return `value` in the displayed unit, without the unit."""
+        """Return `value` in the displayed unit."""
         if self.unit == "%":
             return f"{value * 100:.0f}"
         seen = value * self.scale
@@ -52,14 +49,14 @@ class Indicator:
 
     @property
     def excellent_text(self) -> str:
-        """The excellent limit, "" without one."""
+        """The excellent limit as text."""
         if self.excellent is None:
             return ""
         return f"{'>' if self.more_is_better else '<'} {self.excellent * self.scale:g} {self.unit}"
 
 
 def three_digits(value: float) -> str:
-    """Return `value` with three significant digits, without an exponent from 0.0001 up."""
+    """Return three significant digits, without exponent from 0.0001 up."""
     if abs(value) >= 1000:
         return f"{value:,.0f}"
     text = f"{value:#.3g}".removesuffix(".")

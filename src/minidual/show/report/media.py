@@ -1,4 +1,4 @@
-"""Pictures and films of the stages: embedded when small, otherwise copied beside the page."""
+"""Pictures and films, embedded if small, else copied."""
 
 from __future__ import annotations
 
@@ -43,12 +43,9 @@ class Medium:
     """A picture or film.
 
     Attributes:
-        stage: Stage that made it.
-        name: File name in the stage's folder.
-        caption: What it shows.
+        name: File name.
         source: Data URI, or path relative to the page.
-        poster: Data URI of a film's still; "" for pictures.
-        film: Whether it is a film.
+        poster: A film's still, as data URI.
     """
 
     stage: str
@@ -60,13 +57,13 @@ class Medium:
 
 
 def is_shown(name: str) -> bool:
-    """Return whether an artefact is a picture or film; files in subfolders are data."""
+    """Return whether an artefact is shown; subfolders hold data."""
     path = PurePosixPath(name)
     return path.suffix.lower() in (*_PICTURES, _FILM) and len(path.parts) == 1
 
 
 def caption(stage: str, name: str) -> str:
-    """Return the caption, by default the words of the file name."""
+    """Return the caption, by default from the file name."""
     path = PurePosixPath(name)
     words = path.stem.replace("_", " ").replace("-", " ").strip()
     return _CAPTIONS.get((stage, path.name), words[:1].upper() + words[1:])
@@ -75,17 +72,10 @@ def caption(stage: str, name: str) -> str:
 def collect_media(
     stage: str, folder: Path, names: Iterable[str], captions: dict[str, str], page_folder: Path
 ) -> list[Medium]:
-    """Return a stage's media; large files are copied to `page_folder`/media.
-
-    Args:
-        stage: Stage name.
-        folder: Its finished folder.
-        names: Artefacts relative to `folder`.
-        captions: The stage's own captions by artefact.
-        page_folder: Folder of the page.
+    """Return a stage's media, copying large ones into `page_folder`/media.
 
     Raises:
-        DataError: A file is missing or not a readable film.
+        DataError: A file is missing, or a film unreadable.
     """
     media: list[Medium] = []
     for name in sorted(name for name in names if is_shown(name)):
@@ -113,7 +103,7 @@ def _data_uri(kind: str, content: bytes) -> str:
 
 
 def _poster(path: Path) -> str:
-    """Return the frame at 40 % of a film as JPEG data URI; first frames seldom show anything."""
+    """Return the frame at 40 %; first frames seldom show anything."""
     try:
         with av.open(str(path)) as container:
             stream = container.streams.video[0]

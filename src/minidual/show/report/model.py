@@ -21,17 +21,11 @@ class ReportInput:
     """Everything the report is built from.
 
     Attributes:
-        title: Page title.
-        stages: (name, summary) of the stages before the report, in order.
-        verdicts: By stage, where there is one.
-        folders: Finished folders of those stages.
-        waivers: Waivers that taint the report.
-        methods: Methods required in the comparison.
+        stages: (name, summary) of the preceding stages.
+        methods: Required in the comparison.
         acceptance: Whether the profile counts as acceptance.
-        profile: Profile name.
-        seed: Seed of the run.
-        conditions: Conditions required in the table.
-        code_changes: Changed modules of stages whose results other code made.
+        conditions: Required in the table.
+        code_changes: Changed modules by stage whose results other code made.
     """
 
     title: str
@@ -47,7 +41,7 @@ class ReportInput:
     code_changes: Mapping[str, Sequence[str]] = field(default_factory=dict[str, Sequence[str]])
 
     def all_waivers(self) -> tuple[Waiver, ...]:
-        """Return the distinct waivers, upstream ones included."""
+        """Return the distinct waivers, including upstream."""
         found: list[Waiver] = []
         for waiver in (*self.waivers, *(w for v in self.verdicts.values() for w in v.waivers)):
             if waiver not in found:
@@ -55,11 +49,11 @@ class ReportInput:
         return tuple(found)
 
     def counts_as_acceptance(self) -> bool:
-        """Return whether this profile and every verdict's count as acceptance."""
+        """Return whether all profiles count as acceptance."""
         return self.acceptance and all(verdict.acceptance_profile for verdict in self.verdicts.values())
 
     def weakened(self) -> list[str]:
-        """Return the counts and limits below those of the shipped profile."""
+        """Return counts and limits below the shipped profile's."""
         return list(dict.fromkeys(line for verdict in self.verdicts.values() for line in verdict.weakened))
 
     def not_passing(self) -> list[str]:
@@ -68,13 +62,13 @@ class ReportInput:
 
     @property
     def newest(self) -> Verdict | None:
-        """The last finished verdict; it dates the report and names machine and libraries."""
+        """The last finished verdict."""
         return max(self.verdicts.values(), key=lambda verdict: verdict.finished_at, default=None)
 
 
 @dataclass(frozen=True)
 class Banner:
-    """A warning at the top. kind: "tainted", "smoke", "fail" or "note"."""
+    """A warning; kind "tainted", "smoke", "fail" or "note"."""
 
     kind: str
     title: str
@@ -82,7 +76,7 @@ class Banner:
 
 
 def report_checks(given: ReportInput, tables: Tables) -> list[Check]:
-    """Return the report's own checks: complete tables, passing stages."""
+    """Return the report's checks: complete tables, passing stages."""
     holes = tables.missing()
     shown = f"; missing: {', '.join(holes[:6])}{' ...' if len(holes) > 6 else ''}" if holes else ""
     short = given.not_passing()

@@ -1,4 +1,4 @@
-"""Render the report as one self-contained HTML page."""
+"""Render one self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -60,7 +60,6 @@ def render_page(report: Report) -> str:
 
 
 def _tiles(report: Report) -> list[tuple[str, str]]:
-    """Return (number, words) of the headline tiles."""
     every = [check for verdict in report.given.verdicts.values() for check in verdict.checks]
     limited = [check for check in (*every, *report.shown_checks) if check.limited]
     tiles = [
@@ -77,7 +76,6 @@ def _tiles(report: Report) -> list[tuple[str, str]]:
 
 
 def _stages(report: Report) -> list[dict[str, Any]]:
-    """Return one entry per stage, the report last."""
     shown: list[dict[str, Any]] = []
     for name, summary in report.given.stages:
         verdict = report.given.verdicts.get(name)
@@ -100,7 +98,6 @@ def _stage(name: str, summary: str, status: str, checks: Sequence[Check]) -> dic
 
 
 def _check_row(check: Check) -> dict[str, str]:
-    """Return a table row as text."""
     relative = relative_margin(check)
     margin = ""
     if check.margin is not None and math.isfinite(check.margin) and check.op != "==":

@@ -1,4 +1,4 @@
-"""Paired success differences on shared starts, between methods or conditions."""
+"""Paired success differences on shared starts."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from minidual.errors import DataError
 from minidual.trials.statistics import holm
 
 CERTAIN = 0.05
-"""Two-sided significance level after Holm's correction within a family."""
+"""Two-sided significance level after Holm's correction."""
 _NUMBERS = {
     "starts": "trials_n",
     "only_first": "only_first_n",
@@ -26,21 +26,14 @@ _FASTER = ("duration_difference_s", "duration_difference_low_s", "duration_diffe
 
 @dataclass(frozen=True)
 class Paired:
-    """Success of `first` minus that of `second` on the same starts.
+    """Success of `first` minus `second` on shared starts.
 
     Attributes:
-        family: What both share: condition or method.
-        first: Method or condition.
-        second: Method or condition.
-        starts: Number of shared starts.
-        only_first: Starts on which only `first` succeeded.
-        only_second: Starts on which only `second` succeeded.
-        difference: Of the rates.
-        low: Lower end of its 95 % interval.
-        high: Upper end.
+        family: Shared condition or method.
+        difference: Of the rates, with 95 % interval `low` to `high`.
         p_value: Exact McNemar.
-        p_holm: Holm-corrected over the rows tested together.
-        slower_s: Median difference of completion time with 95 % interval [s]; None without a shared success.
+        p_holm: Holm-corrected.
+        slower_s: Median difference of completion time with 95 % interval [s], None without a shared success.
     """
 
     family: str
@@ -63,15 +56,10 @@ class Paired:
 
 
 def read_paired(rows: Any, name: str, family: str) -> list[Paired]:
-    """Return the complete rows of `data[name]`, uncorrected.
-
-    Args:
-        rows: Rows of the benchmark's verdict.
-        name: Key, for messages.
-        family: Column of `Paired.family`.
+    """Return the complete rows, uncorrected; `name` and `family` are keys.
 
     Raises:
-        DataError: Wrong shape, missing names, or a p value outside [0, 1].
+        DataError: Malformed rows or p values.
     """
     if not isinstance(rows, Sequence) or not all(isinstance(row, Mapping) for row in rows):
         raise DataError(f"the benchmark's data has no list '{name}' of mappings")
@@ -94,7 +82,7 @@ def read_paired(rows: Any, name: str, family: str) -> list[Paired]:
 
 
 def corrected(pairs: Sequence[Paired]) -> list[Paired]:
-    """Return `pairs` Holm-corrected over all of them."""
+    """Return `pairs` after Holm's correction over all."""
     return [replace(pair, p_holm=p) for pair, p in zip(pairs, holm([pair.p_value for pair in pairs]), strict=True)]
 
 

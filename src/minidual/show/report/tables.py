@@ -1,4 +1,4 @@
-"""Table of methods by conditions from the benchmark's verdict; missing numbers are listed."""
+"""Table of methods by conditions; missing numbers are listed."""
 
 from __future__ import annotations
 
@@ -15,13 +15,11 @@ from minidual.trials.conditions import CLEAN
 
 @dataclass(frozen=True)
 class Measure:
-    """One indicator of one method under one condition, SI.
+    """One indicator of a cell, SI.
 
     Attributes:
-        value: Compared number; for some indicators the maximum over trials.
-        middle: Median over trials; for success its rate.
-        low: Lower end of the 95 % interval of `middle`.
-        high: Upper end.
+        value: Compared number; sometimes the maximum over trials.
+        middle: Median or rate, with 95 % interval `low` to `high`.
     """
 
     value: float
@@ -35,14 +33,12 @@ class Cell:
     """One method under one condition.
 
     Attributes:
-        state: "spared": the condition does not apply. "missing": trials, success or its interval is missing.
-        why: Why it is spared.
-        trials: Number of trials; None if missing.
+        state: "spared": not applicable; "missing": incomplete success data.
         measures: By indicator key; None if missing or undefined.
-        loss: Comparison with the undisturbed starts; None for those themselves.
+        loss: Comparison with the undisturbed starts.
         failures: (reason, trials), most frequent first.
         stopped: Failed trials that the method itself stopped.
-        holes: Names of missing numbers.
+        holes: Missing numbers.
     """
 
     method: str
@@ -68,11 +64,11 @@ class Cell:
 
     @property
     def competes(self) -> bool:
-        """Whether any trial succeeded. Otherwise it is not ranked: an object never lifted never tilts."""
+        """Whether any trial succeeded. Others are not ranked: an object never lifted never tilts."""
         return self.success is not None and self.success.value > 0.0
 
     def undefined(self, indicator: Indicator) -> bool:
-        """Return whether the indicator needs a success and there was none; this is not a hole."""
+        """Return whether it lacks the success it needs; not a hole."""
         return indicator.needs_success and self.success is not None and not self.competes
 
     def excellent(self, indicator: Indicator) -> bool:
@@ -91,7 +87,7 @@ class Row:
     cells: tuple[Cell, ...]
 
     def is_best(self, cell: Cell, indicator: Indicator) -> bool:
-        """Return whether no competing method is better; False with fewer than two values."""
+        """Return whether no competitor is better; False with one value."""
         found = [m.value for c in self.cells if c.competes and (m := c.measures.get(indicator.key))]
         mine = cell.measures.get(indicator.key)
         if len(found) < 2 or mine is None or not cell.competes:
@@ -121,22 +117,17 @@ class Tables:
 
 
 def finite(value: Any) -> float | None:
-    """Return `value` as a float if it is a finite number, else None (also for bool)."""
+    """Return a finite number as float, else None."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
     return float(value) if math.isfinite(value) else None
 
 
 def tabulate(methods: Sequence[str], conditions: Sequence[str], data: Mapping[str, Any]) -> Tables:
-    """Return the table of `methods` by `conditions`.
-
-    Args:
-        methods: Required methods.
-        conditions: Required conditions; CLEAN is always included.
-        data: `data` of the benchmark's verdict: "methods", "conditions", "losses".
+    """Return the table of required `methods` and `conditions`; CLEAN is always included.
 
     Raises:
-        DataError: One of these is malformed.
+        DataError: `data` of the benchmark's verdict is malformed.
     """
     clean = _mapping(data.get("methods", {}), "methods")
     rows = [Row(CLEAN, "nothing disturbs the trial", tuple(_cell(m, CLEAN, clean, None) for m in methods))]

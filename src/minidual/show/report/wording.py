@@ -18,21 +18,21 @@ FAULTS: dict[str, str] = {
     "turned": "wrong orientation at the goal",
     "exchanged": "not handed over",
 }
-"""Words for each failed condition of the success test."""
+"""Words by failed success condition."""
 
 
 def fault(name: str) -> str:
-    """Return the words for a failed condition; by default its name."""
+    """Return a failed condition in words."""
     return FAULTS.get(name, name.replace("_", " ") or "unnamed")
 
 
 def joined(items: Sequence[str]) -> str:
-    """Return "a", "a and b" or "a, b and c"."""
+    """Return "a, b and c"."""
     return " and ".join([", ".join(items[:-1]), items[-1]] if len(items) > 1 else items)
 
 
 def duration(seconds: float) -> str:
-    """Return "12.3 s", "4 min 05 s" or "1 h 02 min"."""
+    """Return e.g. "4 min 05 s"."""
     if seconds < 59.95:
         return f"{seconds:.1f} s"
     whole = round(seconds)

@@ -1,4 +1,4 @@
-"""Live view of the scene in a browser."""
+"""Live browser view."""
 
 from __future__ import annotations
 
@@ -16,15 +16,10 @@ NAMES = ("none", "web")
 
 
 def make_view(name: str, config: ViewConfig | None = None, *, say: Callable[[str], None] = print) -> View | None:
-    """Return the view `name`; None for "none".
-
-    Args:
-        name: One of NAMES.
-        config: By default loopback only.
-        say: Called with messages: address, warnings, early end.
+    """Return the view `name`, None for "none"; `say` gets messages.
 
     Raises:
-        UsageError: Unknown name, foreign interface, or no free port.
+        UsageError: Unknown name, unusable interface, no free port.
     """
     if name not in NAMES:
         raise unknown_name("view", name, NAMES)

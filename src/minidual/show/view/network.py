@@ -1,4 +1,4 @@
-"""Port, address and ssh tunnel of a view."""
+"""Port and address of a view."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ PORTS_TRIED = 50
 
 
 def free_port(host: str, first: int, tries: int = PORTS_TRIED) -> int:
-    """Return the first port from `first` that can be bound on interface `host`.
+    """Return the first bindable port.
 
     Raises:
-        UsageError: The interface cannot be bound, or no port is free.
+        UsageError: Unusable interface, or no free port.
     """
     last = min(first + tries, 65536) - 1
     for port in range(first, last + 1):
@@ -38,7 +38,7 @@ def free_port(host: str, first: int, tries: int = PORTS_TRIED) -> int:
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether `host` is reachable from this machine only."""
+    """Return whether only this machine reaches `host`."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -52,7 +52,7 @@ def url(host: str, port: int) -> str:
 
 
 def tunnel_command(port: int) -> str:
-    """Return the ssh command that forwards the port to another machine."""
+    """Return the ssh command for access from another machine."""
     try:
         user = getpass.getuser()
     except (KeyError, OSError):  # a container without a passwd entry for this user

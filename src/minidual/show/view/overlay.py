@@ -1,4 +1,4 @@
-"""State that a view shows besides the scene."""
+"""State shown besides the scene."""
 
 from __future__ import annotations
 
@@ -10,18 +10,12 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 
 ARM_RGB, OBJECT_RGB = ((32, 108, 214), (150, 62, 190)), (20, 150, 90)
-"""Colours of the left and right arm, and of the carried object."""
+"""Colours of left arm, right arm and object."""
 
 
 @dataclass(frozen=True)
 class Arrow:
-    """A force.
-
-    Attributes:
-        start: (3,) point of application, world [m].
-        force: (3,) world axes [N].
-        rgb: 0 to 255.
-    """
+    """A force [N] at `start` (3,) [m], world frame; rgb 0 to 255."""
 
     start: Array
     force: Array
@@ -30,13 +24,7 @@ class Arrow:
 
 @dataclass(frozen=True)
 class PathLine:
-    """A polyline, such as a TCP path.
-
-    Attributes:
-        name: Unique in its preview.
-        points: (N, 3) world [m], N >= 2.
-        rgb: 0 to 255.
-    """
+    """A polyline (N, 3), N >= 2, world [m]; `name` is unique in its preview."""
 
     name: str
     points: Array
@@ -45,11 +33,10 @@ class PathLine:
 
 @dataclass(frozen=True, eq=False)
 class Preview:
-    """A plan. Views redraw it only when the object changes, so reuse it while it holds.
+    """A plan. Views redraw it only when the object changes; reuse it.
 
     Attributes:
-        paths: Lines.
-        ghosts: States (nq,) drawn half transparent, e.g. the plan's end.
+        ghosts: States (nq,) drawn half transparent.
     """
 
     paths: tuple[PathLine, ...] = ()
@@ -64,16 +51,11 @@ class Overlay:
     """State at one instant. Empty text and None are not shown.
 
     Attributes:
-        time_s: Simulated time [s].
-        title: E.g. "carry, trial 3 of 100".
-        mode: Source that may drive ("hold" if none), or method name.
+        mode: Source that may drive ("hold" if none), or method.
         source: Source whose commands reach the motors.
-        state: Arbiter state, method phase, or both.
-        status: One line.
-        pinch_n: Pinch force per hand (left, right) [N].
-        internal_n: Squeeze along the object [N].
-        arrows: Forces.
-        preview: The plan.
+        state: Arbiter state and method phase.
+        pinch_n: Pinch force per hand (left, right).
+        internal_n: Squeeze along the object.
     """
 
     time_s: float = 0.0
@@ -90,15 +72,7 @@ class Overlay:
 
 @dataclass(frozen=True)
 class Slider:
-    """A value that a viewer may set.
-
-    Attributes:
-        group: Folder, e.g. "left arm".
-        label: E.g. "joint 1 [rad]".
-        lower: Minimum.
-        upper: Maximum.
-        value: Initial value.
-    """
+    """A value that viewers may set; `group` is its folder."""
 
     group: str
     label: str

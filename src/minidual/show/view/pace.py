@@ -10,7 +10,7 @@ Clock = Callable[[], float]
 
 
 class Metronome:
-    """Limits frames to `rate_hz` per wall-clock second."""
+    """Limits frames to `rate_hz` of wall time."""
 
     def __init__(self, rate_hz: float, clock: Clock = time.monotonic) -> None:
         self._clock = clock
@@ -18,7 +18,7 @@ class Metronome:
         self._next_s = float("-inf")
 
     def due(self) -> bool:
-        """Return whether the period since the last `done` is over."""
+        """Return whether the period is over."""
         return self._clock() >= self._next_s
 
     def done(self, slower: float = 1.0) -> None:
@@ -27,7 +27,7 @@ class Metronome:
 
 
 class SpeedMeter:
-    """Simulated seconds per wall-clock second over the last `window_s`."""
+    """Simulated per wall-clock seconds over `window_s`."""
 
     def __init__(self, window_s: float = 1.0, clock: Clock = time.monotonic) -> None:
         self._clock = clock
@@ -35,7 +35,7 @@ class SpeedMeter:
         self._seen: deque[tuple[float, float]] = deque()
 
     def add(self, time_s: float) -> float | None:
-        """Add a simulated time; return the speed, None until there are two."""
+        """Add a simulated time; return the speed once known."""
         now = self._clock()
         if self._seen and time_s < self._seen[-1][1]:
             self._seen.clear()  # the simulation was reset
@@ -57,7 +57,7 @@ class Brake:
         self._last_s = 0.0
 
     def hold(self, time_s: float) -> None:
-        """Sleep until `time_s` is allowed; lags beyond 0.1 s are not caught up."""
+        """Sleep until `time_s`; lags over 0.1 s are not caught up."""
         now = self._clock()
         if self._start is None or time_s < self._last_s:
             self._start = (now, time_s)

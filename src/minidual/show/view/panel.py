@@ -41,7 +41,6 @@ def table_html(overlay: Overlay, speed: float | None) -> str:
 
 
 def _row(name: str, text: str, rgb: tuple[int, int, int] | None = None) -> str:
-    """Return a table row; `rgb` marks its plot line."""
     mark = "" if rgb is None else f"<span style='color:{_css(rgb)}'>&#9632;</span> "
     value = f"<td style='text-align:right'>{mark}{html.escape(text)}</td>"
     return f"<tr><td style='opacity:.6;padding-right:1em'>{name}</td>{value}</tr>"
@@ -52,7 +51,6 @@ def _css(rgb: tuple[int, int, int]) -> str:
 
 
 def _forces(overlay: Overlay) -> tuple[float, float, float] | None:
-    """Return (left pinch, right pinch, squeeze) [N], None if not measured."""
     if overlay.pinch_n is None or overlay.internal_n is None:
         return None
     return (*overlay.pinch_n, overlay.internal_n)
@@ -111,10 +109,7 @@ class Panel:
                 )
 
     def values(self) -> Array:
-        """Return the slider values (n,), clipped to their bounds.
-
-        Clients may send anything; non-finite values are ignored.
-        """
+        """Return the values (n,), clipped; non-finite client input is ignored."""
         for k, (handle, slider) in enumerate(zip(self._sliders, self._offered, strict=True)):
             value = float(handle.value)
             if math.isfinite(value):

@@ -13,12 +13,12 @@ from minidual.show.view.overlay import Array, Overlay, Slider
 class View(Protocol):
     """Shows a moving model without changing the simulation.
 
-    Call `open` once, then repeatedly:
+    Call `open` once, then:
 
         if view.due():
             view.update(data, Overlay(data.time, mode="moveit"))
 
-    `due` only reads the clock. `update` copies; it neither waits for clients nor raises when one disconnects.
+    `update` copies; it never waits for clients nor raises when they disconnect.
     """
 
     @property
@@ -28,24 +28,21 @@ class View(Protocol):
 
     @property
     def url(self) -> str | None:
-        """Browser address, if any."""
+        """Browser address."""
         ...
 
     @property
     def speed_max(self) -> float:
-        """Limit of simulated seconds per second; 0: unlimited."""
+        """Limit of simulated / wall time; 0: none."""
         ...
 
     @property
     def alive(self) -> bool:
-        """Whether it can still be seen; False after `close` or an internal error."""
+        """Whether it is visible; False after `close` or an error."""
         ...
 
     def open(self, model: mujoco.MjModel) -> None:
-        """Replace the shown model; it needs visual meshes.
-
-        `update` reads body poses only, so its data may come from a model without meshes.
-        """
+        """Replace the shown model; it needs visual meshes."""
         ...
 
     def due(self) -> bool:
@@ -53,7 +50,10 @@ class View(Protocol):
         ...
 
     def update(self, data: mujoco.MjData, overlay: Overlay) -> None:
-        """Show this state; body poses must be current, as after mj_step or mj_kinematics."""
+        """Show body poses, current as after mj_step or mj_kinematics.
+
+        The data's model may lack the meshes.
+        """
         ...
 
     def offer(self, sliders: Sequence[Slider]) -> None:
@@ -61,7 +61,7 @@ class View(Protocol):
         ...
 
     def slider_values(self) -> Array:
-        """Return the slider values (n,) within bounds."""
+        """Return the values (n,) within bounds."""
         ...
 
     def close(self) -> None:

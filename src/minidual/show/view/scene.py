@@ -1,4 +1,4 @@
-"""Browser scene: built once, then updated by poses, arrows and lines."""
+"""Browser scene: built once, then updated."""
 
 from __future__ import annotations
 
@@ -15,23 +15,18 @@ _ARROW_M_PER_N = 0.0025
 """Arrow length: 10 cm at 40 N."""
 _ARROW_MIN_N = 0.5
 _MOVED = 1e-5
-"""Smallest change of position [m] or quaternion entry that is sent; the screen resolves 1 mm at best."""
+"""Smallest change [m, quaternion] sent; the screen resolves 1 mm."""
 _FLAT_M = 0.002
-"""Thinner meshes, such as table marks, cast no shadow, which would blur them."""
+"""Thinner meshes cast no shadow, which would blur table marks."""
 _GHOSTS_MAX, _GHOST_MOVED = 4, 1e-3
 _GHOST_RGB, _FLOOR_RGB, _FOG_RGB = (70, 160, 255), (214, 220, 228), (255, 255, 255)
 _CAMERA, _TARGET, _FOV_RAD = (1.85, -0.85, 0.95), (0.30, 0.10, 0.17), 0.70
 _FLOOR_HALF_M = 30.0
-"""Puts the floor's edge in the fog."""
+"""Hides the floor's edge in fog."""
 
 
 class Scene:
-    """Scene of one model.
-
-    Args:
-        server: Viser server; its scene is reset.
-        model: Model with visual meshes.
-    """
+    """Scene of a model with visual meshes; resets the server's scene."""
 
     def __init__(self, server: Any, model: mujoco.MjModel) -> None:
         self._server, self._model = server, model
@@ -88,7 +83,7 @@ class Scene:
         )
 
     def move(self, positions: Array, quaternions: Array) -> int:
-        """Send the changed poses of moving bodies; return their number.
+        """Send changed poses; return their number.
 
         Args:
             positions: (nbody, 3) world [m].
@@ -121,7 +116,7 @@ class Scene:
         self._arrows.visible = True
 
     def draw_preview(self, preview: Preview) -> None:
-        """Draw the plan unless it is the same object as before."""
+        """Draw the plan unless it is the same object."""
         if preview is self._preview:
             return
         self._preview = preview
@@ -138,7 +133,7 @@ class Scene:
             self._add_ghost(f"/plan/ghost{index}", qpos)
 
     def _add_ghost(self, root: str, qpos: Array) -> None:
-        """Draw the bodies that differ from the shown state, half transparent."""
+        """Draw the displaced bodies half transparent."""
         data = mujoco.MjData(self._model)
         data.qpos[:] = qpos
         mujoco.mj_kinematics(self._model, data)
@@ -153,5 +148,5 @@ class Scene:
 
 
 def _name(model: mujoco.MjModel, body: int) -> str:
-    """Return a unique name without slashes, which separate viser's tree nodes."""
+    """Return a unique name without slashes."""
     return f"{body}_{model.body(body).name.replace('/', '_')}"

@@ -1,4 +1,4 @@
-"""Visible geoms of a model as coloured triangle meshes."""
+"""Visible geoms as coloured triangle meshes."""
 
 from __future__ import annotations
 
@@ -11,21 +11,14 @@ import numpy.typing as npt
 import trimesh
 
 HIDDEN_GROUP = 3
-"""Geom groups from here on are for collision; MuJoCo's viewer hides them too."""
+"""Collision geoms from here on, also hidden by MuJoCo's viewer."""
 _SHARP_RAD = np.deg2rad(35.0)
-"""Sharper edges are not smooth-shaded."""
+"""Sharper edges stay unsmoothed."""
 
 
 @dataclass(frozen=True)
 class BodyMesh:
-    """Triangles of one colour, body frame.
-
-    Attributes:
-        body: Body index; 0 is the world.
-        vertices: (V, 3) [m].
-        faces: (F, 3).
-        rgba: (4,) 0 to 1.
-    """
+    """Triangles of one colour in body frame [m]; body 0 is the world."""
 
     body: int
     vertices: npt.NDArray[np.float32]
@@ -39,7 +32,7 @@ def moving_bodies(model: mujoco.MjModel) -> list[int]:
 
 
 def body_meshes(model: mujoco.MjModel) -> list[BodyMesh]:
-    """Return the visible meshes, merged by body and colour because every mesh costs time."""
+    """Return visible meshes, merged by body and colour for speed."""
     parts: dict[tuple[int, tuple[float, ...]], list[trimesh.Trimesh]] = {}
     for geom, mesh in _visible(model):
         rgba = tuple(round(float(c), 4) for c in model.geom_rgba[geom])
@@ -54,7 +47,6 @@ def body_meshes(model: mujoco.MjModel) -> list[BodyMesh]:
 
 
 def _visible(model: mujoco.MjModel) -> Iterator[tuple[int, trimesh.Trimesh]]:
-    """Yield (geom, mesh in body frame) of the drawn geoms; planes are skipped."""
     for geom in range(model.ngeom):
         if int(model.geom_group[geom]) >= HIDDEN_GROUP or float(model.geom_rgba[geom, 3]) == 0.0:
             continue
@@ -70,7 +62,7 @@ def _visible(model: mujoco.MjModel) -> Iterator[tuple[int, trimesh.Trimesh]]:
 
 
 def _mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
-    """Return a geom's mesh in its own frame, or None for a plane."""
+    """Return a mesh in geom frame, None for a plane."""
     size, kind = model.geom_size[geom], mujoco.mjtGeom(int(model.geom_type[geom]))
     if kind == mujoco.mjtGeom.mjGEOM_MESH:
         mesh = model.mesh(int(model.geom_dataid[geom]))
@@ -91,7 +83,7 @@ def _mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
 
 
 def floor_height(model: mujoco.MjModel) -> float | None:
-    """Return the height [m] of the first plane, if any."""
+    """Return the first plane's height [m]."""
     for geom in range(model.ngeom):
         if int(model.geom_type[geom]) == int(mujoco.mjtGeom.mjGEOM_PLANE):
             return float(model.geom_pos[geom, 2])

@@ -1,4 +1,4 @@
-"""Browser view: a local server fed by its own thread."""
+"""Browser view."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from minidual.show.view.scene import Scene
 
 _PANEL_HZ = 6.0
 _UNWATCHED = 10.0
-"""Period factor while no browser is connected."""
+"""Period factor without a connected browser."""
 _FAREWELL_S = 0.3
 
 
 class _Server(viser.ViserServer):
-    """Viser server that never opens a public tunnel."""
+    """Viser server without public tunnels."""
 
     def request_share_url(self, verbose: bool = True) -> None:
         """Do nothing."""
@@ -34,8 +34,6 @@ class _Server(viser.ViserServer):
 
 @dataclass(frozen=True)
 class _Frame:
-    """Copied poses and overlay of one instant."""
-
     positions: Array
     quaternions: Array
     overlay: Overlay
@@ -44,15 +42,11 @@ class _Frame:
 class WebView:
     """See minidual.show.view.protocol.View.
 
-    `update` stores a copy; a thread sends the newest one. Slow or broken clients do not delay the simulation.
-    An error in the thread ends the view and is reported once.
-
-    Args:
-        config: Interface, first port, rate.
-        say: Called with messages.
+    A thread sends the newest state, so slow clients do not delay the simulation. An error in it ends the view and is
+    reported once.
 
     Raises:
-        UsageError: The interface cannot be bound, or no port is free.
+        UsageError: Unusable interface, or no free port.
     """
 
     name = "web"
@@ -96,7 +90,7 @@ class WebView:
 
     @property
     def alive(self) -> bool:
-        """Whether a browser can still see it."""
+        """Whether it is visible."""
         return not (self._ending or self._broken)
 
     @property
@@ -155,7 +149,7 @@ class WebView:
             self._panel_metronome.done()
 
     def close(self) -> None:
-        """Mark the page as ended and stop the server."""
+        """Mark the page as ended; stop the server."""
         if self._ending:
             return
         last = self._slot
@@ -174,7 +168,7 @@ class WebView:
 
 @contextlib.contextmanager
 def _quiet() -> Generator[None]:
-    """Keep viser's output off stdout, which carries data; viser sometimes ignores `verbose`."""
+    """Keep viser off stdout, which carries data; `verbose` does not suffice."""
     import rich
 
     console = rich.get_console()
