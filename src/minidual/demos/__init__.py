@@ -1,1 +1,1 @@
-"""Recorded episodes: the HDF5 schema, durable writing, validation, quality, and the LeRobot adapter."""
+"""Teleoperation and recorded episodes: schema, writing, validation, LeRobot conversion."""

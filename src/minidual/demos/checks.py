@@ -1,6 +1,6 @@
-"""Faults that the arrays of an episode can have: each with a stable name, the numbers and a remedy.
+"""Checks of an episode's arrays.
 
-Pure functions that yield `Problem`s instead of raising, so that one pass reports all of them.
+They yield `Problem`s instead of raising, so one pass reports every fault.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ Images = Mapping[str, NDArray[np.uint8]]
 Thumbnails = Mapping[str, NDArray[np.float32]]
 
 ACTION_EQUAL_RAD = 1e-6
-"""Below this difference on every joint a command is the reading; real tracking never agrees so well."""
+"""Largest difference at which a command equals the reading; real tracking never agrees this well."""
 ACTION_EQUAL_SHARE = 0.95
-"""Share of ticks on which they must agree for the recording to be at fault."""
+"""Share of equal ticks from which the recording is at fault."""
 BLACK_LEVEL = 8
-"""An image whose brightest value is at most this is black."""
+"""Largest pixel value of a black image."""
 FROZEN_MOTION_RAD = 0.05
-"""Motion of a joint beyond which an image that never changes is at fault."""
+"""Joint motion during which an image must change."""
 _LIMIT_TOLERANCE_RAD = 1e-3
 
 
 @dataclass(frozen=True)
 class Problem:
-    """One fault: a stable `name` for programs, a `detail` with numbers, and a `remedy`."""
+    """One fault: a stable `name`, numbers in `detail`, and a `remedy`."""
 
     name: str
     detail: str
@@ -43,7 +43,7 @@ class Problem:
 
 
 def check_finite(arrays: Mapping[str, Array]) -> Iterator[Problem]:
-    """Report each array that holds NaN or infinity."""
+    """Report arrays with NaN or infinity."""
     for key, values in arrays.items():
         bad = ~np.isfinite(values)
         if bad.any():
@@ -56,7 +56,7 @@ def check_finite(arrays: Mapping[str, Array]) -> Iterator[Problem]:
 
 
 def check_monotonic(timestamps: Array, key: str = "timestamps") -> Iterator[Problem]:
-    """Report time that does not strictly increase."""
+    """Report timestamps that do not strictly increase."""
     stuck = ~(np.diff(timestamps) > 0.0)
     if stuck.any():
         tick = int(np.argmax(stuck))
@@ -69,7 +69,7 @@ def check_monotonic(timestamps: Array, key: str = "timestamps") -> Iterator[Prob
 
 
 def check_action_is_command(qpos: Array, action: Array) -> Iterator[Problem]:
-    """Report a recording whose action (T, n) is the measured position (T, n) [rad]."""
+    """Report actions (T, n) that equal the measured positions (T, n) [rad]."""
     equal = np.max(np.abs(action - qpos), axis=1) <= ACTION_EQUAL_RAD
     if equal.size and equal.mean() >= ACTION_EQUAL_SHARE:
         yield Problem(
@@ -80,13 +80,7 @@ def check_action_is_command(qpos: Array, action: Array) -> Iterator[Problem]:
 
 
 def check_rate(timestamps: Array, fps: float, max_jitter_s: float | None = None) -> Iterator[Problem]:
-    """Report ticks that stray from the declared rate: the median by 2 %, or one by more than half a period.
-
-    Args:
-        timestamps: (T,) [s].
-        fps: Declared rate [1/s].
-        max_jitter_s: Largest |interval - 1 / fps| instead of half a period.
-    """
+    """Report a median interval off by 2 %, or any off by `max_jitter_s` (default: half a period)."""
     steps, period_s = np.diff(timestamps), 1.0 / fps
     if not steps.size:
         return
@@ -111,7 +105,7 @@ def check_rate(timestamps: Array, fps: float, max_jitter_s: float | None = None)
 
 
 def check_sync(timestamps: Array, image_timestamps: Array) -> Iterator[Problem]:
-    """Report images taken more than 20 ms from the joints of their tick."""
+    """Report images more than 20 ms from their tick's joints."""
     offset = np.abs(image_timestamps - timestamps)
     worst = int(np.argmax(offset))
     if offset[worst] > schema.MAX_SYNC_S:
@@ -124,7 +118,7 @@ def check_sync(timestamps: Array, image_timestamps: Array) -> Iterator[Problem]:
 
 
 def check_limits(qpos: Array, robot: Robot) -> Iterator[Problem]:
-    """Report joints (T, n) [rad] outside their limits, or of another robot."""
+    """Report joints (T, n) outside the robot's limits, or a wrong joint count."""
     if qpos.shape[1] != robot.dof:
         yield Problem(
             "joints_wrong",
@@ -145,7 +139,7 @@ def check_limits(qpos: Array, robot: Robot) -> Iterator[Problem]:
 
 
 def check_images(images: Images, qpos: Array) -> Iterator[Problem]:
-    """Report images (T, H, W, 3) that carry nothing: black, of one colour, frozen while joints (T, n) move, doubled."""
+    """Report images (T, H, W, 3) that are black, of one colour, identical between cameras, or frozen during motion."""
     moved = bool(np.max(np.ptp(qpos, axis=0)) > FROZEN_MOTION_RAD)
     for camera, frames in images.items():
         flat = frames.reshape(len(frames), -1, frames.shape[-1])
@@ -175,7 +169,7 @@ def check_images(images: Images, qpos: Array) -> Iterator[Problem]:
 
 
 def thumbnails(images: Images) -> Thumbnails:
-    """Return the block means (12, 16, 3) of each camera's first image (of T, H, W, 3)."""
+    """Return block means (12, 16, 3) of each camera's first image."""
     return {camera: _thumbnail(frames[0]) for camera, frames in images.items()}
 
 
@@ -186,16 +180,16 @@ def _thumbnail(image: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def camera_references(episodes: Sequence[Thumbnails]) -> Thumbnails:
-    """Return each camera's median thumbnail over several episodes.
+    """Return each camera's median thumbnail.
 
-    Cameras are fixed in the scene, so the first images of a camera resemble each other and those of no other camera.
+    Cameras are fixed in the scene, so a camera's first images resemble each other across episodes.
     """
     names = {camera for views in episodes for camera in views}
     return {c: np.median(np.stack([views[c] for views in episodes if c in views]), axis=0) for c in names}
 
 
 def check_swapped(views: Thumbnails, references: Thumbnails) -> Iterator[Problem]:
-    """Report each camera whose thumbnail is nearer to another camera's reference than to its own."""
+    """Report cameras whose thumbnail is nearer to another camera's reference."""
     for camera, view in views.items():
         apart = {c: float(np.mean(np.abs(view - r))) for c, r in references.items() if r.shape == view.shape}
         nearest = min(apart, key=apart.__getitem__, default=camera)

@@ -1,28 +1,28 @@
-"""One recorded episode in memory; reading it back, and naming every fault of its file.
+"""Read and validate a recorded episode.
 
 ==============================  ==================================================================
 problem                         meaning
 ==============================  ==================================================================
 ``file_missing``                no such file
-``file_corrupt``                truncated, not HDF5, or a checksum does not hold
-``attributes_wrong``            an attribute is missing, broken, or of another schema version
+``file_corrupt``                truncated, not HDF5, or checksum mismatch
+``attributes_wrong``            an attribute is missing, invalid, or of another schema version
 ``field_missing``               a required array is absent
-``field_wrong``                 an array has another shape or type than the schema
-``cameras_wrong``               cameras declared, stored and expected are not the same, in order
+``field_wrong``                 wrong shape or type
+``cameras_wrong``               declared, stored and expected cameras differ
 ``too_short``                   fewer than two ticks
 ``not_finite``                  NaN or infinity
-``timestamps_not_monotonic``    time stands still or runs backwards
+``timestamps_not_monotonic``    time does not increase
 ``action_equals_qpos``          the reading was recorded as the command
 ``rate_wrong``                  the median interval is not 1/fps
-``timestamps_jitter``           an interval strays by more than the limit
-``out_of_sync``                 images and joints of a tick lie more than 20 ms apart
-``joints_wrong``                another number of joints than the robot has
+``timestamps_jitter``           an interval deviates beyond the limit
+``out_of_sync``                 images more than 20 ms from the joints
+``joints_wrong``                wrong joint count
 ``outside_joint_limits``        joint order, units or limits are wrong
-``images_black``                some frame is black
-``images_constant``             some frame has a single colour
-``images_frozen``               the image never changes while the joints move
+``images_black``                a frame is black
+``images_constant``             a frame has a single colour
+``images_frozen``               the image never changes during motion
 ``cameras_identical``           two cameras show the same
-``cameras_swapped``             a camera shows what another one shows in the other episodes
+``cameras_swapped``             a camera shows another one's view
 ==============================  ==================================================================
 """
 
@@ -48,7 +48,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Episode:
-    """One episode in memory; T ticks, shapes and units as in `minidual.demos.schema`."""
+    """One episode; shapes and units as in `minidual.demos.schema`."""
 
     meta: EpisodeMeta
     images: dict[str, NDArray[np.uint8]]
@@ -66,24 +66,24 @@ class Episode:
 
     @property
     def duration_s(self) -> float:
-        """Time from the first tick to the last [s]."""
+        """First to last tick [s]."""
         return float(self.timestamps[-1] - self.timestamps[0])
 
     @property
     def sync_error_max_s(self) -> float:
-        """Largest time between joints and images of a tick [s]; NaN where the images carry no time."""
+        """Largest time between joints and images [s]; NaN without image times."""
         if self.image_timestamps is None:
             return float("nan")
         return float(np.max(np.abs(self.image_timestamps - self.timestamps)))
 
 
 def episode_paths(folder: Path | str) -> list[Path]:
-    """Return the finished episodes of a folder, by number."""
+    """Return a folder's finished episodes by number."""
     return sorted(Path(folder).glob("episode_[0-9]*.hdf5"))
 
 
 def read_meta(path: Path | str) -> EpisodeMeta:
-    """Return what an episode is, without its arrays; raises as `read_episode`."""
+    """Return the metadata alone; raises as `read_episode`."""
     episode, problems = _load(Path(path), (), fields=())
     return _sound(path, episode, problems).meta
 
@@ -92,17 +92,17 @@ def read_episode(path: Path | str, *, cameras: Sequence[str] | None = None) -> E
     """Read one episode.
 
     Args:
-        path: The HDF5 file.
-        cameras: Which images to load; all when None, none when empty.
+        path: HDF5 file.
+        cameras: Images to load; None loads all.
 
     Raises:
-        DataError: The file is missing, truncated, corrupt or of another schema; the message names it.
+        DataError: Missing, corrupt, or of another schema.
     """
     return _sound(path, *_load(Path(path), cameras))
 
 
 def validate_episode(path: Path | str, **options: Any) -> list[Problem]:
-    """Return every fault of an episode file, [] if it is sound; options as `inspect_episode`."""
+    """Return every fault of a file; options as `inspect_episode`."""
     return inspect_episode(path, **options)[1]
 
 
@@ -114,14 +114,14 @@ def inspect_episode(
     references: checks.Thumbnails | None = None,
     max_jitter_s: float | None = None,
 ) -> tuple[Episode | None, list[Problem]]:
-    """Return an episode, None if it cannot be read, and every fault of its file.
+    """Return an episode (None if unreadable) and every fault of its file.
 
     Args:
-        path: The HDF5 file; every array is read, so that bit rot shows.
-        cameras: Cameras that the file must hold, in this order; not checked when None.
-        robot: Its joint limits are checked; not checked when None.
-        references: What each camera shows in other episodes (`checks.camera_references`).
-        max_jitter_s: Largest stray of an interval from 1/fps; half a period when None.
+        path: HDF5 file; all arrays are read, so checksums are verified.
+        cameras: Expected cameras in order; None: unchecked.
+        robot: For joint limits; None: unchecked.
+        references: From `checks.camera_references`.
+        max_jitter_s: See `checks.check_rate`.
     """
     episode, problems = _load(Path(path), None)
     if episode is not None and cameras is not None and tuple(cameras) != episode.meta.cameras:
@@ -162,7 +162,6 @@ def _sound(path: Path | str, episode: Episode | None, problems: list[Problem]) -
 def _load(
     path: Path, cameras: Sequence[str] | None, fields: Sequence[schema.Field] = schema.FIELDS
 ) -> tuple[Episode | None, list[Problem]]:
-    """Read a file; return no episode where something of it cannot be used."""
     if not path.is_file():
         remedy = "check the folder, or record: minidual teleop-record"
         return None, [Problem("file_missing", f"no episode file {path}", remedy)]
@@ -193,7 +192,7 @@ def _load(
 
 
 def _joints_n(file: h5py.File) -> int:
-    """Return the number of joints of a file: the width of qpos, or of the action where qpos is broken."""
+    """Return the width of qpos, or of action where qpos is invalid."""
     widths = [
         f.shape[1]
         for f in map(file.get, ("observations/qpos", "action"))
@@ -205,7 +204,7 @@ def _joints_n(file: h5py.File) -> int:
 def _load_images(
     file: h5py.File, meta: EpisodeMeta, ticks: int, cameras: Sequence[str] | None, images: dict[str, NDArray[np.uint8]]
 ) -> list[Problem]:
-    """Read the wanted cameras into `images`; return the faults of the cameras."""
+    """Read the wanted cameras into `images`; return their faults."""
     problems: list[Problem] = []
     stored = list(file["observations/images"]) if "observations/images" in file else []
     wanted = stored if cameras is None else cameras

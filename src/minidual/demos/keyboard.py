@@ -1,4 +1,4 @@
-"""Lead the arms with the keys of a terminal: each key moves the hands, inverse kinematics gives the joints."""
+"""Lead the arms from a terminal by inverse kinematics."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from minidual.robot.poses import pose, rot_z
 from minidual.tasks.task import Trial
 
 _STEP = np.array([0.01, 0.01, 0.01, 0.05])
-"""What one key press adds to x, y, z [m] and yaw [rad]."""
+"""Step per key press: x, y, z [m], yaw [rad]."""
 _SPEED = np.array([0.25, 0.25, 0.25, 1.0])
-"""Largest speed of x, y, z [m/s] and yaw [rad/s]."""
+"""Speed limits: x, y, z [m/s], yaw [rad/s]."""
 _MOVES: dict[str, tuple[int, int]] = {
     key: (axis, sign)
     for axis, keys in enumerate(("ws", "ad", "rf", "qe"))
@@ -32,17 +32,16 @@ _SELECTIONS: tuple[list[int], ...] = ([0, 1], [0], [1])
 
 
 class KeyboardLeader(Leader):
-    """Jogs both hands, or one of them.
+    """Jogs one or both hands.
 
-    A key press moves the goal of the chosen hands by 1 cm or 0.05 rad. The hands follow their goals at a bounded speed,
-    so that a key held down gives a steady motion whatever the terminal's key repeat.
+    Keys move a goal that the hands follow at bounded speed, so motion does not depend on the terminal's key repeat.
 
     Args:
-        kinematics: Workspace for the inverse kinematics.
-        descriptor: Terminal to read; standard input by default.
+        kinematics: For inverse kinematics.
+        descriptor: Terminal; default standard input.
 
     Raises:
-        EnvironmentMissingError: The descriptor is no terminal.
+        EnvironmentMissingError: Not a terminal.
     """
 
     realtime: ClassVar[bool] = True
@@ -71,7 +70,7 @@ class KeyboardLeader(Leader):
         return cls(Kinematics(setup.robot))
 
     def read(self, now_s: float) -> tuple[Array, Array] | None:
-        """Take the keys pressed since the last call, move on, and return joints (n,) and openings (2,)."""
+        """Process pressed keys; return joints (n,) and openings (2,)."""
         for key in self._keys():
             self._press(key)
         bound, self._last_s = max(now_s - self._last_s, 0.0) * _SPEED, now_s
@@ -79,7 +78,7 @@ class KeyboardLeader(Leader):
         try:
             self._q = self._ik.solve(*self._poses(wanted), self._q)
             self._offset = wanted
-        except UsageError:  # out of reach: stay, and let the next key move the goal from here
+        except UsageError:  # out of reach: stay, and reset the goal to the present position
             self._goal = self._offset.copy()
         return self._q.copy(), self._open.copy()
 
@@ -116,7 +115,6 @@ class KeyboardLeader(Leader):
 
 
 def _terminal(descriptor: int | None) -> int:
-    """Return the descriptor if it is a terminal."""
     try:
         fd = sys.stdin.fileno() if descriptor is None else descriptor
         if os.isatty(fd):

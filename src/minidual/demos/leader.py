@@ -1,4 +1,4 @@
-"""Leaders: who gives the joint angles that the arms follow, and the table of them."""
+"""Leaders, the sources of demonstrated joint angles."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from minidual.tasks.task import Task, Trial
 
 @dataclass(frozen=True)
 class LeaderSetup:
-    """What a leader may be made from; the same for every trial of a recording."""
+    """Inputs of a leader, fixed during a recording."""
 
     robot: Robot
     task: Task
@@ -28,9 +28,8 @@ class Leader(ABC):
     """Leads one trial.
 
     Attributes:
-        realtime: A person or a device leads: the simulation keeps to the wall clock, one process records, and a trial
-            cannot be repeated.
-        usage: How to lead, told before the recording.
+        realtime: Led by a person or device: runs at wall-clock speed, in one process, not repeatable.
+        usage: Instructions printed before recording.
     """
 
     realtime: ClassVar[bool] = False
@@ -39,22 +38,22 @@ class Leader(ABC):
     @classmethod
     @abstractmethod
     def for_trial(cls, setup: LeaderSetup, trial: Trial) -> Self:
-        """Return the leader of a trial; EnvironmentMissingError if a device that it needs is not there."""
+        """Return the leader of a trial; EnvironmentMissingError if its device is missing."""
 
     @abstractmethod
     def read(self, now_s: float) -> tuple[Array, Array] | None:
-        """Return joints (n,) [rad] and openings (2,) at a time since the start [s]; None where there is no reading."""
+        """Return joints (n,) [rad] and openings (2,) at `now_s` since the start, or None."""
 
     @abstractmethod
     def finished(self, now_s: float) -> bool:
-        """Return whether the leader has ended the episode."""
+        """Return whether the leader ended the episode."""
 
     def close(self) -> None:  # noqa: B027 (most leaders hold nothing)
-        """Release what the leader holds."""
+        """Release resources."""
 
 
 class ScriptedLeader(Leader):
-    """Plays what the scripted operator planned for the trial."""
+    """Plays the scripted operator's plan."""
 
     def __init__(self, demonstration: Demonstration) -> None:
         self.demonstration = demonstration
@@ -70,7 +69,7 @@ class ScriptedLeader(Leader):
         return self.demonstration.at(now_s)
 
     def finished(self, now_s: float) -> bool:
-        """Return whether the plan has been played to its end."""
+        """Return whether the plan has ended."""
         return now_s >= self.demonstration.duration_s - 0.5 / self.demonstration.rate_hz
 
 
@@ -79,4 +78,4 @@ LEADERS: Registry[type[Leader]] = Registry(
     {"scripted": ScriptedLeader, "keyboard": "minidual.demos.keyboard:KeyboardLeader"},
     group="minidual.leaders",
 )
-"""Leaders by the name that `teleop.leader` takes."""
+"""Leaders by `teleop.leader`."""

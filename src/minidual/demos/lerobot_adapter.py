@@ -1,17 +1,16 @@
-"""From recorded HDF5 episodes to a LeRobot v3 dataset, and back again to verify it: the only code that knows both schemas.
+"""Convert HDF5 episodes to a LeRobot v3 dataset and verify it.
 
 =============================  ==================================================================
 LeRobot key                    from
 =============================  ==================================================================
-``observation.state``          ``observations/qpos`` (n), then ``observations/gripper`` (2); float32
-``action``                     ``action`` (n), then ``action_gripper`` (2); float32
+``observation.state``          ``observations/qpos`` (n), ``observations/gripper`` (2); float32
+``action``                     ``action`` (n), ``action_gripper`` (2); float32
 ``observation.images.cam_*``   ``observations/images/*`` as h264 video
-``timestamp``                  LeRobot's own: tick / fps
+``timestamp``                  tick / fps
 =============================  ==================================================================
 
-Videos keep full colour resolution (4:4:4) at crf 12: with the usual 4:2:0 at crf 30 a rod two pixels wide loses its
-colour, and the policy would train on other images than it meets (rendered 96x128 frames, mean difference per channel:
-7.7 of 255 against 2.1; 2.3 kB a frame).
+Videos are 4:4:4 at crf 12: the usual 4:2:0 at crf 30 loses the colour of a rod two pixels wide (96x128 frames, mean
+difference per channel: 7.7 of 255 against 2.1; 2.3 kB per frame).
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-os.environ.setdefault("HF_HUB_OFFLINE", "1")  # read when LeRobot is imported
+os.environ.setdefault("HF_HUB_OFFLINE", "1")  # LeRobot reads it on import
 
 import av.logging
 import datasets
@@ -40,18 +39,15 @@ from minidual.errors import DataError, UsageError
 from minidual.robot.pair import Robot
 
 SOURCES_FILE = "meta/minidual_sources.json"
-"""Where a dataset says which recordings it was made of."""
+"""Lists a dataset's recordings."""
 IMAGE_DIFFERENCE_MAX = 6.0
-"""Largest mean difference per channel (of 255) between an image and its recording."""
+"""Limit of the mean difference per channel (of 255) between an image and its recording."""
 _VIDEO = {"vcodec": "h264", "preset": "veryfast", "pix_fmt": "yuv444p", "crf": 12}
 
 
 @dataclass(frozen=True)
 class DatasetSummary:
-    """A verified dataset: episodes, rows (which equal the frames of each video), and the worst image.
-
-    `image_difference_max` is the largest mean |difference| per channel of an image from its recording, of 255.
-    """
+    """A verified dataset; `image_difference_max` is its worst mean image difference, of 255."""
 
     root: Path
     episodes: int
@@ -60,12 +56,12 @@ class DatasetSummary:
 
 
 def state_names(robot: Robot) -> tuple[str, ...]:
-    """Return the names of the entries of a state or an action: the joints, then the two grippers."""
+    """Return the names of a state: joints, then grippers."""
     return (*robot.joint_names, *(f"{side}_gripper" for side in robot.sides))
 
 
 def state_vector(qpos: NDArray[np.floating], gripper: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Join joints (..., n) and grippers (..., 2) into a state or an action (..., n + 2) float32."""
+    """Join joints (..., n) and grippers (..., 2) into (..., n + 2) float32."""
     return np.concatenate([qpos, gripper], axis=-1).astype(np.float32)
 
 
@@ -77,20 +73,18 @@ def convert(
     cameras: Sequence[str] | None = None,
     progress: Callable[[], None] | None = None,
 ) -> DatasetSummary:
-    """Make a LeRobot dataset of recordings, verify it, and give it its name.
-
-    The work is done under a temporary name: a killed or failed conversion leaves no dataset.
+    """Make and verify a LeRobot dataset; a failed conversion leaves none.
 
     Args:
-        paths: HDF5 episodes in order, of the same rate, cameras and image sizes; validate them before.
-        out_dir: Folder to make.
-        robot: The recorded arms.
-        cameras: Which cameras to take; all of the first episode's when None.
+        paths: Validated HDF5 episodes of equal rate, cameras and image sizes.
+        out_dir: New folder.
+        robot: Recorded arms.
+        cameras: Default: all of the first episode.
         progress: Called after each episode.
 
     Raises:
         UsageError: No episodes, or `out_dir` exists.
-        DataError: Episodes disagree or are corrupt, the disk refuses, or verification fails.
+        DataError: Inconsistent or corrupt episodes, disk error, or failed verification.
     """
     out_dir, sources = Path(out_dir), [Path(path) for path in paths]
     if not sources:
@@ -112,7 +106,7 @@ def convert(
 
 
 def _common_rate(sources: Sequence[Path]) -> int:
-    """Return the rate that all recordings share, a whole number; raise DataError where they differ."""
+    """Return the common whole-number rate."""
     rates = {path: read_meta(path).fps for path in sources}
     first = rates[sources[0]]
     for path, rate in rates.items():
@@ -142,7 +136,7 @@ def _write_dataset(
         features[camera_key(camera)] = {"dtype": "video", "shape": shape, "names": ["height", "width", "channels"]}
     records: list[dict[str, Any]] = []
     with ExitStack() as stack:
-        # The encoder's report on every video and a bar for every table would fill what people read on stderr.
+        # Keep encoder reports and progress bars off stderr.
         av.logging.set_libav_level(av.logging.ERROR)
         if datasets.is_progress_bar_enabled():
             datasets.disable_progress_bars()
@@ -156,7 +150,7 @@ def _write_dataset(
             use_videos=True,
             video_backend="pyav",
             rgb_encoder=RGBEncoderConfig(**_VIDEO),
-            streaming_encoding=False,  # it drops frames under load with no more than a warning
+            streaming_encoding=False,  # streaming drops frames under load with only a warning
         )
         stack.callback(dataset.finalize)
         for path in sources:
@@ -190,13 +184,12 @@ def _vectors(episode: Episode) -> tuple[NDArray[np.float32], NDArray[np.float32]
 
 
 def verify_dataset(root: Path | str, paths: Sequence[Path | str], robot: Robot) -> DatasetSummary:
-    """Re-open a dataset without LeRobot and compare it with its recordings.
+    """Compare a dataset, read without LeRobot, with its recordings.
 
-    Every episode must have as many rows, and frames in each video, as its recording has ticks, the same state and
-    action after float32, and images that differ by encoding alone.
+    Lengths and float32 values must be equal; images may differ by encoding.
 
     Raises:
-        DataError: Naming the episode and what differs.
+        DataError: Names the episode and the difference.
     """
     data = read_dataset(root)
     if len(data.starts) != len(paths):
@@ -221,7 +214,7 @@ def _label(index: int, path: Path | str) -> str:
 
 
 def _compare_images(data: LeRobotTables, camera: str, paths: Sequence[Path | str]) -> float:
-    """Return the largest mean difference of an image of one camera, with one recording in memory at a time."""
+    """Return the largest mean image difference; keeps one recording in memory."""
     index, worst, recorded = -1, 0.0, np.empty(0, np.uint8)
     for row, image in data.frames(camera):
         if index != data.episode_index[row]:

@@ -1,7 +1,7 @@
-"""Reading a LeRobot v3 dataset without LeRobot: parquet by pyarrow, mp4 by av.
+"""Read a LeRobot v3 dataset without LeRobot, by pyarrow and av.
 
-Training decodes every image once into uint8 memory (30 to 60 times the rate of random access into the videos), and
-verification opens what LeRobot wrote by a path that LeRobot has no part in.
+Images are decoded once into memory (30 to 60 times faster than random video access). Verification stays independent of
+LeRobot.
 """
 
 from __future__ import annotations
@@ -31,25 +31,24 @@ _AGAIN = "convert the episodes again: minidual teleop-record --force"
 
 
 def camera_key(camera: str) -> str:
-    """Return the LeRobot key of a camera: "high" gives "observation.images.cam_high"."""
+    """Return a camera's key, e.g. "observation.images.cam_high"."""
     return IMAGE_PREFIX + camera
 
 
 @dataclass(frozen=True)
 class LeRobotTables:
-    """The numbers of a dataset, checked; N rows over E episodes. Images are read by `frames`.
+    """Checked tables: N rows, E episodes.
 
     Attributes:
-        root: Folder of the dataset.
         fps: Recording rate [1/s].
-        names: Names of the entries of a state, which are those of an action.
-        cameras: Names of the cameras with their image size (H, W).
-        state: (N, names) float32.
-        action: (N, names) float32.
+        names: Entries of states and actions.
+        cameras: Image size (H, W) by camera.
+        state: (N, names).
+        action: (N, names).
         episode_index: (N,).
         frame_index: (N,) from 0 in each episode.
-        starts: (E,) first row of each episode.
-        stops: (E,) one past its last row.
+        starts: (E,) first rows.
+        stops: (E,) one past the last rows.
     """
 
     root: Path
@@ -69,25 +68,25 @@ class LeRobotTables:
         return len(self.state)
 
     def size(self, camera: str) -> tuple[int, int]:
-        """Return the image size (H, W) of a camera; UsageError if there is none of that name."""
+        """Return a camera's image size (H, W); UsageError if unknown."""
         if camera not in self.cameras:
             raise unknown_name("camera", camera, self.cameras)
         return self.cameras[camera]
 
     def frames(self, camera: str) -> Iterator[tuple[int, Image]]:
-        """Yield (row, image (H, W, 3)) of one camera, one in memory at a time.
+        """Yield (row, image (H, W, 3)) of a camera, streamed.
 
         Raises:
-            DataError: A video is corrupt, or has another number of frames than the table has rows (told at its end).
+            DataError: A video is corrupt, or its frame count differs from the table (raised at its end).
         """
         size = self.size(camera)
         for name, rows in self._videos(camera_key(camera)).items():
             yield from zip(rows.tolist(), _decode(self.root / name, len(rows), size), strict=True)
 
     def images(self, camera: str, progress: Callable[[int], None] | None = None) -> Image:
-        """Return all images (N, H, W, 3) of a camera; raises as `size` and `frames`.
+        """Return a camera's images (N, H, W, 3); raises as `frames`.
 
-        `progress` is called now and then with the number of images read since its last call.
+        `progress` gets the number of images read since its last call.
         """
         result = np.empty((len(self), *self.size(camera), 3), dtype=np.uint8)
         for count, (row, image) in enumerate(self.frames(camera), start=1):
@@ -97,7 +96,7 @@ class LeRobotTables:
         return result
 
     def _videos(self, key: str) -> dict[str, Rows]:
-        """Map each video file of a camera to the rows of its frames, in order."""
+        """Map a camera's video files to their rows, in order."""
         places = [f"videos/{key}/{name}" for name in ("chunk_index", "file_index", "from_timestamp")]
         chunk, file, begin = (self._episodes[place].to_numpy() for place in places)
         parts: dict[str, list[Rows]] = {}
@@ -111,7 +110,7 @@ class LeRobotTables:
 
 
 def read_dataset(root: Path | str) -> LeRobotTables:
-    """Read the tables of a dataset; DataError, naming the file, if it is missing, corrupt or contradicts itself."""
+    """Read a dataset's tables; DataError if missing, corrupt or inconsistent."""
     root = Path(root)
     info = _read_info(root)
     table, episodes = _read_parquet(root, "data"), _read_parquet(root, "meta/episodes")
@@ -177,7 +176,6 @@ def _read_info(root: Path) -> dict[str, Any]:
 
 
 def _read_parquet(root: Path, folder: str) -> Any:
-    """Return the rows of the parquet files of a folder as one arrow table."""
     paths = sorted((root / folder).glob("chunk-*/file-*.parquet"))
     if not paths:
         raise DataError(f"{root} holds no parquet tables under {folder}", remedy=_AGAIN)
@@ -191,7 +189,7 @@ def _read_parquet(root: Path, folder: str) -> Any:
 
 
 def _decode(path: Path, expected: int, size: tuple[int, int]) -> Iterator[Image]:
-    """Yield the images (H, W, 3) of a video; DataError at its end unless there were `expected` of them."""
+    """Yield a video's images; DataError at its end for a wrong count."""
     count = 0
     try:
         with av.open(str(path)) as container:

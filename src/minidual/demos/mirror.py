@@ -1,4 +1,4 @@
-"""From the leader's joints to the follower's: alignment at the start, offsets, limits."""
+"""Map the leader's joints to the follower's."""
 
 from __future__ import annotations
 
@@ -10,26 +10,21 @@ from minidual.robot.pair import Array, Robot
 
 
 class LeaderOffsetError(UsageError):
-    """Leader and follower have different postures; the follower would jump when it begins to follow."""
+    """The postures differ; the follower would jump."""
 
 
 class Mirror:
-    """Maps the leader's joints to targets of the follower: q_target = q_leader + offset, inside the limits.
-
-    Args:
-        robot: The follower.
-        config: Bounds.
-    """
+    """Maps q_target = q_leader + offset, clipped to the limits of the follower `robot`."""
 
     def __init__(self, robot: Robot, config: MirrorConfig | None = None) -> None:
         self.robot, self.config = robot, MirrorConfig() if config is None else config
         self.offset_rad: Array = np.zeros(robot.dof)
 
     def calibrate(self, q_leader: Array, q_follower: Array) -> Array:
-        """Take the present difference (n,) [rad] as the offset: both must stand in the same posture.
+        """Take the difference (n,) [rad] in a common posture as offset.
 
         Raises:
-            LeaderOffsetError: A joint differs by more than `calibration_max_rad`, which is no mounting error.
+            LeaderOffsetError: It exceeds `calibration_max_rad`.
         """
         offset = self._joints(q_follower, "follower") - self._joints(q_leader, "leader")
         worst = int(np.argmax(np.abs(offset)))
@@ -43,7 +38,7 @@ class Mirror:
         return offset
 
     def check_start(self, q_leader: Array, q_follower: Array) -> None:
-        """Raise LeaderOffsetError, naming the worst joint, while leader and follower stand apart."""
+        """Raise LeaderOffsetError if leader and follower are too far apart."""
         difference = self.target(q_leader) - self._joints(q_follower, "follower")
         worst, limit = int(np.argmax(np.abs(difference))), self.config.start_error_max_rad
         if abs(difference[worst]) > limit:
@@ -55,13 +50,13 @@ class Mirror:
             )
 
     def target(self, q_leader: Array) -> Array:
-        """Return the follower's target (n,) [rad], kept inside its limits.
+        """Return the follower's target (n,) [rad] within its limits.
 
-        A reading that is no posture (NaN, or zero on every joint, as a device gives that lost its values) passes
-        unchanged: shifted and clipped it would look like a posture, and the arbiter could not refuse it.
+        All zeros (a device that lost its values) pass unchanged and NaN stays NaN, so that the arbiter can refuse them;
+        shifted zeros would look valid.
 
         Raises:
-            UsageError: The reading has another number of joints.
+            UsageError: Wrong number of joints.
         """
         q, margin = self._joints(q_leader, "leader"), self.config.workspace_margin_rad
         if not q.any():

@@ -1,4 +1,4 @@
-"""What a recording and a policy see at one instant: joints, openings, pictures."""
+"""Observations of recordings and policies."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ class Observation:
     """One instant.
 
     Attributes:
-        time_s: Simulated time of joints and pictures [s].
-        q: (n,) measured joint positions [rad].
-        v: (n,) measured joint velocities [rad/s].
-        gripper: (2,) measured openings, 0 closed to 1 open.
+        time_s: Simulated time.
+        q: (n,) joint positions [rad].
+        v: (n,) joint velocities [rad/s].
+        gripper: (2,) openings, 0 closed to 1 open.
         images: (H, W, 3) uint8 by camera.
     """
 
@@ -32,11 +32,9 @@ class Observation:
 
 
 class Observer:
-    """Reads a world; use as a context manager or call `close`.
+    """Reads a world; close it, or use it as a context manager.
 
-    Args:
-        world: Compiled with `visuals=True` if there are cameras.
-        cameras: Names of the cameras to render, at the scene's camera size.
+    Cameras need a world compiled with `visuals=True`.
     """
 
     def __init__(self, world: World, cameras: Sequence[str] = ()) -> None:
@@ -45,7 +43,7 @@ class Observer:
         self._camera = Camera.recorded(world.model, world.scene.camera) if self.cameras else None
 
     def read(self) -> Observation:
-        """Return the present instant."""
+        """Return the present observation."""
         world = self.world
         images: dict[str, Image] = {}
         if self._camera is not None:
@@ -53,7 +51,7 @@ class Observer:
         return Observation(world.time, world.q, world.v, world.gripper, images)
 
     def close(self) -> None:
-        """Free the rendering context."""
+        """Free the renderer."""
         if self._camera is not None:
             self._camera.close()
 

@@ -1,4 +1,4 @@
-"""How good a demonstration is: smoothness, straightness, and how much of the workspace it visits."""
+"""Smoothness, straightness and workspace coverage of a demonstration."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from minidual.demos.smoothness import rms_jerk
 from minidual.robot.kinematics import Kinematics
 
 CELL_M = 0.05
-"""Edge of the cubes in which the visited workspace is counted."""
+"""Cube edge for counting the visited workspace."""
 
 Array = NDArray[np.float64]
 
@@ -22,13 +22,9 @@ class EpisodeQuality:
     """Measures of one recording.
 
     Attributes:
-        file: Its name.
-        ticks: Number of ticks.
-        duration_s: First tick to last.
-        rms_jerk_rad_s3: `minidual.demos.smoothness.rms_jerk` of the measured joints.
-        path_length_m: Path of a hand, mean of both.
-        path_efficiency: See `path_efficiency`.
-        cells_n: Cubes of 5 cm that either hand visits.
+        rms_jerk_rad_s3: See `minidual.demos.smoothness.rms_jerk`.
+        path_length_m: Mean of both hands.
+        cells_n: 5 cm cubes visited by either hand.
     """
 
     file: str
@@ -41,7 +37,7 @@ class EpisodeQuality:
 
 
 def episode_quality(episode: Episode, kinematics: Kinematics) -> EpisodeQuality:
-    """Return the measures of a recording; DataError if it is too short for a jerk (half a second)."""
+    """Return the measures; DataError if shorter than 0.5 s."""
     hands = tcp_positions(episode.qpos, kinematics)
     return EpisodeQuality(
         file=episode.path.name if episode.path is not None else "",
@@ -55,24 +51,24 @@ def episode_quality(episode: Episode, kinematics: Kinematics) -> EpisodeQuality:
 
 
 def tcp_positions(q: NDArray[np.floating], kinematics: Kinematics) -> Array:
-    """Return the tool centre points (T, 2, 3) [m] in the world for postures (T, n) [rad]."""
+    """Return the TCPs (T, 2, 3) [m], world, for postures (T, n) [rad]."""
     return np.array([[pose[:3, 3] for pose in kinematics.tcp_poses(row)] for row in np.asarray(q, dtype=float)])
 
 
 def path_length_m(positions: NDArray[np.floating]) -> Array:
-    """Return the length (2,) [m] of each hand's path (T, 2, 3)."""
+    """Return the path length (2,) [m] of each hand."""
     return np.linalg.norm(np.diff(positions, axis=0), axis=2).sum(axis=0)
 
 
 def path_efficiency(positions: NDArray[np.floating], action_gripper: NDArray[np.floating]) -> float:
-    """Return straight length over travelled length, 0 to 1, mean of both hands.
+    """Return straight over travelled length, 0 to 1, mean of both hands.
 
-    Straight means straight segments from the start through every change of the hand's own grip to the end. A hand that
-    travels less than 1 cm is left out; with neither moving the result is 1.
+    The straight path passes through every change of the hand's grip. Hands that travel less than 1 cm are left out; without
+    any the result is 1.
 
     Args:
-        positions: (T, 2, 3) tool centre points [m].
-        action_gripper: (T, 2) gripper commands, any unit.
+        positions: (T, 2, 3) TCPs [m].
+        action_gripper: (T, 2) commands, any unit.
     """
     shares: list[float] = []
     for hand in range(2):
@@ -85,7 +81,7 @@ def path_efficiency(positions: NDArray[np.floating], action_gripper: NDArray[np.
 
 
 def grip_changes(command: NDArray[np.floating]) -> list[int]:
-    """Return the ticks at which a gripper's command (T,) crosses the middle between its extremes."""
+    """Return the ticks at which a command (T,) crosses its mid-range."""
     low, high = float(np.min(command)), float(np.max(command))
     if high - low < 1e-6:
         return []

@@ -1,7 +1,7 @@
-"""Record trials over processes: what the `teleop-record` stage runs.
+"""Record trials over processes.
 
-The number of workers changes nothing but the time: each trial is drawn from its own number and runs in its own simulated
-time, and attempts are made in rounds of known size, in order.
+Results do not depend on the number of workers: trials are seeded by number, run in simulated time, and attempts come in
+ordered rounds of known size.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from minidual.demos.rig import REJECTED, Attempt, Job, Rig
 from minidual.demos.smoothness import JERK_FILTER
 
 Observe = Callable[[Rig, int], AbstractContextManager[object]]
-"""Called with the rig and a trial's number; what it returns is entered while the trial runs."""
+"""Given the rig and trial number, returns a context entered while the trial runs."""
 
 _rigs: dict[str, Rig] = {}
 
@@ -44,21 +44,21 @@ def _record_in_worker(job: Job, index: int, observe: Observe | None = None) -> A
 
 
 def usable_workers(job: Job, workers: int) -> int:
-    """Return over how many processes a recording can be spread: one where a person or a device leads."""
+    """Return the usable number of processes: 1 for real-time leaders."""
     return 1 if LEADERS[job.teleop.leader].realtime else workers
 
 
 def record_attempts(
     job: Job, indices: Sequence[int], *, workers: int, observe: Observe | None = None
 ) -> Iterator[Attempt]:
-    """Record trials over processes and yield the attempts in the order of `indices`.
+    """Yield the attempts in the order of `indices`.
 
-    An observer runs in this process: `workers` must be 1.
+    `observe` runs in this process and requires `workers` 1.
     """
-    # One numeric thread a process: on a busy machine more of them only wait for each other.
+    # One numeric thread per process: more of them wait for each other on a busy machine.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"
-    os.environ.setdefault("LP_NUM_THREADS", "0")  # the software renderer draws in the calling thread
+    os.environ.setdefault("LP_NUM_THREADS", "0")  # the software renderer uses the calling thread
     processes = min(workers, max(1, len(indices)))
     parallel: Any = joblib.Parallel
     yield from parallel(n_jobs=processes, return_as="generator", batch_size=1, pre_dispatch="2*n_jobs")(
@@ -68,7 +68,7 @@ def record_attempts(
 
 @dataclass(frozen=True)
 class RecordingNumbers:
-    """What a recording is judged by; extremes are over the demonstrations that were kept."""
+    """Judged numbers; extremes over kept demonstrations, latencies over all attempts."""
 
     episodes: int
     attempts: int
@@ -86,7 +86,7 @@ class RecordingNumbers:
 
 @dataclass(frozen=True)
 class Recording:
-    """All attempts of a recording, in order; its wall-clock time, start of the processes included; its processes."""
+    """All attempts in order; `wall_s` includes the start of the processes."""
 
     attempts: tuple[Attempt, ...]
     wall_s: float
@@ -94,23 +94,23 @@ class Recording:
 
     @property
     def episodes_per_min(self) -> float:
-        """Demonstrations a minute once the processes run."""
+        """Demonstrations per minute without process start."""
         return 60.0 * len(self.kept) * self.workers / sum(a.wall_s for a in self.attempts)
 
     @property
     def kept(self) -> tuple[Attempt, ...]:
-        """The demonstrations, in the order of their trials."""
+        """The demonstrations in order."""
         return tuple(a for a in self.attempts if a.kept)
 
     @property
     def paths(self) -> list[Path]:
-        """Files of the demonstrations."""
+        """Demonstration files."""
         return [a.path for a in self.kept if a.path is not None]
 
     def numbers(self, dataset_rows: int, dataset_episodes: int) -> RecordingNumbers:
-        """Return what the recording is judged by, with the size of the dataset made of it.
+        """Return the judged numbers.
 
-        np.max passes NaN on, so that an unknown value fails its check.
+        np.max propagates NaN, so unknown values fail their check.
         """
         latencies = np.concatenate([a.latencies_s for a in self.attempts if a.latencies_s is not None])
         qualities = [a.quality for a in self.kept if a.quality is not None]
@@ -152,15 +152,15 @@ class Recording:
 def record(
     job: Job, *, workers: int, on_attempt: Callable[[Attempt], None] | None = None, observe: Observe | None = None
 ) -> Recording:
-    """Record until there are `episodes_n` demonstrations, or the allowed attempts are used up.
+    """Record until there are `episodes_n` demonstrations or attempts run out.
 
-    A round tries as many trials as demonstrations are missing, so which trials are tried depends on their results and
-    not on which worker was fastest.
+    A round tries as many trials as are missing, so the choice of trials does not depend on worker speed.
 
     Raises:
-        UsageError: There is no such leader, or it stands away from the follower.
-        EnvironmentMissingError: What the leader or the cameras need is not there.
-        DataError: The disk refuses a file.
+        UsageError: Unknown leader, or one away from the follower.
+        HandoverError: The arbiter did not accept the leader.
+        EnvironmentMissingError: A device or renderer is missing.
+        DataError: Disk error.
     """
     wanted, used = job.teleop.episodes_n, usable_workers(job, workers)
     allowed = int(np.ceil(wanted * job.teleop.attempts_max_ratio))

@@ -1,4 +1,4 @@
-"""One trial led and written to its file: the rig that each process of a recording builds once."""
+"""Run one demonstration trial and write its file."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ from minidual.tasks.rod_carry import placement
 from minidual.tasks.task import Task, Trial
 
 PURPOSE = "demonstrations"
-"""Random stream of the trials; no test draws from it."""
+"""Random stream of the trials; tests do not use it."""
 KEPT, REJECTED = "episodes", "rejected"
 FILM_SIZE = (640, 480)
 
 
 @dataclass(frozen=True)
 class Job:
-    """What a recording depends on; the same for all its trials."""
+    """Inputs shared by all trials of a recording."""
 
     folder: Path
     task: Task
@@ -55,27 +55,23 @@ class Job:
         return robot_from(self.task.config.robot)
 
     def trial(self, index: int) -> Trial:
-        """Return trial `index` of the demonstrations."""
+        """Return demonstration trial `index`."""
         return self.task.trial(self.seed, PURPOSE, index, widen=self.teleop.widen)
 
 
 @dataclass(frozen=True)
 class Attempt:
-    """One trial that was led.
+    """One trial that was run.
 
     Attributes:
-        trial: Its number, start and goal.
-        success: Whether the task was achieved.
         kept: Whether it is a demonstration.
         reason: Why not, or "".
-        path: Its file, or None if none was written; with it come outcome, quality, problems and synchronisation.
-        outcome: The judge's.
-        quality: Measures of the recording.
-        sync_error_max_s: Largest time between joints and pictures of a tick, read back from the file.
+        path: Its file, if written; the fields below need it.
+        sync_error_max_s: Largest time between joints and images, read back.
         problems: Faults of the file, read back.
-        views: What each camera shows at the start.
-        latencies_s: Wall-clock time of each tick from reading the leader to its torque.
-        wall_s: Wall-clock time of the attempt: planned, led, written and read back.
+        views: Each camera's start view.
+        latencies_s: Wall time per tick from reading the leader to its torque.
+        wall_s: Wall time to plan, run, write and read back.
     """
 
     trial: Trial
@@ -92,7 +88,7 @@ class Attempt:
     wall_s: float = 0.0
 
     def row(self) -> dict[str, Any]:
-        """Return the attempt as one flat row for CSV."""
+        """Return a flat CSV row."""
         x, y, yaw = placement(next(iter(self.trial.start.values())))
         row: dict[str, Any] = {"trial": self.trial.index, "start_x_m": x, "start_y_m": y, "start_yaw_rad": yaw}
         row |= {"success": self.success, "kept": self.kept, "reason": self.reason}
@@ -103,7 +99,7 @@ class Attempt:
 
 
 def measures(outcome: Outcome | None) -> dict[str, float]:
-    """Return the numbers of an outcome that are kept with a recording; NaN without one."""
+    """Return an outcome's recorded numbers; NaN without one."""
     if outcome is None:
         return dict.fromkeys(("completion_s", "goal_error_m", "tilt_max_rad"), float("nan"))
     return {
@@ -114,7 +110,7 @@ def measures(outcome: Outcome | None) -> dict[str, float]:
 
 
 class Rig:
-    """World, session and leaders, built once a process and used for many trials."""
+    """World, session and leaders, built once per process."""
 
     def __init__(self, job: Job, cameras: Sequence[str]) -> None:
         self.job = job
@@ -136,10 +132,10 @@ class Rig:
             leader.close()
 
     def record(self, index: int) -> Attempt:
-        """Run trial `index`, write it to its file, and read the file back.
+        """Run trial `index`, write its file, and read it back.
 
-        The file is written among the rejected ones and moves to the demonstrations when it is whole and good, so that
-        no unfinished or failed attempt ever stands among those.
+        The file is written to `rejected` and moved when accepted, so unfinished or failed attempts are never among the
+        demonstrations. Faults found on reading back are reported.
         """
         job, trial = self.job, self.job.trial(index)
         name = f"episode_{trial.index:06d}.hdf5"
@@ -158,7 +154,7 @@ class Rig:
             target.parent.mkdir(exist_ok=True)
             path = path.rename(target)
             durable.sync(target.parent)
-        # What counts is what is on the disk.
+        # Judge what is on disk.
         episode, problems = inspect_episode(path, cameras=job.teleop.cameras, robot=job.robot)
         faults = tuple(map(str, problems))
         attempt = Attempt(
@@ -182,19 +178,19 @@ class Rig:
         return EpisodeMeta(teleop.rate_hz, task.instruction, self.job.seed, teleop.cameras, extra=extra)
 
     def _reason(self, result: SessionResult, *, success: bool) -> str:
-        """Return why an episode is no demonstration, or ""."""
+        """Return the reason for rejection, or ""."""
         if not success or result.refusals:
             return result.reason or "the leader did not end the episode in time"
         jerk, limit = rms_jerk(result.q, self.job.teleop.rate_hz), self.job.teleop.jerk_max_rad_s3
         return "" if jerk <= limit else f"RMS jerk {jerk:.0f} rad/s^3, limit {limit:.0f}"
 
     def close(self) -> None:
-        """Free the rendering context."""
+        """Free the renderer."""
         self.observer.close()
 
 
 def _is_empty(result: SessionResult, rate_hz: float) -> bool:
-    """Return whether there is nothing to keep or to measure: the episode ended at once, or nothing moved."""
+    """Return whether it lasted under 1 s or nothing moved."""
     return len(result.q) / rate_hz < 1.0 or float(np.ptp(result.q, axis=0).max()) < 1e-3
 
 
@@ -213,7 +209,7 @@ def _append(writer: EpisodeWriter, tick: Tick) -> None:
 
 
 def film(job: Job, index: int, path: Path) -> None:
-    """Run trial `index` once more, seen by the overview camera, and write it to an mp4."""
+    """Run trial `index` again and film it to an mp4."""
     rig = Rig(job, ())
     frames: list[Image] = []
     every = max(1, round(job.teleop.rate_hz / 25.0))

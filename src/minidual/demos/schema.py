@@ -1,22 +1,21 @@
-"""What an episode file holds: one table of its arrays and one record of its attributes drive writing, reading, checking.
+"""Schema of an episode file.
 
-One HDF5 file is one episode, in the layout that ALOHA uses. With T ticks and n joints, left arm then right:
+One HDF5 file is one episode, in ALOHA's layout. With T ticks and n joints, left arm then right:
 
 ====================================  ============  ==================================================
 key                                   shape         meaning
 ====================================  ============  ==================================================
-``observations/qpos``                 (T, n)        measured joint positions [rad]
-``observations/qvel`` (optional)      (T, n)        measured joint velocities [rad/s]
-``observations/gripper``              (T, 2)        measured openings, left then right
-``observations/images/<camera>``      (T, H, W, 3)  RGB images, uint8; all other arrays are float64
-``action``                            (T, n)        joint targets commanded at t [rad]
-``action_gripper``                    (T, 2)        opening targets commanded at t
-``timestamps``                        (T,)          time of the joint reading, monotonic [s]
-``image_timestamps`` (optional)       (T,)          time of the images [s]
+``observations/qpos``                 (T, n)        joint positions [rad]
+``observations/qvel`` (optional)      (T, n)        joint velocities [rad/s]
+``observations/gripper``              (T, 2)        openings, left then right
+``observations/images/<camera>``      (T, H, W, 3)  RGB, uint8; other arrays are float64
+``action``                            (T, n)        commanded joint targets [rad]
+``action_gripper``                    (T, 2)        commanded openings
+``timestamps``                        (T,)          joint reading time, monotonic [s]
+``image_timestamps`` (optional)       (T,)          image time [s]
 ====================================  ============  ==================================================
 
-``action[t]`` is the command that leads to the state at t + 1, never the reading at t: a recording whose action equals
-its qpos teaches a policy to stand still.
+``action[t]`` leads to the state at t + 1. It must not be the reading at t: that teaches a policy to stand still.
 """
 
 from __future__ import annotations
@@ -31,14 +30,14 @@ from minidual.errors import DataError
 SCHEMA_VERSION = 1
 GRIPPERS_N = 2
 TICKS = "num_timesteps"
-"""Attribute that holds the number of ticks."""
+"""Attribute with the number of ticks."""
 MAX_SYNC_S = 0.020
-"""Largest time between joints and images of one tick."""
+"""Largest time between a tick's joints and images."""
 
 
 @dataclass(frozen=True)
 class Field:
-    """One float64 array: its name in Python, its HDF5 key, the axes of a row, and whether a file must have it."""
+    """One float64 array; `axes` are those of a row."""
 
     name: str
     key: str
@@ -46,7 +45,7 @@ class Field:
     required: bool = True
 
     def row_shape(self, joints_n: int) -> tuple[int, ...]:
-        """Return the shape of one row for arms of `joints_n` joints together."""
+        """Return the row shape for `joints_n` joints in total."""
         return tuple(joints_n if axis == "joints" else GRIPPERS_N for axis in self.axes)
 
 
@@ -59,7 +58,7 @@ FIELDS = (
     Field("timestamps", "timestamps", ()),
     Field("image_timestamps", "image_timestamps", (), required=False),
 )
-"""Every numeric array. The number of joints is that of qpos, which stands first."""
+"""Every numeric array; qpos comes first and fixes the number of joints."""
 
 
 def image_key(camera: str) -> str:
@@ -69,16 +68,16 @@ def image_key(camera: str) -> str:
 
 @dataclass(frozen=True)
 class EpisodeMeta:
-    """What an episode is, beside its arrays; each entry is an attribute of the file.
+    """File attributes.
 
     Attributes:
         fps: Recording rate [1/s].
-        task: The task in words.
-        seed: Seed of the episode's randomisation.
-        cameras: Camera names, in their fixed order.
-        sim: True for simulation, False for hardware.
+        task: Instruction text.
+        seed: Seed of the randomisation.
+        cameras: In fixed order.
+        sim: False for hardware.
         success: Whether the task was achieved.
-        extra: Further facts (trial, reason, start), as JSON can hold them.
+        extra: JSON facts (trial, reason, start).
     """
 
     fps: float
@@ -90,7 +89,7 @@ class EpisodeMeta:
     extra: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Raise DataError for a value that could not be written or read back."""
+        """Raise DataError for values that cannot be stored."""
         if not (0.0 < self.fps < 1e5):
             raise DataError(f"fps is {self.fps}; it must be a finite rate above 0")
         if len(set(self.cameras)) != len(self.cameras):
@@ -105,14 +104,14 @@ class EpisodeMeta:
 
     @property
     def trial(self) -> int:
-        """Number of the trial that the episode shows; DataError if it was not recorded."""
+        """Trial number; DataError if not recorded."""
         number = self.extra.get("trial")
         if not isinstance(number, int):
             raise DataError(f"the episode names no trial (extra facts: {', '.join(self.extra) or 'none'})")
         return number
 
     def to_attrs(self, ticks: int) -> dict[str, Any]:
-        """Return the attributes of a file of `ticks` ticks."""
+        """Return the attributes of a file."""
         return {
             TICKS: int(ticks),
             "success": bool(self.success),
@@ -127,7 +126,7 @@ class EpisodeMeta:
 
     @staticmethod
     def from_attrs(attrs: Mapping[str, Any]) -> tuple[EpisodeMeta, int]:
-        """Read (meta, ticks) back; DataError for an attribute that is missing, broken or of another version."""
+        """Return (meta, ticks); DataError if missing, invalid or of another version."""
         required = EpisodeMeta(1.0, "", 0, ()).to_attrs(0).keys() - {"extra"}
         if missing := sorted(required - attrs.keys()):
             raise DataError(f"missing attributes: {', '.join(missing)}")

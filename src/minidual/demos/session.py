@@ -1,7 +1,6 @@
-"""One episode of teleoperation: leader -> mirror -> control stack, and what was seen and commanded.
+"""One teleoperated episode: leader, mirror, control stack.
 
-A tick comes every 1 / rate seconds of simulated time, however fast the machine is: nothing is lost under load, and the
-same trial gives the same episode.
+Ticks follow simulated time, so load loses none and episodes are repeatable.
 """
 
 from __future__ import annotations
@@ -33,12 +32,12 @@ SOURCE = "teleop"
 
 
 class HandoverError(MinidualError):
-    """The arbiter did not let the leader drive."""
+    """The arbiter did not hand control to the leader."""
 
 
 @dataclass(frozen=True)
 class Tick:
-    """What was seen at one tick, and the command that leads to the next: targets (n,) [rad] and openings (2,)."""
+    """An observation and its command: targets (n,) [rad], openings (2,)."""
 
     observation: Observation
     action: Array
@@ -50,14 +49,11 @@ class SessionResult:
     """One episode.
 
     Attributes:
-        q: (T, n) measured joints [rad]. Whatever else was seen went to `on_tick`: the pictures of a long episode may
-            not fit into memory.
-        outcome: The judge's.
-        latencies_s: (T,) wall-clock time from reading the leader to the first torque and its physics step; never
-            stored in an episode.
-        refusals: What the arbiter refused.
-        ended_by: "leader", "time_limit", "stopped" (the leader fell silent) or "reflex".
-        reflex: Why the supervisor stopped the arms, or "".
+        q: (T, n) measured joints [rad]; images may exceed memory and only go to `on_tick`.
+        latencies_s: (T,) wall time from reading the leader to the first physics step; not stored in episodes.
+        refusals: Refused by the arbiter.
+        ended_by: "leader", "time_limit", "stopped" (the leader stopped sending) or "reflex".
+        reflex: Message of the supervisor's reflex, or "".
     """
 
     q: Array
@@ -86,10 +82,13 @@ class TeleopSession:
     Args:
         world: The plant.
         kinematics: Dynamics for the controller.
-        observer: Reads the world, with or without cameras.
+        observer: Reads the world.
         config: Rate and mirror.
-        arbiter: Its bounds.
-        supervisor: Guards the motors; its reflex ends the episode.
+        arbiter: Arbiter limits.
+        supervisor: Its reflex ends the episode.
+
+    Raises:
+        UsageError: The rate does not divide the control rate.
     """
 
     def __init__(
@@ -116,17 +115,17 @@ class TeleopSession:
     def run(
         self, task: Task, trial: Trial, leader: Leader, *, on_tick: Callable[[int, Tick], None] | None = None
     ) -> SessionResult:
-        """Run one episode to its end.
+        """Run one episode.
 
         Args:
-            task: How it is judged.
-            trial: Where the objects start and must end.
-            leader: Who leads.
-            on_tick: Called with each tick's number and content once its command has been given.
+            task: For the judge.
+            trial: Start and goal.
+            leader: Source of joint readings.
+            on_tick: Called with number and tick after each command.
 
         Raises:
-            LeaderOffsetError: The leader does not stand where the follower does.
-            HandoverError: The arbiter would not give the leader its turn.
+            LeaderOffsetError: Leader and follower are apart.
+            HandoverError: The arbiter did not accept the leader.
         """
         world = self.world
         judge = begin(world, task, trial)
@@ -138,7 +137,7 @@ class TeleopSession:
         return self._follow(judge, leader, on_tick)
 
     def _hand_over(self, judge: Judge) -> None:
-        """Step the held arms until the arbiter confirms the leader."""
+        """Hold the arms until the arbiter switches to the leader."""
         self.stack.request(SOURCE)
         while True:
             out = self.stack.arbitrate()
@@ -184,7 +183,7 @@ class TeleopSession:
         return SessionResult(np.array(measured), judge.outcome(world), np.array(latencies), refusals, ended_by, reflex)
 
     def _ask(self, leader: Leader, k: int, elapsed_s: float, now: Observation) -> ArbiterOutput:
-        """Let the leader propose, and return what the arbiter forwards."""
+        """Propose the leader's command; return the arbiter's output."""
         reading = leader.read(elapsed_s)
         if reading is not None:
             command = JointCommand(self.mirror.target(reading[0]), reading[1], now.time_s, k)
@@ -192,7 +191,7 @@ class TeleopSession:
         return self.stack.arbitrate()
 
     def _move(self, judge: Judge, steps: int | None = None) -> str:
-        """Run a tick's control steps; return the reflex that ended them, or ""."""
+        """Run control steps, by default a tick's; return a reflex message or ""."""
         for _ in range(self._steps if steps is None else steps):
             reflex = self._advance(judge)
             if reflex:
@@ -200,7 +199,7 @@ class TeleopSession:
         return ""
 
     def _advance(self, judge: Judge) -> str:
-        """Run one control step; return the reflex that it raised, or ""."""
+        """Run one control step; return a reflex message or ""."""
         reflex = ""
         try:
             self.stack.advance()
@@ -210,5 +209,5 @@ class TeleopSession:
         return reflex
 
     def _time_limit_s(self, leader: Leader) -> float:
-        """Return the limit [s]; people get longer than the task allows, and the judge still says so."""
+        """Return the limit [s]; it is longer for people, but the judge applies the task's."""
         return self.config.person_time_limit_s if leader.realtime else self.world.scene.task.time_limit_s

@@ -1,7 +1,7 @@
-"""RMS jerk of joint motion: one definition for recordings and benchmarks.
+"""RMS jerk of joint motion, for recordings and benchmarks.
 
-A finite difference measures contact noise at 1 kHz and the sampling at 50 Hz. Here the motion is brought to one rate and
-low-passed without phase before it is differentiated: a smooth motion gives the same number at any recording rate.
+Plain finite differences measure contact noise at 1 kHz and sampling at 50 Hz. Resampling and a zero-phase low-pass make
+the number independent of the recording rate.
 """
 
 from __future__ import annotations
@@ -20,33 +20,33 @@ JERK_FILTER = (
     "joints brought to 1 kHz by a quintic spline; third central difference; 0.2 s left out at each end; RMS over "
     "time of the norm over all joints"
 )
-"""Stands beside every jerk number in tables."""
+"""Printed with jerk numbers."""
 
 
 def trim_s(cutoff_hz: float = CUTOFF_HZ) -> float:
-    """Return the time left out at each end [s]: two periods of the cutoff, the filter's transient."""
+    """Return the time left out at each end [s]: two cutoff periods, the filter transient."""
     return 2.0 / cutoff_hz
 
 
 def min_duration_s(cutoff_hz: float = CUTOFF_HZ) -> float:
-    """Return the shortest motion [s] that `rms_jerk` accepts."""
+    """Return the shortest motion [s] accepted by `rms_jerk`."""
     return 2.5 * trim_s(cutoff_hz)
 
 
 def rms_jerk(q: NDArray[np.floating], rate_hz: float, cutoff_hz: float = CUTOFF_HZ) -> float:
     """Return sqrt(mean over t of sum over joints of (d3q/dt3)^2), rad/s^3.
 
-    Content above half the recording rate is aliased before this function sees it: record at 50 Hz or more.
+    Record at 50 Hz or more: content above half the rate is aliased.
 
     Args:
-        q: (T, n) measured joint positions at a constant rate [rad].
-        rate_hz: Sampling rate of q; at least four times the cutoff.
+        q: (T, n) joint positions [rad].
+        rate_hz: Sampling rate; at least four times the cutoff.
         cutoff_hz: Low-pass cutoff.
 
     Raises:
-        DataError: q is not (T, n), not finite, too short, or sampled too slowly for the cutoff.
+        DataError: Wrong shape, not finite, too short, or sampled too slowly.
     """
-    from scipy.interpolate import make_interp_spline  # slow to import, and every stage that prints JERK_FILTER is here
+    from scipy.interpolate import make_interp_spline  # slow import, not needed for JERK_FILTER
     from scipy.signal import butter, sosfiltfilt
 
     q = np.asarray(q, dtype=np.float64)
@@ -68,7 +68,7 @@ def rms_jerk(q: NDArray[np.floating], rate_hz: float, cutoff_hz: float = CUTOFF_
         fine = np.arange((len(q) - 1) * factor + 1) / factor
         q = make_interp_spline(ticks, q, k=5, axis=0)(fine)
     sos = butter(FILTER_ORDER, cutoff_hz, fs=rate, output="sos")
-    # Filtering the motion less its start keeps the third difference clear of rounding at any offset.
+    # Subtracting the start avoids rounding error in the third difference.
     smooth = sosfiltfilt(sos, q - q[0], axis=0, padlen=min(len(q) - 1, int(trim_s(cutoff_hz) * rate)))
     # Central third difference: (q[+2] - 2 q[+1] + 2 q[-1] - q[-2]) / (2 dt^3).
     third = (smooth[4:] - 2.0 * smooth[3:-1] + 2.0 * smooth[1:-3] - smooth[:-4]) * (0.5 * rate**3)

@@ -1,8 +1,7 @@
-"""Recording one episode so that its file is whole or absent.
+"""Record one episode; its file is whole or absent.
 
-Ticks are gathered in memory; images beyond a budget are spilled to a temporary file. Images are stored with gzip level
-1, one frame a chunk: 0.35 ms for a rendered 96x128 frame and half the size (lzf takes 0.16 ms, but only h5py reads it).
-Numeric arrays carry a checksum (fletcher32), images that of gzip, so that bit rot is noticed on reading.
+Images beyond a memory budget are spilled to a temporary file. They use gzip level 1, one frame per chunk: 0.35 ms per
+96x128 frame, half the size (lzf takes 0.16 ms, but only h5py reads it). Checksums (fletcher32, gzip's own) detect bit rot.
 """
 
 from __future__ import annotations
@@ -27,15 +26,14 @@ IMAGE_BUFFER_BYTES = 256 * 2**20
 
 
 class EpisodeWriter:
-    """Records one episode to `path`, which does not exist before `commit` has succeeded.
+    """Records one episode; `path` exists only after `commit`.
 
-    A context manager: leaving the block without `commit` (an exception, Ctrl-C) removes what was written. A killed
-    process leaves a temporary name and nothing under `path`.
+    Leaving the context without `commit` removes the partial file; a killed process leaves only a temporary file.
 
     Args:
-        path: The file to make; its folder is made if missing.
-        meta: What is recorded; `commit` sets `success` and adds to `extra`.
-        image_buffer_bytes: Images kept in memory before they are written out.
+        path: New file; its folder is made.
+        meta: `commit` updates `success` and `extra`.
+        image_buffer_bytes: Image memory budget.
 
     Raises:
         UsageError: The file exists.
@@ -77,20 +75,20 @@ class EpisodeWriter:
         qvel: ArrayLike | None = None,
         image_timestamp: float | None = None,
     ) -> None:
-        """Add one tick; arrays are copied. Units as in the schema.
+        """Add one tick, copying arrays; units as in the schema.
 
         Args:
-            qpos: (n,) measured joints; the first tick fixes n.
-            action: (n,) joint targets commanded at this tick.
-            gripper: (2,) measured openings.
-            action_gripper: (2,) commanded openings.
-            timestamp: Time of the joint reading, monotonic.
-            images: (H, W, 3) uint8 for exactly the cameras of `meta`.
-            qvel: (n,) on every tick or on none.
-            image_timestamp: Time of the images; on every tick or on none.
+            qpos: (n,) measured; the first tick fixes n.
+            action: (n,) commanded targets.
+            gripper: (2,) measured.
+            action_gripper: (2,) commanded.
+            timestamp: Joint reading time, monotonic.
+            images: (H, W, 3) uint8 for exactly `meta`'s cameras.
+            qvel: (n,), on every tick or none.
+            image_timestamp: On every tick or none.
 
         Raises:
-            DataError: A shape or value is wrong, named with the field and the tick.
+            DataError: Wrong shape or value, or a disk error.
         """
         if self._closed:
             raise DataError(f"{self.path.name} is closed; a tick came after commit or abort")
@@ -118,10 +116,11 @@ class EpisodeWriter:
                 self._spill()
 
     def commit(self, *, success: bool, extra: Mapping[str, Any] | None = None) -> Path:
-        """Check the episode as a whole, write it durably, rename it, and return its path.
+        """Check the episode, write it durably, and return its path.
 
         Raises:
-            DataError: Fewer than two ticks, the action is the reading, or the disk refuses; no file is left.
+            UsageError: The file exists by now.
+            DataError: Fewer than two ticks, actions equal readings, or a disk error; no file is left.
         """
         if self._closed:
             raise DataError(f"{self.path.name} is closed already")
@@ -147,10 +146,10 @@ class EpisodeWriter:
         return self.path
 
     def abort(self) -> None:
-        """Drop what is not committed. Harmless after `commit`."""
+        """Discard what is not committed; harmless after `commit`."""
         self._closed = True
         if self._file is not None:
-            # On a full disk closing fails as well; the file is about to be removed either way.
+            # Closing fails on a full disk too; the file is removed next anyway.
             with contextlib.suppress(OSError, RuntimeError):
                 self._file.close()
             self._file = None
@@ -178,7 +177,7 @@ class EpisodeWriter:
 
     @contextlib.contextmanager
     def _writing(self) -> Iterator[None]:
-        """Turn an error of the disk into a DataError; nothing half-written is left."""
+        """Turn disk errors into DataError and abort."""
         try:
             yield
         except (OSError, RuntimeError) as error:
@@ -187,7 +186,7 @@ class EpisodeWriter:
             raise DataError(f"{self.path} could not be written: {error}", remedy=remedy) from error
 
     def _spill(self) -> h5py.File:
-        """Append the buffered images to the temporary file, and return it."""
+        """Append the buffered images to the temporary file."""
         file = self._file = self._file or h5py.File(self._partial, "w")
         for camera, frames in self._images.items():
             if not frames:
@@ -214,7 +213,7 @@ class EpisodeWriter:
 
 
 def _row(field: schema.Field, value: ArrayLike | None, joints_n: int, tick: int) -> NDArray[np.float64] | None:
-    """Return one tick of one array as float64, or raise DataError naming both."""
+    """Return one tick of one array, or raise DataError."""
     if value is None:
         if field.required:
             raise DataError(f"{field.key} is missing at tick {tick}")
