@@ -1,1 +1,1 @@
-"""Planning scenes, shapes and the two collision engines."""
+"""Planning scenes, shapes and collision engines."""

@@ -1,18 +1,15 @@
-"""The allowed-collision matrix: which pairs of links of one arm are not checked, and why.
+"""The allowed-collision matrix: unchecked pairs of links of one arm, with reasons.
 
-Both arms are of one model, so the left one stands for both:
+Both arms are of one model, so only the left one is sampled:
 
-- `rigid`: no joint lies between the links (the last link, hand and fingers: the fingers are locked);
-- `adjacent`: one joint lies between them, and it connects them directly; their hulls overlap there;
-- `always`: they touch at home and in at least 95 % of the samples, so touching means nothing;
-- `model`: the arm's model says that they cannot touch, where their hulls come near each other;
-- `never`: they touched in none of the samples.
+- `rigid`: no joint between the links (fingers are locked);
+- `adjacent`: one joint connects them directly; their hulls overlap there;
+- `always`: they touch at home and in at least 95 % of the samples;
+- `model`: the arm's model rules contact out, although the hulls come near;
+- `never`: no contact in any sample.
 
-Samples are uniform within the joint limits. From 20 000 on their number doubles until no pair changes its class over two
-doublings in a row. A pair that touches in a fraction p of all postures is missed by n samples with probability
-(1 - p)^n: with 95 % confidence a pair called `never` touches in less than 3/n of them ("rule of three").
-
-Pairs of different arms are always checked.
+Samples are uniform within the joint limits. Their number doubles from 20 000 until no pair changes class over two
+doublings in a row. By the rule of three, a `never` pair touches in less than 3/n of all postures (95 % confidence).
 """
 
 from __future__ import annotations
@@ -42,7 +39,7 @@ from minidual.robot.pair import SIDES, Robot
 SAMPLES_MIN = 20_000
 SAMPLES_MAX = 1_280_000
 QUIET_DOUBLINGS = 2
-"""Doublings in a row over which no pair may change its class."""
+"""Consecutive doublings without a changed class that end the sampling."""
 ALWAYS_FRACTION = 0.95
 _RULE_VERSION = "4"
 _SEED = 7
@@ -50,12 +47,7 @@ _SEED = 7
 
 @dataclass(frozen=True)
 class Round:
-    """One doubling.
-
-    Attributes:
-        samples_n: Samples so far.
-        changed: Pairs that changed their class, as "link + link".
-    """
+    """Samples so far, and the pairs ("link + link") that changed class."""
 
     samples_n: int
     changed: tuple[str, ...]
@@ -63,13 +55,11 @@ class Round:
 
 @dataclass(frozen=True)
 class BuiltAcm:
-    """The matrix and how it came about.
+    """The matrix and its sampling history.
 
     Attributes:
-        acm: The matrix.
-        rounds: Every doubling.
-        converged: Whether the rule was met before the limit on samples.
-        rarest: The pair that touches least often among those that do, and in how many samples.
+        converged: Whether the rule was met before the sample limit.
+        rarest: The pair with the fewest contacts (at least one), and their number.
     """
 
     acm: AllowedCollisions
@@ -83,7 +73,7 @@ class BuiltAcm:
         return self.rounds[-1].samples_n
 
     def lines(self) -> list[str]:
-        """Return the history in words."""
+        """Return the history as text."""
         steps = ", ".join(f"{r.samples_n} ({len(r.changed)} changed)" for r in self.rounds[1:])
         ended = "converged" if self.converged else "NOT converged"
         pair, count = self.rarest
@@ -99,7 +89,7 @@ class BuiltAcm:
         ]
 
     def to_json(self) -> dict[str, Any]:
-        """Return everything as plain data."""
+        """Return plain data."""
         return {
             "pairs": [list(row) for row in self.acm.table()],
             "rounds": [{"samples_n": r.samples_n, "changed": list(r.changed)} for r in self.rounds],
@@ -109,13 +99,13 @@ class BuiltAcm:
 
 
 def default_acm(robot: Robot) -> AllowedCollisions:
-    """Return the matrix of the two arms."""
+    """Return the matrix."""
     return acm_report(robot).acm
 
 
 @cache
 def acm_report(robot: Robot) -> BuiltAcm:
-    """Return the matrix and its history: from the user's cache if it holds this model, else built (about 1 s)."""
+    """Return matrix and history from the user's cache, or build them (about 1 s)."""
     path = _cache_file(robot)
     cached = _read(path, robot)
     if cached is not None:
@@ -126,18 +116,12 @@ def acm_report(robot: Robot) -> BuiltAcm:
 
 
 def build_acm(robot: Robot, samples_min: int = SAMPLES_MIN, samples_max: int = SAMPLES_MAX) -> BuiltAcm:
-    """Build the matrix of the two arms by the rule in the module's text.
-
-    Args:
-        robot: The arms.
-        samples_min: Samples of the first round.
-        samples_max: Where doubling ends even if pairs still change.
-    """
+    """Build the matrix; `samples_max` ends the sampling without convergence."""
     side = SIDES[0]
     reasons = dict(_structural_pairs(robot))
     pairs = [p for p in itertools.combinations(_links(robot), 2) if p not in reasons]
     by_set = {frozenset(p): p for p in pairs}
-    engine: Any = ENGINES["mujoco"](Pairs(robot, tuple(pairs)))  # MuJoCo says which pairs touch
+    engine: Any = ENGINES["mujoco"](Pairs(robot, tuple(pairs)))  # MuJoCo alone reports which pairs touch
     at_home = {by_set[pair] for pair in engine.touching_pairs(robot.home)}
     own = robot.groups[f"{side}_arm"]
     rng = np.random.default_rng(_SEED)
@@ -178,13 +162,12 @@ def _class(touched: int, total: int, at_home: bool) -> str:
 
 
 def _links(robot: Robot) -> dict[str, Link]:
-    """Return the links of the left arm with collision geometry."""
     return {name: link for name, link in links_of(robot).items() if link.collides and link.side == SIDES[0]}
 
 
 def _structural_pairs(robot: Robot) -> Iterable[tuple[tuple[str, str], str]]:
     links = _links(robot)
-    first: dict[int, str] = {}  # the first link behind each joint: the one that the joint connects
+    first: dict[int, str] = {}  # the first link after each joint, which the joint connects
     for link in links.values():
         first.setdefault(link.joints_before, link.name)
     known = set(links)
@@ -201,7 +184,7 @@ def _structural_pairs(robot: Robot) -> Iterable[tuple[tuple[str, str], str]]:
 
 
 def model_hash(robot: Robot) -> str:
-    """Return the sha256 of the robot's geometry: the URDF and every mesh it names, wherever they are installed."""
+    """Return the sha256 of URDF, meshes, limits and home, whatever the installation path."""
     urdf = pair_urdf(robot)
     digest = hashlib.sha256(_RULE_VERSION.encode())
     digest.update(re.sub(r'filename="[^"]*/([^"/]+)"', r'filename="\1"', urdf).encode())
@@ -222,7 +205,7 @@ def _cache_file(robot: Robot) -> Path:
 
 
 def _read(path: Path, robot: Robot) -> BuiltAcm | None:
-    """Return the cached matrix; None if there is none or it does not hold what it should."""
+    """Return the cached matrix; None if missing or invalid."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         acm = AllowedCollisions(frozenset(allowed_pair(*(str(v) for v in row)) for row in content["pairs"]))
@@ -237,13 +220,12 @@ def _read(path: Path, robot: Robot) -> BuiltAcm | None:
 
 
 def _write(path: Path, built: BuiltAcm) -> None:
-    """Write the cache; a folder that cannot be written costs a second next time, nothing more."""
+    """Ignore unwritable folders: the matrix is then built again."""
     with contextlib.suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, json.dumps(built.to_json(), indent=0))
 
 
 def _on_side(pair: tuple[str, str], side: str) -> tuple[str, str]:
-    """Return the pair of links of the first arm as it is called on another side."""
     a, b = (name.replace(f"{SIDES[0]}_", f"{side}_", 1) for name in pair)
     return a, b

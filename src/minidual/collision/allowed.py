@@ -1,4 +1,4 @@
-"""Pairs of links that may touch, each with its reason."""
+"""Pairs of links that may touch."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from minidual.errors import UsageError
 
 @dataclass(frozen=True, order=True)
 class AllowedPair:
-    """Two links that may touch, in alphabetical order, and the reason."""
+    """Two links in alphabetical order, and the reason."""
 
     first: str
     second: str
@@ -19,7 +19,7 @@ class AllowedPair:
 
 
 def allowed_pair(a: str, b: str, reason: str) -> AllowedPair:
-    """Return the entry for links a and b in either order."""
+    """Sort the names and return the entry."""
     if a == b:
         raise UsageError(f"a link cannot be paired with itself: '{a}'")
     first, second = sorted((a, b))
@@ -28,7 +28,7 @@ def allowed_pair(a: str, b: str, reason: str) -> AllowedPair:
 
 @dataclass(frozen=True)
 class AllowedCollisions:
-    """An immutable, hashable matrix; `with_pair` and `without_pair` return changed copies."""
+    """An immutable, hashable matrix."""
 
     entries: frozenset[AllowedPair] = frozenset()
 
@@ -37,26 +37,22 @@ class AllowedCollisions:
         return {(e.first, e.second): e.reason for e in self.entries}
 
     def reason(self, a: str, b: str) -> str | None:
-        """Return why a and b may touch, or None if the pair is checked."""
+        """Return the reason, or None for a checked pair."""
         return self._reasons.get((a, b) if a < b else (b, a))
 
     def with_pair(self, a: str, b: str, reason: str = "user") -> AllowedCollisions:
-        """Return a copy in which a and b may touch."""
+        """Return a copy allowing the pair."""
         kept = {e for e in self.entries if {e.first, e.second} != {a, b}}
         return AllowedCollisions(frozenset(kept | {allowed_pair(a, b, reason)}))
 
     def without_pair(self, a: str, b: str) -> AllowedCollisions:
-        """Return a copy in which a and b are checked.
-
-        Raises:
-            UsageError: The pair was not allowed to begin with.
-        """
+        """Return a copy that checks the pair; UsageError if it does already."""
         if self.reason(a, b) is None:
             raise UsageError(f"the pair {a} and {b} is checked already; it has no entry to remove")
         return AllowedCollisions(frozenset(e for e in self.entries if {e.first, e.second} != {a, b}))
 
     def table(self) -> list[tuple[str, str, str]]:
-        """Return (link, link, reason) of every allowed pair, sorted."""
+        """Return sorted (link, link, reason)."""
         return sorted((e.first, e.second, e.reason) for e in self.entries)
 
     def __iter__(self) -> Iterator[AllowedPair]:

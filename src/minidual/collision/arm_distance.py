@@ -1,4 +1,4 @@
-"""Distance between the two arms, for the supervisor: cheap enough to be asked a hundred times a second."""
+"""Distance between the arms, cheap enough for 100 Hz."""
 
 from __future__ import annotations
 
@@ -11,13 +11,9 @@ _WITHIN_M = 0.15
 
 
 class ArmDistance:
-    """Returns the nearest pair of parts of different arms.
+    """Nearest pair of parts of different arms.
 
-    Parts of one arm are left out: neighbours in a wrist are 22 mm apart in every posture, and the joint limits keep
-    the others from each other.
-
-    Args:
-        scene: Parts and allowed pairs; the bare robot on its table by default.
+    Pairs within one arm are excluded: wrist neighbours are always 22 mm apart, and joint limits separate the rest.
     """
 
     def __init__(self, scene: PlanningScene | None = None) -> None:
@@ -29,7 +25,7 @@ class ArmDistance:
         self._engine.set_margin(_WITHIN_M)
 
     def __call__(self, q: Array) -> tuple[str, float]:
-        """Return ("left part with right part", distance [m]) at q (dof,); beyond 150 mm the pair is "none"."""
+        """Return ("left part with right part", [m]); ("none", 0.15) beyond 150 mm."""
         if self._engine.contact_count(q) == 0:
             return "none", _WITHIN_M
         pair = self._engine.contacts()[0]  # nearest first

@@ -1,7 +1,4 @@
-"""Collision checks by coal through Pinocchio, on the convex hulls of the meshes.
-
-A batch is one C++ call with a dynamic bounding-volume tree (about 20 us a state).
-"""
+"""Collision checks by coal through Pinocchio, on convex hulls (about 20 us a state)."""
 
 from __future__ import annotations
 
@@ -17,19 +14,13 @@ from minidual.robot.description import pair_urdf
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot
 
-# With coal's default of 1e-6, GJK stops early on about one state in 20 000 and calls a contact of 1 mm free, although
-# its own distance query says otherwise; with 1e-9 the two engines agreed on 52 000 of 52 000 states.
+# With coal's default of 1e-6, GJK stops early in about one state of 20 000 and misses a contact of 1 mm. With 1e-9 the
+# two engines agreed on 52 000 of 52 000 states.
 _GJK_TOLERANCE = 1e-9
 
 
 class CoalEngine:
-    """Collision checks of one scene.
-
-    Attributes:
-        model: The joints, fingers locked.
-        geometry: Everything in the scene.
-        items: Which of its objects make up each part of the scene.
-    """
+    """One scene's collision checks; `items` maps parts to indices of geometry objects."""
 
     def __init__(self, scene: Checked) -> None:
         self.model = Kinematics(scene.robot).model
@@ -57,7 +48,7 @@ class CoalEngine:
             request.gjk_tolerance = _GJK_TOLERANCE
 
     def collisions(self, Q: Array) -> np.ndarray:
-        """Return for each row of Q (n, dof) whether anything touches, (n,) bool."""
+        """Return contact (n,) bool for Q (n, dof), in one C++ call."""
         if len(Q) == 0:
             return np.zeros(0, dtype=bool)
         columns = np.asfortranarray(np.asarray(Q, dtype=float).T)
@@ -67,7 +58,7 @@ class CoalEngine:
 
 @functools.cache
 def robot_geometry(robot: Robot) -> pin.GeometryModel:
-    """Return the collision geometry on the joints of `Kinematics`, meshes replaced by their convex hulls; read only."""
+    """Return the robot's convex hulls, fingers locked. Cached: do not modify."""
     urdf = pair_urdf(robot)
     full = pin.buildModelFromXML(urdf)
     full_geometry = pin.buildGeomFromUrdfString(full, urdf, pin.GeometryType.COLLISION)
@@ -84,7 +75,7 @@ def robot_geometry(robot: Robot) -> pin.GeometryModel:
 
 
 def convex_solids(shape: Shape) -> list[coal.CollisionGeometry]:
-    """Return the convex solids of a shape: several for a mesh, else one."""
+    """Return one solid, or one per piece of a mesh."""
     match shape:
         case Box():
             return [coal.Box(*shape.size_m)]
@@ -99,7 +90,6 @@ def convex_solids(shape: Shape) -> list[coal.CollisionGeometry]:
 
 
 def _hull(vertices: Array) -> coal.CollisionGeometry:
-    """Return the convex hull of (n, 3) points."""
     cloud = coal.BVHModelOBBRSS()
     cloud.beginModel(0, len(vertices))
     cloud.addVertices(np.ascontiguousarray(vertices))

@@ -1,4 +1,4 @@
-"""What a collision engine is: it says of configurations whether anything touches."""
+"""The interface of collision engines."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from minidual.robot.pair import Array, Robot
 
 
 class Checked(Protocol):
-    """What an engine is built from: a `PlanningScene`, or `Pairs`."""
+    """Input of an engine."""
 
     @property
     def robot(self) -> Robot:
@@ -23,23 +23,23 @@ class Checked(Protocol):
 
     @property
     def checked_pairs(self) -> tuple[tuple[str, str], ...]:
-        """The pairs of links, obstacles and attached objects that must not touch."""
+        """Pairs that must not touch."""
         ...
 
     @property
     def solid_obstacles(self) -> tuple[Shape, ...]:
-        """What stands in the world."""
+        """Obstacles in the world."""
         ...
 
     @property
     def attached(self) -> tuple[Attached, ...]:
-        """What moves with a link."""
+        """Objects carried by links."""
         ...
 
 
 @dataclass(frozen=True)
 class Pairs:
-    """Chosen pairs of a robot, whatever a scene allows."""
+    """Chosen pairs, independent of allowed collisions."""
 
     robot: Robot
     checked_pairs: tuple[tuple[str, str], ...]
@@ -49,7 +49,7 @@ class Pairs:
 
 @dataclass(frozen=True)
 class PairDistance:
-    """Two parts of the scene and the distance between them [m], negative inside each other."""
+    """Two parts and their distance [m], negative in penetration."""
 
     first: str
     second: str
@@ -61,10 +61,10 @@ class PairDistance:
 
 
 class CollisionEngine(Protocol):
-    """Collision checks of one scene. One instance holds one workspace: give each process its own."""
+    """One scene's checks. Instances own a workspace: one per process."""
 
     def collisions(self, Q: Array) -> np.ndarray:
-        """Return for each row of Q (n, dof) whether anything touches, (n,) bool."""
+        """Return contact (n,) bool for Q (n, dof)."""
         ...
 
 
@@ -72,4 +72,4 @@ ENGINES: Registry[Callable[[Any], CollisionEngine]] = Registry(
     "collision engine",
     {"mujoco": "minidual.collision.mujoco_engine:MujocoEngine", "coal": "minidual.collision.coal_engine:CoalEngine"},
 )
-"""Both are built from one description by different libraries; an audit asks all of them."""
+"""An audit asks all of them."""

@@ -1,4 +1,4 @@
-"""Why a plan was refused: one class a reason, each message with names and numbers."""
+"""Reasons for refusing to plan."""
 
 from __future__ import annotations
 
@@ -6,54 +6,54 @@ from minidual.errors import MinidualError
 
 
 class PlanningError(MinidualError):
-    """No plan. `reason` is a short machine-readable word that tables and CSV files keep."""
+    """Base class; `reason` is a machine-readable word for tables."""
 
     reason = "planning_failed"
 
 
 class IKUnreachableError(PlanningError):
-    """No joint configuration reaches the asked pose (or none that is free of collision)."""
+    """No collision-free configuration reaches the pose."""
 
     reason = "ik_unreachable"
 
 
 class StartInCollisionError(PlanningError):
-    """The start configuration touches something that is not allowed."""
+    """The start is in collision."""
 
     reason = "start_in_collision"
 
 
 class GoalInCollisionError(PlanningError):
-    """The goal configuration touches something that is not allowed."""
+    """The goal is in collision."""
 
     reason = "goal_in_collision"
 
 
 class OutOfLimitsError(PlanningError):
-    """A configuration leaves the joint limits or is not a finite vector of the right shape."""
+    """A configuration is outside the joint limits, not finite, or misshapen."""
 
     reason = "out_of_limits"
 
 
 class NoPathInTimeError(PlanningError):
-    """No verified path was found within the budget."""
+    """No verified path within the time budget."""
 
     reason = "no_path_in_time"
 
 
 class TimingError(PlanningError):
-    """A path could not be given times inside the limits."""
+    """No timing within the limits."""
 
     reason = "timing_failed"
 
 
 class ClosedChainError(PlanningError):
-    """The two hands cannot keep their grasps along the asked object path."""
+    """The hands cannot keep their grasps along the path."""
 
     reason = "closed_chain"
 
 
 class LinearMoveError(PlanningError):
-    """A straight line of the hands ends before the part of it that was asked for."""
+    """A straight hand motion ends too early."""
 
     reason = "linear_blocked"

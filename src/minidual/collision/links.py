@@ -1,7 +1,4 @@
-"""The links of a pair of arms, and what moves each.
-
-The fingers are locked in planning, so what hangs on the last joint is one rigid piece.
-"""
+"""Links of both arms; locked fingers are rigid with the last link."""
 
 from __future__ import annotations
 
@@ -14,14 +11,7 @@ from minidual.robot.pair import SIDES, Robot
 
 @dataclass(frozen=True)
 class Link:
-    """A link of one of the two arms.
-
-    Attributes:
-        name: With the side's prefix.
-        side: "left" or "right".
-        joints_before: How many joints of its arm move it: 0 for the base.
-        collides: Whether it has collision geometry.
-    """
+    """One link, named with its side's prefix; `joints_before` joints of its arm move it."""
 
     name: str
     side: str
@@ -31,7 +21,7 @@ class Link:
 
 @functools.cache
 def links_of(robot: Robot) -> dict[str, Link]:
-    """Return every link by name, left arm first, from the base out."""
+    """Return all links, left arm first, base to tip."""
     return {
         f"{side}_{link.name}": Link(f"{side}_{link.name}", side, link.joints_before, link.collides)
         for side in SIDES
@@ -41,5 +31,5 @@ def links_of(robot: Robot) -> dict[str, Link]:
 
 @functools.cache
 def collision_links(robot: Robot) -> tuple[str, ...]:
-    """Return the names of the links with collision geometry, left arm first."""
+    """Return the names of links with collision geometry."""
     return tuple(link.name for link in links_of(robot).values() if link.collides)

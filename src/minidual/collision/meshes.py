@@ -1,10 +1,7 @@
-"""Read a mesh and cover it with convex pieces that both collision engines can use.
+"""Cover a mesh with convex pieces for the collision engines.
 
-Both engines collide convex solids. A mesh is therefore covered by convex hulls that hold all of it: one hull of the
-whole, or up to `parts_max` of them, found by cutting with planes. Where a plane cuts, both halves are closed by lids
-that hold the flat cut (the convex hull of each loop of the rim). A solid lies inside the hull of its boundary, and the
-boundary of a half is what is left of the old one and the cut; so the hull of a half with its lids holds all that the
-solid had on that side, cut after cut. What the pieces hold too much of is measured and told.
+The cover is one hull, or up to `parts_max` hulls found by cutting with planes. Lids (convex hulls of the cut's loops)
+close both halves, so each half's hull contains all of the solid on its side.
 """
 
 from __future__ import annotations
@@ -35,13 +32,11 @@ _FRACTIONS = (0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875)
 
 @dataclass(frozen=True)
 class MeshReport:
-    """How well the pieces fit.
+    """Quality of the cover.
 
     Attributes:
-        faces_n: Triangles read.
-        pieces_n: Convex pieces.
-        volume_m3: Of the mesh; None if it is not closed, where it has none.
-        hull_volume_m3: Of all pieces together (they may overlap).
+        volume_m3: Of the mesh; None if it is not closed.
+        hull_volume_m3: Sum over the pieces, which may overlap.
     """
 
     faces_n: int
@@ -61,19 +56,19 @@ class MeshReport:
 def load_mesh(
     path: Path, name: str, position_m: Vec3, quat_wxyz: Quat = IDENTITY, *, scale: float = 1.0, parts_max: int = 1
 ) -> tuple[Mesh, MeshReport]:
-    """Return the mesh of a file as convex pieces, and how well they fit.
+    """Read a mesh file as convex pieces.
 
     Args:
-        path: STL, OBJ, PLY, OFF, Collada or glTF file.
-        name: Name of the obstacle.
+        path: STL, OBJ, PLY, OFF, Collada or glTF.
+        name: Obstacle name.
         position_m: Of the file's origin.
-        quat_wxyz: Its orientation.
-        scale: Metres for one unit of the file: 0.001 for a file in millimetres.
-        parts_max: Convex pieces at most; 1 is the hull of the whole.
+        quat_wxyz: Orientation.
+        scale: Metres per unit of the file.
+        parts_max: Most pieces; 1 gives one hull.
 
     Raises:
-        UsageError: No such file, unknown extension, or a scale or size that makes no sense, with the size.
-        DataError: The file does not load, or holds no solid; with the reason.
+        UsageError: Missing file, unknown extension, bad scale, size or `parts_max`.
+        DataError: Unreadable, or without volume.
     """
     if not (np.isfinite(scale) and scale > 0.0):
         raise UsageError(f"mesh '{name}': scale {scale}; it must be a finite number > 0")
@@ -112,7 +107,7 @@ def _read(path: Path, name: str) -> Any:
         raise UsageError(f"mesh '{name}': there is no file {path}")
     try:
         mesh = trimesh.load(path, force="mesh")
-    except Exception as error:  # every reader of trimesh fails in its own way
+    except Exception as error:  # trimesh's readers raise errors of many types
         raise DataError(
             f"mesh '{name}': {path.name} does not load: {type(error).__name__}: {error}",
             remedy="open it in a mesh viewer and export it again",
@@ -125,11 +120,11 @@ def _read(path: Path, name: str) -> Any:
 
 
 _Piece = tuple[float, Array]
-"""Volume [m^3] and corner points (n, 3) of a convex hull."""
+"""Volume [m^3] and vertices (n, 3)."""
 
 
 def _cover(triangles: Array, parts_max: int) -> list[_Piece]:
-    """Return convex pieces that cover the triangles (n, 3, 3), cutting where it saves most."""
+    """Cut triangles (n, 3, 3) where it saves the most volume."""
     counter = itertools.count()
     first = _hull(triangles)
     if first is None:
@@ -147,10 +142,10 @@ def _cover(triangles: Array, parts_max: int) -> list[_Piece]:
 
 
 def _entry(triangles: Array, hull: _Piece, counter: itertools.count[int]) -> Any:
-    """Return (minus the volume that cutting saves, order, hull, its two halves)."""
+    """Return a heap entry: (-volume saved, order, hull, halves)."""
     saved, halves = _best_cut(triangles, hull, _FRACTIONS)
     if saved < _SAVING_MIN * hull[0]:
-        # One cut through a ring saves nothing, two do: look one cut further.
+        # One cut through a ring saves nothing, two do: look one cut ahead.
         for axis in range(3):
             tried = _halves(triangles, axis, _planes(triangles[:, :, axis], (0.5,))[0])
             if len(tried) == 2:
@@ -162,7 +157,7 @@ def _entry(triangles: Array, hull: _Piece, counter: itertools.count[int]) -> Any
 
 
 def _best_cut(triangles: Array, hull: _Piece, fractions: tuple[float, ...]) -> tuple[float, list[tuple[Array, _Piece]]]:
-    """Return the volume that the best single cut saves, and its two halves."""
+    """Return the volume saved by the best cut, and its halves."""
     best: tuple[float, list[tuple[Array, _Piece]]] = (0.0, [])
     for axis in range(3):
         for at in _planes(triangles[:, :, axis], fractions):
@@ -174,10 +169,10 @@ def _best_cut(triangles: Array, hull: _Piece, fractions: tuple[float, ...]) -> t
 
 
 def _planes(heights: Array, fractions: tuple[float, ...]) -> list[float]:
-    """Return where to try cuts: at fractions of the height, and at the faces of a part with few of them."""
+    """Return cuts at fractions of the height and, if the levels are few, beside each."""
     low, high = float(heights.min()), float(heights.max())
     levels = np.unique(heights.round(9))[1:-1]
-    # Just beside a face, not in it: there a triangle would be neither above nor below.
+    # Beside a face, not in it: a triangle in the plane would be neither above nor below.
     beside = 1e-6 * (high - low)
     faces = [float(z) + side for z in levels for side in (-beside, beside)] if len(levels) <= _LEVELS_MAX else []
     return [low + f * (high - low) for f in fractions] + faces
@@ -189,7 +184,7 @@ def _halves(triangles: Array, axis: int, at: float) -> list[tuple[Array, _Piece]
 
 
 def cut(triangles: Array, axis: int, at: float) -> tuple[Array, Array]:
-    """Return what of the triangles (n, 3, 3) lies above and below a plane across an axis, with lids, each (m, 3, 3)."""
+    """Cut triangles (n, 3, 3) by a plane; return (above, below) with lids, each (m, 3, 3)."""
     height = triangles[:, :, axis] - at
     above = (height >= 0.0).sum(axis=1)
     sides = {3: [triangles[above == 3]], 0: [triangles[above == 0]]}
@@ -197,7 +192,7 @@ def cut(triangles: Array, axis: int, at: float) -> tuple[Array, Array]:
     for lone_above in (1, 2):
         rows = above == lone_above
         chosen, h = triangles[rows], height[rows]
-        # Turn each triangle so that the corner that is alone on its side comes first.
+        # Rotate each triangle's corners so that the one alone on its side comes first.
         alone = np.argmax((h >= 0.0) == (lone_above == 1), axis=1)
         order = (alone[:, None] + np.arange(3)) % 3
         chosen = np.take_along_axis(chosen, order[:, :, None], axis=1)
@@ -216,10 +211,7 @@ def cut(triangles: Array, axis: int, at: float) -> tuple[Array, Array]:
 
 
 def _lids(segments: Array, axis: int, size: float) -> Array:
-    """Return triangles that close every loop of a rim (k, 2, 3): each loop's convex hull in the plane.
-
-    A lid holds at least the flat cut that belongs there, so that the next cut finds a rim in it, too.
-    """
+    """Cover each loop of a rim (k, 2, 3) with its planar convex hull, as triangles."""
     if len(segments) == 0:
         return np.zeros((0, 3, 3))
     points = segments.reshape(-1, 3)
@@ -242,7 +234,7 @@ def _lids(segments: Array, axis: int, size: float) -> Array:
 
 
 def _hull(triangles: Array) -> _Piece | None:
-    """Return the convex hull; None if everything lies in a plane."""
+    """Return None for coplanar points."""
     points = np.unique(triangles.reshape(-1, 3), axis=0)
     if len(points) < 4:
         return None

@@ -1,7 +1,4 @@
-"""Collision checks by MuJoCo on convex hulls, without dynamics (about 15 us a state).
-
-The model is compiled from the URDF of the simulated world; pairs that are not checked are excluded.
-"""
+"""Collision checks by MuJoCo on convex hulls (about 15 us a state)."""
 
 from __future__ import annotations
 
@@ -16,13 +13,13 @@ from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, Shape, Spher
 from minidual.robot.description import pair_urdf
 from minidual.robot.pair import Array
 
-# Without these the URDF reader would fuse the fixed links (and the tcp) into their parents.
+# Without these options the URDF reader fuses fixed links (and the tcp) into their parents.
 _COMPILER = '<mujoco><compiler fusestatic="false" discardvisual="true" strippath="false"/></mujoco><link name="world"'
 _CLOSEST_WITHIN_M = 0.1
 
 
 class MujocoEngine:
-    """Collision checks of one scene. One instance holds one workspace: give each process its own."""
+    """One scene's checks. Instances own a workspace: one per process."""
 
     def __init__(self, scene: Checked) -> None:
         robot = scene.robot
@@ -38,7 +35,7 @@ class MujocoEngine:
             if frozenset((a, b)) not in checked:
                 spec.add_exclude(bodyname1=a, bodyname2=b)
         self.model = spec.compile()
-        # The scene alone decides about pairs; MuJoCo's own parent-child filter would hide some.
+        # The scene decides about pairs; MuJoCo's own parent-child filter would hide some.
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
         self.data = mujoco.MjData(self.model)
         for joint in robot.finger_joint_names:
@@ -48,30 +45,30 @@ class MujocoEngine:
         self.margin_m = 0.0
 
     def set_margin(self, margin_m: float) -> None:
-        """Report pairs nearer than `margin_m`, not only those that touch."""
+        """Also report pairs nearer than `margin_m`."""
         if margin_m != self.margin_m:
             self.model.geom_margin[:] = 0.5 * margin_m  # MuJoCo adds the margins of the two geoms
             self.model.body_margin[:] = 0.5 * margin_m
             self.margin_m = margin_m
 
     def contact_count(self, q: Array) -> int:
-        """Place the arms at q (dof,) and return how many contacts lie within the margin."""
+        """Place the arms and count contacts within the margin."""
         self.data.qpos[self._addresses] = q
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_collision(self.model, self.data)
         return self.data.ncon
 
     def in_collision(self, q: Array) -> bool:
-        """Return whether anything touches at q (dof,)."""
+        """Return whether anything touches."""
         self.set_margin(0.0)
         return self.contact_count(q) > 0
 
     def collisions(self, Q: Array) -> np.ndarray:
-        """Return for each row of Q (n, dof) whether anything touches, (n,) bool."""
+        """Return contact (n,) bool for Q (n, dof)."""
         return np.fromiter((self.in_collision(q) for q in Q), dtype=bool, count=len(Q))
 
     def contacts(self) -> list[PairDistance]:
-        """Return the pairs within the margin at the last state, nearest first, each pair once."""
+        """Return pairs at the last state, nearest first."""
         count = self.data.ncon
         if count == 0:
             return []
@@ -84,7 +81,7 @@ class MujocoEngine:
         return sorted(found, key=lambda p: (p.distance_m, p.first, p.second))
 
     def closest(self, q: Array, within_m: float = _CLOSEST_WITHIN_M) -> list[PairDistance]:
-        """Return every checked pair nearer than `within_m` at q (dof,), nearest first."""
+        """Return checked pairs nearer than `within_m`, nearest first."""
         before = self.margin_m
         self.set_margin(within_m)
         self.contact_count(q)
@@ -93,16 +90,12 @@ class MujocoEngine:
         return found
 
     def touching_pairs(self, q: Array) -> set[frozenset[str]]:
-        """Return the pairs that touch at q (dof,)."""
+        """Return touching pairs."""
         return {frozenset((c.first, c.second)) for c in self.closest(q, 0.0)}
 
 
 def _boxes_to_meshes(spec: mujoco.MjSpec) -> None:
-    """Give every box its eight corners as a mesh.
-
-    MuJoCo's own test of two boxes reports no distance for most pairs that are apart, however large the margin; that
-    of two meshes does.
-    """
+    """Replace boxes by meshes: MuJoCo's box-box test reports no distance for most separate pairs."""
     corners = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
     for index, geom in enumerate(spec.geoms):
         if geom.type == mujoco.mjtGeom.mjGEOM_BOX:

@@ -1,4 +1,4 @@
-"""Positions and orientations as people write them in scene and goal files."""
+"""Positions and orientations in scene and goal files."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ _LENGTH_TOLERANCE = 1e-3
 
 
 class OrientationFields(StrictModel):
-    """One of two ways to write an orientation; none of them means that it is not said."""
+    """An optional orientation, in one of two forms."""
 
     quat_wxyz: tuple[float, float, float, float] | None = None
-    """Unit quaternion, scalar first; within 0.001 of length 1, then made exactly so."""
+    """Scalar first; normalised if within 0.001 of length 1."""
     rpy_rad: Finite3 | None = None
-    """Roll, pitch, yaw: turns about the fixed x, y and z axes, in this order, as in a URDF."""
+    """About fixed x, y, z in this order, as in a URDF."""
 
     @model_validator(mode="after")
     def _one_way(self) -> OrientationFields:
@@ -34,7 +34,7 @@ class OrientationFields(StrictModel):
         return self
 
     def quaternion(self) -> Quat | None:
-        """Return the orientation as a unit quaternion wxyz, or None if it is not said."""
+        """Return the unit quaternion, or None."""
         if self.quat_wxyz is not None:
             length = math.sqrt(math.fsum(v * v for v in self.quat_wxyz))
             w, x, y, z = (v / length for v in self.quat_wxyz)
@@ -46,10 +46,10 @@ class OrientationFields(StrictModel):
 
 
 class PlaceFields(OrientationFields):
-    """Where something is; its own axes are the parent's unless it says otherwise."""
+    """A position with an optional orientation, in the parent's frame."""
 
     position_m: Finite3
 
     def quaternion_or_identity(self) -> Quat:
-        """Return the orientation, the identity if it is not said."""
+        """Return the unit quaternion wxyz."""
         return self.quaternion() or IDENTITY

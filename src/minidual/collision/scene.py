@@ -1,7 +1,4 @@
-"""The planning scene: the two arms, what stands round them, what they hold, and which pairs may touch.
-
-A scene is immutable and hashable; every change returns a copy. Every engine is built from its `checked_pairs`.
-"""
+"""The immutable, hashable planning scene. Engines are built from its `checked_pairs`."""
 
 from __future__ import annotations
 
@@ -22,7 +19,7 @@ from minidual.robot.pair import Robot
 __all__ = ["MIN_DISTANCE_MAX_M", "TABLE", "Attached", "PlanningScene"]
 
 TABLE = Box("table", position_m=(0.38, 0.0, -0.2), size_m=(1.2, 1.6, 0.4))
-"""The table of the simulated world. It is taken as solid down to 0.4 m: no arm reaches in under the top."""
+"""The simulated table, solid down to 0.4 m: no arm reaches under it."""
 
 MIN_DISTANCE_MAX_M = 0.2
 
@@ -31,20 +28,18 @@ MIN_DISTANCE_MAX_M = 0.2
 class PlanningScene:
     """Obstacles, attached objects and allowed collisions.
 
-    The table is an obstacle like the others: `PlanningScene(obstacles=())` is empty space. The bases stand on
-    the table; pairs of which neither part can move are never checked.
+    The table is an obstacle: `PlanningScene(obstacles=())` is empty space. Pairs of immobile parts are never checked.
 
     Raises:
-        UsageError: Two things of one name, a name that a link has, or an unknown link.
+        UsageError: A duplicate name, an unknown link, or a bad `min_distance_m`.
     """
 
     obstacles: tuple[Shape, ...] = (TABLE,)
     attached: tuple[Attached, ...] = ()
     allowed: AllowedCollisions = field(default=None)  # type: ignore[assignment]
-    """Pairs that may touch; the robot's own matrix by default."""
+    """The robot's own matrix by default."""
     min_distance_m: float = 0.0
-    """Distance [m] that arms and held objects must keep from every obstacle that they may not touch: the engines see
-    the obstacles grown by it, so a path that comes nearer is refused as one that collides."""
+    """Distance [m] kept from obstacles that are not allowed to touch. Engines see obstacles grown by it."""
     robot: Robot = DUAL_PANDA
 
     def __post_init__(self) -> None:
@@ -67,21 +62,21 @@ class PlanningScene:
 
     @cached_property
     def solid_obstacles(self) -> tuple[Shape, ...]:
-        """What the engines are built from: the obstacles, grown by the distance to keep."""
+        """Obstacles grown by `min_distance_m`."""
         return tuple(grown(shape, self.min_distance_m) for shape in self.obstacles)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Everything in the scene that can touch something: links, obstacles, attached objects."""
+        """Colliding links, obstacles, attached objects."""
         return (*collision_links(self.robot), *(o.name for o in self.obstacles), *(a.name for a in self.attached))
 
     @cached_property
     def checked_pairs(self) -> tuple[tuple[str, str], ...]:
-        """Every pair that the engines check, in a fixed order."""
+        """In a fixed order."""
         return tuple(p for p in itertools.combinations(self.names, 2) if self._why_unchecked(*p) is None)
 
     def why_unchecked(self, a: str, b: str) -> str | None:
-        """Return why the pair is not checked, or None if it is."""
+        """Return the reason, or None for a checked pair."""
         for name in (a, b):
             if name not in self.names:
                 raise unknown_name("link or obstacle", name, self.names)
@@ -106,7 +101,7 @@ class PlanningScene:
 
     @cached_property
     def _moved_by(self) -> dict[str, tuple[str, int]]:
-        """(side, number of joints before it) of everything: equal for parts that move as one piece."""
+        """(side, number of moving joints) by part; equal within a rigid piece."""
         links = links_of(self.robot)
         moved = {name: (link.side, link.joints_before) for name, link in links.items()}
         return (
@@ -114,7 +109,7 @@ class PlanningScene:
         )
 
     def moving_joints(self, name: str) -> slice:
-        """Return the joints of `q` that move this link or object (an empty slice if none does)."""
+        """Return the slice of q that moves the part; possibly empty."""
         side, count = self._moved_by[name]
         first = self.robot.groups[f"{side}_arm"].start if count else 0
         return slice(first, first + count)
@@ -124,21 +119,21 @@ class PlanningScene:
         return dataclasses.replace(self, obstacles=(*self.obstacles, *shapes))
 
     def without_obstacle(self, name: str) -> PlanningScene:
-        """Return a copy without the named obstacle."""
+        """Return a copy without the obstacle."""
         if name not in [o.name for o in self.obstacles]:
             raise unknown_name("obstacle", name, [o.name for o in self.obstacles])
         return dataclasses.replace(self, obstacles=tuple(o for o in self.obstacles if o.name != name))
 
     def with_attached(self, *objects: Attached) -> PlanningScene:
-        """Return a copy in which these objects move with their links."""
+        """Return a copy with more attached objects."""
         return dataclasses.replace(self, attached=(*self.attached, *objects))
 
     def allowing(self, a: str, b: str, reason: str = "user") -> PlanningScene:
-        """Return a copy in which a and b may touch."""
-        self.why_unchecked(a, b)  # names must exist
+        """Return a copy allowing the pair."""
+        self.why_unchecked(a, b)  # check the names
         return dataclasses.replace(self, allowed=self.allowed.with_pair(a, b, reason))
 
     def forbidding(self, a: str, b: str) -> PlanningScene:
-        """Return a copy in which a and b are checked again."""
+        """Return a copy checking the pair."""
         self.why_unchecked(a, b)
         return dataclasses.replace(self, allowed=self.allowed.without_pair(a, b))

@@ -1,13 +1,4 @@
-"""Planning scenes in YAML: obstacles, held objects, allowed pairs and the distance to keep.
-
-    min_distance_m: 0.01
-    obstacles:
-      - {name: post, shape: box, position_m: [0.36, 0.25, 0.4], size_m: [0.06, 0.06, 0.8]}
-    allowed:
-      - {pair: [post, left_panda_leftfinger], reason: the post is soft}
-
-See docs/planning-scenes.md for every key. Messages name file, line and dotted path, as those about profiles do.
-"""
+"""Planning scenes in YAML (docs/planning-scenes.md). Messages name file, line and dotted path."""
 
 from __future__ import annotations
 
@@ -31,16 +22,16 @@ from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.pair import Robot
 
 Length = Annotated[float, Field(ge=1e-4, le=10.0)]
-"""The least is that of a mesh: MuJoCo is given boxes as meshes of their corners, and a hull needs a volume."""
+"""The minimum is a mesh's: MuJoCo gets boxes as meshes, whose hulls need volume."""
 
 
 class _Held(StrictModel):
-    """What makes a shape a held object."""
+    """Marks a shape as held."""
 
     link: str
-    """Link that carries it; its place is in this link's frame."""
+    """Its frame places the shape."""
     touch_links: tuple[str, ...] = ()
-    """Links that may touch it, beside those that move as one piece with `link`."""
+    """Links that may touch it, besides those rigid with `link`."""
 
 
 class BoxEntry(PlaceFields):
@@ -53,7 +44,7 @@ class BoxEntry(PlaceFields):
 
 
 class CylinderEntry(PlaceFields):
-    """A cylinder along its own z axis."""
+    """A cylinder along z."""
 
     name: str = Field(min_length=1)
     shape: Literal["cylinder"] = "cylinder"
@@ -63,7 +54,7 @@ class CylinderEntry(PlaceFields):
 
 
 class CapsuleEntry(PlaceFields):
-    """A cylinder along its own z axis with a half sphere on each end."""
+    """A capsule along z."""
 
     name: str = Field(min_length=1)
     shape: Literal["capsule"] = "capsule"
@@ -83,16 +74,16 @@ class SphereEntry(PlaceFields):
 
 
 class MeshEntry(PlaceFields):
-    """A solid from a mesh file."""
+    """A mesh file."""
 
     name: str = Field(min_length=1)
     shape: Literal["mesh"] = "mesh"
     file: str = Field(min_length=1)
-    """Path, relative to the scene file."""
+    """Relative to the scene file."""
     scale: float = Field(default=1.0, gt=0.0, le=1000.0)
-    """Metres for one unit of the file."""
+    """Metres per unit."""
     parts_max_n: int = Field(default=1, ge=1, le=PARTS_MAX)
-    """Convex pieces that may cover it; 1 is the convex hull of the whole."""
+    """Most convex pieces; 1 gives one hull."""
     held: _Held | None = None
 
 
@@ -100,39 +91,39 @@ Entry = Annotated[BoxEntry | CylinderEntry | CapsuleEntry | SphereEntry | MeshEn
 
 
 class AllowedEntry(StrictModel):
-    """A pair that may touch, and why."""
+    """A pair that may touch."""
 
     pair: tuple[str, str]
     reason: str = Field(min_length=1)
 
 
 class SceneFile(StrictModel):
-    """Everything that a scene file may hold."""
+    """Content of a scene file."""
 
     table: bool = True
-    """Whether the table of the simulated world stands there."""
+    """Whether the simulated table is an obstacle."""
     min_distance_m: float = Field(default=0.0, ge=0.0, le=MIN_DISTANCE_MAX_M)
     obstacles: tuple[Entry, ...] = ()
     allowed: tuple[AllowedEntry, ...] = ()
-    """Pairs that may touch beside those of the robot's own matrix."""
+    """Added to the robot's own matrix."""
     checked: tuple[tuple[str, str], ...] = ()
-    """Pairs of the robot's own matrix that are checked all the same."""
+    """Pairs of the robot's own matrix to check anyway."""
 
 
 @dataclass(frozen=True)
 class LoadedScene:
-    """A scene and what reading it has to say (how well meshes are covered)."""
+    """A scene and notes on its meshes."""
 
     scene: PlanningScene
     notes: tuple[str, ...] = ()
 
 
 def load_scene(path: Path, robot: Robot = DUAL_PANDA) -> LoadedScene:
-    """Return the scene of a file for these arms.
+    """Read a scene file.
 
     Raises:
-        ConfigError: It is empty or does not hold; with file, line and dotted path.
-        UsageError, DataError: A name that does not exist, a mesh that does not load; with file and line.
+        ConfigError: Empty or invalid file.
+        UsageError, DataError: Unknown name, or unreadable mesh.
     """
     document = read_document(path)
     if not document.tree:
@@ -151,7 +142,7 @@ def load_scene(path: Path, robot: Robot = DUAL_PANDA) -> LoadedScene:
                 obstacles.append(shape)
             else:
                 attached.append(Attached(shape, entry.held.link, entry.held.touch_links))
-            # Built step by step, so that a name that stands twice is told with its line.
+            # Built after every entry, so that the error about a duplicate name carries its line.
             scene = PlanningScene(tuple(obstacles), tuple(attached), min_distance_m=content.min_distance_m, robot=robot)
     scene = PlanningScene(tuple(obstacles), tuple(attached), min_distance_m=content.min_distance_m, robot=robot)
     for index, rule in enumerate(content.allowed):
@@ -165,7 +156,7 @@ def load_scene(path: Path, robot: Robot = DUAL_PANDA) -> LoadedScene:
 
 @contextmanager
 def _told(document: Document, path: str) -> Iterator[None]:
-    """Put file, line and dotted path before the message of any error raised inside."""
+    """Prepend file, line and path to errors raised inside."""
     try:
         yield
     except MinidualError as error:

@@ -1,8 +1,7 @@
-"""Simple solid obstacles, given in the world or in the frame of a link.
+"""Immutable solid obstacles.
 
-Sizes are full lengths in metres (a cube of side 0.1 has `size_m` (0.1, 0.1, 0.1)), quaternions are wxyz. The
-long axis of a cylinder or capsule is its own z axis; a capsule's `length_m` is that of its cylindrical part.
-All are frozen and hashable, so a scene can key the engines built from it.
+Sizes are full lengths [m], quaternions wxyz. Cylinders and capsules lie along their z axis; a capsule's `length_m`
+excludes its ends.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ IDENTITY: Quat = (1.0, 0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class _Shape:
-    """Name and place shared by all shapes."""
+    """Fields shared by all shapes."""
 
     name: str
     position_m: Vec3
@@ -42,12 +41,12 @@ class _Shape:
                 raise UsageError(f"obstacle '{self.name}' has length {value} m; every length must be > 0")
 
     def lengths(self) -> tuple[float, ...]:
-        """Return every length of the shape [m]."""
+        """Return all lengths [m]."""
         raise TypeError(f"{type(self).__name__} is no shape of its own")
 
     @property
     def T_parent_shape(self) -> Array:
-        """Pose (4, 4) in the parent frame: the world for an obstacle, the link for an attached object."""
+        """Pose (4, 4) in the world, or in an attached object's link."""
         return pose(rotation_from_quat(np.array(self.quat_wxyz)), np.array(self.position_m))
 
 
@@ -58,7 +57,7 @@ class Box(_Shape):
     size_m: Vec3 = (0.1, 0.1, 0.1)
 
     def lengths(self) -> tuple[float, ...]:
-        """Return the three edge lengths [m]."""
+        """Return the edges [m]."""
         return self.size_m
 
 
@@ -76,13 +75,13 @@ class Cylinder(_Shape):
 
 @dataclass(frozen=True)
 class Capsule(_Shape):
-    """A cylinder along its own z axis with a half sphere on each end."""
+    """A cylinder along z with half-sphere ends."""
 
     radius_m: float = 0.05
     length_m: float = 0.1
 
     def lengths(self) -> tuple[float, ...]:
-        """Return radius and length of the cylindrical part [m]."""
+        """Return radius and cylindrical length [m]."""
         return (self.radius_m, self.length_m)
 
 
@@ -99,10 +98,11 @@ class Sphere(_Shape):
 
 @dataclass(frozen=True)
 class Mesh(_Shape):
-    """A solid from a file, as the union of convex pieces (see `minidual.collision.meshes`).
+    """A union of convex pieces (`minidual.collision.meshes`).
 
-    pieces: Vertices of each piece, (n, 3) float64 [m] in C order as bytes, so that a scene stays hashable.
-    file: Where it came from; for messages only.
+    Attributes:
+        pieces: Vertices of each piece, (n, 3) float64 [m], as hashable bytes in C order.
+        file: Source, for messages.
     """
 
     pieces: tuple[bytes, ...] = ()
@@ -117,12 +117,12 @@ class Mesh(_Shape):
                 raise UsageError(f"obstacle '{self.name}': a piece of its mesh is no solid of finite vertices")
 
     def lengths(self) -> tuple[float, ...]:
-        """Return the edge lengths of the axis-aligned box round all pieces [m]."""
+        """Return the bounding box's edges [m]."""
         points = np.vstack(self.vertices()) if self.pieces else np.zeros((1, 3))
         return tuple(float(v) for v in np.ptp(points, axis=0)) if self.pieces else ()
 
     def vertices(self) -> tuple[Array, ...]:
-        """Return the vertices of each piece, (n, 3) [m] in the shape's frame."""
+        """Return each piece's vertices (n, 3) [m], in the shape's frame."""
         return tuple(np.frombuffer(piece, dtype=float).reshape(-1, 3) for piece in self.pieces)
 
 
@@ -131,12 +131,7 @@ Shape = Box | Cylinder | Capsule | Sphere | Mesh
 
 @dataclass(frozen=True)
 class Attached:
-    """An object that moves with a link.
-
-    shape: Its place is given in the frame of `link`.
-    link: The link that carries it, for example "left_panda_hand".
-    touch_links: Links that may touch it (the fingers of a hand that holds it).
-    """
+    """An object placed in and moving with the frame of `link`; `touch_links` may touch it."""
 
     shape: Shape
     link: str
@@ -149,10 +144,9 @@ class Attached:
 
 
 def grown(shape: Shape, by_m: float) -> Shape:
-    """Return the shape with everything in it that is nearer than `by_m`, and a little more at edges.
+    """Return a shape containing everything within `by_m`.
 
-    Capsules and spheres grow exactly; boxes, cylinders and meshes keep their edges sharp, where they then hold up to
-    0.73 by_m more than asked: a distance that is asked for is kept, never missed.
+    Spheres and capsules are exact. Other shapes keep sharp edges, reaching up to 0.73 by_m further.
     """
     if by_m <= 0.0:
         return shape
@@ -165,7 +159,7 @@ def grown(shape: Shape, by_m: float) -> Shape:
         case Capsule() | Sphere():
             return replace(shape, radius_m=shape.radius_m + by_m)
         case Mesh():
-            # The sum with a cube that holds the ball: every vertex moved to the eight corners.
+            # Minkowski sum with a cube that contains the ball: every vertex moves to the cube's eight corners.
             corners = by_m * np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
             return replace(
                 shape, pieces=tuple((v[:, None] + corners).reshape(-1, 3).tobytes() for v in shape.vertices())
