@@ -1,1 +1,1 @@
-"""Separating planes, the certificate of a trajectory, and its audit."""
+"""Separating planes, certificates and audits."""

@@ -1,11 +1,8 @@
-"""The continuous proof: from few samples, that a trajectory touches nothing at any time.
+"""Certificate: proves from few samples that a trajectory never touches anything.
 
-The motion is cut into stretches. On each, every pair of parts that moves must have a plane between them that both ends
-keep clear of by more than the parts can deviate in between (`minidual.proof.planes`; the trajectory is a cubic between
-its samples, so this is a bound). A stretch without such planes is halved. One from a sample to the next that has none
-refuses the motion, so samples should be as dense as those of a plan, a millisecond apart.
-
-No collision library has a say in it; audits (`minidual.proof.verify`) ask two.
+Every moving pair needs, on each stretch of motion, a plane that both ends clear by more than the parts can deviate in
+between (`minidual.proof.planes`). Unproven stretches are halved, down to the samples, which should be 1 ms apart. No
+collision library is used.
 """
 
 from __future__ import annotations
@@ -20,18 +17,18 @@ from minidual.robot.compiled import floats
 from minidual.robot.trajectory import Trajectory
 
 _SLACK_M = 2e-5
-"""Distance that every plane must show beside: what rounding may take (the engines' vertices differ by 1e-7 m)."""
+"""Clearance for rounding; the engines' vertices differ by 1e-7 m."""
 _FIRST_RAD = 0.5
-"""Length of the first stretches, summed over the joints."""
+"""First stretches' length, summed over joints."""
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """What was proven.
+    """Result of a proof.
 
-    ok: Every moment is proven free.
-    reason: Empty if ok, else the pair and the time that are not.
-    samples_n: States at which a stretch ends.
+    Attributes:
+        reason: Empty if ok, else the unproven pair and time.
+        samples_n: Samples at which stretches end.
     """
 
     ok: bool
@@ -40,13 +37,13 @@ class Certificate:
 
 
 def certify(solids: Solids, trajectory: Trajectory) -> Certificate:
-    """Return what can be proven about a trajectory; it never raises for a bad one."""
-    # Samples that stand still may be passed at speed.
+    """Prove a trajectory; a bad one is refused without exception."""
+    # Joints whose samples all agree may still move between them.
     moved = ((trajectory.q != trajectory.q[0]) | (trajectory.v != 0.0)).any(axis=0)
     groups = solids.robot.groups
     sides = [side for side in solids.robot.sides if moved[groups[f"{side}_arm"]].any()]
     work, q, v = solids.workspace(), floats(trajectory.q), floats(trajectory.v)
-    # What does not move is looked at once; from there on only what does.
+    # Fixed pairs are checked once, at the start; only moving pairs afterwards.
     everything = np.arange(len(solids.pairs))
     if planes.survey(solids.geometry, q[:1], everything, solids.keep(_SLACK_M), work) == 0:
         return _refusal(solids, trajectory, 0, 0, int(everything[0]))
@@ -59,7 +56,7 @@ def certify(solids: Solids, trajectory: Trajectory) -> Certificate:
 
 
 def _refusal(solids: Solids, trajectory: Trajectory, first: int, last: int, pair: int) -> Certificate:
-    """Say why a motion is refused that the planes do not separate for a pair between two samples."""
+    """Distinguish contact from a failed proof."""
     a, b = sorted(solids.pairs[pair])
     for k in (first, last):
         if not solids.clearance(trajectory.q[[k]], 1.0, np.array([pair])) > 0.0:

@@ -1,8 +1,7 @@
-"""Does a timed trajectory stay inside the robot's limits? Measured on a finer grid than it was made on.
+"""Check a timed trajectory against the robot's limits.
 
-Position, velocity and acceleration are looked at every half millisecond, torque every fourth millisecond (timing: every
-eighth). The acceleration is linear between two samples, so their differences give the jerk exactly. Velocities and
-accelerations count only as far as they agree with the positions.
+Position, velocity and acceleration are also evaluated midway between samples, torque at every fourth sample.
+Acceleration is linear between samples, so its differences give the jerk exactly.
 """
 
 from __future__ import annotations
@@ -19,19 +18,15 @@ _ROUNDING = 1e-9
 _REST_RAD_S = 1e-6
 _TORQUE_EVERY = 4
 _BLOCK = 500
-"""Samples looked at together; longer arrays leave the processor's cache and take twice as long."""
+"""Longer blocks leave the processor's cache and take twice as long."""
 _MISFIT = 0.05
-"""By what part of the acceleration limit samples may contradict each other, beside what the acceleration changes by.
-The most on the plans of the 300 stored queries of seed 20261 is 0.016."""
+"""Allowed mismatch between samples, as a fraction of the acceleration limit. The largest in 300 stored queries' plans
+(seed 20261) is 0.016."""
 
 
 @dataclass(frozen=True)
 class LimitUse:
-    """How much of the robot's limits a trajectory uses.
-
-    velocity_ratio, acceleration_ratio, jerk_ratio, torque_ratio: Largest fraction of a limit, of any joint.
-    limit_margin_rad: Smallest distance of a joint from its position limit.
-    """
+    """Largest fraction of each limit, and smallest distance to a position limit."""
 
     velocity_ratio: float
     acceleration_ratio: float
@@ -41,7 +36,7 @@ class LimitUse:
 
 
 def limit_use(trajectory: Trajectory, kinematics: Kinematics) -> tuple[LimitUse, str]:
-    """Return what the trajectory uses, and the first broken limit ("" if none) with joint and numbers."""
+    """Return the use, and the first broken limit with numbers ("" if none)."""
     robot, h, n = kinematics.robot, trajectory.dt_s, len(trajectory.q)
     found = np.max([_extremes(trajectory, slice(k, k + _BLOCK + 1)) for k in range(0, n - 1, _BLOCK)], axis=0)
     below, above, speed, acceleration, change, jump, off_velocity, off_acceleration = found
@@ -79,14 +74,13 @@ def limit_use(trajectory: Trajectory, kinematics: Kinematics) -> tuple[LimitUse,
 
 
 def _extremes(trajectory: Trajectory, rows: slice) -> Array:
-    """Return (8, dof): the largest -q, q, |v|, |a|, change of a, step of q and misfits of v and of a [rad/s^2].
+    """Return (8, dof): maxima of -q, q, |v|, |a|, change of a, step of q, mismatch of v, mismatch of a [rad/s^2].
 
-    Between two samples q is a cubic and a linear: both, and the cubic's speed, are looked at in the middle too. A cubic
-    whose mean speed is not the mean of the speeds at its ends accelerates by six times the difference over the step. An
-    acceleration that changes explains as much as it changes by, or half of it where it may jump. NaN stays NaN.
+    A cubic whose mean speed differs from the mean end speed accelerates by six times the difference over the step. A
+    changing acceleration explains a mismatch up to its change, or half of it where it may jump. NaN propagates.
     """
     h = trajectory.dt_s
-    # Joint by joint, (dof, n): the largest of a row is found ten times faster than that of a column.
+    # (dof, n): row maxima are ten times faster than column maxima.
     q, v, a = (np.ascontiguousarray(x[rows].T) for x in (trajectory.q, trajectory.v, trajectory.a))
     rise, change = np.diff(q), np.abs(np.diff(a))
     mean_v, mean_a = 0.5 * (v[:, 1:] + v[:, :-1]), 0.5 * (a[:, 1:] + a[:, :-1])

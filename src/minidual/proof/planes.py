@@ -1,20 +1,16 @@
-"""Separating planes, compiled: is there a plane between two parts, at one state or all through a stretch of motion?
+"""Compiled search for planes that separate two parts, at a state or throughout a stretch.
 
-A part is a few convex solids: the hull of some vertices, thickened by a ball (sphere, capsule) or by a disc (cylinder).
-Two solids are apart by at least d if along some direction all of one lies d beyond all of the other. Checking a direction
-takes the farthest points along it. How the direction was found does not matter, so the search for it (from the last
-direction that worked, by the algorithm of Gilbert, Johnson and Keerthi) needs no trust.
+A part is a union of convex solids: vertex hulls, thickened by a ball or (cylinders) a disc. Two solids are d apart if
+along some direction all of one lies d beyond all of the other. Only extreme points matter for this check, so the search
+(Gilbert, Johnson and Keerthi) need not be trusted.
 
-All through a stretch: take the straight line in joint space between its two ends. A vertex moves on a curve p(x),
-0 <= x <= 1, whose second derivative is bounded: for each product of the steps of joints i and j by the distance from the
-axis of the outer one. So it stays within an eighth of that bound of the chord between its places at the two ends. Where
-the motion leaves the straight line in joint space by e_j, it moves by at most the reach r_j e_j more. A plane that
-separates two solids at both ends by more than both may deviate therefore separates them in between. Two links of one arm
-are seen from the inner one, so that only the joints between them count.
+A stretch is compared with the straight joint-space line between its ends. A vertex's second derivative along it is
+bounded by a sum over joint pairs: both steps times the distance from the outer axis. An eighth of this bounds its
+distance from its chord. Leaving the line by e_j adds at most r_j e_j (r_j: reach). A plane clearing both ends by more
+than both deviations separates the solids throughout. Links of one arm are seen from the inner one.
 
-NaN counts as "not proven". Sums propagate NaN; comparisons would drop it.
-
-All helpers live in this file because numba's cache watches no other for changes.
+NaN counts as not proven: sums propagate it, comparisons drop it. Helpers share this file because numba's cache watches
+no other.
 """
 
 from __future__ import annotations
@@ -28,39 +24,36 @@ from minidual.robot.compiled import inlined, kernel
 from minidual.robot.pair import Array
 
 JOINT = np.dtype([("parent", "i8"), ("R", "f8", (3, 3)), ("p", "f8", 3)])
-"""A joint: the frame before it (0 is the world, k + 1 that of joint k) and its placement there; it turns about its z."""
+"""Parent frame (0: world, k + 1: joint k) and placement in it; the joint turns about z."""
 SOLID = np.dtype([("first", "i8"), ("end", "i8")] + [(name, "f8") for name in ("ball", "disc", "x", "y", "z")])
-"""A convex solid: its rows of vertices, the radii [m] that thicken it, the axis of the disc."""
+"""Vertex rows, radii [m], disc axis."""
 PART = np.dtype(
     [(name, "i8") for name in ("first", "end", "frame")] + [(name, "f8") for name in ("x", "y", "z", "radius")]
 )
-"""A part: its rows of solids, the frame that carries it, a ball round it in this frame [m]."""
+"""Solid rows, frame, bounding ball [m]."""
 PAIR = np.dtype([(name, "i8") for name in ("a", "b", "frame", "row", "moves_a", "moves_b")])
-"""Two parts that must not touch, the frame in which a plane between them stands still, the first row of its directions,
-and where the deviations of the two stand in the flattened table of `_deviate`."""
+"""Two parts, their planes' frame, first direction row, both parts' indices in `_deviate`'s flattened table."""
 
 Rows = Any
-"""Records or whole numbers, (n,); their fields are known to the compiler alone."""
+"""Records or integers, (n,)."""
 Geometry = tuple[Rows, Array, Rows, Rows, Rows, Array]
-"""Joints (dof,), vertices (v, 3) [m] in the frames that carry them, solids, parts, pairs, and the reach (parts, dof / 2)
-[m] of each part from each joint of its arm, 0 where it does not move the part."""
+"""Joints (dof,), vertices (v, 3) [m] in their frames, solids, parts, pairs, reach (parts, dof / 2) [m]."""
 Work = tuple[Array, Array, Array, Array, Array, Array, Array]
-"""Memory: the last direction of every plane; of n states the poses R, p of the frames and the centres C of the parts;
-poses R, p of a pair at two ends; a simplex."""
+"""Plane directions; frame poses R, p and part centres C of n states; a pair's poses R, p at two ends; a simplex."""
 Keep = tuple[float, Array, Array, float]
-"""The distance to keep [m] (padding), states (t, dof) near which less is enough (tight), their clearances (t,) [m], and
-the joint distance [rad] over which it grows back to the padding."""
+"""Padding [m], tight states (t, dof), their clearances (t,) [m], joint distance [rad] over which clearance grows to
+padding."""
 Point = tuple[float, float, float, float]
 """A distance and a point."""
 
 _TRIES = 40
-"""Directions tried for one plane."""
+"""Most directions per plane."""
 _EXACT_M = 1e-4
 
 
 @inlined
 def _place(geometry: Geometry, q: Array, n: int, work: Work) -> None:
-    """Write the poses of all frames and the centres of all parts at q (dof,) into row n of the work."""
+    """Write poses and centres at q (dof,) into row n."""
     joints, parts = geometry[0], geometry[3]
     R, p, C = work[1], work[2], work[3]
     for r in range(3):
@@ -88,7 +81,7 @@ def _place(geometry: Geometry, q: Array, n: int, work: Work) -> None:
 
 @inlined
 def _seen_from(work: Work, n: int, f: int, a: int, to: int) -> None:
-    """Write the pose of frame a as seen from frame f, at state n, into row `to` of the pair's poses."""
+    """Write frame a's pose at state n, seen from f, into row `to`."""
     R, p, seen_R, seen_p = work[1], work[2], work[4], work[5]
     if f == 0:
         for r in range(3):
@@ -106,7 +99,7 @@ def _seen_from(work: Work, n: int, f: int, a: int, to: int) -> None:
 
 @inlined
 def _farthest(geometry: Geometry, k: int, R: Array, p: Array, n: int, x: float, y: float, z: float) -> Point:
-    """Return how far solid k in pose n goes along (x, y, z), without its ball, and the point that goes there."""
+    """Return solid k's extent along (x, y, z), without ball, and the extreme point."""
     vertices, solids = geometry[1], geometry[2]
     mx = R[n, 0, 0] * x + R[n, 1, 0] * y + R[n, 2, 0] * z
     my = R[n, 0, 1] * x + R[n, 1, 1] * y + R[n, 2, 1] * z
@@ -120,7 +113,7 @@ def _farthest(geometry: Geometry, k: int, R: Array, p: Array, n: int, x: float, 
             far = d
             at = i
     if not abs(all_of_them) < np.inf:
-        far = np.nan  # the comparison loses a NaN, the sum does not
+        far = np.nan  # the comparison drops NaN, the sum does not
     u, v, w = vertices[at, 0], vertices[at, 1], vertices[at, 2]
     disc = solids[k].disc
     if disc > 0.0:
@@ -144,9 +137,9 @@ def _farthest(geometry: Geometry, k: int, R: Array, p: Array, n: int, x: float, 
 
 @inlined
 def _difference(geometry: Geometry, a: int, b: int, ends: int, x: float, y: float, z: float, work: Work) -> Point:
-    """Return how far solid a lies beyond solid b along (x, y, z), least over the ends, and the vector from b to a there.
+    """Return solid a's smallest distance beyond b along (x, y, z) over the ends, and the vector from b to a.
 
-    Rows 0 and 1 of the pair's poses are those of a and b at the first end, rows 2 and 3 those at the second.
+    Even pose rows hold a, odd rows b.
     """
     R, p = work[4], work[5]
     gap = np.inf
@@ -165,9 +158,9 @@ def _difference(geometry: Geometry, a: int, b: int, ends: int, x: float, y: floa
 
 @inlined
 def _on_triangle(S: Array, i: int, j: int, k: int) -> tuple[float, float, float]:
-    """Return the weights of rows i, j and k of S (4, 3) in the point of their triangle nearest to the origin.
+    """Return weights of the triangle's point nearest to the origin.
 
-    Ericson, Real-Time Collision Detection, section 5.1.5: by the regions of corners, edges and inside.
+    Ericson, Real-Time Collision Detection, section 5.1.5.
     """
     ax, ay, az = S[i, 0], S[i, 1], S[i, 2]
     bx, by, bz = S[j, 0], S[j, 1], S[j, 2]
@@ -201,7 +194,7 @@ def _on_triangle(S: Array, i: int, j: int, k: int) -> tuple[float, float, float]
 
 @inlined
 def _outside(S: Array, i: int, j: int, k: int, m: int) -> bool:
-    """Return whether the origin does not lie on the same side of the triangle i, j, k as row m of S (4, 3)."""
+    """Return whether the triangle does not have the origin and row m on one side."""
     ux, uy, uz = S[j, 0] - S[i, 0], S[j, 1] - S[i, 1], S[j, 2] - S[i, 2]
     vx, vy, vz = S[k, 0] - S[i, 0], S[k, 1] - S[i, 1], S[k, 2] - S[i, 2]
     nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
@@ -212,9 +205,9 @@ def _outside(S: Array, i: int, j: int, k: int, m: int) -> bool:
 
 @inlined
 def _nearest(S: Array, count: int) -> tuple[int, float, float, float]:
-    """Return (count, x, y, z): the point nearest to the origin of the simplex in the first rows of S (4, 3).
+    """Return (count, x, y, z), the simplex point nearest to the origin, and drop unneeded rows.
 
-    The rows that this point does not need are dropped. It is the origin itself if all four are needed.
+    It is the origin if all four are needed.
     """
     weights = (1.0, 0.0, 0.0)
     i, j, k = 0, 1, 2
@@ -254,18 +247,17 @@ def _nearest(S: Array, count: int) -> tuple[int, float, float, float]:
 
 @inlined
 def _separate(geometry: Geometry, a: int, b: int, ends: int, need: float, exact: bool, row: int, work: Work) -> float:
-    """Return by how much solids a and b are apart at all ends, at least.
+    """Return a lower bound on the solids' distance at all ends (Gilbert, Johnson and Keerthi).
 
-    The algorithm of Gilbert, Johnson and Keerthi, on the differences of points of a and b at any end. It stops as soon as
-    a direction shows more than `need`, or no direction can; if `exact`, only when the two meet, up to `_EXACT_M`. The best
-    direction stays in its row.
+    Stops when the bound exceeds `need` or cannot; if `exact`, within `_EXACT_M` of convergence. Stores the best
+    direction.
     """
     solids, directions, S = geometry[2], work[0], work[6]
     thick = solids[a].ball + solids[b].ball
     x, y, z = directions[row, 0], directions[row, 1], directions[row, 2]
     size, count = np.inf, 0
     if x == 0.0 and y == 0.0 and z == 0.0:
-        z = 1.0  # any direction will do to begin with
+        z = 1.0  # arbitrary first direction
     best, bx, by, bz = -np.inf, x, y, z
     for _ in range(_TRIES):
         gap, sx, sy, sz = _difference(geometry, a, b, ends, x, y, z, work)
@@ -277,9 +269,9 @@ def _separate(geometry: Geometry, a: int, b: int, ends: int, need: float, exact:
         count, wx, wy, wz = _nearest(S, count + 1)
         length = math.sqrt(wx * wx + wy * wy + wz * wz)
         if not length < size:
-            break  # nothing new: the search has come to its end
+            break  # converged
         size = length
-        # No direction shows more than the length of the nearest difference.
+        # The length of the nearest difference is an upper bound for every direction.
         if count == 4 or not size - thick > (best + _EXACT_M if exact else need) or size == 0.0:
             break
         x, y, z = wx / size, wy / size, wz / size
@@ -289,7 +281,7 @@ def _separate(geometry: Geometry, a: int, b: int, ends: int, need: float, exact:
 
 @inlined
 def _between_balls(geometry: Geometry, pair: Any, i: int, j: int, work: Work) -> float:
-    """Return the least distance of the balls round two parts on the straight way between states i and j."""
+    """Return the smallest distance of bounding balls between states i and j."""
     parts, R, C = geometry[3], work[1], work[3]
     a, b, f = pair.a, pair.b, pair.frame
     x, y, z = C[i, a, 0] - C[i, b, 0], C[i, a, 1] - C[i, b, 1], C[i, a, 2] - C[i, b, 2]
@@ -316,9 +308,9 @@ def _between_balls(geometry: Geometry, pair: Any, i: int, j: int, work: Work) ->
 
 @inlined
 def _beside(geometry: Geometry, pair: Any, i: int, j: int, work: Work) -> float:
-    """Return by how much the ball round part a lies beyond part b along their last direction, at states i and j.
+    """Return how far a's ball lies beyond b along their last direction; -inf unless b is one fixed solid.
 
-    Minus infinity where b is not one solid that stands still. It settles most pairs of a link and a box.
+    It settles most pairs of link and box.
     """
     solids, parts = geometry[2], geometry[3]
     directions, R, p, C = work[0], work[1], work[2], work[3]
@@ -333,10 +325,9 @@ def _beside(geometry: Geometry, pair: Any, i: int, j: int, work: Work) -> float:
 
 @inlined
 def _apart(geometry: Geometry, pair: Any, i: int, j: int, need: float, exact: bool, work: Work) -> float:
-    """Return by how much the parts of a pair are surely apart at states i and j.
+    """Return a lower bound on the parts' distance at states i and j.
 
-    It ends at the first two solids that are not seen farther apart than `need`; if `exact`, all are looked at and `need`
-    falls to the smallest gap.
+    Stops at the first solids within `need`; if `exact`, visits all, lowering `need`.
     """
     parts = geometry[3]
     a, b = pair.a, pair.b
@@ -361,12 +352,9 @@ def _apart(geometry: Geometry, pair: Any, i: int, j: int, need: float, exact: bo
 
 @inlined
 def _deviate(geometry: Geometry, step: Array, off: Array, table: Array) -> None:
-    """Write into the table (m + 1, n + 1) [m] how far part m may leave its chords, as seen from what its joint i carries.
+    """Write each part's largest deviation from its chords [m], seen from the link that joint i moves, into the table.
 
-    The last row stands for what stands still.
-
-    step: (dof,) [rad], between the ends of the stretch.
-    off: (dof,) [rad], by how much the motion leaves the straight line in joint space.
+    Its last row is for fixed parts. step, off: (dof,) [rad], between the ends and off the straight line.
     """
     parts, reach = geometry[3], geometry[5]
     n = reach.shape[1]
@@ -386,9 +374,9 @@ def _deviate(geometry: Geometry, step: Array, off: Array, table: Array) -> None:
 
 @inlined
 def _off_chord(q: Array, bend: Array, i: int, j: int, step: Array, off: Array) -> None:
-    """Write the joint step (dof,) from sample i to j, and by how much (dof,) the motion leaves the straight line.
+    """Write the step (dof,) from sample i to j and the largest departure (dof,) from the straight line.
 
-    bend: (n - 1, dof) [rad], by how much it leaves the straight line between two neighbouring samples.
+    bend: (n - 1, dof) [rad], departures between neighbouring samples.
     """
     square, total = 0.0, 0.0
     for c in range(q.shape[1]):
@@ -402,21 +390,21 @@ def _off_chord(q: Array, bend: Array, i: int, j: int, step: Array, off: Array) -
                 x += (q[k, c] - q[i, c]) * step[c]
             x = min(1.0, max(0.0, x / square))
         for c in range(q.shape[1]):
-            # Between two samples the motion is off by no more than the worse of the two is, and its own bend.
+            # Between two samples the departure is at most the larger of theirs plus the cubic's own bend.
             away = abs(q[k, c] - q[i, c] - x * step[c]) + max(bend[k, c], bend[max(k - 1, i), c])
             total += away
             off[c] = max(off[c], away)
-    if not total < np.inf:  # `max` loses a NaN, the sum does not
+    if not total < np.inf:  # `max` drops NaN, the sum does not
         for c in range(q.shape[1]):
             off[c] = np.inf
 
 
 @inlined
 def _bends(q: Array, v: Array, dt: float, bend: Array) -> None:
-    """Write by how much (n - 1, dof) [rad] the cubics between samples q and v (n, dof), dt [s] apart, leave their chords."""
+    """Write departures (n - 1, dof) [rad] of the cubics from their chords."""
     for k in range(len(q) - 1):
         for c in range(q.shape[1]):
-            # A second derivative is largest at an end; a curve leaves its chord by an eighth of it.
+            # A cubic's second derivative is largest at an end; an eighth of it bounds the departure.
             rise, before, after = q[k + 1, c] - q[k, c], v[k, c] * dt, v[k + 1, c] * dt
             first = 6.0 * rise - 4.0 * before - 2.0 * after
             last = -6.0 * rise + 2.0 * before + 4.0 * after
@@ -425,7 +413,7 @@ def _bends(q: Array, v: Array, dt: float, bend: Array) -> None:
 
 @inlined
 def _first_stretches(q: Array, length: float, stack: Array) -> int:
-    """Fill the stack with stretches of about `length` [rad], summed over the joints, the first on top; return how many."""
+    """Stack stretches of about `length` [rad], first on top; return their number."""
     last = len(q) - 1
     whole = 0.0
     for k in range(last):
@@ -453,22 +441,21 @@ def _first_stretches(q: Array, length: float, stack: Array) -> int:
 def prove(
     geometry: Geometry, q: Array, v: Array, dt: float, length: float, chosen: Rows, need: float, directions: Array
 ) -> tuple[np.ndarray, int, int]:
-    """Prove that pairs stay farther apart than `need` all through a motion: cubics between samples q, v (n, dof).
+    """Prove that pairs stay farther apart than `need` throughout a motion.
 
     Args:
-        geometry: See `minidual.proof.solids`.
-        q: Samples [rad]; n >= 2.
-        v: Their velocities [rad/s].
-        dt: Step between them [s].
-        length: Of the first stretches [rad], summed over the joints; each is halved until it is proven or lies between two
-            neighbouring samples.
-        chosen: (c,), rows of `pairs`.
-        need: [m], also what is taken off every distance for rounding.
-        directions: (r, 3), where the search for a plane begins, and then the last one found.
+        geometry: From `Solids`.
+        q: Samples (n, dof) [rad], n >= 2, joined by cubics.
+        v: Velocities [rad/s].
+        dt: Step [s].
+        length: First stretches' length [rad], summed over joints.
+        chosen: (c,) rows of `pairs`.
+        need: Distance [m], including rounding.
+        directions: (r, 3), updated in place.
 
     Returns:
-        asked: (n,) bool, the samples at which a stretch ends.
-        failed: First sample of a stretch from one sample to the next that is not proven, or -1.
+        asked: (n,) bool, ends of stretches.
+        failed: First sample of the unproven step, or -1.
         pair: Its pair, or -1.
     """
     parts, pairs = geometry[3], geometry[4]
@@ -505,7 +492,7 @@ def prove(
                 break
         if open_at < 0:
             continue
-        # What was not seen apart here is likely to fail in the halves too: it comes first there.
+        # The pair that failed is likely to fail in the halves too: check it first.
         row = _to_front(order, open_at)
         if j - i < 2:
             return asked, i, row
@@ -518,7 +505,7 @@ def prove(
 
 @inlined
 def _to_front(order: Rows, at: int) -> int:
-    """Move one element to the front, the others keep their order; return it."""
+    """Move one element to the front and return it."""
     row = order[at]
     for k in range(at, 0, -1):
         order[k] = order[k - 1]
@@ -528,7 +515,7 @@ def _to_front(order: Rows, at: int) -> int:
 
 @inlined
 def _free(geometry: Geometry, q: Array, chosen: Rows, keep: Keep, work: Work) -> bool:
-    """Return whether one state keeps its distance, see `survey`."""
+    """Check one state for `survey`."""
     padding, tight, clearances, relax = keep
     pairs = geometry[4]
     need = padding
@@ -550,11 +537,10 @@ def _free(geometry: Geometry, q: Array, chosen: Rows, keep: Keep, work: Work) ->
 
 @kernel()
 def survey(geometry: Geometry, Q: Array, chosen: Rows, keep: Keep, work: Work) -> int:
-    """Return the first row of Q (n, dof) that is not free, n if all are.
+    """Return the first row of Q (n, dof) that is not free, or n.
 
-    Free: planes show all pairs farther apart than the padding, or near a tight state farther than its clearance and a part
-    of what lacks to the padding, which grows to the whole at `relax`. `chosen` (c,), rows of `pairs`, is put in the order in
-    which they block; the work is memory.
+    Free: all pairs are proven farther apart than the padding. At a tight state its clearance suffices, growing linearly
+    to the padding within `relax`. `chosen` (c,) is reordered, blocking pairs first.
     """
     for k in range(len(Q)):
         if not _free(geometry, Q[k], chosen, keep, work):
@@ -566,7 +552,7 @@ def survey(geometry: Geometry, Q: Array, chosen: Rows, keep: Keep, work: Work) -
 def sweep(
     geometry: Geometry, a: Array, b: Array, fractions: Array, q: Array, chosen: Rows, keep: Keep, work: Work
 ) -> int:
-    """Return what `survey` does for the states a + fractions[k] (b - a); q (dof,) is memory."""
+    """Run `survey` on a + fractions[k] (b - a); q (dof,) is memory."""
     for k in range(len(fractions)):
         for c in range(len(q)):
             q[c] = a[c] + fractions[k] * (b[c] - a[c])
@@ -577,9 +563,9 @@ def sweep(
 
 @kernel()
 def clearance(geometry: Geometry, Q: Array, chosen: Rows, most: float, work: Work) -> float:
-    """Return the smallest distance [m] of the pairs at the rows of Q (n, dof) that planes show, at most `most`.
+    """Return a lower bound [m] on the smallest distance over Q (n, dof), at most `most`.
 
-    It is never more than the true one; where things touch it is negative, where nothing can be shown minus infinity.
+    Negative in contact; minus infinity if nothing is proven.
     """
     pairs = geometry[4]
     least = most
@@ -593,5 +579,5 @@ def clearance(geometry: Geometry, Q: Array, chosen: Rows, most: float, work: Wor
             if not gap > least:
                 least = gap
                 if not least > -np.inf:
-                    return -np.inf  # nothing was shown
+                    return -np.inf  # nothing was proven
     return least

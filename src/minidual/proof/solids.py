@@ -1,7 +1,7 @@
-"""The geometry of a scene as the proof reads it: convex solids on the frames of the joints, and what must not touch.
+"""The proof's geometry: convex solids on joint frames.
 
-If joint j turns by e, a point at distance r from its axis moves by at most r |e|. The reach bounds r in any posture: the
-lengths of the links between, plus the radius of the part round the joint that carries it.
+If joint j turns by e, a point at distance r from its axis moves by at most r |e|. The reach bounds r in any posture by
+link lengths plus the part's radius about its own joint.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _ENDS = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
 
 @dataclass(frozen=True)
 class _Solid:
-    """Vertices (n, 3) [m] in the frame of a joint, the radii of the ball and of the disc about `axis`."""
+    """Vertices (n, 3) [m] in a joint's frame, thickening radii, the disc's axis."""
 
     points: Array
     ball: float
@@ -38,11 +38,11 @@ class _Solid:
 
 
 class Solids:
-    """Convex solids of one scene, in the memory that `minidual.proof.planes` works on.
+    """One scene's convex solids.
 
     Attributes:
-        geometry: The first argument of every kernel.
-        pairs: Names of the pairs that must not touch, in the order of the scene.
+        geometry: The kernels' first argument.
+        pairs: Names of the checked pairs.
         robot: The arms.
     """
 
@@ -68,7 +68,7 @@ class Solids:
                 begin, end = end, end + len(solid.points)
                 rows.append((begin, end, solid.ball, solid.disc, *solid.axis))
                 vertices.append(solid.points)
-            # The mean of the vertices lies inside their hull: no farther from any axis than the part reaches.
+            # The mean of the vertices lies inside their hull, so it is no farther from any axis than the part reaches.
             centre = np.vstack([solid.points for solid in own]).mean(axis=0)
             parts.append((first, len(rows), frame, *centre, _radius(own, centre)))
             reaches.append(self._reach(chain.joints, frame, _radius(own, np.zeros(3))))
@@ -83,7 +83,7 @@ class Solids:
         )
 
     def _reach(self, joints: np.ndarray, frame: int, radius: float) -> Array:
-        """Return (n,) [m]: the largest distance of a part from each joint of its arm, 0 where that moves it not."""
+        """Return (dof / 2,) [m], largest distances from the arm's joints; 0 if not moved."""
         n = self.robot.dof_per_arm
         reach = np.zeros(n)
         for k in range(frame, 0 if frame <= n else n, -1):
@@ -102,7 +102,7 @@ class Solids:
             a, b = rows[name_a], rows[name_b]
             f, g = frames[a], frames[b]
             if f and g and (f > n) == (g > n):
-                # Two parts of one arm are seen from the frame of the inner one, which stands still there.
+                # Two parts of one arm are described in the inner one's frame.
                 inner = min(f, g)
                 seen = inner if inner <= n else inner - n
                 moves = (a * width + seen, still) if f >= g else (still, b * width + seen)
@@ -114,7 +114,7 @@ class Solids:
         return np.array(pairs, dtype=PAIR)
 
     def of_arms(self, arms: Sequence[str]) -> np.ndarray:
-        """Return the rows of the pairs of which one part at least moves with one of these arms ("left", "right")."""
+        """Return rows of pairs moved by these arms."""
         frames, n = self._parts["frame"], self.robot.dof_per_arm
         moves = np.zeros(len(frames), dtype=bool)
         if "left" in arms:
@@ -125,7 +125,7 @@ class Solids:
         return np.flatnonzero(moves[pairs["a"]] | moves[pairs["b"]])
 
     def workspace(self) -> planes.Work:
-        """Return memory for one state, the last argument of the kernels; it keeps the directions of planes."""
+        """Allocate the kernels' memory for one state; it keeps plane directions."""
         one = self.robot.dof + 1
         return (
             np.zeros((self._directions_n, 3)),
@@ -138,21 +138,18 @@ class Solids:
         )
 
     def keep(self, padding_m: float) -> planes.Keep:
-        """Return the demand of a distance that nothing relaxes."""
+        """Return the same distance for every state."""
         return float(padding_m), np.zeros((0, self.robot.dof)), np.zeros(0), 1.0
 
     def free(self, q: Array, padding_m: float = 0.0) -> bool:
-        """Return whether planes show all pairs farther apart than `padding_m` at q (dof,)."""
+        """Return whether all pairs are proven farther apart than `padding_m`."""
         everything = np.arange(len(self.pairs))
         return planes.survey(self.geometry, floats(q[None]), everything, self.keep(padding_m), self.workspace()) == 1
 
     def clearance(self, Q: Array, most_m: float, rows: np.ndarray | None = None) -> float:
-        """Return the smallest distance [m] at the rows of Q (n, dof) that is sure, at most `most_m`.
+        """Return a lower bound [m] on the distance over Q (n, dof), at most `most_m`.
 
-        Args:
-            Q: Configurations.
-            most_m: Pairs farther apart count as this far apart.
-            rows: Rows of the pairs that count; all of them by default.
+        `rows` selects pairs.
         """
         rows = np.arange(len(self.pairs)) if rows is None else rows
         found = planes.clearance(self.geometry, floats(Q), rows, most_m, self.workspace())
@@ -161,11 +158,7 @@ class Solids:
 
 @dataclass(frozen=True)
 class _Chain:
-    """The joints as the planes read them: each frame is turned so that its joint turns about its own z.
-
-    joints: (dof,) records JOINT.
-    turns: For every frame of the model, the world first, its placement as seen from the turned one.
-    """
+    """Joints with frames turned so that their axes are z; `turns` maps original frames (world first) into them."""
 
     joints: np.ndarray
     turns: tuple[pin.SE3, ...]
@@ -173,18 +166,14 @@ class _Chain:
 
 @functools.cache
 def _chain(robot: Robot) -> _Chain:
-    """Return the joints of the arms.
-
-    Raises:
-        ValueError: A joint is no hinge.
-    """
+    """Raise ValueError for joints that are not revolute."""
     model = Kinematics(robot).model
     turned = [pin.SE3.Identity()]
     joints = np.zeros(robot.dof, dtype=JOINT)
     for k in range(1, robot.dof + 1):
         data = model.joints[k].createData()
         model.joints[k].calc(data, np.ones(model.nq))
-        axis = pin.log3(data.M.rotation)  # by one radian
+        axis = pin.log3(data.M.rotation)  # at one radian
         if abs(float(np.linalg.norm(axis)) - 1.0) > 1e-9 or np.any(data.M.translation):
             raise ValueError(f"{model.names[k]} is a {model.joints[k].shortname()}; arms need hinges")
         to_axis = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).matrix()
@@ -196,7 +185,7 @@ def _chain(robot: Robot) -> _Chain:
 
 @functools.cache
 def _robot_solids(robot: Robot) -> dict[str, tuple[int, tuple[_Solid, ...]]]:
-    """Return (index of the joint that carries it, or 0; its solids) of every link."""
+    """Return (joint index or 0, solids) by link."""
     model, turns = Kinematics(robot).model, _chain(robot).turns
     found: dict[str, tuple[int, tuple[_Solid, ...]]] = {}
     for item in robot_geometry(robot).geometryObjects:
@@ -211,7 +200,6 @@ def _placed(shape: Any, placement: pin.SE3) -> tuple[_Solid, ...]:
 
 
 def _solid(shape: Any, placement: pin.SE3) -> _Solid:
-    """Return a shape of coal at a placement in the frame of a joint."""
     ball = disc = 0.0
     match shape:
         case coal.Sphere():
@@ -231,5 +219,5 @@ def _solid(shape: Any, placement: pin.SE3) -> _Solid:
 
 
 def _radius(solids: Sequence[_Solid], centre: Array) -> float:
-    """Return the radius [m] of a ball about `centre` that holds all solids."""
+    """Radius [m] of a bounding ball about `centre`."""
     return max(float(np.linalg.norm(s.points - centre, axis=1).max()) + s.ball + s.disc for s in solids)

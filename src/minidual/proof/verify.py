@@ -1,11 +1,7 @@
-"""The independent proof that a timed trajectory may be driven. A plan counts as success only if this passes.
+"""Verification of timed trajectories; a plan succeeds only if it passes.
 
-What is proven is the trajectory as it will be driven: that it stays inside every limit (`minidual.proof.limits`) and
-touches nothing at any time (`minidual.proof.certificate`).
-
-The audit tests the proof and is too slow for every plan: it samples the trajectory so densely that no joint moves more
-than 0.002 rad between two samples and asks two collision engines about each. A proven trajectory that fails it shows the
-certificate wrong.
+It proves the limits and the certificate. The audit tests the certificate by dense sampling with two collision engines,
+too slow for every plan. A verified trajectory that fails an audit shows an error in the certificate.
 """
 
 from __future__ import annotations
@@ -25,20 +21,20 @@ from minidual.robot.pair import Array
 from minidual.robot.trajectory import Trajectory
 
 STEP_RAD = 0.002
-"""Largest joint step between the samples of an audit."""
+"""Largest joint step in audits."""
 CLEARANCE_MAX_M = 0.04
-"""Pairs farther apart than this count as this far apart."""
+"""Larger distances count as this."""
 
 
 @dataclass(frozen=True)
 class Verification:
-    """What the proof found.
+    """Result of verification.
 
-    ok: Nothing touches at any time and every limit holds.
-    reason: Empty if ok, else what failed first, with names and numbers.
-    samples_n: States at which a stretch of the proof ends.
-    velocity_ratio, acceleration_ratio, jerk_ratio, torque_ratio: Largest fraction of the robot's limits used.
-    limit_margin_rad: Smallest distance of a joint from its position limit.
+    Attributes:
+        reason: Empty if ok, else the first failure.
+        samples_n: Samples at which stretches end.
+        velocity_ratio, acceleration_ratio, jerk_ratio, torque_ratio: Largest fractions of the limits.
+        limit_margin_rad: Smallest distance to a position limit.
     """
 
     ok: bool
@@ -51,19 +47,20 @@ class Verification:
     limit_margin_rad: float
 
     def to_json(self) -> dict[str, Any]:
-        """Return the report as plain data."""
+        """Return plain data."""
         return asdict(self)
 
 
 @dataclass(frozen=True)
 class Audit:
-    """What dense sampling found on a trajectory.
+    """Result of dense sampling.
 
-    samples_n: States asked of both engines.
-    step_max_rad: Largest joint step between two of them.
-    collisions_n: States that at least one engine sees colliding.
-    disagreements_n: States that only one engine sees colliding.
-    clearance_m: Smallest distance at these states, see `Verifier.clearance`.
+    Attributes:
+        samples_n: Checked states.
+        step_max_rad: Largest joint step.
+        collisions_n: States in contact for any engine.
+        disagreements_n: States on which engines disagree.
+        clearance_m: See `Verifier.clearance`.
     """
 
     samples_n: int
@@ -74,13 +71,7 @@ class Audit:
 
 
 class Verifier:
-    """Proves trajectories in one scene.
-
-    Args:
-        scene: The scene.
-        solids: Its solids.
-        step_rad: Largest joint step between the samples of an audit, at most 0.002.
-    """
+    """Proves trajectories in one scene; `step_rad` is an audit's largest joint step."""
 
     def __init__(self, scene: PlanningScene, solids: Solids, step_rad: float = STEP_RAD) -> None:
         self._scene = scene
@@ -90,32 +81,31 @@ class Verifier:
         self._engines: dict[str, CollisionEngine] = {}
 
     def verify(self, trajectory: Trajectory) -> Verification:
-        """Return the report on one trajectory; it never raises for a bad one."""
+        """Return the report; bad trajectories raise nothing."""
         use, broken = limit_use(trajectory, self._kinematics)
         proof = self.certify(trajectory)
         reason = proof.reason or broken
         return Verification(ok=not reason, reason=reason, samples_n=proof.samples_n, **asdict(use))
 
     def certify(self, trajectory: Trajectory) -> Certificate:
-        """Return the proof that nothing touches, without the limits."""
+        """Prove freedom from contact only."""
         return certify(self._solids, trajectory)
 
     def clearance(self, trajectory: Trajectory) -> float:
-        """Return the smallest distance [m] along a trajectory, where no joint moves more than the step of an audit.
+        """Return the smallest distance [m] at an audit's states, at most `CLEARANCE_MAX_M`.
 
-        It is not more than the true one at these states and at most a tenth of a millimetre less; `CLEARANCE_MAX_M` where
-        everything is farther apart.
+        A lower bound, at most 0.1 mm too small.
         """
         return self._solids.clearance(collision_samples(trajectory, self._step_rad), CLEARANCE_MAX_M)
 
     def engine(self, name: str) -> Any:
-        """Return the collision engine of this name for the scene, built at the first call (about 20 ms)."""
+        """Return this scene's engine, built on first use (about 20 ms)."""
         if name not in self._engines:
             self._engines[name] = ENGINES[name](self._scene)
         return self._engines[name]
 
     def audit(self, trajectory: Trajectory) -> Audit:
-        """Return what dense sampling says; for a proven trajectory it must find nothing."""
+        """Sample densely; a proven trajectory must give no collisions."""
         Q = collision_samples(trajectory, self._step_rad)
         seen = np.array([self.engine(name).collisions(Q) for name in ENGINES])
         return Audit(
@@ -128,10 +118,9 @@ class Verifier:
 
 
 def collision_samples(trajectory: Trajectory, step_rad: float = STEP_RAD) -> Array:
-    """Return configurations (n, dof) along the trajectory, no joint moving more than step_rad between two.
+    """Return (n, dof) configurations with joint steps of at most `step_rad`.
 
-    The largest speed that any joint can have in each step of the trajectory bounds how far it gets; equal shares of
-    the sum of that give the times.
+    Times divide the integrated bound on the fastest joint's speed evenly.
     """
     fastest = trajectory.variation_rates().max(axis=1) * trajectory.dt_s
     gone = np.concatenate([[0.0], np.cumsum(fastest)])
