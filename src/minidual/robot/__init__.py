@@ -1,1 +1,1 @@
-"""The one description of two Pandas: names, limits, kinematics and dynamics."""
+"""Arm models, URDF, kinematics and trajectories."""

@@ -1,4 +1,4 @@
-"""The table of arms. Add a row to add an arm; nothing else in the package knows one arm from another."""
+"""The table of arms; add an arm as a row."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ PANDA_HAND = HandModel(
     tcp_link="panda_hand_tcp",
     travel_m=0.04,
     force_max_n=70.0,  # Franka Hand data sheet
-    # The URDF's bare finger weighs 15 g; at 1 kHz a 15 g mass between a position servo and a stiff contact chatters: the
-    # pinch jumps between 0 and 70 N. It is steady from 0.1 kg up and chatters at 0.05.
+    # The URDF's bare finger weighs 15 g. At 1 kHz that mass chatters between a position servo and a stiff contact: the
+    # pinch jumps between 0 and 70 N. It is steady from 0.1 kg up and chatters at 0.05 kg.
     finger_armature_kg=0.2,
     pad_height_m=0.04525,  # the URDF's "rubber tip" box
     camera_position_m=(0.08, 0.0, 0.03),  # in front of the hand
@@ -91,7 +91,7 @@ XARM7 = ArmModel(
     base_link="link_base",
     flange_link="link7",
     mount_rpy_rad=(0.0, 0.0, 0.0),
-    # Nearer to the table's middle than the Panda, whose reach is 0.86 m against 0.69 m.
+    # Nearer to the table's middle than the Panda: the reach is 0.69 m instead of 0.86 m.
     base_xy_m=(0.08, 0.22),
     home=(0.0, -0.6, 0.0, 0.9, 0.0, 1.5, 0.0),
     # Position, velocity and torque: the URDF of xarm_description (UFACTORY, BSD-3-Clause).
@@ -102,9 +102,9 @@ XARM7 = ArmModel(
     # 1146 deg/s^2 and 28647 deg/s^3: UFACTORY documentation, "Guide to run robotic arm at the maximum speed".
     a_max=(20.0,) * 7,
     jerk_max=(500.0,) * 7,
-    tau_rate_max=1000.0,  # assumed: the Panda's
-    # Rotor inertia: MuJoCo Menagerie. The URDF's friction (10, 5 and 2 Nms/rad, 1 Nm) is a simulator's stabiliser; its
-    # drives are assumed to compensate their own down to the Panda's.
+    tau_rate_max=1000.0,  # assumed equal to the Panda's
+    # Rotor inertia: MuJoCo Menagerie. The URDF's friction (10, 5 and 2 Nms/rad, 1 Nm) stabilises a simulator; the drives
+    # are assumed to compensate theirs down to the Panda's.
     armature=0.1,
     damping=0.1,
     friction=0.0,
@@ -135,7 +135,7 @@ UR5 = ArmModel(
     name="ur5",
     urdf=f"{_ROBOTS}/ur_description/urdf/ur5_robot.urdf",
     srdf=f"{_ROBOTS}/ur_description/srdf/ur5.srdf",
-    # The SRDF says so too. Their hulls come within 15 mm of each other in every posture, which planning would look at.
+    # As in the SRDF. Their hulls come within 15 mm in every posture, so planning would examine them.
     never_touch=(("base_link", "upper_arm_link"), ("forearm_link", "wrist_2_link")),
     joints=(
         "shoulder_pan_joint",
@@ -155,7 +155,7 @@ UR5 = ArmModel(
     q_upper=(_TURN, _TURN, math.pi, _TURN, _TURN, _TURN),
     v_max=(3.15, 3.15, 3.15, 3.2, 3.2, 3.2),
     tau_max=(150.0, 150.0, 150.0, 28.0, 28.0, 28.0),
-    # The maker gives none; MoveIt's configuration of the arm takes 10 rad/s^2. Jerk and torque rate are assumed.
+    # The maker gives none; MoveIt's configuration of the arm uses 10 rad/s^2. Jerk and torque rate are assumed.
     a_max=(10.0,) * 6,
     jerk_max=(5000.0,) * 6,
     tau_rate_max=1000.0,
@@ -177,9 +177,5 @@ def _pair(name: str) -> Robot:
 
 
 def robot_from(config: RobotConfig) -> Robot:
-    """Return the pair of arms that a configuration names; the same object for the same name.
-
-    Raises:
-        UsageError: There is no such arm.
-    """
+    """Return the configured pair of arms, cached by name; UsageError for an unknown arm."""
     return _pair(config.arm)

@@ -1,7 +1,7 @@
 """The URDF of two arms with hands, composed from installed descriptions.
 
-The same string feeds MuJoCo (`minidual.plant`) and Pinocchio (`minidual.robot.kinematics`), so they agree. Links and
-joints carry the prefixes `left_` and `right_`; both bases are fixed to the link `world`.
+MuJoCo and Pinocchio read the same string. Links and joints are prefixed `left_` and `right_`; both bases are fixed to
+`world`.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from minidual.robot.pair import SIDES, ArmModel, Robot
 
 _SCHEME = "package://"
 _PREFIX = "cmeel.prefix/share"
-"""Where the wheels of the cmeel project install what they share."""
+"""Data folder of cmeel wheels."""
 
 
 @dataclass(frozen=True)
 class ArmLink:
-    """One link of an arm or its hand.
+    """One link of an arm or hand.
 
     Attributes:
-        name: Without the side's prefix.
-        joints_before: How many joints of the arm move it; a finger's own joint does not count.
+        name: Without side prefix.
+        joints_before: Number of arm joints that move it, without fingers.
         collides: Whether it has collision geometry.
     """
 
@@ -38,10 +38,10 @@ class ArmLink:
 
 @functools.cache
 def file_at(address: str) -> Path:
-    """Return the file at an absolute path or at package://DISTRIBUTION/path.
+    """Return the file at an absolute path or package://DISTRIBUTION/path.
 
     Raises:
-        EnvironmentMissingError: The distribution is not installed or has no such file.
+        EnvironmentMissingError: No such distribution or file.
     """
     if not address.startswith(_SCHEME):
         path = Path(address)
@@ -74,7 +74,7 @@ def _document(address: str) -> ET.Element:
 
 
 def _ends(joint: ET.Element) -> tuple[str, str]:
-    """Return the (parent, child) links of a joint."""
+    """Return (parent, child) links."""
     parent, child = joint.find("parent"), joint.find("child")
     if parent is None or child is None:
         raise UsageError(f"joint '{joint.get('name')}' of a URDF has no parent or child link")
@@ -82,7 +82,7 @@ def _ends(joint: ET.Element) -> tuple[str, str]:
 
 
 def _part(address: str, base: str, tip: str | None) -> list[ET.Element]:
-    """Return links and joints in document order: the chain from base to tip, or all that hangs on the base."""
+    """Return links and joints from base to tip, or all beyond the base."""
     root = _document(address)
     parent = {child: mother for mother, child in map(_ends, root.findall("joint"))}
     links = {link.attrib["name"] for link in root.findall("link")}
@@ -111,7 +111,7 @@ def _part(address: str, base: str, tip: str | None) -> list[ET.Element]:
 
 @functools.cache
 def arm_elements(arm: ArmModel) -> tuple[ET.Element, ...]:
-    """Return the links and joints of one arm with its hand, visuals included, without prefix; read only."""
+    """Return links and joints of one arm and hand, without prefix. Cached: do not modify."""
     hand = arm.hand
     mount = ET.Element("joint", name=f"{hand.palm_link}_joint", type="fixed")
     ET.SubElement(mount, "parent", link=arm.flange_link)
@@ -122,7 +122,7 @@ def arm_elements(arm: ArmModel) -> tuple[ET.Element, ...]:
 
 @functools.cache
 def materials(address: str) -> dict[str, tuple[float, float, float, float]]:
-    """Return the named colours (rgba, 0..1) of a URDF."""
+    """Return named colours, rgba in 0..1."""
     colours = {}
     for material in _document(address).iter("material"):
         colour = material.find("color")
@@ -134,7 +134,7 @@ def materials(address: str) -> dict[str, tuple[float, float, float, float]]:
 
 @functools.cache
 def arm_links(arm: ArmModel) -> tuple[ArmLink, ...]:
-    """Return the links of one arm and its hand, from the base out."""
+    """Return one arm's and hand's links, base first."""
     elements = arm_elements(arm)
     above = {_ends(e)[1]: e for e in elements if e.tag == "joint"}
 
@@ -154,10 +154,7 @@ def arm_links(arm: ArmModel) -> tuple[ArmLink, ...]:
 
 @functools.cache
 def never_touching(arm: ArmModel) -> tuple[tuple[str, str], ...]:
-    """Return the pairs of links of one arm and hand that can never touch, without prefix.
-
-    They are those of both SRDF files, then the arm's own.
-    """
+    """Return link pairs that never touch, without prefix, from both SRDF files and the arm model."""
     known = {link.name for link in arm_links(arm)}
     pairs: dict[tuple[str, str], None] = {}
     for address in filter(None, (arm.srdf, arm.hand.srdf)):
@@ -168,7 +165,7 @@ def never_touching(arm: ArmModel) -> tuple[tuple[str, str], ...]:
 
 
 def _prefixed(element: ET.Element, prefix: str) -> ET.Element:
-    """Return a copy of a link or joint with every name that it defines or refers to prefixed."""
+    """Return a copy with all names prefixed."""
     element = copy.deepcopy(element)
     element.set("name", prefix + element.attrib["name"])
     for tag in ("parent", "child"):
@@ -181,8 +178,8 @@ def _prefixed(element: ET.Element, prefix: str) -> ET.Element:
 def pair_urdf(robot: Robot) -> str:
     """Return the URDF of both arms with absolute mesh paths.
 
-    Visual meshes are left out: MuJoCo reads no DAE, and `minidual.robot.visuals` supplies them. So is the coupling of
-    the two fingers (`mimic`): each finger has its own position servo.
+    Visual meshes are left out (MuJoCo reads no DAE; see `minidual.robot.visuals`), and so is the fingers' `mimic`: each
+    finger has its own servo.
     """
     root = ET.Element("robot", name=f"dual_{robot.arm.name}")
     ET.SubElement(root, "link", name="world")

@@ -1,4 +1,4 @@
-"""Kinematics and dynamics of both arms through Pinocchio, from the same URDF that MuJoCo simulates."""
+"""Kinematics and dynamics through Pinocchio, from MuJoCo's URDF."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ def _shared_model(robot: Robot) -> Any:
 
 
 class Kinematics:
-    """Forward kinematics, Jacobians and inverse dynamics of all n arm joints (fingers locked open).
+    """Kinematics and dynamics of all n arm joints, fingers locked open.
 
-    One instance holds one Pinocchio workspace: give each thread or process its own.
+    An instance has one workspace: give each thread or process its own.
     """
 
     def __init__(self, robot: Robot = DUAL_PANDA) -> None:
@@ -47,7 +47,7 @@ class Kinematics:
         self.tcp_ids: tuple[int, int] = tuple(self.model.getFrameId(n) for n in robot.tcp_names)  # type: ignore[assignment]
 
     def tcp_poses(self, q: Array) -> tuple[Array, Array]:
-        """Return (T_world_left_tcp, T_world_right_tcp), each (4, 4), for q (n,)."""
+        """Return left and right T_world_tcp, each (4, 4), for q (n,)."""
         pin.forwardKinematics(self.model, self.data, q)
         left, right = self.tcp_ids
         return (
@@ -56,7 +56,7 @@ class Kinematics:
         )
 
     def tcp_jacobians(self, q: Array) -> tuple[Array, Array]:
-        """Return the two (6, n) Jacobians of the tool centre points, [linear; angular], world-aligned."""
+        """Return both tcp Jacobians (6, n), [linear; angular], world-aligned."""
         pin.computeJointJacobians(self.model, self.data, q)
         pin.updateFramePlacements(self.model, self.data)
         left, right = self.tcp_ids
@@ -67,7 +67,7 @@ class Kinematics:
         )
 
     def mass_matrix(self, q: Array) -> Array:
-        """Return the (n, n) joint-space inertia, rotor inertia included."""
+        """Return the joint-space inertia (n, n), including rotors."""
         M = pin.crba(self.model, self.data, q)
         return np.triu(M) + np.triu(M, 1).T
 
@@ -76,15 +76,15 @@ class Kinematics:
         return pin.nonLinearEffects(self.model, self.data, q, v)
 
     def gravity(self, q: Array) -> Array:
-        """Return the torques (n,) [Nm] that hold the arms still against gravity."""
+        """Return gravity torques (n,) [Nm]."""
         return pin.computeGeneralizedGravity(self.model, self.data, q)
 
     def rnea(self, q: Array, v: Array, a: Array) -> Array:
-        """Return the torques (n,) [Nm] that give acceleration a (n,) [rad/s^2] (no joint friction)."""
+        """Return inverse-dynamics torques (n,) [Nm], without joint friction."""
         return pin.rnea(self.model, self.data, q, v, a)
 
     def torques(self, q: Array, v: Array, a: Array) -> Array:
-        """Return `rnea` (n, dof) [Nm] of n states, each (n, dof), in one call."""
+        """Return `rnea` [Nm] for rows of q, v, a, each (samples, n)."""
         if self._pool is None:
             self._pool = pin.ModelPool(self.model, 1)
         columns = [np.asfortranarray(np.asarray(x, dtype=float).T) for x in (q, v, a)]
@@ -94,23 +94,20 @@ class Kinematics:
 
 
 class HandMotion:
-    """Poses, Jacobian and accelerations of both hands, updated together at 1 kHz.
-
-    The arrays are made once and `update` fills them: whoever keeps one must copy it.
+    """Kinematics of both hands, updated in place at 1 kHz: copy arrays that you keep.
 
     Attributes:
-        p: Positions of the left and the right tool centre point, two (3,) [m].
-        R: Their orientations in the world, two (3, 3).
-        J: (12, n) Jacobian of both, rows [linear; angular] left then right, world-aligned. An arm moves its own hand
-            alone, so J J^T is block-diagonal.
-        acceleration: (12,) of the hands under the joint acceleration that `update` was given, J a + Jdot v.
+        p: Left and right tcp positions (3,) [m].
+        R: Orientations (3, 3) in the world.
+        J: Stacked Jacobians (12, n), [linear; angular] left then right, world-aligned. J J^T is block-diagonal.
+        acceleration: (12,), J a + Jdot v.
     """
 
     def __init__(self, kinematics: Kinematics, J: Array | None = None, acceleration: Array | None = None) -> None:
         self._model, self._data = kinematics.model, kinematics.data
         self._left, self._right = kinematics.tcp_ids
         frames = [self._data.oMf[i] for i in kinematics.tcp_ids]
-        # Pinocchio's own memory, seen through numpy: to read it again costs nothing.
+        # Views of Pinocchio's own memory, so reading them costs nothing.
         self.p: tuple[Array, Array] = tuple(frame.translation for frame in frames)  # type: ignore[assignment]
         self.R: tuple[Array, Array] = tuple(frame.rotation for frame in frames)  # type: ignore[assignment]
         self.J = np.zeros((12, kinematics.robot.dof)) if J is None else J
@@ -119,7 +116,7 @@ class HandMotion:
         self._a_left, self._a_right = self.acceleration[:6], self.acceleration[6:]
 
     def update(self, q: Array, v: Array, a: Array) -> None:
-        """Fill all arrays for joints at q with velocity v and acceleration a, each (n,)."""
+        """Update all arrays; q, v, a are (n,)."""
         model, data, left, right, frame = self._model, self._data, self._left, self._right, _WORLD_ALIGNED
         forwardKinematics(model, data, q, v, a)
         computeJointJacobians(model, data)

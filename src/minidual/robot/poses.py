@@ -1,4 +1,4 @@
-"""Small helpers on poses: (4, 4) homogeneous matrices and (3, 3) rotations."""
+"""Poses (4, 4) and rotations (3, 3)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from minidual.robot.pair import Array
 
 
 def pose(rotation: Array, position: Array | tuple[float, float, float]) -> Array:
-    """Return the (4, 4) pose with the given (3, 3) rotation and (3,) position [m]."""
+    """Return the pose of a rotation and position [m]."""
     T = np.eye(4)
     T[:3, :3] = rotation
     T[:3, 3] = position
@@ -18,27 +18,27 @@ def pose(rotation: Array, position: Array | tuple[float, float, float]) -> Array
 
 
 def inverse(T: Array) -> Array:
-    """Return the inverse of a (4, 4) pose."""
+    """Return the inverse pose."""
     R = T[:3, :3]
     return pose(R.T, -R.T @ T[:3, 3])
 
 
 def rot_x(angle_rad: float) -> Array:
-    """Return the (3, 3) rotation about x."""
+    """Return the rotation about x."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
 
 
 def rot_z(angle_rad: float) -> Array:
-    """Return the (3, 3) rotation about z."""
+    """Return the rotation about z."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def rotation_log(R: Array) -> Array:
-    """Return the rotation vector (3,) [rad] of a (3, 3) rotation (Rodrigues).
+    """Return the rotation vector (3,) [rad].
 
-    Near pi the axis is read from the symmetric part, where the antisymmetric part loses its digits.
+    Near pi the axis comes from the symmetric part, as the antisymmetric part loses its digits.
     """
     vee = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
     cosine = 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0)
@@ -56,12 +56,12 @@ def rotation_log(R: Array) -> Array:
 
 
 def quat_from_yaw(yaw_rad: float) -> Array:
-    """Return the quaternion wxyz (4,) of a rotation about z."""
+    """Return the quaternion wxyz of a yaw."""
     return np.array([np.cos(yaw_rad / 2.0), 0.0, 0.0, np.sin(yaw_rad / 2.0)])
 
 
 def rotation_from_quat(quat_wxyz: Array) -> Array:
-    """Return the (3, 3) rotation of a unit quaternion wxyz (4,)."""
+    """Return the rotation of a unit quaternion wxyz."""
     w, x, y, z = quat_wxyz
     return np.array(
         [

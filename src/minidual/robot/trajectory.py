@@ -1,4 +1,4 @@
-"""A timed joint trajectory, ready for a 1 kHz controller."""
+"""Timed joint trajectories."""
 
 from __future__ import annotations
 
@@ -17,24 +17,22 @@ from minidual.robot.pair import Array
 
 
 def _all_finite(x: Array) -> bool:
-    # One value that is none spoils the sum, which is faster to look at; a sum that overflows proves nothing.
+    # A NaN makes the sum NaN, and one sum is faster to check. The sum may overflow, so then every value is checked.
     with np.errstate(all="ignore"):
         return bool(np.isfinite(x.sum()) or np.isfinite(x).all())
 
 
 def largest(x: Array) -> Array:
-    """Return the largest |x| of each column of (n, d); NaN where one is NaN. Joint by joint is ten times faster."""
+    """Return the largest |x| per column of (n, d), NaN if present. The transposed copy is ten times faster."""
     return np.abs(np.ascontiguousarray(x.T)).max(axis=1)
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Samples of all joints on a regular time grid; both ends are at rest.
-
-    A plan of one arm is a trajectory of both: the other arm's columns are constant, so it is held.
+    """Joint samples on a regular time grid. A plan of one arm keeps the other's columns constant.
 
     Attributes:
-        times: (n,) [s], regular, from 0; n >= 2.
+        times: (n,) [s], from 0; n >= 2.
         q: (n, dof) [rad].
         v: (n, dof) [rad/s].
         a: (n, dof) [rad/s^2].
@@ -71,14 +69,14 @@ class Trajectory:
         return float(self.times[1] - self.times[0])
 
     def sample(self, t: float) -> tuple[Array, Array, Array]:
-        """Return (q, v, a), each (dof,), at time t [s]; before the start and after the end the arms rest."""
+        """Return q, v, a (dof,) at time t [s], clamped to the trajectory's ends."""
         q, v, a = self.sample_many(np.array([t]))
         return q[0], v[0], a[0]
 
     def sample_many(self, times: Array) -> tuple[Array, Array, Array]:
-        """Return (q, v, a), each (m, dof), at times (m,) [s].
+        """Return q, v, a (m, dof) at times (m,) [s].
 
-        q is the cubic Hermite interpolant of the samples' q and v, v its derivative, a linear between samples.
+        q is the samples' cubic Hermite interpolant, v its derivative; a is linear.
         """
         t = np.clip(np.asarray(times, dtype=float), 0.0, self.duration_s)
         h = self.dt_s
@@ -96,16 +94,13 @@ class Trajectory:
         return q, v, a
 
     def variation_rates(self) -> Array:
-        """Return (n - 1, dof) [rad/s]: the largest speed of each joint within each step, exactly bounded.
-
-        Within a step q is a cubic; its derivative lies within the hull of its Bezier coefficients.
-        """
+        """Return upper bounds (n - 1, dof) [rad/s] on joint speeds within each step, from Bezier coefficients."""
         h = self.dt_s
         middle = 3.0 * np.diff(self.q, axis=0) / h - self.v[:-1] - self.v[1:]
         return np.maximum(np.maximum(np.abs(self.v[:-1]), np.abs(self.v[1:])), np.abs(middle))
 
     def slowed(self, factor: float) -> Trajectory:
-        """Return the same path in `factor` times the time (factor >= 1), on the same time step."""
+        """Return the path in about `factor` >= 1 times the time, with the same step."""
         if not (np.isfinite(factor) and factor >= 1.0):
             raise UsageError(f"slow-down factor {factor}; it must be finite and >= 1")
         n = int(np.ceil((len(self.times) - 1) * factor)) + 1
@@ -115,14 +110,14 @@ class Trajectory:
         return Trajectory(times, q, v / exact, a / exact**2, self.group)
 
     def digest(self) -> str:
-        """Return the sha256 of all samples: equal digests mean equal trajectories, bit for bit."""
+        """Return the sha256 of all samples."""
         h = hashlib.sha256(self.group.encode())
         for x in (self.times, self.q, self.v, self.a):
             h.update(np.ascontiguousarray(x).tobytes())
         return h.hexdigest()
 
     def to_json(self, joint_names: Sequence[str], every: int = 1) -> dict[str, Any]:
-        """Return the trajectory as plain JSON data, one of `every` samples, the last one always."""
+        """Return JSON data of every `every`-th sample and the last."""
         rows = np.unique(np.append(np.arange(0, len(self.times), every), len(self.times) - 1))
         return {
             "group": self.group,
@@ -134,11 +129,11 @@ class Trajectory:
         }
 
     def write_json(self, path: Path, joint_names: Sequence[str], every: int = 1) -> None:
-        """Write `to_json` to a file."""
+        """Write `to_json`."""
         path.write_text(json.dumps(self.to_json(joint_names, every)), encoding="utf-8")
 
     def write_csv(self, path: Path, joint_names: Sequence[str]) -> None:
-        """Write time, q, v and a of all samples, one row each."""
+        """Write time, q, v, a, one row per sample."""
         header = [f"{name}_{unit}" for unit in ("rad", "rad_per_s", "rad_per_s2") for name in joint_names]
         with path.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)

@@ -1,15 +1,11 @@
-"""Vectors of three plain floats, for code that runs a thousand times a second.
-
-On three numbers an array operation spends its time on being called: `np.cross` takes 14 us, `cross` 0.13 us. Larger
-algebra belongs to numpy.
-"""
+"""Vectors of three floats for 1 kHz code: `np.cross` takes 14 us, `cross` 0.13 us."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 Vector = Sequence[float]
-"""Three floats; `array.tolist()` makes one."""
+"""For example from `array.tolist()`."""
 
 
 def cross(a: Vector, b: Vector) -> tuple[float, float, float]:

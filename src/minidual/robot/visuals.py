@@ -1,4 +1,4 @@
-"""Visual meshes of one arm and its hand, decimated for fast software rendering and split by colour."""
+"""Visual meshes of one arm and hand, decimated and split by colour."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from minidual.robot.description import arm_elements, materials
 from minidual.robot.pair import ArmModel, Array
 
 FACES_PER_ARM = 9000
-"""Target number of triangles an arm (the Panda's files have 134,300): a face costs more than a pixel on a CPU."""
+"""Target triangles per arm (the Panda's files have 134,300); on a CPU a face costs more than a pixel."""
 
 
 @dataclass(frozen=True)
 class VisualMesh:
-    """One mesh of one colour in the frame of its link.
+    """One single-colour mesh in its link's frame.
 
     Attributes:
-        link: Link name without the side's prefix.
+        link: Without side prefix.
         vertices: (V, 3) [m].
         faces: (F, 3) indices.
         rgba: (4,) in 0..1.
@@ -38,13 +38,13 @@ class VisualMesh:
 
 _Colour = tuple[float, float, float, float]
 _SHRINK_MAX_M = 0.01
-"""A link that becomes shorter by more than this was cut, not simplified."""
+"""Decimation that shortens a link by more has cut part of it off."""
 _GREY: _Colour = (0.7, 0.7, 0.7, 1.0)
 
 
 @functools.cache
 def arm_visuals(arm: ArmModel) -> tuple[VisualMesh, ...]:
-    """Return the visual meshes of one arm with its hand; about one second the first time in a process."""
+    """Return one arm's meshes, about 1 s at the first call."""
     import pinocchio as pin
 
     colours = materials(arm.hand.urdf) | materials(arm.urdf)
@@ -56,7 +56,7 @@ def arm_visuals(arm: ArmModel) -> tuple[VisualMesh, ...]:
                 continue
             place = ET.Element("origin") if origin is None else origin
             rpy, xyz = (np.array([float(x) for x in place.get(k, "0 0 0").split()]) for k in ("rpy", "xyz"))
-            R = pin.rpy.rpyToMatrix(rpy).round(15)  # pi in the file is a half turn
+            R = pin.rpy.rpyToMatrix(rpy).round(15)  # removes the noise of rounded multiples of pi
             scale = np.array([float(x) for x in mesh.get("scale", "1 1 1").split()])
             named = None if material is None else colours.get(material.attrib["name"])
             for colour, vertices, faces in _coloured(Path(mesh.attrib["filename"]), named):
@@ -74,7 +74,7 @@ def arm_visuals(arm: ArmModel) -> tuple[VisualMesh, ...]:
 
 
 def _coloured(path: Path, colour: _Colour | None) -> list[tuple[_Colour, Array, npt.NDArray[np.int64]]]:
-    """Return (colour, vertices, faces) of a file, one mesh a colour: its own colours, else the one given."""
+    """Return (colour, vertices, faces) by colour; `colour` is the fallback."""
     import trimesh
 
     by_colour: dict[_Colour, list[trimesh.Trimesh]] = {}
@@ -91,7 +91,7 @@ def _coloured(path: Path, colour: _Colour | None) -> list[tuple[_Colour, Array, 
 
 
 def _decimated(meshes: list[tuple[Any, Any]], reduction: float) -> list[tuple[Any, Any]]:
-    """Return one link's (vertices, faces) with fewer faces; more cautiously where haste cut off part of the link."""
+    """Decimate one link, less aggressively if part of it was cut off."""
     import fast_simplification
 
     def size(parts: list[tuple[Any, Any]]) -> Array:
