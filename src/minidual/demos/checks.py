@@ -1,7 +1,4 @@
-"""Checks of an episode's arrays.
-
-They yield `Problem`s instead of raising, so one pass reports every fault.
-"""
+"""Checks of an episode's arrays; they yield every `Problem` instead of raising."""
 
 from __future__ import annotations
 
@@ -20,9 +17,9 @@ Images = Mapping[str, NDArray[np.uint8]]
 Thumbnails = Mapping[str, NDArray[np.float32]]
 
 ACTION_EQUAL_RAD = 1e-6
-"""Largest difference at which a command equals the reading; real tracking never agrees this well."""
+"""Largest difference of an equal command and reading; real tracking is never this exact."""
 ACTION_EQUAL_SHARE = 0.95
-"""Share of equal ticks from which the recording is at fault."""
+"""Share of equal ticks that is a fault."""
 BLACK_LEVEL = 8
 """Largest pixel value of a black image."""
 FROZEN_MOTION_RAD = 0.05
@@ -32,7 +29,7 @@ _LIMIT_TOLERANCE_RAD = 1e-3
 
 @dataclass(frozen=True)
 class Problem:
-    """One fault: a stable `name`, numbers in `detail`, and a `remedy`."""
+    """One fault; `name` is stable."""
 
     name: str
     detail: str
@@ -69,7 +66,7 @@ def check_monotonic(timestamps: Array, key: str = "timestamps") -> Iterator[Prob
 
 
 def check_action_is_command(qpos: Array, action: Array) -> Iterator[Problem]:
-    """Report actions (T, n) that equal the measured positions (T, n) [rad]."""
+    """Report actions that equal the readings."""
     equal = np.max(np.abs(action - qpos), axis=1) <= ACTION_EQUAL_RAD
     if equal.size and equal.mean() >= ACTION_EQUAL_SHARE:
         yield Problem(
@@ -80,7 +77,7 @@ def check_action_is_command(qpos: Array, action: Array) -> Iterator[Problem]:
 
 
 def check_rate(timestamps: Array, fps: float, max_jitter_s: float | None = None) -> Iterator[Problem]:
-    """Report a median interval off by 2 %, or any off by `max_jitter_s` (default: half a period)."""
+    """Report a median interval off by 2 %, or any off by `max_jitter_s` (default half a period)."""
     steps, period_s = np.diff(timestamps), 1.0 / fps
     if not steps.size:
         return
@@ -118,7 +115,7 @@ def check_sync(timestamps: Array, image_timestamps: Array) -> Iterator[Problem]:
 
 
 def check_limits(qpos: Array, robot: Robot) -> Iterator[Problem]:
-    """Report joints (T, n) outside the robot's limits, or a wrong joint count."""
+    """Report joints outside the limits, or a wrong joint count."""
     if qpos.shape[1] != robot.dof:
         yield Problem(
             "joints_wrong",
@@ -139,7 +136,7 @@ def check_limits(qpos: Array, robot: Robot) -> Iterator[Problem]:
 
 
 def check_images(images: Images, qpos: Array) -> Iterator[Problem]:
-    """Report images (T, H, W, 3) that are black, of one colour, identical between cameras, or frozen during motion."""
+    """Report images (T, H, W, 3) that are black, of one colour, duplicated, or frozen during motion."""
     moved = bool(np.max(np.ptp(qpos, axis=0)) > FROZEN_MOTION_RAD)
     for camera, frames in images.items():
         flat = frames.reshape(len(frames), -1, frames.shape[-1])
@@ -169,7 +166,7 @@ def check_images(images: Images, qpos: Array) -> Iterator[Problem]:
 
 
 def thumbnails(images: Images) -> Thumbnails:
-    """Return block means (12, 16, 3) of each camera's first image."""
+    """Return block means (12, 16, 3) of first images."""
     return {camera: _thumbnail(frames[0]) for camera, frames in images.items()}
 
 
@@ -182,14 +179,14 @@ def _thumbnail(image: NDArray[np.uint8]) -> NDArray[np.float32]:
 def camera_references(episodes: Sequence[Thumbnails]) -> Thumbnails:
     """Return each camera's median thumbnail.
 
-    Cameras are fixed in the scene, so a camera's first images resemble each other across episodes.
+    Fixed cameras give similar first images in every episode.
     """
     names = {camera for views in episodes for camera in views}
     return {c: np.median(np.stack([views[c] for views in episodes if c in views]), axis=0) for c in names}
 
 
 def check_swapped(views: Thumbnails, references: Thumbnails) -> Iterator[Problem]:
-    """Report cameras whose thumbnail is nearer to another camera's reference."""
+    """Report thumbnails nearer to another camera's reference."""
     for camera, view in views.items():
         apart = {c: float(np.mean(np.abs(view - r))) for c, r in references.items() if r.shape == view.shape}
         nearest = min(apart, key=apart.__getitem__, default=camera)

@@ -5,24 +5,24 @@ problem                         meaning
 ==============================  ==================================================================
 ``file_missing``                no such file
 ``file_corrupt``                truncated, not HDF5, or checksum mismatch
-``attributes_wrong``            an attribute is missing, invalid, or of another schema version
+``attributes_wrong``            missing, invalid, or another schema version
 ``field_missing``               a required array is absent
 ``field_wrong``                 wrong shape or type
 ``cameras_wrong``               declared, stored and expected cameras differ
 ``too_short``                   fewer than two ticks
 ``not_finite``                  NaN or infinity
 ``timestamps_not_monotonic``    time does not increase
-``action_equals_qpos``          the reading was recorded as the command
-``rate_wrong``                  the median interval is not 1/fps
-``timestamps_jitter``           an interval deviates beyond the limit
-``out_of_sync``                 images more than 20 ms from the joints
+``action_equals_qpos``          action is the reading
+``rate_wrong``                  median interval is not 1/fps
+``timestamps_jitter``           interval beyond the limit
+``out_of_sync``                 images over 20 ms from joints
 ``joints_wrong``                wrong joint count
-``outside_joint_limits``        joint order, units or limits are wrong
-``images_black``                a frame is black
-``images_constant``             a frame has a single colour
-``images_frozen``               the image never changes during motion
-``cameras_identical``           two cameras show the same
-``cameras_swapped``             a camera shows another one's view
+``outside_joint_limits``        wrong order, units or limits
+``images_black``                black frame
+``images_constant``             frame of one colour
+``images_frozen``               constant during motion
+``cameras_identical``           two cameras are equal
+``cameras_swapped``             another camera's view
 ==============================  ==================================================================
 """
 
@@ -48,7 +48,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Episode:
-    """One episode; shapes and units as in `minidual.demos.schema`."""
+    """One episode; see `minidual.demos.schema`."""
 
     meta: EpisodeMeta
     images: dict[str, NDArray[np.uint8]]
@@ -71,29 +71,25 @@ class Episode:
 
     @property
     def sync_error_max_s(self) -> float:
-        """Largest time between joints and images [s]; NaN without image times."""
+        """Largest time between joints and images; NaN without image times."""
         if self.image_timestamps is None:
             return float("nan")
         return float(np.max(np.abs(self.image_timestamps - self.timestamps)))
 
 
 def episode_paths(folder: Path | str) -> list[Path]:
-    """Return a folder's finished episodes by number."""
+    """Return a folder's finished episodes."""
     return sorted(Path(folder).glob("episode_[0-9]*.hdf5"))
 
 
 def read_meta(path: Path | str) -> EpisodeMeta:
-    """Return the metadata alone; raises as `read_episode`."""
+    """Return the metadata; raises as `read_episode`."""
     episode, problems = _load(Path(path), (), fields=())
     return _sound(path, episode, problems).meta
 
 
 def read_episode(path: Path | str, *, cameras: Sequence[str] | None = None) -> Episode:
-    """Read one episode.
-
-    Args:
-        path: HDF5 file.
-        cameras: Images to load; None loads all.
+    """Read one episode; `cameras` None loads all images.
 
     Raises:
         DataError: Missing, corrupt, or of another schema.
@@ -102,7 +98,7 @@ def read_episode(path: Path | str, *, cameras: Sequence[str] | None = None) -> E
 
 
 def validate_episode(path: Path | str, **options: Any) -> list[Problem]:
-    """Return every fault of a file; options as `inspect_episode`."""
+    """Return every fault; options as `inspect_episode`."""
     return inspect_episode(path, **options)[1]
 
 
@@ -114,14 +110,9 @@ def inspect_episode(
     references: checks.Thumbnails | None = None,
     max_jitter_s: float | None = None,
 ) -> tuple[Episode | None, list[Problem]]:
-    """Return an episode (None if unreadable) and every fault of its file.
+    """Return an episode (None if unreadable) and every fault; reads all arrays to verify checksums.
 
-    Args:
-        path: HDF5 file; all arrays are read, so checksums are verified.
-        cameras: Expected cameras in order; None: unchecked.
-        robot: For joint limits; None: unchecked.
-        references: From `checks.camera_references`.
-        max_jitter_s: See `checks.check_rate`.
+    `cameras`, `robot` and `references` (from `checks.camera_references`) are checked unless None.
     """
     episode, problems = _load(Path(path), None)
     if episode is not None and cameras is not None and tuple(cameras) != episode.meta.cameras:
@@ -192,7 +183,7 @@ def _load(
 
 
 def _joints_n(file: h5py.File) -> int:
-    """Return the width of qpos, or of action where qpos is invalid."""
+    """Return the width of qpos, or else of action."""
     widths = [
         f.shape[1]
         for f in map(file.get, ("observations/qpos", "action"))
@@ -204,7 +195,6 @@ def _joints_n(file: h5py.File) -> int:
 def _load_images(
     file: h5py.File, meta: EpisodeMeta, ticks: int, cameras: Sequence[str] | None, images: dict[str, NDArray[np.uint8]]
 ) -> list[Problem]:
-    """Read the wanted cameras into `images`; return their faults."""
     problems: list[Problem] = []
     stored = list(file["observations/images"]) if "observations/images" in file else []
     wanted = stored if cameras is None else cameras

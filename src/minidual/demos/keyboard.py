@@ -34,14 +34,10 @@ _SELECTIONS: tuple[list[int], ...] = ([0, 1], [0], [1])
 class KeyboardLeader(Leader):
     """Jogs one or both hands.
 
-    Keys move a goal that the hands follow at bounded speed, so motion does not depend on the terminal's key repeat.
-
-    Args:
-        kinematics: For inverse kinematics.
-        descriptor: Terminal; default standard input.
+    Keys move a goal that is followed at bounded speed, so the key repeat rate has no effect.
 
     Raises:
-        EnvironmentMissingError: Not a terminal.
+        EnvironmentMissingError: The descriptor is not a terminal.
     """
 
     realtime: ClassVar[bool] = True
@@ -70,7 +66,7 @@ class KeyboardLeader(Leader):
         return cls(Kinematics(setup.robot))
 
     def read(self, now_s: float) -> tuple[Array, Array] | None:
-        """Process pressed keys; return joints (n,) and openings (2,)."""
+        """Process keys; return joints (n,) and openings (2,)."""
         for key in self._keys():
             self._press(key)
         bound, self._last_s = max(now_s - self._last_s, 0.0) * _SPEED, now_s

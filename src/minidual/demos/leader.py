@@ -1,4 +1,4 @@
-"""Leaders, the sources of demonstrated joint angles."""
+"""Sources of demonstrated joint angles."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class Leader(ABC):
     """Leads one trial.
 
     Attributes:
-        realtime: Led by a person or device: runs at wall-clock speed, in one process, not repeatable.
-        usage: Instructions printed before recording.
+        realtime: A person or device leads: wall-clock speed, one process, not repeatable.
+        usage: Printed instructions.
     """
 
     realtime: ClassVar[bool] = False
@@ -38,15 +38,15 @@ class Leader(ABC):
     @classmethod
     @abstractmethod
     def for_trial(cls, setup: LeaderSetup, trial: Trial) -> Self:
-        """Return the leader of a trial; EnvironmentMissingError if its device is missing."""
+        """Return a trial's leader; EnvironmentMissingError without its device."""
 
     @abstractmethod
     def read(self, now_s: float) -> tuple[Array, Array] | None:
-        """Return joints (n,) [rad] and openings (2,) at `now_s` since the start, or None."""
+        """Return joints (n,) [rad] and openings (2,), or None."""
 
     @abstractmethod
     def finished(self, now_s: float) -> bool:
-        """Return whether the leader ended the episode."""
+        """Return whether the episode has ended."""
 
     def close(self) -> None:  # noqa: B027 (most leaders hold nothing)
         """Release resources."""
@@ -65,7 +65,7 @@ class ScriptedLeader(Leader):
         return cls(operator.plan(trial, seed=setup.seed, rate_hz=setup.config.rate_hz))
 
     def read(self, now_s: float) -> tuple[Array, Array] | None:
-        """Return the planned joints and openings."""
+        """Return the plan at `now_s`."""
         return self.demonstration.at(now_s)
 
     def finished(self, now_s: float) -> bool:

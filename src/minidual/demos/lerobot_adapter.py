@@ -1,16 +1,16 @@
-"""Convert HDF5 episodes to a LeRobot v3 dataset and verify it.
+"""Convert HDF5 episodes to LeRobot v3.
 
 =============================  ==================================================================
 LeRobot key                    from
 =============================  ==================================================================
-``observation.state``          ``observations/qpos`` (n), ``observations/gripper`` (2); float32
-``action``                     ``action`` (n), ``action_gripper`` (2); float32
-``observation.images.cam_*``   ``observations/images/*`` as h264 video
+``observation.state``          ``observations/qpos``, ``observations/gripper``; float32
+``action``                     ``action``, ``action_gripper``; float32
+``observation.images.cam_*``   ``observations/images/*`` as h264
 ``timestamp``                  tick / fps
 =============================  ==================================================================
 
-Videos are 4:4:4 at crf 12: the usual 4:2:0 at crf 30 loses the colour of a rod two pixels wide (96x128 frames, mean
-difference per channel: 7.7 of 255 against 2.1; 2.3 kB per frame).
+Videos are 4:4:4 at crf 12. The usual 4:2:0 at crf 30 loses the colour of a rod two pixels wide: mean difference per
+channel 7.7 of 255 against 2.1 (96x128, 2.3 kB per frame).
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ from minidual.errors import DataError, UsageError
 from minidual.robot.pair import Robot
 
 SOURCES_FILE = "meta/minidual_sources.json"
-"""Lists a dataset's recordings."""
+"""Lists the recordings."""
 IMAGE_DIFFERENCE_MAX = 6.0
-"""Limit of the mean difference per channel (of 255) between an image and its recording."""
+"""Limit of an image's mean difference per channel, of 255."""
 _VIDEO = {"vcodec": "h264", "preset": "veryfast", "pix_fmt": "yuv444p", "crf": 12}
 
 
 @dataclass(frozen=True)
 class DatasetSummary:
-    """A verified dataset; `image_difference_max` is its worst mean image difference, of 255."""
+    """A verified dataset."""
 
     root: Path
     episodes: int
@@ -56,7 +56,7 @@ class DatasetSummary:
 
 
 def state_names(robot: Robot) -> tuple[str, ...]:
-    """Return the names of a state: joints, then grippers."""
+    """Return joint, then gripper names."""
     return (*robot.joint_names, *(f"{side}_gripper" for side in robot.sides))
 
 
@@ -73,18 +73,18 @@ def convert(
     cameras: Sequence[str] | None = None,
     progress: Callable[[], None] | None = None,
 ) -> DatasetSummary:
-    """Make and verify a LeRobot dataset; a failed conversion leaves none.
+    """Make and verify a dataset; a failed conversion leaves none.
 
     Args:
-        paths: Validated HDF5 episodes of equal rate, cameras and image sizes.
+        paths: Validated HDF5 episodes of equal format.
         out_dir: New folder.
         robot: Recorded arms.
-        cameras: Default: all of the first episode.
+        cameras: Default: the first episode's.
         progress: Called after each episode.
 
     Raises:
         UsageError: No episodes, or `out_dir` exists.
-        DataError: Inconsistent or corrupt episodes, disk error, or failed verification.
+        DataError: Inconsistent episodes, disk error, or failed verification.
     """
     out_dir, sources = Path(out_dir), [Path(path) for path in paths]
     if not sources:
@@ -106,7 +106,6 @@ def convert(
 
 
 def _common_rate(sources: Sequence[Path]) -> int:
-    """Return the common whole-number rate."""
     rates = {path: read_meta(path).fps for path in sources}
     first = rates[sources[0]]
     for path, rate in rates.items():
@@ -186,10 +185,8 @@ def _vectors(episode: Episode) -> tuple[NDArray[np.float32], NDArray[np.float32]
 def verify_dataset(root: Path | str, paths: Sequence[Path | str], robot: Robot) -> DatasetSummary:
     """Compare a dataset, read without LeRobot, with its recordings.
 
-    Lengths and float32 values must be equal; images may differ by encoding.
-
     Raises:
-        DataError: Names the episode and the difference.
+        DataError: Unequal lengths or float32 values, or images beyond the limit.
     """
     data = read_dataset(root)
     if len(data.starts) != len(paths):
@@ -214,7 +211,6 @@ def _label(index: int, path: Path | str) -> str:
 
 
 def _compare_images(data: LeRobotTables, camera: str, paths: Sequence[Path | str]) -> float:
-    """Return the largest mean image difference; keeps one recording in memory."""
     index, worst, recorded = -1, 0.0, np.empty(0, np.uint8)
     for row, image in data.frames(camera):
         if index != data.episode_index[row]:

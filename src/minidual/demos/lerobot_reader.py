@@ -1,7 +1,6 @@
-"""Read a LeRobot v3 dataset without LeRobot, by pyarrow and av.
+"""Read LeRobot v3 datasets without LeRobot, so that verification is independent.
 
-Images are decoded once into memory (30 to 60 times faster than random video access). Verification stays independent of
-LeRobot.
+Decoding once into memory is 30 to 60 times faster than random video access.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ _AGAIN = "convert the episodes again: minidual teleop-record --force"
 
 
 def camera_key(camera: str) -> str:
-    """Return a camera's key, e.g. "observation.images.cam_high"."""
+    """Return e.g. "observation.images.cam_high"."""
     return IMAGE_PREFIX + camera
 
 
@@ -40,15 +39,13 @@ class LeRobotTables:
     """Checked tables: N rows, E episodes.
 
     Attributes:
-        fps: Recording rate [1/s].
         names: Entries of states and actions.
-        cameras: Image size (H, W) by camera.
+        cameras: (H, W) by camera.
         state: (N, names).
         action: (N, names).
-        episode_index: (N,).
-        frame_index: (N,) from 0 in each episode.
+        frame_index: (N,) from 0 per episode.
         starts: (E,) first rows.
-        stops: (E,) one past the last rows.
+        stops: (E,) one past the last.
     """
 
     root: Path
@@ -68,25 +65,25 @@ class LeRobotTables:
         return len(self.state)
 
     def size(self, camera: str) -> tuple[int, int]:
-        """Return a camera's image size (H, W); UsageError if unknown."""
+        """Return (H, W); UsageError if unknown."""
         if camera not in self.cameras:
             raise unknown_name("camera", camera, self.cameras)
         return self.cameras[camera]
 
     def frames(self, camera: str) -> Iterator[tuple[int, Image]]:
-        """Yield (row, image (H, W, 3)) of a camera, streamed.
+        """Yield (row, image (H, W, 3)), streamed.
 
         Raises:
-            DataError: A video is corrupt, or its frame count differs from the table (raised at its end).
+            DataError: A corrupt video, or at its end a wrong frame count.
         """
         size = self.size(camera)
         for name, rows in self._videos(camera_key(camera)).items():
             yield from zip(rows.tolist(), _decode(self.root / name, len(rows), size), strict=True)
 
     def images(self, camera: str, progress: Callable[[int], None] | None = None) -> Image:
-        """Return a camera's images (N, H, W, 3); raises as `frames`.
+        """Return all images (N, H, W, 3); raises as `frames`.
 
-        `progress` gets the number of images read since its last call.
+        `progress` gets the count since its last call.
         """
         result = np.empty((len(self), *self.size(camera), 3), dtype=np.uint8)
         for count, (row, image) in enumerate(self.frames(camera), start=1):
@@ -96,7 +93,6 @@ class LeRobotTables:
         return result
 
     def _videos(self, key: str) -> dict[str, Rows]:
-        """Map a camera's video files to their rows, in order."""
         places = [f"videos/{key}/{name}" for name in ("chunk_index", "file_index", "from_timestamp")]
         chunk, file, begin = (self._episodes[place].to_numpy() for place in places)
         parts: dict[str, list[Rows]] = {}
@@ -110,7 +106,7 @@ class LeRobotTables:
 
 
 def read_dataset(root: Path | str) -> LeRobotTables:
-    """Read a dataset's tables; DataError if missing, corrupt or inconsistent."""
+    """Read the tables; DataError if missing, corrupt or inconsistent."""
     root = Path(root)
     info = _read_info(root)
     table, episodes = _read_parquet(root, "data"), _read_parquet(root, "meta/episodes")
@@ -189,7 +185,7 @@ def _read_parquet(root: Path, folder: str) -> Any:
 
 
 def _decode(path: Path, expected: int, size: tuple[int, int]) -> Iterator[Image]:
-    """Yield a video's images; DataError at its end for a wrong count."""
+    """Yield images; DataError at the end for a wrong count."""
     count = 0
     try:
         with av.open(str(path)) as container:

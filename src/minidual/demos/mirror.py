@@ -1,4 +1,4 @@
-"""Map the leader's joints to the follower's."""
+"""Map leader joints to follower joints."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ class LeaderOffsetError(UsageError):
 
 
 class Mirror:
-    """Maps q_target = q_leader + offset, clipped to the limits of the follower `robot`."""
+    """Maps q_target = q_leader + offset, clipped to the follower's limits."""
 
     def __init__(self, robot: Robot, config: MirrorConfig | None = None) -> None:
         self.robot, self.config = robot, MirrorConfig() if config is None else config
         self.offset_rad: Array = np.zeros(robot.dof)
 
     def calibrate(self, q_leader: Array, q_follower: Array) -> Array:
-        """Take the difference (n,) [rad] in a common posture as offset.
+        """Set the offset from a common posture.
 
         Raises:
             LeaderOffsetError: It exceeds `calibration_max_rad`.
@@ -38,7 +38,7 @@ class Mirror:
         return offset
 
     def check_start(self, q_leader: Array, q_follower: Array) -> None:
-        """Raise LeaderOffsetError if leader and follower are too far apart."""
+        """Raise LeaderOffsetError if too far apart."""
         difference = self.target(q_leader) - self._joints(q_follower, "follower")
         worst, limit = int(np.argmax(np.abs(difference))), self.config.start_error_max_rad
         if abs(difference[worst]) > limit:
@@ -50,10 +50,10 @@ class Mirror:
             )
 
     def target(self, q_leader: Array) -> Array:
-        """Return the follower's target (n,) [rad] within its limits.
+        """Return the clipped target (n,) [rad].
 
-        All zeros (a device that lost its values) pass unchanged and NaN stays NaN, so that the arbiter can refuse them;
-        shifted zeros would look valid.
+        All zeros (lost values) pass unchanged and NaN stays NaN, so the arbiter can refuse them.
+        Shifted zeros would look valid.
 
         Raises:
             UsageError: Wrong number of joints.

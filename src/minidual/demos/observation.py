@@ -1,4 +1,4 @@
-"""Observations of recordings and policies."""
+"""Observation of a world."""
 
 from __future__ import annotations
 
@@ -17,11 +17,10 @@ class Observation:
     """One instant.
 
     Attributes:
-        time_s: Simulated time.
         q: (n,) joint positions [rad].
-        v: (n,) joint velocities [rad/s].
+        v: (n,) velocities [rad/s].
         gripper: (2,) openings, 0 closed to 1 open.
-        images: (H, W, 3) uint8 by camera.
+        images: (H, W, 3) by camera.
     """
 
     time_s: float
@@ -32,10 +31,7 @@ class Observation:
 
 
 class Observer:
-    """Reads a world; close it, or use it as a context manager.
-
-    Cameras need a world compiled with `visuals=True`.
-    """
+    """Context manager that reads a world; cameras need `visuals=True`."""
 
     def __init__(self, world: World, cameras: Sequence[str] = ()) -> None:
         self.world = world

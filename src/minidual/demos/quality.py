@@ -1,4 +1,4 @@
-"""Smoothness, straightness and workspace coverage of a demonstration."""
+"""Quality measures of a demonstration."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from minidual.demos.smoothness import rms_jerk
 from minidual.robot.kinematics import Kinematics
 
 CELL_M = 0.05
-"""Cube edge for counting the visited workspace."""
+"""Cube edge of the workspace count."""
 
 Array = NDArray[np.float64]
 
@@ -22,9 +22,8 @@ class EpisodeQuality:
     """Measures of one recording.
 
     Attributes:
-        rms_jerk_rad_s3: See `minidual.demos.smoothness.rms_jerk`.
         path_length_m: Mean of both hands.
-        cells_n: 5 cm cubes visited by either hand.
+        cells_n: 5 cm cubes visited.
     """
 
     file: str
@@ -51,24 +50,23 @@ def episode_quality(episode: Episode, kinematics: Kinematics) -> EpisodeQuality:
 
 
 def tcp_positions(q: NDArray[np.floating], kinematics: Kinematics) -> Array:
-    """Return the TCPs (T, 2, 3) [m], world, for postures (T, n) [rad]."""
+    """Return TCPs (T, 2, 3) [m] for postures (T, n)."""
     return np.array([[pose[:3, 3] for pose in kinematics.tcp_poses(row)] for row in np.asarray(q, dtype=float)])
 
 
 def path_length_m(positions: NDArray[np.floating]) -> Array:
-    """Return the path length (2,) [m] of each hand."""
+    """Return each hand's path length (2,)."""
     return np.linalg.norm(np.diff(positions, axis=0), axis=2).sum(axis=0)
 
 
 def path_efficiency(positions: NDArray[np.floating], action_gripper: NDArray[np.floating]) -> float:
     """Return straight over travelled length, 0 to 1, mean of both hands.
 
-    The straight path passes through every change of the hand's grip. Hands that travel less than 1 cm are left out; without
-    any the result is 1.
+    The straight path passes through every grip change. Hands moving under 1 cm are left out; with none the result is 1.
 
     Args:
         positions: (T, 2, 3) TCPs [m].
-        action_gripper: (T, 2) commands, any unit.
+        action_gripper: (T, 2), any unit.
     """
     shares: list[float] = []
     for hand in range(2):
@@ -81,7 +79,7 @@ def path_efficiency(positions: NDArray[np.floating], action_gripper: NDArray[np.
 
 
 def grip_changes(command: NDArray[np.floating]) -> list[int]:
-    """Return the ticks at which a command (T,) crosses its mid-range."""
+    """Return the ticks where a command (T,) crosses mid-range."""
     low, high = float(np.min(command)), float(np.max(command))
     if high - low < 1e-6:
         return []

@@ -1,7 +1,6 @@
 """Record trials over processes.
 
-Results do not depend on the number of workers: trials are seeded by number, run in simulated time, and attempts come in
-ordered rounds of known size.
+Results do not depend on the workers: each trial has its own random draw and simulated time, and rounds have known size.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from minidual.demos.rig import REJECTED, Attempt, Job, Rig
 from minidual.demos.smoothness import JERK_FILTER
 
 Observe = Callable[[Rig, int], AbstractContextManager[object]]
-"""Given the rig and trial number, returns a context entered while the trial runs."""
+"""Returns a context entered during the trial."""
 
 _rigs: dict[str, Rig] = {}
 
@@ -44,17 +43,14 @@ def _record_in_worker(job: Job, index: int, observe: Observe | None = None) -> A
 
 
 def usable_workers(job: Job, workers: int) -> int:
-    """Return the usable number of processes: 1 for real-time leaders."""
+    """Return the number of processes, 1 for real-time leaders."""
     return 1 if LEADERS[job.teleop.leader].realtime else workers
 
 
 def record_attempts(
     job: Job, indices: Sequence[int], *, workers: int, observe: Observe | None = None
 ) -> Iterator[Attempt]:
-    """Yield the attempts in the order of `indices`.
-
-    `observe` runs in this process and requires `workers` 1.
-    """
+    """Yield attempts in order; `observe` requires `workers` 1."""
     # One numeric thread per process: more of them wait for each other on a busy machine.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"
@@ -68,7 +64,7 @@ def record_attempts(
 
 @dataclass(frozen=True)
 class RecordingNumbers:
-    """Judged numbers; extremes over kept demonstrations, latencies over all attempts."""
+    """Judged numbers; extremes over kept demonstrations."""
 
     episodes: int
     attempts: int
@@ -86,7 +82,7 @@ class RecordingNumbers:
 
 @dataclass(frozen=True)
 class Recording:
-    """All attempts in order; `wall_s` includes the start of the processes."""
+    """All attempts in order; `wall_s` includes process start."""
 
     attempts: tuple[Attempt, ...]
     wall_s: float
@@ -94,12 +90,12 @@ class Recording:
 
     @property
     def episodes_per_min(self) -> float:
-        """Demonstrations per minute without process start."""
+        """Demonstrations per minute, without process start."""
         return 60.0 * len(self.kept) * self.workers / sum(a.wall_s for a in self.attempts)
 
     @property
     def kept(self) -> tuple[Attempt, ...]:
-        """The demonstrations in order."""
+        """Demonstrations in order."""
         return tuple(a for a in self.attempts if a.kept)
 
     @property
@@ -108,10 +104,7 @@ class Recording:
         return [a.path for a in self.kept if a.path is not None]
 
     def numbers(self, dataset_rows: int, dataset_episodes: int) -> RecordingNumbers:
-        """Return the judged numbers.
-
-        np.max propagates NaN, so unknown values fail their check.
-        """
+        """Return the judged numbers; NaN propagates and fails its check."""
         latencies = np.concatenate([a.latencies_s for a in self.attempts if a.latencies_s is not None])
         qualities = [a.quality for a in self.kept if a.quality is not None]
         return RecordingNumbers(
@@ -152,14 +145,12 @@ class Recording:
 def record(
     job: Job, *, workers: int, on_attempt: Callable[[Attempt], None] | None = None, observe: Observe | None = None
 ) -> Recording:
-    """Record until there are `episodes_n` demonstrations or attempts run out.
-
-    A round tries as many trials as are missing, so the choice of trials does not depend on worker speed.
+    """Record rounds until there are `episodes_n` demonstrations or attempts run out.
 
     Raises:
-        UsageError: Unknown leader, or one away from the follower.
-        HandoverError: The arbiter did not accept the leader.
-        EnvironmentMissingError: A device or renderer is missing.
+        UsageError: Unknown or displaced leader.
+        HandoverError: The arbiter refused the leader.
+        EnvironmentMissingError: Missing device or renderer.
         DataError: Disk error.
     """
     wanted, used = job.teleop.episodes_n, usable_workers(job, workers)

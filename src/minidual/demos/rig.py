@@ -1,4 +1,4 @@
-"""Run one demonstration trial and write its file."""
+"""Run and write one demonstration."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ from minidual.tasks.rod_carry import placement
 from minidual.tasks.task import Task, Trial
 
 PURPOSE = "demonstrations"
-"""Random stream of the trials; tests do not use it."""
+"""Random stream, not used by tests."""
 KEPT, REJECTED = "episodes", "rejected"
 FILM_SIZE = (640, 480)
 
 
 @dataclass(frozen=True)
 class Job:
-    """Inputs shared by all trials of a recording."""
+    """Inputs shared by all trials."""
 
     folder: Path
     task: Task
@@ -55,7 +55,7 @@ class Job:
         return robot_from(self.task.config.robot)
 
     def trial(self, index: int) -> Trial:
-        """Return demonstration trial `index`."""
+        """Return trial `index`."""
         return self.task.trial(self.seed, PURPOSE, index, widen=self.teleop.widen)
 
 
@@ -66,10 +66,10 @@ class Attempt:
     Attributes:
         kept: Whether it is a demonstration.
         reason: Why not, or "".
-        path: Its file, if written; the fields below need it.
-        sync_error_max_s: Largest time between joints and images, read back.
-        problems: Faults of the file, read back.
-        views: Each camera's start view.
+        path: File, if written.
+        sync_error_max_s: As read back.
+        problems: Faults read back.
+        views: Start images.
         latencies_s: Wall time per tick from reading the leader to its torque.
         wall_s: Wall time to plan, run, write and read back.
     """
@@ -99,7 +99,7 @@ class Attempt:
 
 
 def measures(outcome: Outcome | None) -> dict[str, float]:
-    """Return an outcome's recorded numbers; NaN without one."""
+    """Return the recorded numbers; NaN without outcome."""
     if outcome is None:
         return dict.fromkeys(("completion_s", "goal_error_m", "tilt_max_rad"), float("nan"))
     return {
@@ -110,7 +110,7 @@ def measures(outcome: Outcome | None) -> dict[str, float]:
 
 
 class Rig:
-    """World, session and leaders, built once per process."""
+    """World and session of one process."""
 
     def __init__(self, job: Job, cameras: Sequence[str]) -> None:
         self.job = job
@@ -134,8 +134,7 @@ class Rig:
     def record(self, index: int) -> Attempt:
         """Run trial `index`, write its file, and read it back.
 
-        The file is written to `rejected` and moved when accepted, so unfinished or failed attempts are never among the
-        demonstrations. Faults found on reading back are reported.
+        Files are written to `rejected` and moved if accepted, so demonstrations are always complete.
         """
         job, trial = self.job, self.job.trial(index)
         name = f"episode_{trial.index:06d}.hdf5"
@@ -178,7 +177,6 @@ class Rig:
         return EpisodeMeta(teleop.rate_hz, task.instruction, self.job.seed, teleop.cameras, extra=extra)
 
     def _reason(self, result: SessionResult, *, success: bool) -> str:
-        """Return the reason for rejection, or ""."""
         if not success or result.refusals:
             return result.reason or "the leader did not end the episode in time"
         jerk, limit = rms_jerk(result.q, self.job.teleop.rate_hz), self.job.teleop.jerk_max_rad_s3
@@ -190,7 +188,6 @@ class Rig:
 
 
 def _is_empty(result: SessionResult, rate_hz: float) -> bool:
-    """Return whether it lasted under 1 s or nothing moved."""
     return len(result.q) / rate_hz < 1.0 or float(np.ptp(result.q, axis=0).max()) < 1e-3
 
 
@@ -209,7 +206,7 @@ def _append(writer: EpisodeWriter, tick: Tick) -> None:
 
 
 def film(job: Job, index: int, path: Path) -> None:
-    """Run trial `index` again and film it to an mp4."""
+    """Run trial `index` again and film it."""
     rig = Rig(job, ())
     frames: list[Image] = []
     every = max(1, round(job.teleop.rate_hz / 25.0))

@@ -1,21 +1,21 @@
 """Schema of an episode file.
 
-One HDF5 file is one episode, in ALOHA's layout. With T ticks and n joints, left arm then right:
+One HDF5 file is one episode in ALOHA's layout. T ticks, n joints, left arm first:
 
 ====================================  ============  ==================================================
 key                                   shape         meaning
 ====================================  ============  ==================================================
-``observations/qpos``                 (T, n)        joint positions [rad]
-``observations/qvel`` (optional)      (T, n)        joint velocities [rad/s]
-``observations/gripper``              (T, 2)        openings, left then right
-``observations/images/<camera>``      (T, H, W, 3)  RGB, uint8; other arrays are float64
-``action``                            (T, n)        commanded joint targets [rad]
-``action_gripper``                    (T, 2)        commanded openings
-``timestamps``                        (T,)          joint reading time, monotonic [s]
+``observations/qpos``                 (T, n)        positions [rad]
+``observations/qvel`` (optional)      (T, n)        velocities [rad/s]
+``observations/gripper``              (T, 2)        openings
+``observations/images/<camera>``      (T, H, W, 3)  RGB uint8; other arrays: float64
+``action``                            (T, n)        joint targets [rad]
+``action_gripper``                    (T, 2)        opening targets
+``timestamps``                        (T,)          joint time, monotonic [s]
 ``image_timestamps`` (optional)       (T,)          image time [s]
 ====================================  ============  ==================================================
 
-``action[t]`` leads to the state at t + 1. It must not be the reading at t: that teaches a policy to stand still.
+``action[t]`` leads to the state at t + 1. Recording the reading at t teaches a policy to stand still.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ GRIPPERS_N = 2
 TICKS = "num_timesteps"
 """Attribute with the number of ticks."""
 MAX_SYNC_S = 0.020
-"""Largest time between a tick's joints and images."""
+"""Largest time between joints and images."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Field:
     required: bool = True
 
     def row_shape(self, joints_n: int) -> tuple[int, ...]:
-        """Return the row shape for `joints_n` joints in total."""
+        """Return the row shape."""
         return tuple(joints_n if axis == "joints" else GRIPPERS_N for axis in self.axes)
 
 
@@ -58,7 +58,7 @@ FIELDS = (
     Field("timestamps", "timestamps", ()),
     Field("image_timestamps", "image_timestamps", (), required=False),
 )
-"""Every numeric array; qpos comes first and fixes the number of joints."""
+"""Every numeric array; qpos fixes the number of joints."""
 
 
 def image_key(camera: str) -> str:
@@ -71,9 +71,7 @@ class EpisodeMeta:
     """File attributes.
 
     Attributes:
-        fps: Recording rate [1/s].
         task: Instruction text.
-        seed: Seed of the randomisation.
         cameras: In fixed order.
         sim: False for hardware.
         success: Whether the task was achieved.

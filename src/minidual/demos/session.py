@@ -1,6 +1,6 @@
-"""One teleoperated episode: leader, mirror, control stack.
+"""One teleoperated episode.
 
-Ticks follow simulated time, so load loses none and episodes are repeatable.
+Ticks follow simulated time, so load loses none.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ SOURCE = "teleop"
 
 
 class HandoverError(MinidualError):
-    """The arbiter did not hand control to the leader."""
+    """The arbiter did not accept the leader."""
 
 
 @dataclass(frozen=True)
@@ -49,11 +49,10 @@ class SessionResult:
     """One episode.
 
     Attributes:
-        q: (T, n) measured joints [rad]; images may exceed memory and only go to `on_tick`.
-        latencies_s: (T,) wall time from reading the leader to the first physics step; not stored in episodes.
-        refusals: Refused by the arbiter.
-        ended_by: "leader", "time_limit", "stopped" (the leader stopped sending) or "reflex".
-        reflex: Message of the supervisor's reflex, or "".
+        q: (T, n) joints [rad]; images may exceed memory and only go to `on_tick`.
+        latencies_s: (T,) wall time from reading the leader to the first physics step.
+        ended_by: "leader", "time_limit", "stopped" (the leader fell silent) or "reflex".
+        reflex: Message, or "".
     """
 
     q: Array
@@ -77,15 +76,7 @@ class SessionResult:
 
 
 class TeleopSession:
-    """Runs episodes in one world.
-
-    Args:
-        world: The plant.
-        kinematics: Dynamics for the controller.
-        observer: Reads the world.
-        config: Rate and mirror.
-        arbiter: Arbiter limits.
-        supervisor: Its reflex ends the episode.
+    """Runs episodes in one world; a reflex of `supervisor` ends the episode.
 
     Raises:
         UsageError: The rate does not divide the control rate.
@@ -115,17 +106,11 @@ class TeleopSession:
     def run(
         self, task: Task, trial: Trial, leader: Leader, *, on_tick: Callable[[int, Tick], None] | None = None
     ) -> SessionResult:
-        """Run one episode.
-
-        Args:
-            task: For the judge.
-            trial: Start and goal.
-            leader: Source of joint readings.
-            on_tick: Called with number and tick after each command.
+        """Run one episode; `on_tick` is called after each command.
 
         Raises:
             LeaderOffsetError: Leader and follower are apart.
-            HandoverError: The arbiter did not accept the leader.
+            HandoverError: The arbiter refused.
         """
         world = self.world
         judge = begin(world, task, trial)
@@ -137,7 +122,6 @@ class TeleopSession:
         return self._follow(judge, leader, on_tick)
 
     def _hand_over(self, judge: Judge) -> None:
-        """Hold the arms until the arbiter switches to the leader."""
         self.stack.request(SOURCE)
         while True:
             out = self.stack.arbitrate()
@@ -183,7 +167,6 @@ class TeleopSession:
         return SessionResult(np.array(measured), judge.outcome(world), np.array(latencies), refusals, ended_by, reflex)
 
     def _ask(self, leader: Leader, k: int, elapsed_s: float, now: Observation) -> ArbiterOutput:
-        """Propose the leader's command; return the arbiter's output."""
         reading = leader.read(elapsed_s)
         if reading is not None:
             command = JointCommand(self.mirror.target(reading[0]), reading[1], now.time_s, k)
@@ -191,7 +174,7 @@ class TeleopSession:
         return self.stack.arbitrate()
 
     def _move(self, judge: Judge, steps: int | None = None) -> str:
-        """Run control steps, by default a tick's; return a reflex message or ""."""
+        """Run control steps, by default a tick's; return the reflex."""
         for _ in range(self._steps if steps is None else steps):
             reflex = self._advance(judge)
             if reflex:
@@ -199,7 +182,6 @@ class TeleopSession:
         return ""
 
     def _advance(self, judge: Judge) -> str:
-        """Run one control step; return a reflex message or ""."""
         reflex = ""
         try:
             self.stack.advance()
@@ -209,5 +191,5 @@ class TeleopSession:
         return reflex
 
     def _time_limit_s(self, leader: Leader) -> float:
-        """Return the limit [s]; it is longer for people, but the judge applies the task's."""
+        """Return a longer limit for people; the judge applies the task's."""
         return self.config.person_time_limit_s if leader.realtime else self.world.scene.task.time_limit_s

@@ -1,7 +1,7 @@
-"""RMS jerk of joint motion, for recordings and benchmarks.
+"""RMS jerk for recordings and benchmarks.
 
-Plain finite differences measure contact noise at 1 kHz and sampling at 50 Hz. Resampling and a zero-phase low-pass make
-the number independent of the recording rate.
+Finite differences measure contact noise at 1 kHz and sampling at 50 Hz. Resampling and a zero-phase low-pass remove the
+dependence on rate.
 """
 
 from __future__ import annotations
@@ -24,27 +24,22 @@ JERK_FILTER = (
 
 
 def trim_s(cutoff_hz: float = CUTOFF_HZ) -> float:
-    """Return the time left out at each end [s]: two cutoff periods, the filter transient."""
+    """Return the end trim [s]: two cutoff periods, the filter transient."""
     return 2.0 / cutoff_hz
 
 
 def min_duration_s(cutoff_hz: float = CUTOFF_HZ) -> float:
-    """Return the shortest motion [s] accepted by `rms_jerk`."""
+    """Return the shortest accepted motion [s]."""
     return 2.5 * trim_s(cutoff_hz)
 
 
 def rms_jerk(q: NDArray[np.floating], rate_hz: float, cutoff_hz: float = CUTOFF_HZ) -> float:
     """Return sqrt(mean over t of sum over joints of (d3q/dt3)^2), rad/s^3.
 
-    Record at 50 Hz or more: content above half the rate is aliased.
-
-    Args:
-        q: (T, n) joint positions [rad].
-        rate_hz: Sampling rate; at least four times the cutoff.
-        cutoff_hz: Low-pass cutoff.
+    Record at 50 Hz or more to avoid aliasing. `rate_hz` is at least four times the cutoff.
 
     Raises:
-        DataError: Wrong shape, not finite, too short, or sampled too slowly.
+        DataError: q is not (T, n), not finite, too short, or sampled too slowly.
     """
     from scipy.interpolate import make_interp_spline  # slow import, not needed for JERK_FILTER
     from scipy.signal import butter, sosfiltfilt

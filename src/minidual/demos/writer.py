@@ -1,7 +1,7 @@
 """Record one episode; its file is whole or absent.
 
-Images beyond a memory budget are spilled to a temporary file. They use gzip level 1, one frame per chunk: 0.35 ms per
-96x128 frame, half the size (lzf takes 0.16 ms, but only h5py reads it). Checksums (fletcher32, gzip's own) detect bit rot.
+Images beyond a budget spill to a temporary file, with gzip 1 and one frame per chunk: 0.35 ms per 96x128 frame, half
+the size (lzf: 0.16 ms, but only h5py reads it). Checksums detect bit rot.
 """
 
 from __future__ import annotations
@@ -28,12 +28,7 @@ IMAGE_BUFFER_BYTES = 256 * 2**20
 class EpisodeWriter:
     """Records one episode; `path` exists only after `commit`.
 
-    Leaving the context without `commit` removes the partial file; a killed process leaves only a temporary file.
-
-    Args:
-        path: New file; its folder is made.
-        meta: `commit` updates `success` and `extra`.
-        image_buffer_bytes: Image memory budget.
+    Leaving the context removes partial files. `commit` updates success and extra of `meta`.
 
     Raises:
         UsageError: The file exists.
@@ -75,17 +70,10 @@ class EpisodeWriter:
         qvel: ArrayLike | None = None,
         image_timestamp: float | None = None,
     ) -> None:
-        """Add one tick, copying arrays; units as in the schema.
+        """Add one tick, copying arrays.
 
-        Args:
-            qpos: (n,) measured; the first tick fixes n.
-            action: (n,) commanded targets.
-            gripper: (2,) measured.
-            action_gripper: (2,) commanded.
-            timestamp: Joint reading time, monotonic.
-            images: (H, W, 3) uint8 for exactly `meta`'s cameras.
-            qvel: (n,), on every tick or none.
-            image_timestamp: On every tick or none.
+        Shapes and units as in the schema; the first tick fixes n. `images` must hold exactly `meta`'s cameras.
+        Optional values come on every tick or none.
 
         Raises:
             DataError: Wrong shape or value, or a disk error.
@@ -116,11 +104,11 @@ class EpisodeWriter:
                 self._spill()
 
     def commit(self, *, success: bool, extra: Mapping[str, Any] | None = None) -> Path:
-        """Check the episode, write it durably, and return its path.
+        """Check, write durably, and return the path.
 
         Raises:
             UsageError: The file exists by now.
-            DataError: Fewer than two ticks, actions equal readings, or a disk error; no file is left.
+            DataError: Under two ticks, actions equal readings, or a disk error; no file is left.
         """
         if self._closed:
             raise DataError(f"{self.path.name} is closed already")
@@ -146,7 +134,7 @@ class EpisodeWriter:
         return self.path
 
     def abort(self) -> None:
-        """Discard what is not committed; harmless after `commit`."""
+        """Discard what is not committed."""
         self._closed = True
         if self._file is not None:
             # Closing fails on a full disk too; the file is removed next anyway.
@@ -177,7 +165,6 @@ class EpisodeWriter:
 
     @contextlib.contextmanager
     def _writing(self) -> Iterator[None]:
-        """Turn disk errors into DataError and abort."""
         try:
             yield
         except (OSError, RuntimeError) as error:
@@ -186,7 +173,6 @@ class EpisodeWriter:
             raise DataError(f"{self.path} could not be written: {error}", remedy=remedy) from error
 
     def _spill(self) -> h5py.File:
-        """Append the buffered images to the temporary file."""
         file = self._file = self._file or h5py.File(self._partial, "w")
         for camera, frames in self._images.items():
             if not frames:
@@ -213,7 +199,6 @@ class EpisodeWriter:
 
 
 def _row(field: schema.Field, value: ArrayLike | None, joints_n: int, tick: int) -> NDArray[np.float64] | None:
-    """Return one tick of one array, or raise DataError."""
     if value is None:
         if field.required:
             raise DataError(f"{field.key} is missing at tick {tick}")
