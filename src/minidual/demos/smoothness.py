@@ -24,7 +24,7 @@ JERK_FILTER = (
 
 
 def trim_s(cutoff_hz: float = CUTOFF_HZ) -> float:
-    """Return the end trim [s]: two cutoff periods, the filter transient."""
+    """Return the end trim [s]: two cutoff periods."""
     return 2.0 / cutoff_hz
 
 
@@ -34,12 +34,12 @@ def min_duration_s(cutoff_hz: float = CUTOFF_HZ) -> float:
 
 
 def rms_jerk(q: NDArray[np.floating], rate_hz: float, cutoff_hz: float = CUTOFF_HZ) -> float:
-    """Return sqrt(mean over t of sum over joints of (d3q/dt3)^2), rad/s^3.
+    """Return sqrt(mean over t of sum over joints of (d3q/dt3)^2), rad/s^3, of q (T, n) [rad].
 
     Record at 50 Hz or more to avoid aliasing. `rate_hz` is at least four times the cutoff.
 
     Raises:
-        DataError: q is not (T, n), not finite, too short, or sampled too slowly.
+        DataError: q is malformed, not finite, too short, or sampled too slowly.
     """
     from scipy.interpolate import make_interp_spline  # slow import, not needed for JERK_FILTER
     from scipy.signal import butter, sosfiltfilt

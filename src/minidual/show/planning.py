@@ -118,7 +118,7 @@ def play(
 
 
 def play_queries(view: View | None, config: SceneConfig, outcomes: Mapping[str, Sequence[Outcome]]) -> None:
-    """Play each group's first solved query once."""
+    """Play each group's first solved query once; no-op without a view."""
     for group, done in outcomes.items():
         first = next((o for o in done if o.result is not None), None)
         if view is not None and first is not None and first.result is not None:

@@ -91,7 +91,7 @@ def watched(view: View | None, world: World, narrate: Narrator) -> Iterator[None
 
 
 def watch_trials(view: View | None) -> Watch | None:
-    """Return the `watch` argument of `run_trials`."""
+    """Return the `watch` argument of `run_trials`; None without a view."""
     if view is None:
         return None
 
@@ -130,7 +130,7 @@ def _method_narrator(method: Method, kinematics: Kinematics, name: str, title: s
 
 
 def watch_recording(view: View | None) -> Observe | None:
-    """Return the `observe` argument of `record`."""
+    """Return the `observe` argument of `record`; None without a view."""
     if view is None:
         return None
 

@@ -95,7 +95,7 @@ def _limit_line(axes: Any, at: float, label: str) -> None:
 
 
 def success_figure(rows: Sequence[Row], name: str, title: str) -> Figure | None:
-    """Return success rates with intervals by condition, if any."""
+    """Plot success rates with intervals by condition, if any."""
     if not any(cell.success for row in rows for cell in row.cells):
         return None
     methods = [cell.method for cell in rows[0].cells]
@@ -125,7 +125,7 @@ def success_figure(rows: Sequence[Row], name: str, title: str) -> Figure | None:
 
 
 def strip_figure(indicator: Indicator, methods: Sequence[str], trials: Sequence[Trial]) -> Figure | None:
-    """Return every trial and the median of successes, if any."""
+    """Plot every trial and the median of successes, if any."""
     column = indicator.column or ""
     found = {
         m: [t for t in trials if t.method == m and math.isfinite(t.numbers.get(column, math.nan))] for m in methods
@@ -162,7 +162,7 @@ def _spread(k: int) -> float:
 
 
 def failures_figure(methods: Sequence[str], trials: Sequence[Trial]) -> Figure | None:
-    """Return failure counts by method, if any."""
+    """Plot failure counts by method, if any."""
     counts = {m: Counter(t.failure or "unnamed" for t in trials if t.method == m and not t.success) for m in methods}
     reasons = [name for name, _n in sum(counts.values(), Counter[str]()).most_common()]
     if not reasons:
@@ -189,6 +189,6 @@ def benchmark_figures(tables: Tables, trials: Sequence[Trial]) -> list[Figure]:
 
 
 def condition_figure(tables: Tables) -> Figure | None:
-    """Return success by condition, if disturbed."""
+    """Plot success by condition, if disturbed."""
     title = "Success under each disturbance, the first row undisturbed"
     return success_figure(tables.rows, "conditions", title) if len(tables.rows) > 1 else None

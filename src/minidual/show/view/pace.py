@@ -57,7 +57,7 @@ class Brake:
         self._last_s = 0.0
 
     def hold(self, time_s: float) -> None:
-        """Sleep until `time_s`; lags over 0.1 s are not caught up."""
+        """Sleep until `time_s` is allowed; lags over 0.1 s are not caught up."""
         now = self._clock()
         if self._start is None or time_s < self._last_s:
             self._start = (now, time_s)

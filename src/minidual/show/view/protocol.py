@@ -52,7 +52,7 @@ class View(Protocol):
     def update(self, data: mujoco.MjData, overlay: Overlay) -> None:
         """Show body poses, current as after mj_step or mj_kinematics.
 
-        The data's model may lack the meshes.
+        The data may come from a model without meshes.
         """
         ...
 

@@ -20,7 +20,7 @@ from minidual.show.view.scene import Scene
 
 _PANEL_HZ = 6.0
 _UNWATCHED = 10.0
-"""Period factor without a connected browser."""
+"""Factor on the frame period without a connected browser."""
 _FAREWELL_S = 0.3
 
 
