@@ -19,6 +19,7 @@ from minidual.motion.result import PhaseTimes, PlanResult
 from minidual.motion.search import search
 from minidual.motion.shortcut import shortcut
 from minidual.motion.timing import DT_S, MotionLimits, time_path
+from minidual.proof.certificate import certify
 from minidual.proof.scene_engines import SceneEngines
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
@@ -59,6 +60,18 @@ class _Effort:
     def after_refusal(self) -> _Effort:
         """Return more padding and a closer look: the path was blocked where the search did not see it."""
         return replace(self, padding_m=min(1.5 * self.padding_m, 0.02), step_rad=max(0.5 * self.step_rad, 0.004))
+
+
+_LOADED: list[bool] = []
+
+
+def _load_kernels(engines: SceneEngines) -> None:
+    """Load the machine code of the planes (0.3 s; 30 s where it must be compiled), so that no budget pays for it."""
+    home = engines.solids.robot.home
+    still = np.zeros((2, len(home)))
+    EdgeChecker(engines, 0.0, [home], 0.1).edge_free(home, home + 0.1)
+    certify(engines.solids, Trajectory(np.array([0.0, DT_S]), still + home, still, still, "both_arms"))
+    _LOADED.append(True)
 
 
 class Planner:
@@ -103,7 +116,9 @@ class Planner:
         if scene.robot != self.robot:
             raise UsageError(f"the planner is for two {self.robot.arm.name}, the scene for two {scene.robot.arm.name}")
         if scene not in self._engines:
-            self._engines[scene] = SceneEngines(scene, self.config.verify_step_rad)
+            engines = self._engines[scene] = SceneEngines(scene, self.config.verify_step_rad)
+            if not _LOADED:
+                _load_kernels(engines)
             while len(self._engines) > _SCENES_KEPT:
                 self._engines.popitem(last=False)
         self._engines.move_to_end(scene)

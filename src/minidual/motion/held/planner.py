@@ -166,7 +166,9 @@ class HeldPlanner:
         budget = self.config.budget_s if budget_s is None else budget_s
         if not (np.isfinite(budget) and budget > 0.0):
             raise UsageError(f"budget_s = {budget}; it must be a finite number > 0")
-        return HeldWork(self, query.checked(self.planner.robot), time.perf_counter() + budget).run()
+        query = query.checked(self.planner.robot)
+        self.planner.engines(query.scene)  # built before the budget runs
+        return HeldWork(self, query, time.perf_counter() + budget).run()
 
     def prove(self, query: HeldQuery, points: Array) -> CarriedTrajectory:
         """Return the proven trajectory along points that somebody else found.
