@@ -1,1 +1,1 @@
-"""Control: joints, grasp matrix, object impedance, grippers and the command arbiter."""
+"""Controllers, grippers, command arbiter and supervisor."""

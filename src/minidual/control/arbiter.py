@@ -1,8 +1,6 @@
-"""The command arbiter: the only writer of joint commands.
+"""The command arbiter: the only writer of joint commands, with at most one driving source.
 
-Sources (moveit, teleop, policy) propose commands; at most one drives. A switch holds the measured posture, flushes all
-mailboxes, waits until the arms are still and then lets one source through. Every tick yields a target; without a driving
-source it is a held posture.
+A switch holds the measured posture, flushes all mailboxes, waits until the arms are still, then admits one source.
 
                  request           still            first command
     holding -----------> settling ------> waiting ----------------> active <----> aligning
@@ -13,11 +11,8 @@ source it is a held posture.
                             ^           silent for stop_after_s
                             | halt, from any state
 
-Streamed targets are bounded step by step. A timed command (trajectory, object path) is taken once, if it starts where the
-arms are, and runs at the control rate while its source affirms that it is alive. A switch or a silent source brakes it
-along its path. A halt drops it: the controllers stop the arms from where they are.
-
-`tick` is told the time; nothing here reads a clock.
+Streamed targets are bounded per step. A timed command is taken once, if it starts where the arms are, and runs while
+its source affirms that it is alive. A switch or a silent source brakes it along its path; a halt drops it.
 """
 
 from __future__ import annotations
@@ -37,13 +32,13 @@ from minidual.errors import UsageError, unknown_name
 from minidual.robot.pair import SIDES, Array, Robot
 
 _STOP_SHARE = 0.5
-"""Share of the joints' acceleration limits with which arms in motion are stopped when a switch begins."""
+"""Share of the joints' acceleration limits for stopping moving arms at a switch."""
 _DRIVING = (ArbiterState.WAITING, ArbiterState.ALIGNING, ArbiterState.ACTIVE, ArbiterState.STALE)
 
 
 @dataclass
 class _Switch:
-    """A switch under way: to which mode, and since when."""
+    """A pending switch."""
 
     mode: str
     since_s: float
@@ -52,15 +47,14 @@ class _Switch:
 class CommandArbiter:
     """Decides at each tick which joint target reaches the controllers.
 
-    While a source drives, the target of a joint moves by at most `switch_step_max_rad` a tick. A hold takes the measured
-    posture, or where moving arms can come to rest.
+    Streamed targets move each joint by at most `switch_step_max_rad` a tick.
 
     Args:
         robot: The two arms.
         config: Bounds and times.
-        gripper: Opening (2,) to hold until a source commands another.
-        control_dt_s: Step of the control loop that runs timed commands.
-        admit: Says why the controllers cannot take a command now, or None; by default they take joint commands.
+        gripper: Openings (2,) held until a source commands others.
+        control_dt_s: Control step of timed commands.
+        admit: Returns why the controllers cannot take a command, or None; the default admits joint commands.
     """
 
     def __init__(
@@ -76,9 +70,9 @@ class CommandArbiter:
         self._robot = robot
         self._underway = Underway(control_dt_s, robot, admit)
         self.on_confirm: list[Callable[[str], None]] = []
-        """Called with the mode when a switch is confirmed, before the new source's first command is taken."""
+        """Called with the mode when a switch is confirmed, before the source's first command."""
         self.on_flush: list[Callable[[str], None]] = []
-        """Called with the mode whenever a switch begins, so that sources drop queued chunks too."""
+        """Called with the mode when a switch begins or a halt flushes ("hold"), so that sources drop queued chunks."""
         self._mailboxes = {source: Mailbox(source, robot) for source in SOURCES}
         self._requests: list[str] = []
         self._halt: tuple[str, Array | None] | None = None
@@ -95,27 +89,27 @@ class CommandArbiter:
 
     @property
     def state(self) -> ArbiterState:
-        """What the arbiter did in the last tick."""
+        """State after the last tick."""
         return self._state
 
     @property
     def source(self) -> str | None:
-        """Whose turn it is, whether it speaks or not."""
+        """Source that may drive, or None."""
         return self._source
 
     @property
     def executions(self) -> tuple[Execution, ...]:
-        """Timed commands under way."""
+        """Running timed commands."""
         return self._underway.executions
 
     def propose(self, source: str, command: Command) -> Refusal | None:
-        """Offer a command; return why it is refused, or None.
+        """Offer a command; return its refusal, or None.
 
-        What depends on the posture is judged and reported at the tick that would take the command. Commands of a source that
-        does not drive are checked and kept until the next switch.
+        Checks that need the posture run at the tick that takes the command. Commands of sources that do not drive are kept
+        until the next flush.
 
         Raises:
-            UsageError: There is no such source.
+            UsageError: Unknown source.
         """
         refusal = self._mailbox(source).put(command)
         if refusal is not None:
@@ -123,36 +117,35 @@ class CommandArbiter:
         return refusal
 
     def affirm(self, source: str) -> None:
-        """Say that a source is alive. Its timed commands are braked after `stale_s` without this or a new command.
+        """Report a source as alive; without this or new commands for `stale_s` its timed commands brake.
 
         Raises:
-            UsageError: There is no such source.
+            UsageError: Unknown source.
         """
         self._mailbox(source)
         self._affirmed.add(source)
 
     def request(self, mode: str) -> None:
-        """Ask for a source to drive, or for "hold". It takes effect at the next tick; the last request counts.
+        """Request a source, or "hold", for the next tick; the last request counts.
 
         Raises:
-            UsageError: There is no such mode.
+            UsageError: Unknown mode.
         """
         if mode not in (*SOURCES, HOLD):
             raise unknown_name("mode", mode, (*SOURCES, HOLD))
         self._requests.append(mode)
 
     def halt(self, source: str, gripper: Array | None = None) -> None:
-        """Ask for the arms to stop at the next tick from where they are; nobody drives afterwards.
+        """Stop the arms at the next tick; no source drives afterwards.
 
-        Timed commands are dropped, not braked along their paths; a switch that settles is refused.
+        Timed commands are dropped; a settling switch is refused.
 
         Args:
             source: Who asks.
-            gripper: Openings (2,) to take, from the driving source only (else refused, `not_driving`; the arms stop all the
-                same). By default the hands stay as they are.
+            gripper: Openings (2,), accepted only from the driving source (else refused as `not_driving`; the arms still stop).
 
         Raises:
-            UsageError: There is no such source.
+            UsageError: Unknown source.
         """
         self._mailbox(source)
         fault = None if gripper is None else opening_fault(gripper)
@@ -167,19 +160,19 @@ class CommandArbiter:
         return self._mailboxes[source]
 
     def tick(self, now_s: float, q_measured: Array, v_measured: Array) -> ArbiterOutput:
-        """Return the target of this tick.
+        """Return this tick's output.
 
         Args:
-            now_s: Time [s]; it must not run backwards.
+            now_s: Time [s].
             q_measured: (n,) [rad].
             v_measured: (n,) [rad/s].
 
         Raises:
-            UsageError: Time runs backwards, or the first measurement is not a posture of finite angles.
+            UsageError: Time runs backwards, or the first posture is not finite.
         """
         dt = self._elapsed(now_s)
         posture = self._posture(q_measured)
-        speed = float(np.max(np.abs(v_measured)))  # NaN compares as not still
+        speed = float(np.max(np.abs(v_measured)))  # NaN counts as not still
         if self._source in self._affirmed:
             self._alive_s = now_s
         self._affirmed.clear()
@@ -218,7 +211,7 @@ class CommandArbiter:
         return now_s - last
 
     def _posture(self, q_measured: Array) -> Array:
-        """Return the measured posture, or the present target where the measurement is unusable."""
+        """Return the measured posture, or the present target if the measurement is unusable."""
         usable = np.shape(q_measured) == (self._robot.dof,) and bool(np.isfinite(q_measured).all())
         if usable:
             posture = np.clip(q_measured, self._robot.q_lower, self._robot.q_upper)
@@ -236,7 +229,7 @@ class CommandArbiter:
         return self._target
 
     def _begin_requested(self, now_s: float, posture: Array, v_measured: Array) -> None:
-        """Start the switch asked for last; a request for who drives already is confirmed by going on."""
+        """Start the last requested switch, unless that source drives already."""
         requests, self._requests = self._requests, []
         if not requests:
             return
@@ -258,7 +251,7 @@ class CommandArbiter:
         self._state = ArbiterState.SETTLING
 
     def _begin_halt(self, now_s: float, posture: Array, v_measured: Array) -> bool:
-        """Carry out a halt that was asked for: drop timed commands, end the turn. Return whether there was one."""
+        """Carry out a pending halt; return whether there was one."""
         if self._halt is None:
             return False
         (source, gripper), self._halt = self._halt, None
@@ -276,14 +269,14 @@ class CommandArbiter:
         return True
 
     def _flush(self, mode: str, now_s: float) -> None:
-        """Forget every command; tell the listeners for which mode."""
+        """Forget every command and notify the listeners."""
         for mailbox in self._mailboxes.values():
             mailbox.flush(now_s)
         for listener in self.on_flush:
             listener(mode)
 
     def _settle(self, switch: _Switch, now_s: float, speed: float, posture: Array) -> str | None:
-        """Confirm the switch when the arms are still, give it up when they are not in time."""
+        """Confirm the switch once the arms are still; refuse it after the timeout."""
         mode, waited = switch.mode, now_s - switch.since_s
         if speed < self.config.still_speed_rad_s and not self._underway.executions:
             self._switch = None
@@ -308,7 +301,7 @@ class CommandArbiter:
         self._refusals.append(Refusal(source, name, detail))
 
     def _begin_timed(self, source: str, now_s: float, posture: Array) -> None:
-        """Take the timed commands that wait, if nothing stands against them."""
+        """Begin the waiting timed commands that pass the checks."""
         taken, refused = self._mailboxes[source].take_timed(now_s, self.config.stale_s)
         self._refusals.extend(refused)
         for command in taken:
@@ -321,7 +314,7 @@ class CommandArbiter:
                 self._gripper[arm] = command.gripper[arm]
 
     def _fresh(self, source: str, now_s: float) -> dict[int, JointCommand]:
-        """Return the streamed command of each arm, less those that cannot be followed now."""
+        """Return each arm's streamed command that can be followed now."""
         mailbox = self._mailboxes[source]
         fresh, refused = mailbox.fresh(now_s, self.config.stale_s)
         self._refusals.extend(refused)
@@ -337,7 +330,7 @@ class CommandArbiter:
         return fresh
 
     def _drive(self, source: str, now_s: float, dt: float) -> dict[int, Command]:
-        """Move the target to what the source asks for; return the commands that went through, by arm."""
+        """Move the target; return the accepted commands by arm."""
         fresh = self._fresh(source, now_s)
         was_aligning = self._state == ArbiterState.ALIGNING
         if fresh:
@@ -355,7 +348,7 @@ class CommandArbiter:
             wanted[joints] = np.clip(command.target_of(arm), lower, upper)
         step = wanted - self._held()
         largest = float(np.max(np.abs(step)))
-        # A step over the bound begins an alignment; it ends when one tick at its speed reaches the source.
+        # A step over the bound starts an alignment, which ends once one tick at its speed reaches the target.
         aligning = largest > self.config.switch_step_max_rad or (
             was_aligning and largest > self.config.align_speed_rad_s * dt
         )
@@ -363,7 +356,7 @@ class CommandArbiter:
             bound = min(self.config.align_speed_rad_s * dt, self.config.switch_step_max_rad)
             wanted = self._held() + step * min(1.0, bound / largest)
         else:
-            # While aligning the hands stay as they are: what they hold must not drop half way there.
+            # The hands do not move while aligning, lest they drop what they hold.
             for arm, command in fresh.items():
                 self._gripper[arm] = command.gripper[arm]
         self._target = wanted
@@ -371,7 +364,7 @@ class CommandArbiter:
         return {**driven, **fresh}
 
     def _run_timed(self, now_s: float) -> dict[int, Command]:
-        """Let the timed commands run on while their source is there, or brake them; return who drives which arm."""
+        """Run the timed commands, or brake them if the source is silent; return them by arm."""
         executions = self._underway.executions
         if not executions:
             return {}
@@ -385,11 +378,11 @@ class CommandArbiter:
         return {arm: e.command for e in executions for arm in e.arms}
 
     def _is_gone(self, now_s: float) -> bool:
-        """Return whether the source has been silent for longer than a command lives."""
+        """Return whether the source has been silent for over `stale_s`."""
         return now_s - self._alive_s > self.config.stale_s + 1e-9
 
     def _go_quiet(self, now_s: float) -> None:
-        """Hold while the source is silent, and take its turn away when it stays so."""
+        """Hold while the source is silent; stop after `stop_after_s`."""
         if now_s - self._heard_s > self.config.stop_after_s:
             self._state = ArbiterState.STOPPED
             self._source = None
@@ -397,7 +390,7 @@ class CommandArbiter:
             self._state = ArbiterState.STALE
 
     def _where_they_stop(self, posture: Array, v_measured: Array) -> Array:
-        """Return where arms at a posture (n,) and velocity (n,) come to rest at a bounded deceleration."""
+        """Return the joints (n,) at which moving arms can stop."""
         robot = self._robot
         v = np.clip(v_measured, -robot.v_max, robot.v_max)
         if not np.isfinite(v).all():

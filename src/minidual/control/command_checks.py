@@ -1,4 +1,4 @@
-"""Checks of a command that need no posture; they run when it is proposed."""
+"""Posture-independent checks, run when a command is proposed."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from minidual.control.commands import Command, ObjectCommand, TrajectoryCommand
 from minidual.robot.pair import Array, Robot
 
 SQUEEZE_CEILING_N = 80.0
-"""No internal force above this is let through."""
+"""Highest accepted internal force."""
 OBJECT_SPEED_MAX_M_PER_S = 1.0
-"""A held object is not commanded faster; the arms' own limits lie not far above."""
+"""Highest commanded object speed, just below the arms' own limits."""
 
 _LIMIT_TOLERANCE_RAD = 1e-6
 _SPEED_TOLERANCE = 1.02
@@ -20,11 +20,11 @@ _REST_OBJECT = 0.005
 _OBJECT_SAMPLES = 61
 
 Fault = tuple[str, str]
-"""Stable name, and the value with its bound."""
+"""Stable name, and detail with value and bound."""
 
 
 def find_fault(command: Command, robot: Robot) -> Fault | None:
-    """Return (name, detail) of the first check that a command fails, or None."""
+    """Return the first fault, or None."""
     if isinstance(command, ObjectCommand):
         return _common_fault(command) or _object_fault(command)
     if command.group not in robot.groups:
@@ -40,13 +40,13 @@ def find_fault(command: Command, robot: Robot) -> Fault | None:
 
 
 def own_columns(command: TrajectoryCommand, robot: Robot) -> slice:
-    """Return the columns of the command's motion that belong to its arms."""
+    """Return the motion's columns of the command's arms."""
     width = np.shape(command.motion.q)[1]
     return robot.groups[command.group] if width == robot.dof else slice(0, width)
 
 
 def opening_fault(gripper: Array) -> Fault | None:
-    """Return what is wrong with the openings (2,) of the hands, or None."""
+    """Return the fault of openings (2,), or None."""
     if np.shape(gripper) != (2,):
         return "wrong_shape", f"gripper {np.shape(gripper)}; it must be (2,)"
     if not np.isfinite(gripper).all():
@@ -63,7 +63,7 @@ def _common_fault(command: Command) -> Fault | None:
 
 
 def _posture_fault(q: Array, joints: slice, robot: Robot) -> Fault | None:
-    """Return what is wrong with postures (n, joints), or None."""
+    """Return the fault of postures (m, joints), or None."""
     names = robot.joint_names[joints]
     finite = np.isfinite(q)
     if not finite.all():

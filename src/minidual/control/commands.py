@@ -1,8 +1,8 @@
-"""What travels through the arbiter: proposed commands, refusals, and what goes on to the controllers.
+"""Data passing through the arbiter: commands and refusals.
 
-* `JointCommand`       a joint target, streamed at 50 to 100 Hz (leader, policy)
-* `TrajectoryCommand`  a timed joint trajectory, taken once and run at 1 kHz (planner)
-* `ObjectCommand`      a timed path of a held object with its squeeze, run at 1 kHz (object impedance)
+* `JointCommand`       joint target, streamed at 50 to 100 Hz (leader, policy)
+* `TrajectoryCommand`  timed joint trajectory, run at 1 kHz (planner)
+* `ObjectCommand`      timed path of a held object with squeeze, run at 1 kHz
 """
 
 from __future__ import annotations
@@ -16,27 +16,26 @@ from minidual.control.object_impedance import ObjectState
 from minidual.robot.pair import SIDES, Array
 
 SOURCES: tuple[str, ...] = ("moveit", "teleop", "policy")
-"""Who may propose commands; each is a mode, and at most one drives at a time."""
+"""Command sources, each also a mode; at most one drives."""
 
 HOLD = "hold"
-"""The mode in which nobody drives."""
+"""Mode without a driving source."""
 
 
 def arms_of(group: str) -> tuple[int, ...]:
-    """Return the indices of the arms of a group (`both_arms`, `left_arm`, `right_arm`)."""
+    """Return a group's arm indices."""
     return (0, 1) if group == "both_arms" else (SIDES.index(group.removesuffix("_arm")),)
 
 
 @dataclass(frozen=True)
 class JointCommand:
-    """A joint target that a source proposes.
+    """A proposed joint target.
 
     Attributes:
-        q: Joint targets [rad]: (n,) left then right, or one arm's.
-        gripper: Opening of the left and the right hand (2,), 0 closed to 1 open. A single arm's command
-            moves its own hand only.
-        stamp_s: When the source made it [s], on the arbiter's clock.
-        sequence: Counts up with every command of the source.
+        q: [rad], (n,) left then right, or one arm's.
+        gripper: Openings (2,) left, right, 0 closed to 1 open; a single arm's command moves its hand only.
+        stamp_s: Creation time on the arbiter's clock [s].
+        sequence: Increases with each command of the source.
         group: `both_arms`, `left_arm` or `right_arm`.
     """
 
@@ -48,11 +47,11 @@ class JointCommand:
 
     @property
     def arms(self) -> tuple[int, ...]:
-        """Indices of the arms that this command drives."""
+        """Driven arms."""
         return arms_of(self.group)
 
     def target_of(self, arm: int) -> Array:
-        """Return the joint targets [rad] of one of its arms."""
+        """Return an arm's targets [rad]."""
         if self.group != "both_arms":
             return self.q
         half = len(self.q) // 2
@@ -60,9 +59,9 @@ class JointCommand:
 
 
 class TimedMotion(Protocol):
-    """A joint trajectory on a regular time grid, at rest at both ends (`planning.Trajectory` is one).
+    """Joint trajectory on a regular grid, at rest at both ends (such as `robot.trajectory.Trajectory`).
 
-    q, v, a: (samples, joints of both arms or of one). Of both arms' columns a single arm's command uses its own.
+    q, v, a: (samples, joints), joints of both arms or one; a single arm's command uses its own columns.
     """
 
     @property
@@ -82,7 +81,7 @@ class TimedMotion(Protocol):
 
     @property
     def dt_s(self) -> float:
-        """Step between samples [s]."""
+        """Sample period [s]."""
         ...
 
     @property
@@ -97,14 +96,14 @@ class TimedMotion(Protocol):
 
 @dataclass(frozen=True)
 class TrajectoryCommand:
-    """A timed joint trajectory that a source proposes once; it starts when the arbiter takes it and ends at rest.
+    """A timed joint trajectory; it starts when the arbiter takes it.
 
     Attributes:
-        motion: The trajectory; it must start where the arms are.
-        gripper: Openings (2,) from its start on.
-        stamp_s: When the source made it [s]. One not taken within `stale_s` is refused.
-        sequence: Counts up with every command of the source.
-        group: `both_arms`, `left_arm` or `right_arm`.
+        motion: Must start at the arms' posture.
+        gripper: Openings (2,) from the start on.
+        stamp_s: Creation time [s]; refused if not taken within `stale_s`.
+        sequence: As for `JointCommand`.
+        group: As for `JointCommand`.
     """
 
     motion: TimedMotion
@@ -115,33 +114,31 @@ class TrajectoryCommand:
 
     @property
     def arms(self) -> tuple[int, ...]:
-        """Indices of the arms that this command drives."""
+        """Driven arms."""
         return arms_of(self.group)
 
 
 class ObjectMotion(Protocol):
-    """A path of a held object in time, at rest at both ends (`control.ObjectPath` is one)."""
+    """Timed object path, at rest at both ends (such as `control.object_path.ObjectPath`)."""
 
     @property
     def duration_s(self) -> float:
-        """When it ends [s]."""
+        """Duration [s]."""
         ...
 
     def at(self, t_s: float) -> ObjectState:
-        """Return pose, twist and acceleration of the object at a time [s]."""
+        """Return the object's state at a time [s]."""
         ...
 
 
 @dataclass(frozen=True)
 class ObjectCommand:
-    """A path of the object in both hands, and how hard they press it together.
+    """A path of the object in both hands, with its squeeze.
 
     Attributes:
-        motion: The path; it must start where the object is.
-        squeeze_n: Internal force [N] at a time [s] of the path, 0 to 80.
-        gripper: Openings (2,) from its start on.
-        stamp_s: When the source made it [s]. One not taken within `stale_s` is refused.
-        sequence: Counts up with every command of the source.
+        motion: Must start at the object's pose.
+        squeeze_n: Internal force [N] by path time [s], 0 to 80.
+        gripper, stamp_s, sequence: As for `TrajectoryCommand`.
     """
 
     motion: ObjectMotion
@@ -152,7 +149,7 @@ class ObjectCommand:
 
     @property
     def arms(self) -> tuple[int, ...]:
-        """Both: an internal force takes two hands."""
+        """Both arms."""
         return (0, 1)
 
 
@@ -162,12 +159,12 @@ Command = JointCommand | TimedCommand
 
 @dataclass(frozen=True)
 class Refusal:
-    """A command or request that was not let through, and why.
+    """A refused command or request.
 
     Attributes:
-        source: Who proposed it.
-        name: Stable name; docs/control.md lists them all.
-        detail: The value and the bound.
+        source: Its source or mode.
+        name: Stable name (list: docs/control.md).
+        detail: Value and bound.
     """
 
     source: str
@@ -176,12 +173,11 @@ class Refusal:
 
 
 class ArbiterState(StrEnum):
-    """What the arbiter does with the arms.
+    """What the arbiter does.
 
-    holding: nobody drives. settling: a switch waits for the arms to be still. waiting: the source may drive and has
-    nothing under way. aligning: the target moves at a bounded rate towards the source's. active: the source's commands go
-    through. stale: the source is silent; its last target is held. stopped: it stayed silent, or the arms did not come to
-    rest; only a new request leads on.
+    holding: no source drives. settling: waits for still arms. waiting: a source may drive, nothing runs. aligning: the
+    target approaches the source's at a bounded rate. active: commands pass. stale: source silent, target held. stopped:
+    halted, silent too long or not still in time; needs a new request.
     """
 
     HOLDING = "holding"

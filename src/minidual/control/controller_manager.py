@@ -1,9 +1,7 @@
-"""Which controllers drive the joints: every joint by exactly one, at all times.
+"""Controller switching: every joint is always driven by exactly one controller.
 
-A switch names the whole new set. It is strict: a set that would leave a joint to nobody, or give it to two, or that
-names a controller which is not ready, is refused by name and nothing changes. It is atomic: the next control step is
-the new set's. What the torques differ by at that instant fades over `fade_s`, so that the motors see no jump; where it
-must be gone sooner (a squeeze that has lost its object), as fast as the drives can change their torque.
+A switch names the whole new set and is strict and atomic: an invalid set is refused and changes nothing. The torque
+difference fades over `fade_s`, or at the drives' rate limit where it must go sooner (a squeeze that lost its object).
 """
 
 from __future__ import annotations
@@ -23,7 +21,7 @@ from minidual.robot.pair import SIDES, Array, Robot
 
 
 class ControllerSwitchError(MinidualError):
-    """A set of controllers was refused; `name` says why: `unclaimed`, `doubly_claimed`, `not_ready`, `under_way`."""
+    """A refused set; `name` is `unclaimed`, `doubly_claimed`, `not_ready` or `under_way`."""
 
     def __init__(self, name: str, message: str, *, remedy: str | None = None) -> None:
         super().__init__(f"{name}: {message}", remedy=remedy)
@@ -31,13 +29,13 @@ class ControllerSwitchError(MinidualError):
 
 
 class ControllerManager:
-    """Holds all controllers and runs the active ones.
+    """Runs the active controllers.
 
     Args:
-        controllers: All that exist.
+        controllers: All controllers.
         dt_s: Control step.
         robot: The two arms.
-        fade_s: How long the difference of the torques at a switch takes to fade.
+        fade_s: Fade time of the torque difference.
     """
 
     def __init__(self, controllers: Sequence[Controller], dt_s: float, robot: Robot, *, fade_s: float = 0.1) -> None:
@@ -52,7 +50,7 @@ class ControllerManager:
         self._rate: TorqueRate | None = None
         self._offset = np.zeros(robot.dof)
         self.tau = np.zeros(robot.dof)
-        """Torques (n,) [Nm] of the last step."""
+        """Last torques (n,) [Nm]."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -61,21 +59,21 @@ class ControllerManager:
 
     @property
     def active(self) -> tuple[str, ...]:
-        """The controllers that drive now."""
+        """Active controllers."""
         return tuple(c.name for c in self._active)
 
     def __getitem__(self, name: str) -> Controller:
-        """Return a controller, or say which exist."""
+        """Return a controller by name."""
         if name not in self._all:
             raise unknown_name("controller", name, self._all)
         return self._all[name]
 
     def check(self, names: Sequence[str]) -> tuple[Controller, ...]:
-        """Return the set of controllers.
+        """Return the named controllers.
 
         Raises:
-            UsageError: No controller has that name.
-            ControllerSwitchError: The set leaves a joint to nobody or gives it to two, or one is not ready.
+            UsageError: Unknown name.
+            ControllerSwitchError: A joint is unclaimed or claimed twice, or a controller is not ready.
         """
         chosen = tuple(self[name] for name in names)
         for arm, arm_name in enumerate(SIDES):
@@ -97,12 +95,12 @@ class ControllerManager:
         return chosen
 
     def switch(self, names: Sequence[str], q: Array, v: Array, *, swiftly: bool = False) -> None:
-        """Activate exactly these controllers at measured q (n,) and v (n,); all or nothing.
+        """Activate exactly these controllers at measured q, v (n,).
 
-        `swiftly`: the torques go over at the drives' rate limit and do not fade.
+        With `swiftly` the torques change at the drives' rate limit instead of fading.
 
         Raises:
-            UsageError, ControllerSwitchError: See `check`; nothing has changed then.
+            UsageError, ControllerSwitchError: See `check`.
         """
         chosen = self.check(names)
         had_any = bool(self._active)
@@ -126,12 +124,12 @@ class ControllerManager:
         return None
 
     def follow(self, output: ArbiterOutput) -> None:
-        """Give the active controllers what the arbiter let through."""
+        """Pass the arbiter's output to the active controllers."""
         for controller in self._active:
             controller.follow(output)
 
     def update(self, q: Array, v: Array) -> Array:
-        """Run one control step; return torques (n,) [Nm], each joint's from the one controller that claims it."""
+        """Run one control step; return torques (n,) [Nm]."""
         tau = self._joined(lambda controller: controller.update(q, v))
         if self._fade_left:
             tau = self._faded(tau)
@@ -140,18 +138,18 @@ class ControllerManager:
 
     @property
     def reference(self) -> Array:
-        """Joint references (n,) [rad] of the last step."""
+        """Last joint references (n,) [rad]."""
         return self._joined(lambda controller: controller.reference)
 
     @property
     def acceleration(self) -> Array | None:
-        """Acceleration (n,) [rad/s^2] of the commanded reference in the last step, or None where there is none."""
+        """Last commanded reference acceleration (n,) [rad/s^2], or None."""
         if any(controller.acceleration is None for controller in self._active):
             return None
         return self._joined(lambda controller: cast("Array", controller.acceleration))
 
     def _joined(self, part: Callable[[Controller], Array]) -> Array:
-        """Return (n,) numbers, each joint's from the one controller that claims it."""
+        """Return (n,) values, each joint's from its controller."""
         if self._whole is not None:
             return part(self._whole)
         joined = np.empty(self._robot.dof)

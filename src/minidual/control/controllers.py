@@ -1,11 +1,9 @@
-"""The controllers behind the arbiter, all behind one small interface.
+"""The controllers and their common interface.
 
-A  `both_arms`                  joint trajectory control of both arms
+A  `both_arms`                  joint trajectory control
 B  `left_arm`, `right_arm`      the same for one arm
-C  `object_impedance`           both arms and the object between them (see object_controller)
-   `soft_stop`                  brings both arms to rest and holds them softly (see soft_stop)
-
-Each claims one or both arms and begins by holding the measured posture.
+C  `object_impedance`           both arms and an object (object_controller)
+   `soft_stop`                  stops both arms and holds them softly (soft_stop)
 """
 
 from __future__ import annotations
@@ -24,14 +22,11 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 
 _BLEND_S = 0.5
-"""Time in which the offset between the reference and the start of a trajectory fades."""
+"""Fade time of the offset between reference and trajectory start."""
 
 
 class Controller(ABC):
-    """Turns commands into torques of the joints it claims.
-
-    name: Of the table. arms: Indices of the arms it claims.
-    """
+    """Turns commands into torques of the arms (indices `arms`) it claims."""
 
     name: str
     arms: tuple[int, ...] = (0, 1)
@@ -41,39 +36,39 @@ class Controller(ABC):
         """Return why it cannot take a command now, or None."""
 
     def not_ready(self) -> str:
-        """Return why it cannot be activated, or an empty string."""
+        """Return why it cannot be activated, or ""."""
         return ""
 
     @abstractmethod
     def activate(self, q: Array, v: Array) -> None:
-        """Take over at measured q (n,) [rad] and v (n,) [rad/s]: hold, without a jump."""
+        """Take over smoothly at measured q (n,) [rad], v (n,) [rad/s]."""
 
     def follow(self, output: ArbiterOutput) -> None:  # noqa: B027 - a controller may follow nothing
-        """Take what the arbiter let through at this tick."""
+        """Receive the arbiter's output of this tick."""
 
     @abstractmethod
     def update(self, q: Array, v: Array) -> Array:
-        """Run one control step; return torques (n,) [Nm], of which those of its own joints count."""
+        """Run one control step; return torques (n,) [Nm], valid for its own joints."""
 
     @property
     @abstractmethod
     def reference(self) -> Array:
-        """Joint reference (n,) [rad] of the last step; where there is none, the measured joints."""
+        """Last joint reference (n,) [rad], or measured joints if there is none."""
 
     @property
     def acceleration(self) -> Array | None:
-        """Acceleration (n,) [rad/s^2] of the commanded reference in the last step, or None where there is none."""
+        """Last commanded reference acceleration (n,) [rad/s^2], or None."""
         return None
 
 
 class JointTrajectoryController(Controller):
-    """Follows streamed targets through the reference filter, and timed trajectories as they are.
+    """Follows streamed targets through the reference filter, and timed trajectories directly.
 
     Args:
         group: `both_arms`, `left_arm` or `right_arm`; also its name.
         kinematics: Dynamics.
         dt_s: Control step.
-        natural_frequency_rad_s: Closed-loop frequency of every joint.
+        natural_frequency_rad_s: Closed-loop frequency of all joints.
         bandwidth_rad_s: Of the reference filter.
     """
 
@@ -100,13 +95,13 @@ class JointTrajectoryController(Controller):
         self._a_asked = np.zeros(n)
 
     def find_fault(self, command: Command) -> Fault | None:
-        """Take joint targets and joint trajectories."""
+        """Refuse all but joint targets and trajectories."""
         if isinstance(command, JointCommand | TrajectoryCommand):
             return None
         return "wrong_controller", f"controller {self.name} takes joint commands, no {type(command).__name__}"
 
     def activate(self, q: Array, v: Array) -> None:
-        """Start the reference at what is measured; the target of the next tick says where it goes."""
+        """Start the reference at the measurement."""
         self._filter.reset(q, v)
         self._target = np.array(q, dtype=float)
         self._executions.clear()
@@ -114,7 +109,7 @@ class JointTrajectoryController(Controller):
         self._last_a = None
 
     def follow(self, output: ArbiterOutput) -> None:
-        """Take the target, and what trajectories of its arms have begun."""
+        """Take the target and newly begun trajectories."""
         self._target = output.q_target
         for execution in output.executions:
             if not isinstance(execution, TrajectoryExecution) or execution in self._executions:
@@ -137,16 +132,16 @@ class JointTrajectoryController(Controller):
 
     @property
     def reference(self) -> Array:
-        """Joint reference (n,) [rad] of the last step."""
+        """Last joint reference (n,) [rad]."""
         return self._last_q
 
     @property
     def acceleration(self) -> Array | None:
-        """Acceleration (n,) [rad/s^2] as its source commanded it, without what fades at a start; None while braked."""
+        """As commanded, without the fading start offset; None while braking."""
         return self._last_a
 
     def _trajectory_reference(self) -> tuple[Array, Array, Array]:
-        """Return the reference with the driven joints on their trajectories, the others on the filter."""
+        """Return the reference: trajectories where they drive, the filter elsewhere."""
         driven = {arm for execution in self._executions for arm in execution.arms}
         if not driven.issuperset(self.arms):
             self._q[:], self._v[:], self._a[:] = self._filter.step(self._target)

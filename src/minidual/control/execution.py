@@ -1,11 +1,10 @@
-"""Timed commands under way: each has its own clock, runs at the control rate, and can be braked along its path.
+"""Running timed commands: each has its own clock and can be braked along its path.
 
-Braking slows the clock down instead of leaving the path, so that two hands that carry something keep their
-distance while they stop:
+Braking slows the clock, so two hands that carry something keep their distance:
 
     q(s),  s' = r,  r falls from 1 to 0;   v = q' r,   a = q'' r^2 + q' dr/dt
 
-dr/dt rises from zero to a bounded slope and falls to zero again over short ramps, so that the torques do not jump.
+dr/dt ramps up and down over short times, so the torques do not jump.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from minidual.control.object_impedance import ObjectState
 from minidual.robot.pair import Array, Robot
 
 BRAKE_SHARE = 0.8
-"""Share of the joints' acceleration limits that braking along a trajectory may take."""
+"""Share of the joints' acceleration limits for braking a trajectory."""
 _BRAKE_SLOPE_MIN, _BRAKE_SLOPE_MAX = 2.0, 20.0
 _OBJECT_BRAKE_SLOPE = 4.0
 _BRAKE_RAMP_S = 0.03
@@ -29,7 +28,7 @@ _LOOK_AHEAD_ROWS = 500
 
 
 class _Clock:
-    """Time along a path: it runs at rate 1 until it is braked."""
+    """Path time; its rate is 1 until braked."""
 
     def __init__(self, duration_s: float, dt_s: float) -> None:
         self.steps = max(1, int(np.ceil(duration_s / dt_s - 1e-6)))
@@ -42,23 +41,23 @@ class _Clock:
 
     @property
     def finished(self) -> bool:
-        """Whether the end, or a stop on the way, has been reached."""
+        """Whether it reached the end or stopped."""
         return self.k >= self.steps or self.rate == 0.0
 
     @property
     def braking(self) -> bool:
-        """Whether it has been told to stop."""
+        """Whether it was braked."""
         return self._slope_max > 0.0
 
     def brake(self, slope_max: float) -> None:
-        """Let the rate fall to zero, by `slope_max` a second at most."""
+        """Reduce the rate to zero, by at most `slope_max` [1/s]."""
         self._slope_max = slope_max
 
     def step(self) -> None:
-        """Advance by one control step; the first one leads to time zero."""
+        """Advance one control step; the first leads to time zero."""
         if self._slope_max > 0.0:
             rise = self.slope + self._slope_max * self._dt / _BRAKE_RAMP_S
-            # Along this curve the slope falls to zero within the ramp's time while the rate does.
+            # On this curve slope and rate reach zero together, within the ramp time.
             fall = float(np.sqrt(2.0 * self.rate * self._slope_max / _BRAKE_RAMP_S))
             self.slope = min(rise, self._slope_max, fall)
             self.rate = max(0.0, self.rate - self.slope * self._dt)
@@ -79,17 +78,17 @@ class _Execution:
 
     @property
     def finished(self) -> bool:
-        """Whether it has been played to its end, or has come to rest after `brake`."""
+        """Whether it ended or came to rest."""
         return self._clock.finished
 
     @property
     def braking(self) -> bool:
-        """Whether it is coming to rest before its end."""
+        """Whether `brake` was called."""
         return self._clock.braking
 
 
 class TrajectoryExecution(_Execution):
-    """A trajectory under way.
+    """A running trajectory.
 
     Args:
         command: Checked by `find_fault`.
@@ -97,8 +96,8 @@ class TrajectoryExecution(_Execution):
         robot: The two arms.
 
     Attributes:
-        joints: Slice of the joints that it drives.
-        q, v, a: Present reference of those joints.
+        joints: Slice of the driven joints.
+        q, v, a: Their present reference.
     """
 
     def __init__(self, command: TrajectoryCommand, dt_s: float, robot: Robot) -> None:
@@ -112,7 +111,7 @@ class TrajectoryExecution(_Execution):
         self.q, self.v, self.a = self._q[0], self._v[0], self._a[0]
 
     def brake(self) -> None:
-        """Come to rest on the path, at a bounded deceleration."""
+        """Come to rest on the path."""
         clock = self._clock
         if clock.braking or clock.finished:
             return
@@ -122,7 +121,7 @@ class TrajectoryExecution(_Execution):
         clock.brake(float(np.clip(limit, _BRAKE_SLOPE_MIN, _BRAKE_SLOPE_MAX)))
 
     def step(self) -> None:
-        """Advance by one control step."""
+        """Advance one control step."""
         clock = self._clock
         clock.step()
         if not clock.braking:
@@ -134,11 +133,11 @@ class TrajectoryExecution(_Execution):
 
 
 class ObjectExecution(_Execution):
-    """An object path under way.
+    """A running object path.
 
     Attributes:
-        desired: Object as wanted now.
-        squeeze_n: Internal force wanted now.
+        desired: Present desired object state.
+        squeeze_n: Present desired internal force.
     """
 
     def __init__(self, command: ObjectCommand, dt_s: float) -> None:
@@ -148,12 +147,12 @@ class ObjectExecution(_Execution):
         self.squeeze_n = command.squeeze_n(0.0)
 
     def brake(self) -> None:
-        """Come to rest on the path; the squeeze stays as it is by then."""
+        """Come to rest on the path, keeping the squeeze of that point."""
         if not (self._clock.braking or self._clock.finished):
             self._clock.brake(_OBJECT_BRAKE_SLOPE)
 
     def step(self) -> None:
-        """Advance by one control step."""
+        """Advance one control step."""
         clock = self._clock
         clock.step()
         state = self.command.motion.at(clock.t_s)
@@ -171,18 +170,17 @@ Execution = TrajectoryExecution | ObjectExecution
 
 @dataclass(frozen=True)
 class ArbiterOutput:
-    """What reaches the controllers at one tick.
+    """The arbiter's output of one tick.
 
     Attributes:
-        q_target: (n,) [rad], always finite and inside the limits.
+        q_target: (n,) [rad], finite and within limits.
         gripper: (2,), 0 closed to 1 open.
-        state: What the arbiter does.
-        active_source: Whose command went through in this tick, or None while a posture is held.
-        held_arms: Arms that no fresh command drives in this tick.
-        switched_to: The mode whose request was confirmed in this tick, or None.
-        refusals: Everything refused since the last tick.
-        executions: Timed commands under way; the arms they drive follow them and not `q_target`.
-        halted: Whether a halt was carried out in this tick: the arms stop now, wherever they are.
+        active_source: Source whose command passed, or None.
+        held_arms: Arms without a fresh command.
+        switched_to: Mode confirmed in this tick, or None.
+        refusals: All since the last tick.
+        executions: Running timed commands; their arms ignore `q_target`.
+        halted: Whether the arms must stop now.
     """
 
     q_target: Array

@@ -1,11 +1,10 @@
-"""Close the hands until they feel the wanted force, and hold it; nothing need be known of what lies between them.
+"""Close the hands to a force and hold it, without knowing what is between the fingers.
 
     closing   target' = -sat( k (F - f), speed )      f: measured closing force
     opening   target' = +speed, up to the hand's travel
 
-In free space f is small and the fingers run at `speed`; at contact the servo's force grows with the way that the target
-goes on, and the integrator stops it at F. The target stays within half the travel of the measured fingers, so that it
-does not run away where a motor cannot give F.
+In free space the fingers run at `speed`; in contact the integrator settles at f = F. The target stays within half
+the travel of the measured fingers, so it cannot run away where a motor cannot reach F.
 """
 
 from __future__ import annotations
@@ -16,11 +15,11 @@ from minidual.plant.protocol import Plant
 from minidual.robot.pair import Array
 
 CLOSE_BELOW, OPEN_ABOVE = 0.4, 0.6
-"""Hysteresis on an opening command in 0..1: a policy's output that wavers about the middle changes nothing."""
+"""Hysteresis of the opening command in 0..1, against outputs wavering about the middle."""
 JOINT_PINCH_N = 60.0
-"""Pinch force of the joint-space modes [N]; 1.5 times what the internal force of a stiff pair can ask for."""
+"""Pinch force in joint-space modes [N]: 1.5 times the internal force a stiff pair can demand."""
 _COMPLIANCE_M_PER_NS = 0.01
-"""k: a servo of 5000 N/m settles on F with a time constant of 20 ms."""
+"""k: a 5000 N/m servo settles on F with a 20 ms time constant."""
 _NEAR = 0.9
 
 
@@ -28,9 +27,9 @@ class Grippers:
     """Turns opening commands (0 closed, 1 open) into finger targets [m].
 
     Args:
-        plant: Its hands' travel, fingers and closing force are read; nothing is commanded.
-        pinch_force_n: Force to close with, limited to what the motors give.
-        speed_m_per_s: Largest speed of a target.
+        plant: Only read.
+        pinch_force_n: Closing force, limited to what the motors give.
+        speed_m_per_s: Largest target speed.
     """
 
     def __init__(self, plant: Plant, *, pinch_force_n: float = JOINT_PINCH_N, speed_m_per_s: float = 0.08) -> None:
@@ -42,24 +41,24 @@ class Grippers:
         self.reset()
 
     def reset(self) -> None:
-        """Start with both hands open."""
+        """Start with open hands."""
         self._is_open = [True, True]
         self._set([self._travel_m] * 2)
 
     def close(self, targets_m: Array) -> None:
-        """Start with both hands closed on something, at the finger targets (2,) [m] that hold it now."""
+        """Start closed, at finger targets (2,) [m] that hold an object."""
         self._is_open = [False, False]
         self._set(targets_m.tolist())
 
     @property
     def is_open(self) -> Array:
-        """Commanded state of each hand (2,), 1 open or 0 closed."""
+        """Commanded state (2,), 1 open, 0 closed."""
         return np.array(self._is_open, dtype=float)
 
     def step(self, command: Array) -> Array:
-        """Advance one step towards command (2,) in 0..1; return the finger targets (2,) [m].
+        """Advance towards command (2,); return finger targets (2,) [m].
 
-        Plain floats: on two numbers they take a fifth of the time of array operations.
+        Plain floats take a fifth of the time of arrays here.
         """
         is_open = self._is_open
         for hand, wanted in enumerate(command.tolist()):
@@ -77,7 +76,7 @@ class Grippers:
                 continue
             way = self._gain * (grip[hand] - self._force_n)
             target = min(target + min(step, max(-step, way)), self._travel_m)
-            if grip[hand] < _NEAR * self._force_n:  # else the target cannot be far ahead of the fingers
+            if grip[hand] < _NEAR * self._force_n:  # otherwise the target is not far ahead of the fingers
                 target = max(target, float(self._plant.fingers[hand]) - 0.5 * self._travel_m)
             targets[hand] = target
         self.targets_m = np.array(targets)

@@ -1,12 +1,10 @@
-"""Computed-torque control of all joints: gains follow from the inertia seen at each joint.
+"""Computed-torque control of all joints.
 
-    tau = M(q) [ a_ref + 2 zeta wn (v_ref - v) + wn^2 (q_ref - q) ] + h(q, v) + d v
+    tau = M(q) [ a_ref + 2 zeta wn (v_ref - v) + wn^2 (q_ref - q) ] + h(q, v) + d v + c tanh(v / v_s)
 
-Multiplying by the joint-space inertia M gives every joint the same closed-loop natural frequency wn whatever
-inertia it carries; a shoulder sees more than ten times the inertia of a wrist, so one number for all would leave
-the shoulder slack and the wrist shaking (docs/force-control.md has the table). h holds Coriolis,
-centrifugal and gravity torques, d the joint friction. Source: Siciliano et al., Robotics, ch. 8.5.2 (inverse dynamics
-control).
+Scaling by M gives every joint the same natural frequency wn; a shoulder carries over ten times a wrist's inertia
+(table: docs/force-control.md). h: Coriolis, centrifugal and gravity torques. Source: Siciliano et al., Robotics,
+ch. 8.5.2.
 """
 
 from __future__ import annotations
@@ -24,14 +22,13 @@ from minidual.robot.pair import Array, Robot
 
 @dataclass(frozen=True)
 class JointFriction:
-    """Friction that the controllers cancel: d v + c tanh(v / v_s).
+    """Friction to cancel: d v + c tanh(v / v_s).
 
-    The tangent hyperbolic stands for the sign: within v_s of rest the sign of a measured velocity is noise. So dry
-    friction is not cancelled at rest, where nobody can tell which way it points.
+    Within v_s of rest a measured velocity's sign is noise, so tanh replaces sign and dry friction is not cancelled at rest.
 
     Attributes:
-        viscous: d (n,) or one for all [Nm s/rad].
-        dry: c (n,) or one for all [Nm].
+        viscous: d, (n,) or scalar [Nm s/rad].
+        dry: c, (n,) or scalar [Nm].
         smooth_rad_s: v_s.
     """
 
@@ -41,7 +38,7 @@ class JointFriction:
 
     @classmethod
     def of(cls, robot: Robot) -> JointFriction:
-        """Return the friction of the model."""
+        """Return the model's friction."""
         return cls(robot.arm.damping, robot.arm.friction)
 
 
@@ -49,10 +46,10 @@ class ComputedTorque:
     """Tracks joint references of both arms.
 
     Args:
-        kinematics: Workspace for the dynamics.
-        natural_frequency_rad_s: wn, the same for all joints.
+        kinematics: Workspace.
+        natural_frequency_rad_s: wn of all joints.
         damping_ratio: zeta.
-        friction: What is cancelled; the model's by default.
+        friction: Cancelled friction; default the model's.
     """
 
     def __init__(
@@ -79,7 +76,7 @@ class ComputedTorque:
         subtract(v_ref, v, self._de)
         self._dde[:] = a_ref
         a = self._gains.dot(self._errors)
-        # rnea(q, v, a) = M a + h in one O(n) pass; it knows rotor inertia through model.armature.
+        # rnea(q, v, a) = M a + h in O(n), with rotor inertia from model.armature.
         tau = pin.rnea(self._model, self._data, q, v, a)
         self._v[:] = v
         add_friction(tau, self._v, self._joints, self._friction.smooth_rad_s)

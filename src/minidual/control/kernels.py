@@ -1,12 +1,8 @@
-"""The control laws' algebra, compiled: what runs between two calls of Pinocchio a thousand times a second.
+"""Compiled control-law algebra, run at 1 kHz between two Pinocchio calls (about 1 us instead of hundreds of Python steps).
 
-Python spends 0.1 to 0.5 us on every operation, however few numbers it touches, and these laws have hundreds. Compiled
-by numba they are read as mathematics and cost about a microsecond. `Law` is one record with everything the object
-impedance knows and computes, so that a call passes one argument; numpy sees the same memory through `view`.
-
-Vectors of three are tuples here: the compiler keeps them in registers, whereas a small array would be allocated.
-All helpers live in this file because numba's cache watches no other for changes. Importing it costs the import of
-numba: import it where a controller is built.
+`LAW` is one record with all data of the object impedance, so a call passes one argument; numpy shares its memory
+through `view`. Vectors of three are tuples, which the compiler keeps in registers. All helpers live in this file
+because numba's cache tracks changes of no other. Importing it imports numba: import where a controller is built.
 """
 
 from __future__ import annotations
@@ -24,7 +20,7 @@ from minidual.robot.pair import Array
 
 LAW = np.dtype(
     [
-        # What is set once.
+        # Set once.
         ("K", "f8", 6),
         ("D", "f8", 6),
         ("mass", "f8"),
@@ -37,7 +33,7 @@ LAW = np.dtype(
         ("posture_stiffness", "f8"),
         ("posture_damping", "f8"),
         ("smooth", "f8"),
-        # What is sensed and wanted.
+        # Measured and desired.
         ("squeeze", "f8"),
         ("T", "f8", (4, 4)),
         ("twist", "f8", 6),
@@ -45,29 +41,29 @@ LAW = np.dtype(
         ("twist_d", "f8", 6),
         ("a_d", "f8", 6),
         ("a_hands", "f8", 12),
-        # What follows.
+        # Result.
         ("f", "f8", 12),
     ]
 )
-"""What the object impedance knows and computes of object and hands; the names are those of its law."""
+"""Object and hand data of the object impedance, named as in its law."""
 
 ROWS = ("posture", "viscous", "dry", "tau_max", "q", "v", "qdd_posture", "qdd", "push")
-"""Rows of what it knows and computes of the joints, (rows, n)."""
+"""Rows (rows, n) of its joint data."""
 POSTURE, VISCOUS, DRY, TAU_MAX, Q, V, QDD_POSTURE, QDD, PUSH = range(len(ROWS))
 
 Vector = tuple[float, float, float]
-"""A vector in registers. Helpers that only read elements take an array (3,) as well: `Elements`."""
+"""A vector in registers; helpers that only read also take an array (3,) (`Elements`)."""
 Elements = Any
 
 _LAW = types.Array(from_dtype(LAW), 1, "C")
 _VECTOR = types.float64[::1]
 _MATRIX = types.float64[:, ::1]
 _ROTATION = types.float64[::1, :]
-"""Pinocchio's matrices lie in memory column by column."""
+"""Pinocchio's matrices are column-major."""
 
 
 def view(law: npt.NDArray[np.void]) -> dict[str, Any]:
-    """Return numpy's view of every field of the law (1,)."""
+    """Return numpy views of the fields of law (1,)."""
     return {name: law[name][0] if law[name].ndim > 1 else law[name] for name in LAW.names or ()}
 
 
@@ -121,25 +117,25 @@ def apply(A: Array, x: Elements) -> Vector:
 
 @njit
 def apply_transposed(A: Array, x: Elements) -> Vector:
-    """Return A^T x: of a rotation, the way back."""
+    """Return A^T x."""
     return dot(A[:, 0], x), dot(A[:, 1], x), dot(A[:, 2], x)
 
 
 @njit
 def within(x: float, low: float, high: float) -> float:
-    """Return x within its bounds; NaN stays NaN."""
+    """Return x clipped to its bounds; NaN stays NaN."""
     return high if x > high else low if x < low else x
 
 
 @njit
 def rotation_vector(Ex: Vector, Ey: Vector, Ez: Vector) -> Vector:
-    """Return the rotation vector [rad] of the rotation with these rows (Rodrigues)."""
+    """Return the rotation vector [rad] of the matrix with these rows (Rodrigues)."""
     vee = (Ez[1] - Ey[2], Ex[2] - Ez[0], Ey[0] - Ex[1])
     sine = 0.5 * math.sqrt(dot(vee, vee))
     cosine = 0.5 * (Ex[0] + Ey[1] + Ez[2] - 1.0)
     angle = math.atan2(sine, cosine)
     if angle > math.pi - 1e-4:
-        # Here `vee` has lost its digits: the axis is the longest column of (E + E^T) / 2 - cos I ~ axis axis^T.
+        # `vee` is inaccurate here: the axis is the longest column of (E + E^T) / 2 - cos I ~ axis axis^T.
         a, b, c = 0.5 * (Ex[1] + Ey[0]), 0.5 * (Ex[2] + Ez[0]), 0.5 * (Ey[2] + Ez[1])
         u, v, w = Ex[0] - cosine, Ey[1] - cosine, Ez[2] - cosine
         axis = (u, a, b) if u >= v and u >= w else (a, v, c) if v >= w else (b, c, w)
@@ -156,19 +152,19 @@ def row_by(wanted: Array, i: int, x: Vector, y: Vector, z: Vector) -> Vector:
 
 @njit
 def friction(v: float, d: float, c: float, smooth: float) -> float:
-    """Return d v + c tanh(v / v_s); joints without dry friction do not pay for its tanh."""
+    """Return d v + c tanh(v / v_s); tanh is skipped for c = 0."""
     return d * v + c * math.tanh(v / smooth) if c != 0.0 else d * v
 
 
 @njit
 def turn(wanted: Array, x: Vector, y: Vector, z: Vector) -> Vector:
-    """Return log(wanted actual^T) [rad]: what turns `actual`, given by its columns, into `wanted`."""
+    """Return log(wanted actual^T) [rad], `actual` given by its columns."""
     return rotation_vector(row_by(wanted, 0, x, y, z), row_by(wanted, 1, x, y, z), row_by(wanted, 2, x, y, z))
 
 
 @njit
 def hand_wrenches(force: Vector, moment: Vector, r_left: Vector, r_right: Vector, squeeze: Vector, f: Array) -> None:
-    """Fill f (12,) with G^+ w + (I - G^+ G) [-squeeze; 0; squeeze; 0]; docs/force-control.md derives it."""
+    """Fill f (12,) with G^+ w + (I - G^+ G) [-squeeze; 0; squeeze; 0] (derivation: docs/force-control.md)."""
     m, h = times(0.5, plus(r_left, r_right)), times(0.5, minus(r_left, r_right))
     n = plus(minus(moment, cross(m, force)), times(2.0, cross(h, squeeze)))
     share = times(0.5 / (1.0 + dot(h, h)), plus(n, times(dot(h, n), h)))
@@ -180,7 +176,7 @@ def hand_wrenches(force: Vector, moment: Vector, r_left: Vector, r_right: Vector
 
 @njit
 def least_norm(J: Array, b: Array, x: Array) -> bool:
-    """Fill x (n,) with J^T (J J^T)^-1 b for J (6, n), b (6,), by Cholesky; return whether J has full rank."""
+    """Fill x (n,) with J^T (J J^T)^-1 b, J (6, n), b (6,), by Cholesky; return whether J has full rank."""
     L, y = np.empty((6, 6)), np.empty(6)
     for i in range(6):
         for j in range(i + 1):
@@ -200,7 +196,7 @@ def least_norm(J: Array, b: Array, x: Array) -> bool:
         for k in range(i):
             y[i] -= L[i, k] * y[k]
         y[i] /= L[i, i]
-    for i in range(5, -1, -1):  # L^T y = y
+    for i in range(5, -1, -1):  # L^T y' = y, in place
         for k in range(i + 1, 6):
             y[i] -= L[k, i] * y[k]
         y[i] /= L[i, i]
@@ -213,7 +209,7 @@ def least_norm(J: Array, b: Array, x: Array) -> bool:
 
 @kernel(types.void(_LAW, _MATRIX))
 def posture_acceleration(law: Array, rows: Array) -> None:
-    """Fill qdd_posture: a damped spring in the joints."""
+    """Fill qdd_posture: a damped joint spring."""
     s = law[0]
     for i in range(rows.shape[1]):
         spring = s.posture_stiffness * (rows[POSTURE, i] - rows[Q, i])
@@ -224,14 +220,14 @@ def posture_acceleration(law: Array, rows: Array) -> None:
 def impedance(
     law: Array, rows: Array, jacobian: Array, p_left: Array, p_right: Array, R_left: Array, R_right: Array
 ) -> bool:
-    """Fill f, push = J^T f and qdd from all that is sensed and wanted; return False if J J^T is singular."""
+    """Fill f, push = J^T f and qdd; return False if J J^T is singular."""
     s = law[0]
     R, p = s.T, (s.T[0, 3], s.T[1, 3], s.T[2, 3])
     R_d, p_d = s.T_d, (s.T_d[0, 3], s.T_d[1, 3], s.T_d[2, 3])
     x, y, z = (R[0, 0], R[1, 0], R[2, 0]), (R[0, 1], R[1, 1], R[2, 1]), (R[0, 2], R[1, 2], R[2, 2])
     a, alpha, omega = vector(s.a_d), vector(s.a_d, 3), vector(s.twist_d, 3)
 
-    # What the object should feel: w = K e + D (V_d - V) + [m (a_d - g); I_w alpha + omega x I_w omega].
+    # Wrench on the object: w = K e + D (V_d - V) + [m (a_d - g); I_w alpha + omega x I_w omega].
     force = scaled(vector(s.K), minus(p_d, p))
     force = plus(force, scaled(vector(s.D), minus(vector(s.twist_d), vector(s.twist))))
     force = plus(force, times(s.mass, minus(a, vector(s.gravity))))
@@ -241,7 +237,7 @@ def impedance(
     I_omega = apply(R, apply(s.inertia, apply_transposed(R, omega)))
     moment = plus(moment, plus(I_alpha, cross(omega, I_omega)))
 
-    # How the hands share it, and how they squeeze.
+    # Distribution over the hands, and the squeeze.
     r = minus(vector(p_left), p), minus(vector(p_right), p)
     f = s.f
     hand_wrenches(force, moment, r[0], r[1], times(s.squeeze, apply(R, s.axis)), f)
@@ -252,7 +248,7 @@ def impedance(
         J = jacobian[6 * i : 6 * i + 6, n * i : n * (i + 1)]
         v, qdd = rows[V, n * i : n * (i + 1)], rows[QDD, n * i : n * (i + 1)]
 
-        # A torsional spring to the grasp frame: how the object would lie if it had not turned in this hand.
+        # Torsional spring to the grasp frame, which is where the hand would be had the object not turned in it.
         B = s.R_hand_object[i]
         error = turn(R_d, apply(R_hand, B[:, 0]), apply(R_hand, B[:, 1]), apply(R_hand, B[:, 2]))
         for k in range(3):
@@ -261,7 +257,7 @@ def impedance(
                 rate -= J[3 + k, j] * v[j]
             f[6 * i + 3 + k] += s.hand_stiffness * error[k] + s.hand_damping * rate
 
-        # qdd = qdd_posture + J^+ (a_hand - J qdd_posture - Jdot v): of the posture's motion the null space is left.
+        # qdd = qdd_posture + J^+ (a_hand - J qdd_posture - Jdot v): only null-space posture motion remains.
         lacking[0:3] = plus(a, plus(cross(alpha, r[i]), cross(omega, cross(omega, r[i]))))
         lacking[3:6] = alpha
         for k in range(6):
@@ -279,7 +275,7 @@ def impedance(
 
 @kernel(types.void(_LAW, _MATRIX, _VECTOR))
 def add_push(law: Array, rows: Array, tau: Array) -> None:
-    """Add to tau (n,) [Nm] the push on the object and joint friction, within the motors' limits."""
+    """Add push and friction to tau (n,) [Nm], clipped to the motors' limits."""
     smooth = law[0].smooth
     for j in range(len(tau)):
         tau[j] += rows[PUSH, j] + friction(rows[V, j], rows[VISCOUS, j], rows[DRY, j], smooth)
@@ -288,7 +284,7 @@ def add_push(law: Array, rows: Array, tau: Array) -> None:
 
 @kernel(types.void(_VECTOR, _VECTOR, _MATRIX, types.float64))
 def add_friction(tau: Array, v: Array, joints: Array, smooth: float) -> None:
-    """Add to tau (n,) [Nm] the friction at v, within the motors' limits; joints (3, n): d, c and tau_max."""
+    """Add friction to tau (n,) [Nm], clipped; joints (3, n): d, c, tau_max."""
     for j in range(len(tau)):
         tau[j] += friction(v[j], joints[0, j], joints[1, j], smooth)
         tau[j] = within(tau[j], -joints[2, j], joints[2, j])
@@ -296,9 +292,9 @@ def add_friction(tau: Array, v: Array, joints: Array, smooth: float) -> None:
 
 @kernel(types.void(_VECTOR, _VECTOR, _VECTOR, _MATRIX, types.float64, types.float64, _MATRIX))
 def follow_target(target: Array, q: Array, v: Array, bounds: Array, w: float, dt: float, after: Array) -> None:
-    """Fill `after` (3, n) with q, v, a one step later; `minidual.control.reference` states the filter.
+    """Fill `after` (3, n) with q, v, a one step later (filter: `minidual.control.reference`).
 
-    bounds (5, n): a_max, v_max, the distance d under which the spring is linear, and the joints' lower and upper ends.
+    bounds (5, n): a_max, v_max, d, lower and upper joint limits.
     """
     for j in range(len(target)):
         a_max, v_max, near = bounds[0, j], bounds[1, j], bounds[2, j]
@@ -308,4 +304,4 @@ def follow_target(target: Array, q: Array, v: Array, bounds: Array, w: float, dt
         v_after = within(v[j] + dt * a, -v_max, v_max)
         after[0, j] = q[j] + dt * v_after
         after[1, j] = v_after
-        after[2, j] = (v_after - v[j]) / dt  # anew: the bound on the speed may have cut it
+        after[2, j] = (v_after - v[j]) / dt  # recomputed: the speed bound may have cut it

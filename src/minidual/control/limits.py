@@ -1,6 +1,6 @@
-"""The bounds that the supervisor holds, as arrays that one comparison can use.
+"""The supervisor's bounds as arrays for one vectorised comparison.
 
-The limits are the robot's (see `minidual.robot.arms` for their sources); the configuration may only tighten them.
+They are the robot's limits (sources: `minidual.robot.arms`); the configuration may only tighten them.
 """
 
 from __future__ import annotations
@@ -12,30 +12,29 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot
 
 ROWS: tuple[str, ...] = ("position", "velocity", "torque", "torque_step", "acceleration", "acceleration_step")
-"""What is compared each tick, one value a joint; the two steps are differences between two ticks."""
+"""Quantities compared each tick, per joint; a step is the difference between two ticks."""
 
 POSITION_TOLERANCE_RAD = 1e-3
-"""How far beyond its bound a joint may be: targets may lie on the bound, and tracking is not perfect."""
+"""Tolerated excess: targets may lie on the bound and tracking is not perfect."""
 TORQUE_TOLERANCE = 1e-6
-"""Relative excess over a torque limit that is rounding and not a request."""
+"""Relative excess over a torque limit accepted as rounding."""
 SATURATED = 0.999
-"""Share of the torque limit from which a motor counts as saturated: controllers clip at the limit itself."""
+"""Share of the torque limit from which a motor counts as saturated (controllers clip at the limit)."""
 _WIDTH_M = 0.1
-"""How far a link or a hand reaches sideways from the line through the joints."""
+"""Lateral extent of a link or hand from the line through the joints."""
 
 
 class TickBounds:
-    """Centre and reciprocal half-width of every row: `|x - centre| * scale > 1` means "look closer".
+    """Centre and reciprocal half-width per row: `|x - centre| * scale > 1` needs a closer look.
 
     Attributes:
-        centre: (6, n).
-        scale: (6, n).
+        centre, scale: (6, n).
         q_lower, q_upper: (n,) [rad], margins applied.
         v_max: (n,) [rad/s].
         tau_max: (n,) [Nm].
-        tau_step: Largest change of a torque in one tick [Nm].
+        tau_step: Largest torque change per tick [Nm].
         a_max: (n,) [rad/s^2].
-        a_step: (n,) largest change of the reference's acceleration in one tick [rad/s^2].
+        a_step: (n,) largest change of the reference acceleration per tick [rad/s^2].
     """
 
     def __init__(self, config: SupervisorConfig, dt_s: float, robot: Robot) -> None:
@@ -62,16 +61,16 @@ class TickBounds:
         self.scale = 1.0 / half
 
     def stopping_point(self, q: Array, v: Array) -> Array:
-        """Return where each joint (n,) [rad] would come to rest if it braked as hard as it may from here."""
+        """Return where each joint (n,) [rad] stops when braking at the robot's acceleration limit."""
         return q + v * np.abs(v) / (2.0 * self._a_brake)
 
 
 class Reach:
-    """How far any point of an arm can be from each joint's axis, and how fast two parts can therefore approach.
+    """How far arm points are from each joint's axis, and how fast parts can approach.
 
     Attributes:
-        m: (n,) [m]; if joint j turns by dq, no point of the arm moves by more than m[j] |dq|. It is the length of the
-            chain from the joint to the tool centre point, each step taken along the axes, and the width of a hand.
+        m: (n,) [m]; turning joint j by dq moves no point of the arm by more than m[j] |dq|. Sum of the axis-aligned
+            steps from the joint to the tool centre point, plus a hand's width.
     """
 
     def __init__(self, kinematics: Kinematics) -> None:
@@ -86,10 +85,10 @@ class Reach:
         self._acceleration = float(self.m @ robot.a_max)
 
     def safe_time_s(self, v: Array, gap_m: float) -> float:
-        """Return for how long [s] two parts of the arms cannot close a gap [m] between them, at any posture.
+        """Return the time [s] in which two parts cannot close a gap [m], at any posture.
 
-        Joint speeds (n,) [rad/s] may grow by the acceleration limits meanwhile, and both arms may move towards each
-        other: in a time h no gap shrinks by more than h sum_j m[j] (|v_j| + a_j h).
+        Joint speeds v (n,) [rad/s] may grow at the acceleration limits: in time h no gap shrinks by more than
+        h sum_j m[j] (|v_j| + a_j h), summed over both arms.
         """
         speed = float(self.m @ np.abs(v))
         root = np.sqrt(speed * speed + 4.0 * self._acceleration * max(0.0, gap_m))

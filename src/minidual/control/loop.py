@@ -1,8 +1,4 @@
-"""Joint control without arbiter and supervisor.
-
-One filter, one controller and one pair of grippers turn joint targets into torques, without arbitration: for measurements
-and for the Gymnasium environment. Everything else moves the arms through the control stack.
-"""
+"""Joint control without arbiter and supervisor, for measurements and the Gymnasium environment."""
 
 from __future__ import annotations
 
@@ -19,8 +15,8 @@ class JointLoop[P: Plant]:
 
     Args:
         world: The plant.
-        kinematics: Dynamics for the controller.
-        natural_frequency_rad_s: Closed-loop frequency of every joint.
+        kinematics: Dynamics.
+        natural_frequency_rad_s: Closed-loop frequency of all joints.
         bandwidth_rad_s: Of the reference filter.
     """
 
@@ -34,17 +30,17 @@ class JointLoop[P: Plant]:
         self.reset()
 
     def reset(self) -> None:
-        """Start from where the arms are, at rest, hands open."""
+        """Start at the measured posture, at rest, hands open."""
         self.reference.reset(self.world.q)
         self.grippers.reset()
 
     def step(self, q_target: Array, gripper: Array) -> None:
-        """Run one control and physics step towards joint target (n,) [rad] and opening command (2,) in 0..1."""
+        """Run one control and physics step towards joints (n,) [rad] and openings (2,)."""
         q_ref, v_ref, a_ref = self.reference.step(q_target)
         self._apply(q_ref, v_ref, a_ref, gripper)
 
     def follow(self, q_ref: Array, v_ref: Array, a_ref: Array, gripper: Array) -> None:
-        """Run one step on a reference that is already smooth, such as a timed trajectory at 1 kHz."""
+        """Run one step on an already smooth reference."""
         self.reference.follow(q_ref, v_ref, a_ref)
         self._apply(q_ref, v_ref, a_ref, gripper)
 

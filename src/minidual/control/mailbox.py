@@ -1,4 +1,4 @@
-"""The latest valid command of each source, arm by arm, and the refusal of everything else."""
+"""Latest valid command of one source, per arm."""
 
 from __future__ import annotations
 
@@ -8,14 +8,13 @@ from minidual.robot.pair import SIDES, Robot
 
 
 class Mailbox:
-    """Keeps what one source proposed last for each arm.
+    """Keeps the newest command per arm.
 
-    There is no queue of old commands to run dry: a newer command replaces the older one, and `flush` forgets
-    all of them. What was stamped before the flush is refused afterwards, so an old action chunk that arrives
-    late never runs.
+    A newer command replaces an older one. `flush` forgets all; commands stamped earlier are refused afterwards, so a
+    late action chunk never runs.
 
     Args:
-        source: Name of the source, for refusals.
+        source: Name used in refusals.
         robot: The two arms.
     """
 
@@ -27,7 +26,7 @@ class Mailbox:
         self._not_before_s = float("-inf")
 
     def put(self, command: Command) -> Refusal | None:
-        """Take a command, or return why it is refused."""
+        """Accept a command, or return its refusal."""
         fault = find_fault(command, self._robot)
         if fault is None and command.stamp_s < self._not_before_s:
             fault = (
@@ -51,20 +50,20 @@ class Mailbox:
         return None
 
     def flush(self, now_s: float) -> None:
-        """Forget every command; refuse those stamped before now."""
+        """Forget all commands; refuse earlier stamps from now on."""
         self._latest.clear()
         self._timed.clear()
         self._sequence = None
         self._not_before_s = now_s
 
     def drop(self, arm: int) -> None:
-        """Forget the streamed command of an arm."""
+        """Forget an arm's streamed command."""
         self._latest.pop(arm, None)
 
     def fresh(self, now_s: float, stale_s: float) -> tuple[dict[int, JointCommand], list[Refusal]]:
-        """Return the command of each arm that is at most `stale_s` old, and refusals of stamps from the future.
+        """Return each arm's command at most `stale_s` old, and refusals.
 
-        A stamp further ahead than `stale_s` would never become stale; it is dropped.
+        A stamp more than `stale_s` in the future is dropped: it would stay fresh too long.
         """
         fresh: dict[int, JointCommand] = {}
         refusals: list[Refusal] = []
@@ -78,7 +77,7 @@ class Mailbox:
         return fresh, refusals
 
     def take_timed(self, now_s: float, stale_s: float) -> tuple[list[TimedCommand], list[Refusal]]:
-        """Return the timed commands that wait, each only once, and refusals of those with a bad stamp."""
+        """Remove and return the waiting timed commands, and refusals of bad stamps."""
         waiting, self._timed = self._timed, []
         taken: list[TimedCommand] = []
         refusals: list[Refusal] = []

@@ -1,4 +1,4 @@
-"""Controller C: both arms around one object, commanded by paths of the object and by the squeeze on it."""
+"""Controller C: both arms hold one object, commanded by object paths and squeeze."""
 
 from __future__ import annotations
 
@@ -18,32 +18,32 @@ from minidual.robot.pair import Array
 from minidual.robot.poses import rotation_log
 
 SQUEEZE_RATE_N_PER_S = 200.0
-"""The squeeze follows what is wanted no faster."""
+"""Largest rate of the commanded squeeze; the grip limit lowers it at once."""
 _START_M, _START_RAD = 0.02, 0.1
-"""How far from the object its path may start."""
+"""Largest offset of a path's start from the object."""
 
 
 class ObjectSensor(Protocol):
-    """What tells controller C of the object in the hands."""
+    """Object measurements for controller C."""
 
     @property
     def grip_limit_n(self) -> float:
-        """Largest internal force [N] that the hands' friction carries, as far as it is known; else infinite."""
+        """Largest internal force [N] that friction carries; infinite if unknown."""
         ...
 
     def read(self) -> tuple[ObjectState, float]:
-        """Return the object's state (its acceleration is not used) and the measured internal force [N]."""
+        """Return the object's state (acceleration unused) and measured internal force [N]."""
         ...
 
 
 class ObjectImpedanceController(Controller):
-    """Both arms around one object: its path is followed as by a damped spring, its squeeze is servoed.
+    """Object impedance along a path, with servoed squeeze.
 
     Args:
         kinematics: Dynamics.
         dt_s: Control step.
-        sensor: Tells of the object; without one it cannot be activated.
-        drives: Says whether it is active; by default it never is.
+        sensor: Required for activation.
+        drives: Returns whether this controller is active; default never.
     """
 
     name = "object_impedance"
@@ -61,7 +61,7 @@ class ObjectImpedanceController(Controller):
         self.forget()
 
     def forget(self) -> None:
-        """Hold nothing: it must be told again what is held. Only for when it does not drive."""
+        """Clear the configuration; call only while inactive."""
         self._law: ObjectImpedance | None = None
         self._execution: ObjectExecution | None = None
         self._desired: ObjectState | None = None
@@ -69,10 +69,10 @@ class ObjectImpedanceController(Controller):
         self._reference = np.zeros(self._kinematics.robot.dof)
 
     def configure(self, held: HeldObject, gains: ImpedanceGains | None = None) -> None:
-        """Tell it what is held and how stiffly; it cannot be activated before.
+        """Set object and gains, required for activation.
 
         Raises:
-            UsageError: It drives: a law that has not taken over cannot stand in for the one that has.
+            UsageError: The controller is active.
         """
         if self._drives():
             raise UsageError(
@@ -82,7 +82,7 @@ class ObjectImpedanceController(Controller):
         self._law = ObjectImpedance(self._kinematics, held, ImpedanceGains() if gains is None else gains)
 
     def find_fault(self, command: Command) -> Fault | None:
-        """Take object paths that start where the object is."""
+        """Refuse all but object paths that start at the object."""
         if not isinstance(command, ObjectCommand):
             return ("wrong_controller", f"controller {self.name} takes object paths, no {type(command).__name__}")
         measured, _ = self._ready_sensor().read()
@@ -98,13 +98,13 @@ class ObjectImpedanceController(Controller):
         return "far_start", detail
 
     def not_ready(self) -> str:
-        """Return why it cannot be activated, or an empty string."""
+        """Return why it cannot be activated, or ""."""
         if self._law is None:
             return "it has not been told what is held"
         return "" if self._sensor is not None else "no sensor tells it of an object"
 
     def activate(self, q: Array, v: Array) -> None:
-        """Hold the object where it is, pressed as it is."""
+        """Hold the object at its pose and squeeze."""
         law = self._ready_law()
         law.engage(q)
         measured, internal_force = self._ready_sensor().read()
@@ -115,7 +115,7 @@ class ObjectImpedanceController(Controller):
         self._reference = np.array(q, dtype=float)
 
     def follow(self, output: ArbiterOutput) -> None:
-        """Take an object path that has begun."""
+        """Take a begun object path."""
         for execution in output.executions:
             if isinstance(execution, ObjectExecution):
                 self._execution = execution
@@ -129,7 +129,7 @@ class ObjectImpedanceController(Controller):
                 self._execution = None
         step = self._squeeze_wanted - self._squeeze
         step = bounded(step, -self._squeeze_step, self._squeeze_step)
-        # More than friction carries makes the hands slip: a grip that has begun to is eased at once.
+        # The hands slip above the friction limit: reduce the squeeze at once.
         sensor = self._ready_sensor()
         self._squeeze = min(self._squeeze + step, sensor.grip_limit_n)
         measured, internal_force = sensor.read()
@@ -141,12 +141,12 @@ class ObjectImpedanceController(Controller):
 
     @property
     def desired(self) -> ObjectState | None:
-        """Object as wanted in the last step, or None before it was first activated."""
+        """Last desired object state, or None before activation."""
         return self._desired
 
     @property
     def reference(self) -> Array:
-        """Measured joints (n,) [rad]: an impedance has no joint reference."""
+        """Measured joints (n,) [rad]."""
         return self._reference
 
     def _ready_law(self) -> ObjectImpedance:

@@ -1,19 +1,13 @@
-"""Where the object is, from what a controller may know: late, noisy poses of it and the joints of both hands.
+"""Estimate the object's pose from delayed, noisy pose samples and the joint encoders.
 
-On the table the object rests, and its pose is the mean of all samples. In two hands it moves with them: the hands define
-a frame H whose pose follows from the joint encoders at once and without noise,
-
-    origin    midway between the tool centre points,    y  from the right to the left one,
-    x         the mean of the fingers' directions, made orthogonal to y,
-
-so what is unknown is the pose of the object in H, which hardly changes. Every pose sample, compared with H at the time
-at which the sample was taken, corrects it by a mean that forgets:
+A resting object's pose is the mean of all samples. For a held object the hands define a frame H, known at once
+and without noise from the encoders: origin midway between the tool centre points; y from the right to the left
+one; x the mean finger direction, made orthogonal to y. Each sample corrects the object's pose X in H:
 
     X  <-  X + g (T_H(t - delay)^-1 z  -  X),        g = max(1 / n, sample period / memory)
 
-and the estimate is T_world_object = T_H(t) X, its twist that of H carried over to the object. Two pads leave the object
-free to pivot about the line of the fingers; that line is why y is taken from the two points and not from the hands'
-orientations.
+The estimate is T_H(t) X; its twist is that of H at the object. y uses positions because two pads let the object
+pivot about the line between the fingers.
 """
 
 from __future__ import annotations
@@ -34,12 +28,12 @@ _WORLD_ALIGNED = pin.LOCAL_WORLD_ALIGNED
 
 
 class RestingEstimate:
-    """Mean pose of an object that lies still.
+    """Mean pose of a resting object.
 
     Attributes:
-        T_world_object: (4, 4), the mean of all samples so far.
-        samples_n: Number of them.
-        innovation: (distance [m], angle [rad]) of the last sample from the mean of those before it.
+        T_world_object: (4, 4) mean.
+        samples_n: Samples in it.
+        innovation: (distance [m], angle [rad]) of the last sample from the previous mean.
     """
 
     def __init__(self, T_world_object: Array) -> None:
@@ -48,7 +42,7 @@ class RestingEstimate:
         self.innovation = (0.0, 0.0)
 
     def add(self, T_world_object: Array) -> None:
-        """Take one more sample (4, 4) into the mean."""
+        """Add a sample (4, 4) to the mean."""
         self.samples_n += 1
         self.T_world_object, self.innovation = _towards(self.T_world_object, T_world_object, 1.0 / self.samples_n)
 
@@ -58,16 +52,16 @@ class HeldEstimate:
 
     Args:
         kinematics: Workspace.
-        q: Joints (n,) at which the hands have closed on it.
-        T_world_object: Its pose (4, 4) as known by then.
-        delay_ticks: Age of the samples that will come.
-        least_gain: g once the start is forgotten.
-        samples_n: How many samples T_world_object is worth.
+        q: Joints (n,) after closing.
+        T_world_object: Pose (4, 4) known by then.
+        delay_ticks: Largest age of a sample.
+        least_gain: Smallest g.
+        samples_n: Number of samples T_world_object counts as.
 
     Attributes:
-        state: The object, as of the last update.
-        innovation: (distance [m], angle [rad]) of the last sample from where the hands had the object.
-        spread_m: Distance of the hands.
+        state: Object at the last update.
+        innovation: (distance [m], angle [rad]) of the last sample from the estimate.
+        spread_m: Distance between the hands.
     """
 
     def __init__(
@@ -83,7 +77,7 @@ class HeldEstimate:
         self._model, self._data = kinematics.model, kinematics.data
         self._left, self._right = kinematics.tcp_ids
         frames = [self._data.oMf[i] for i in kinematics.tcp_ids]
-        self._p = [frame.translation for frame in frames]  # Pinocchio's own memory, seen through numpy
+        self._p = [frame.translation for frame in frames]  # views of Pinocchio's memory
         self._fingers = [frame.rotation[:, 1] for frame in frames]
         self._least_gain, self._samples_n = least_gain, samples_n
         self._history: deque[Array] = deque(maxlen=delay_ticks + 1)
@@ -94,13 +88,13 @@ class HeldEstimate:
         self.state = ObjectState(T_world_object)
 
     def update(self, q: Array, v: Array, sample: Array | None, age_ticks: int = 0) -> ObjectState:
-        """Return the object's state now.
+        """Return the object's present state.
 
         Args:
             q: Joint positions (n,).
             v: Joint velocities (n,).
             sample: Pose (4, 4) that arrived in this step, or None.
-            age_ticks: Steps since it was taken.
+            age_ticks: Its age in steps; samples older than `delay_ticks` are dropped.
         """
         T_world_hands, velocity, omega = self._hands(q, v)
         self._history.append(T_world_hands)
@@ -115,7 +109,7 @@ class HeldEstimate:
         return self.state
 
     def _hands(self, q: Array, v: Array) -> tuple[Array, Vector, Vector]:
-        """Return T_world_hands (4, 4), its velocity and its angular velocity; also measures the hands' distance."""
+        """Return T_world_hands (4, 4), its velocity and angular velocity; set `spread_m`."""
         model, data = self._model, self._data
         pin.forwardKinematics(model, data, q, v)
         pin.updateFramePlacement(model, data, self._left)
@@ -134,14 +128,14 @@ class HeldEstimate:
         )
         v_left = pin.getFrameVelocity(model, data, self._left, _WORLD_ALIGNED).vector.tolist()
         v_right = pin.getFrameVelocity(model, data, self._right, _WORLD_ALIGNED).vector.tolist()
-        # Turning about x and z shows in the two points, turning about y only in the hands' orientations.
+        # Rotation about x and z follows from the two points, about y only from the hands' angular velocities.
         about_y = 0.5 * inner(plus(v_left[3:], v_right[3:]), y)
         swing = times(1.0 / distance, cross(y, minus(v_left[:3], v_right[:3])))
         return T, times(0.5, plus(v_left[:3], v_right[:3])), plus(swing, times(about_y, y))
 
 
 def _towards(T: Array, sample: Array, gain: float) -> tuple[Array, tuple[float, float]]:
-    """Return T moved by a share of its way to a sample, and the (distance [m], angle [rad]) between them."""
+    """Return T moved by share `gain` towards the sample, and their (distance [m], angle [rad])."""
     offset = sample[:3, 3] - T[:3, 3]
     turn = rotation_log(T[:3, :3].T @ sample[:3, :3])
     moved = pose(T[:3, :3] @ pin.exp3(gain * turn), T[:3, 3] + gain * offset)

@@ -1,15 +1,13 @@
-"""Object impedance: two arms hold one object, its pose behaves like a damped spring, its squeeze is servoed.
+"""Object impedance: two arms hold an object whose pose behaves like a damped spring; the squeeze is servoed.
 
     e     = [ p_d - p ; log(R_d R^T) ]                                   pose error, world axes
-    w     = K e + D (V_d - V) + [ m (a_d - g) ; I_w alpha_d + omega x I_w omega ],   I_w = R I_o R^T
-    F     = sat_[0, 80] ( F_d + sat_15 ( k_int (F_d - F_measured) ) )    squeeze along the object's own axis
+    w     = K e + D (V_d - V) + [ m (a_d - g) ; I_w alpha_d + omega_d x I_w omega_d ],   I_w = R I_o R^T
+    F     = sat_[0, 80] ( F_d + sat_15 ( k_int (F_d - F_measured) ) )    squeeze along the object's axis
     f     = G^+ w + (I - G^+ G) f_int(F)                                 hand wrenches on the object
-    tau_i = M qdd_ff + h + J_i^T f_i + d v,     J qdd_ff = a_hand - Jdot v
+    tau_i = M qdd_ff + h + J_i^T f_i + friction,     J qdd_ff = a_hand - Jdot v
 
-f_i is the wrench of the hand on the object, so the arm adds +J_i^T f_i. The damping D = 2 zeta sqrt(K M_eff)
-takes the mass that really moves: the object's and both arms' at their hands, since impedance control without
-inertia shaping leaves the arms' inertia in the loop. Each hand's orientation is held to its grasp frame by a
-small torsional spring, because two opposed finger pads leave it free to pivot about the pinch axis.
+D = 2 zeta sqrt(K M_eff): without inertia shaping, M_eff includes both arms' inertia at the hands. A small
+torsional spring holds each hand to its grasp frame, since two opposed finger pads let it pivot.
 
 Sources: Schneider and Cannon 1992 (object impedance); Caccavale et al. 2008 (internal and external forces);
 Siciliano and Khatib, Springer Handbook of Robotics, ch. 30.
@@ -33,17 +31,17 @@ _BENT = "keep the elbows bent: a stretched arm cannot carry"
 
 
 def bounded(value: float, low: float, high: float) -> float:
-    """Return the value within its bounds; NaN stays NaN."""
+    """Return the value clipped; NaN stays NaN."""
     return high if value > high else low if value < low else value
 
 
 class SingularPostureError(MinidualError):
-    """An arm is stretched so far that its hand cannot be accelerated in every direction."""
+    """A stretched arm's hand cannot be accelerated in every direction."""
 
 
 @dataclass(frozen=True)
 class ObjectState:
-    """Motion of the held object: pose (4, 4), twist (6,) and acceleration (6,) at its centre of mass, world axes."""
+    """Object pose (4, 4), twist (6,) and acceleration (6,) at its centre of mass, world axes."""
 
     T_world_object: Array
     twist: Array = field(default_factory=lambda: np.zeros(6))
@@ -52,13 +50,12 @@ class ObjectState:
 
 @dataclass(frozen=True)
 class HeldObject:
-    """What the law must know of the object.
+    """Object data.
 
     Attributes:
-        mass_kg: Mass.
         inertia_kg_m2: (3, 3) about the centre of mass, object axes.
-        T_object_tcps: (T_object_left_tcp, T_object_right_tcp), the grasp.
-        axis: (3,) unit vector in object axes from the right to the left hand.
+        T_object_tcps: (T_object_left_tcp, T_object_right_tcp).
+        axis: (3,) unit vector, object axes, from the right to the left hand.
     """
 
     mass_kg: float
@@ -69,7 +66,7 @@ class HeldObject:
 
 @dataclass(frozen=True)
 class ImpedanceGains:
-    """Gains of the law; defaults are the nominal ones."""
+    """Gains, by default nominal."""
 
     stiffness: tuple[float, ...] = (500.0, 500.0, 500.0, 20.0, 20.0, 20.0)
     damping_ratio: float = 1.0
@@ -84,13 +81,10 @@ class ImpedanceGains:
 
 
 class ObjectImpedance:
-    """The law above for two arms; one instance per object and grasp.
+    """The law for one object and grasp.
 
     Args:
-        kinematics: Workspace for kinematics and dynamics.
-        held: Object and grasp.
-        gains: Gains.
-        friction: Joint friction that is cancelled; the model's by default.
+        friction: Cancelled joint friction; default the model's.
     """
 
     def __init__(
@@ -132,7 +126,7 @@ class ObjectImpedance:
         self._hands = HandMotion(kinematics, self._J, known["a_hands"])
 
     def engage(self, q: Array) -> None:
-        """Take over at posture q (n,): the damping and the null-space posture follow from it.
+        """Set the damping and the null-space posture from q (n,).
 
         Raises:
             SingularPostureError: A hand cannot be accelerated in every direction.
@@ -170,10 +164,13 @@ class ObjectImpedance:
         Args:
             q: Joint positions (n,) [rad].
             v: Joint velocities (n,) [rad/s].
-            measured: Object as sensed (its acceleration is not used).
-            desired: Object as wanted.
-            internal_force_n: Squeeze wanted [N].
-            measured_internal_force_n: Squeeze sensed at the contacts [N]; never taken from the hands' distance.
+            measured: Measured object state; its acceleration is unused.
+            desired: Desired object state.
+            internal_force_n: Desired squeeze [N].
+            measured_internal_force_n: Squeeze measured at the contacts [N], never derived from the hands' distance.
+
+        Raises:
+            SingularPostureError: J J^T is singular.
         """
         law, rows, hands = self._law, self._rows, self._hands
         self._q[:], self._v[:] = q, v
@@ -181,7 +178,7 @@ class ObjectImpedance:
         self._T_d[:], self._twist_d[:], self._a_d[:] = (desired.T_world_object, desired.twist, desired.acceleration)
         self._squeezed[0] = self._squeeze(internal_force_n, measured_internal_force_n)
 
-        # Posture first: what the hands would feel of it is taken out again by the least acceleration.
+        # The least-norm acceleration then cancels the posture's effect on the hands.
         kernels.posture_acceleration(law, rows)
         hands.update(self._q, self._v, self._qdd_posture)
         if not kernels.impedance(law, rows, self._J, *hands.p, *hands.R):
@@ -191,7 +188,7 @@ class ObjectImpedance:
         return tau
 
     def _squeeze(self, wanted_n: float, measured_n: float) -> float:
-        """Return F: the wanted squeeze, corrected within its bounds, never a pull and never over the ceiling."""
+        """Return F [N]."""
         limit = self.gains.force_correction_max_n
         correction = bounded(self.gains.force_gain * (wanted_n - measured_n), -limit, limit)
         return bounded(wanted_n + correction, 0.0, self.gains.force_ceiling_n)

@@ -1,4 +1,4 @@
-"""Where a carried object should be at each instant: straight minimum-jerk segments between poses."""
+"""Object paths: straight minimum-jerk segments between poses."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from minidual.robot.pair import Array
 
 
 def minimum_jerk(s: float) -> tuple[float, float, float]:
-    """Return the quintic blend 0..1 at s in 0..1 with its first and second derivative by s (rest to rest)."""
+    """Return the quintic rest-to-rest blend at s (clipped to 0..1) and its two derivatives by s."""
     s = min(1.0, max(0.0, s))
     return (s**3 * (10.0 + s * (6.0 * s - 15.0)), 30.0 * s**2 * (1.0 - s) ** 2, 60.0 * s * (1.0 + s * (2.0 * s - 3.0)))
 
 
 @dataclass(frozen=True)
 class Waypoint:
-    """A level pose of the object and the time to reach it from the one before."""
+    """Level object pose and the time to reach it from the previous one."""
 
     xyz_m: tuple[float, float, float]
     yaw_rad: float
@@ -30,10 +30,10 @@ class Waypoint:
 
 
 class ObjectPath:
-    """Rest-to-rest motion of an object through level poses.
+    """Rest-to-rest object motion through level poses.
 
     Args:
-        start: Pose at time zero; its duration is not used.
+        start: Pose at time zero (duration unused).
         waypoints: At least one.
     """
 
@@ -48,7 +48,7 @@ class ObjectPath:
         return self._ends[-1]
 
     def at(self, t_s: float) -> ObjectState:
-        """Return pose, twist and acceleration at time t."""
+        """Return the state at time t."""
         i = min(max(bisect.bisect_right(self._ends, t_s) - 1, 0), len(self._ends) - 2)
         span = self._ends[i + 1] - self._ends[i]
         blend, rate, curvature = minimum_jerk((t_s - self._ends[i]) / span)

@@ -1,17 +1,16 @@
-"""How hard two fingers must pinch, so that their pads carry the squeeze by friction.
+"""Pinch force with which two pads carry the squeeze by friction.
 
-The fingers close across the object, the hands squeeze along it: the squeeze F lies in the plane of the pads, where
-friction alone can carry it. So does each hand's half of the object's weight and inertia m (g + a). With the object's
-axis tilted by theta, one hand carries in the pads' plane
+The fingers close across the object; the squeeze F lies in the pads' plane, as does each hand's half of weight and
+inertia m (g + a). With the object's axis tilted by theta, one hand carries in that plane
 
     along  F + m (g + a) sin(theta) / 2          across  m (g + a) cos(theta) / 2
 
-and two pads pressed by N each resist up to 2 mu N in any direction of that plane (Coulomb), hence
+Two pads pressed by N resist up to 2 mu N (Coulomb):
 
     N >= safety sqrt(along^2 + across^2) / (2 mu)
 
-For a light object this is the rule f_int < 2 mu F_pinch. The pads' torsional friction and their size are left out: they
-hold the object's turning about the line between the pads, which the torsional springs of the hands see to.
+For light objects: f_int < 2 mu F_pinch. Torsional pad friction is neglected; the hands' torsional springs hold the
+object's rotation.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ import math
 from minidual.errors import UsageError
 
 SAFETY = 1.5
-"""Factor on the pinch: friction varies by some tenths between pads and days."""
+"""Friction varies by some tenths between pads and days."""
 _GRAVITY = 9.81
 
 
@@ -34,18 +33,18 @@ def pinch_force(
     tilt_rad: float = 0.0,
     acceleration_m_per_s2: float = 0.0,
 ) -> float:
-    """Return the normal force of each finger [N] with which the pads carry a squeeze.
+    """Return each finger's normal force [N].
 
     Args:
-        squeeze_n: Internal force along the object.
-        mu: Coefficient of friction between pad and object.
-        mass_kg: Of the object; each hand carries half.
+        squeeze_n: Internal force.
+        mu: Pad friction coefficient.
+        mass_kg: Object's; each hand carries half.
         safety: At least 1.
-        tilt_rad: Largest angle between the object's axis and the horizontal.
+        tilt_rad: Largest angle of the object's axis from horizontal.
         acceleration_m_per_s2: Largest upward acceleration.
 
     Raises:
-        UsageError: A value without meaning, named with its bound.
+        UsageError: A value is out of range.
     """
     if not mu > 0.0:
         raise UsageError(f"friction coefficient {mu}: must be above 0, no pinch holds without friction")

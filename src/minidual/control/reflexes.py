@@ -1,7 +1,6 @@
-"""The reflexes: what stops the arms, why, and what to do then. One explicit table.
+"""Table of the supervisor's reflexes: what stops the arms, why, and the remedy.
 
-A reflex is not an error of the program: it is the supervisor doing its work. It is reported once, as a `ReflexError`
-that carries the torque to apply in that very tick; afterwards the supervisor holds the arms until it is reset.
+A reflex is reported once, as a `ReflexError` with that tick's torque; the supervisor then holds the arms until reset.
 """
 
 from __future__ import annotations
@@ -17,12 +16,12 @@ from minidual.robot.pair import Array
 
 @dataclass(frozen=True)
 class ReflexKind:
-    """One row of the table.
+    """A table row.
 
     Attributes:
-        libfranka: Name of the same error of the real arm, for those who move on to it; empty if it has none.
-        cause: What happened, in one line.
-        remedy: What to look at.
+        libfranka: Name of the real arm's equivalent error, or "".
+        cause: One line.
+        remedy: What to check.
         unit: Of value and bound.
     """
 
@@ -115,20 +114,20 @@ REFLEXES: dict[str, ReflexKind] = {
         "s",
     ),
 }
-"""Every reflex by its name."""
+"""Reflexes by name."""
 
 
 @dataclass(frozen=True)
 class Reflex:
-    """A reflex that came.
+    """A triggered reflex.
 
     Attributes:
         name: Key of REFLEXES.
-        time_s: When, on the clock of the control loop [s].
-        where: Joint, hand, pair of parts, or what was not finite.
-        value: What was measured or asked for; NaN is possible for `not_finite`.
-        bound: What it may be; None where there is no number.
-        details: What was measured and asked for in that tick, for the file with the last second; JSON types.
+        time_s: On the control loop's clock [s].
+        where: Joint, hand, pair of parts, or source.
+        value: Measured or requested; NaN possible for `not_finite`.
+        bound: None if there is none.
+        details: Measurements and request of that tick (JSON types).
     """
 
     name: str
@@ -140,12 +139,12 @@ class Reflex:
 
     @property
     def kind(self) -> ReflexKind:
-        """The row of the table."""
+        """Its table row."""
         return REFLEXES[self.name]
 
     @property
     def text(self) -> str:
-        """Return "reflex joint_velocity at 1.234 s: ..." with value and bound."""
+        """One-line description with value and bound."""
         unit = f" {self.kind.unit}" if self.kind.unit else ""
         numbers = "" if self.bound is None else f" ({self.value:.6g}{unit}, bound {self.bound:.6g}{unit})"
         return f"reflex {self.name} at {self.time_s:.3f} s: {self.kind.cause}: {self.where}{numbers}"
@@ -155,10 +154,10 @@ class ReflexError(MinidualError):
     """The supervisor stops the arms.
 
     Attributes:
-        reflex: What happened.
-        tau: (n,) [Nm] torque to apply in this tick, the first of the soft stop: always finite, within the limits.
-        dump: File with the last second before, for `minidual replay`, if one was written.
-        no_dump: Why the file could not be written; empty if nothing went wrong.
+        reflex: The cause.
+        tau: (n,) [Nm] to apply in this tick; finite, within limits.
+        dump: File with the last second for `minidual replay`, if written.
+        no_dump: Why writing failed, or "".
     """
 
     def __init__(self, reflex: Reflex, tau: Array, dump: Path | None = None, no_dump: str = "") -> None:

@@ -1,4 +1,4 @@
-"""Bring the arms to rest without a jolt, and never ask a motor for a faster change of torque than it allows."""
+"""Smooth stops with bounded torque rate."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot
 
 STOP_SHARE = 0.5
-"""Deceleration of a soft stop, as a share of the joints' acceleration limits."""
+"""Peak deceleration as a share of the joints' acceleration limits."""
 _STOP_FREQUENCY_RAD_S = 8.0
-"""Two hands that still hold one object must not fight each other over it: a soft hold."""
+"""Soft, so that hands holding one object do not fight."""
 
 
 class TorqueRate:
-    """Bounds the change of every motor's torque.
+    """Limits torque rates.
 
     Args:
-        tau: Torques (n,) [Nm] that act now.
+        tau: Present torques (n,) [Nm].
         dt_s: Control step.
         rate_nm_per_s: Bound.
     """
@@ -33,7 +33,7 @@ class TorqueRate:
         self._step = rate_nm_per_s * dt_s
 
     def limit(self, tau: Array) -> Array:
-        """Return the torques (n,) nearest to tau that may follow the last ones."""
+        """Return the reachable torques (n,) nearest to tau."""
         change = tau - self.tau
         np.minimum(change, self._step, change)
         np.maximum(change, -self._step, change)
@@ -42,11 +42,11 @@ class TorqueRate:
 
 
 class SwitchedOff:
-    """Arms whose motors are told no torque: it falls to zero at the drives' rate and stays there.
+    """Arms whose torque falls to zero at the drives' rate and stays there.
 
     Args:
-        arms: Indices of the arms.
-        tau: Torques (n,) [Nm] that act now.
+        arms: Arm indices.
+        tau: Present torques (n,) [Nm].
         dt_s: Control step.
         robot: The two arms.
     """
@@ -56,25 +56,25 @@ class SwitchedOff:
         self._rate, self._zero = TorqueRate(tau, dt_s, robot.arm.tau_rate_max), np.zeros_like(tau)
 
     def step(self) -> None:
-        """Advance by one control step."""
+        """Advance one control step."""
         self._rate.limit(self._zero)
 
     def apply(self, tau: Array) -> Array:
-        """Return the torques (n,) with those of the arms that are off in their place."""
+        """Return tau (n,) with the switched-off arms' torques replaced."""
         return np.where(self._joints, self._rate.tau, tau)
 
 
 class SoftStop:
-    """Joint reference that runs on from (q, v) and comes to rest with bounded deceleration.
+    """Joint reference from (q, v) to rest with bounded deceleration.
 
-    All joints share one profile, v(t) = v_0 (1 - s)^2 (1 + 2 s) with s = t / T, so two hands that hold one object
-    keep to its motion at first. Its peak deceleration is 1.5 |v_0| / T.
+    All joints share v(t) = v_0 (1 - s)^2 (1 + 2 s), s = t / T, so two hands initially keep the motion of a common
+    object. Peak deceleration: 1.5 |v_0| / T.
 
     Args:
-        q: Joint positions (n,) at the start.
-        v: Joint velocities (n,).
-        deceleration: Peak deceleration of each joint (n,) [rad/s^2].
-        least_s: Shortest time to take.
+        q: Start joints (n,).
+        v: Start velocities (n,).
+        deceleration: Peak (n,) [rad/s^2].
+        least_s: Smallest T.
     """
 
     def __init__(self, q: Array, v: Array, deceleration: Array, *, least_s: float = 0.1) -> None:
@@ -82,7 +82,7 @@ class SoftStop:
         self.duration_s = max(least_s, float(np.max(1.5 * np.abs(v) / deceleration)))
 
     def at(self, t_s: float) -> tuple[Array, Array, Array]:
-        """Return (q, v, a), each (n,), at time t after the start; at rest from `duration_s` on."""
+        """Return (q, v, a), each (n,), at time t; at rest from `duration_s` on."""
         s = min(1.0, max(0.0, t_s / self.duration_s))
         speed = (1.0 - s) ** 2 * (1.0 + 2.0 * s)
         way = s - s**3 + 0.5 * s**4  # the integral of (1 - s)^2 (1 + 2 s) = 1 - 3 s^2 + 2 s^3
@@ -91,14 +91,12 @@ class SoftStop:
 
 
 class SoftStopController(Controller):
-    """Takes both arms over in motion, brings them to rest on one common profile, and holds them there softly.
-
-    It takes no commands: it is what the stack changes to when the arms must stop at once (`ControlStack.halt`).
+    """Stops both arms on one profile and holds them softly; takes no commands (see `ControlStack.halt`).
 
     Args:
         kinematics: Dynamics.
         dt_s: Control step.
-        deceleration_share: Peak deceleration, as a share of the joints' limits.
+        deceleration_share: Peak deceleration as a share of the limits.
     """
 
     name = "soft_stop"
@@ -111,12 +109,12 @@ class SoftStopController(Controller):
         self._steps = 0
 
     def find_fault(self, command: Command) -> Fault | None:
-        """Take no command."""
+        """Refuse all commands."""
         detail = f"controller {self.name} takes no commands, no {type(command).__name__}; ask for a mode"
         return "wrong_controller", detail
 
     def activate(self, q: Array, v: Array) -> None:
-        """Begin to stop from what is measured."""
+        """Start stopping from the measurement."""
         self._motion = SoftStop(q, v, self._deceleration)
         self._steps = 0
         self._reference = np.array(q, dtype=float)
@@ -130,5 +128,5 @@ class SoftStopController(Controller):
 
     @property
     def reference(self) -> Array:
-        """Joint reference (n,) [rad] of the last step."""
+        """Last joint reference (n,) [rad]."""
         return self._reference

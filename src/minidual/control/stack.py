@@ -1,4 +1,4 @@
-"""The one way to move the arms: arbiter, controllers, supervisor and plant in one control loop.
+"""Control loop of arbiter, controllers, supervisor and plant.
 
     stack = ControlStack(plant, kinematics)
     stack.request("moveit")
@@ -9,8 +9,7 @@
         stack.affirm("moveit")
         stack.step()
 
-One `step` is one tick of 1 kHz: the arbiter runs when it is due (at its own rate, and at once when a timed command was
-proposed or has ended), the active controllers give torques, the supervisor bounds or stops them, the plant moves. See
+`step` is one 1 kHz tick; the arbiter runs at its own rate, and at once for requests, halts and timed commands. See
 docs/control.md.
 """
 
@@ -36,14 +35,14 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 
 DEFAULT_CONTROLLERS: tuple[str, ...] = ("both_arms",)
-"""Active until another set is asked for."""
+"""Initial set."""
 OBJECT_CONTROLLERS: tuple[str, ...] = ("object_impedance",)
-"""Active with an object in both hands."""
+"""Set for an object in both hands."""
 _STOPPING: tuple[str, ...] = ("soft_stop",)
 
 
 class PlantError(MinidualError):
-    """The plant cannot be driven, or its measurements are too old."""
+    """The plant cannot be driven, or its measurements are stale."""
 
 
 class ControlStack[P: Plant]:
@@ -51,14 +50,14 @@ class ControlStack[P: Plant]:
 
     Args:
         plant: The arms.
-        kinematics: Dynamics of the controllers.
-        config: Bounds and times of the arbiter.
-        rate_hz: Rate of the arbiter in `step`.
-        controllers: The set to begin with.
-        pinch_force_n: Force with which the hands close.
-        supervisor: Guards the torques; None guards nothing.
-        sensor: Tells controller C of the object; without one it cannot be activated.
-        stop_share: Deceleration of a halt, as a share of the joints' limits.
+        kinematics: Dynamics.
+        config: Of the arbiter.
+        rate_hz: Of the arbiter in `step`.
+        controllers: Initial set.
+        pinch_force_n: Closing force of the hands.
+        supervisor: Guards the torques; None disables guarding.
+        sensor: Object measurements, required to activate controller C.
+        stop_share: Deceleration of a halt as a share of the joints' limits.
     """
 
     def __init__(
@@ -100,9 +99,9 @@ class ControlStack[P: Plant]:
         self.reset()
 
     def reset(self) -> None:
-        """Start from where the arms are, hands open, nobody driving, nothing held; call it with every reset of the plant.
+        """Start at the measured posture, hands open, no driving source; call at every plant reset.
 
-        Listeners stay.
+        Flush listeners stay.
         """
         plant = self.plant
         self.arbiter = CommandArbiter(
@@ -119,23 +118,23 @@ class ControlStack[P: Plant]:
         self._countdown = 0
         self._due, self._pending = True, False
         self.output = ArbiterOutput(q, np.ones(2), ArbiterState.HOLDING, None, (), None, ())
-        """What the arbiter let through at its last tick."""
+        """The arbiter's last output."""
         self.refusals: list[Refusal] = []
-        """Everything refused since the reset."""
+        """All since the reset."""
         self.reflex: MinidualError | None = None
-        """What the supervisor stopped the arms for, or None."""
+        """Error with which the supervisor stopped the arms, or None."""
         self.applied = np.zeros_like(q)
-        """Torques (n,) [Nm] of the last control step, as the supervisor let them through."""
+        """Last torques (n,) [Nm], after the supervisor."""
         self._off: SwitchedOff | None = None
         self._reset_supervisor()
 
-    # What sources say ------------------------------------------------------------------------------------
+    # Commands --------------------------------------------------------------------------------------------
 
     def propose(self, source: str, command: Command) -> Refusal | None:
-        """Offer a command; return why it is refused, or None. What depends on the posture is judged at the next tick.
+        """Offer a command; return its refusal, or None (posture checks follow at the next tick).
 
         Raises:
-            UsageError: There is no such source.
+            UsageError: Unknown source.
         """
         refusal = self.arbiter.propose(source, command)
         if refusal is None and not isinstance(command, JointCommand):
@@ -143,25 +142,24 @@ class ControlStack[P: Plant]:
         return refusal
 
     def affirm(self, source: str) -> None:
-        """Say that a source is alive; call it at the arbiter's rate while its timed command runs.
+        """Report a source as alive; call at the arbiter's rate while its timed command runs.
 
         Raises:
-            UsageError: There is no such source.
+            UsageError: Unknown source.
         """
         self.arbiter.affirm(source)
 
     def request(self, mode: str, controllers: Sequence[str] | None = None) -> None:
-        """Ask for a source to drive, or for "hold".
+        """Request a source to drive, or "hold".
 
         Args:
-            mode: One of the sources, or "hold".
-            controllers: Set to activate when the switch is confirmed; by default `both_arms`, for "hold" those active then.
-                If the mode drives already, a named set takes over at once, as by `switch_controllers`.
+            mode: A source, or "hold".
+            controllers: Set to activate at confirmation; default `both_arms`, for "hold" the active set. If the mode
+                already drives, a named set takes over at once.
 
         Raises:
-            UsageError: There is no such mode or controller.
-            ControllerSwitchError: The set would not claim every joint exactly once, or is not ready; or the mode
-                drives already and a timed command is under way.
+            UsageError: Unknown mode or controller, or a source requested during a reflex.
+            ControllerSwitchError: The set is invalid or not ready, or must take over during a timed command.
         """
         named = controllers is not None
         if controllers is None:
@@ -172,23 +170,23 @@ class ControlStack[P: Plant]:
                 f"'{mode}' may not drive: the supervisor stopped the arms ({self.reflex.message})",
                 remedy="find the cause, then recover()",
             )
-        if mode == self.source:  # no switch will come that could bring the set
+        if mode == self.source:  # no switch follows that could activate the set
             if named and tuple(controllers) != self.manager.active:
                 self.switch_controllers(controllers)
             controllers = self.manager.active
         self.arbiter.request(mode)
         if named or mode != HOLD:
             self._wanted[mode] = tuple(controllers)
-        else:  # those that are active when it is confirmed: an own switch may come before
+        else:  # the set active at confirmation: switch_controllers may come first
             self._wanted.pop(HOLD, None)
         self._due = True
 
     def switch_controllers(self, names: Sequence[str]) -> None:
-        """Change the active controllers between two control steps, while the mode stays.
+        """Change the active controllers at once, keeping the mode.
 
         Raises:
-            UsageError: There is no such controller.
-            ControllerSwitchError: The set is refused, or a timed command is under way. Nothing has changed.
+            UsageError: Unknown controller.
+            ControllerSwitchError: Refused set, or a running timed command; nothing changes.
         """
         self.manager.check(names)
         if self.executing:
@@ -199,78 +197,78 @@ class ControlStack[P: Plant]:
         self._due = True
 
     def halt(self, source: str, gripper: Array | None = None) -> None:
-        """Stop the arms in the next step from where they are, whatever is under way; nobody drives afterwards.
+        """Stop the arms in the next step; no source drives afterwards.
 
-        Controller `soft_stop` takes over in that step, until the next mode that is requested brings its own.
+        `soft_stop` drives until the next requested mode brings its controllers.
 
         Args:
             source: Who asks.
-            gripper: Openings (2,) to take, from the driving source only; by default the hands stay as they are.
+            gripper: Openings (2,), accepted only from the driving source.
 
         Raises:
-            UsageError: There is no such source.
+            UsageError: Unknown source.
         """
         self.arbiter.halt(source, gripper)
         self._due = True
 
     def switch_off(self, arms: Sequence[int]) -> None:
-        """Command no torque to these arms until the reset, so that dead drives that come back find none.
+        """Command no torque to exactly these arms until reset, in case dead drives return.
 
-        The torque falls to zero at the drives' rate. Arms named before stay off only if they are named again.
+        The torque falls to zero at the drives' rate.
         """
         self._off = SwitchedOff(arms, self.applied, self.plant.dt, self._robot)
 
     def on_flush(self, listener: Callable[[str], None]) -> None:
-        """Call `listener(mode)` whenever a switch to `mode` begins, so that sources drop queued chunks too."""
+        """Call `listener(mode)` at every switch or halt, so that sources drop queued chunks."""
         self._flush_listeners.append(listener)
 
     def recover(self) -> None:
-        """Go on after a reflex: the controllers take over where the arms stand, nobody drives."""
+        """Resume after a reflex at the measured posture, with no driving source."""
         self._reset_supervisor()
         self.reflex = None
         for name in self.manager.active:
             self.manager[name].activate(self.plant.q, self.plant.v)
         self.request(HOLD)
 
-    # What is seen ----------------------------------------------------------------------------------------
+    # State -----------------------------------------------------------------------------------------------
 
     @property
     def source(self) -> str | None:
-        """The source that may drive, or None."""
+        """Source that may drive, or None."""
         return self.arbiter.source
 
     @property
     def state(self) -> ArbiterState:
-        """What the arbiter did in its last tick."""
+        """The arbiter's last state."""
         return self.arbiter.state
 
     @property
     def executing(self) -> bool:
-        """Whether a timed command is under way, or waits to be taken at the next tick."""
+        """Whether a timed command runs or waits for the next tick."""
         return self._pending or bool([e for e in self.arbiter.executions if not e.finished])
 
     @property
     def tick_next(self) -> bool:
-        """Whether the next `step` begins with a regular tick of the arbiter: propose streamed commands then."""
+        """Whether the next `step` has a regular arbiter tick: propose streamed commands then."""
         return self._countdown == 0
 
     @property
     def reference(self) -> Array:
-        """Joint references (n,) [rad] of the last control step."""
+        """Last joint references (n,) [rad]."""
         return self.manager.reference
 
     @property
     def tau(self) -> Array:
-        """Torques (n,) [Nm] that the controllers gave in the last control step."""
+        """Last torques (n,) [Nm] of the controllers."""
         return self.manager.tau
 
-    # What runs -------------------------------------------------------------------------------------------
+    # Control loop ----------------------------------------------------------------------------------------
 
     def step(self) -> None:
-        """Run one tick of 1 kHz, the arbiter's before it when it is due.
+        """Run one control tick, after the arbiter's if due.
 
         Raises:
-            ReflexError: Once, after the tick in which the supervisor stopped the arms; further steps bring them to rest.
+            ReflexError: Once, after the tick that triggered it.
         """
         if self._countdown == 0 or self._due:
             self.arbitrate()
@@ -280,17 +278,17 @@ class ControlStack[P: Plant]:
         self.advance()
 
     def arbitrate(self) -> ArbiterOutput:
-        """Run a tick of the arbiter now; sessions that keep time themselves call this and `advance`."""
+        """Run an arbiter tick now, for callers with their own timing (then `advance`)."""
         plant = self.plant
         output = self.arbiter.tick(plant.time, plant.q, plant.v)
         self.output = output
-        if self.supervisor is not None:  # should the arbiter fall silent itself, the supervisor stops the arms
+        if self.supervisor is not None:  # so that a silent arbiter triggers stale_command
             self.supervisor.heard(plant.time)
         if output.refusals:
             self.refusals.extend(output.refusals)
         self._due = self._pending = False
         if output.halted:
-            self._wanted.pop(HOLD, None)  # even a set that a hold has named: the stop holds the arms
+            self._wanted.pop(HOLD, None)  # overrides even a set named with "hold"
             self.manager.switch(_STOPPING, plant.q, plant.v, swiftly=True)
         self.manager.follow(output)
         return output
@@ -299,7 +297,7 @@ class ControlStack[P: Plant]:
         """Run one control and physics step on the arbiter's last output.
 
         Raises:
-            ReflexError: Once, after the step; without a supervisor the error of the controller or plant.
+            ReflexError: Once, after the step; without a supervisor the controller's or plant's error.
         """
         plant, output = self.plant, self.output
         for execution in output.executions:
@@ -319,13 +317,13 @@ class ControlStack[P: Plant]:
             raise stopped
 
     def _torque(self, q: Array, v: Array) -> tuple[Array, MinidualError | None]:
-        """Return the torques (n,) [Nm] of this tick, and the error that stopped the arms in it, if one did."""
+        """Return this tick's torques (n,) [Nm] and the error that stopped the arms, if any."""
         failed: MinidualError | None = None
         tau = self.applied
         try:
             self._check_plant()
             tau = self.manager.update(q, v)
-            if self._off is not None:  # the supervisor need not guard what no motor is told
+            if self._off is not None:  # guard only torques that reach motors
                 tau = self._off.apply(tau)
         except MinidualError as error:
             failed = error
@@ -341,7 +339,7 @@ class ControlStack[P: Plant]:
             return self._stop(error), error
 
     def _check_plant(self) -> None:
-        """Raise PlantError where the plant cannot be driven or its measurements are too old to control by."""
+        """Raise PlantError for a failed plant or stale measurements."""
         plant, limit_s = self.plant, self._config.stale_s
         if plant.health:
             raise PlantError(f"the plant cannot be driven: {plant.health}")
@@ -353,17 +351,17 @@ class ControlStack[P: Plant]:
             )
 
     def _stop(self, error: MinidualError) -> Array:
-        """Take the arms from everybody; return the torque that the supervisor's error carries for this tick."""
+        """Hold the arms after a reflex; return the reflex's torque."""
         tau = getattr(error, "tau", None)
-        if tau is None:  # no reflex, but misuse
+        if tau is None:  # not a reflex but a usage error
             raise error
         self.reflex = error
         self.request(HOLD)
         return tau
 
     def _fall_back(self, error: MinidualError, q: Array, v: Array) -> Array:
-        """Let the joint controllers hold the arms where they are; return their torque (n,) [Nm] of this tick."""
-        if self.manager.active == DEFAULT_CONTROLLERS:  # nothing is left that could hold them
+        """Hold with the joint controllers; return their torque (n,) [Nm]."""
+        if self.manager.active == DEFAULT_CONTROLLERS:  # no other controller could hold the arms
             raise error
         self.manager.switch(DEFAULT_CONTROLLERS, q, v)
         self.request(HOLD)

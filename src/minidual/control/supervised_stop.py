@@ -1,8 +1,7 @@
-"""Bring moving arms to rest and hold them there: what follows every reflex of the supervisor.
+"""Controlled stop after a reflex.
 
-The reference starts at the measured posture and velocity, brakes each joint with a fixed share of its acceleration limit
-and stays where it comes to rest. The arms follow it by computed torque with soft gains (damped hold). The torque starts
-from what was applied last and changes no faster than the motors' rate limit.
+The reference brakes each joint at a fixed share of its acceleration limit and then holds; soft computed torque
+follows it, starting from the last applied torque and within the motors' rate limit.
 """
 
 from __future__ import annotations
@@ -17,12 +16,12 @@ from minidual.robot.pair import Array
 
 
 class SupervisedStop:
-    """Torques of a controlled stop.
+    """Torques of the stop.
 
     Args:
-        kinematics: Dynamics; a workspace of its own.
+        kinematics: Own workspace.
         config: Deceleration and stiffness.
-        dt_s: Period of the control loop.
+        dt_s: Control step.
     """
 
     def __init__(self, kinematics: Kinematics, config: SupervisorConfig, dt_s: float) -> None:
@@ -32,16 +31,16 @@ class SupervisedStop:
         self._dt = dt_s
 
     def begin(self, q: Array, v: Array, tau: Array) -> None:
-        """Start from the last good posture (n,) [rad], velocity [rad/s] and torque applied [Nm]; all finite."""
+        """Start from finite posture (n,) [rad], velocity [rad/s] and applied torque [Nm]."""
         robot = self._robot
         self._q, self._v = q.copy(), v.copy()
         self._q_ref, self._v_ref = q.copy(), np.clip(v, -robot.v_max, robot.v_max)
         self._rate = TorqueRate(np.clip(tau, -robot.tau_max, robot.tau_max), self._dt, robot.arm.tau_rate_max)
 
     def torque(self, q: Array, v: Array) -> Array:
-        """Return the torque (n,) [Nm] of this tick.
+        """Return this tick's torque (n,) [Nm].
 
-        A measurement that is not finite is replaced by the last one that was, at rest: gravity is still carried.
+        Non-finite measurements are replaced by the last finite posture at rest, so gravity stays compensated.
         """
         if np.isfinite(q).all() and np.isfinite(v).all():
             self._q, self._v = np.array(q, dtype=float), np.array(v, dtype=float)

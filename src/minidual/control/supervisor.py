@@ -1,9 +1,8 @@
-"""The supervisor: stands between the controllers and the motors, and stops the arms when a bound does not hold.
+"""The supervisor checks measurements and torques between controllers and motors, and stops the arms at a violation.
 
-`guard` gets the measurements and the controllers' torque once a tick and returns the torque to apply. All joint bounds are
-one comparison; bounds that need kinematics are checked every `slow_period_s`, with a look-ahead that makes the period
-safe. The first tick out of bounds raises a `ReflexError` with that tick's torque; from then on `guard` returns the torques
-of a soft stop until `reset`. See docs/supervisor.md.
+All joint bounds are one comparison per tick; kinematic bounds are checked at most every `slow_period_s`, with
+look-ahead. A violation raises `ReflexError` once; then `guard` returns soft-stop torques until `reset`. See
+docs/supervisor.md.
 """
 
 from __future__ import annotations
@@ -25,29 +24,29 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array
 
 Distance = Callable[[Array], tuple[str, float]]
-"""Takes q (n,) [rad]; returns the nearest pair of parts that may not touch ("a with b") and its distance [m]."""
+"""Maps q (n,) [rad] to the nearest collidable pair ("a with b") and its distance [m]."""
 OnReflex = Callable[[Reflex], Path | None]
-"""Called once when a reflex comes; may return the file with the replayable state that it wrote."""
+"""Called once per reflex; may return the dump file it wrote."""
 
 
 def dumping(recorder: StepRecorder) -> OnReflex:
-    """Return what writes a recorder's last second to its folder when a reflex comes."""
+    """Return a callback that writes the recorder's last second at a reflex."""
     return lambda reflex: recorder.dump(reflex.name, reflex.text, details=reflex.details)
 
 
 SEEN = ("measured_position_rad", "measured_velocity_rad_per_s", "asked_torque_nm")
-"""What a reflex keeps of its tick, one number a joint; those that are not finite are written as text."""
+"""Per-joint values that a reflex records; non-finite ones become text."""
 
 
 class Supervisor:
-    """Guards the motors of both arms.
+    """Guards both arms.
 
     Args:
         config: Bounds.
-        dt_s: Period of the control loop.
-        kinematics: Dynamics of its own; made if left out.
-        self_distance: Distance between parts of the arms; without it self-collision is not watched.
-        on_reflex: Called when a reflex comes, for example to write the last second to a file.
+        dt_s: Control step.
+        kinematics: Own workspace; created by default.
+        self_distance: Without it self-collision is not checked.
+        on_reflex: Called at a reflex.
     """
 
     def __init__(
@@ -76,12 +75,12 @@ class Supervisor:
         self._estop: str | None = None
         self.reset()
 
-    # What is asked of it -------------------------------------------------------------------------------------
+    # Interface -----------------------------------------------------------------------------------------------
 
     def reset(self) -> None:
-        """Forget the latched reflex, the last torque and the clock.
+        """Clear the latched reflex, last torque and clock.
 
-        An emergency stop is forgotten only if it was the reported reflex; otherwise it stops the arms in the next tick.
+        An emergency stop that was not the latched reflex stays pending.
         """
         if self._reflex is not None and self._reflex.name == "emergency_stop":
             self._estop = None
@@ -102,20 +101,20 @@ class Supervisor:
 
     @property
     def reflex(self) -> Reflex | None:
-        """The reflex that holds the arms, or None."""
+        """The latched reflex, or None."""
         return self._reflex
 
     def estop(self, reason: str = "pressed") -> None:
-        """Stop the arms in the next tick. May be called at any time, from any thread."""
-        self._estop = reason  # one assignment: atomic, nothing to lock
+        """Stop the arms in the next tick; thread-safe."""
+        self._estop = reason  # one assignment is atomic: no lock
 
     def fail(self, time_s: float, q: Array, v: Array, why: str) -> Array:
-        """Stop the arms because the controllers give no torque; call it instead of `guard`.
+        """Stop the arms when the controllers give no torque; call instead of `guard`.
 
-        While a reflex holds the arms it returns the torques (n,) [Nm] of the soft stop.
+        With a latched reflex, return the soft-stop torques (n,) [Nm].
 
         Raises:
-            ReflexError: Once, `controller_failed`; its `tau` is to be applied.
+            ReflexError: Once, `controller_failed`; apply its `tau`.
         """
         if self._reflex is None:
             self._rows[0], self._rows[1] = q, v
@@ -123,22 +122,22 @@ class Supervisor:
         return self._stop.torque(q, v)
 
     def heard(self, time_s: float) -> None:
-        """Report that a command came in. From the first report on, silence for `stale_s` is a reflex."""
+        """Report a command; after the first report, silence for over `stale_s` is a reflex."""
         self._deadline_s = time_s + self.config.stale_s
 
     def guard(self, time_s: float, q: Array, v: Array, tau: Array, a_ref: Array | None = None) -> Array:
-        """Return the torques (n,) [Nm] to apply in this tick; always finite and within the limits.
+        """Return the torques (n,) [Nm] to apply; finite and within limits.
 
         Args:
-            time_s: Time of the control loop [s]; grows from call to call.
-            q: (n,) measured joints [rad].
-            v: (n,) measured velocities [rad/s].
-            tau: (n,) what the controller asks for [Nm], clipped by it to the motors' limits.
-            a_ref: (n,) acceleration of the commanded reference [rad/s^2], where there is one.
+            time_s: Control loop time [s], strictly increasing.
+            q: (n,) measured [rad].
+            v: (n,) measured [rad/s].
+            tau: (n,) requested [Nm], already clipped.
+            a_ref: (n,) commanded reference acceleration [rad/s^2], if any.
 
         Raises:
-            ReflexError: Once, in the tick in which a bound does not hold; its `tau` is to be applied.
-            UsageError: Time does not grow: `reset` belongs to every reset of the world.
+            ReflexError: Once, at a violation; apply its `tau`.
+            UsageError: Time did not increase.
         """
         if self._reflex is not None:
             return self._stop.torque(q, v)
@@ -156,13 +155,13 @@ class Supervisor:
         np.subtract(rows[2], self._applied, rows[3])
         if a_ref is not None:
             self._note_reference(a_ref)
-        elif self._a_before is not None:  # a controller without a reference took over
+        elif self._a_before is not None:  # the new controller has no reference
             self._a_before = None
             rows[4:] = 0.0
         np.subtract(rows, self.bounds.centre, ratio)
         np.multiply(ratio, self.bounds.scale, ratio)
         np.abs(ratio, ratio)
-        # argmax finds a NaN first, and NaN <= 1 is false: the one comparison also catches what is not finite.
+        # argmax returns the first NaN, and NaN <= 1 is false: this also catches non-finite values.
         if ratio.item(ratio.argmax()) <= 1.0 and self._estop is None and time_s <= self._deadline_s:
             applied = rows[2]
         else:
@@ -172,10 +171,10 @@ class Supervisor:
         self._applied[:] = applied
         return applied.copy()
 
-    # How it looks --------------------------------------------------------------------------------------------
+    # Checks --------------------------------------------------------------------------------------------------
 
     def _before_control(self, q: Array) -> Array:
-        """Return the torque that acted before the first tick: what carries the arms, as the drives do by themselves."""
+        """Return the gravity torque that drives apply before control."""
         return np.array(self._kinematics.gravity(q if np.isfinite(q).all() else self._robot.home))
 
     def _note_reference(self, a_ref: Array) -> None:
@@ -186,7 +185,7 @@ class Supervisor:
         self._a_before[:] = a_ref
 
     def _look_closer(self, time_s: float) -> Array:
-        """Say which bound does not hold, or return the torque to apply where no reflex is due."""
+        """Raise the violated bound's reflex, or return the torque to apply."""
         q, v, tau, step, a_ref, a_step = self._rows
         bounds = self.bounds
         for what, values in (("measured position", q), ("measured velocity", v), ("torque", tau), ("reference", a_ref)):
@@ -211,10 +210,10 @@ class Supervisor:
         return self._bound_torque(time_s, tau, step)
 
     def _bound_torque(self, time_s: float, tau: Array, step: Array) -> Array:
-        """Limit the rate of the torque; count how long motors saturate and how often what is asked for jumps."""
+        """Limit the torque rate; count saturation and jumps."""
         bounds = self.bounds
         in_order = self._tick - 1 - self._slow_tick
-        if in_order:  # ticks since the last that was looked at: then the torque asked for was the one applied
+        if in_order:  # ticks in order since the last check: the requested torque was the applied one
             self._saturated[:] = 0
             np.maximum(self._jumps - in_order, 0, out=self._jumps)
             jump = step
@@ -228,8 +227,8 @@ class Supervisor:
             where = f"{self._robot.joint_names[longest]} for {1e3 * self.config.saturation_s:.0f} ms"
             bound = float(bounds.tau_max[longest])
             self._trip("torque_saturation", time_s, where, float(tau[longest]), bound)
-        # A target streamed at 50 Hz makes the torque jump once in 20 ticks, and the limiter works until it has followed:
-        # that is rough, but no fault. Chatter jumps in every tick. Jumps count up and every other tick counts down.
+        # A target streamed at 50 Hz makes the torque jump once in 20 ticks, which the limiter absorbs; chatter jumps in
+        # every tick. A jump counts up, any other tick down.
         jumps = np.abs(jump) > self.config.torque_rate_excess * bounds.tau_step
         self._jumps = np.where(jumps, self._jumps + 1, np.maximum(self._jumps - 1, 0))
         longest = int(np.argmax(self._jumps))
@@ -242,7 +241,7 @@ class Supervisor:
         return tau - step + np.clip(step, -bounds.tau_step, bounds.tau_step)
 
     def _look_slowly(self, time_s: float) -> None:
-        """Check what needs kinematics, and set when to look again."""
+        """Check kinematic bounds and schedule the next check."""
         self._next_slow = self._tick + self._slow_ticks
         q, v = self._rows[0], self._rows[1]
         self._q_good, self._v_good = q.copy(), v.copy()
@@ -254,13 +253,13 @@ class Supervisor:
         ahead = self._slow_ticks * self.dt_s
         (x0, x1), (y0, y1), (z0, z1) = self.config.workspace_m
         for arm, frame in enumerate(self._kinematics.tcp_ids):
-            # Six numbers: plain floats are faster than arrays here.
+            # plain floats are faster than arrays for six numbers
             x, y, z = pin.updateFramePlacement(model, data, frame).translation.tolist()
             vx, vy, vz = pin.getFrameVelocity(model, data, frame, pin.LOCAL_WORLD_ALIGNED).linear.tolist()
             speed = math.sqrt(vx * vx + vy * vy + vz * vz)
             if not speed <= self.config.tcp_speed_max_m_per_s:
                 self._trip("tcp_speed", time_s, self._robot.tcp_names[arm], speed, self.config.tcp_speed_max_m_per_s)
-            # Two periods ahead: one until the next look, one for what the hand gains in speed meanwhile.
+            # Two periods ahead: one until the next check, one for the speed gained meanwhile.
             x, y, z = x + 2.0 * ahead * vx, y + 2.0 * ahead * vy, z + 2.0 * ahead * vz
             if not (x0 <= x <= x1 and y0 <= y <= y1 and z0 <= z <= z1):
                 self._trip_workspace(time_s, arm, (x, y, z))
@@ -268,11 +267,11 @@ class Supervisor:
             pair, distance = self._self_distance(q)
             if not distance >= self.config.self_collision_min_m:
                 self._trip("self_collision", time_s, pair, distance, self.config.self_collision_min_m)
-            # Look again before the gap can have closed to the bound, however the arms accelerate meanwhile.
+            # Check again before the gap can close to the bound at full acceleration.
             safe_s = self._reach.safe_time_s(v, distance - self.config.self_collision_min_m)
             self._next_slow = self._tick + min(self._slow_ticks, max(1, int(safe_s / self.dt_s)))
 
-    # How it stops --------------------------------------------------------------------------------------------
+    # Reflexes ------------------------------------------------------------------------------------------------
 
     def _trip_ratio(self, name: str, time_s: float, values: Array, bounds: Array, *, tolerance: float = 0.0) -> None:
         ratio = np.abs(values) / bounds
@@ -295,11 +294,11 @@ class Supervisor:
         self._trip("workspace", time_s, f"{axis} of the {SIDES[arm]} hand", value, bound)
 
     def _trip(self, name: str, time_s: float, where: str, value: float, bound: float | None) -> None:
-        """Latch a reflex and raise it."""
+        """Latch and raise a reflex."""
         details = {
-            key: [x if math.isfinite(x) else str(x) for x in values.tolist()]  # JSON knows no NaN
+            key: [x if math.isfinite(x) else str(x) for x in values.tolist()]  # JSON has no NaN
             for key, values in zip(SEEN, self._rows[:3], strict=True)
-            if not (name == "controller_failed" and key == "asked_torque_nm")  # nothing was asked for
+            if not (name == "controller_failed" and key == "asked_torque_nm")  # no torque was requested
         }
         reflex = Reflex(name, time_s, where, value, bound, details)
         q, v = self._rows[0].copy(), self._rows[1].copy()
@@ -312,7 +311,7 @@ class Supervisor:
         if self._on_reflex is not None:
             try:
                 dump = self._on_reflex(reflex)
-            except Exception as error:  # the torque of this tick is returned whatever the callback does
+            except Exception as error:  # the callback must not lose this tick's torque
                 failure = error
         raise ReflexError(
             reflex, tau, dump, "" if failure is None else f"{type(failure).__name__}: {failure}"

@@ -1,4 +1,4 @@
-"""The timed commands under way behind the arbiter: which may begin, what they drive, and their end."""
+"""Start, progress and end of the arbiter's timed commands."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from minidual.robot.pair import SIDES, Array, Robot
 
 
 class Underway:
-    """Executions, no two of which drive the same arm.
+    """Running timed commands, at most one per arm.
 
     Args:
         dt_s: Control step.
         robot: The two arms.
-        admit: Says why the controllers cannot take a command now, or None; by default they take joint commands.
+        admit: Returns why the controllers cannot take a command, or None; the default admits joint commands.
     """
 
     def __init__(self, dt_s: float, robot: Robot, admit: Callable[[Command], Fault | None] | None = None) -> None:
@@ -27,12 +27,12 @@ class Underway:
         self.executions: tuple[Execution, ...] = ()
 
     def begin(self, command: TimedCommand, posture: Array, start_bound_rad: float) -> Fault | None:
-        """Begin a command, or say why not.
+        """Begin a command, or return why not.
 
         Args:
             command: What to run.
             posture: Measured joints (n,) [rad].
-            start_bound_rad: How far from them a trajectory may start.
+            start_bound_rad: Largest offset of a trajectory's start.
         """
         fault = self.busy(command.arms) or self.admit(command)
         if fault is None and isinstance(command, TrajectoryCommand):
@@ -48,7 +48,7 @@ class Underway:
         return None
 
     def busy(self, arms: tuple[int, ...]) -> Fault | None:
-        """Say what already drives one of these arms, or return None."""
+        """Return the fault if one of these arms is driven already, or None."""
         for execution in self.executions:
             shared = [SIDES[arm] for arm in arms if arm in execution.arms]
             if shared:
@@ -58,11 +58,11 @@ class Underway:
 
     @property
     def braking(self) -> bool:
-        """Whether something is coming to rest before its end."""
+        """Whether a command is braking."""
         return any(execution.braking for execution in self.executions)
 
     def follow(self, target: Array) -> tuple[Array, bool]:
-        """Return the target (n,) with each driven joint where its trajectory is, and whether anything ended."""
+        """Return the target (n,) updated on trajectories, and whether a command ended."""
         target = target.copy()
         for execution in self.executions:
             if isinstance(execution, TrajectoryExecution):
@@ -74,11 +74,11 @@ class Underway:
         return target, ended
 
     def drop(self) -> None:
-        """Forget everything; the caller stops the arms."""
+        """Forget all; the caller stops the arms."""
         self.executions = ()
 
     def brake(self) -> None:
-        """Bring everything to rest on its path."""
+        """Brake all along their paths."""
         for execution in self.executions:
             execution.brake()
 
