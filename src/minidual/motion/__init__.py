@@ -1,5 +1,4 @@
-"""Motion planning: inverse kinematics, search, timing and closed chains.
+"""Motion planning. Entry points: `api.Planner` and `held.planner.HeldPlanner`.
 
-Start at `minidual.motion.api.Planner` (goals for one or both arms) and `minidual.motion.held.planner.HeldPlanner`
-(an object that both hands hold). Nothing is imported here, so naming the package costs nothing.
+Nothing is imported here, to keep importing the package fast.
 """

@@ -1,4 +1,4 @@
-"""The planner that other parts use: a goal in, a timed and proven trajectory out, or an error that says why not."""
+"""Planner facade: from a goal to a timed trajectory that passed the collision proof."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ _SAME_RAD = 1e-9
 _TRIES_OF_FIRST = 4
 _CHECKS_MAX = 10_000_000
 _PATIENCE = 1.5
-"""Times are heavy-tailed: several short searches beat one long one."""
+"""Search times are heavy-tailed: several short searches beat one long one."""
 
 
 @dataclass(frozen=True)
 class _Effort:
-    """How one attempt searches, and how the next one should after a failure."""
+    """Search parameters of one attempt."""
 
     padding_m: float
     step_rad: float
@@ -44,7 +44,7 @@ class _Effort:
     fruitless_n: int = 0
 
     def after_no_path(self) -> _Effort:
-        """Return more patience and less padding: the way may be narrow."""
+        """Return less padding (the passage may be narrow) and more state checks."""
         return replace(
             self,
             padding_m=0.5 * self.padding_m,
@@ -53,12 +53,12 @@ class _Effort:
         )
 
     def planner(self, first: str, fallbacks: Sequence[str]) -> str:
-        """Return whose turn it is: the first planner's four times, then the fallbacks' one after the other."""
+        """Return the planner: the first for four failed searches, then the fallbacks in turn."""
         turn = self.fruitless_n - _TRIES_OF_FIRST
         return fallbacks[turn % len(fallbacks)] if turn >= 0 and fallbacks else first
 
     def after_refusal(self) -> _Effort:
-        """Return more padding and a closer look: the path was blocked where the search did not see it."""
+        """Return more padding (up to 0.02 m) and finer steps: a collision was missed."""
         return replace(self, padding_m=min(1.5 * self.padding_m, 0.02), step_rad=max(0.5 * self.step_rad, 0.004))
 
 
@@ -75,12 +75,12 @@ def _load_kernels(engines: SceneEngines) -> None:
 
 
 class Planner:
-    """Plans for the groups left_arm, right_arm and both_arms. One instance a process: it holds workspaces.
+    """Plans for left_arm, right_arm and both_arms. Use one instance per process; it holds workspaces.
 
     Args:
-        scene: Scene of queries that name none of their own.
+        scene: Default scene.
         config: Parameters of search, timing and proof.
-        robot: The arms, where no scene says which.
+        robot: Used if `scene` is not given.
 
     Example:
         planner = Planner()
@@ -107,10 +107,10 @@ class Planner:
         )
 
     def engines(self, scene: PlanningScene | None = None) -> SceneEngines:
-        """Return geometry and proof of a scene, from the last few scenes or newly built.
+        """Return a scene's collision and proof engines; the last eight scenes are cached.
 
         Raises:
-            UsageError: The scene is of other arms.
+            UsageError: The scene has a different robot.
         """
         scene = scene or self.scene
         if scene.robot != self.robot:
@@ -137,17 +137,17 @@ class Planner:
         """Plan to a joint configuration.
 
         Args:
-            group: "left_arm", "right_arm" or "both_arms"; the other arm is held.
+            group: "left_arm", "right_arm" or "both_arms"; the other arm stands still.
             q_start: All joints [rad].
-            q_goal: All joints, or only the group's own.
+            q_goal: All joints, or only the group's.
             scene: Scene of this query.
-            seed: The same query with the same seed gives the same trajectory.
-            budget_s: Wall time after which to give up; the configuration's by default.
+            seed: Equal queries with equal seeds give equal trajectories.
+            budget_s: Wall time limit; by default the configuration's.
 
         Raises:
-            OutOfLimitsError, StartInCollisionError, GoalInCollisionError: The query itself is bad.
-            NoPathInTimeError: No path passed the proof within the budget.
-            UsageError: Unknown group, or a goal that moves the other arm.
+            OutOfLimitsError, StartInCollisionError, GoalInCollisionError: Bad start or goal.
+            NoPathInTimeError: No path was proven within the budget.
+            UsageError: Unknown group, bad budget, or a goal that moves the other arm.
         """
         times = PhaseTimes()
         group_arms(group)
@@ -167,11 +167,11 @@ class Planner:
         seed: int = 0,
         budget_s: float | None = None,
     ) -> PlanResult:
-        """Plan to tcp poses: {"left": T_world_tcp, "right": T_world_tcp}, exactly the group's arms.
+        """Plan to tcp poses {"left": T_world_tcp, "right": T_world_tcp} of exactly the group's arms.
 
         Raises:
-            IKUnreachableError: No joint configuration reaches a pose; the message names the residual.
-            And all that `plan_to_joints` raises.
+            IKUnreachableError: A pose is out of reach; states the residual.
+            And what `plan_to_joints` raises.
         """
         times = PhaseTimes()
         group_arms(group)
@@ -264,9 +264,9 @@ class Planner:
         times: PhaseTimes,
         budget_s: float,
     ) -> tuple[Array | None, EdgeChecker]:
-        """Return a free polyline (k, n), or None, and the checker that it was made with."""
+        """Return a free polyline (k, n) or None, and its checker."""
         with times.phase("search"):
-            # Start and goals were checked whole; on the way only pairs with a moving part can change.
+            # All pairs were checked at start and goal; only pairs with a moving part can change.
             checker = EdgeChecker(engines, effort.padding_m, (q_start, goal), effort.step_rad, group_arms(group))
             if checker.edge_free(q_start, goal):
                 return np.array([q_start, goal]), checker
@@ -286,10 +286,10 @@ class Planner:
     def _finish(
         self, group: str, path: Array, checker: EdgeChecker, key: np.random.SeedSequence, times: PhaseTimes
     ) -> tuple[Trajectory, Array]:
-        """Return the timed trajectory of a free polyline and the shortened polyline.
+        """Return the timed trajectory and the shortened polyline.
 
         Raises:
-            TimingError: A corner stays blocked, or no time law keeps the limits.
+            TimingError: A corner stays blocked, or the limits cannot be kept.
         """
         if np.abs(path[-1] - path[0]).max() < _SAME_RAD and len(path) == 2:
             return _rest(path[0], group), path
@@ -304,7 +304,7 @@ class Planner:
 
 
 def _rest(q: Array, group: str) -> Trajectory:
-    """Return the trajectory that stays at q (n,)."""
+    """Return a trajectory that stays at q (n,)."""
     still = np.zeros((2, len(q)))
     return Trajectory(np.array([0.0, DT_S]), np.array([q, q]), still, still.copy(), group)
 

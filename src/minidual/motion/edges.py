@@ -1,8 +1,7 @@
-"""Is this configuration, is this straight edge free? The question the search asks ten thousand times.
+"""Collision checks of configurations and straight edges for the search.
 
-The search keeps `padding_m` away from everything, because a path that is free at its samples may touch between them. A
-start or goal that already lies nearer could then never be left, so near the two endpoints the padding shrinks to 0.9 of
-the endpoint's own clearance, and grows back to the full padding within `RELAX_RAD` of joint motion.
+Checks keep `padding_m` because a path may touch between its samples. Near an endpoint with less clearance the padding
+shrinks to 0.9 of that clearance; it grows back within `RELAX_RAD` of joint motion.
 """
 
 from __future__ import annotations
@@ -24,9 +23,9 @@ _KEEP_FRACTION = 0.9
 
 @cache
 def bisection_order(count: int) -> Array:
-    """Return the fractions k/count, k = 1..count, far apart first: a blocked edge shows early.
+    """Return the fractions k/count, k = 1..count: end, middle, quarters, ... to find blocked edges early.
 
-    The end comes first, then the middle, then the quarters. Read only: the array is kept.
+    The array is cached; do not write to it.
     """
     order: list[int] = []
     seen = {0}
@@ -41,16 +40,14 @@ def bisection_order(count: int) -> Array:
 
 
 class EdgeChecker:
-    """Collision checks with padding for one query, by separating planes; what they leave open counts as blocked.
-
-    The same questions in the same order get the same answers, in any process.
+    """Checks with padding by separating planes; undecided counts as blocked. Results are deterministic.
 
     Args:
         engines: Engines of the scene.
         padding_m: Distance to keep.
-        endpoints: Configurations (dof,) near which the padding relaxes; they must be free themselves.
-        step_rad: Largest joint step between two checks of an edge.
-        arms: Only pairs with a part that moves with one of these arms are checked.
+        endpoints: Free configurations (dof,) near which the padding shrinks.
+        step_rad: Largest joint step between checks.
+        arms: Only pairs with a part of these arms are checked.
     """
 
     def __init__(
@@ -79,11 +76,11 @@ class EdgeChecker:
         return self.all_free(np.asarray(q)[None])
 
     def all_free(self, Q: Array) -> bool:
-        """Return whether every row of Q (n, dof) keeps its distance; stops at the first that does not."""
+        """Return whether all rows of Q (n, dof) keep their distance; stops at the first failure."""
         return self._counted(planes.survey(self._geometry, floats(Q), *self._rest), len(Q))
 
     def edge_free(self, a: Array, b: Array, step_rad: float | None = None) -> bool:
-        """Return whether the straight line from a to b (both (dof,)) is free; a itself is taken as checked."""
+        """Return whether the edge from a to b, (dof,), is free; a itself is not checked."""
         count = math.ceil(np.abs(b - a).max() / (step_rad or self.step_rad))
         if count == 0:
             return True

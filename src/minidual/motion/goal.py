@@ -1,11 +1,10 @@
-"""What can be asked for, as plain data and as YAML. `minidual.motion.goal_plan` resolves it.
+"""Goals as data classes and as YAML; `minidual.motion.goal_plan` resolves them.
 
     poses:
       left: {position_m: [0.5, 0.25, 0.3], rpy_rad: [3.1416, 0, 0]}
     linear: true
 
-A word may stand for a file: the name of a state. A trajectory that `minidual plan --out` wrote (.json) stands for its
-last sample. See docs/planning-scenes.md.
+See docs/planning-scenes.md.
 """
 
 from __future__ import annotations
@@ -40,7 +39,8 @@ class StateGoal:
 class JointGoal:
     """Joint values [rad].
 
-    values: All of the group's joints (or of both arms), or {joint name: value} for some; the others stay.
+    Attributes:
+        values: All joints of the group or robot, or {joint name: value}; unnamed joints stay.
     """
 
     values: tuple[float, ...] | Mapping[str, float]
@@ -48,12 +48,12 @@ class JointGoal:
 
 @dataclass(frozen=True)
 class TipPose:
-    """Where one tcp shall be.
+    """Target pose of one tcp.
 
     Attributes:
         position_m: In `frame`.
-        quat_wxyz: In `frame`; None keeps the orientation that the tcp has at the start.
-        frame: "world", a link (where it is at the start), an obstacle or a held object of the scene.
+        quat_wxyz: In `frame`; None keeps the start orientation.
+        frame: "world", a link (at its start pose), an obstacle or a held object.
     """
 
     position_m: Vec3
@@ -63,12 +63,12 @@ class TipPose:
 
 @dataclass(frozen=True)
 class PoseGoal:
-    """Poses of one or both tcps.
+    """Tcp poses.
 
     Attributes:
-        poses: {"left": ..., "right": ...}; with both_arms an arm that is left out keeps its tcp where it is.
-        linear: Whether each tcp goes there on a straight line.
-        fraction_min: For a straight line, the least part of it that is worth having.
+        poses: {"left": ..., "right": ...}; with both_arms a missing arm keeps its tcp pose.
+        linear: Whether each tcp moves on a straight line.
+        fraction_min: Smallest acceptable fraction of the line.
     """
 
     poses: Mapping[str, TipPose]
@@ -78,7 +78,7 @@ class PoseGoal:
 
 @dataclass(frozen=True)
 class TipOffset:
-    """How far one tcp shall move: a shift [m] and a turn (rotation vector [rad]) about its own origin."""
+    """Shift [m] and rotation vector [rad] of one tcp about its own origin."""
 
     offset_m: Vec3 = (0.0, 0.0, 0.0)
     rotation_rad: Vec3 = (0.0, 0.0, 0.0)
@@ -86,12 +86,12 @@ class TipOffset:
 
 @dataclass(frozen=True)
 class RelativeGoal:
-    """Offsets from where the tcps are at the start.
+    """Offsets from the tcp poses at the start.
 
     Attributes:
-        offsets: {"left": ..., "right": ...}; with both_arms an arm that is left out keeps its tcp where it is.
-        frame: Axes in which shift and turn are given: those of the world, or each tcp's own.
-        linear, fraction_min: As for `PoseGoal`.
+        offsets: {"left": ..., "right": ...}; with both_arms a missing arm keeps its tcp pose.
+        frame: Axes of the offsets: "world", or each tcp's own.
+        linear, fraction_min: See `PoseGoal`.
     """
 
     offsets: Mapping[str, TipOffset] = field(default_factory=dict)
@@ -108,22 +108,22 @@ class _Hands[T](StrictModel):
     right: T | None = None
 
     def named(self) -> dict[str, T]:
-        """Return what is said of each hand."""
+        """Return the entries given."""
         return {side: entry for side in ("left", "right") if (entry := getattr(self, side)) is not None}
 
 
 class PoseEntry(PlaceFields):
-    """Where one tcp shall be; without an orientation it keeps the one that it has."""
+    """Target pose of one tcp; without an orientation the current one is kept."""
 
     frame: str = "world"
 
 
 class OffsetEntry(StrictModel):
-    """How far one tcp shall move."""
+    """Offset of one tcp."""
 
     offset_m: Finite3 = (0.0, 0.0, 0.0)
     rotation_rad: Finite3 = (0.0, 0.0, 0.0)
-    """Rotation vector about the tcp's own origin."""
+    """Rotation vector about the tcp's origin."""
 
 
 class MoveEntry(_Hands[OffsetEntry]):
@@ -133,7 +133,7 @@ class MoveEntry(_Hands[OffsetEntry]):
 
 
 class GoalFile(StrictModel):
-    """Everything that a goal file may hold: exactly one kind of goal."""
+    """Goal file with exactly one kind of goal."""
 
     state: str | None = None
     joints_rad: tuple[float, ...] | None = None
@@ -141,9 +141,9 @@ class GoalFile(StrictModel):
     poses: _Hands[PoseEntry] | None = None
     move: MoveEntry | None = None
     linear: bool = False
-    """Move each tcp on a straight line; goes with poses and move."""
+    """Straight tcp motion; only with poses or move."""
     fraction_min: float = Field(default=1.0, gt=0.0, le=1.0)
-    """The least part of a straight line that is worth having."""
+    """Smallest acceptable fraction of the line."""
 
     @model_validator(mode="after")
     def _one_kind(self) -> GoalFile:
@@ -161,7 +161,7 @@ class GoalFile(StrictModel):
         return self
 
     def goal(self) -> Goal:
-        """Return the goal as plain data."""
+        """Return the goal as a data class."""
         if self.poses is not None:
             tips = {arm: TipPose(e.position_m, e.quaternion(), e.frame) for arm, e in self.poses.named().items()}
             return PoseGoal(tips, self.linear, self.fraction_min)
@@ -176,11 +176,11 @@ class GoalFile(StrictModel):
 
 
 def load_goal(path: Path) -> Goal:
-    """Return the goal of a YAML file, or the last sample of a trajectory in JSON.
+    """Return the goal in a YAML file, or the last sample of a JSON trajectory of `minidual plan --out`.
 
     Raises:
-        ConfigError: It is empty or does not hold; with file, line and dotted path.
-        DataError: The JSON is no trajectory.
+        ConfigError: The YAML is empty or invalid; states file, line and dotted path.
+        DataError: The JSON is not such a trajectory.
     """
     if path.suffix.lower() == ".json":
         return _end_of_trajectory(path)
@@ -191,10 +191,11 @@ def load_goal(path: Path) -> Goal:
 
 
 def goal_of(word: str, state_names: Iterable[str]) -> Goal:
-    """Return the goal that a word on the command line stands for: a state's name, or a file.
+    """Return the goal for a command-line word: a state name or a file.
 
     Raises:
-        UsageError: Neither; with the states that exist.
+        UsageError: Neither; lists the states.
+        And what `load_goal` raises.
     """
     names = tuple(state_names)
     if word in names:

@@ -1,4 +1,4 @@
-"""From any goal to a proven plan: names become joints, frames become world poses, lines become moves."""
+"""Planning for every kind of goal: resolves names, frames and straight lines."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from minidual.robot.poses import pose, rotation_from_quat
 
 
 class NamedStates(Mapping[str, Mapping[str, Array]]):
-    """Postures by name, {arm: joints [rad]}: the arm model's own, and those of the configuration.
+    """Named postures {arm: joints [rad]} of the arm model and the configuration.
 
     Raises:
-        ConfigError: A state does not fit the robot; with dotted path and numbers.
+        ConfigError: A state does not fit the robot.
     """
 
     def __init__(self, config: SemanticsConfig | None = None, robot: Robot = DUAL_PANDA) -> None:
@@ -72,10 +72,10 @@ class NamedStates(Mapping[str, Mapping[str, Array]]):
         return len(self._states)
 
     def joints(self, name: str, group: str, q_others: Array) -> Array:
-        """Return a named state as q (n,); arms outside the group stay where `q_others` (n,) has them.
+        """Return a named state as q (n,); arms outside the group keep their values in `q_others` (n,).
 
         Raises:
-            UsageError: No such state, or it says nothing about an arm of the group.
+            UsageError: Unknown state, or the state lacks an arm of the group.
         """
         parts = self[name]
         q = np.array(q_others, dtype=float)
@@ -91,13 +91,13 @@ class NamedStates(Mapping[str, Mapping[str, Array]]):
 
 @dataclass(frozen=True, eq=False)
 class Resolved:
-    """A goal in the planner's own words: joints, or poses of the group's tcps.
+    """A goal as joints or tcp poses.
 
     Attributes:
         q: All joints (n,) [rad], or None.
         targets: {arm: T_world_tcp (4, 4)} of exactly the group's arms, or None.
-        linear: Whether the tcps go there on straight lines.
-        fraction_min: Least part of the lines.
+        linear: Whether the tcps move on straight lines.
+        fraction_min: Smallest acceptable fraction of the lines.
     """
 
     q: Array | None = None
@@ -107,11 +107,11 @@ class Resolved:
 
 
 class GoalPlanner:
-    """Resolves and plans goals of every kind. One instance a process: it holds workspaces.
+    """Resolves and plans goals. Use one instance per process; it holds workspaces.
 
     Args:
-        planner: Does the planning.
-        semantics: Named states beside those of the arm model.
+        planner: Planner to use.
+        semantics: Additional named states.
     """
 
     def __init__(self, planner: Planner | None = None, semantics: SemanticsConfig | None = None) -> None:
@@ -121,17 +121,16 @@ class GoalPlanner:
         self._linear = LinearPlanner(self.planner.limits, self.planner.kinematics)
 
     def resolve(self, group: str, q_start: Array, goal: Goal, scene: PlanningScene | None = None) -> Resolved:
-        """Return what a goal means from a start.
+        """Return a goal as joints or tcp poses.
 
         Args:
             group: "left_arm", "right_arm" or "both_arms".
             q_start: All joints (n,) [rad].
-            goal: Of any kind.
-            scene: Its obstacles and held objects are frames, too.
+            goal: Goal of any kind.
+            scene: Its obstacles and held objects are frames.
 
         Raises:
-            UsageError: Unknown group, state, joint, arm or frame (with the nearest that exists), a value that is not
-                finite, an arm outside the group.
+            UsageError: Unknown name, a value that is not finite, or an arm outside the group.
             OutOfLimitsError: Joints outside their limits.
         """
         arms = group_arms(group)
@@ -155,10 +154,10 @@ class GoalPlanner:
     def start_joints(
         self, group: str, q_near: Array, start: Goal, scene: PlanningScene | None = None, *, seed: int = 0
     ) -> Array:
-        """Return a goal of any kind as a start (n,): poses by the nearest free solution to q_near (n,).
+        """Return a goal as start joints (n,); a pose gives its free IK solution nearest to q_near (n,).
 
         Raises:
-            What `resolve` raises, and IKUnreachableError or GoalInCollisionError for poses.
+            What `resolve` raises; IKUnreachableError or GoalInCollisionError for poses.
         """
         resolved = self.resolve(group, q_near, start, scene)
         if resolved.q is not None:
@@ -184,14 +183,13 @@ class GoalPlanner:
         seed: int = 0,
         budget_s: float | None = None,
     ) -> PlanResult:
-        """Plan to a goal of any kind; see `Planner.plan_to_joints` for the rest.
+        """Plan to a goal; arguments as for `Planner.plan_to_joints`.
 
-        A straight move that covers at least its fraction_min is a plan; `linear_move` tells how far it goes. It
-        searches nothing, so neither `seed` nor `budget_s` changes anything there.
+        A straight move ignores `seed` and `budget_s`.
 
         Raises:
-            LinearMoveError: A straight line ends too early.
-            And all that `resolve` and the planner raise.
+            LinearMoveError: A line ends before its fraction_min.
+            And what `resolve` and the planner raise.
         """
         resolved = self.resolve(group, q_start, goal, scene)
         how = {"scene": scene, "seed": seed, "budget_s": budget_s}
@@ -215,7 +213,7 @@ class GoalPlanner:
     def linear_move(
         self, group: str, q_start: Array, resolved: Resolved, *, scene: PlanningScene | None = None
     ) -> LinearMove:
-        """Return the straight move to resolved poses: trajectory, fraction and reason."""
+        """Return the straight move to resolved poses."""
         if resolved.targets is None:
             raise UsageError("a straight move needs poses as its goal")
         return self._linear.plan(
@@ -246,7 +244,7 @@ def _require_arms(named: Mapping[str, object], arms: tuple[str, ...], group: str
 
 
 class _Frames:
-    """Frames of one scene, the arms standing at the start."""
+    """Frames of one scene at the start configuration."""
 
     def __init__(self, kinematics: Kinematics, q_start: Array, scene: PlanningScene) -> None:
         self._kinematics = kinematics
@@ -282,7 +280,7 @@ class _Frames:
         """Return T_world_frame (4, 4).
 
         Raises:
-            UsageError: No such frame.
+            UsageError: Unknown frame.
         """
         if name == "world":
             return np.eye(4)

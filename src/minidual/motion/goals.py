@@ -1,4 +1,4 @@
-"""Turn joints and poses that were asked for into checked configurations."""
+"""Checked joint configurations from requested joints and poses."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def group_arms(group: str) -> tuple[str, ...]:
     """Return the arms of a planning group.
 
     Raises:
-        UsageError: No group of this name.
+        UsageError: Unknown group.
     """
     groups = {**{f"{side}_arm": (side,) for side in SIDES}, "both_arms": SIDES}
     if group not in groups:
@@ -31,10 +31,10 @@ def group_arms(group: str) -> tuple[str, ...]:
 
 
 def check_joints(q: Array, what: str, robot: Robot = DUAL_PANDA) -> Array:
-    """Return q as (n,) inside the limits (rounding at a limit is clipped).
+    """Return q as (n,), with rounding errors at the limits clipped.
 
     Raises:
-        OutOfLimitsError: Wrong shape, not finite, or a joint outside its limits.
+        OutOfLimitsError: Wrong shape, not finite, or outside the limits.
     """
     q = np.array(q, dtype=float)
     if q.shape != (robot.dof,):
@@ -53,11 +53,11 @@ def check_joints(q: Array, what: str, robot: Robot = DUAL_PANDA) -> Array:
 
 
 def goal_joints(group: str, q_start: Array, q_goal: Array, robot: Robot = DUAL_PANDA) -> Array:
-    """Return the goal as (n,): a goal of the group's own size is completed by the start's other joints.
+    """Return the goal as (n,); a goal of the group's size takes the other joints from the start.
 
     Raises:
-        OutOfLimitsError: Wrong shape, not finite, outside the limits.
-        UsageError: A goal of all joints that moves an arm outside the group.
+        OutOfLimitsError: Wrong shape, not finite, or outside the limits.
+        UsageError: The goal moves an arm outside the group.
     """
     joints = robot.groups[group]
     q_goal = np.asarray(q_goal, dtype=float)
@@ -75,16 +75,16 @@ def goal_joints(group: str, q_start: Array, q_goal: Array, robot: Robot = DUAL_P
 
 
 def require_free(engine: SceneEngines, q: Array, what: str) -> None:
-    """Check that nothing touches at q (n,).
+    """Check that q (n,) is free of contact.
 
     Raises:
-        StartInCollisionError, GoalInCollisionError: With the pair and the depth.
+        StartInCollisionError, GoalInCollisionError: States the pair and depth.
     """
     near = engine.closest(q, 0.001)
     if near and near[0].distance_m <= 0.0:
         kind = StartInCollisionError if what == "start" else GoalInCollisionError
         kept = engine.min_distance_m
-        # Obstacles are grown by the distance to keep, so nearness to one looks like touching.
+        # Obstacles are grown by this distance, so being near one counts as contact.
         grown = f" (the scene keeps {kept * 1e3:g} mm from obstacles)" if kept > 0.0 else ""
         raise kind(
             f"the {what} is in collision: {near[0]}{grown}",
@@ -93,10 +93,10 @@ def require_free(engine: SceneEngines, q: Array, what: str) -> None:
 
 
 def check_targets(group: str, targets: Mapping[str, Array]) -> dict[str, Array]:
-    """Return {arm: T_world_tcp (4, 4)} of exactly the group's arms.
+    """Return checked {arm: T_world_tcp (4, 4)}.
 
     Raises:
-        UsageError: The targets name other arms, or a pose is none.
+        UsageError: The arms are not exactly the group's, or a pose is invalid.
     """
     arms = group_arms(group)
     if set(targets) != set(arms):
@@ -105,10 +105,10 @@ def check_targets(group: str, targets: Mapping[str, Array]) -> dict[str, Array]:
 
 
 class PoseGoals:
-    """Joint configurations for tcp poses of one or both arms.
+    """Finds joint configurations for tcp poses.
 
     Args:
-        kinematics: Of the robot; the default robot's if left out.
+        kinematics: By default those of the default robot.
     """
 
     def __init__(self, kinematics: Kinematics | None = None) -> None:
@@ -126,12 +126,12 @@ class PoseGoals:
         restarts_n: int,
         candidates_n: int,
     ) -> list[Array]:
-        """Return up to candidates_n configurations (n,) that are free, the nearest to the start first.
+        """Return up to candidates_n free configurations (n,), nearest to the start first.
 
         Raises:
-            UsageError: The targets do not name exactly the group's arms, or a pose is none.
-            IKUnreachableError: A pose that no configuration reaches; with the residual.
-            GoalInCollisionError: Every configuration found touches something; with the pair of the nearest.
+            UsageError: The arms are not exactly the group's, or a pose is invalid.
+            IKUnreachableError: A pose is out of reach; states the residual.
+            GoalInCollisionError: All configurations collide; states the nearest one's pair.
         """
         solutions = {
             arm: self.solvers[arm].solutions(T, q_start[self.solvers[arm].joints], rng, restarts_n)
@@ -150,7 +150,7 @@ class PoseGoals:
                 require_free(engine, combined[0], "goal")
 
     def _combinations(self, q_start: Array, found: Mapping[str, list[Array]]) -> list[Array]:
-        """Return every combination of the arms' solutions as (n,), the nearest to the start first."""
+        """Return all combinations of the arms' solutions (n,), nearest to the start first."""
         combined = []
         for parts in itertools.product(*found.values()):
             q = np.array(q_start)

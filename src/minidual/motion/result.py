@@ -1,4 +1,4 @@
-"""What a successful query returns."""
+"""Result of a successful query."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PHASES: tuple[str, ...] = ("scene", "ik", "search", "shortcut", "blend", "timing
 
 @dataclass
 class PhaseTimes:
-    """Wall time by phase [s]; repeated phases add up. `scene` (engines of a new scene) is part of the total."""
+    """Wall time by phase [s]; repeated phases add up. `scene` counts building its engines."""
 
     seconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(PHASES, 0.0))
     started: float = field(default_factory=perf_counter)
@@ -38,17 +38,17 @@ class PhaseTimes:
 
 @dataclass(frozen=True, eq=False)
 class PlanResult:
-    """A verified plan.
+    """A proven plan.
 
     Attributes:
-        trajectory: Timed samples of all joints.
+        trajectory: Samples of all joints.
         path: Polyline (n, dof) after shortcutting.
-        q_goal: Configuration (dof,) that was reached.
+        q_goal: Configuration (dof,) reached.
         verification: The proof.
         times_s: Wall time by phase.
-        total_s: Wall time from goal in to verified trajectory out.
-        attempts_n: How many paths were made until one passed the proof.
-        direct: Whether the straight line was free, so that no search was needed.
+        total_s: Wall time of the query.
+        attempts_n: Attempts, including the successful one.
+        direct: Whether the path is one straight segment.
         rejections: Why earlier attempts failed.
     """
 

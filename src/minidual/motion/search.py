@@ -1,8 +1,7 @@
-"""The sampling search through OMPL: from start to goal as a polyline, or None.
+"""Sampling search with OMPL.
 
-Only an exact solution counts (`bool(status)` is true for an approximate one too). The search is limited by a
-number of state checks, not by the clock, so that the same query and seed give the same path on any machine; the
-clock only ends the query as a whole.
+Only exact solutions count (`bool(status)` is also true for approximate ones). State checks limit the search, so results
+do not depend on the machine; the clock only ends the whole query.
 """
 
 from __future__ import annotations
@@ -40,12 +39,12 @@ PLANNERS: Registry[Callable[[Any, float], Any]] = Registry(
         "kpiece": _tree("KPIECE1"),
     },
 )
-"""OMPL's planners by the name that configuration uses. PRM is not among them: it asks from threads of its own whether
-to stop, and waits for ever on a condition written in Python."""
+"""OMPL planners by configuration name. PRM is missing: it evaluates the termination condition from its own threads
+and hangs on one written in Python."""
 
 
 class Validity(ob.StateValidityChecker):
-    """Asks a function whether a state is free."""
+    """OMPL validity checker that calls a Python function."""
 
     def __init__(self, si: Any, free: Callable[[Any], bool]) -> None:
         super().__init__(si)
@@ -66,7 +65,7 @@ class _Motion(ob.MotionValidator):
 
 
 def bounded_space(lower: Array, upper: Array) -> Any:
-    """Return OMPL's space of d joints within limits, each (d,)."""
+    """Return OMPL's space of joints within limits (d,)."""
     space, bounds = ob.RealVectorStateSpace(len(lower)), ob.RealVectorBounds(len(lower))
     for i, (low, high) in enumerate(zip(lower.tolist(), upper.tolist(), strict=True)):
         bounds.setLow(i, low)
@@ -76,13 +75,13 @@ def bounded_space(lower: Array, upper: Array) -> Any:
 
 
 def seeded(seed: int) -> None:
-    """Seed OMPL's random numbers and silence it: setSeed complains on a second call although it does what it should."""
+    """Seed OMPL and silence it: a repeated setSeed takes effect but logs an error."""
     ou.setLogLevel(ou.LOG_NONE)
     ou.RNG.setSeed(1 + seed % (2**31 - 2))
 
 
 def exact_path(worker: Any, problem: Any, enough: Callable[[], bool]) -> Any:
-    """Return the path that a planner finds before `enough` says to stop, or None; approximate ones do not count."""
+    """Return a planner's exact solution path, or None if `enough` stopped it first."""
     worker.setProblemDefinition(problem)
     worker.setup()
     status = worker.solve(ob.PlannerTerminationCondition(lambda: problem.hasExactSolution() or enough()))
@@ -104,15 +103,15 @@ def search(
     """Return a polyline (n, dof) from q_start to q_goal, both (dof,), or None.
 
     Args:
-        checker: Collision checks with padding.
-        q_start: Start; joints outside `joints` stay at its values.
+        checker: Collision checks.
+        q_start: Start; joints outside `joints` keep its values.
         q_goal: Goal.
         joints: Joints that move.
-        planner: A name of `PLANNERS`.
-        range_rad: Longest edge of a tree, Euclidean in joint space.
-        seed: Seed of OMPL's random numbers.
-        checks_max: State checks after which the search gives up.
-        deadline: time.perf_counter() at which it gives up whatever the count.
+        planner: A name in `PLANNERS`.
+        range_rad: Longest tree edge, Euclidean in joint space.
+        seed: OMPL seed.
+        checks_max: Limit of state checks.
+        deadline: Limit of time.perf_counter().
     """
     seeded(seed)
     robot = checker.robot
@@ -141,7 +140,7 @@ def search(
         ends.append(state)
     problem.setStartAndGoalStates(ends[0], ends[1])
     objective = ob.PathLengthOptimizationObjective(si)
-    objective.setCostThreshold(ob.Cost(float("inf")))  # the optimising planners stop at their first solution
+    objective.setCostThreshold(ob.Cost(float("inf")))  # optimising planners stop at their first solution
     problem.setOptimizationObjective(objective)
     checks_end = checker.checks_n + checks_max
 

@@ -1,4 +1,4 @@
-"""Make a polyline shorter: drop vertices, then replace random stretches by straight edges."""
+"""Shortcutting of polylines."""
 
 from __future__ import annotations
 
@@ -16,15 +16,14 @@ def path_length(path: Array) -> float:
 
 
 def shortcut(path: Array, checker: EdgeChecker, rng: np.random.Generator, rounds_n: int) -> Array:
-    """Return a shorter polyline (m, dof) with the same ends, free wherever the checker says so.
+    """Return a shorter free polyline (m, dof) with the same ends.
 
-    Every other round moves one arm alone: the arms often need a detour at different times, and a straight line
-    for both at once would be blocked by either.
+    Every other round moves one arm alone, because the arms may need detours at different times.
 
     Args:
-        path: Polyline (n, dof), free.
+        path: Free polyline (n, dof).
         checker: Collision checks.
-        rng: Random numbers.
+        rng: Random generator.
         rounds_n: Random stretches to try.
     """
     path = _drop_vertices(path, checker)
@@ -39,7 +38,7 @@ def shortcut(path: Array, checker: EdgeChecker, rng: np.random.Generator, rounds
 
 
 def _drop_vertices(path: Array, checker: EdgeChecker) -> Array:
-    """Connect each kept vertex to the farthest one that it sees in a straight line."""
+    """Connect each kept vertex to the farthest one reachable in a straight line."""
     kept = [0]
     last = len(path) - 1
     while kept[-1] < last:
@@ -66,7 +65,7 @@ def _cut_stretch(path: Array, checker: EdgeChecker, rng: np.random.Generator, jo
     inner = path[i0 + 1 : i1 + 1]
     stretch = np.array([a, b])
     if joints != checker.robot.groups["both_arms"]:
-        # The chosen arm goes straight from a to b; the other one keeps its own motion at the same fractions.
+        # The other arm keeps its motion at the same fractions.
         stretch = np.vstack([a, inner, b])
         fractions = (np.concatenate([[s0], marks[i0 + 1 : i1 + 1], [s1]]) - s0) / (s1 - s0)
         stretch[:, joints] = a[joints] + fractions[:, None] * (b - a)[joints]
