@@ -36,8 +36,6 @@ _PATIENCE = 1.5
 
 @dataclass(frozen=True)
 class _Effort:
-    """Search parameters of one attempt."""
-
     padding_m: float
     step_rad: float
     checks_n: int
@@ -53,7 +51,7 @@ class _Effort:
         )
 
     def planner(self, first: str, fallbacks: Sequence[str]) -> str:
-        """Return the planner: the first for four failed searches, then the fallbacks in turn."""
+        """Return the first planner for four failed searches, then the fallbacks in turn."""
         turn = self.fruitless_n - _TRIES_OF_FIRST
         return fallbacks[turn % len(fallbacks)] if turn >= 0 and fallbacks else first
 
@@ -75,12 +73,9 @@ def _load_kernels(engines: SceneEngines) -> None:
 
 
 class Planner:
-    """Plans for left_arm, right_arm and both_arms. Use one instance per process; it holds workspaces.
+    """Plans for left_arm, right_arm and both_arms. One instance per process; it holds workspaces.
 
-    Args:
-        scene: Default scene.
-        config: Parameters of search, timing and proof.
-        robot: Used if `scene` is not given.
+    `scene` is the default scene; `robot` is used without one.
 
     Example:
         planner = Planner()
@@ -107,10 +102,10 @@ class Planner:
         )
 
     def engines(self, scene: PlanningScene | None = None) -> SceneEngines:
-        """Return a scene's collision and proof engines; the last eight scenes are cached.
+        """Return a scene's engines; the last eight scenes are cached.
 
         Raises:
-            UsageError: The scene has a different robot.
+            UsageError: The scene has another robot.
         """
         scene = scene or self.scene
         if scene.robot != self.robot:
@@ -134,20 +129,14 @@ class Planner:
         seed: int = 0,
         budget_s: float | None = None,
     ) -> PlanResult:
-        """Plan to a joint configuration.
+        """Plan to all joints or the group's [rad]; the other arm stands still.
 
-        Args:
-            group: "left_arm", "right_arm" or "both_arms"; the other arm stands still.
-            q_start: All joints [rad].
-            q_goal: All joints, or only the group's.
-            scene: Scene of this query.
-            seed: Equal queries with equal seeds give equal trajectories.
-            budget_s: Wall time limit; by default the configuration's.
+        Equal seeds give equal trajectories. `budget_s` limits wall time.
 
         Raises:
             OutOfLimitsError, StartInCollisionError, GoalInCollisionError: Bad start or goal.
-            NoPathInTimeError: No path was proven within the budget.
-            UsageError: Unknown group, bad budget, or a goal that moves the other arm.
+            NoPathInTimeError: Nothing proven within the budget.
+            UsageError: Bad group or budget, or a goal that moves the other arm.
         """
         times = PhaseTimes()
         group_arms(group)
@@ -167,10 +156,10 @@ class Planner:
         seed: int = 0,
         budget_s: float | None = None,
     ) -> PlanResult:
-        """Plan to tcp poses {"left": T_world_tcp, "right": T_world_tcp} of exactly the group's arms.
+        """Plan to tcp poses {arm: T_world_tcp} of exactly the group's arms.
 
         Raises:
-            IKUnreachableError: A pose is out of reach; states the residual.
+            IKUnreachableError: A pose is out of reach.
             And what `plan_to_joints` raises.
         """
         times = PhaseTimes()
@@ -286,7 +275,7 @@ class Planner:
     def _finish(
         self, group: str, path: Array, checker: EdgeChecker, key: np.random.SeedSequence, times: PhaseTimes
     ) -> tuple[Trajectory, Array]:
-        """Return the timed trajectory and the shortened polyline.
+        """Return the trajectory and the shortened polyline.
 
         Raises:
             TimingError: A corner stays blocked, or the limits cannot be kept.
@@ -304,7 +293,6 @@ class Planner:
 
 
 def _rest(q: Array, group: str) -> Trajectory:
-    """Return a trajectory that stays at q (n,)."""
     still = np.zeros((2, len(q)))
     return Trajectory(np.array([0.0, DT_S]), np.array([q, q]), still, still.copy(), group)
 

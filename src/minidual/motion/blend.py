@@ -1,9 +1,7 @@
-"""Round the corners of a polyline so that it can be driven without stopping.
+"""Rounding of polyline corners.
 
-Along a straight piece the direction q'(s) is a unit vector u; in a corner of half length d it turns from u1 to u2
-as u1 + (u2 - u1) S(x), x = (s - s0) / 2d, S(x) = 3 x^2 - 2 x^3. Since S is symmetric about its middle the corner
-begins and ends exactly on the two straight pieces; q(s) is twice continuously differentiable and stays in the
-triangle that the corner cuts off.
+In a corner of half length d, q' = u1 + (u2 - u1) S(x), x = (s - s0) / 2d, S(x) = 3 x^2 - 2 x^3. S is symmetric, so the
+corner meets both straight pieces; q is twice continuously differentiable.
 """
 
 from __future__ import annotations
@@ -20,13 +18,13 @@ _OF_SEGMENT = 0.45
 
 
 def blended_path(path: Array, checker: EdgeChecker, radius_rad: float, step_rad: float) -> SmoothPath | None:
-    """Return the rounded polyline, its corners checked and shrunk where they touch; None if a corner stays blocked.
+    """Return the polyline with rounded corners, shrunk until free; None if one stays blocked.
 
     Args:
         path: Polyline (n, dof), n >= 2, without repeated vertices.
         checker: Collision checks.
-        radius_rad: Largest half length of a corner.
-        step_rad: Largest joint step between checks of a corner.
+        radius_rad: Largest half length.
+        step_rad: Largest joint step between checks.
     """
     steps = np.diff(path, axis=0)
     lengths = np.linalg.norm(steps, axis=1)
@@ -41,7 +39,7 @@ def blended_path(path: Array, checker: EdgeChecker, radius_rad: float, step_rad:
 
 
 def rounded(path: Array, radius: float) -> SmoothPath:
-    """Return the polyline (n, d) with every corner rounded, whatever stands there; for paths of objects."""
+    """Return the polyline (n, d) with rounded corners, unchecked."""
     steps = np.diff(path, axis=0)
     lengths = np.linalg.norm(steps, axis=1)
     halves = np.minimum(radius, _OF_SEGMENT * np.minimum(lengths[:-1], lengths[1:]))
@@ -56,7 +54,6 @@ def _corner_free(vertex: Array, u1: Array, u2: Array, d: float, checker: EdgeChe
 
 
 def _assemble(path: Array, lengths: Array, directions: Array, halves: Array) -> SmoothPath:
-    """Build the piecewise polynomial: straight, corner, straight, ..., straight."""
     pieces = np.zeros((5, 2 * len(lengths) - 1, path.shape[1]))
     widths = np.empty(pieces.shape[1])
     before, after = np.append(0.0, halves), np.append(halves, 0.0)
@@ -65,7 +62,7 @@ def _assemble(path: Array, lengths: Array, directions: Array, halves: Array) -> 
     pieces[4, ::2] = path[:-1] + before[:, None] * directions
     pieces[4, 1::2] = path[1:-1] - d * directions[:-1]
     pieces[3, ::2], pieces[3, 1::2] = directions, directions[:-1]
-    # q' = u + turn (3 x^2 - 2 x^3), x = t / 2d, integrated over t
+    # Integral of q' = u + turn (3 x^2 - 2 x^3), x = t / 2d.
     pieces[1, 1::2] = turns / (4.0 * d**2)
     pieces[0, 1::2] = -turns / (16.0 * d**3)
     return SmoothPath(pieces, np.append(0.0, np.cumsum(widths)))

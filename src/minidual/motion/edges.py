@@ -1,7 +1,7 @@
 """Collision checks of configurations and straight edges for the search.
 
-Checks keep `padding_m` because a path may touch between its samples. Near an endpoint with less clearance the padding
-shrinks to 0.9 of that clearance; it grows back within `RELAX_RAD` of joint motion.
+Checks keep `padding_m` because paths may touch between samples. Near an endpoint with less clearance the padding is 0.9
+of that clearance; it grows back within `RELAX_RAD` of joint motion.
 """
 
 from __future__ import annotations
@@ -23,10 +23,7 @@ _KEEP_FRACTION = 0.9
 
 @cache
 def bisection_order(count: int) -> Array:
-    """Return the fractions k/count, k = 1..count: end, middle, quarters, ... to find blocked edges early.
-
-    The array is cached; do not write to it.
-    """
+    """Return the fractions k/count in bisection order, end first. The array is cached: read only."""
     order: list[int] = []
     seen = {0}
     step = count
@@ -40,14 +37,14 @@ def bisection_order(count: int) -> Array:
 
 
 class EdgeChecker:
-    """Checks with padding by separating planes; undecided counts as blocked. Results are deterministic.
+    """Deterministic checks by separating planes; undecided counts as blocked.
 
     Args:
-        engines: Engines of the scene.
+        engines: Scene engines.
         padding_m: Distance to keep.
         endpoints: Free configurations (dof,) near which the padding shrinks.
         step_rad: Largest joint step between checks.
-        arms: Only pairs with a part of these arms are checked.
+        arms: Arms that move; other pairs are skipped.
     """
 
     def __init__(
@@ -76,11 +73,11 @@ class EdgeChecker:
         return self.all_free(np.asarray(q)[None])
 
     def all_free(self, Q: Array) -> bool:
-        """Return whether all rows of Q (n, dof) keep their distance; stops at the first failure."""
+        """Return whether all rows of Q (n, dof) do; stops at the first failure."""
         return self._counted(planes.survey(self._geometry, floats(Q), *self._rest), len(Q))
 
     def edge_free(self, a: Array, b: Array, step_rad: float | None = None) -> bool:
-        """Return whether the edge from a to b, (dof,), is free; a itself is not checked."""
+        """Return whether the edge (dof,) is free; a itself is not checked."""
         count = math.ceil(np.abs(b - a).max() / (step_rad or self.step_rad))
         if count == 0:
             return True

@@ -37,23 +37,16 @@ class StateGoal:
 
 @dataclass(frozen=True)
 class JointGoal:
-    """Joint values [rad].
-
-    Attributes:
-        values: All joints of the group or robot, or {joint name: value}; unnamed joints stay.
-    """
+    """Joints [rad] of the group or robot, or {joint name: value}; unnamed joints stay."""
 
     values: tuple[float, ...] | Mapping[str, float]
 
 
 @dataclass(frozen=True)
 class TipPose:
-    """Target pose of one tcp.
+    """Tcp pose in `frame`: "world", a link (at the start), an obstacle or a held object.
 
-    Attributes:
-        position_m: In `frame`.
-        quat_wxyz: In `frame`; None keeps the start orientation.
-        frame: "world", a link (at its start pose), an obstacle or a held object.
+    `quat_wxyz` None keeps the start orientation.
     """
 
     position_m: Vec3
@@ -63,12 +56,12 @@ class TipPose:
 
 @dataclass(frozen=True)
 class PoseGoal:
-    """Tcp poses.
+    """Tcp poses by arm; with both_arms a missing arm keeps its pose.
 
     Attributes:
-        poses: {"left": ..., "right": ...}; with both_arms a missing arm keeps its tcp pose.
-        linear: Whether each tcp moves on a straight line.
-        fraction_min: Smallest acceptable fraction of the line.
+        poses: {"left": ..., "right": ...}.
+        linear: Whether the tcps move on straight lines.
+        fraction_min: Smallest acceptable fraction of the lines.
     """
 
     poses: Mapping[str, TipPose]
@@ -78,7 +71,7 @@ class PoseGoal:
 
 @dataclass(frozen=True)
 class TipOffset:
-    """Shift [m] and rotation vector [rad] of one tcp about its own origin."""
+    """Shift [m] and rotation vector [rad] about the tcp's origin."""
 
     offset_m: Vec3 = (0.0, 0.0, 0.0)
     rotation_rad: Vec3 = (0.0, 0.0, 0.0)
@@ -86,13 +79,7 @@ class TipOffset:
 
 @dataclass(frozen=True)
 class RelativeGoal:
-    """Offsets from the tcp poses at the start.
-
-    Attributes:
-        offsets: {"left": ..., "right": ...}; with both_arms a missing arm keeps its tcp pose.
-        frame: Axes of the offsets: "world", or each tcp's own.
-        linear, fraction_min: See `PoseGoal`.
-    """
+    """Tcp offsets from the start, in world axes or each tcp's own; otherwise like `PoseGoal`."""
 
     offsets: Mapping[str, TipOffset] = field(default_factory=dict)
     frame: OffsetFrame = "world"
@@ -108,18 +95,17 @@ class _Hands[T](StrictModel):
     right: T | None = None
 
     def named(self) -> dict[str, T]:
-        """Return the entries given."""
         return {side: entry for side in ("left", "right") if (entry := getattr(self, side)) is not None}
 
 
 class PoseEntry(PlaceFields):
-    """Target pose of one tcp; without an orientation the current one is kept."""
+    """Tcp pose; without an orientation the start orientation is kept."""
 
     frame: str = "world"
 
 
 class OffsetEntry(StrictModel):
-    """Offset of one tcp."""
+    """Tcp offset."""
 
     offset_m: Finite3 = (0.0, 0.0, 0.0)
     rotation_rad: Finite3 = (0.0, 0.0, 0.0)
@@ -127,7 +113,7 @@ class OffsetEntry(StrictModel):
 
 
 class MoveEntry(_Hands[OffsetEntry]):
-    """Offsets of one or both tcps."""
+    """Tcp offsets."""
 
     frame: OffsetFrame = "world"
 
@@ -141,9 +127,9 @@ class GoalFile(StrictModel):
     poses: _Hands[PoseEntry] | None = None
     move: MoveEntry | None = None
     linear: bool = False
-    """Straight tcp motion; only with poses or move."""
+    """Only with poses or move."""
     fraction_min: float = Field(default=1.0, gt=0.0, le=1.0)
-    """Smallest acceptable fraction of the line."""
+    """Smallest acceptable fraction of the lines."""
 
     @model_validator(mode="after")
     def _one_kind(self) -> GoalFile:
@@ -176,11 +162,11 @@ class GoalFile(StrictModel):
 
 
 def load_goal(path: Path) -> Goal:
-    """Return the goal in a YAML file, or the last sample of a JSON trajectory of `minidual plan --out`.
+    """Return the goal in a YAML file, or the last sample of a JSON trajectory (`minidual plan --out`).
 
     Raises:
-        ConfigError: The YAML is empty or invalid; states file, line and dotted path.
-        DataError: The JSON is not such a trajectory.
+        ConfigError: Empty or invalid YAML.
+        DataError: Not a trajectory.
     """
     if path.suffix.lower() == ".json":
         return _end_of_trajectory(path)
@@ -191,10 +177,10 @@ def load_goal(path: Path) -> Goal:
 
 
 def goal_of(word: str, state_names: Iterable[str]) -> Goal:
-    """Return the goal for a command-line word: a state name or a file.
+    """Return the goal named by a state or file.
 
     Raises:
-        UsageError: Neither; lists the states.
+        UsageError: Neither exists.
         And what `load_goal` raises.
     """
     names = tuple(state_names)

@@ -1,4 +1,4 @@
-"""Planning for every kind of goal: resolves names, frames and straight lines."""
+"""Planning for every kind of goal."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from minidual.robot.poses import pose, rotation_from_quat
 
 
 class NamedStates(Mapping[str, Mapping[str, Array]]):
-    """Named postures {arm: joints [rad]} of the arm model and the configuration.
+    """Named postures {arm: joints [rad]} of arm model and configuration.
 
     Raises:
         ConfigError: A state does not fit the robot.
@@ -72,10 +72,10 @@ class NamedStates(Mapping[str, Mapping[str, Array]]):
         return len(self._states)
 
     def joints(self, name: str, group: str, q_others: Array) -> Array:
-        """Return a named state as q (n,); arms outside the group keep their values in `q_others` (n,).
+        """Return a state as q (n,), other arms from `q_others` (n,).
 
         Raises:
-            UsageError: Unknown state, or the state lacks an arm of the group.
+            UsageError: Unknown state, or it lacks an arm of the group.
         """
         parts = self[name]
         q = np.array(q_others, dtype=float)
@@ -91,13 +91,9 @@ class NamedStates(Mapping[str, Mapping[str, Array]]):
 
 @dataclass(frozen=True, eq=False)
 class Resolved:
-    """A goal as joints or tcp poses.
+    """A goal as joints `q` (n,) [rad] or tcp poses `targets` {arm: T_world_tcp (4, 4)}.
 
-    Attributes:
-        q: All joints (n,) [rad], or None.
-        targets: {arm: T_world_tcp (4, 4)} of exactly the group's arms, or None.
-        linear: Whether the tcps move on straight lines.
-        fraction_min: Smallest acceptable fraction of the lines.
+    `linear` and `fraction_min` are as in `PoseGoal`.
     """
 
     q: Array | None = None
@@ -107,12 +103,7 @@ class Resolved:
 
 
 class GoalPlanner:
-    """Resolves and plans goals. Use one instance per process; it holds workspaces.
-
-    Args:
-        planner: Planner to use.
-        semantics: Additional named states.
-    """
+    """Resolves and plans goals. One instance per process; it holds workspaces."""
 
     def __init__(self, planner: Planner | None = None, semantics: SemanticsConfig | None = None) -> None:
         self.planner = planner or Planner()
@@ -121,16 +112,10 @@ class GoalPlanner:
         self._linear = LinearPlanner(self.planner.limits, self.planner.kinematics)
 
     def resolve(self, group: str, q_start: Array, goal: Goal, scene: PlanningScene | None = None) -> Resolved:
-        """Return a goal as joints or tcp poses.
-
-        Args:
-            group: "left_arm", "right_arm" or "both_arms".
-            q_start: All joints (n,) [rad].
-            goal: Goal of any kind.
-            scene: Its obstacles and held objects are frames.
+        """Return a goal as joints or tcp poses, from q_start (n,).
 
         Raises:
-            UsageError: Unknown name, a value that is not finite, or an arm outside the group.
+            UsageError: Unknown name, value not finite, or arm outside the group.
             OutOfLimitsError: Joints outside their limits.
         """
         arms = group_arms(group)
@@ -154,10 +139,10 @@ class GoalPlanner:
     def start_joints(
         self, group: str, q_near: Array, start: Goal, scene: PlanningScene | None = None, *, seed: int = 0
     ) -> Array:
-        """Return a goal as start joints (n,); a pose gives its free IK solution nearest to q_near (n,).
+        """Return a goal as start joints (n,); for poses the free IK solution nearest to q_near (n,).
 
         Raises:
-            What `resolve` raises; IKUnreachableError or GoalInCollisionError for poses.
+            What `resolve` and `PoseGoals.candidates` raise.
         """
         resolved = self.resolve(group, q_near, start, scene)
         if resolved.q is not None:
@@ -185,7 +170,7 @@ class GoalPlanner:
     ) -> PlanResult:
         """Plan to a goal; arguments as for `Planner.plan_to_joints`.
 
-        A straight move ignores `seed` and `budget_s`.
+        Straight moves ignore `seed` and `budget_s`.
 
         Raises:
             LinearMoveError: A line ends before its fraction_min.
@@ -221,7 +206,6 @@ class GoalPlanner:
         )
 
     def _joints(self, goal: JointGoal, group: str, q_start: Array) -> Array:
-        """Return the goal as (n,)."""
         if not isinstance(goal.values, Mapping):
             return goal_joints(group, q_start, np.array(goal.values, dtype=float), self.robot)
         names = self.robot.joint_names
@@ -244,7 +228,7 @@ def _require_arms(named: Mapping[str, object], arms: tuple[str, ...], group: str
 
 
 class _Frames:
-    """Frames of one scene at the start configuration."""
+    """Frames of a scene at the start configuration."""
 
     def __init__(self, kinematics: Kinematics, q_start: Array, scene: PlanningScene) -> None:
         self._kinematics = kinematics
@@ -253,7 +237,6 @@ class _Frames:
         self.tips = dict(zip(SIDES, kinematics.tcp_poses(q_start), strict=True))
 
     def target(self, arm: str, tip: TipPose) -> Array:
-        """Return T_world_tcp of a pose goal."""
         T_world_frame = self.frame(tip.frame)
         what = f"the target of the {arm} hand"
         position = np.asarray(tip.position_m, dtype=float)
@@ -264,7 +247,6 @@ class _Frames:
         return check_pose(T_world_frame @ check_pose(T, what), what)
 
     def moved(self, arm: str, offset: TipOffset, axes: str) -> Array:
-        """Return T_world_tcp of a relative goal."""
         if axes not in ("world", "tcp"):
             raise unknown_name("frame for offsets", axes, ("world", "tcp"))
         shift, turn = np.array(offset.offset_m, dtype=float), np.array(offset.rotation_rad, dtype=float)

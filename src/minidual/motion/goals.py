@@ -53,11 +53,11 @@ def check_joints(q: Array, what: str, robot: Robot = DUAL_PANDA) -> Array:
 
 
 def goal_joints(group: str, q_start: Array, q_goal: Array, robot: Robot = DUAL_PANDA) -> Array:
-    """Return the goal as (n,); a goal of the group's size takes the other joints from the start.
+    """Return the goal as (n,); a goal of the group's size is completed from the start.
 
     Raises:
         OutOfLimitsError: Wrong shape, not finite, or outside the limits.
-        UsageError: The goal moves an arm outside the group.
+        UsageError: The goal moves another arm.
     """
     joints = robot.groups[group]
     q_goal = np.asarray(q_goal, dtype=float)
@@ -75,10 +75,10 @@ def goal_joints(group: str, q_start: Array, q_goal: Array, robot: Robot = DUAL_P
 
 
 def require_free(engine: SceneEngines, q: Array, what: str) -> None:
-    """Check that q (n,) is free of contact.
+    """Check that q (n,) is free.
 
     Raises:
-        StartInCollisionError, GoalInCollisionError: States the pair and depth.
+        StartInCollisionError, GoalInCollisionError: States pair and depth.
     """
     near = engine.closest(q, 0.001)
     if near and near[0].distance_m <= 0.0:
@@ -96,7 +96,7 @@ def check_targets(group: str, targets: Mapping[str, Array]) -> dict[str, Array]:
     """Return checked {arm: T_world_tcp (4, 4)}.
 
     Raises:
-        UsageError: The arms are not exactly the group's, or a pose is invalid.
+        UsageError: Wrong arms or an invalid pose.
     """
     arms = group_arms(group)
     if set(targets) != set(arms):
@@ -105,11 +105,7 @@ def check_targets(group: str, targets: Mapping[str, Array]) -> dict[str, Array]:
 
 
 class PoseGoals:
-    """Finds joint configurations for tcp poses.
-
-    Args:
-        kinematics: By default those of the default robot.
-    """
+    """Finds joint configurations for tcp poses."""
 
     def __init__(self, kinematics: Kinematics | None = None) -> None:
         kinematics = kinematics or Kinematics()
@@ -126,12 +122,12 @@ class PoseGoals:
         restarts_n: int,
         candidates_n: int,
     ) -> list[Array]:
-        """Return up to candidates_n free configurations (n,), nearest to the start first.
+        """Return free configurations (n,), nearest to the start first.
 
         Raises:
-            UsageError: The arms are not exactly the group's, or a pose is invalid.
-            IKUnreachableError: A pose is out of reach; states the residual.
-            GoalInCollisionError: All configurations collide; states the nearest one's pair.
+            UsageError: Wrong arms or an invalid pose.
+            IKUnreachableError: A pose is out of reach.
+            GoalInCollisionError: All solutions collide; states the nearest one's pair.
         """
         solutions = {
             arm: self.solvers[arm].solutions(T, q_start[self.solvers[arm].joints], rng, restarts_n)
@@ -150,7 +146,6 @@ class PoseGoals:
                 require_free(engine, combined[0], "goal")
 
     def _combinations(self, q_start: Array, found: Mapping[str, list[Array]]) -> list[Array]:
-        """Return all combinations of the arms' solutions (n,), nearest to the start first."""
         combined = []
         for parts in itertools.product(*found.values()):
             q = np.array(q_start)

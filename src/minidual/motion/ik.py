@@ -1,4 +1,4 @@
-"""Inverse kinematics: from far away inside the joint limits, from close by, or near a reference posture."""
+"""Inverse kinematics of one arm, and of both hands near a reference posture."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from minidual.robot.pair import Array
 from minidual.robot.vectors import cross, inner
 
 TOLERANCE = 1e-7
-"""Norm of the SE(3) error [m and rad together] at which the pose counts as reached."""
+"""SE(3) error norm (m and rad combined) that counts as reached."""
 _ITERATIONS = 80
 _DISTINCT_RAD = 0.1
 _SMALL = 1e-4
@@ -29,7 +29,7 @@ _REST_TOLERANCE_RAD = 1e-5
 
 @dataclass(frozen=True)
 class IKSolution:
-    """Joints q (n,) of one arm and what is left of the error."""
+    """Joints q (n,) of one arm and the remaining error."""
 
     q: Array
     residual_m: float
@@ -41,12 +41,12 @@ def check_pose(T: Array, what: str) -> Array:
     """Return T as a (4, 4) array.
 
     Raises:
-        UsageError: Wrong shape, a value that is not finite, or no rotation in it.
+        UsageError: Wrong shape, not finite, or not a rigid pose.
     """
     T = np.asarray(T, dtype=float)
     if T.shape != (4, 4):
         raise UsageError(f"{what} has shape {T.shape}; a pose is (4, 4)")
-    # Plain floats: ten times faster than arrays on so few numbers.
+    # Plain floats are ten times faster than arrays here.
     x, y, z, last = T.tolist()
     if not all(map(math.isfinite, (*x, *y, *z, *last))):
         raise UsageError(f"{what} holds a value that is not finite: {T.ravel().tolist()}")
@@ -59,12 +59,7 @@ def check_pose(T: Array, what: str) -> Array:
 
 
 class ArmIK:
-    """Inverse kinematics of one arm to its tcp, in the world frame.
-
-    Args:
-        arm: "left" or "right".
-        kinematics: Of the robot; the default robot's if left out.
-    """
+    """Inverse kinematics of the "left" or "right" tcp in the world frame."""
 
     def __init__(self, arm: str, kinematics: Kinematics | None = None) -> None:
         kinematics = kinematics or Kinematics()
@@ -85,27 +80,22 @@ class ArmIK:
         return T
 
     def error_and_jacobian(self, q: Array, T_world_tcp: Array) -> tuple[Array, Array]:
-        """Return the error log6(T_tcp_target) (6,) and its derivative by q (6, n)."""
+        """Return log6(T_tcp_target) (6,) and its derivative by q (6, n)."""
         error, J = np.empty(6), np.empty((6, self._n))
         measure(self._frames, floats(T_world_tcp).reshape(4, 4), floats(q).reshape(self._n), error, J)
         return error, J
 
     def solve(self, T_world_tcp: Array, q_start: Array, iterations: int = _ITERATIONS) -> IKSolution:
-        """Descend from q_start (n,) to the pose inside the limits; `reached` tells whether the tolerance was met."""
+        """Descend from q_start (n,) within the limits."""
         q = np.clip(floats(q_start).reshape(self._n), self.lower, self.upper)
         target = floats(T_world_tcp).reshape(4, 4)
         off, residual_m, residual_rad = descend(self._frames, target, q, self.lower, self.upper, iterations, TOLERANCE)
         return IKSolution(q, residual_m, residual_rad, off < TOLERANCE)
 
     def nearest(self, T_world_tcp: Array, q_near: Array, wish: Array | None = None) -> Array | None:
-        """Return joints (n,) at the pose by steps of least norm from q_near (n,), or None.
+        """Return joints (n,) at the pose (4, 4) by least-norm steps from q_near (n,), or None.
 
-        Limits are not looked at: the result is a smooth function of pose, q_near and wish.
-
-        Args:
-            T_world_tcp: Pose (4, 4).
-            q_near: A configuration close by.
-            wish: Step (n,) [rad] that the first step comes as near to as the pose lets it.
+        Ignores joint limits, so it is smooth in pose, q_near and `wish`: a preferred first step (n,) [rad].
         """
         q = np.array(q_near, dtype=float)
         wish = np.zeros(self._n) if wish is None else floats(wish)
@@ -115,21 +105,14 @@ class ArmIK:
     def resting(
         self, T_world_tcp: Array, q_start: Array, posture: Array, mobility: Array, margin_rad: float = 0.02
     ) -> IKSolution:
-        """Minimise sum_i (q_i - posture_i)^2 / mobility_i at the pose: an answer that forgets where it came from.
+        """Minimise sum_i (q_i - posture_i)^2 / mobility_i at the pose; q_start only selects the branch.
 
-        Gauss-Newton on the pose, and steps towards the posture projected into its null space in the metric of the
-        costs (Nakamura, "Advanced Robotics", 1991, ch. 4).
-
-        Args:
-            T_world_tcp: Pose (4, 4).
-            q_start: Start (n,); along a path the solution before, so that the branch never changes.
-            posture: Reference (n,) [rad].
-            mobility: (n,) one over the cost of moving each joint.
-            margin_rad: Distance to keep from the joint limits.
+        Gauss-Newton on the pose with null-space steps towards the posture in the cost metric (Nakamura, "Advanced
+        Robotics", 1991, ch. 4). On a path, start at the previous solution; `margin_rad` is kept from the limits.
         """
         lower, upper = self.lower + margin_rad, self.upper - margin_rad
         q, reached = np.array(q_start, dtype=float), False
-        damping = _REST_DAMPING * np.eye(6)  # a stretched arm slows down instead of lashing out
+        damping = _REST_DAMPING * np.eye(6)  # bounds steps near singularities
         for _ in range(_REST_ITERATIONS):
             e, J = self.error_and_jacobian(q, T_world_tcp)
             weighted = J * mobility
@@ -140,16 +123,16 @@ class ArmIK:
             if reached and np.abs(stay).max() < _REST_TOLERANCE_RAD:
                 break
             q = np.clip(q + np.clip(stay - pinv @ e, -_REST_STEP_MAX_RAD, _REST_STEP_MAX_RAD), lower, upper)
-        # At the limits, or where the posture oscillates within its tolerance, the hand may still be there.
+        # The hand may be on target even where the posture has not converged, for example at the limits.
         return IKSolution(q, float(np.abs(e[:3]).max()), float(np.abs(e[3:]).max()), bool(np.abs(e).max() < _SMALL))
 
     def solutions(
         self, T_world_tcp: Array, q_near: Array, rng: np.random.Generator, restarts_n: int
     ) -> Iterator[Array]:
-        """Yield distinct solutions (n,): the descent from q_near first, then from home and from random starts.
+        """Yield distinct solutions (n,) from q_near, home, then random starts.
 
         Raises:
-            IKUnreachableError: None of `restarts_n` starts reached the pose; the message names the best residual.
+            IKUnreachableError: None found; states the best residual.
         """
         found: list[Array] = []
         best: IKSolution | None = None
@@ -177,14 +160,9 @@ class ArmIK:
 
 
 class PostureIK:
-    """Both hands at given poses, the joints close to a reference posture.
+    """IK of both hands near a reference posture (n,) [rad].
 
-    The same poses always give the same joints, whatever came before, so a policy can learn them.
-
-    Args:
-        kinematics: Of the robot.
-        posture: (n,) [rad] to stay close to.
-        weights: (joints of an arm,) cost of moving each of them away from it; equal by default.
+    Solutions do not depend on history, so a policy can learn them. `weights` are joint costs of one arm.
     """
 
     def __init__(self, kinematics: Kinematics, *, posture: Array, weights: Array | None = None) -> None:
@@ -193,10 +171,10 @@ class PostureIK:
         self._mobility = 1.0 / (np.ones(kinematics.robot.dof_per_arm) if weights is None else np.asarray(weights))
 
     def solve(self, T_world_left: Array, T_world_right: Array, q_start: Array) -> Array:
-        """Return q (n,) [rad] with both tool centre points at the given poses (4, 4), found from q_start.
+        """Return q (n,) with both tcps at the poses (4, 4).
 
         Raises:
-            UsageError: A pose is out of reach, or only reached outside the joint limits.
+            UsageError: A pose is out of reach within the limits.
         """
         q = np.array(q_start, dtype=float)
         for arm, T in zip(self._arms, (T_world_left, T_world_right), strict=True):

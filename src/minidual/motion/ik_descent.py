@@ -1,8 +1,7 @@
-"""Compiled inverse kinematics of one arm: two iterations on one SE(3) error.
+"""Compiled inverse kinematics of one arm.
 
-The error is e = log6(T_tcp_target); its derivative by the joints is -Jlog6(T_target_tcp) J, with J in the tcp's frame
-(Sola, "A micro Lie theory", 2018; the tests compare both with Pinocchio). `descend` is Levenberg-Marquardt inside the
-joint limits, for a start far away; `project` takes Newton steps of least norm, for a start close by.
+Error e = log6(T_tcp_target); its derivative is -Jlog6(T_target_tcp) J with J in the tcp frame (Sola, "A micro Lie
+theory", 2018).
 """
 
 from __future__ import annotations
@@ -19,26 +18,19 @@ from minidual.robot.compiled import BLOCKS, ROWS, VECTOR, kernel
 from minidual.robot.pair import Array
 
 _SMALL = 0.05
-"""Angle [rad] under which the quotients of the logarithm have lost digits and their series is used instead."""
+"""Below this angle [rad] quotients lose digits; series replace them."""
 _NEAR_HALF_TURN = math.pi - 1e-3
-"""Angle from which on the antisymmetric part of a rotation has too few digits left."""
+"""Above this angle [rad] a rotation's antisymmetric part loses digits."""
 _DAMPING_FIRST, _DAMPING_LEAST, _DAMPING_MOST = 1e-3, 1e-10, 1e4
 _DAMPING_DOWN, _DAMPING_UP = 0.2, 5.0
 _DAMPING_PROJECT = 1e-9
 
 
 def frames_of_arm(model: Any, joints: slice, tcp: int) -> Array:
-    """Return the fixed poses (n + 1, 4, 4) between the n hinges of an arm and from the last one to its tcp.
-
-    Each hinge turns about the z axis of its pose.
-
-    Args:
-        model: Pinocchio model.
-        joints: Columns of q.
-        tcp: Frame id.
+    """Return the fixed poses (n + 1, 4, 4) between hinges (about z) and to the tcp.
 
     Raises:
-        ValueError: The joints are no chain of hinges that begins at the world, or do not carry the tcp.
+        ValueError: No chain of hinges from world to tcp.
     """
     data, neutral = model.createData(), pin.neutral(model)
     frames, back = [], np.eye(4)
@@ -63,7 +55,7 @@ def frames_of_arm(model: Any, joints: slice, tcp: int) -> Array:
 
 @njit
 def _reach(frames: Array, q: Array, T: Array, axes: Array) -> None:
-    """Fill the pose T (3, 4) of the tcp and the joints' axes and centres, axes (n, 6), all in the world."""
+    """Fill the tcp pose T (3, 4) and joint axes and centres (n, 6), in world."""
     for r in range(3):
         for c in range(4):
             T[r, c] = 1.0 if r == c else 0.0
@@ -85,7 +77,7 @@ def _reach(frames: Array, q: Array, T: Array, axes: Array) -> None:
 
 @njit
 def _logarithm(R: Array, w: Array) -> float:
-    """Fill the rotation vector w (3,) of R (3, 3) and return its angle [rad], 0 to pi."""
+    """Fill the rotation vector w (3,) of R (3, 3); return its angle [rad], 0 to pi."""
     x, y, z = 0.5 * (R[2, 1] - R[1, 2]), 0.5 * (R[0, 2] - R[2, 0]), 0.5 * (R[1, 0] - R[0, 1])
     sine = math.sqrt(x * x + y * y + z * z)
     cosine = 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0)
@@ -122,7 +114,7 @@ def _quotients(t: float) -> tuple[float, float]:
 
 @njit
 def _error(T: Array, target: Array, R: Array, p: Array, e: Array) -> float:
-    """Fill R, p of T_tcp_target and its logarithm e (6,), [linear; angular]; return the angle [rad]."""
+    """Fill R, p of T_tcp_target and its logarithm e (6,), [linear; angular]; return the angle."""
     for r in range(3):
         p[r] = 0.0
         for k in range(3):
@@ -142,7 +134,7 @@ def _error(T: Array, target: Array, R: Array, p: Array, e: Array) -> float:
 
 @njit
 def _jacobian(T: Array, axes: Array, R: Array, p: Array, e: Array, t: float, J: Array) -> None:
-    """Fill J (6, n), the derivative of e by the joints: -[A, C A; 0, A] J_tcp, A and C those of the inverse."""
+    """Fill J (6, n) = de/dq = -[A, C A; 0, A] J_tcp, with A and C of the inverse pose."""
     wx, wy, wz = -e[3], -e[4], -e[5]
     px = -(R[0, 0] * p[0] + R[1, 0] * p[1] + R[2, 0] * p[2])
     py = -(R[0, 1] * p[0] + R[1, 1] * p[1] + R[2, 1] * p[2])
@@ -154,7 +146,7 @@ def _jacobian(T: Array, axes: Array, R: Array, p: Array, e: Array, t: float, J: 
     ux, uy, uz = turn * wx + shift * px, turn * wy + shift * py, turn * wz + shift * pz
     straight = beta * wp
     for i in range(J.shape[1]):
-        # The joint's twist in the tcp's frame: v = R^T (z x (p_tcp - p_joint)), o = R^T z.
+        # Joint twist in the tcp frame: v = R^T (z x (p_tcp - p_joint)), o = R^T z.
         zx, zy, zz = axes[i, 0], axes[i, 1], axes[i, 2]
         dx, dy, dz = T[0, 3] - axes[i, 3], T[1, 3] - axes[i, 4], T[2, 3] - axes[i, 5]
         mx, my, mz = zy * dz - zz * dy, zz * dx - zx * dz, zx * dy - zy * dx
@@ -191,7 +183,7 @@ def _square(e: Array) -> float:
 
 @njit
 def _solve(J: Array, blocked: Any, damping: float, e: Array, L: Array, y: Array) -> None:
-    """Fill y with (J J^T + damping I)^-1 e, J without its blocked columns, by Cholesky; NaN where there is none."""
+    """Fill y = (J J^T + damping I)^-1 e without blocked columns, by Cholesky; NaN on failure."""
     for i in range(6):
         for j in range(i + 1):
             s = damping if i == j else 0.0
@@ -214,7 +206,7 @@ def _solve(J: Array, blocked: Any, damping: float, e: Array, L: Array, y: Array)
 
 @kernel(types.void(BLOCKS, VECTOR, ROWS))
 def tcp_pose(frames: Array, q: Array, T: Array) -> None:
-    """Fill the pose T (4, 4) of the tcp at q (n,)."""
+    """Fill the tcp pose T (4, 4) at q (n,)."""
     _reach(frames, q, T, np.empty((len(q), 6)))
     for c in range(4):
         T[3, c] = 1.0 if c == 3 else 0.0
@@ -222,7 +214,7 @@ def tcp_pose(frames: Array, q: Array, T: Array) -> None:
 
 @kernel(types.void(BLOCKS, ROWS, VECTOR, VECTOR, ROWS))
 def measure(frames: Array, target: Array, q: Array, e: Array, J: Array) -> None:
-    """Fill the error e (6,) and its derivative J (6, n) at q (n,)."""
+    """Fill the error e (6,) and J = de/dq (6, n)."""
     T, axes, R, p = np.empty((3, 4)), np.empty((len(q), 6)), np.empty((3, 3)), np.empty(3)
     _reach(frames, q, T, axes)
     _jacobian(T, axes, R, p, e, _error(T, target, R, p, e), J)
@@ -232,9 +224,9 @@ def measure(frames: Array, target: Array, q: Array, e: Array, J: Array) -> None:
 def descend(
     frames: Array, target: Array, q: Array, lower: Array, upper: Array, iterations: int, tolerance: float
 ) -> tuple[float, float, float]:
-    """Move q (n,) to the pose target (4, 4); return the norm of the error, its distance [m] and its angle [rad].
+    """Move q (n,) towards the pose (4, 4); return the error norm, distance [m] and angle [rad].
 
-    A joint at its limit that a step would push further out is left out of that step.
+    Levenberg-Marquardt for distant starts. Steps leave out joints pushed against a limit.
     """
     T, axes, R, p = np.empty((3, 4)), np.empty((len(q), 6)), np.empty((3, 3)), np.empty(3)
     T_new, axes_new, R_new, p_new = (np.empty((3, 4)), np.empty((len(q), 6)), np.empty((3, 3)), np.empty(3))
@@ -283,10 +275,10 @@ def descend(
 def project(
     frames: Array, target: Array, q: Array, wish: Array, iterations: int, small: float, step_max: float
 ) -> bool:
-    """Move q (n,) to the pose target (4, 4) by steps of least norm; the first one comes as near to `wish` (n,) as it can.
+    """Move q (n,) to the pose (4, 4) by least-norm Newton steps, the first along `wish` (n,) where possible.
 
-    Limits are not looked at. The error is about squared by every step, so the step from an error below `small` is the
-    last. Return False where a step is longer than `step_max`, or `iterations` do not suffice.
+    Ignores limits. Converges quadratically, so the step from an error below `small` is the last. False after a step over
+    `step_max` or too many iterations.
     """
     T, axes, R, p = np.empty((3, 4)), np.empty((len(q), 6)), np.empty((3, 3)), np.empty(3)
     e, y, J, L = np.empty(6), np.empty(6), np.empty((6, len(q))), np.zeros((6, 6))
@@ -311,7 +303,7 @@ def project(
                 step -= J[k, i] * y[k]
             q[i] += step
             length += step * step
-        if not length < step_max * step_max:  # NaN ends here, too
+        if not length < step_max * step_max:  # also true for NaN
             return False
         if last:
             return True

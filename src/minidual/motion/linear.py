@@ -1,8 +1,7 @@
-"""Straight moves: each tcp goes along a line and turns about one axis, as far as arms and obstacles let it.
+"""Straight tcp motion, as far as arms and obstacles allow.
 
-Inverse kinematics follows the line from point to point. It ends where a pose is out of reach, where an arm would have
-to jump to another posture, or where something touches; the fraction that was achieved and the reason are part of the
-answer. What the tcps do on the timed path is measured between the points too, and the whole is proven like every plan.
+IK follows the lines until a pose is out of reach, an arm would jump, or something collides. Deviations are measured on
+the timed trajectory.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ _STILL_M = 1e-9
 
 @dataclass(frozen=True)
 class TipLimits:
-    """How fast a tcp may go; a radian of turning counts as 0.2 m."""
+    """Tcp limits; one radian counts as 0.2 m."""
 
     speed_m_per_s: float = 0.25
     acceleration_m_per_s2: float = 0.8
@@ -45,14 +44,13 @@ class TipLimits:
 
 @dataclass(frozen=True, eq=False)
 class LinearMove:
-    """A straight move, whole or in part.
+    """A straight move, possibly partial.
 
     Attributes:
-        trajectory: Timed and proven, from the start to where the move ends; None if it cannot even begin.
-        fraction: Part of the way that it covers, 0 to 1.
-        reason: Why it ends early; empty for a whole move.
-        deviation_m, deviation_rad: Largest distance of a tcp from its line, and of its orientation from the turn.
-        verification: The proof, if there is a trajectory.
+        trajectory: Proven; None if the move cannot begin.
+        fraction: Part covered, 0 to 1.
+        reason: Why it ends early, or empty.
+        deviation_m, deviation_rad: Largest deviations of a tcp.
     """
 
     trajectory: Trajectory | None
@@ -64,26 +62,21 @@ class LinearMove:
 
 
 class Line:
-    """The straight way of one tcp: position along a line, orientation about one axis.
-
-    Args:
-        T_start: T_world_tcp (4, 4).
-        T_end: T_world_tcp (4, 4).
-    """
+    """Line between tcp poses (4, 4), rotating about one axis."""
 
     def __init__(self, T_start: Array, T_end: Array) -> None:
         self._start = T_start
         self._shift = T_end[:3, 3] - T_start[:3, 3]
         self._turn = pin.log3(T_start[:3, :3].T @ T_end[:3, :3])
         self.length_m = float(np.hypot(np.linalg.norm(self._shift), ROTATION_WEIGHT_M * np.linalg.norm(self._turn)))
-        """Length of the way, turning counted by its weight."""
+        """Length including weighted rotation."""
 
     def at(self, x: float) -> Array:
         """Return T_world_tcp (4, 4) at x in 0..1."""
         return pose(self._start[:3, :3] @ pin.exp3(x * self._turn), self._start[:3, 3] + x * self._shift)
 
     def off(self, T: Array, x: float) -> tuple[float, float]:
-        """Return how far a pose is off the line itself [m] and off the orientation at x [rad]."""
+        """Return a pose's distance from the line [m] and from the orientation at x [rad]."""
         moved = T[:3, 3] - self._start[:3, 3]
         length = float(np.linalg.norm(self._shift))
         along = self._shift * float(moved @ self._shift) / length**2 if length > _STILL_M else np.zeros(3)
@@ -92,7 +85,7 @@ class Line:
 
 
 class _Curve:
-    """Columns: all joints and the way itself, as functions of the way s [m]."""
+    """Joints and path length s [m] as functions of s."""
 
     def __init__(self, marks: Array, Q: Array) -> None:
         self._spline = CubicSpline(marks, Q, bc_type="natural")
@@ -106,7 +99,7 @@ class _Curve:
 
 
 class LinearPlanner:
-    """Plans straight moves of one or both tcps. One instance a process: it holds workspaces."""
+    """Plans straight tcp moves. One instance per process; it holds workspaces."""
 
     def __init__(self, limits: MotionLimits | None = None, kinematics: Kinematics | None = None) -> None:
         self._kinematics = kinematics or Kinematics()
@@ -124,20 +117,11 @@ class LinearPlanner:
         tip_limits: TipLimits | None = None,
         fraction_min: float = 0.0,
     ) -> LinearMove:
-        """Return the straight move towards tcp poses.
-
-        Args:
-            group: "left_arm", "right_arm" or "both_arms"; the tcps of a group start and end together.
-            q_start: All joints (n,) [rad].
-            targets: {arm: T_world_tcp (4, 4)}, exactly the group's arms.
-            engines: Of the scene.
-            tip_limits: Speed and acceleration of the tcps.
-            fraction_min: Less than this is an error.
+        """Return the straight move from q_start (n,) to {arm: T_world_tcp (4, 4)}; tcps end together.
 
         Raises:
-            LinearMoveError: The move ends before fraction_min, strays, or stays where it is without a proof; with
-                numbers and the reason.
-            UsageError, OutOfLimitsError, StartInCollisionError: A bad query.
+            LinearMoveError: The move covers less than `fraction_min`, deviates, or has zero length and no proof.
+            UsageError, OutOfLimitsError, StartInCollisionError: Bad query.
         """
         checked = check_targets(group, targets)
         q_start = check_joints(q_start, "start", self._robot)
@@ -184,7 +168,7 @@ class LinearPlanner:
     def _follow(
         self, q_start: Array, lines: Mapping[str, Line], engines: SceneEngines, marks: Array
     ) -> tuple[Array, str]:
-        """Return the joints (k, n) at the first k marks [m], as far as it goes, and why it ends."""
+        """Return joints (k, n) at the first k marks [m] and why it stopped."""
         Q = [q_start]
         for mark in marks[1:]:
             q = Q[-1].copy()
@@ -219,7 +203,7 @@ class LinearPlanner:
         engines: SceneEngines,
         tips: TipLimits,
     ) -> LinearMove:
-        """Return the move along the points, timed and proven; what the proof refuses ends a little earlier."""
+        """Return the proven move, shortened after failed proofs."""
         robot, scale, length = self._robot, self._limits, float(marks[-1])
         joints = np.arange(robot.dof)[robot.groups[group]]
         v_max = np.append(scale.velocity_scale * robot.v_max[joints], tips.speed_m_per_s)
@@ -239,7 +223,7 @@ class LinearPlanner:
         return LinearMove(None, 0.0, reason or "there is no room to begin")
 
     def _deviation(self, trajectory: Trajectory, way: Array, lines: Mapping[str, Line]) -> tuple[float, float]:
-        """Return the largest distance from the lines [m] and from their orientations [rad] on the timed path."""
+        """Return the largest deviation ([m], [rad]) of every fifth sample."""
         rows = np.unique(np.append(np.arange(0, len(way), 5), len(way) - 1))
         off = [
             lines[arm].off(self._ik[arm].tcp_pose(trajectory.q[k, self._ik[arm].joints]), float(way[k]))

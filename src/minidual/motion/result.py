@@ -16,7 +16,7 @@ PHASES: tuple[str, ...] = ("scene", "ik", "search", "shortcut", "blend", "timing
 
 @dataclass
 class PhaseTimes:
-    """Wall time by phase [s]; repeated phases add up. `scene` counts building its engines."""
+    """Wall time by phase [s]; repeated phases add up."""
 
     seconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(PHASES, 0.0))
     started: float = field(default_factory=perf_counter)
@@ -32,7 +32,7 @@ class PhaseTimes:
 
     @property
     def elapsed_s(self) -> float:
-        """Time since the query began [s]."""
+        """Time since the query began."""
         return perf_counter() - self.started
 
 
@@ -41,14 +41,12 @@ class PlanResult:
     """A proven plan.
 
     Attributes:
-        trajectory: Samples of all joints.
         path: Polyline (n, dof) after shortcutting.
-        q_goal: Configuration (dof,) reached.
-        verification: The proof.
+        q_goal: Goal reached (dof,).
         times_s: Wall time by phase.
         total_s: Wall time of the query.
         attempts_n: Attempts, including the successful one.
-        direct: Whether the path is one straight segment.
+        direct: Whether the path is one segment.
         rejections: Why earlier attempts failed.
     """
 

@@ -1,7 +1,7 @@
 """Sampling search with OMPL.
 
 Only exact solutions count (`bool(status)` is also true for approximate ones). State checks limit the search, so results
-do not depend on the machine; the clock only ends the whole query.
+do not depend on machine speed.
 """
 
 from __future__ import annotations
@@ -39,12 +39,11 @@ PLANNERS: Registry[Callable[[Any, float], Any]] = Registry(
         "kpiece": _tree("KPIECE1"),
     },
 )
-"""OMPL planners by configuration name. PRM is missing: it evaluates the termination condition from its own threads
-and hangs on one written in Python."""
+"""OMPL planners by configuration name. PRM hangs: it evaluates the termination condition in its own threads."""
 
 
 class Validity(ob.StateValidityChecker):
-    """OMPL validity checker that calls a Python function."""
+    """Validity checker that calls a Python function."""
 
     def __init__(self, si: Any, free: Callable[[Any], bool]) -> None:
         super().__init__(si)
@@ -65,7 +64,7 @@ class _Motion(ob.MotionValidator):
 
 
 def bounded_space(lower: Array, upper: Array) -> Any:
-    """Return OMPL's space of joints within limits (d,)."""
+    """Return OMPL's space within limits (d,)."""
     space, bounds = ob.RealVectorStateSpace(len(lower)), ob.RealVectorBounds(len(lower))
     for i, (low, high) in enumerate(zip(lower.tolist(), upper.tolist(), strict=True)):
         bounds.setLow(i, low)
@@ -75,13 +74,13 @@ def bounded_space(lower: Array, upper: Array) -> Any:
 
 
 def seeded(seed: int) -> None:
-    """Seed OMPL and silence it: a repeated setSeed takes effect but logs an error."""
+    """Seed OMPL and silence it: a repeated setSeed works but logs an error."""
     ou.setLogLevel(ou.LOG_NONE)
     ou.RNG.setSeed(1 + seed % (2**31 - 2))
 
 
 def exact_path(worker: Any, problem: Any, enough: Callable[[], bool]) -> Any:
-    """Return a planner's exact solution path, or None if `enough` stopped it first."""
+    """Return the exact solution, or None if `enough` came first."""
     worker.setProblemDefinition(problem)
     worker.setup()
     status = worker.solve(ob.PlannerTerminationCondition(lambda: problem.hasExactSolution() or enough()))
@@ -100,18 +99,9 @@ def search(
     checks_max: int,
     deadline: float,
 ) -> Array | None:
-    """Return a polyline (n, dof) from q_start to q_goal, both (dof,), or None.
+    """Return a polyline (n, dof) between configurations (dof,), or None.
 
-    Args:
-        checker: Collision checks.
-        q_start: Start; joints outside `joints` keep its values.
-        q_goal: Goal.
-        joints: Joints that move.
-        planner: A name in `PLANNERS`.
-        range_rad: Longest tree edge, Euclidean in joint space.
-        seed: OMPL seed.
-        checks_max: Limit of state checks.
-        deadline: Limit of time.perf_counter().
+    Only `joints` move. `range_rad` is the longest tree edge (Euclidean), `deadline` a time.perf_counter().
     """
     seeded(seed)
     robot = checker.robot

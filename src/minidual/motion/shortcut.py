@@ -16,15 +16,9 @@ def path_length(path: Array) -> float:
 
 
 def shortcut(path: Array, checker: EdgeChecker, rng: np.random.Generator, rounds_n: int) -> Array:
-    """Return a shorter free polyline (m, dof) with the same ends.
+    """Return a shorter free polyline (m, dof) with the same ends, after `rounds_n` random trials.
 
-    Every other round moves one arm alone, because the arms may need detours at different times.
-
-    Args:
-        path: Free polyline (n, dof).
-        checker: Collision checks.
-        rng: Random generator.
-        rounds_n: Random stretches to try.
+    Every other round moves one arm alone: the arms may need detours at different times.
     """
     path = _drop_vertices(path, checker)
     whole, *arms = (checker.robot.groups[name] for name in ("both_arms", *(f"{side}_arm" for side in SIDES)))

@@ -1,4 +1,4 @@
-"""A curve of polynomial pieces of fourth degree."""
+"""Piecewise quartic curve."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ _TERMS = 5
 
 @dataclass(frozen=True, eq=False)
 class SmoothPath:
-    """A curve q(s), (d,), s in [0, length]; of joints in [rad].
+    """Curve q(s), (d,), s in [0, length].
 
     Attributes:
-        coefficients: (5, m, d): piece i is the sum of coefficients[4 - k, i] (s - knots[i])^k.
-        knots: (m + 1,) where the pieces meet, first 0.
+        coefficients: (5, m, d); piece i is the sum of coefficients[4 - k, i] (s - knots[i])^k.
+        knots: Ends of the pieces (m + 1,), first 0.
     """
 
     coefficients: Array
@@ -26,15 +26,15 @@ class SmoothPath:
 
     @property
     def length(self) -> float:
-        """Length of the parameter interval, of a curve of joints in [rad]."""
+        """Length of the parameter interval."""
         return float(self.knots[-1])
 
     def at(self, s: Array, order: int = 0) -> Array:
-        """Return q or a derivative by s at (n,) parameters, (n, d); beyond the ends the outermost piece goes on."""
+        """Return q or a derivative at (n,) parameters, (n, d); the end pieces extrapolate."""
         piece = np.clip(np.searchsorted(self.knots, s, side="right") - 1, 0, len(self.knots) - 2)
         x = s - self.knots[piece]
         powers = np.empty((_TERMS - order, len(x)))
-        powers[0] = 1.0 + 0.0 * x  # a NaN in s comes out
+        powers[0] = 1.0 + 0.0 * x  # propagates NaN in s
         for k in range(1, len(powers)):
             powers[k] = powers[k - 1] * x
         factors = np.array([math.perm(k, order) for k in range(order, _TERMS)], dtype=float)

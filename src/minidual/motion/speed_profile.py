@@ -1,9 +1,7 @@
-"""The fastest speed along a path within velocity and acceleration limits.
+"""Fastest path speed within velocity and acceleration limits by TOPP-RA (Pham and Pham, 2018).
 
-The method is TOPP-RA (Pham and Pham, "A New Approach to Time-Optimal Path Parameterization Based on Reachability
-Analysis", 2018): with x = (ds/dt)^2 and u = d2s/dt2, constant between grid points, every limit is linear in u and x.
-Backwards, the largest x from which the next interval can be reached; forwards, the largest u. Accelerations are limited
-at both ends of each interval. The tests hold the result to the `toppra` package, which takes 2 s to import.
+x = (ds/dt)^2 and u = d2s/dt2 (constant per interval) make all limits linear; accelerations are limited at both interval
+ends. Tests compare with `toppra`, whose import takes 2 s.
 """
 
 from __future__ import annotations
@@ -20,7 +18,7 @@ _FLAT = 1e-12
 
 @njit
 def _range(rows: Array, limits: Array, goal: float, step: float, x: float) -> tuple[float, float, float, float]:
-    """Return (u_low, u_high) at x and their slopes over x; rows (r, 2): |rows[k, 0] u + rows[k, 1] x| <= limits[k].
+    """Return (u_low, u_high) at x and their slopes; rows (r, 2): |rows[k, 0] u + rows[k, 1] x| <= limits[k].
 
     The next x, x + 2 step u, must lie in [0, goal].
     """
@@ -40,7 +38,7 @@ def _range(rows: Array, limits: Array, goal: float, step: float, x: float) -> tu
 
 @njit
 def _rows(first: Array, second: Array, i: int, step: float, out: Array) -> None:
-    """Fill the acceleration rows (2 d, 2) of the interval that begins at grid point i."""
+    """Fill the acceleration rows (2 d, 2) of interval i."""
     d = first.shape[1]
     for j in range(d):
         out[j, 0], out[j, 1] = first[i, j], second[i, j]
@@ -50,14 +48,9 @@ def _rows(first: Array, second: Array, i: int, step: float, out: Array) -> None:
 
 @kernel(VECTOR(VECTOR, ROWS, ROWS, VECTOR, VECTOR))
 def squared_speeds(grid: Array, first: Array, second: Array, v_max: Array, a_max: Array) -> Array:
-    """Return (ds/dt)^2 (n,) on the grid (n,), at rest at both ends.
+    """Return (ds/dt)^2 (n,) on the grid (n,), zero at both ends.
 
-    Args:
-        grid: Parameters, increasing.
-        first: First derivatives of the path by s, (n, d).
-        second: Second derivatives, (n, d).
-        v_max: Limits of the d columns [unit/s].
-        a_max: Limits of the d columns [unit/s^2].
+    First and second path derivatives are (n, d), limits (d,) [unit/s], [unit/s^2].
     """
     n, d = first.shape
     most, rows = np.zeros(n), np.empty((2 * d, 2))
@@ -73,7 +66,7 @@ def squared_speeds(grid: Array, first: Array, second: Array, v_max: Array, a_max
             if abs(rows[k, 0]) <= _FLAT and abs(rows[k, 1]) > 0.0:
                 x = min(x, limits[k] / abs(rows[k, 1]))
         x = min(x, 1e12)
-        # The width of the range of u is concave over x and positive at 0: Newton's method from above finds its root.
+        # The width of the u range is concave in x and positive at 0, so Newton's method from above converges.
         for _ in range(_STEPS_MAX):
             low, high, low_slope, high_slope = _range(rows, limits, most[i + 1], step, x)
             if high >= low:

@@ -1,11 +1,7 @@
-"""Give a path times: the fastest within velocity, acceleration, jerk and torque limits, sampled at 1 kHz.
+"""Time parametrization within velocity, acceleration, jerk and torque limits, at 1 kHz.
 
-The speed profile (`minidual.motion.speed_profile`) keeps its limits at its grid points and may overshoot between them
-(1 to 4 % measured). So it gets limits with headroom, and what the samples still exceed is slowed down as a whole.
-
-The profile's path acceleration jumps. The path position s(t) is therefore averaged over a short window: the path stays,
-both ends stay at rest, and the rate of the path acceleration is at most its largest jump over the window. What remains
-above the joints' jerk limits is slowed down too (k times slower: 1/k^3 of the jerk).
+The speed profile exceeds its limits by 1 to 4 % between grid points (measured), so it is slowed down as a whole.
+Averaging s(t) over a window bounds jerk; k times slower motion has 1/k^3 of it.
 """
 
 from __future__ import annotations
@@ -26,33 +22,33 @@ from minidual.robot.trajectory import Trajectory, largest
 DT_S = 0.001
 _SLOWDOWNS_MAX = 12
 _STEPS_MAX = 1e8
-"""Above this a profile counts as endless."""
+"""More samples count as endless."""
 _TORQUE_EVERY = 8
 
 
 @dataclass(frozen=True, kw_only=True)
 class MotionLimits:
-    """Limits that a plan must keep, as fractions of the robot's own."""
+    """Limits as fractions of the robot's."""
 
     velocity_scale: float = 0.95
     acceleration_scale: float = 0.9
     torque_scale: float = 0.95
     jerk_scale: float = 0.95
     smoothing_s: float = 0.04
-    """Window of the average over s(t); every trajectory gets that much longer."""
+    """Averaging window of s(t), which lengthens the trajectory."""
 
 
 class Curve(Protocol):
-    """A twice differentiable curve in joint space."""
+    """Twice differentiable curve."""
 
     @property
     def length(self) -> float:
-        """End of the parameter interval, which begins at 0."""
+        """End of the parameter interval; it begins at 0."""
         ...
 
     @property
     def knots(self) -> Array:
-        """Parameters (k,), first 0 and last `length`, between which the curve is smooth."""
+        """Parameters (k,) from 0 to `length`; the curve is smooth between."""
         ...
 
     def at(self, s: Array, order: int = 0) -> Array:
@@ -61,10 +57,10 @@ class Curve(Protocol):
 
 
 def time_path(path: Curve, group: str, limits: MotionLimits, kinematics: Kinematics) -> Trajectory:
-    """Return the trajectory of a curve of all joints within the scaled limits.
+    """Return the trajectory of a curve of all joints.
 
     Raises:
-        TimingError: No time law keeps the limits.
+        TimingError: The limits cannot be kept.
     """
     robot = kinematics.robot
     columns = np.arange(robot.dof)[robot.groups[group]]
@@ -76,18 +72,12 @@ def time_path(path: Curve, group: str, limits: MotionLimits, kinematics: Kinemat
 def drive(
     path: Curve, s: Array, sd: Array, group: str, limits: MotionLimits, kinematics: Kinematics
 ) -> tuple[Trajectory, Array]:
-    """Return the 1 kHz trajectory of a speed profile, slowed until it keeps the limits, and s (m,) at its samples.
+    """Return the 1 kHz trajectory of a profile sd (n,) on s (n,), slowed to the limits, and s (m,) at its samples.
 
-    Args:
-        path: Its first columns are the joints.
-        s: Grid (n,) of the profile.
-        sd: Path speed (n,) on it.
-        group: Group that moves.
-        limits: Fractions of the robot's limits.
-        kinematics: Of the robot.
+    The first columns of `path` are the joints.
 
     Raises:
-        TimingError: It keeps them at no reasonable speed.
+        TimingError: Slowing down does not suffice.
     """
     robot, factor = kinematics.robot, 1.0
     v_max, a_max = limits.velocity_scale * robot.v_max, limits.acceleration_scale * robot.a_max
@@ -97,13 +87,13 @@ def drive(
         q, first, second = (path.at(at, order)[:, : robot.dof] for order in range(3))
         v = first * speed[:, None]
         a = second * speed[:, None] ** 2 + first * acceleration[:, None]
-        # NaN stays NaN through all of these, and a trajectory refuses it.
+        # np.maximum propagates NaN, and Trajectory rejects it.
         factor = float(np.max(largest(v) / v_max))
         factor = np.maximum(factor, math.sqrt(np.max(largest(a) / a_max)))
         factor = np.maximum(factor, math.cbrt(np.max(largest(np.diff(a, axis=0)) / jerk_max) / DT_S))
         if factor <= 1.0 + 1e-9:
             ratio = torque_ratio(q, v, a, kinematics) / limits.torque_scale
-            # A part of the torque, gravity, does not shrink with speed: small steps.
+            # Gravity torque does not shrink with speed, so the steps are small.
             factor = 1.0 if ratio <= 1.0 else 1.02 + 0.25 * np.minimum(1.0, ratio - 1.0)
         if not factor > 1.0:
             return Trajectory(times, q, v, a, group), at
@@ -112,22 +102,18 @@ def drive(
 
 
 def torque_ratio(q: Array, v: Array, a: Array, kinematics: Kinematics, every: int = _TORQUE_EVERY) -> float:
-    """Return the largest |torque| / limit of states (n, dof), at one of `every` and the last one."""
+    """Return the largest |torque| / limit of states (n, dof), subsampled by `every`."""
     rows = np.append(np.arange(0, len(q), every), len(q) - 1)
     return float(np.max(largest(kinematics.torques(q[rows], v[rows], a[rows])) / kinematics.robot.tau_max))
 
 
 def fastest_profile(path: Curve, columns: Indices, v_max: Array, a_max: Array) -> tuple[Array, Array]:
-    """Return a grid s (n,) and the fastest path speed sd (n,) on it, at rest at both ends.
+    """Return a grid s (n,) and the fastest path speed sd (n,), zero at both ends.
 
-    Args:
-        path: Curve of d columns.
-        columns: The columns that are limited.
-        v_max: Limit of each of them [unit/s].
-        a_max: Limit of each of them [unit/s^2].
+    `v_max` [unit/s] and `a_max` [unit/s^2] limit the curve's `columns`.
 
     Raises:
-        TimingError: There is none.
+        TimingError: No profile exists.
     """
     grid = _grid(path)
     first, second = (floats(path.at(grid, order)[:, columns]) for order in (1, 2))
@@ -140,7 +126,7 @@ def fastest_profile(path: Curve, columns: Indices, v_max: Array, a_max: Array) -
 
 
 def _grid(path: Curve) -> Array:
-    """Return grid points that hit every knot: at least 8 a piece, and no step longer than 1/100 of the path."""
+    """Return a grid with all knots, 8 or more steps apiece, each at most 1/100 of the path."""
     widths = np.diff(path.knots)
     counts = np.maximum(8, np.ceil(widths / (path.length / 100.0))).astype(int)
     within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -151,13 +137,12 @@ def _grid(path: Curve) -> Array:
 def sample_parameters(
     s: Array, sd: Array, smoothing_s: float = 0.0, dt_s: float = DT_S
 ) -> tuple[Array, Array, Array, Array]:
-    """Return (times, s, ds/dt, d2s/dt2) on a regular grid of dt_s; the whole is stretched to end on it.
+    """Return (times, s, ds/dt, d2s/dt2) every dt_s, stretched to a whole number of steps.
 
-    The path acceleration is constant between two points of the profile. The average over `smoothing_s` is a mean of
-    shifted copies of s(t), so its derivatives are the same means of the shifted derivatives, exactly.
+    Averaging over `smoothing_s` is a mean of delayed copies of s(t), so the derivatives are exact.
 
     Raises:
-        TimingError: The profile never arrives.
+        TimingError: The duration is not finite or endless.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         passed = np.append(0.0, np.cumsum(2.0 * np.diff(s) / (sd[1:] + sd[:-1])))
@@ -174,14 +159,14 @@ def sample_parameters(
     position[-1], speed[-1] = s[-1], 0.0
     copies = max(1, round(smoothing_s / dt_s))
     if copies > 1:
-        acceleration[-1] = 0.0  # at rest from here on
+        acceleration[-1] = 0.0  # at rest afterwards
         position = _averaged(position, copies, s[-1])
         speed, acceleration = _averaged(speed, copies, 0.0), _averaged(acceleration, copies, 0.0)
     return np.arange(len(position), dtype=float) * dt_s, position, speed, acceleration
 
 
 def _averaged(values: Array, copies: int, end: float) -> Array:
-    """Return the mean of a signal and its delayed copies; before its start it is 0, after its end it stays."""
+    """Return the mean of delayed copies; values are 0 before and `end` after."""
     sums = np.cumsum(np.concatenate([np.zeros(copies), values, np.full(copies - 1, end)]))
     out = (sums[copies:] - sums[:-copies]) / copies
     out[-1] = end

@@ -1,1 +1,1 @@
-"""Objects in both hands: inverse kinematics of a closed chain, search, path and time law. Start at `planner`."""
+"""Planning for an object held by both hands. Start at `planner`."""

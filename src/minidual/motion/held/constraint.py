@@ -1,16 +1,12 @@
-"""The constraint of a closed chain, and OMPL on its manifold: the planner's last resort.
+"""Closed-chain constraint and OMPL search on its manifold, the last resort.
 
-With E(q) = T_world_left^-1 T_world_right T_left_right^-1, the constraint is F(q) = log6(E), six numbers [linear;
-angular] in the frame of the left hand, zero where the hands stand to each other as they grasped. The body velocity of
-E is Ad(T_left_right) J_right dq - Ad(E^-1) J_left dq with the hands' Jacobians in their own frames, so
+F(q) = log6(E), E = T_world_left^-1 T_world_right T_left_right^-1, [linear; angular] in the left tcp frame. With body
+Jacobians (Sola, "A micro Lie theory for state estimation in robotics", 2018):
 
     dF/dq = Jlog6(E) [ -Ad(E^-1) J_left,  Ad(T_left_right) J_right ]
 
-(Sola, "A micro Lie theory for state estimation in robotics", 2018: adjoints and the right Jacobian of the log).
-
-What OMPL needs to work, measured: start and goal projected onto the manifold first; a space bounded to a box round
-both ends; charts at both ends before the search. OMPL keeps F to 1e-4 at its states and less between them, so every
-state is projected again afterwards.
+OMPL needs (measured) both ends on the manifold, a box around them, and charts at them. It keeps F only to 1e-4, so its
+states are projected again.
 """
 
 from __future__ import annotations
@@ -34,23 +30,18 @@ from minidual.robot.pair import Array
 from minidual.robot.poses import inverse
 
 TOLERANCE = 1e-9
-"""Norm of F [m and rad together] at which a projected configuration counts as on the manifold."""
+"""Norm of F (m and rad combined) that counts as zero."""
 SPACES = {"atlas": ob.AtlasStateSpace, "projected": ob.ProjectedStateSpace}
 _ITERATIONS = 30
 _DAMPING = 1e-9
 _DELTA_RAD = 0.15
 _OMPL_TOLERANCE = 1e-4
 _CALLS_A_CHECK = 20
-"""Calls of the constraint that a search may make for every state check it may make."""
+"""Constraint evaluations allowed per state check."""
 
 
 class GraspConstraint:
-    """F(q) = 0 keeps the right hand at T_left_right in the frame of the left one.
-
-    Args:
-        T_left_right: Pose (4, 4) of the right tcp in the left tcp.
-        kinematics: Workspace; one of its own by default.
-    """
+    """F(q) = 0 holds the right tcp at T_left_right (4, 4) in the left."""
 
     def __init__(self, T_left_right: Array, kinematics: Kinematics | None = None) -> None:
         grasp = pin.SE3(check_pose(T_left_right, "the relative pose of the hands"))
@@ -63,20 +54,19 @@ class GraspConstraint:
     def from_grasps(
         cls, T_object_tcp_left: Array, T_object_tcp_right: Array, kinematics: Kinematics | None = None
     ) -> GraspConstraint:
-        """Return the constraint of two hands at their grasps on one object."""
+        """Return the constraint of two grasps on one object."""
         left = check_pose(T_object_tcp_left, "the left grasp")
         right = check_pose(T_object_tcp_right, "the right grasp")
         return cls(inverse(left) @ right, kinematics)
 
     def _offset(self, q: Array) -> pin.SE3:
-        """Return E at q (n,)."""
         model, data = self._kinematics.model, self._kinematics.data
         pin.computeJointJacobians(model, data, q)
         left, right = (pin.updateFramePlacement(model, data, tcp) for tcp in self._kinematics.tcp_ids)
         return left.actInv(right) * self._inverse
 
     def value(self, q: Array) -> Array:
-        """Return F (6,) at q (n,): metres, then radians."""
+        """Return F (6,) at q (n,) [m, rad]."""
         return pin.log6(self._offset(q)).vector
 
     def value_and_jacobian(self, q: Array) -> tuple[Array, Array]:
@@ -87,15 +77,14 @@ class GraspConstraint:
         return pin.log6(E).vector, pin.Jlog6(E) @ (self._adjoint @ right - E.actionInverse @ left)
 
     def residual(self, q: Array) -> tuple[float, float]:
-        """Return how far the hands are from their grasp at q (n,): ([m], [rad])."""
+        """Return the relative pose error at q (n,): ([m], [rad])."""
         E = self._offset(q)
         return float(np.linalg.norm(E.translation)), float(np.linalg.norm(pin.log3(E.rotation)))
 
     def project(self, q: Array, tolerance: float = TOLERANCE) -> Array | None:
-        """Return the configuration (n,) near q on the manifold, inside the joint limits, or None.
+        """Return a nearby configuration (n,) on the manifold within the limits, or None.
 
-        Newton steps of least norm, q <- q - J^T (J J^T)^-1 F; a joint that a step would push over its limit stays
-        there and the others make up for it.
+        Least-norm Newton steps; joints pushed against a limit stay.
         """
         lower, upper = self.robot.q_lower, self.robot.q_upper
         q = np.clip(np.asarray(q, dtype=float), lower, upper)
@@ -116,7 +105,7 @@ class GraspConstraint:
         """Return q (n,) projected onto the manifold.
 
         Raises:
-            ClosedChainError: No configuration near q keeps the relative pose; with the residual.
+            ClosedChainError: The projection failed.
         """
         projected = self.project(q)
         if projected is None:
@@ -130,14 +119,14 @@ class GraspConstraint:
 
 
 def _least_norm(J: Array, F: Array) -> Array:
-    """Return the shortest step (n,) that takes F to zero to first order."""
+    """Return the shortest step (n,) that zeroes F to first order."""
     H = J @ J.T
     H.flat[:: len(H) + 1] += _DAMPING
     return -J.T @ np.linalg.solve(H, F)
 
 
 class OmplGraspConstraint(ob.Constraint):
-    """F(q) = 0 of a `GraspConstraint`, as OMPL wants it: written into its arrays in place."""
+    """`GraspConstraint` for OMPL."""
 
     def __init__(self, constraint: GraspConstraint) -> None:
         super().__init__(constraint.robot.dof, 6, _OMPL_TOLERANCE)
@@ -145,12 +134,12 @@ class OmplGraspConstraint(ob.Constraint):
         self.calls_n = 0
 
     def function(self, x: Any, out: Any) -> None:
-        """Write F (6,) at x (n,) into out."""
+        """Write F (6,) into out."""
         self.calls_n += 1
         out[:] = self._constraint.value(np.asarray(x))
 
     def jacobian(self, x: Any, out: Any) -> None:
-        """Write dF/dq (6, n) at x (n,) into out."""
+        """Write dF/dq (6, n) into out."""
         out[:] = self._constraint.value_and_jacobian(np.asarray(x))[1]
 
 
@@ -166,22 +155,14 @@ def search_manifold(
     checks_max: int,
     deadline: float,
 ) -> Array | None:
-    """Return configurations (m, n) on the manifold from the start to one of the goals, or None.
+    """Return configurations (m, n) on the manifold from the start to a goal, or None.
 
-    Args:
-        constraint: The grasp.
-        checker: Collision checks.
-        q_start: Start (n,), on the manifold.
-        q_goals: Goals (n,), tried one after the other; those that cannot be put on the manifold are left out.
-        space: A name of `SPACES`.
-        box_rad: How far beyond the two ends every joint may go.
-        seed: Seed of OMPL's random numbers.
-        checks_max: State checks of one goal.
-        deadline: time.perf_counter() at which to give up whatever the count.
+    Goals (n,) are tried in order, with `checks_max` each; those that cannot be projected are skipped. Joints stay within
+    `box_rad` of the ends. `deadline` is a time.perf_counter().
 
     Raises:
-        UsageError: No such space.
-        ClosedChainError: The start cannot keep the relative pose.
+        UsageError: Unknown `space`.
+        ClosedChainError: The start cannot be projected.
     """
     if space not in SPACES:
         raise unknown_name("constrained space", space, SPACES)
@@ -235,7 +216,7 @@ def _search(
     checks_end = checker.checks_n + checks_max
 
     def enough() -> bool:
-        # Where hardly a state gets as far as a collision check, the projections count.
+        # Most states may fail before the collision check, so constraint calls are limited too.
         spent = checker.checks_n >= checks_end or held.calls_n >= _CALLS_A_CHECK * checks_max
         return spent or time.perf_counter() > deadline
 

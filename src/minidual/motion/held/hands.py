@@ -1,4 +1,4 @@
-"""Both hands on one object: joints from the object's pose, starting from a configuration close by."""
+"""IK of both hands on one object."""
 
 from __future__ import annotations
 
@@ -17,19 +17,13 @@ _RELAX_STEPS_N = 12
 _RELAX_STEP_M = 0.05
 _ARM_M = 0.2
 JUMP_MAX_RAD = 0.15
-"""Largest joint step between neighbouring points of a path: more is a jump, not a motion."""
+"""Larger joint steps between path points count as jumps."""
 
 
 class HandsIK:
-    """Solves both arms for the pose of an object that they hold.
+    """Solves both arms for a held object, given the grasps (4, 4).
 
-    Solutions are projections of a configuration near by, without active limits, so they are smooth functions of pose
-    and start; one outside the limits is refused.
-
-    Args:
-        T_object_tcp_left: Grasp of the left hand (4, 4).
-        T_object_tcp_right: Grasp of the right hand (4, 4).
-        kinematics: Of the robot.
+    Solutions are unconstrained projections, hence smooth; those outside the limits are rejected.
     """
 
     def __init__(self, T_object_tcp_left: Array, T_object_tcp_right: Array, kinematics: Kinematics) -> None:
@@ -38,7 +32,7 @@ class HandsIK:
         self.arms = tuple(ArmIK(side, kinematics) for side in self.robot.sides)
 
     def _nearest(self, T_world_object: Array, q_near: Array, wish: Array | None = None) -> Array:
-        """Return q (n,) with both hands at their grasps; an arm that does not get there is NaN."""
+        """Return q (n,) at the grasps; NaN for an arm that failed."""
         q = np.full(len(q_near), np.nan)
         for arm, grasp in zip(self.arms, self._grasps, strict=True):
             part = None if wish is None else wish[arm.joints]
@@ -51,21 +45,15 @@ class HandsIK:
         return bool(((q >= self.robot.q_lower) & (q <= self.robot.q_upper)).all())
 
     def solve(self, T_world_object: Array, q_near: Array, wish: Array | None = None) -> Array | None:
-        """Return q (n,) with both hands at their grasps, inside the limits, or None.
+        """Return q (n,) at the grasps within the limits, projected from q_near (n,), or None.
 
-        Args:
-            T_world_object: Pose (4, 4).
-            q_near: Configuration (n,) close by; the solution is its projection.
-            wish: Step (n,) from q_near that the hands may follow as far as the grasps let them.
+        `wish` (n,) is a preferred step from q_near.
         """
         q = self._nearest(T_world_object, q_near, wish)
         return q if self._inside(q) else None
 
     def elbow_swing(self, q: Array, swings_rad: Array) -> Array:
-        """Return the step (n,) at q (n,) that moves no hand: each arm along its free direction, by swings (2,).
-
-        Arms of six joints have none, and their step is zero.
-        """
+        """Return a null-space step (n,) by `swings_rad` (2,); zero for six-joint arms."""
         step = np.zeros_like(q)
         for arm, swing in zip(self.arms, swings_rad, strict=True):
             _, J = arm.error_and_jacobian(q[arm.joints], arm.tcp_pose(q[arm.joints]))
@@ -74,17 +62,16 @@ class HandsIK:
         return step
 
     def off_limits(self, q: Array) -> Array:
-        """Return where joints (n,) near a limit should go, away from it [rad per metre of the object's way].
+        """Return the preferred motion (n,) off joint limits [rad per metre of object motion].
 
-        Zero farther than 0.35 rad from both limits, growing with the square of what is missing, so that it has no
-        corner.
+        Zero beyond 0.35 rad from the limits, quadratic inside (smooth).
         """
         low = np.maximum(0.0, _LIMIT_BAND_RAD - (q - self.robot.q_lower)) / _LIMIT_BAND_RAD
         high = np.maximum(0.0, _LIMIT_BAND_RAD - (self.robot.q_upper - q)) / _LIMIT_BAND_RAD
         return _LIMIT_PUSH_RAD_PER_M * (low**2 - high**2)
 
     def relaxed(self, T_world_object: Array, q: Array) -> Array:
-        """Return the posture (n,) at the same object pose with its joints off their limits, as far as it goes."""
+        """Return a posture (n,) at the same object pose, off joint limits where possible."""
         for _ in range(_RELAX_STEPS_N):
             wish = _RELAX_STEP_M * self.off_limits(q)
             moved = self.solve(T_world_object, q, wish) if wish.any() else None
@@ -94,13 +81,12 @@ class HandsIK:
         return q
 
     def follow(self, Ts_world_object: Array, q_start: Array) -> tuple[Array, ClosedChainError | None]:
-        """Continue along poses (n, 4, 4) from q_start, which must be at the first one.
+        """Follow object poses (n, 4, 4) from q_start, which holds the first.
 
-        Each arm moves as little as it can from pose to pose, but keeps its joints off their limits where its
-        redundancy allows (`off_limits`).
+        Arms take least-norm steps; redundancy keeps joints off limits.
 
         Returns:
-            Joints (m, n) as far as it got, and why it ended there (None at the end).
+            Joints (m, n) as far as possible; the error that ended it or None.
         """
         Q = np.empty((len(Ts_world_object), len(q_start)))
         Q[0] = q_start
@@ -115,7 +101,7 @@ class HandsIK:
         return Q, None
 
     def _stuck(self, T_world_object: Array, before: Array, q: Array) -> ClosedChainError:
-        """Return why a continuation ends between two configurations (n,)."""
+        """Return the error for a failed step."""
         robot = self.robot
         x, y, z = T_world_object[:3, 3]
         where = f"({x:.3f}, {y:.3f}, {z:.3f}) m"
@@ -147,19 +133,14 @@ class HandsIK:
         )
 
     def off_grasp(self, q: Array, T_world_object: Array) -> tuple[tuple[float, float], ...]:
-        """Return for each hand how far it is from its grasp at q (n,): ([m], [rad])."""
+        """Return the grasp error of each hand at q (n,): ([m], [rad])."""
         return tuple(
             _apart(arm.tcp_pose(q[arm.joints])[None], (T_world_object @ grasp)[None])
             for arm, grasp in zip(self.arms, self._grasps, strict=True)
         )
 
     def strays(self, Q: Array, Ts_world_object: Array) -> tuple[float, float]:
-        """Return the largest error of a hand against its grasp, or of the hands against each other: ([m], [rad]).
-
-        Args:
-            Q: Configurations (m, n).
-            Ts_world_object: Pose of the object at each (m, 4, 4).
-        """
+        """Return the largest error of grasps and between hands, along Q (m, n): ([m], [rad])."""
         left, right = (np.array([arm.tcp_pose(q) for q in Q[:, arm.joints]]) for arm in self.arms)
         T_left_right = inverse(self._grasps[0]) @ self._grasps[1]
         pairs = (

@@ -1,8 +1,6 @@
-"""The path of a held object, the joints that follow it, and its time law.
+"""Path, joints and timing of a held object.
 
-A curve gives all joints and six coordinates of the object over one parameter. The joints are a spline through solved
-points; how far the hands stray from their grasps between these points is measured, and where it is too much the points
-are set closer.
+Joints are a spline through solved points, refined until the grasp error between them is small.
 """
 
 from __future__ import annotations
@@ -28,7 +26,7 @@ from minidual.robot.trajectory import Trajectory
 RESIDUAL_MAX_M = 1e-4
 RESIDUAL_MAX_RAD = float(np.deg2rad(0.05))
 ROTATION_WEIGHT_M = 0.2
-"""How much of path length one radian of rotation counts for [m/rad]."""
+"""Path length per radian of rotation [m/rad]."""
 _SAME = 1e-6
 _ANGLE_MAX_RAD = 3.0
 _STEP_M = 0.01
@@ -40,11 +38,7 @@ _HOPELESS = 0.7
 
 
 class ObjectChart:
-    """Six coordinates [m] of object poses: position, and the rotation vector from a reference by its weight.
-
-    Args:
-        R_world_reference: Rotation (3, 3) whose rotation vector is zero.
-    """
+    """Object poses as [m]: position and weighted rotation vector from a reference (3, 3)."""
 
     def __init__(self, R_world_reference: Array) -> None:
         self._R0 = np.array(R_world_reference)
@@ -53,7 +47,7 @@ class ObjectChart:
         """Return the coordinates (6,) of a pose (4, 4).
 
         Raises:
-            UsageError: The pose is turned by more than 3 rad from the reference.
+            UsageError: Rotation over 3 rad.
         """
         turn = pin.log3(self._R0.T @ T[:3, :3])
         if np.linalg.norm(turn) > _ANGLE_MAX_RAD:
@@ -68,7 +62,7 @@ class ObjectChart:
         return self.poses(x[None])[0]
 
     def poses(self, X: Array) -> Array:
-        """Return the poses (m, 4, 4) of coordinates (m, 6)."""
+        """Return poses (m, 4, 4) of coordinates (m, 6)."""
         Ts = np.zeros((len(X), 4, 4))
         Ts[:, 3, 3] = 1.0
         Ts[:, :3, 3] = X[:, :3]
@@ -77,16 +71,12 @@ class ObjectChart:
 
 
 class ObjectPath:
-    """A smooth curve T_world_object(s), s in [0, length] [m].
+    """Curve T_world_object(s), s in [0, length] [m]: straight in the chart, with rounded corners.
 
-    Positions and rotation vectors (from the first pose) run along straight lines; corners are rounded.
-
-    Args:
-        Ts_world_object: Two or more poses (4, 4); neighbours that are equal count once.
-        corner_m: Largest half length of a rounded corner.
+    Repeated waypoints are dropped. `corner_m` is the largest half length of a corner.
 
     Raises:
-        UsageError: Fewer than two different poses, a value that is none, or a turn of more than 3 rad.
+        UsageError: Fewer than two distinct poses, invalid pose, or rotation over 3 rad.
     """
 
     def __init__(self, Ts_world_object: Sequence[Array], corner_m: float = 0.04) -> None:
@@ -103,16 +93,16 @@ class ObjectPath:
         curve = rounded(np.array(kept), corner_m)
         self.length, self.knots = curve.length, curve.knots
         self.coordinates: Callable[..., Array] = curve.at
-        """Coordinates or a derivative by s: (m,) parameters and the order to (m, 6) [m]."""
+        """Coordinates (m, 6) [m] or a derivative at (m,) parameters."""
 
     def poses(self, s: Array) -> Array:
-        """Return Ts_world_object (m, 4, 4) at (m,) parameters."""
+        """Return poses (m, 4, 4) at (m,) parameters."""
         return self.chart.poses(self.coordinates(s))
 
 
 @dataclass(frozen=True)
 class ObjectLimits:
-    """How fast the object may go: its centre along the path, and along each axis of the world."""
+    """Limits along the weighted object path and of each coordinate."""
 
     speed_m_per_s: float = 0.3
     acceleration_m_per_s2: float = 1.0
@@ -121,7 +111,7 @@ class ObjectLimits:
         """Check both limits.
 
         Raises:
-            UsageError: A limit is not a finite number > 0.
+            UsageError: Not finite and > 0.
         """
         for name, value in (("speed", self.speed_m_per_s), ("acceleration", self.acceleration_m_per_s2)):
             if not (np.isfinite(value) and value > 0.0):
@@ -130,14 +120,13 @@ class ObjectLimits:
 
 @dataclass(frozen=True, eq=False)
 class CarriedTrajectory(Trajectory):
-    """A trajectory on which both hands keep their grasps.
+    """Trajectory that keeps both grasps.
 
     Attributes:
-        Ts_world_object: Planned pose of the object at every sample, (m, 4, 4).
-        residual_m, residual_rad: Largest error of a hand against its grasp, and of the hands against each other,
-            along the path, between the solved points.
-        verification: The proof, if a scene was given.
-        found_by: How the path was found: "continuation", "object_rrt", "atlas", "projected" or "given".
+        Ts_world_object: Planned poses (m, 4, 4).
+        residual_m, residual_rad: Largest error of grasps or between hands, between solved points.
+        verification: Proof, with a scene only.
+        found_by: A search method, "continuation" or "given".
     """
 
     Ts_world_object: Array
@@ -148,14 +137,14 @@ class CarriedTrajectory(Trajectory):
 
 
 class HeldCurve:
-    """Columns over s: all joints, 6 coordinates of the object, and the way of the object (position and turn).
+    """Columns over s: joints, 6 object coordinates, path length.
 
     Args:
-        chart: Of the coordinates.
-        marks: Parameters (k,) of the solved points, first 0.
-        Q: Joints at them (k, n).
-        coordinates: Of the object or a derivative over s: (m,) and order to (m, 6).
-        knots: Parameters between which the coordinates are smooth.
+        chart: Chart of the coordinates.
+        marks: Solved points (k,), first 0.
+        Q: Joints (k, n) there.
+        coordinates: Maps parameters (m,) and derivative order to (m, 6).
+        knots: The coordinates are smooth between them.
     """
 
     def __init__(
@@ -167,7 +156,7 @@ class HeldCurve:
         self.coordinates = coordinates
         self.knots = knots
         self.residual = (np.inf, np.inf)
-        """How far the hands stray between the solved points ([m], [rad])."""
+        """Largest error between solved points ([m], [rad])."""
 
     @property
     def length(self) -> float:
@@ -175,13 +164,13 @@ class HeldCurve:
         return float(self.marks[-1])
 
     def at(self, s: Array, order: int = 0) -> Array:
-        """Return the columns, or their derivative, at (m,) parameters: (m, n + 7)."""
+        """Return the columns or a derivative, (m, n + 7)."""
         s = np.asarray(s, dtype=float)
         return np.column_stack([self.spline(s, order), self.coordinates(s, order), self._way(s, order)])
 
     def _way(self, s: Array, order: int) -> Array:
         if order == 0:
-            return s  # never limited, so its value does not matter
+            return s  # unused: only derivatives are limited
         first = self.coordinates(s, 1)
         speed = np.sqrt(np.sum(first**2, axis=1) + _STILL)
         return speed if order == 1 else np.sum(first * self.coordinates(s, 2), axis=1) / speed
@@ -195,18 +184,12 @@ def fine_curve(
     coordinates: Callable[[Array, int], Array],
     solve: Callable[[Array, Array], Array],
 ) -> HeldCurve:
-    """Return the curve whose hands stray less than half of what is allowed.
+    """Return a curve with errors below half the limits.
 
-    Args:
-        hands: Measures.
-        chart: Chart of the coordinates.
-        length: End of the parameter interval.
-        knots: See `HeldCurve`.
-        coordinates: See `HeldCurve`.
-        solve: Joints (k, n) for marks (k,) and object poses (k, 4, 4); raises where there are none.
+    `solve` maps marks (k,) and object poses (k, 4, 4) to joints (k, n).
 
     Raises:
-        ClosedChainError: The hands stray too far however close the points are, or `solve` says so.
+        ClosedChainError: `solve` failed, or refining does not suffice.
     """
     count = max(_POINTS_MIN, int(np.ceil(length / _STEP_M)))
     strays = before = (np.inf, np.inf)
@@ -220,7 +203,7 @@ def fine_curve(
         if strays[0] < 0.5 * RESIDUAL_MAX_M and strays[1] < 0.5 * RESIDUAL_MAX_RAD:
             return curve
         if strays[0] > _HOPELESS * before[0]:
-            break  # a smooth motion strays eight times less with every refinement: this one has a break in it
+            break  # a smooth motion gains a factor of eight per refinement; this one is discontinuous
         before = strays
         count *= 2
     raise ClosedChainError(
@@ -233,10 +216,11 @@ def fine_curve(
 def timed(
     curve: HeldCurve, object_limits: ObjectLimits, scale: MotionLimits, kinematics: Kinematics, found_by: str
 ) -> CarriedTrajectory:
-    """Return the fastest trajectory within the limits of joints and object; it is not proven yet.
+    """Return the fastest trajectory within joint and object limits, unproven.
 
     Raises:
-        TimingError: No time law keeps the limits.
+        TimingError: The limits cannot be kept.
+        UsageError: Invalid object limit.
     """
     object_limits.check()
     robot = kinematics.robot

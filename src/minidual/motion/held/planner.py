@@ -1,9 +1,7 @@
-"""Move an object that both hands hold: through given poses, or to a goal round whatever stands in the way.
+"""Planning for an object held by both hands, along waypoints or to a goal.
 
-The object leads and the hands follow by inverse kinematics. To a goal three ways are tried, the fast one first: the
-object straight there; RRT-Connect over the object's poses; OMPL on the manifold of the grasp constraint. What was found
-is shortened, its corners rounded, solved finely so that no hand strays, timed, and proven with the object in the
-collision scene.
+For goals: straight motion, then RRT-Connect over object poses or OMPL on the constraint manifold. Paths are shortened,
+rounded, refined, timed and proven with the object attached.
 """
 
 from __future__ import annotations
@@ -45,9 +43,9 @@ from minidual.robot.pair import SIDES, Array, Robot
 from minidual.robot.poses import inverse
 
 CARRY_LIMITS = MotionLimits(smoothing_s=0.1)
-"""Limits with an object in the hands: softer starts and stops than for empty hands."""
+"""Gentler starts and stops than with empty hands."""
 METHODS = ("object_rrt", "object_rrt", "object_rrt", "projected", "object_rrt", "object_rrt", "atlas")
-"""Searches, in the order of the attempts; then from the beginning."""
+"""Methods by attempt, cyclic."""
 _CORNER_M = 0.04
 _CORNERS_M = (0.06, 0.02, 0.006)
 _SHORTEN_ROUNDS_N = 10
@@ -56,15 +54,15 @@ _LIMIT_ROOM_RAD = 1e-4
 _MANIFOLD_GOALS_N = 4
 _BOX_RAD = 0.7
 _MORE_GOALS = {1: 1, 2: 10}
-"""Attempts before which more postures at the goal are looked for, and how many times the usual restarts. One posture is
-enough for most; more cost more than the search."""
+"""{attempt: multiple of usual IK restarts} for more goal postures. One usually suffices; more cost more than the
+search."""
 _CANDIDATES_N = 400
 _SAME_RAD = 0.5
-"""Postures that differ less count once."""
+"""Postures that differ less are duplicates."""
 
 
 def grasp_of(q: Array, T_world_object: Array, kinematics: Kinematics | None = None) -> tuple[Array, Array]:
-    """Return (T_object_tcp_left, T_object_tcp_right) of the hands at q (n,) on an object at a pose."""
+    """Return both grasps T_object_tcp at q (n,)."""
     left, right = (kinematics or Kinematics()).tcp_poses(np.asarray(q, dtype=float))
     T_object_world = inverse(T_world_object)
     return T_object_world @ left, T_object_world @ right
@@ -73,13 +71,9 @@ def grasp_of(q: Array, T_world_object: Array, kinematics: Kinematics | None = No
 def scene_holding(
     scene: PlanningScene, shape: Shape, T_object_tcp_left: Array, *, rests_on: Sequence[str] = ("table",)
 ) -> PlanningScene:
-    """Return the scene with an object in both hands.
+    """Return the scene with an object in both hands, attached to the left tcp.
 
-    Args:
-        scene: Scene around.
-        shape: The object, its place given in the object's frame.
-        T_object_tcp_left: Grasp of the left hand, whose motion the object follows (so does the right, by plan).
-        rests_on: Obstacles that the object may touch, because it is lifted off them and put down on them.
+    `shape` is placed in the object frame. The object may touch `rests_on`.
     """
     T_tcp_shape = inverse(T_object_tcp_left) @ shape.T_parent_shape
     x, y, z, w = pin.Quaternion(T_tcp_shape[:3, :3]).coeffs().tolist()
@@ -93,14 +87,13 @@ def scene_holding(
 
 @dataclass(frozen=True, eq=False)
 class HeldQuery:
-    """One problem: where the arms are, what they hold and how, where it shall go, what stands round.
+    """One planning problem.
 
     Attributes:
-        q_start: All joints (n,), both hands at their grasps.
-        T_world_goal: Pose (4, 4) of the object at the goal.
+        q_start: All joints (n,), hands at their grasps.
+        T_world_goal: Object pose (4, 4).
         T_object_tcp_left, T_object_tcp_right: Grasps (4, 4).
-        scene: Scene with the object in the hands (`scene_holding`).
-        seed: Of the random numbers.
+        scene: From `scene_holding`.
     """
 
     q_start: Array
@@ -111,10 +104,10 @@ class HeldQuery:
     seed: int = 0
 
     def checked(self, robot: Robot) -> HeldQuery:
-        """Return the query with its arrays checked.
+        """Return the query with checked arrays.
 
         Raises:
-            OutOfLimitsError, UsageError: A bad start, goal or grasp.
+            OutOfLimitsError, UsageError: Bad start, goal or grasp.
         """
         return replace(
             self,
@@ -126,12 +119,9 @@ class HeldQuery:
 
 
 class HeldPlanner:
-    """Plans moves of held objects. One instance a process: it holds workspaces.
+    """Plans moves of held objects. One instance per process; it holds workspaces.
 
-    Args:
-        planner: Its configuration (padding, step, budget) and its scenes' engines are used.
-        limits: Limits of the joints' motion.
-        object_limits: Speed and acceleration of the object.
+    `planner` provides configuration and scene engines.
     """
 
     def __init__(
@@ -150,18 +140,14 @@ class HeldPlanner:
         self.goals = self.planner.goals
 
     def plan(self, query: HeldQuery, budget_s: float | None = None) -> CarriedTrajectory:
-        """Return a proven trajectory that brings the object to its goal.
-
-        Args:
-            query: The problem; the same query gives the same trajectory.
-            budget_s: Wall time after which to give up; the configuration's by default.
+        """Return a proven trajectory to the goal. Equal queries give equal trajectories.
 
         Raises:
-            ClosedChainError: The hands are off their grasps at the start.
-            StartInCollisionError, GoalInCollisionError: Start, or every posture found at the goal, touches something.
-            IKUnreachableError: A hand cannot reach its grasp at the goal; with the residual.
-            NoPathInTimeError: No path passed the proof; with what stopped the straight one and the last one.
-            OutOfLimitsError, UsageError: Bad numbers.
+            ClosedChainError: Hands off their grasps, or all goal postures at joint limits.
+            StartInCollisionError, GoalInCollisionError: Start or all goal postures collide.
+            IKUnreachableError: The goal is out of reach.
+            NoPathInTimeError: Nothing proven within `budget_s`; states first and last reason.
+            OutOfLimitsError, UsageError: Bad query.
         """
         budget = self.config.budget_s if budget_s is None else budget_s
         if not (np.isfinite(budget) and budget > 0.0):
@@ -171,14 +157,11 @@ class HeldPlanner:
         return HeldWork(self, query, time.perf_counter() + budget).run()
 
     def prove(self, query: HeldQuery, points: Array) -> CarriedTrajectory:
-        """Return the proven trajectory along points that somebody else found.
-
-        Args:
-            query: The problem that the points solve.
-            points: (m, 6 + n), see `minidual.motion.held.search`, in the chart of the start's orientation.
+        """Return the proven trajectory along points (m, 6 + n) in the chart of the start orientation.
 
         Raises:
-            ClosedChainError, TimingError: The path through them cannot be followed, timed or proven.
+            ClosedChainError, TimingError: It cannot be followed, timed or proven.
+            StartInCollisionError, OutOfLimitsError, UsageError: Bad query.
         """
         return HeldWork(self, query.checked(self.planner.robot), time.perf_counter() + self.config.budget_s).rounded(
             points, "given"
@@ -195,22 +178,15 @@ class HeldPlanner:
         scene: PlanningScene | None = None,
         corner_m: float = _CORNER_M,
     ) -> CarriedTrajectory:
-        """Return the trajectory that carries the object through its waypoints, at rest at both ends.
+        """Return the trajectory along object waypoints (4, 4), at rest at both ends.
 
-        Args:
-            q_start: All joints (n,); the hands must be at their grasps on the first waypoint.
-            Ts_world_object: Waypoints (4, 4), for example start, lifted, above the goal, goal.
-            T_object_tcp_left: Grasp of the left hand, (4, 4).
-            T_object_tcp_right: Grasp of the right hand, (4, 4).
-            object_limits: Speed and acceleration of the object; the planner's by default.
-            scene: Prove the result free in this scene (see `scene_holding`); without one nothing is said about
-                collisions.
-            corner_m: Half length of the rounded corners between waypoints.
+        The hands must start at their grasps. Collisions are checked only with a `scene` (see `scene_holding`). `corner_m` is
+        the largest half length of a corner.
 
         Raises:
-            ClosedChainError: The start is off the grasps, a hand cannot follow, the arms would have to jump, the
-                residual stays over half of 0.1 mm or of 0.05 degrees, or the proof fails; each with its numbers.
-            OutOfLimitsError, UsageError: A bad start or pose.
+            ClosedChainError: Bad start, hand out of reach, jump, grasp error over 0.05 mm or 0.025 degrees, or failed proof.
+            TimingError: The limits cannot be kept.
+            OutOfLimitsError, UsageError: Bad arguments.
         """
         q_start = check_joints(q_start, "start", self.planner.robot)
         grasps = (check_pose(T_object_tcp_left, "the left grasp"), check_pose(T_object_tcp_right, "the right grasp"))
@@ -223,14 +199,14 @@ class HeldPlanner:
 
 
 class _NotFreeError(ClosedChainError):
-    """The proof refused a path."""
+    """The proof failed."""
 
 
 def proven(motion: CarriedTrajectory, engines: SceneEngines) -> CarriedTrajectory:
     """Return the trajectory with its proof.
 
     Raises:
-        ClosedChainError: It is not free.
+        ClosedChainError: The proof failed.
     """
     report = engines.verifier.verify(motion)
     if not report.ok:
@@ -239,10 +215,10 @@ def proven(motion: CarriedTrajectory, engines: SceneEngines) -> CarriedTrajector
 
 
 def _require_held(hands: HandsIK, q: Array, T_world_object: Array) -> None:
-    """Check that both hands are at their grasps at q (n,).
+    """Check that both hands are at their grasps.
 
     Raises:
-        ClosedChainError: A hand is off; with arm and numbers.
+        ClosedChainError: A hand is off.
     """
     for arm, (distance, angle) in zip(SIDES, hands.off_grasp(q, T_world_object), strict=True):
         if not (distance <= RESIDUAL_MAX_M and angle <= RESIDUAL_MAX_RAD):
@@ -253,10 +229,10 @@ def _require_held(hands: HandsIK, q: Array, T_world_object: Array) -> None:
 
 
 def _continued(hands: HandsIK, path: ObjectPath, q_start: Array) -> HeldCurve:
-    """Return the curve of an object's path continued from q_start (n,).
+    """Return the curve that follows an object path from q_start (n,).
 
     Raises:
-        ClosedChainError: A hand cannot follow, an arm would jump, or the residual stays too large.
+        ClosedChainError: Hand out of reach, jump, or grasp error.
     """
 
     def solve(_marks: Array, Ts_world_object: Array) -> Array:
@@ -270,36 +246,29 @@ def _continued(hands: HandsIK, path: ObjectPath, q_start: Array) -> HeldCurve:
 
 @dataclass(frozen=True)
 class _Effort:
-    """How one attempt searches, and how the next one should after a failure."""
-
     padding_m: float
     step_scale: float = 1.0
     checks_n: int = 600
 
     def after_no_path(self) -> _Effort:
-        """Return more patience and less padding: the way may be narrow."""
+        """Return less padding (narrow passages) and more state checks."""
         return replace(self, padding_m=max(0.6 * self.padding_m, 0.001), checks_n=min(2 * self.checks_n, 100_000))
 
     def closer(self) -> _Effort:
-        """Return a closer look: the path could not be followed."""
+        """Return finer steps: the path could not be followed."""
         return replace(self, step_scale=max(0.5 * self.step_scale, 0.125))
 
     def after_refusal(self) -> _Effort:
-        """Return more padding and a closer look: the path touched where the search did not see it."""
+        """Return more padding (up to 0.02 m) and finer steps: a collision was missed."""
         return replace(self.closer(), padding_m=min(1.5 * self.padding_m, 0.02))
 
 
 class HeldWork:
-    """One query while it is planned.
-
-    Args:
-        tools: Configuration, limits, workspaces and engines.
-        query: The problem, checked.
-        deadline: time.perf_counter() at which to give up.
+    """One query in progress; `deadline` is a time.perf_counter().
 
     Raises:
-        ClosedChainError: The hands are off their grasps at the start.
-        StartInCollisionError: Something touches there.
+        ClosedChainError: Hands off their grasps.
+        StartInCollisionError: The start collides.
     """
 
     def __init__(self, tools: HeldPlanner, query: HeldQuery, deadline: float) -> None:
@@ -316,7 +285,7 @@ class HeldWork:
         self.rejections: list[str] = []
 
     def _object_at(self, q: Array) -> Array:
-        """Return where the object is in the left hand at q (n,)."""
+        """Return the object pose in the left hand."""
         return self._tools.kinematics.tcp_poses(q)[0] @ inverse(self._grasps[0])
 
     def run(self) -> CarriedTrajectory:
@@ -350,7 +319,7 @@ class HeldWork:
         )
 
     def _straight(self) -> CarriedTrajectory | Array | None:
-        """Return the proven straight move; or the posture (n,) at its end if only the way is blocked; or None."""
+        """Return the proven straight move, else its end posture (n,), or None if it cannot be followed."""
         end = None
         try:
             curve = _continued(self._hands, self._path, self._query.q_start)
@@ -380,11 +349,11 @@ class HeldWork:
         return f"{what} after {k / max(1, len(joints) - 1):.0%} of it"
 
     def goal_postures(self, end: Array | None, wanted_n: int, restarts_scale: int = 1) -> list[Array]:
-        """Return free postures (n,) at the goal: the end of the straight continuation first, then the nearest.
+        """Return free goal postures (n,): the straight end first, then the nearest.
 
         Raises:
-            IKUnreachableError, GoalInCollisionError: There is none.
-            ClosedChainError: Each of them lies at a joint limit.
+            IKUnreachableError, GoalInCollisionError: None exists.
+            ClosedChainError: All lie at joint limits.
         """
         query, config, engines, robot = self._query, self._tools.config, self._engines, self._hands.robot
         goals = [end] if end is not None and not engines.in_collision(end) else []
@@ -424,7 +393,7 @@ class HeldWork:
         return found
 
     def more_goals(self, known: list[Array], end: Array | None, restarts_scale: int) -> list[Array]:
-        """Return more postures at the goal, or those that are known where a closer look finds none."""
+        """Return more goal postures, or the known ones if none is found."""
         try:
             return self.goal_postures(end, _GOALS_N, restarts_scale)
         except PlanningError as error:
@@ -436,7 +405,7 @@ class HeldWork:
         return HeldSpace(self._hands, self._path.chart, checker, effort.step_scale)
 
     def search(self, method: str, goals: Sequence[Array], effort: _Effort, attempt: int) -> Array | None:
-        """Return points (m, 6 + n) from start to goal by one method, or None."""
+        """Return points (m, 6 + n) to a goal, or None."""
         query = self._query
         space = self._space(goals, effort)
         if method == "object_rrt":
@@ -461,10 +430,10 @@ class HeldWork:
         return points if all(space.edge_free(a, b) for a, b in itertools.pairwise(points)) else None
 
     def rounded(self, points: Array, method: str) -> CarriedTrajectory:
-        """Return the proven trajectory along points (m, 6 + n), with the largest corners that do.
+        """Return the proven trajectory along points (m, 6 + n), with the largest feasible corners.
 
         Raises:
-            ClosedChainError, TimingError: What stopped it.
+            ClosedChainError, TimingError: No corner size works.
         """
         for corner_m in _CORNERS_M[:-1] if len(points) > 2 else ():
             try:
@@ -474,7 +443,7 @@ class HeldWork:
         return self._finished(self._curve(points, _CORNERS_M[-1]), method)
 
     def _curve(self, points: Array, corner_m: float) -> HeldCurve:
-        # Joints count for a tenth of a metre a radian, so that the points of the curve are dense where the object is.
+        # Weighted as in the search metric, so that s is mostly object motion.
         scale = np.ones(points.shape[1])
         scale[Q] = JOINT_WEIGHT_M
         smooth = rounded(points * scale, corner_m)
@@ -495,6 +464,5 @@ class HeldWork:
         return fine_curve(self._hands, self._path.chart, smooth.length, smooth.knots, coordinates, solve)
 
     def _finished(self, curve: HeldCurve, method: str) -> CarriedTrajectory:
-        """Return the timed and proven trajectory of a curve."""
         tools = self._tools
         return proven(timed(curve, tools.object_limits, tools.limits, tools.kinematics, method), self._engines)

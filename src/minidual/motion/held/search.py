@@ -1,11 +1,10 @@
-"""The search for moves of a held object: its pose leads, both hands follow by inverse kinematics.
+"""Search over object poses; both hands follow by IK.
 
-A point is z (6 + n,): six coordinates of the object's pose (`ObjectChart`) and the n joints that hold it there. An edge
-is a straight line of object poses and of joints; at each of its poses the joints are projected onto the grasps
-(`HandsIK.solve`), so it depends on its two ends alone, however finely it is looked at.
+A point z (6 + n,) holds `ObjectChart` coordinates and joints. Edges interpolate both and project the joints onto the
+grasps, so they depend only on their ends.
 
-Source: RRT-Connect (Kuffner and LaValle, ICRA 2000) over the object's poses; the leader-follower idea for closed chains
-after Han and Amato, "A kinematics-based probabilistic roadmap method for closed chain systems", 2000.
+Sources: RRT-Connect (Kuffner and LaValle, ICRA 2000); leader-follower after Han and Amato, "A kinematics-based
+probabilistic roadmap method for closed chain systems", 2000.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from minidual.robot.pair import Array
 
 X, Q = slice(0, 6), slice(6, None)
 JOINT_WEIGHT_M = 0.1
-"""How much of a distance one radian of all joints together counts for [m/rad]."""
+"""Distance per radian of joint motion [m/rad]."""
 _STEP_M = 0.03
 _STEP_RAD = 0.06
 _JUMP_RAD = 0.4
@@ -41,14 +40,7 @@ _TURN_M = 0.12
 
 
 class HeldSpace:
-    """Points, distances and edges of one held object in one scene.
-
-    Args:
-        hands: Follows the object.
-        chart: Coordinates of object poses.
-        checker: Collision checks of configurations (n,).
-        step_scale: How much closer than usual (1.0) the points of an edge are checked.
-    """
+    """Points and edges of one held object; `step_scale` scales the check steps."""
 
     def __init__(self, hands: HandsIK, chart: ObjectChart, checker: EdgeChecker, step_scale: float = 1.0) -> None:
         self._step_m, self._step_rad = step_scale * _STEP_M, step_scale * _STEP_RAD
@@ -58,28 +50,28 @@ class HeldSpace:
         self.checker = checker
 
     def point(self, T_world_object: Array, q: Array) -> Array:
-        """Return the point (6 + n,) of an object pose and the joints that hold it there."""
+        """Return the point (6 + n,)."""
         return np.concatenate([self.chart.coordinates(T_world_object), q])
 
     def solved_free(self, z: Array) -> Array | None:
-        """Return z with its joints projected onto the grasps if that is free of collision, or None."""
+        """Return z with projected joints if free, or None."""
         q = self.hands.solve(self.chart.pose(z[X]), z[Q])
         return np.concatenate([z[X], q]) if q is not None and self.checker.free(q) else None
 
     @staticmethod
     def distance(z: Array, Z: Array) -> Array:
-        """Return the distance [m] of z (6 + n,) to points Z (m, 6 + n)."""
+        """Return the distances [m] to Z (m, 6 + n)."""
         d = Z - z
         return np.linalg.norm(d[:, X], axis=1) + JOINT_WEIGHT_M * np.linalg.norm(d[:, Q], axis=1)
 
     def edge_free(self, a: Array, b: Array) -> bool:
-        """Return whether the edge from a to b, both (6 + n,) and free, can be followed and is free."""
+        """Return whether the edge between free points is continuous and free."""
         step = b - a
         count = int(np.ceil(max(np.linalg.norm(step[X]) / self._step_m, np.abs(step[Q]).max() / self._step_rad)))
         count = max(count, 1)
         joints = np.empty((count + 1, len(step) - 6))
         joints[0], joints[-1] = a[Q], b[Q]
-        for share in bisection_order(count)[1:]:  # the first is the end itself
+        for share in bisection_order(count)[1:]:  # the first is b
             z = self.solved_free(a + share * step)
             if z is None:
                 return False
@@ -87,14 +79,14 @@ class HeldSpace:
         jumps = np.abs(np.diff(joints, axis=0)).max(axis=1)
         if jumps.max() > self._jump_rad:
             return False
-        # A large joint step is either a fast motion or a change of branch: half-way it is half as large, or it is not.
+        # A large joint step is fast motion (halving the interval halves it) or a change of IK branch.
         return all(
             self._continuous(a, step, k / count, (k + 1) / count, joints[k], joints[k + 1])
             for k in np.flatnonzero(jumps > _SURE_RAD)
         )
 
     def _continuous(self, a: Array, step: Array, u: float, v: float, q_u: Array, q_v: Array) -> bool:
-        """Return whether the joints move on without a break between two shares u, v of an edge."""
+        """Return whether joints are continuous between shares u, v of an edge."""
         jump = float(np.abs(q_v - q_u).max())
         if jump <= _SURE_RAD:
             return True
@@ -106,13 +98,9 @@ class HeldSpace:
 
     @staticmethod
     def sample(rng: np.random.Generator, ends: Array, room_m: float, turn_m: float) -> Array:
-        """Return random coordinates (6,) round both ends.
+        """Return random coordinates (6,) around both ends (2, 6).
 
-        Args:
-            rng: Source.
-            ends: Coordinates of start and goal (2, 6).
-            room_m: How much wider than the box round the ends the box of positions is on every side.
-            turn_m: Largest weighted rotation vector component beside the way from start to goal [m].
+        Margins: `room_m` around the position box, `turn_m` around the weighted rotation.
         """
         low, high = ends[:, :3].min(axis=0) - room_m, ends[:, :3].max(axis=0) + room_m
         low[2] = max(low[2], 0.0)
@@ -129,7 +117,7 @@ class _Tree:
         return int(np.argmin(space.distance(z, self.points)))
 
     def near_object(self, x: Array, rng: np.random.Generator, among: int) -> int:
-        """Return one of the `among` points whose object poses are nearest to x."""
+        """Return a random one of the `among` points nearest to x in object pose."""
         away = np.linalg.norm(self.points[:, X] - x, axis=1)
         if among == 1:
             return int(np.argmin(away))
@@ -141,7 +129,6 @@ class _Tree:
         return len(self.parents) - 1
 
     def branch(self, index: int) -> list[Array]:
-        """Return the points from the root to one point."""
         points = []
         while index >= 0:
             points.append(self.points[index])
@@ -161,14 +148,7 @@ def search_object(
 ) -> Array | None:
     """Return free points (m, 6 + n) from the start to a goal, joined by free edges, or None.
 
-    Args:
-        space: Edges and collisions.
-        start: Point (6 + n,), free.
-        goals: Points (6 + n,) of the same object pose, free; they differ in the joints.
-        rng: Random numbers; the same give the same path.
-        checks_max: State checks after which the search gives up.
-        deadline: time.perf_counter() at which it gives up whatever the count.
-        any_posture: Any joints that hold the object at the goal's pose will do, not only those of `goals`.
+    All goals (6 + n,) have one object pose; `any_posture` accepts other joints there. `deadline` is a time.perf_counter().
     """
     here, there = _Tree([start]), _Tree(goals)
     ends = np.array([start[X], goals[0][X]])
@@ -178,7 +158,7 @@ def search_object(
         if space.edge_free(start, goal):
             return np.array([start, goal])
     while space.checker.checks_n < enough and time.perf_counter() < deadline:
-        # Near the two ends first; the longer it takes, the farther round.
+        # The sampling box grows with time.
         room = min(_ROOM_START_M + _ROOM_GROWTH_M * rounds, _ROOM_MAX_M)
         rounds += 1
         if forward and any_posture and rng.random() < _GOAL_SHARE:
@@ -196,16 +176,15 @@ def search_object(
 
 
 def _extend(space: HeldSpace, tree: _Tree, x: Array, rng: np.random.Generator) -> int | None:
-    """Grow the tree towards an object pose; return the new point, or None."""
     swing = rng.random() < _ELBOW_SHARE
-    # Elbows spread only if others than the very nearest point may grow, too.
+    # Growing only the nearest point would not spread the elbows.
     parent = tree.near_object(x, rng, _NEXT_N if swing else 1)
     new = _step_towards(space, tree.points[parent], x, rng if swing else None)
     return None if new is None else tree.add(new, parent)
 
 
 def _step_towards(space: HeldSpace, z: Array, x: Array, elbows: np.random.Generator | None) -> Array | None:
-    """Return a point one step from z towards an object pose, its elbows moved at random if asked, or None."""
+    """Return a free point one step towards an object pose, with random elbow swings if asked, or None."""
     way = x - z[X]
     share = min(1.0, _EXTEND_M / max(float(np.linalg.norm(way)), _SAME_M))
     aim = z.copy()
@@ -218,7 +197,7 @@ def _step_towards(space: HeldSpace, z: Array, x: Array, elbows: np.random.Genera
 
 
 def _carry_to(space: HeldSpace, tree: _Tree, x: Array, rng: np.random.Generator) -> int | None:
-    """Carry the object straight to a pose from one of the points next to it; return the point there, or None."""
+    """Grow straight to an object pose; return the point there or None."""
     current = tree.near_object(x, rng, _NEXT_N)
     while True:
         point = tree.points[current]
@@ -231,7 +210,7 @@ def _carry_to(space: HeldSpace, tree: _Tree, x: Array, rng: np.random.Generator)
 
 
 def _connect(space: HeldSpace, tree: _Tree, z: Array) -> int | None:
-    """Grow the tree towards a point of the other one; return the point that meets it, or None."""
+    """Grow towards the point z; return the meeting point or None."""
     current = tree.nearest(space, z)
     while True:
         away = float(space.distance(z, tree.points[current][None])[0])
@@ -246,10 +225,10 @@ def _connect(space: HeldSpace, tree: _Tree, z: Array) -> int | None:
 
 
 def shorten(space: HeldSpace, path: Array, rng: np.random.Generator, rounds_n: int) -> Array:
-    """Return a shorter path (m, 6 + n): vertices dropped, then random stretches replaced by straight edges."""
+    """Return a shorter path (m, 6 + n): drops vertices and cuts random stretches."""
     points = list(path)
     i = 0
-    while i < len(points) - 2:  # the farthest vertex that can be reached directly
+    while i < len(points) - 2:  # connect to the farthest reachable vertex
         for j in range(len(points) - 1, i + 1, -1):
             if space.edge_free(points[i], points[j]):
                 del points[i + 1 : j]
