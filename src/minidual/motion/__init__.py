@@ -1,4 +1,1 @@
-"""Motion planning. Entry points: `api.Planner` and `held.planner.HeldPlanner`.
-
-Nothing is imported here, to keep importing the package fast.
-"""
+"""Motion planning; start at `api.Planner` or `held.planner.HeldPlanner`. Importing the package imports no module."""

@@ -1,4 +1,4 @@
-"""Planner facade: from a goal to a timed trajectory that passed the collision proof."""
+"""From a goal to a proven trajectory."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class _Effort:
     fruitless_n: int = 0
 
     def after_no_path(self) -> _Effort:
-        """Return less padding (the passage may be narrow) and more state checks."""
+        """Return less padding (narrow passages) and more state checks."""
         return replace(
             self,
             padding_m=0.5 * self.padding_m,
@@ -56,7 +56,7 @@ class _Effort:
         return fallbacks[turn % len(fallbacks)] if turn >= 0 and fallbacks else first
 
     def after_refusal(self) -> _Effort:
-        """Return more padding (up to 0.02 m) and finer steps: a collision was missed."""
+        """Return more padding (up to 0.02 m) and finer steps."""
         return replace(self, padding_m=min(1.5 * self.padding_m, 0.02), step_rad=max(0.5 * self.step_rad, 0.004))
 
 
@@ -75,7 +75,7 @@ def _load_kernels(engines: SceneEngines) -> None:
 class Planner:
     """Plans for left_arm, right_arm and both_arms. One instance per process; it holds workspaces.
 
-    `scene` is the default scene; `robot` is used without one.
+    `scene` is the default scene. Equal queries with equal seeds give equal trajectories.
 
     Example:
         planner = Planner()
@@ -131,11 +131,9 @@ class Planner:
     ) -> PlanResult:
         """Plan to all joints or the group's [rad]; the other arm stands still.
 
-        Equal seeds give equal trajectories. `budget_s` limits wall time.
-
         Raises:
             OutOfLimitsError, StartInCollisionError, GoalInCollisionError: Bad start or goal.
-            NoPathInTimeError: Nothing proven within the budget.
+            NoPathInTimeError: Nothing proven within `budget_s` of wall time.
             UsageError: Bad group or budget, or a goal that moves the other arm.
         """
         times = PhaseTimes()
@@ -275,11 +273,7 @@ class Planner:
     def _finish(
         self, group: str, path: Array, checker: EdgeChecker, key: np.random.SeedSequence, times: PhaseTimes
     ) -> tuple[Trajectory, Array]:
-        """Return the trajectory and the shortened polyline.
-
-        Raises:
-            TimingError: A corner stays blocked, or the limits cannot be kept.
-        """
+        """Return the trajectory and the shortened polyline, or raise TimingError."""
         if np.abs(path[-1] - path[0]).max() < _SAME_RAD and len(path) == 2:
             return _rest(path[0], group), path
         with times.phase("shortcut"):

@@ -18,13 +18,9 @@ _OF_SEGMENT = 0.45
 
 
 def blended_path(path: Array, checker: EdgeChecker, radius_rad: float, step_rad: float) -> SmoothPath | None:
-    """Return the polyline with rounded corners, shrunk until free; None if one stays blocked.
+    """Return the polyline (n >= 2, dof) with rounded corners, shrunk until free; None if one stays blocked.
 
-    Args:
-        path: Polyline (n, dof), n >= 2, without repeated vertices.
-        checker: Collision checks.
-        radius_rad: Largest half length.
-        step_rad: Largest joint step between checks.
+    Vertices must not repeat. `radius_rad` is the largest half length of a corner.
     """
     steps = np.diff(path, axis=0)
     lengths = np.linalg.norm(steps, axis=1)

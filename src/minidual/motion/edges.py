@@ -1,4 +1,4 @@
-"""Collision checks of configurations and straight edges for the search.
+"""Collision checks of configurations and straight edges.
 
 Checks keep `padding_m` because paths may touch between samples. Near an endpoint with less clearance the padding is 0.9
 of that clearance; it grows back within `RELAX_RAD` of joint motion.
@@ -23,7 +23,7 @@ _KEEP_FRACTION = 0.9
 
 @cache
 def bisection_order(count: int) -> Array:
-    """Return the fractions k/count in bisection order, end first. The array is cached: read only."""
+    """Return k/count, k = 1..count, in bisection order, end first. The array is cached: read only."""
     order: list[int] = []
     seen = {0}
     step = count
@@ -39,12 +39,8 @@ def bisection_order(count: int) -> Array:
 class EdgeChecker:
     """Deterministic checks by separating planes; undecided counts as blocked.
 
-    Args:
-        engines: Scene engines.
-        padding_m: Distance to keep.
-        endpoints: Free configurations (dof,) near which the padding shrinks.
-        step_rad: Largest joint step between checks.
-        arms: Arms that move; other pairs are skipped.
+    The padding shrinks near the free `endpoints` (dof,). Edges are checked every `step_rad`. Only pairs with a part of
+    `arms` are checked.
     """
 
     def __init__(

@@ -1,10 +1,8 @@
-"""Goals as data classes and as YAML; `minidual.motion.goal_plan` resolves them.
+"""Goals as data classes and YAML; see docs/planning-scenes.md.
 
-    poses:
-      left: {position_m: [0.5, 0.25, 0.3], rpy_rad: [3.1416, 0, 0]}
-    linear: true
-
-See docs/planning-scenes.md.
+poses:
+  left: {position_m: [0.5, 0.25, 0.3], rpy_rad: [3.1416, 0, 0]}
+linear: true
 """
 
 from __future__ import annotations
@@ -46,7 +44,7 @@ class JointGoal:
 class TipPose:
     """Tcp pose in `frame`: "world", a link (at the start), an obstacle or a held object.
 
-    `quat_wxyz` None keeps the start orientation.
+    Without `quat_wxyz` the start orientation is kept.
     """
 
     position_m: Vec3
@@ -58,10 +56,7 @@ class TipPose:
 class PoseGoal:
     """Tcp poses by arm; with both_arms a missing arm keeps its pose.
 
-    Attributes:
-        poses: {"left": ..., "right": ...}.
-        linear: Whether the tcps move on straight lines.
-        fraction_min: Smallest acceptable fraction of the lines.
+    `linear` asks for straight lines; `fraction_min` is the smallest acceptable part of them.
     """
 
     poses: Mapping[str, TipPose]
@@ -79,7 +74,7 @@ class TipOffset:
 
 @dataclass(frozen=True)
 class RelativeGoal:
-    """Tcp offsets from the start, in world axes or each tcp's own; otherwise like `PoseGoal`."""
+    """Tcp offsets by arm, in world or own axes; otherwise like `PoseGoal`."""
 
     offsets: Mapping[str, TipOffset] = field(default_factory=dict)
     frame: OffsetFrame = "world"
@@ -99,17 +94,17 @@ class _Hands[T](StrictModel):
 
 
 class PoseEntry(PlaceFields):
-    """Tcp pose; without an orientation the start orientation is kept."""
+    """See `TipPose`."""
 
     frame: str = "world"
 
 
 class OffsetEntry(StrictModel):
-    """Tcp offset."""
+    """See `TipOffset`."""
 
     offset_m: Finite3 = (0.0, 0.0, 0.0)
     rotation_rad: Finite3 = (0.0, 0.0, 0.0)
-    """Rotation vector about the tcp's origin."""
+    """Rotation vector."""
 
 
 class MoveEntry(_Hands[OffsetEntry]):
@@ -119,7 +114,7 @@ class MoveEntry(_Hands[OffsetEntry]):
 
 
 class GoalFile(StrictModel):
-    """Goal file with exactly one kind of goal."""
+    """Exactly one kind of goal."""
 
     state: str | None = None
     joints_rad: tuple[float, ...] | None = None
@@ -129,7 +124,7 @@ class GoalFile(StrictModel):
     linear: bool = False
     """Only with poses or move."""
     fraction_min: float = Field(default=1.0, gt=0.0, le=1.0)
-    """Smallest acceptable fraction of the lines."""
+    """See `PoseGoal`."""
 
     @model_validator(mode="after")
     def _one_kind(self) -> GoalFile:
@@ -165,7 +160,7 @@ def load_goal(path: Path) -> Goal:
     """Return the goal in a YAML file, or the last sample of a JSON trajectory (`minidual plan --out`).
 
     Raises:
-        ConfigError: Empty or invalid YAML.
+        ConfigError: Invalid YAML.
         DataError: Not a trajectory.
     """
     if path.suffix.lower() == ".json":
@@ -181,7 +176,6 @@ def goal_of(word: str, state_names: Iterable[str]) -> Goal:
 
     Raises:
         UsageError: Neither exists.
-        And what `load_goal` raises.
     """
     names = tuple(state_names)
     if word in names:

@@ -91,10 +91,7 @@ class NamedStates(Mapping[str, Mapping[str, Array]]):
 
 @dataclass(frozen=True, eq=False)
 class Resolved:
-    """A goal as joints `q` (n,) [rad] or tcp poses `targets` {arm: T_world_tcp (4, 4)}.
-
-    `linear` and `fraction_min` are as in `PoseGoal`.
-    """
+    """A goal as joints `q` (n,) [rad] or tcp poses `targets` {arm: T_world_tcp (4, 4)}; see `PoseGoal`."""
 
     q: Array | None = None
     targets: Mapping[str, Array] | None = None
@@ -116,7 +113,7 @@ class GoalPlanner:
 
         Raises:
             UsageError: Unknown name, value not finite, or arm outside the group.
-            OutOfLimitsError: Joints outside their limits.
+            OutOfLimitsError: Joints outside limits.
         """
         arms = group_arms(group)
         q_start = check_joints(q_start, "start", self.robot)
@@ -168,9 +165,7 @@ class GoalPlanner:
         seed: int = 0,
         budget_s: float | None = None,
     ) -> PlanResult:
-        """Plan to a goal; arguments as for `Planner.plan_to_joints`.
-
-        Straight moves ignore `seed` and `budget_s`.
+        """Plan to a goal; see `Planner.plan_to_joints`. Straight moves ignore `seed` and `budget_s`.
 
         Raises:
             LinearMoveError: A line ends before its fraction_min.
@@ -228,8 +223,6 @@ def _require_arms(named: Mapping[str, object], arms: tuple[str, ...], group: str
 
 
 class _Frames:
-    """Frames of a scene at the start configuration."""
-
     def __init__(self, kinematics: Kinematics, q_start: Array, scene: PlanningScene) -> None:
         self._kinematics = kinematics
         self._q = q_start

@@ -1,4 +1,4 @@
-"""Checked joint configurations from requested joints and poses."""
+"""Checked configurations from joints and poses."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ def group_arms(group: str) -> tuple[str, ...]:
 
 
 def check_joints(q: Array, what: str, robot: Robot = DUAL_PANDA) -> Array:
-    """Return q as (n,), with rounding errors at the limits clipped.
+    """Return q as (n,), rounding errors at limits clipped.
 
     Raises:
-        OutOfLimitsError: Wrong shape, not finite, or outside the limits.
+        OutOfLimitsError: Wrong shape, not finite, or outside limits.
     """
     q = np.array(q, dtype=float)
     if q.shape != (robot.dof,):
@@ -56,7 +56,7 @@ def goal_joints(group: str, q_start: Array, q_goal: Array, robot: Robot = DUAL_P
     """Return the goal as (n,); a goal of the group's size is completed from the start.
 
     Raises:
-        OutOfLimitsError: Wrong shape, not finite, or outside the limits.
+        OutOfLimitsError: See `check_joints`.
         UsageError: The goal moves another arm.
     """
     joints = robot.groups[group]
@@ -125,9 +125,9 @@ class PoseGoals:
         """Return free configurations (n,), nearest to the start first.
 
         Raises:
-            UsageError: Wrong arms or an invalid pose.
+            UsageError: Wrong arms or invalid pose.
             IKUnreachableError: A pose is out of reach.
-            GoalInCollisionError: All solutions collide; states the nearest one's pair.
+            GoalInCollisionError: All solutions collide.
         """
         solutions = {
             arm: self.solvers[arm].solutions(T, q_start[self.solvers[arm].joints], rng, restarts_n)

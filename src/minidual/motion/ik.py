@@ -1,4 +1,4 @@
-"""Inverse kinematics of one arm, and of both hands near a reference posture."""
+"""Inverse kinematics."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class ArmIK:
         return error, J
 
     def solve(self, T_world_tcp: Array, q_start: Array, iterations: int = _ITERATIONS) -> IKSolution:
-        """Descend from q_start (n,) within the limits."""
+        """Descend from q_start within the limits."""
         q = np.clip(floats(q_start).reshape(self._n), self.lower, self.upper)
         target = floats(T_world_tcp).reshape(4, 4)
         off, residual_m, residual_rad = descend(self._frames, target, q, self.lower, self.upper, iterations, TOLERANCE)
@@ -95,7 +95,7 @@ class ArmIK:
     def nearest(self, T_world_tcp: Array, q_near: Array, wish: Array | None = None) -> Array | None:
         """Return joints (n,) at the pose (4, 4) by least-norm steps from q_near (n,), or None.
 
-        Ignores joint limits, so it is smooth in pose, q_near and `wish`: a preferred first step (n,) [rad].
+        Ignores limits, so it is smooth in pose, q_near and `wish`, a preferred first step (n,) [rad].
         """
         q = np.array(q_near, dtype=float)
         wish = np.zeros(self._n) if wish is None else floats(wish)
@@ -107,8 +107,8 @@ class ArmIK:
     ) -> IKSolution:
         """Minimise sum_i (q_i - posture_i)^2 / mobility_i at the pose; q_start only selects the branch.
 
-        Gauss-Newton on the pose with null-space steps towards the posture in the cost metric (Nakamura, "Advanced
-        Robotics", 1991, ch. 4). On a path, start at the previous solution; `margin_rad` is kept from the limits.
+        Gauss-Newton with null-space steps in the cost metric (Nakamura, "Advanced Robotics", 1991, ch. 4). On a path, start
+        at the previous solution.
         """
         lower, upper = self.lower + margin_rad, self.upper - margin_rad
         q, reached = np.array(q_start, dtype=float), False
@@ -162,7 +162,7 @@ class ArmIK:
 class PostureIK:
     """IK of both hands near a reference posture (n,) [rad].
 
-    Solutions do not depend on history, so a policy can learn them. `weights` are joint costs of one arm.
+    Solutions do not depend on history, so a policy can learn them.
     """
 
     def __init__(self, kinematics: Kinematics, *, posture: Array, weights: Array | None = None) -> None:

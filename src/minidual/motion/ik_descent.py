@@ -1,7 +1,6 @@
-"""Compiled inverse kinematics of one arm.
+"""Compiled inverse kinematics of one arm (Sola, "A micro Lie theory", 2018).
 
-Error e = log6(T_tcp_target); its derivative is -Jlog6(T_target_tcp) J with J in the tcp frame (Sola, "A micro Lie
-theory", 2018).
+Error e = log6(T_tcp_target), derivative -Jlog6(T_target_tcp) J, J in the tcp frame.
 """
 
 from __future__ import annotations
@@ -27,10 +26,10 @@ _DAMPING_PROJECT = 1e-9
 
 
 def frames_of_arm(model: Any, joints: slice, tcp: int) -> Array:
-    """Return the fixed poses (n + 1, 4, 4) between hinges (about z) and to the tcp.
+    """Return fixed poses (n + 1, 4, 4) between hinges (about z) and to the tcp.
 
     Raises:
-        ValueError: No chain of hinges from world to tcp.
+        ValueError: No hinge chain.
     """
     data, neutral = model.createData(), pin.neutral(model)
     frames, back = [], np.eye(4)
@@ -55,7 +54,7 @@ def frames_of_arm(model: Any, joints: slice, tcp: int) -> Array:
 
 @njit
 def _reach(frames: Array, q: Array, T: Array, axes: Array) -> None:
-    """Fill the tcp pose T (3, 4) and joint axes and centres (n, 6), in world."""
+    """Fill the tcp pose T (3, 4), joint axes and centres (n, 6), in world."""
     for r in range(3):
         for c in range(4):
             T[r, c] = 1.0 if r == c else 0.0
@@ -77,7 +76,7 @@ def _reach(frames: Array, q: Array, T: Array, axes: Array) -> None:
 
 @njit
 def _logarithm(R: Array, w: Array) -> float:
-    """Fill the rotation vector w (3,) of R (3, 3); return its angle [rad], 0 to pi."""
+    """Fill the rotation vector w (3,) of R; return its angle, 0 to pi."""
     x, y, z = 0.5 * (R[2, 1] - R[1, 2]), 0.5 * (R[0, 2] - R[2, 0]), 0.5 * (R[1, 0] - R[0, 1])
     sine = math.sqrt(x * x + y * y + z * z)
     cosine = 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0)
@@ -134,7 +133,7 @@ def _error(T: Array, target: Array, R: Array, p: Array, e: Array) -> float:
 
 @njit
 def _jacobian(T: Array, axes: Array, R: Array, p: Array, e: Array, t: float, J: Array) -> None:
-    """Fill J (6, n) = de/dq = -[A, C A; 0, A] J_tcp, with A and C of the inverse pose."""
+    """Fill J (6, n) = -[A, C A; 0, A] J_tcp, A and C of the inverse pose."""
     wx, wy, wz = -e[3], -e[4], -e[5]
     px = -(R[0, 0] * p[0] + R[1, 0] * p[1] + R[2, 0] * p[2])
     py = -(R[0, 1] * p[0] + R[1, 1] * p[1] + R[2, 1] * p[2])
@@ -183,7 +182,7 @@ def _square(e: Array) -> float:
 
 @njit
 def _solve(J: Array, blocked: Any, damping: float, e: Array, L: Array, y: Array) -> None:
-    """Fill y = (J J^T + damping I)^-1 e without blocked columns, by Cholesky; NaN on failure."""
+    """Fill y = (J J^T + damping I)^-1 e without blocked columns (Cholesky); NaN on failure."""
     for i in range(6):
         for j in range(i + 1):
             s = damping if i == j else 0.0
@@ -206,7 +205,7 @@ def _solve(J: Array, blocked: Any, damping: float, e: Array, L: Array, y: Array)
 
 @kernel(types.void(BLOCKS, VECTOR, ROWS))
 def tcp_pose(frames: Array, q: Array, T: Array) -> None:
-    """Fill the tcp pose T (4, 4) at q (n,)."""
+    """Fill the tcp pose T (4, 4)."""
     _reach(frames, q, T, np.empty((len(q), 6)))
     for c in range(4):
         T[3, c] = 1.0 if c == 3 else 0.0
@@ -214,7 +213,7 @@ def tcp_pose(frames: Array, q: Array, T: Array) -> None:
 
 @kernel(types.void(BLOCKS, ROWS, VECTOR, VECTOR, ROWS))
 def measure(frames: Array, target: Array, q: Array, e: Array, J: Array) -> None:
-    """Fill the error e (6,) and J = de/dq (6, n)."""
+    """Fill e (6,) and de/dq (6, n)."""
     T, axes, R, p = np.empty((3, 4)), np.empty((len(q), 6)), np.empty((3, 3)), np.empty(3)
     _reach(frames, q, T, axes)
     _jacobian(T, axes, R, p, e, _error(T, target, R, p, e), J)
@@ -226,7 +225,7 @@ def descend(
 ) -> tuple[float, float, float]:
     """Move q (n,) towards the pose (4, 4); return the error norm, distance [m] and angle [rad].
 
-    Levenberg-Marquardt for distant starts. Steps leave out joints pushed against a limit.
+    Levenberg-Marquardt for distant starts; joints pushed against a limit stay.
     """
     T, axes, R, p = np.empty((3, 4)), np.empty((len(q), 6)), np.empty((3, 3)), np.empty(3)
     T_new, axes_new, R_new, p_new = (np.empty((3, 4)), np.empty((len(q), 6)), np.empty((3, 3)), np.empty(3))
@@ -277,8 +276,7 @@ def project(
 ) -> bool:
     """Move q (n,) to the pose (4, 4) by least-norm Newton steps, the first along `wish` (n,) where possible.
 
-    Ignores limits. Converges quadratically, so the step from an error below `small` is the last. False after a step over
-    `step_max` or too many iterations.
+    Ignores limits. Quadratic convergence makes the step from an error below `small` the last. Steps over `step_max` fail.
     """
     T, axes, R, p = np.empty((3, 4)), np.empty((len(q), 6)), np.empty((3, 3)), np.empty(3)
     e, y, J, L = np.empty(6), np.empty(6), np.empty((6, len(q))), np.zeros((6, 6))

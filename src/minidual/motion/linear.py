@@ -1,7 +1,6 @@
 """Straight tcp motion, as far as arms and obstacles allow.
 
-IK follows the lines until a pose is out of reach, an arm would jump, or something collides. Deviations are measured on
-the timed trajectory.
+IK follows the lines until a pose is out of reach, an arm would jump, or something collides.
 """
 
 from __future__ import annotations
@@ -49,8 +48,8 @@ class LinearMove:
     Attributes:
         trajectory: Proven; None if the move cannot begin.
         fraction: Part covered, 0 to 1.
-        reason: Why it ends early, or empty.
-        deviation_m, deviation_rad: Largest deviations of a tcp.
+        reason: Why it ends early.
+        deviation_m, deviation_rad: Largest tcp deviations.
     """
 
     trajectory: Trajectory | None
@@ -69,14 +68,14 @@ class Line:
         self._shift = T_end[:3, 3] - T_start[:3, 3]
         self._turn = pin.log3(T_start[:3, :3].T @ T_end[:3, :3])
         self.length_m = float(np.hypot(np.linalg.norm(self._shift), ROTATION_WEIGHT_M * np.linalg.norm(self._turn)))
-        """Length including weighted rotation."""
+        """Includes weighted rotation."""
 
     def at(self, x: float) -> Array:
         """Return T_world_tcp (4, 4) at x in 0..1."""
         return pose(self._start[:3, :3] @ pin.exp3(x * self._turn), self._start[:3, 3] + x * self._shift)
 
     def off(self, T: Array, x: float) -> tuple[float, float]:
-        """Return a pose's distance from the line [m] and from the orientation at x [rad]."""
+        """Return the distance from the line [m] and from the orientation at x [rad]."""
         moved = T[:3, 3] - self._start[:3, 3]
         length = float(np.linalg.norm(self._shift))
         along = self._shift * float(moved @ self._shift) / length**2 if length > _STILL_M else np.zeros(3)
@@ -85,7 +84,7 @@ class Line:
 
 
 class _Curve:
-    """Joints and path length s [m] as functions of s."""
+    """Joints and s [m] as functions of s."""
 
     def __init__(self, marks: Array, Q: Array) -> None:
         self._spline = CubicSpline(marks, Q, bc_type="natural")
@@ -120,7 +119,7 @@ class LinearPlanner:
         """Return the straight move from q_start (n,) to {arm: T_world_tcp (4, 4)}; tcps end together.
 
         Raises:
-            LinearMoveError: The move covers less than `fraction_min`, deviates, or has zero length and no proof.
+            LinearMoveError: It covers less than `fraction_min`, deviates, or has zero length and no proof.
             UsageError, OutOfLimitsError, StartInCollisionError: Bad query.
         """
         checked = check_targets(group, targets)
@@ -168,7 +167,7 @@ class LinearPlanner:
     def _follow(
         self, q_start: Array, lines: Mapping[str, Line], engines: SceneEngines, marks: Array
     ) -> tuple[Array, str]:
-        """Return joints (k, n) at the first k marks [m] and why it stopped."""
+        """Return joints (k, n) at the first k marks and why it stopped."""
         Q = [q_start]
         for mark in marks[1:]:
             q = Q[-1].copy()
@@ -223,7 +222,7 @@ class LinearPlanner:
         return LinearMove(None, 0.0, reason or "there is no room to begin")
 
     def _deviation(self, trajectory: Trajectory, way: Array, lines: Mapping[str, Line]) -> tuple[float, float]:
-        """Return the largest deviation ([m], [rad]) of every fifth sample."""
+        """Return the largest deviation ([m], [rad])."""
         rows = np.unique(np.append(np.arange(0, len(way), 5), len(way) - 1))
         off = [
             lines[arm].off(self._ik[arm].tcp_pose(trajectory.q[k, self._ik[arm].joints]), float(way[k]))

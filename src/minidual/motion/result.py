@@ -43,9 +43,7 @@ class PlanResult:
     Attributes:
         path: Polyline (n, dof) after shortcutting.
         q_goal: Goal reached (dof,).
-        times_s: Wall time by phase.
-        total_s: Wall time of the query.
-        attempts_n: Attempts, including the successful one.
+        attempts_n: Including the successful one.
         direct: Whether the path is one segment.
         rejections: Why earlier attempts failed.
     """

@@ -1,7 +1,7 @@
 """Sampling search with OMPL.
 
-Only exact solutions count (`bool(status)` is also true for approximate ones). State checks limit the search, so results
-do not depend on machine speed.
+Only exact solutions count (`bool(status)` is also true for approximate ones). Limits count state checks, so results do
+not depend on machine speed.
 """
 
 from __future__ import annotations

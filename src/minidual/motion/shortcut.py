@@ -16,7 +16,7 @@ def path_length(path: Array) -> float:
 
 
 def shortcut(path: Array, checker: EdgeChecker, rng: np.random.Generator, rounds_n: int) -> Array:
-    """Return a shorter free polyline (m, dof) with the same ends, after `rounds_n` random trials.
+    """Return a shorter free polyline (m, dof) after `rounds_n` random trials.
 
     Every other round moves one arm alone: the arms may need detours at different times.
     """
@@ -32,7 +32,7 @@ def shortcut(path: Array, checker: EdgeChecker, rng: np.random.Generator, rounds
 
 
 def _drop_vertices(path: Array, checker: EdgeChecker) -> Array:
-    """Connect each kept vertex to the farthest one reachable in a straight line."""
+    """Connect each kept vertex to the farthest reachable one."""
     kept = [0]
     last = len(path) - 1
     while kept[-1] < last:

@@ -18,7 +18,7 @@ class SmoothPath:
 
     Attributes:
         coefficients: (5, m, d); piece i is the sum of coefficients[4 - k, i] (s - knots[i])^k.
-        knots: Ends of the pieces (m + 1,), first 0.
+        knots: Piece ends (m + 1,), first 0.
     """
 
     coefficients: Array
@@ -30,7 +30,7 @@ class SmoothPath:
         return float(self.knots[-1])
 
     def at(self, s: Array, order: int = 0) -> Array:
-        """Return q or a derivative at (n,) parameters, (n, d); the end pieces extrapolate."""
+        """Return q or a derivative at (n,) parameters; the end pieces extrapolate."""
         piece = np.clip(np.searchsorted(self.knots, s, side="right") - 1, 0, len(self.knots) - 2)
         x = s - self.knots[piece]
         powers = np.empty((_TERMS - order, len(x)))

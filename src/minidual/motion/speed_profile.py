@@ -48,9 +48,9 @@ def _rows(first: Array, second: Array, i: int, step: float, out: Array) -> None:
 
 @kernel(VECTOR(VECTOR, ROWS, ROWS, VECTOR, VECTOR))
 def squared_speeds(grid: Array, first: Array, second: Array, v_max: Array, a_max: Array) -> Array:
-    """Return (ds/dt)^2 (n,) on the grid (n,), zero at both ends.
+    """Return (ds/dt)^2 on the grid (n,), zero at both ends.
 
-    First and second path derivatives are (n, d), limits (d,) [unit/s], [unit/s^2].
+    Path derivatives are (n, d), limits (d,) [unit/s], [unit/s^2].
     """
     n, d = first.shape
     most, rows = np.zeros(n), np.empty((2 * d, 2))

@@ -1,7 +1,7 @@
 """Time parametrization within velocity, acceleration, jerk and torque limits, at 1 kHz.
 
 The speed profile exceeds its limits by 1 to 4 % between grid points (measured), so it is slowed down as a whole.
-Averaging s(t) over a window bounds jerk; k times slower motion has 1/k^3 of it.
+Averaging s(t) over a window bounds jerk; k times slower means 1/k^3 of it.
 """
 
 from __future__ import annotations
@@ -48,16 +48,16 @@ class Curve(Protocol):
 
     @property
     def knots(self) -> Array:
-        """Parameters (k,) from 0 to `length`; the curve is smooth between."""
+        """Parameters (k,); the curve is smooth between them."""
         ...
 
     def at(self, s: Array, order: int = 0) -> Array:
-        """Return the curve or a derivative at (n,) parameters, (n, d)."""
+        """Return the curve or a derivative, (n, d)."""
         ...
 
 
 def time_path(path: Curve, group: str, limits: MotionLimits, kinematics: Kinematics) -> Trajectory:
-    """Return the trajectory of a curve of all joints.
+    """Return the trajectory of a curve.
 
     Raises:
         TimingError: The limits cannot be kept.
@@ -72,7 +72,7 @@ def time_path(path: Curve, group: str, limits: MotionLimits, kinematics: Kinemat
 def drive(
     path: Curve, s: Array, sd: Array, group: str, limits: MotionLimits, kinematics: Kinematics
 ) -> tuple[Trajectory, Array]:
-    """Return the 1 kHz trajectory of a profile sd (n,) on s (n,), slowed to the limits, and s (m,) at its samples.
+    """Return the 1 kHz trajectory of profile sd (n,) on s (n,), slowed to the limits, and s at its samples.
 
     The first columns of `path` are the joints.
 
@@ -108,12 +108,12 @@ def torque_ratio(q: Array, v: Array, a: Array, kinematics: Kinematics, every: in
 
 
 def fastest_profile(path: Curve, columns: Indices, v_max: Array, a_max: Array) -> tuple[Array, Array]:
-    """Return a grid s (n,) and the fastest path speed sd (n,), zero at both ends.
+    """Return a grid s (n,) and the fastest path speed on it, zero at both ends.
 
-    `v_max` [unit/s] and `a_max` [unit/s^2] limit the curve's `columns`.
+    `v_max` [unit/s] and `a_max` [unit/s^2] limit `columns`.
 
     Raises:
-        TimingError: No profile exists.
+        TimingError: None exists.
     """
     grid = _grid(path)
     first, second = (floats(path.at(grid, order)[:, columns]) for order in (1, 2))
@@ -137,12 +137,12 @@ def _grid(path: Curve) -> Array:
 def sample_parameters(
     s: Array, sd: Array, smoothing_s: float = 0.0, dt_s: float = DT_S
 ) -> tuple[Array, Array, Array, Array]:
-    """Return (times, s, ds/dt, d2s/dt2) every dt_s, stretched to a whole number of steps.
+    """Return (times, s, ds/dt, d2s/dt2) every dt_s, stretched to whole steps.
 
-    Averaging over `smoothing_s` is a mean of delayed copies of s(t), so the derivatives are exact.
+    Averaging over `smoothing_s` is a mean of delayed copies, so derivatives are exact.
 
     Raises:
-        TimingError: The duration is not finite or endless.
+        TimingError: The duration is too long.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         passed = np.append(0.0, np.cumsum(2.0 * np.diff(s) / (sd[1:] + sd[:-1])))
@@ -166,7 +166,7 @@ def sample_parameters(
 
 
 def _averaged(values: Array, copies: int, end: float) -> Array:
-    """Return the mean of delayed copies; values are 0 before and `end` after."""
+    """Mean of delayed copies; values are 0 before and `end` after."""
     sums = np.cumsum(np.concatenate([np.zeros(copies), values, np.full(copies - 1, end)]))
     out = (sums[copies:] - sums[:-copies]) / copies
     out[-1] = end

@@ -5,7 +5,7 @@ Jacobians (Sola, "A micro Lie theory for state estimation in robotics", 2018):
 
     dF/dq = Jlog6(E) [ -Ad(E^-1) J_left,  Ad(T_left_right) J_right ]
 
-OMPL needs (measured) both ends on the manifold, a box around them, and charts at them. It keeps F only to 1e-4, so its
+OMPL needs (measured) both ends on the manifold, a box around them, and charts at them. It keeps F only to 1e-4, so
 states are projected again.
 """
 
@@ -54,7 +54,7 @@ class GraspConstraint:
     def from_grasps(
         cls, T_object_tcp_left: Array, T_object_tcp_right: Array, kinematics: Kinematics | None = None
     ) -> GraspConstraint:
-        """Return the constraint of two grasps on one object."""
+        """Return the constraint of two grasps."""
         left = check_pose(T_object_tcp_left, "the left grasp")
         right = check_pose(T_object_tcp_right, "the right grasp")
         return cls(inverse(left) @ right, kinematics)
@@ -66,18 +66,18 @@ class GraspConstraint:
         return left.actInv(right) * self._inverse
 
     def value(self, q: Array) -> Array:
-        """Return F (6,) at q (n,) [m, rad]."""
+        """Return F (6,) [m, rad]."""
         return pin.log6(self._offset(q)).vector
 
     def value_and_jacobian(self, q: Array) -> tuple[Array, Array]:
-        """Return F (6,) and dF/dq (6, n) at q (n,)."""
+        """Return F (6,) and dF/dq (6, n)."""
         E = self._offset(q)
         model, data = self._kinematics.model, self._kinematics.data
         left, right = (pin.getFrameJacobian(model, data, tcp, pin.LOCAL) for tcp in self._kinematics.tcp_ids)
         return pin.log6(E).vector, pin.Jlog6(E) @ (self._adjoint @ right - E.actionInverse @ left)
 
     def residual(self, q: Array) -> tuple[float, float]:
-        """Return the relative pose error at q (n,): ([m], [rad])."""
+        """Return the relative pose error ([m], [rad])."""
         E = self._offset(q)
         return float(np.linalg.norm(E.translation)), float(np.linalg.norm(pin.log3(E.rotation)))
 
@@ -102,7 +102,7 @@ class GraspConstraint:
         return None
 
     def require(self, q: Array, what: str) -> Array:
-        """Return q (n,) projected onto the manifold.
+        """Return q projected onto the manifold.
 
         Raises:
             ClosedChainError: The projection failed.
@@ -134,12 +134,12 @@ class OmplGraspConstraint(ob.Constraint):
         self.calls_n = 0
 
     def function(self, x: Any, out: Any) -> None:
-        """Write F (6,) into out."""
+        """Write F (6,) to out."""
         self.calls_n += 1
         out[:] = self._constraint.value(np.asarray(x))
 
     def jacobian(self, x: Any, out: Any) -> None:
-        """Write dF/dq (6, n) into out."""
+        """Write dF/dq to out."""
         out[:] = self._constraint.value_and_jacobian(np.asarray(x))[1]
 
 
@@ -157,8 +157,7 @@ def search_manifold(
 ) -> Array | None:
     """Return configurations (m, n) on the manifold from the start to a goal, or None.
 
-    Goals (n,) are tried in order, with `checks_max` each; those that cannot be projected are skipped. Joints stay within
-    `box_rad` of the ends. `deadline` is a time.perf_counter().
+    Goals (n,) are tried in order, `checks_max` each. Joints stay within `box_rad` of the ends.
 
     Raises:
         UsageError: Unknown `space`.

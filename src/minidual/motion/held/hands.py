@@ -23,7 +23,7 @@ JUMP_MAX_RAD = 0.15
 class HandsIK:
     """Solves both arms for a held object, given the grasps (4, 4).
 
-    Solutions are unconstrained projections, hence smooth; those outside the limits are rejected.
+    Solutions are projections without limits, hence smooth; those outside the limits are rejected.
     """
 
     def __init__(self, T_object_tcp_left: Array, T_object_tcp_right: Array, kinematics: Kinematics) -> None:
@@ -32,7 +32,7 @@ class HandsIK:
         self.arms = tuple(ArmIK(side, kinematics) for side in self.robot.sides)
 
     def _nearest(self, T_world_object: Array, q_near: Array, wish: Array | None = None) -> Array:
-        """Return q (n,) at the grasps; NaN for an arm that failed."""
+        """Return q (n,) at the grasps; failed arms are NaN."""
         q = np.full(len(q_near), np.nan)
         for arm, grasp in zip(self.arms, self._grasps, strict=True):
             part = None if wish is None else wish[arm.joints]
@@ -64,14 +64,14 @@ class HandsIK:
     def off_limits(self, q: Array) -> Array:
         """Return the preferred motion (n,) off joint limits [rad per metre of object motion].
 
-        Zero beyond 0.35 rad from the limits, quadratic inside (smooth).
+        Zero beyond 0.35 rad from the limits, quadratic inside.
         """
         low = np.maximum(0.0, _LIMIT_BAND_RAD - (q - self.robot.q_lower)) / _LIMIT_BAND_RAD
         high = np.maximum(0.0, _LIMIT_BAND_RAD - (self.robot.q_upper - q)) / _LIMIT_BAND_RAD
         return _LIMIT_PUSH_RAD_PER_M * (low**2 - high**2)
 
     def relaxed(self, T_world_object: Array, q: Array) -> Array:
-        """Return a posture (n,) at the same object pose, off joint limits where possible."""
+        """Return a posture (n,) for the same pose, off joint limits where possible."""
         for _ in range(_RELAX_STEPS_N):
             wish = _RELAX_STEP_M * self.off_limits(q)
             moved = self.solve(T_world_object, q, wish) if wish.any() else None
@@ -81,12 +81,10 @@ class HandsIK:
         return q
 
     def follow(self, Ts_world_object: Array, q_start: Array) -> tuple[Array, ClosedChainError | None]:
-        """Follow object poses (n, 4, 4) from q_start, which holds the first.
-
-        Arms take least-norm steps; redundancy keeps joints off limits.
+        """Follow object poses (n, 4, 4) from q_start, which holds the first, keeping joints off limits.
 
         Returns:
-            Joints (m, n) as far as possible; the error that ended it or None.
+            Joints (m, n) and the error that ended it or None.
         """
         Q = np.empty((len(Ts_world_object), len(q_start)))
         Q[0] = q_start
@@ -101,7 +99,6 @@ class HandsIK:
         return Q, None
 
     def _stuck(self, T_world_object: Array, before: Array, q: Array) -> ClosedChainError:
-        """Return the error for a failed step."""
         robot = self.robot
         x, y, z = T_world_object[:3, 3]
         where = f"({x:.3f}, {y:.3f}, {z:.3f}) m"
@@ -133,14 +130,14 @@ class HandsIK:
         )
 
     def off_grasp(self, q: Array, T_world_object: Array) -> tuple[tuple[float, float], ...]:
-        """Return the grasp error of each hand at q (n,): ([m], [rad])."""
+        """Return the error of each grasp ([m], [rad])."""
         return tuple(
             _apart(arm.tcp_pose(q[arm.joints])[None], (T_world_object @ grasp)[None])
             for arm, grasp in zip(self.arms, self._grasps, strict=True)
         )
 
     def strays(self, Q: Array, Ts_world_object: Array) -> tuple[float, float]:
-        """Return the largest error of grasps and between hands, along Q (m, n): ([m], [rad])."""
+        """Return the largest error of grasps and between hands ([m], [rad]); Q is (m, n)."""
         left, right = (np.array([arm.tcp_pose(q) for q in Q[:, arm.joints]]) for arm in self.arms)
         T_left_right = inverse(self._grasps[0]) @ self._grasps[1]
         pairs = (
@@ -152,7 +149,7 @@ class HandsIK:
 
 
 def _apart(A: Array, B: Array) -> tuple[float, float]:
-    """Return the largest distance [m] and angle [rad] between poses (m, 4, 4)."""
+    """Return the largest distance [m] and angle [rad] of poses (m, 4, 4)."""
     R = np.swapaxes(A[:, :3, :3], 1, 2) @ B[:, :3, :3]
     sine = 0.5 * np.linalg.norm(
         np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]]), axis=0

@@ -38,7 +38,7 @@ _HOPELESS = 0.7
 
 
 class ObjectChart:
-    """Object poses as [m]: position and weighted rotation vector from a reference (3, 3)."""
+    """Object poses as position and weighted rotation vector [m] from a reference (3, 3)."""
 
     def __init__(self, R_world_reference: Array) -> None:
         self._R0 = np.array(R_world_reference)
@@ -58,11 +58,11 @@ class ObjectChart:
         return np.concatenate([T[:3, 3], ROTATION_WEIGHT_M * turn])
 
     def pose(self, x: Array) -> Array:
-        """Return the pose (4, 4) of coordinates (6,)."""
+        """Return the pose of (6,)."""
         return self.poses(x[None])[0]
 
     def poses(self, X: Array) -> Array:
-        """Return poses (m, 4, 4) of coordinates (m, 6)."""
+        """Return poses (m, 4, 4) of (m, 6)."""
         Ts = np.zeros((len(X), 4, 4))
         Ts[:, 3, 3] = 1.0
         Ts[:, :3, 3] = X[:, :3]
@@ -73,7 +73,7 @@ class ObjectChart:
 class ObjectPath:
     """Curve T_world_object(s), s in [0, length] [m]: straight in the chart, with rounded corners.
 
-    Repeated waypoints are dropped. `corner_m` is the largest half length of a corner.
+    `corner_m` is the largest half length of a corner.
 
     Raises:
         UsageError: Fewer than two distinct poses, invalid pose, or rotation over 3 rad.
@@ -93,10 +93,10 @@ class ObjectPath:
         curve = rounded(np.array(kept), corner_m)
         self.length, self.knots = curve.length, curve.knots
         self.coordinates: Callable[..., Array] = curve.at
-        """Coordinates (m, 6) [m] or a derivative at (m,) parameters."""
+        """Coordinates (m, 6) [m] or a derivative."""
 
     def poses(self, s: Array) -> Array:
-        """Return poses (m, 4, 4) at (m,) parameters."""
+        """Return poses (m, 4, 4)."""
         return self.chart.poses(self.coordinates(s))
 
 
@@ -124,8 +124,7 @@ class CarriedTrajectory(Trajectory):
 
     Attributes:
         Ts_world_object: Planned poses (m, 4, 4).
-        residual_m, residual_rad: Largest error of grasps or between hands, between solved points.
-        verification: Proof, with a scene only.
+        residual_m, residual_rad: Largest error of grasps or between hands.
         found_by: A search method, "continuation" or "given".
     """
 
@@ -139,12 +138,8 @@ class CarriedTrajectory(Trajectory):
 class HeldCurve:
     """Columns over s: joints, 6 object coordinates, path length.
 
-    Args:
-        chart: Chart of the coordinates.
-        marks: Solved points (k,), first 0.
-        Q: Joints (k, n) there.
-        coordinates: Maps parameters (m,) and derivative order to (m, 6).
-        knots: The coordinates are smooth between them.
+    Joints `Q` (k, n) are solved at `marks` (k,), first 0. `coordinates` maps parameters (m,) and derivative order to
+    (m, 6) and is smooth between `knots`.
     """
 
     def __init__(
@@ -160,7 +155,7 @@ class HeldCurve:
 
     @property
     def length(self) -> float:
-        """End of the parameter interval."""
+        """End of the interval."""
         return float(self.marks[-1])
 
     def at(self, s: Array, order: int = 0) -> Array:
@@ -186,10 +181,10 @@ def fine_curve(
 ) -> HeldCurve:
     """Return a curve with errors below half the limits.
 
-    `solve` maps marks (k,) and object poses (k, 4, 4) to joints (k, n).
+    `solve` maps marks (k,) and object poses to joints (k, n).
 
     Raises:
-        ClosedChainError: `solve` failed, or refining does not suffice.
+        ClosedChainError: `solve` failed, or refining did.
     """
     count = max(_POINTS_MIN, int(np.ceil(length / _STEP_M)))
     strays = before = (np.inf, np.inf)

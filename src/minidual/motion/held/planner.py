@@ -1,7 +1,6 @@
 """Planning for an object held by both hands, along waypoints or to a goal.
 
-For goals: straight motion, then RRT-Connect over object poses or OMPL on the constraint manifold. Paths are shortened,
-rounded, refined, timed and proven with the object attached.
+For goals: straight motion, then RRT-Connect over object poses or OMPL on the constraint manifold.
 """
 
 from __future__ import annotations
@@ -54,8 +53,7 @@ _LIMIT_ROOM_RAD = 1e-4
 _MANIFOLD_GOALS_N = 4
 _BOX_RAD = 0.7
 _MORE_GOALS = {1: 1, 2: 10}
-"""{attempt: multiple of usual IK restarts} for more goal postures. One usually suffices; more cost more than the
-search."""
+"""{attempt: multiple of usual IK restarts} for more goal postures, which cost more than the search."""
 _CANDIDATES_N = 400
 _SAME_RAD = 0.5
 """Postures that differ less are duplicates."""
@@ -71,9 +69,9 @@ def grasp_of(q: Array, T_world_object: Array, kinematics: Kinematics | None = No
 def scene_holding(
     scene: PlanningScene, shape: Shape, T_object_tcp_left: Array, *, rests_on: Sequence[str] = ("table",)
 ) -> PlanningScene:
-    """Return the scene with an object in both hands, attached to the left tcp.
+    """Return the scene with `shape` (placed in the object frame) in both hands, attached to the left tcp.
 
-    `shape` is placed in the object frame. The object may touch `rests_on`.
+    The object may touch `rests_on`.
     """
     T_tcp_shape = inverse(T_object_tcp_left) @ shape.T_parent_shape
     x, y, z, w = pin.Quaternion(T_tcp_shape[:3, :3]).coeffs().tolist()
@@ -104,7 +102,7 @@ class HeldQuery:
     seed: int = 0
 
     def checked(self, robot: Robot) -> HeldQuery:
-        """Return the query with checked arrays.
+        """Return the checked query.
 
         Raises:
             OutOfLimitsError, UsageError: Bad start, goal or grasp.
@@ -119,10 +117,7 @@ class HeldQuery:
 
 
 class HeldPlanner:
-    """Plans moves of held objects. One instance per process; it holds workspaces.
-
-    `planner` provides configuration and scene engines.
-    """
+    """Plans moves of held objects. One instance per process; it holds workspaces."""
 
     def __init__(
         self,
@@ -143,10 +138,10 @@ class HeldPlanner:
         """Return a proven trajectory to the goal. Equal queries give equal trajectories.
 
         Raises:
-            ClosedChainError: Hands off their grasps, or all goal postures at joint limits.
-            StartInCollisionError, GoalInCollisionError: Start or all goal postures collide.
+            ClosedChainError: Hands off their grasps, or goal postures at joint limits.
+            StartInCollisionError, GoalInCollisionError: Start or goal postures collide.
             IKUnreachableError: The goal is out of reach.
-            NoPathInTimeError: Nothing proven within `budget_s`; states first and last reason.
+            NoPathInTimeError: Nothing proven within `budget_s`.
             OutOfLimitsError, UsageError: Bad query.
         """
         budget = self.config.budget_s if budget_s is None else budget_s
@@ -180,11 +175,10 @@ class HeldPlanner:
     ) -> CarriedTrajectory:
         """Return the trajectory along object waypoints (4, 4), at rest at both ends.
 
-        The hands must start at their grasps. Collisions are checked only with a `scene` (see `scene_holding`). `corner_m` is
-        the largest half length of a corner.
+        Collisions are checked only with a `scene` (see `scene_holding`).
 
         Raises:
-            ClosedChainError: Bad start, hand out of reach, jump, grasp error over 0.05 mm or 0.025 degrees, or failed proof.
+            ClosedChainError: Bad start, hand out of reach, jump, error over 0.05 mm or 0.025 degrees, or no proof.
             TimingError: The limits cannot be kept.
             OutOfLimitsError, UsageError: Bad arguments.
         """
@@ -215,11 +209,7 @@ def proven(motion: CarriedTrajectory, engines: SceneEngines) -> CarriedTrajector
 
 
 def _require_held(hands: HandsIK, q: Array, T_world_object: Array) -> None:
-    """Check that both hands are at their grasps.
-
-    Raises:
-        ClosedChainError: A hand is off.
-    """
+    """Raise ClosedChainError if a hand is off its grasp."""
     for arm, (distance, angle) in zip(SIDES, hands.off_grasp(q, T_world_object), strict=True):
         if not (distance <= RESIDUAL_MAX_M and angle <= RESIDUAL_MAX_RAD):
             raise ClosedChainError(
@@ -229,11 +219,7 @@ def _require_held(hands: HandsIK, q: Array, T_world_object: Array) -> None:
 
 
 def _continued(hands: HandsIK, path: ObjectPath, q_start: Array) -> HeldCurve:
-    """Return the curve that follows an object path from q_start (n,).
-
-    Raises:
-        ClosedChainError: Hand out of reach, jump, or grasp error.
-    """
+    """Return the curve along an object path from q_start (n,), or raise ClosedChainError."""
 
     def solve(_marks: Array, Ts_world_object: Array) -> Array:
         joints, stuck = hands.follow(Ts_world_object, q_start)
@@ -251,7 +237,7 @@ class _Effort:
     checks_n: int = 600
 
     def after_no_path(self) -> _Effort:
-        """Return less padding (narrow passages) and more state checks."""
+        """Return less padding and more state checks."""
         return replace(self, padding_m=max(0.6 * self.padding_m, 0.001), checks_n=min(2 * self.checks_n, 100_000))
 
     def closer(self) -> _Effort:
@@ -259,12 +245,12 @@ class _Effort:
         return replace(self, step_scale=max(0.5 * self.step_scale, 0.125))
 
     def after_refusal(self) -> _Effort:
-        """Return more padding (up to 0.02 m) and finer steps: a collision was missed."""
+        """Return more padding (up to 0.02 m) and finer steps."""
         return replace(self.closer(), padding_m=min(1.5 * self.padding_m, 0.02))
 
 
 class HeldWork:
-    """One query in progress; `deadline` is a time.perf_counter().
+    """One query in progress.
 
     Raises:
         ClosedChainError: Hands off their grasps.
@@ -289,7 +275,7 @@ class HeldWork:
         return self._tools.kinematics.tcp_poses(q)[0] @ inverse(self._grasps[0])
 
     def run(self) -> CarriedTrajectory:
-        """Return a proven trajectory; see `HeldPlanner.plan`."""
+        """See `HeldPlanner.plan`."""
         straight = self._straight()
         if isinstance(straight, CarriedTrajectory):
             return straight
@@ -319,7 +305,7 @@ class HeldWork:
         )
 
     def _straight(self) -> CarriedTrajectory | Array | None:
-        """Return the proven straight move, else its end posture (n,), or None if it cannot be followed."""
+        """Return the proven straight move, else its end posture (n,), else None."""
         end = None
         try:
             curve = _continued(self._hands, self._path, self._query.q_start)
@@ -337,7 +323,7 @@ class HeldWork:
         return EdgeChecker(self._engines, padding_m, ends, self._tools.config.edge_step_rad)
 
     def _touching(self, joints: Array) -> str:
-        """Return which parts come nearest along configurations (m, n)."""
+        """Return which parts come nearest along joints (m, n)."""
         found = [
             (near[0].distance_m, str(near[0]), k)
             for k, q in enumerate(joints)
@@ -353,7 +339,7 @@ class HeldWork:
 
         Raises:
             IKUnreachableError, GoalInCollisionError: None exists.
-            ClosedChainError: All lie at joint limits.
+            ClosedChainError: All lie at limits.
         """
         query, config, engines, robot = self._query, self._tools.config, self._engines, self._hands.robot
         goals = [end] if end is not None and not engines.in_collision(end) else []
@@ -393,7 +379,7 @@ class HeldWork:
         return found
 
     def more_goals(self, known: list[Array], end: Array | None, restarts_scale: int) -> list[Array]:
-        """Return more goal postures, or the known ones if none is found."""
+        """Return more goal postures, or the known ones."""
         try:
             return self.goal_postures(end, _GOALS_N, restarts_scale)
         except PlanningError as error:
@@ -430,11 +416,7 @@ class HeldWork:
         return points if all(space.edge_free(a, b) for a, b in itertools.pairwise(points)) else None
 
     def rounded(self, points: Array, method: str) -> CarriedTrajectory:
-        """Return the proven trajectory along points (m, 6 + n), with the largest feasible corners.
-
-        Raises:
-            ClosedChainError, TimingError: No corner size works.
-        """
+        """Return the proven trajectory along points (m, 6 + n), with the largest feasible corners."""
         for corner_m in _CORNERS_M[:-1] if len(points) > 2 else ():
             try:
                 return self._finished(self._curve(points, corner_m), method)

@@ -60,12 +60,12 @@ class HeldSpace:
 
     @staticmethod
     def distance(z: Array, Z: Array) -> Array:
-        """Return the distances [m] to Z (m, 6 + n)."""
+        """Return distances [m] to Z (m, 6 + n)."""
         d = Z - z
         return np.linalg.norm(d[:, X], axis=1) + JOINT_WEIGHT_M * np.linalg.norm(d[:, Q], axis=1)
 
     def edge_free(self, a: Array, b: Array) -> bool:
-        """Return whether the edge between free points is continuous and free."""
+        """Return whether an edge is continuous and free; its ends are not checked."""
         step = b - a
         count = int(np.ceil(max(np.linalg.norm(step[X]) / self._step_m, np.abs(step[Q]).max() / self._step_rad)))
         count = max(count, 1)
@@ -86,7 +86,7 @@ class HeldSpace:
         )
 
     def _continuous(self, a: Array, step: Array, u: float, v: float, q_u: Array, q_v: Array) -> bool:
-        """Return whether joints are continuous between shares u, v of an edge."""
+        """Return whether joints are continuous between shares u, v."""
         jump = float(np.abs(q_v - q_u).max())
         if jump <= _SURE_RAD:
             return True
@@ -98,10 +98,7 @@ class HeldSpace:
 
     @staticmethod
     def sample(rng: np.random.Generator, ends: Array, room_m: float, turn_m: float) -> Array:
-        """Return random coordinates (6,) around both ends (2, 6).
-
-        Margins: `room_m` around the position box, `turn_m` around the weighted rotation.
-        """
+        """Return random coordinates (6,) around both ends (2, 6), with margins of position and rotation."""
         low, high = ends[:, :3].min(axis=0) - room_m, ends[:, :3].max(axis=0) + room_m
         low[2] = max(low[2], 0.0)
         between = ends[0, 3:] + rng.uniform() * (ends[1, 3:] - ends[0, 3:])
@@ -117,7 +114,7 @@ class _Tree:
         return int(np.argmin(space.distance(z, self.points)))
 
     def near_object(self, x: Array, rng: np.random.Generator, among: int) -> int:
-        """Return a random one of the `among` points nearest to x in object pose."""
+        """Return a random one of the `among` points nearest in object pose."""
         away = np.linalg.norm(self.points[:, X] - x, axis=1)
         if among == 1:
             return int(np.argmin(away))
@@ -148,7 +145,7 @@ def search_object(
 ) -> Array | None:
     """Return free points (m, 6 + n) from the start to a goal, joined by free edges, or None.
 
-    All goals (6 + n,) have one object pose; `any_posture` accepts other joints there. `deadline` is a time.perf_counter().
+    All goals (6 + n,) have one object pose; `any_posture` accepts other joints there.
     """
     here, there = _Tree([start]), _Tree(goals)
     ends = np.array([start[X], goals[0][X]])
@@ -184,7 +181,7 @@ def _extend(space: HeldSpace, tree: _Tree, x: Array, rng: np.random.Generator) -
 
 
 def _step_towards(space: HeldSpace, z: Array, x: Array, elbows: np.random.Generator | None) -> Array | None:
-    """Return a free point one step towards an object pose, with random elbow swings if asked, or None."""
+    """Return a free point one step towards x, with elbow swings if asked, or None."""
     way = x - z[X]
     share = min(1.0, _EXTEND_M / max(float(np.linalg.norm(way)), _SAME_M))
     aim = z.copy()
@@ -197,7 +194,7 @@ def _step_towards(space: HeldSpace, z: Array, x: Array, elbows: np.random.Genera
 
 
 def _carry_to(space: HeldSpace, tree: _Tree, x: Array, rng: np.random.Generator) -> int | None:
-    """Grow straight to an object pose; return the point there or None."""
+    """Grow straight to an object pose; return the point or None."""
     current = tree.near_object(x, rng, _NEXT_N)
     while True:
         point = tree.points[current]
@@ -210,7 +207,7 @@ def _carry_to(space: HeldSpace, tree: _Tree, x: Array, rng: np.random.Generator)
 
 
 def _connect(space: HeldSpace, tree: _Tree, z: Array) -> int | None:
-    """Grow towards the point z; return the meeting point or None."""
+    """Grow towards z; return the meeting point or None."""
     current = tree.nearest(space, z)
     while True:
         away = float(space.distance(z, tree.points[current][None])[0])
@@ -225,7 +222,7 @@ def _connect(space: HeldSpace, tree: _Tree, z: Array) -> int | None:
 
 
 def shorten(space: HeldSpace, path: Array, rng: np.random.Generator, rounds_n: int) -> Array:
-    """Return a shorter path (m, 6 + n): drops vertices and cuts random stretches."""
+    """Return a shorter path (m, 6 + n)."""
     points = list(path)
     i = 0
     while i < len(points) - 2:  # connect to the farthest reachable vertex
