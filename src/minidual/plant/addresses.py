@@ -1,8 +1,6 @@
-"""Where each joint lives in `qpos`, `qvel` and `ctrl`, read through the actuators' transmissions.
+"""Indices of joints in `qpos`, `qvel` and `ctrl`.
 
-A joint's number is no address, and an actuator's name need not be its joint's: the only safe map goes from
-actuator to joint through `actuator_trnid`. It is built once, checked, and refuses servo actuators where
-torques will be written.
+Actuators are mapped to joints through `actuator_trnid`: neither ids nor names are reliable.
 """
 
 from __future__ import annotations
@@ -21,7 +19,7 @@ IntArray = npt.NDArray[np.int64]
 
 @dataclass(frozen=True)
 class JointAddresses:
-    """Addresses of a list of joints, in its order: qpos, qvel and ctrl indices, each (n,)."""
+    """Indices of `names` in qpos, qvel and ctrl, each (n,)."""
 
     names: tuple[str, ...]
     qpos: IntArray
@@ -40,17 +38,15 @@ def _require(table: dict[str, int], name: str, kind: str) -> int:
 
 
 def map_joints(model: mujoco.MjModel, names: Sequence[str], *, torque: bool) -> JointAddresses:
-    """Return the addresses of `names`.
+    """Return the addresses of `names`, in their order.
 
     Args:
         model: Compiled model.
-        names: Joint names; their order is the order of the result.
-        torque: Require actuators under which `ctrl` is a torque (no bias term, unit gain). With False,
-            require position servos.
+        names: Joint names.
+        torque: Require torque motors (no bias, gear x gain = 1); with False, position servos.
 
     Raises:
-        UsageError: The model has no actuators, lacks one of the joints or its actuator, or the actuator takes
-            another kind of command.
+        UsageError: A joint or its actuator is missing, or the actuator is of the other kind.
     """
     if model.nu == 0:
         raise UsageError(

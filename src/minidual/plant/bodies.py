@@ -1,4 +1,4 @@
-"""A named object of the simulated world: its true pose and motion, and the contacts of both hands on it."""
+"""True state of an object in the simulation, and the contacts of both hands on it."""
 
 from __future__ import annotations
 
@@ -10,35 +10,28 @@ import numpy as np
 from minidual.robot.pair import Array, Robot
 
 ObjectPose = Array | tuple[float, float, float]
-"""Where an object is put: a pose (4, 4), or (x, y, yaw) [m, m, rad] resting on the table."""
+"""A pose (4, 4), or (x, y, yaw) [m, m, rad] resting on the table."""
 
 
 def object_names(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Return the names of the bodies that move freely, in the model's order."""
+    """Return the names of the free bodies, in model order."""
     free = [i for i in range(model.njnt) if int(model.jnt_type[i]) == int(mujoco.mjtJoint.mjJNT_FREE)]
     return tuple(model.body(int(model.jnt_bodyid[i])).name for i in free)
 
 
 def free_bodies(spec: mujoco.MjSpec) -> list[Any]:
-    """Return the bodies of an editable model that move freely: the objects of a task."""
+    """Return the free bodies of an editable model: the objects."""
     free = int(mujoco.mjtJoint.mjJNT_FREE)
     return [body for body in spec.bodies if any(int(joint.type) == free for joint in body.joints)]
 
 
 def contact_sensor(name: str, side: str, finger_link: str) -> str:
-    """Return the name of the sensor that reads the contact of a finger on an object."""
+    """Return the name of the contact sensor between a finger and an object."""
     return f"{name}_{side}_{finger_link}"
 
 
 class NamedObject:
-    """Reads one object. Views into MjData are made once: looking up a field costs as much as reading three numbers.
-
-    Args:
-        model: Compiled model.
-        data: Its state.
-        name: Name of the body.
-        robot: The arms.
-    """
+    """Reads one object through cached views: a lookup in MjData costs as much as reading three numbers."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, name: str, robot: Robot) -> None:
         self.body = int(model.body(name).id)
@@ -53,7 +46,7 @@ class NamedObject:
         self._readings = data.sensordata[first : first + 12].reshape(4, 3)
         self._forces = self._readings.reshape(2, 2, 3)  # arm, finger, force
         palms = [int(model.body(palm).id) for palm in robot.palm_names]
-        self._hand_axes = [data.xmat[palm].reshape(3, 3)[:, 1] for palm in palms]  # the fingers move along them
+        self._hand_axes = [data.xmat[palm].reshape(3, 3)[:, 1] for palm in palms]  # finger axes
         self._v, self._w = self.qvel[:3], self.qvel[3:]
         self._twist, self._T = np.zeros(6), np.eye(4)
         self._twist_v, self._twist_w = self._twist[:3], self._twist[3:]
@@ -68,11 +61,11 @@ class NamedObject:
     def twist(self) -> Array:
         """Return the twist (6,) at the centre of mass, world axes."""
         self._twist_v[:] = self._v
-        self._R.dot(self._w, self._twist_w)  # MuJoCo keeps a free joint's angular velocity in the body frame
+        self._R.dot(self._w, self._twist_w)  # a free joint's angular velocity is in the body frame
         return self._twist.copy()
 
     def put(self, pose: ObjectPose) -> None:
-        """Write a pose into the state; the velocity stays."""
+        """Write a pose into the state; the velocity is kept."""
         if isinstance(pose, tuple):
             x, y, yaw = pose
             self.qpos[:3] = (x, y, self._rest_height_m)
@@ -90,15 +83,15 @@ class NamedObject:
         pinches = []
         for arm, axis in enumerate(self._hand_axes):
             left, right = self._forces[arm].dot(axis).tolist()
-            # The left finger (+y) pushes towards -y, the right one towards +y.
+            # The left finger (+y) pushes along -y, the right one along +y.
             pinches.append(max(0.0, min(-left, right)))
         return np.array(pinches)
 
     def internal_force(self) -> float:
-        """Return the squeeze along the object's y axis [N]; the left hand holds the +y end.
+        """Return the internal force along the object's y axis [N]; the left hand is at the +y end.
 
-        It is the smaller of the two hands' axial forces towards each other: positive when they press, negative when
-        they pull. One hand alone gives at most zero.
+        It is the smaller of the hands' axial forces towards each other: positive under compression, negative under
+        tension, at most zero with one hand.
         """
         a, b, c, d = self._readings.dot(self._axis).tolist()
         return min(-a - b, c + d)

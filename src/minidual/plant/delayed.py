@@ -1,4 +1,4 @@
-"""A plant whose measurements arrive late, for studies of latency."""
+"""A plant with delayed measurements, for latency studies."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ def _late(name: str, doc: str) -> Any:
 
 
 class DelayedPlant:
-    """Hands on the measurements of another plant after a delay; commands and the clock pass at once.
+    """Delays another plant's measurements; commands, clock and health are not delayed.
 
-    Before the delay is over the first measurements are what has arrived: the arms are taken to have been at rest.
+    Until the delay has passed, the first measurements are returned.
 
     Args:
-        plant: The plant behind it.
+        plant: The plant.
         delay_s: Age of the measurements [s], rounded to control steps.
 
     Raises:
@@ -43,7 +43,7 @@ class DelayedPlant:
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew; it belongs to every reset of the plant behind it."""
+        """Clear the buffer; call after every reset of the plant."""
         self._states.clear()
         self._note()
 
@@ -62,7 +62,7 @@ class DelayedPlant:
 
     @property
     def stamp_s(self) -> float:
-        """When the measurements were taken [s]."""
+        """Time of the measurements [s]."""
         return self._states[0]["stamp_s"]
 
     @property
@@ -72,7 +72,7 @@ class DelayedPlant:
 
     @property
     def health(self) -> str:
-        """Return why the plant cannot be driven, or an empty string."""
+        """Why the plant cannot be driven; empty if it can."""
         return self._plant.health
 
     def command(self, tau: Array, fingers: Array) -> None:

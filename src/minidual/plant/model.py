@@ -1,4 +1,4 @@
-"""Compile the MuJoCo model: two arms from the URDF, torque motors, grippers, scenery, cameras, sensors."""
+"""Compile the MuJoCo model: arms from the URDF, motors, scenery, cameras, contact sensors."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from minidual.robot.visuals import arm_visuals
 
 GROUP_COLLISION = 3
 CAMERAS: tuple[str, ...] = ("high", "left", "right")
-"""Cameras that are recorded, in the order of their storage; `overview` is for people."""
+"""Recorded cameras, in storage order; `overview` is not recorded."""
 
 _URDF_COMPILER = (
     '<mujoco><compiler fusestatic="false" discardvisual="true" strippath="false"/></mujoco><link name="world"'
@@ -28,11 +28,11 @@ def build_spec(scene: SceneConfig, robot: Robot = DUAL_PANDA, *, visuals: bool =
     Args:
         scene: Physics, objects and task.
         robot: The two arms.
-        visuals: Leave out the decimated visual meshes where nothing is rendered (faster to compile).
+        visuals: Include the visual meshes; without them it compiles faster.
     """
     spec = mujoco.MjSpec.from_string(pair_urdf(robot).replace('<link name="world"', _URDF_COMPILER, 1))
     spec.modelname = "minidual"
-    spec.compiler.discardvisual = False  # it would drop every geom that does not collide, ours included
+    spec.compiler.discardvisual = False  # keep the non-colliding geoms added here
     _set_options(spec, scene)
     _dress_arms(spec, scene, robot, visuals=visuals)
     add_surroundings(spec, scene, robot)
@@ -56,7 +56,7 @@ def _set_options(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
     option.impratio = scene.physics.impratio
     visual = spec.visual
     visual.global_.offwidth, visual.global_.offheight = 1920, 1080
-    visual.quality.shadowsize = 1024  # shadows and multi-sampling cost more than pixels in software
+    visual.quality.shadowsize = 1024  # software rendering: shadows and multi-sampling cost more than pixels
     visual.quality.offsamples = 0
     visual.headlight.ambient = [0.35, 0.35, 0.36]
     visual.headlight.diffuse = [0.35, 0.35, 0.35]
@@ -115,7 +115,7 @@ def _add_actuators(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> Non
     for name in robot.finger_joint_names:
         servo = spec.add_actuator(name=f"{name}_servo", target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         servo.set_to_position(kp=physics.finger_kp_n_per_m, kv=physics.finger_kv_ns_per_m)
-        # A target inside the object sets the pinch force, so the range reaches below closed.
+        # The pinch force comes from a target inside the object, so the range extends below closed.
         reach = physics.finger_force_max_n / physics.finger_kp_n_per_m
         servo.ctrlrange, servo.ctrllimited = [-reach, robot.hand.travel_m], True
         servo.forcerange = [-physics.finger_force_max_n, physics.finger_force_max_n]
@@ -123,7 +123,7 @@ def _add_actuators(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> Non
 
 
 def _look_at(position: tuple[float, float, float], target: tuple[float, float, float]) -> list[float]:
-    """Return the quaternion wxyz of a camera (looks along -z, y up) that sees `target` upright."""
+    """Return the quaternion wxyz of an upright camera (looks along -z, y up) facing `target`."""
     z = np.subtract(position, target)
     z = z / np.linalg.norm(z)
     x = np.cross([0.0, 0.0, 1.0], z)
@@ -152,7 +152,7 @@ def _add_cameras(spec: mujoco.MjSpec, robot: Robot) -> None:
 
 
 def _add_contact_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
-    """One net force (3,) a finger and object, of the finger on it, world axes."""
+    """Add one net force (3,) per finger and object, of the finger on it, world axes."""
     data = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)
     netforce = 3
     for name in [body.name for body in free_bodies(spec)]:

@@ -1,8 +1,7 @@
-"""The seam between the control stack and the arms: what is measured, what is commanded, and the clock.
+"""Interface between the control stack and the arms: measurements, commands and clock.
 
-`World` is the simulated plant, `DelayedPlant` hands on any plant's measurements late. A real robot behind its vendor's
-protocol fits as well: its last state packet gives the measurements and their stamp. The true pose of an object and the
-true contact forces are no part of a plant: they belong to `World`, for judges and pictures.
+`World` and `DelayedPlant` implement it; a real robot's driver can. True object poses and contact forces are not part of
+it.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from minidual.robot.pair import Array, Robot
 
 
 class Plant(Protocol):
-    """Two arms with their hands. Measurements change in `step` only, and are copies."""
+    """Two arms with hands. Measurements are copies and change only in `step`."""
 
     dt: float
     """Period of the control loop [s]."""
@@ -31,7 +30,7 @@ class Plant(Protocol):
 
     @property
     def stamp_s(self) -> float:
-        """When the measurements were taken, on the same clock [s]; at most `time`."""
+        """Time of the measurements on the same clock [s]; at most `time`."""
         ...
 
     @property
@@ -46,27 +45,27 @@ class Plant(Protocol):
 
     @property
     def tau(self) -> Array:
-        """Torques (n,) [Nm] that the motors apply."""
+        """Applied motor torques (n,) [Nm]."""
         ...
 
     @property
     def fingers(self) -> Array:
-        """Distance (2,) [m] of each hand's fingers from the middle between them."""
+        """Distance (2,) [m] of each hand's fingers from the middle."""
         ...
 
     @property
     def grip(self) -> Array:
-        """Force (2,) [N] with which the motors of each hand close its fingers, the mean of the two."""
+        """Closing force (2,) [N] of each hand: mean of its finger motors."""
         ...
 
     @property
     def grip_max_n(self) -> float:
-        """Largest such force [N]."""
+        """Largest closing force [N]."""
         ...
 
     @property
     def health(self) -> str:
-        """Return why the plant cannot be driven, or an empty string."""
+        """Why the plant cannot be driven; empty if it can."""
         ...
 
     def command(self, tau: Array, fingers: Array) -> None:
@@ -80,11 +79,11 @@ class Plant(Protocol):
 
 @dataclass(frozen=True)
 class PoseSample:
-    """One reading of an object's pose.
+    """One measured object pose.
 
     Attributes:
-        T_world_object: (4, 4) as measured.
-        age_ticks: Control steps since it was taken.
+        T_world_object: (4, 4).
+        age_ticks: Age in control steps.
     """
 
     T_world_object: Array
@@ -93,13 +92,13 @@ class PoseSample:
 
 @dataclass(frozen=True)
 class Reading:
-    """What has arrived of an object at one control step.
+    """Object measurements that arrived in one control step.
 
     Attributes:
-        pose: The pose sample that arrived in this very step, or None between samples.
+        pose: None between samples.
         hand_forces: (2, 3) [N], of each hand on the object, world axes.
         pinch: (2,) [N], of each hand.
-        stamp_s: When forces and pinch were taken [s].
+        stamp_s: Sampling time of forces and pinch [s].
     """
 
     pose: PoseSample | None
@@ -109,11 +108,11 @@ class Reading:
 
 
 class ObjectSensors(Protocol):
-    """Cameras and force sensors that tell of one object."""
+    """Cameras and force sensors of one object."""
 
     @property
     def delay_ticks(self) -> int:
-        """Age of a pose sample when it arrives, in control steps."""
+        """Age of a pose sample on arrival, in control steps."""
         ...
 
     def sense(self) -> Reading:

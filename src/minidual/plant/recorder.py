@@ -1,4 +1,4 @@
-"""Keeps what a replay needs while a world runs: the last second, or a whole trial."""
+"""Keep what a replay needs while a world runs: the last second, or a whole trial."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from minidual.plant.world import World
 from minidual.robot.pair import Array
 
 _KEYFRAME_S, _KEYFRAME_TRIAL_S = 0.02, 0.1
-"""Distance of keyframes: close where the fault lies, sparse over a whole trial, which repeats from them anyway."""
+"""Keyframe spacing: dense in dumps, sparse in whole trials."""
 
 
 class Recorder:
-    """Records one world: set `world.recorder = Recorder(world)` and every step is kept.
+    """Records every step of a world whose `recorder` is set to it.
 
-    A reset of the world (time that does not go on) begins anew. Values written into the state between two steps make
-    a replay differ, and the replay says so; external forces and changes of the model before the first step are kept.
+    A reset of the world clears the recording. External forces and model changes before the first step are kept; writes
+    to the state between steps are not, so their replay deviates.
 
     Args:
         world: The world.
-        window_s: Keep this much of the past; None keeps everything since the reset.
-        seed: Of the run, for the file.
-        folder: Where dumps go; without it nothing is dumped.
+        window_s: Time span to keep; None keeps everything since the reset.
+        seed: Seed of the run, for the file.
+        folder: Folder for dumps; None disables them.
     """
 
     def __init__(
@@ -47,11 +47,11 @@ class Recorder:
         self._state_size = mujoco.mj_stateSize(world.model, STATE)
         self._time_tolerance_s = 1.5 * world.dt
         self.write_error: OSError | None = None
-        """Why the last dump could not be written, if it could not."""
+        """Error of the last failed dump."""
         self.clear()
 
     def clear(self) -> None:
-        """Begin anew."""
+        """Drop everything kept."""
         self._count = 0
         self._last_s = -1.0
         self._keyframes: list[tuple[int, Array]] = []
@@ -65,7 +65,7 @@ class Recorder:
         return self._count
 
     def before_step(self) -> None:
-        """Note the controls of the step that is about to be made; `World.step` calls it."""
+        """Keep the controls of the step about to be made; `World.step` calls it."""
         now = self._data.time
         if not 0.0 < now - self._last_s < self._time_tolerance_s:
             self.clear()
@@ -89,11 +89,11 @@ class Recorder:
         return state
 
     def _ended_whole(self) -> bool:
-        """Return whether the world stands where its last step left it: neither reset nor diverged since."""
+        """Return whether the world has neither been reset nor diverged since its last step."""
         return self._count > 0 and 0.0 < self._data.time - self._last_s < self._time_tolerance_s
 
     def _make_room(self) -> None:
-        """Drop what is older than the window, or double the space."""
+        """Drop steps older than the window, or double the capacity."""
         if self._window is None:
             self._controls = np.concatenate([self._controls, np.empty_like(self._controls)])
             return
@@ -107,7 +107,7 @@ class Recorder:
             self._pushes.insert(0, (0, before[-1]))
 
     def recording(self, reason: str, *, kind: str = "trial", details: Mapping[str, Any] | None = None) -> Recording:
-        """Return what has been kept, from the first keyframe in the window on."""
+        """Return what was kept, from the first keyframe in the window."""
         first = 0
         if self._window is not None and self._count > self._window:
             first = self._count - self._window
@@ -137,13 +137,13 @@ class Recorder:
         )
 
     def write(self, path: Path, reason: str, *, details: Mapping[str, Any] | None = None) -> Path:
-        """Write a trial to a file and return its path."""
+        """Write a trial to a file."""
         return write_recording(path, self.recording(reason, details=details))
 
     def dump(self, name: str, reason: str, *, details: Mapping[str, Any] | None = None) -> Path | None:
-        """Write the window into the dump folder; return the file, or None where there is no folder or it fails.
+        """Write the window to the dump folder; return the file, or None without folder, steps or success.
 
-        It never raises for the disk, so that the arms are stopped in any case; `write_error` keeps the error.
+        Disk errors go to `write_error` and are not raised: the arms must be stopped in any case.
         """
         if self._folder is None or self._count == 0:
             return None

@@ -1,12 +1,12 @@
-"""What a replay needs, in one file: where the physics started, every control since, and check points on the way.
+"""Recording file: initial state, controls and keyframes of a simulation, for replay.
 
-A recording is an npz file (no pickle) of
+An npz file (no pickle) of
 
     header      JSON as bytes: format, version, kind, reason, arm, scene, seed, libraries, details
     controls    (T, nu) `ctrl` of every physics step
-    keyframes   (K, n) full integration state of MuJoCo before step keyframe_steps[k], and after the last step
-    push_steps, pushes   external wrenches (nbody, 6), noted whenever they change
-    model.*     physical fields of the model as it ran, where a condition may have changed them
+    keyframes   (K, n) full MuJoCo state before step keyframe_steps[k], and after the last step
+    push_steps, pushes   external wrenches (nbody, 6), stored on change
+    model.*     physical model fields, which a condition may have changed
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from minidual.robot.pair import Array, Robot
 FORMAT = "minidual-recording"
 VERSION = 2
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
-"""Everything that the next step depends on, the solver's warm start included: a replay can be exact to the bit."""
+"""All that the next step depends on, including the solver's warm start, so a replay can be bit-exact."""
 
 _SIZE_MAX = 256 * 2**20
 _LIBRARIES = ("mujoco", "numpy", "pin", "example-robot-data")
@@ -50,23 +50,21 @@ _OPTIONS = ("timestep", "gravity", "impratio", "integrator", "cone", "solver", "
 
 @dataclass(frozen=True)
 class Recording:
-    """A stretch of simulated time that can be run again.
+    """A replayable stretch of simulation.
 
     Attributes:
-        kind: "dump" (the last second before something went wrong) or "trial" (from reset to end).
-        reason: Why it was written, in one line.
-        arm: Row of the table of arms.
-        scene: Of the world.
-        controls: (T, nu), applied at steps 0..T-1.
-        keyframe_steps: (K,) step before which each keyframe was taken; the first is 0, the last the number of steps
-            (the state after them all; files of earlier versions end before it).
-        keyframes: (K, n) states.
-        push_steps: (P,) steps from which each entry of `pushes` acts.
+        kind: "dump" (the last second before a fault) or "trial" (from reset to end).
+        arm: Key in the table of arms.
+        controls: (T, nu).
+        keyframe_steps: (K,) step before which each keyframe was taken. The first is 0; the last is T unless the world
+            was reset or diverged.
+        keyframes: (K, n).
+        push_steps: (P,) first step of each push.
         pushes: (P, nbody, 6) external wrenches.
-        model: Physical fields of the model.
-        libraries: Versions under which it was made.
-        seed: The run's seed, if it is known.
-        details: What else the writer wanted to keep; JSON types.
+        model: Physical model fields.
+        libraries: Library versions when recorded.
+        seed: Seed of the run, if known.
+        details: Further JSON data.
     """
 
     kind: str
@@ -100,7 +98,7 @@ class Recording:
 
     @property
     def start_s(self) -> float:
-        """Simulated time before the first step [s]; time is the first number of a state."""
+        """Simulated time before the first step [s], from the first keyframe."""
         return float(self.keyframes[0, 0])
 
     @property
@@ -110,7 +108,7 @@ class Recording:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions that the bits of a simulation depend on."""
+    """Return the versions on which bit-exactness depends."""
     found = {"minidual": minidual.__version__, "python": platform.python_version(), "machine": platform.machine()}
     for name in _LIBRARIES:
         try:
@@ -121,7 +119,7 @@ def versions() -> dict[str, str]:
 
 
 def physical_fields(model: mujoco.MjModel) -> dict[str, Array]:
-    """Return copies of what trials may change in a compiled model; geoms that only show are left out."""
+    """Return copies of the fields that trials may change; visual geoms are left out."""
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     fields = {name: np.array(getattr(model, name), dtype=float) for name in (*_BODY, *_JOINT, *_MOTOR)}
     fields |= {name: np.array(getattr(model, name)[solid], dtype=float) for name in _GEOM}
@@ -129,10 +127,10 @@ def physical_fields(model: mujoco.MjModel) -> dict[str, Array]:
 
 
 def apply_physical_fields(model: mujoco.MjModel, fields: Mapping[str, Array]) -> list[str]:
-    """Write recorded fields into a fresh model; return the names of those that differed.
+    """Write recorded fields into a model; return the names of those that differed.
 
     Raises:
-        DataError: A field has another shape: the recording was made with another robot or scene.
+        DataError: A field is missing or its shape differs: another robot or scene.
     """
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     now = physical_fields(model)
@@ -163,7 +161,7 @@ _ARRAYS = ("controls", "keyframe_steps", "keyframes", "push_steps", "pushes")
 
 
 def write_recording(path: Path, recording: Recording) -> Path:
-    """Write a recording durably and return its path."""
+    """Write a recording durably."""
     header = {name: getattr(recording, name) for name in _HEADER}
     header |= {"format": FORMAT, "version": VERSION, "scene": recording.scene.model_dump(mode="json")}
     arrays = {name: getattr(recording, name) for name in _ARRAYS}
@@ -179,7 +177,7 @@ def read_recording(path: Path) -> Recording:
     """Read a recording.
 
     Raises:
-        DataError: The file is missing, cut off, damaged, of another kind or of another version; the message says which.
+        DataError: The file is missing, damaged, of another format or version, or does not fit this version.
     """
     again = "record it again, or check that the copy is complete"
     if not path.is_file():

@@ -1,4 +1,4 @@
-"""Render the world without a screen, and write films."""
+"""Off-screen rendering and video files."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import numpy.typing as npt
 from minidual.config.scene import CameraConfig
 from minidual.errors import EnvironmentMissingError, unknown_name
 
-os.environ.setdefault("MUJOCO_GL", "egl")  # must be set before mujoco loads its GL backend
+os.environ.setdefault("MUJOCO_GL", "egl")  # before mujoco loads its GL backend
 
 import mujoco
 
@@ -26,13 +26,13 @@ Image = npt.NDArray[np.uint8]
 
 
 _SHADOW_CLIP, _SHADOW_SIZE = 2.0, 2048
-"""Reach of the shadow map over the model's extent, and its size. With MuJoCo's own reach of 1 the floor beyond the
-table lies at its edge and is speckled with shadows that nothing casts."""
+"""Reach (relative to the model's extent) and size of the shadow map. MuJoCo's default reach of 1 leaves false shadow
+speckles on the floor beyond the table."""
 
 
 @contextlib.contextmanager
 def _shadow_settings(model: mujoco.MjModel) -> Iterator[None]:
-    """Let an OpenGL context made inside the block have shadows that reach over the floor; the model stays as it was."""
+    """Extend the shadow map for an OpenGL context created inside the block; restore the model afterwards."""
     before = float(model.vis.map.shadowclip), int(model.vis.quality.shadowsize)
     model.vis.map.shadowclip, model.vis.quality.shadowsize = _SHADOW_CLIP, _SHADOW_SIZE
     try:
@@ -42,14 +42,14 @@ def _shadow_settings(model: mujoco.MjModel) -> Iterator[None]:
 
 
 class Camera:
-    """Renders one size of picture of a model; use as a context manager or call `close`.
+    """Renders images of one size; use as a context manager or call `close`.
 
     Args:
         model: Compiled with `visuals=True`.
         width_px: Width.
         height_px: Height.
-        shadows: Shadows cost several times the picture in software; off for recorded images.
-        supersample: Render this many times larger and average, which smooths edges.
+        shadows: Draw shadows: several times slower in software, off for recorded images.
+        supersample: Render this many times larger and average (anti-aliasing).
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class Camera:
         try:
             with _shadow_settings(model) if shadows else contextlib.nullcontext():
                 self._renderer = mujoco.Renderer(model, height_px * supersample, width_px * supersample)
-        except Exception as error:  # the GL backends raise whatever they like
+        except Exception as error:  # GL backends raise various types
             raise EnvironmentMissingError(
                 f"cannot create an off-screen OpenGL context (MUJOCO_GL={os.environ['MUJOCO_GL']}): {error}",
                 remedy="apt-get install libegl1 libgl1-mesa-dri, then MUJOCO_GL=egl",
@@ -73,11 +73,11 @@ class Camera:
 
     @classmethod
     def recorded(cls, model: mujoco.MjModel, config: CameraConfig) -> Self:
-        """Return the camera whose pictures are recorded and whose pictures the policy sees: one and the same."""
+        """Return the camera for recorded images and policy observations."""
         return cls(model, config.width_px, config.height_px, supersample=config.supersample)
 
     def picture(self, data: mujoco.MjData, camera: str) -> Image:
-        """Return the (H, W, 3) uint8 image that `camera` sees."""
+        """Return the (H, W, 3) uint8 image of `camera`."""
         self._update(data, camera)
         image = self._renderer.render()
         s = self._supersample
@@ -87,7 +87,7 @@ class Camera:
         return image
 
     def bodies_seen(self, data: mujoco.MjData, camera: str) -> dict[str, float]:
-        """Return the share of `camera`'s picture (0..1) that each body in it fills."""
+        """Return the share of the image (0..1) that each visible body fills."""
         self._renderer.enable_segmentation_rendering()
         try:
             self._update(data, camera)
@@ -121,7 +121,7 @@ class Camera:
 def write_video(path: Path, frames: Iterable[Image], *, fps: int) -> int:
     """Write (H, W, 3) uint8 frames as H.264 mp4 and return their number.
 
-    The file is written beside its place and renamed, so a film that exists is whole.
+    The file is renamed into place, so an existing film is complete.
     """
     import av
 

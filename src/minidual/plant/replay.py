@@ -1,4 +1,4 @@
-"""Run a recording again and say what happened: does it repeat to the bit, and what went out of bounds first?"""
+"""Replay a recording: check that it repeats bit-exactly and find what first exceeded a bound."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ _POSITION_TOLERANCE_RAD = 1e-3
 
 @dataclass(frozen=True)
 class Sign:
-    """Something out of bounds, the first time that it was.
+    """First time that a quantity exceeded its bound.
 
     Attributes:
-        time_s: When [s].
-        what: Which joint and quantity.
-        value: What it was.
-        bound: What it may be; None where any finite number would do.
-        unit: Of both.
+        time_s: Simulated time [s].
+        what: Joint and quantity.
+        value: Its value.
+        bound: Its bound; None if it only had to be finite.
+        unit: Unit of value and bound.
     """
 
     time_s: float
@@ -38,14 +38,14 @@ class Sign:
 
     @property
     def text(self) -> str:
-        """Return the sign as one line for people."""
+        """One line for people."""
         bound = "" if self.bound is None else f", bound {self.bound:.6g} {self.unit}"
         return f"{self.time_s:.3f} s  {self.what}: {self.value:.6g} {self.unit}{bound}"
 
 
 @dataclass(frozen=True)
 class Deviation:
-    """Where the replayed state differs from the recorded one: quantity `what` at `time_s`, by `size` in its unit."""
+    """First difference from the recording: quantity `what` at `time_s`, by `size` in its unit."""
 
     time_s: float
     what: str
@@ -54,18 +54,17 @@ class Deviation:
 
 @dataclass(frozen=True)
 class Replayed:
-    """What a replay found.
+    """Result of a replay.
 
     Attributes:
-        from_s, to_s: Simulated time that was run [s].
-        steps: Number of steps.
-        compared: Number of keyframes compared; the one that the replay starts from is none of them.
-        largest_deviation: From any keyframe; 0.0 is equality to the bit.
+        from_s, to_s: Replayed time span [s].
+        compared: Keyframes compared, without the starting one.
+        largest_deviation: From any keyframe; 0.0 is bit-exact.
         deviates: First keyframe that differs, or None.
-        model_changed: Physical fields of the model that differ from the scene's.
-        versions_differ: `name`, `was` and `is` of every library whose version differs.
-        first: What was out of bounds first, in order.
-        ended: Why the replay stopped before its end, or None.
+        model_changed: Physical fields that differ from the scene's.
+        versions_differ: `name`, `was` and `is` of each changed library.
+        first: First exceedance of each quantity, by time.
+        ended: Why the replay stopped early, or None.
     """
 
     from_s: float
@@ -81,7 +80,7 @@ class Replayed:
 
     @property
     def exact(self) -> bool:
-        """Whether keyframes were compared and every one was met to the bit."""
+        """Whether keyframes were compared and all matched bit-exactly."""
         return self.compared > 0 and self.deviates is None
 
 
@@ -92,17 +91,17 @@ def replay(
     to_s: float | None = None,
     on_step: Callable[[World], None] | None = None,
 ) -> Replayed:
-    """Run the recorded controls from the recorded start and compare the physics with the recording.
+    """Run the recorded controls from the recorded start and compare the states.
 
     Args:
-        recording: What to run.
-        from_s: Begin at the last keyframe before this time; the start by default.
-        to_s: End here; the end by default.
-        on_step: Called before the first and after every step with the world.
+        recording: The recording.
+        from_s: Begin at the last keyframe at or before this time; default: the start.
+        to_s: Stop time; default: the end.
+        on_step: Called with the world before the first and after every step.
 
     Raises:
-        UsageError: The times lie outside the recording.
-        DataError: The recording does not fit the robot of this version.
+        UsageError: The times lie outside the recording, or its state sizes do not fit the robot.
+        DataError: Its physical fields do not fit the model.
     """
     model = build_model(recording.scene, recording.robot, visuals=False)
     changed = apply_physical_fields(model, recording.model)
@@ -113,7 +112,7 @@ def replay(
     frames = dict(zip(recording.keyframe_steps.tolist(), recording.keyframes, strict=True))
     mujoco.mj_setState(model, world.data, recording.keyframes[keyframe], STATE)
     mujoco.mj_forward(model, world.data)
-    mujoco.mj_setState(model, world.data, recording.keyframes[keyframe], STATE)  # forward touches the warm start
+    mujoco.mj_setState(model, world.data, recording.keyframes[keyframe], STATE)  # forward changes the warm start
     names = _state_names(world)
     scratch = mujoco.MjData(model)
     signs: dict[str, Sign] = {}
@@ -143,7 +142,7 @@ def replay(
             before = world.data.time
             mujoco.mj_step(model, world.data)
             done = step + 1
-            if world.data.time <= before:  # MuJoCo resets a state that is not finite
+            if world.data.time <= before:  # MuJoCo resets a non-finite state
                 ended = f"the state is not finite after {before:.3f} s"
                 break
             _watch_state(world, signs)
@@ -207,7 +206,7 @@ def _state_names(world: World) -> list[str]:
 
 
 def _deviation(data: mujoco.MjData, recorded: mujoco.MjData, names: list[str]) -> tuple[float, str]:
-    """Return the largest difference of the two states and the name of where it is; 0.0 if they are equal."""
+    """Return the largest difference of two states and its quantity; NaN if a number is NaN."""
     here = np.concatenate([[data.time], data.qpos, data.qvel])
     there = np.concatenate([[recorded.time], recorded.qpos, recorded.qvel])
     if np.array_equal(here, there):
@@ -254,7 +253,7 @@ def _note(signs: dict[str, Sign], sign: Sign) -> None:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep MuJoCo from printing what the replay reports itself."""
+    """Silence MuJoCo's warnings; the replay reports them itself."""
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda _message: None)
     try:

@@ -1,4 +1,4 @@
-"""What stands round the arms in the MuJoCo model: table, marks, obstacle, and the objects of the task."""
+"""Surroundings in the MuJoCo model: table, marks, obstacle, and the objects of the task."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from minidual.config.scene import OBSTACLE, ObjectConfig, SceneConfig
 from minidual.robot.pair import Robot
 
 GROUP_VISUAL, GROUP_MARKER = 1, 2
-# Stiff contacts with little creep; see docs/simulation.md for the comparison of cone and impratio.
+# Stiff contacts with little creep; docs/simulation.md compares cone and impratio.
 SOLREF = [0.002, 1.0]
 SOLIMP = [0.99, 0.999, 0.001, 0.5, 2.0]
 _FACE_MARGIN_M = 0.0002
-"""Distance at which flat faces push; it widens a box by as much on every side. Pads press by micrometres, and without
-it MuJoCo loses the contact of two parallel faces for single steps, in which the fingers leap."""
+"""Contact distance of flat faces; it enlarges a box by this much on every side. Without it MuJoCo loses contacts of
+parallel faces for single steps (pads penetrate by micrometres) and the fingers jump."""
 _BAND_M = 0.0006
 _TABLE_HALF_M = (0.6, 0.8, 0.02)
 _TABLE_CENTRE_X_M = 0.38
@@ -25,7 +25,7 @@ _ALONG_Y = [np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0]
 
 
 def add_surroundings(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> None:
-    """Add sky, light, floor, table, the marks of start and goal, and the obstacle of the task."""
+    """Add sky, light, floor, table, start and goal marks, and the obstacle."""
     spec.add_texture(
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
@@ -109,7 +109,7 @@ def _about_z(yaw_rad: float) -> list[float]:
 
 
 def add_objects(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
-    """Add each object as a free body of its name, its frame at the centre of mass."""
+    """Add each object as a free body with its frame at the centre of mass."""
     for item in scene.objects.values():
         _add_object(spec, item, scene.task.start_xy_m if item.xy_m is None else item.xy_m)
 
@@ -122,12 +122,12 @@ def _add_object(spec: mujoco.MjSpec, item: ObjectConfig, xy_m: tuple[float, floa
     shape: dict[str, Any]
     if item.shape == "cylinder":
         shape = {"type": mujoco.mjtGeom.mjGEOM_CYLINDER} | ({} if item.upright else {"quat": _ALONG_Y})
-        condim = 6  # with rolling friction: a cylinder without it rolls away untouched
+        condim = 6  # rolling friction: without it a cylinder rolls away by itself
         margin = 0.0
         size, band = [item.radius_m, half_long, 0], [item.radius_m + _BAND_M, 0.015, 0]
     else:
         shape = {"type": mujoco.mjtGeom.mjGEOM_BOX}
-        condim = 4  # a face does not roll, and its many contact points would fight over it
+        condim = 4  # faces do not roll; rolling friction at many contact points over-constrains them
         margin = _FACE_MARGIN_M
         size = [half_x, half_y, half_z]
         band = [half_x + _BAND_M, half_y + _BAND_M, half_z + _BAND_M]
@@ -144,7 +144,7 @@ def _add_object(spec: mujoco.MjSpec, item: ObjectConfig, xy_m: tuple[float, floa
         margin=margin,
         **shape,
     )
-    # Bands show where the hands belong and give the camera something to tell the ends by.
+    # Bands mark the grasps and make the ends visible to the camera.
     for offset in (-item.grasp_offset_m, item.grasp_offset_m):
         body.add_geom(
             size=band,

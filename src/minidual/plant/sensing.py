@@ -1,10 +1,9 @@
-"""What the controller of a carry may know of the object: its pose and the contact forces, noisy and late.
+"""Simulated object sensors of a carry: pose and contact forces with noise and delay.
 
-    pose      sampled by a camera at its own rate:  p + b_p + n_p,  exp(b_R + n_R) R
-    force     of each hand on the object, at every control step:  f + n_f;  pinch of each hand:  max(0, F + n_F)
+    pose      at the camera's rate:  p + b_p + n_p,  exp(b_R + n_R) R
+    force     of each hand on the object, every control step:  f + n_f;  pinch:  max(0, F + n_F)
 
-n is white and Gaussian, b a bias that is drawn once a trial. A sample reaches the controller `delay_s` after it was taken.
-This is the only place that reads the true state of the object for a controller.
+n is white Gaussian noise, b a bias drawn once per trial. Samples arrive `delay_s` after they were taken.
 """
 
 from __future__ import annotations
@@ -22,17 +21,15 @@ _FORCES = 8  # three components of two hands, then two pinches
 
 
 class Sensors:
-    """Samples the world and hands the samples on when their delay is over.
+    """Samples the world and delivers the samples late.
 
-    The object is taken to have lain still before the first step: until the delay is over, what arrives is the first
-    sample of the pose, and of the forces.
+    Until the delay has passed, the first pose and forces are delivered: the object is assumed at rest before.
 
     Args:
-        world: Where the truth is.
+        world: Source of the true state.
         config: Noise, delay, rate.
-        rng: Stream of this trial's noise. The draws do not depend on the amounts, so one trial under less noise
-            sees the same noise, smaller.
-        name: Object to sense; None for the only one.
+        rng: Noise stream of the trial. Draws do not depend on the amplitudes: smaller noise is the same noise scaled.
+        name: Object; None for the only one.
     """
 
     def __init__(self, world: World, config: SensingConfig, rng: np.random.Generator, name: str | None = None) -> None:
@@ -61,7 +58,7 @@ class Sensors:
             self._poses[tick] = self._sample_pose()
         arrived: Array | None = self._poses.pop(tick - self.delay_ticks, None)
         if self._first and arrived is None:
-            arrived = self._poses[tick]  # it lay there before the trial began
+            arrived = self._poses[tick]  # at rest before the trial
         self._first = False
         self._tick += 1
         pose = None if arrived is None else PoseSample(arrived, self.delay_ticks)
@@ -70,7 +67,7 @@ class Sensors:
         return Reading(pose, forces[:6].reshape(2, 3), forces[6:], stamp_s)
 
     def _sample_forces(self, out: Array) -> None:
-        """Write what the hands feel now, noise included, into (8,)."""
+        """Write the present noisy forces and pinches into (8,)."""
         row = self._force_row
         if row == _BLOCK:
             self._force_noise = self._config.force_noise_n * self._rng.standard_normal((_BLOCK, _FORCES))

@@ -1,4 +1,4 @@
-"""The simulated world: one step of physics, and what its sensors say."""
+"""The simulated world: physics step and readings."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from minidual.robot.pair import Array, Robot
 
 
 class StepRecorder(Protocol):
-    """Keeps what a replay needs; `minidual.plant.recorder.Recorder` is one."""
+    """Records steps for replay, as `minidual.plant.recorder.Recorder` does."""
 
     def before_step(self) -> None:
-        """Note the controls of the step that is about to be made."""
+        """Keep the controls of the step about to be made."""
         ...
 
     def dump(self, name: str, reason: str, *, details: Mapping[str, Any] | None = None) -> Path | None:
-        """Write what was kept; return the file, or None where nothing was written."""
+        """Write what was kept; return the file, or None if nothing was written."""
         ...
 
 
 class SimulationDivergedError(MinidualError):
-    """The state or a command stopped being finite."""
+    """The state or a command is not finite."""
 
 
 _NOT_FINITE: tuple[tuple[mujoco.mjtWarning, str], ...] = (
@@ -40,20 +40,19 @@ _NOT_FINITE: tuple[tuple[mujoco.mjtWarning, str], ...] = (
     (mujoco.mjtWarning.mjWARN_BADQACC, "accelerations"),
     (mujoco.mjtWarning.mjWARN_BADCTRL, "commands"),
 )
-"""MuJoCo only counts these: it resets the state, or sets bad commands to zero, and carries on."""
+"""MuJoCo only counts these, then resets the state or zeroes the commands."""
 
 
 class World:
-    """Two arms, two grippers, a table and named objects at 1 kHz.
+    """Two arms, two grippers, a table and named objects; `command`, then `step`.
 
-    Write torques and finger targets with `command`, then `step`. Readings are copies. Where a method takes the name of an
-    object, None stands for the only one.
+    Readings are copies. An object name of None means the only object.
 
     Args:
         scene: Physics, objects and task.
         robot: The two arms.
-        visuals: Compile the visual meshes; needed only to render.
-        model: Reuse a compiled model (it must come from `build_model`).
+        visuals: Compile the visual meshes, needed only for rendering.
+        model: Compiled model to reuse, from `build_model`.
     """
 
     def __init__(
@@ -67,27 +66,27 @@ class World:
         self.scene, self.robot = scene, robot
         self.model = build_model(scene, robot, visuals=visuals) if model is None else model
         self.data = mujoco.MjData(self.model)
-        self._warnings = self.data.warning.number  # a view: counts by kind of warning
+        self._warnings = self.data.warning.number  # view: counts by kind
         self._no_warnings = bytes(self._warnings.nbytes)
         self.dt = float(self.model.opt.timestep)
         self.joints = map_joints(self.model, robot.joint_names, torque=True)
         self.finger_joints = map_joints(self.model, robot.finger_joint_names, torque=False)
         self.objects = object_names(self.model)
-        """Names of the objects."""
+        """Object names."""
         self._objects: dict[str | None, NamedObject] = {
             name: NamedObject(self.model, self.data, name, robot) for name in self.objects
         }
         if len(self.objects) == 1:
             self._objects[None] = self._objects[self.objects[0]]
-        data = self.data  # views, made once: looking up a field of MjData costs as much as reading three numbers
+        data = self.data  # cached views: a lookup in MjData costs as much as reading three numbers
         self._qpos, self._qvel, self._ctrl, self._force = data.qpos, data.qvel, data.ctrl, data.actuator_force
         self._finger_ctrl = tuple(
             np.ascontiguousarray(self.finger_joints.ctrl.reshape(2, 2).T)
-        )  # a strided index is slow
+        )  # strided indices are slow
         self.recorder: StepRecorder | None = None
-        """Keeps what a replay needs, where one is wanted (see minidual.plant.recorder)."""
+        """Optional recorder for replays."""
         self.observer: Callable[[World], None] | None = None
-        """Called after every step by a viewer (see minidual.show.watch); it only reads."""
+        """Optional viewer callback after every step; it must only read."""
         self.reset()
 
     @property
@@ -107,23 +106,23 @@ class World:
 
     @property
     def tau(self) -> Array:
-        """Torques (n,) [Nm] that the motors applied in the last step."""
+        """Motor torques (n,) [Nm] applied in the last step."""
         return self._force[self.joints.ctrl]
 
     @property
     def stamp_s(self) -> float:
-        """When the measurements were taken [s]: now."""
+        """Time of the measurements [s]: now."""
         return float(self.data.time)
 
     @property
     def fingers(self) -> Array:
-        """Distance (2,) [m] of each hand's fingers from the middle between them."""
+        """Distance (2,) [m] of each hand's fingers from the middle."""
         a, b, c, d = self._qpos[self.finger_joints.qpos].tolist()
         return np.array([0.5 * (a + b), 0.5 * (c + d)])
 
     @property
     def grip(self) -> Array:
-        """Force (2,) [N] with which the motors of each hand closed its fingers in the last step, the mean of the two."""
+        """Closing force (2,) [N] of each hand in the last step: mean of its finger motors."""
         a, b, c, d = self._force[self.finger_joints.ctrl].tolist()
         return np.array([-0.5 * (a + b), -0.5 * (c + d)])
 
@@ -134,7 +133,7 @@ class World:
 
     @property
     def health(self) -> str:
-        """Return an empty string: a simulation that diverges raises in `step`."""
+        """Always empty: a diverging simulation raises in `step`."""
         return ""
 
     @property
@@ -145,14 +144,14 @@ class World:
 
     @property
     def finger_targets(self) -> Array:
-        """Finger targets (2,) [m] as commanded last."""
+        """Last commanded finger targets (2,) [m]."""
         return self._ctrl[self._finger_ctrl[0]]
 
     def truth(self, name: str | None = None) -> NamedObject:
-        """Return the truth of an object.
+        """Return the reader of an object's true state.
 
         Raises:
-            UsageError: There is no such object, or None is given where there are several.
+            UsageError: The object is unknown, or None is ambiguous.
         """
         found = self._objects.get(name)
         if found is None:
@@ -162,11 +161,11 @@ class World:
         return found
 
     def object_pose(self, name: str | None = None) -> Array:
-        """Return the true pose (4, 4) of an object in the world."""
+        """Return the true pose (4, 4) of an object."""
         return self.truth(name).pose()
 
     def object_twist(self, name: str | None = None) -> Array:
-        """Return the true twist (6,) of an object at its centre of mass, world axes."""
+        """Return the true twist (6,) at the centre of mass, world axes."""
         return self.truth(name).twist()
 
     def object_forces(self, name: str | None = None) -> Array:
@@ -174,15 +173,15 @@ class World:
         return self.truth(name).forces()
 
     def pinch(self, name: str | None = None) -> Array:
-        """Return the pinch of each hand on an object (2,) [N]: normal force of its weaker finger."""
+        """Return the pinch of each hand (2,) [N]: normal force of its weaker finger."""
         return self.truth(name).pinch()
 
     def internal_force(self, name: str | None = None) -> float:
-        """Return the squeeze along an object's y axis [N]; see `NamedObject.internal_force`."""
+        """Return the internal force [N]; see `NamedObject.internal_force`."""
         return self.truth(name).internal_force()
 
     def place(self, name: str | None, pose: ObjectPose) -> None:
-        """Put an object somewhere between two steps, at rest."""
+        """Put an object somewhere, at rest."""
         found = self.truth(name)
         found.put(pose)
         found.qvel[:] = 0.0
@@ -202,7 +201,7 @@ class World:
         ]
 
     def touches(self, geom: str) -> bool:
-        """Return whether anything touches a geom, by its name."""
+        """Return whether anything touches the geom of this name."""
         index = self.model.geom(geom).id
         return bool((self.data.contact.geom[: self.data.ncon] == index).any())
 
@@ -214,14 +213,14 @@ class World:
         return any({int(body[c.geom1]), int(body[c.geom2])} == pair for c in contacts)
 
     def reset(self, q: Array | None = None, *, poses: Mapping[str, ObjectPose] | None = None) -> None:
-        """Put the arms at q (n,) (home by default), hands open, and the objects where `poses` says.
+        """Reset: arms at q (n,), hands open, objects at `poses`.
 
         Args:
-            q: Joint positions [rad].
-            poses: By name of the object; those not named lie where the scene starts them.
+            q: Joint positions [rad]; default: home.
+            poses: By object name; default: the scene's start.
 
         Raises:
-            UsageError: q has another shape, is not finite or leaves the joint limits; or there is no such object.
+            UsageError: q has the wrong shape or leaves the joint limits, or an object is unknown.
         """
         robot = self.robot
         q = robot.home if q is None else np.asarray(q, dtype=float)
@@ -243,9 +242,9 @@ class World:
         mujoco.mj_forward(self.model, self.data)
 
     def command(self, tau: Array, fingers: Array) -> None:
-        """Set the motors' torques (n,) [Nm] and each hand's finger target (2,) [m] (same for both fingers).
+        """Set motor torques (n,) [Nm] and each hand's finger target (2,) [m].
 
-        Torques beyond the motors' limits are clipped by the actuators, as the real drives do.
+        The actuators clip torques at the motors' limits, as real drives do.
         """
         self._ctrl[self.joints.ctrl] = tau
         left, right = self._finger_ctrl
@@ -255,13 +254,13 @@ class World:
         """Advance by one time step.
 
         Raises:
-            SimulationDivergedError: The state or a command is not finite. MuJoCo has then reset the state.
+            SimulationDivergedError: The state or a command was not finite; MuJoCo has reset or zeroed it.
         """
         before = self.data.time
         if self.recorder is not None:
             self.recorder.before_step()
         mujoco.mj_step(self.model, self.data)
-        if self._warnings.tobytes() != self._no_warnings:  # a tenth of the time of `any`
+        if self._warnings.tobytes() != self._no_warnings:  # 10x faster than `any`
             bad = [what for kind, what in _NOT_FINITE if self._warnings[int(kind)]]
             if bad:
                 message = f"the simulation diverged at t = {before:.3f} s ({', '.join(bad)} not finite)"
