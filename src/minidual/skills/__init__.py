@@ -1,1 +1,1 @@
-"""Phases of handling an object, and what runs them."""
+"""Phases of handling an object, and their execution."""

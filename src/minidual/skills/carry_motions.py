@@ -1,4 +1,4 @@
-"""What a carry proposes: timed joint motions and motions of the squeezed object; and what controller C must know."""
+"""Motions of a carry: joint moves, held-object motions, internal-force ramps; and the parameters of controller C."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from minidual.skills.phases import PHASES
 from minidual.tasks.rod_carry import level_part
 
 LANDED_S = 0.1
-"""How long a lowered object is left to come to rest before it is let go."""
+"""Rest time of a lowered object before release."""
 
 
 class JointMove:
-    """A minimum-jerk motion of both arms between two postures (`control.commands.TimedMotion`).
+    """A minimum-jerk motion of both arms (`control.commands.TimedMotion`).
 
     Args:
-        q0, q1: From and to, (n,) [rad].
-        duration_s: How long it takes.
-        dt_s: Control step, on whose grid it is given.
+        q0, q1: Start and end (n,) [rad].
+        duration_s: Duration.
+        dt_s: Grid step.
 
     Attributes:
         q, v, a: (k, n) on the grid.
@@ -39,7 +39,7 @@ class JointMove:
         self.q, self.v, self.a = self.sample_many(np.minimum(np.arange(steps + 1) * dt_s, duration_s))
 
     def sample_many(self, times: Array) -> tuple[Array, Array, Array]:
-        """Return (q, v, a), each (m, n), at times (m,) [s]; at rest before and after."""
+        """Return (q, v, a), each (m, n), at times (m,) [s]; at rest outside."""
         duration, way = self.duration_s, self._way
         s = np.clip(np.asarray(times, dtype=float) / duration, 0.0, 1.0)[:, None]
         blend = s**3 * (10.0 + s * (6.0 * s - 15.0))
@@ -50,13 +50,13 @@ class JointMove:
 
 @dataclass(frozen=True)
 class HeldMotion:
-    """The object along a path, with the roll at which it lay when the hands closed (`control.commands.ObjectMotion`).
+    """Object motion along a path at its roll and pitch when grasped (`control.commands.ObjectMotion`).
 
     Attributes:
-        path: Through level poses.
-        T_level_object: (4, 4), what its pose is away from a level one.
-        duration_s: How long; a path that is over by then is rested at its end.
-        rests_at_s: Time on the path at which the object is kept all the while; None runs the path.
+        path: Level poses.
+        T_level_object: (4, 4), grasped pose relative to level.
+        duration_s: Duration; the path's end is held.
+        rests_at_s: Path time to hold throughout; None follows the path.
     """
 
     path: ObjectPath
@@ -65,18 +65,17 @@ class HeldMotion:
     rests_at_s: float | None = None
 
     def at(self, t_s: float) -> ObjectState:
-        """Return pose, twist and acceleration of the object at a time [s]."""
+        """Return pose, twist and acceleration at a time [s]."""
         state = self.path.at(t_s if self.rests_at_s is None else self.rests_at_s)
         return ObjectState(state.T_world_object @ self.T_level_object, state.twist, state.acceleration)
 
 
 @dataclass(frozen=True)
 class Squeeze:
-    """A squeeze that changes evenly from one force to another and then stays.
+    """A linear ramp of the internal force [N], then constant.
 
     Attributes:
-        start_n, end_n: Internal forces [N].
-        ramp_s: How long the change takes; zero is `end_n` throughout.
+        ramp_s: Ramp time; zero gives `end_n` throughout.
     """
 
     start_n: float
@@ -90,7 +89,7 @@ class Squeeze:
 
 
 def squeezing(path: ObjectPath, T_level_object: Array, squeeze_n: float) -> tuple[HeldMotion, Squeeze]:
-    """Return what builds up the squeeze, no faster than controller C does, with the object at the path's start."""
+    """Return the ramp up of the internal force, within controller C's rate, at the path's start."""
     ramp_s = max(PHASES["squeeze"].force_s, squeeze_n / SQUEEZE_RATE_N_PER_S)
     return (
         HeldMotion(path, T_level_object, ramp_s + PHASES["settle"].force_s, rests_at_s=0.0),
@@ -99,12 +98,12 @@ def squeezing(path: ObjectPath, T_level_object: Array, squeeze_n: float) -> tupl
 
 
 def carrying(path: ObjectPath, T_level_object: Array, squeeze_n: float) -> tuple[HeldMotion, Squeeze]:
-    """Return what runs the path, until the object has landed."""
+    """Return the motion along the path plus landing time."""
     return HeldMotion(path, T_level_object, path.duration_s + LANDED_S), Squeeze(squeeze_n, squeeze_n)
 
 
 def releasing(path: ObjectPath, T_level_object: Array, squeeze_n: float) -> tuple[HeldMotion, Squeeze]:
-    """Return what takes the squeeze away, no faster than controller C does, with the object at the path's end."""
+    """Return the ramp of the internal force to zero, within controller C's rate, at the path's end."""
     ramp_s = max(PHASES["unload"].force_s, squeeze_n / SQUEEZE_RATE_N_PER_S)
     return (HeldMotion(path, T_level_object, ramp_s, rests_at_s=path.duration_s), Squeeze(squeeze_n, 0.0, ramp_s))
 
@@ -117,15 +116,15 @@ def plan_path(
     T_world_object: Array,
     q: Array,
 ) -> ObjectPath:
-    """Return the path from where the object lies to the goal, each segment as fast as the limits allow.
+    """Return the path from the object to the goal, each segment as fast as the limits allow.
 
     Args:
-        scene: Holds the grasp and the heights.
-        robot: Whose limits.
-        config: Holds the limits, and durations that are fixed.
+        scene: Grasp and heights.
+        robot: Joint limits.
+        config: Limits, and fixed durations that override them.
         goal: (x [m], y [m], yaw [rad]).
-        T_world_object: (4, 4), where it lies.
-        q: Posture (n,) of the hands on it.
+        T_world_object: Start pose (4, 4).
+        q: Grasping posture (n,).
 
     Raises:
         GraspUnreachableError: A hand cannot follow.
@@ -154,14 +153,14 @@ def plan_path(
 
 
 def held_object(scene: SceneConfig, T_world_object: Array, T_world_tcps: tuple[Array, Array]) -> HeldObject:
-    """Return what the law must know of the task's object at a pose (4, 4), held by hands at two poses."""
+    """Return the law's model of the object at a pose (4, 4), held at two hand poses."""
     rod = scene.object
     left, right = (inverse(T_world_object) @ T for T in T_world_tcps)
     return HeldObject(rod.mass_kg, np.diag(rod.inertia_kg_m2), (left, right), np.array([0.0, 1.0, 0.0]))
 
 
 def gains(impedance: ImpedanceConfig) -> ImpedanceGains:
-    """Return the gains of the law as they are configured."""
+    """Return the configured gains."""
     return ImpedanceGains(
         stiffness=(impedance.stiffness_n_per_m,) * 3 + (impedance.stiffness_nm_per_rad,) * 3,
         damping_ratio=impedance.damping_ratio,

@@ -1,10 +1,10 @@
-"""What stops a carry, and how: each way ends in one named fault (skills/faults.py).
+"""Stop a carry; each cause becomes one named fault (skills/faults.py).
 
-finding        the arms are halted where they are
-lost motors    the same; those arms get no torque any more
-reflex         the supervisor's own soft stop acts
-arbiter        another mode is asked for, or a command is refused: it brakes along the path and holds
-halt           by another source: the arms stop where they are, the hands keep their command
+finding        halt on the spot
+lost motors    halt, and those arms get no torque any more
+reflex         the supervisor's soft stop
+arbiter        another mode or a refusal: brake along the path and hold
+halt           by another source: halt, hands keep their command
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ from minidual.skills.faults import FAULTS, CarryFault, Finding
 
 _OPEN = np.ones(2)
 _BRAKED_S = 0.6
-"""By then the arbiter has braked any motion along its path."""
+"""Time in which the arbiter brakes any motion along its path."""
 
 
 class CarryStop:
     """Stops one carry.
 
     Args:
-        stack: Its way to the motors.
-        source: As which it proposes.
-        watch: Its senses.
-        deceleration_share: Of a halt, as a share of the joints' limits.
+        stack: Control stack.
+        source: Name under which the carry proposes.
+        watch: Sensing.
+        deceleration_share: Of a halt, relative to the joints' limits.
 
     Attributes:
-        fault: What stopped it, or None.
-        halted: Whether a finding or a reflex stopped the arms where they are, not along their path.
-        duration_s: How long the arms take to come to rest.
-        over: Set when the trial has ended: what the arbiter does with silence from then on is no fault.
+        fault: Cause of the stop, or None.
+        halted: Whether the arms were stopped on the spot, not along their path.
+        duration_s: Time until rest.
+        over: Trial ended; stale commands are no fault any more.
     """
 
     def __init__(self, stack: ControlStack, source: str, watch: CarryWatch, *, deceleration_share: float) -> None:
@@ -54,18 +54,18 @@ class CarryStop:
         stack.on_flush(self._flushed)
 
     def heed(self, finding: Finding) -> None:
-        """Halt the arms where they are if something was found."""
+        """Halt on the spot if there is a finding."""
         if finding is None or self.halted:
             return
         name, detail = finding
         self.halted = True
         drives = self._stack.source == self._source
         self._stack.halt(self._source, _OPEN if FAULTS[name].opens_hands and drives else None)
-        if self.fault is None:  # else the arbiter has stopped it already, and this came on top
+        if self.fault is None:  # else the arbiter stopped it first
             self._note(name, self._stack.plant.time, detail, self._halt_s())
 
     def heed_motors(self) -> None:
-        """Switch off arms whose motors are lost, whatever stopped them before."""
+        """Switch off arms with lost motors, even after another fault."""
         if self._told is None:
             return
         finding = self._watch.motors(self._told, self._stack.plant.tau)
@@ -74,13 +74,13 @@ class CarryStop:
             self._stack.switch_off(self._watch.lost_arms)
 
     def heed_refusal(self, refusal: Refusal) -> None:
-        """Note that a command of the carry was refused."""
+        """Record the refusal of a command."""
         if self.fault is None:
             why = f"{refusal.name}: {refusal.detail}"
             self._note("interrupted", self._stack.plant.time, why, _BRAKED_S)
 
     def step(self) -> None:
-        """Run a step of the stack; note a reflex and what the arbiter did."""
+        """Step the stack; record reflexes and interruptions by the arbiter."""
         try:
             self._stack.step()
         except ReflexError as error:
@@ -90,7 +90,7 @@ class CarryStop:
         self._told = self._stack.applied
 
     def _heed_reflex(self, error: ReflexError) -> None:
-        """Note why the supervisor has stopped the arms; the hands stay as they are commanded."""
+        """Record a reflex; the hands keep their command."""
         self.halted, cause = True, error.__cause__
         if self.fault is not None:
             return
@@ -100,7 +100,7 @@ class CarryStop:
             self._note("reflex", error.reflex.time_s, error.reflex.text, self._halt_s())
 
     def _heed_arbiter(self) -> None:
-        """Note that the arbiter lets the motion go no further."""
+        """Record an interruption by the arbiter."""
         stack, refused = self._stack, None
         if len(stack.refusals) > self._refusals_seen:
             news = stack.refusals[self._refusals_seen :]
@@ -108,7 +108,7 @@ class CarryStop:
             refused = next((r for r in news if r.source == self._source), None)
         if self.fault is not None or self.over:
             return
-        if stack.output.halted:  # before what was asked for: a halt is told to the sources as a hold
+        if stack.output.halted:  # first: sources see a halt as a hold request
             self._note("interrupted", stack.plant.time, "the arms were halted", self._halt_s())
             return
         if refused is not None:
@@ -127,7 +127,7 @@ class CarryStop:
         self.duration_s = duration_s
 
     def _halt_s(self) -> float:
-        """Return how long a halt from here takes."""
+        """Return the duration of a halt from the present state."""
         world = self._stack.plant
         return SoftStop(world.q, world.v, self._share * world.robot.a_max).duration_s
 

@@ -1,11 +1,6 @@
-"""What a carry knows of the object from sensed quantities, and what it finds wrong.
+"""Object estimate and fault detection of a carry.
 
-    sense()    once a control step: take in what arrives, filter the forces, move the estimate on
-    read()     what controller C is told of the object
-    others     findings (skills/faults.py), each for the phases in which it applies
-
-The true state is not read: joints and fingers come from encoders, motor torques from the drives, pose and contact
-forces through `plant/sensing.py`.
+Uses only encoders, motor torques and the sensors of `plant/sensing.py`, never the true state.
 """
 
 from __future__ import annotations
@@ -26,22 +21,22 @@ from minidual.tasks.rod_carry import tilt_rad
 
 _GRIPPED = 0.9
 _EASED = 0.75
-"""Share of the squeeze felt as the hands began to slip that is wanted from then on."""
+"""Share of the internal force felt at the onset of slip that is requested from then on."""
 _EASE_MARGIN = 1.1
-"""Squeeze over what the task needs below which it is not eased: a grip that slips even then is lost."""
+"""Lower bound of the eased internal force, relative to what the task needs."""
 
 
 class CarryWatch:
-    """The senses of one carry; the object sensor of its controller C.
+    """Object sensing of one carry; the object sensor of controller C.
 
     Args:
-        world: Joints and fingers are read from it, the object never.
+        world: Source of joints and fingers only.
         kinematics: Workspace.
-        config: Sensing, gains, limits of the faults.
-        sensors: What senses the object.
+        config: Sensing, gains, fault limits.
+        sensors: Object sensors.
 
     Raises:
-        RuntimeError: The first reading of the sensors holds no pose.
+        RuntimeError: The first reading has no pose.
     """
 
     def __init__(self, world: World, kinematics: Kinematics, config: CarryConfig, sensors: ObjectSensors) -> None:
@@ -63,50 +58,50 @@ class CarryWatch:
         self._spread_m: float | None = None
         self._felt_n = 0.0
         self.grip_limit_n = math.inf
-        """Largest squeeze [N] that friction carries, as learnt from hands that began to slip."""
+        """Largest internal force [N] that friction carries, learnt from slip onset."""
 
-    # What is known -----------------------------------------------------------------------------------------
+    # Estimates ---------------------------------------------------------------------------------------------
 
     @property
     def T_world_object(self) -> Array:
-        """Pose (4, 4) at which the object is believed to be."""
+        """Estimated object pose (4, 4)."""
         return self.estimate.T_world_object
 
     @property
     def estimate(self) -> ObjectState:
-        """How the object is believed to move."""
+        """Estimated object state."""
         return ObjectState(self._resting.T_world_object) if self._held is None else self._held.state
 
     @property
     def held(self) -> bool:
-        """Whether the object is taken to move with the hands."""
+        """Whether the object is assumed to move with the hands."""
         return self._held is not None
 
     @property
     def gripped(self) -> bool:
-        """Whether both hands feel the pinch that a lift needs."""
+        """Whether both hands pinch enough to lift."""
         return float(self._pinch.min()) > _GRIPPED * self._config.impedance.pinch_n
 
     @property
     def squeeze_n(self) -> float:
-        """Internal force [N] that is wanted once the squeeze is complete; it falls when the hands slip."""
+        """Requested full internal force [N]; it falls on slip."""
         return min(self._config.impedance.internal_force_n, self.grip_limit_n)
 
     @property
     def lost_arms(self) -> tuple[int, ...]:
-        """Arms whose motors were found not to give what they were told."""
+        """Arms whose motors do not follow their commands."""
         return tuple(int(arm) for arm in np.flatnonzero(self._monitor.lost))
 
     def read(self) -> tuple[ObjectState, float]:
-        """Return the object's state and the internal force that is felt [N], as of the last `sense`."""
+        """Return object state and felt internal force [N] as of the last `sense`."""
         return self.estimate, self._felt_n
 
-    # What happens ------------------------------------------------------------------------------------------
+    # Updates -----------------------------------------------------------------------------------------------
 
     def sense(self) -> None:
-        """Take in what the sensors deliver at this control step."""
+        """Read and filter the sensors; call once a control step."""
         world = self._world
-        if world.time > self._sensed_s:  # the constructor has sensed the first step already
+        if world.time > self._sensed_s:  # the constructor sensed the first step
             self._reading = self._sensors.sense()
         reading, share = self._reading, self._filter_share
         self._forces += share * (reading.hand_forces - self._forces)
@@ -119,7 +114,7 @@ class CarryWatch:
             self._feel()
 
     def take_hold(self) -> None:
-        """Believe from now on that the object moves with the hands."""
+        """Assume from now on that the object moves with the hands."""
         world, sensing = self._world, self._config.sensing
         period = 1.0 / sensing.pose_rate_hz if sensing.pose_rate_hz > 0.0 else world.dt
         self._held = HeldEstimate(
@@ -133,25 +128,25 @@ class CarryWatch:
         self._feel()
 
     def let_go(self) -> None:
-        """Believe from now on that the object lies where it is."""
+        """Assume from now on that the object rests where it is."""
         self._resting = RestingEstimate(self.T_world_object)
         self._held = None
 
-    # What is found wrong -----------------------------------------------------------------------------------
+    # Faults ------------------------------------------------------------------------------------------------
 
     def resting(self) -> Finding:
-        """Take a fresh pose into the mean of an object that nobody has touched, and judge it."""
+        """Average a new pose of the untouched object and check it."""
         if self._reading.pose is None:
             return None
         self._resting.add(self._reading.pose.T_world_object)
         return self._monitor.resting(self._resting.innovation)
 
     def closing(self, t_s: float) -> Finding:
-        """Judge hands that have been closing for a time [s]."""
+        """Check hands that have been closing for `t_s`."""
         return self._monitor.closing(self._gaps_m(), self._pinch, t_s)
 
     def holding(self, *, steady: bool) -> Finding:
-        """Judge a held object, and ease the squeeze when the hands begin to slip; `steady`: it is complete."""
+        """Check a held object and reduce the internal force on slip; `steady` also checks that force."""
         estimate, monitor = self._held, self._monitor
         if estimate is None:
             return None
@@ -165,24 +160,23 @@ class CarryWatch:
         return next((finding for finding in found if finding is not None), None)
 
     def motors(self, told: Array, applied: Array) -> Finding:
-        """Compare torques (n,) [Nm] told and given in the last step."""
+        """Compare commanded and applied torques (n,) [Nm] of the last step."""
         return self._monitor.motors(told, applied)
 
     def _gaps_m(self) -> Array:
-        """Return the gap between the fingers of each hand (2,) [m], from their encoders."""
+        """Return the finger gap of each hand (2,) [m], from encoders."""
         return 2.0 * self._world.robot.hand.travel_m * self._world.gripper
 
     def _feel(self) -> None:
-        """Find the internal force: the smaller of the hands' forces towards each other along the object."""
+        """Compute the felt internal force: the smaller of the hands' opposing axial forces."""
         left, right = self._forces.dot(self.T_world_object[:3, 1]).tolist()
-        self._felt_n = float(np.minimum(-left, right))  # Python's min would drop a NaN of the right hand
+        self._felt_n = float(np.minimum(-left, right))  # Python's min could drop a NaN
 
     def _ease(self, spread_m: float) -> None:
-        """Want less squeeze when the hands begin to slip along the object: it is smoother than expected.
+        """Reduce the internal force when the hands begin to slip along the object.
 
-        The squeeze is carried by friction, at most 2 mu times the pinch. What was felt as they began to slip is that
-        limit; three quarters of it holds with a margin. The squeeze rises while the object still lies on the table, so
-        a smooth one shows there.
+        Friction carries at most 2 mu times the pinch; the force felt at slip onset is that limit. Three quarters of it
+        leave a margin. The force rises while the object is on the table, so low friction shows there.
         """
         if self._spread_m is None:
             self._spread_m = spread_m

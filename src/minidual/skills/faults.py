@@ -1,8 +1,7 @@
-"""What can go wrong in a carry, what tells it from sensed quantities alone, and what the hands do then.
+"""Faults of a carry: how each is sensed and what the hands do.
 
-Every fault stops both arms softly and names itself: what is sensed halts them (control/soft_stop.py), the supervisor and
-the arbiter stop them in their own ways. One table; the monitor below raises each of them within 50 ms of the onset in tests
-that inject it (docs/carry.md has the figures).
+Every fault stops both arms softly (control/soft_stop.py, the supervisor or the arbiter). docs/carry.md lists detection
+latencies.
 """
 
 from __future__ import annotations
@@ -18,11 +17,11 @@ from minidual.robot.pair import SIDES, Array
 
 @dataclass(frozen=True)
 class FaultKind:
-    """One row of the table.
+    """One kind of fault.
 
     Attributes:
-        sensed_by: What tells it.
-        opens_hands: Whether the hands let go; where the object may still be held they stay closed.
+        sensed_by: How it is detected.
+        opens_hands: False where the object may still be held.
     """
 
     sensed_by: str
@@ -49,12 +48,12 @@ FAULTS: dict[str, FaultKind] = {
 
 @dataclass(frozen=True)
 class CarryFault:
-    """A fault that a carry found.
+    """A fault found in a carry.
 
     Attributes:
-        name: A key of FAULTS.
-        at_s: When it was detected.
-        detail: What was sensed, with numbers.
+        name: Key of FAULTS.
+        at_s: Detection time.
+        detail: Sensed values.
     """
 
     name: str
@@ -63,51 +62,51 @@ class CarryFault:
 
     @property
     def text(self) -> str:
-        """Return it as one line."""
+        """One line for people."""
         return f"{self.name} at {self.at_s:.2f} s: {self.detail}"
 
 
 Finding = tuple[str, str] | None
-"""(name, detail) of what was found, or None."""
+"""(name, detail) of a fault, or None."""
 
 
 _SCATTERS = 2.9
-"""Root mean squares of a reading's distance from its mean that it must exceed to mean something: five standard
-deviations a coordinate, which white noise does twice in a row once in a billion samples."""
+"""Threshold in RMS distances: five standard deviations per coordinate. White noise exceeds it twice in a row once in a
+billion samples."""
 _LEARNT = 10
-"""Samples before the scatter of a sensor is known well enough to judge by it."""
+"""Samples needed before the learnt scatter is used."""
 
 
 class _Scatter:
-    """How far readings of an object that lies still stray: a sensor is only as good as it shows itself to be."""
+    """RMS distance of the readings of a resting object."""
 
     def __init__(self, least: float) -> None:
         self._least, self._squares, self._count = least, 0.0, 0
 
     @property
     def limit(self) -> float:
-        """Distance that a reading must exceed to be no noise; generous until enough readings were seen."""
+        """Distance above which a reading is not noise; generous until enough samples."""
         if self._count < _LEARNT:
             return 4.0 * self._least
         return max(self._least, _SCATTERS * float(np.sqrt(self._squares / self._count)))
 
     def learn(self, distance: float) -> None:
-        """Take in a reading of an object that has not moved."""
+        """Add a reading of an unmoved object; outliers are ignored."""
         if distance <= self.limit:
             self._squares += distance**2
             self._count += 1
 
 
 class FaultMonitor:
-    """Looks for faults; each method is called once a control step in the phases where it applies.
+    """Detects faults; call each method once a control step in its phases.
 
-    A reading that is not a number lies within no limit, so every comparison asks whether all is well.
+    NaN counts as a fault: every comparison asks whether all is well.
 
     Args:
         config: Limits.
         dt_s: Control step.
-        width_m: Width of the object between the fingers.
-        pinch_n: Pinch that the hands are told to hold.
+        width_m: Object width between the fingers.
+        pinch_n: Commanded pinch.
     """
 
     def __init__(self, config: CarryFaultConfig, *, dt_s: float, width_m: float, pinch_n: float) -> None:
@@ -117,15 +116,15 @@ class FaultMonitor:
         self._spread_m: float | None = None
         self._motors_missing = False
         self.lost: npt.NDArray[np.bool_] = np.zeros(len(SIDES), dtype=bool)
-        """(2,) arms whose motors were found not to give what they were told; once lost, an arm stays lost."""
+        """(2,) arms with lost motors; latched."""
         self._away_m, self._away_rad = _Scatter(config.displaced_m), _Scatter(config.displaced_rad)
 
     def _is_away(self, innovation: tuple[float, float]) -> bool:
-        """Return whether a pose sample is farther from where the object should be than its sensor's scatter."""
+        """Return whether a pose innovation exceeds the sensor's scatter."""
         return not (innovation[0] <= self._away_m.limit and innovation[1] <= self._away_rad.limit)
 
     def _lasts(self, key: str, now: bool, needed: int | None = None) -> bool:
-        """Return whether `now` has held for as many calls in a row as needed."""
+        """Return whether `now` has held for the needed calls in a row."""
         if not now:
             self._counts[key] = 0
             return False
@@ -133,7 +132,7 @@ class FaultMonitor:
         return count >= (self._needed if needed is None else needed)
 
     def motors(self, commanded: Array, applied: Array) -> Finding:
-        """Compare torques (n,) told and given in the last step; `lost` says which arms are gone."""
+        """Compare commanded and applied torques (n,) of the last step; updates `lost`."""
         difference = commanded - applied
         np.abs(difference, difference)
         if difference.max() <= self._config.motor_torque_n_m and not self._motors_missing:
@@ -141,14 +140,14 @@ class FaultMonitor:
         missing = difference.reshape(2, -1).max(axis=1)
         self._motors_missing = not bool((missing <= self._config.motor_torque_n_m).all())
         found: list[str] = []
-        for arm, name in enumerate(SIDES):  # both: drives that share a supply go together
+        for arm, name in enumerate(SIDES):  # check both: drives can share a supply
             if self._lasts(f"motor {name}", not missing[arm] <= self._config.motor_torque_n_m):
                 self.lost[arm] = True
                 found.append(f"{name} arm: a motor gives {missing[arm]:.1f} Nm less than it was told")
         return ("lost_arm", "; ".join(found)) if found else None
 
     def resting(self, innovation: tuple[float, float]) -> Finding:
-        """Judge one fresh pose sample of an object that nobody has touched."""
+        """Check a new pose sample of an untouched object."""
         away_m, away_rad = innovation
         away = self._is_away(innovation)
         self._away_m.learn(away_m)
@@ -158,7 +157,7 @@ class FaultMonitor:
         return None
 
     def closing(self, gap_m: Array, pinch_n: Array, t_s: float) -> Finding:
-        """Judge closing hands by the gap between their fingers (2,), the pinch (2,) and the time since they began."""
+        """Check closing hands: finger gaps (2,), pinch (2,), time since the start."""
         for arm, name in enumerate(SIDES):
             through = not float(gap_m[arm]) >= self._width - self._config.gap_margin_m
             if self._lasts(f"gap {name}", through, 3):
@@ -172,7 +171,7 @@ class FaultMonitor:
         return None
 
     def holding(self, pinch_n: Array, gap_m: Array, spread_m: float, tilt_rad: float) -> Finding:
-        """Judge a held object by pinch (2,), finger gaps (2,), the hands' distance and its estimated tilt."""
+        """Check a held object: pinch (2,), gaps (2,), distance of the hands, tilt."""
         config = self._config
         least_n, least_m = config.lost_pinch_share * self._pinch, self._width - config.gap_margin_m
         for name, pinch, gap in zip(SIDES, pinch_n.tolist(), gap_m.tolist(), strict=True):
@@ -183,21 +182,21 @@ class FaultMonitor:
         if self._spread_m is None:
             self._spread_m = spread_m
         crept = abs(spread_m - self._spread_m)
-        if self._lasts("spread", not crept <= config.displaced_m, 1):  # of encoders: one reading is enough
+        if self._lasts("spread", not crept <= config.displaced_m, 1):  # encoders: one reading suffices
             return "slip", f"the hands have moved {1e3 * crept:.1f} mm along the object"
         if self._lasts("tilt", not tilt_rad <= config.tilt_rad):
             return "tilted", f"the object is tilted by {np.degrees(tilt_rad):.0f} deg"
         return None
 
     def held_pose(self, innovation: tuple[float, float]) -> Finding:
-        """Judge one fresh pose sample of a held object: how far it is from where the hands should have it."""
+        """Check a new pose sample of a held object against the hands."""
         away_m, away_rad = innovation
         if self._lasts("held", self._is_away(innovation), 2):
             return ("slip", f"the object is {1e3 * away_m:.1f} mm, {np.degrees(away_rad):.1f} deg off in the hands")
         return None
 
     def squeezing(self, wanted_n: float, felt_n: float) -> Finding:
-        """Compare the squeeze that is wanted, once it is steady, with the one that is felt."""
+        """Compare requested and felt internal force, once steady."""
         if self._lasts("squeeze", not felt_n >= self._config.squeeze_share * wanted_n):
             return "slip", f"internal force {felt_n:.1f} of {wanted_n:.0f} N"
         return None

@@ -1,7 +1,7 @@
-"""Drive a held-object plan in the simulated world and measure how far the object strays from it.
+"""Execute a held-object plan in simulation and measure the object's deviation from it.
 
-The object lies on the table and the open hands are round it; they close, then follow the plan by position. The true
-pose is read for scoring only, at every step from closed hands until the arms have come to rest.
+The open hands are round the object on the table; they close, then follow the plan by position. The true pose is used
+for scoring only.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ class NotDrivenError(MinidualError):
 
 @dataclass(frozen=True)
 class Execution:
-    """How far the object was from where the plan had it.
+    """Deviation of the object from the plan.
 
     Attributes:
-        error_max_m, error_max_rad: Largest deviation of position and of orientation.
-        at_m_s, at_rad_s: When each happened, in seconds after the start of the plan.
-        grasp_error_m, grasp_error_rad: Deviation when the plan began: what closing the hands did.
-        end_error_m, end_error_rad: Deviation after the arms came to rest.
-        pinch_min_n: Smallest pinch of either hand along the way [N].
+        error_max_m, error_max_rad: Largest deviations.
+        at_m_s, at_rad_s: Their times after the plan's start [s].
+        grasp_error_m, grasp_error_rad: Deviation at the plan's start, from closing the hands.
+        end_error_m, end_error_rad: Deviation at final rest.
+        pinch_min_n: Smallest pinch of either hand [N].
     """
 
     error_max_m: float
@@ -54,7 +54,7 @@ class Execution:
 
 
 def deviation(T_world_object: Array, T_world_planned: Array) -> tuple[float, float]:
-    """Return distance [m] and angle [rad] between a pose and the planned one."""
+    """Return distance [m] and angle [rad] between two poses."""
     E = inverse(T_world_planned) @ T_world_object
     return float(np.linalg.norm(E[:3, 3])), float(np.linalg.norm(rotation_log(E[:3, :3])))
 
@@ -62,17 +62,17 @@ def deviation(T_world_object: Array, T_world_planned: Array) -> tuple[float, flo
 def execute(
     plan: CarriedTrajectory, scene: SceneConfig, *, world: World | None = None, close_s: float = PHASES["close"].hold_s
 ) -> Execution:
-    """Return how the object followed a plan that starts with it level on the table.
+    """Execute a plan that starts with the object level on the table.
 
     Args:
-        plan: Starts at rest with both open hands round the object.
+        plan: Starts at rest with open hands round the object.
         scene: Physics and object.
-        world: A world to use again, of the same scene.
-        close_s: Time for the hands to close.
+        world: World of this scene to reuse.
+        close_s: Closing time of the hands.
 
     Raises:
-        ValueError: The plan starts with a tilted object, which cannot lie on the table.
-        NotDrivenError: The control stack refused or stopped it.
+        ValueError: The object is tilted at the start.
+        NotDrivenError: The control stack refused or stopped the plan.
     """
     T_start = plan.Ts_world_object[0]
     if abs(T_start[2, 1]) > _FLAT or abs(T_start[2, 0]) > _FLAT:

@@ -1,8 +1,7 @@
 """Carry an object under object impedance: approach, grasp, squeeze, lift, carry, lower, release, retreat.
 
-Phases propose timed joint motions while the hands are free and object motions while they hold, as source `moveit`.
-Controllers A and C change places between two control steps, when both hands have closed and when the squeeze is gone.
-`carry_watch.py` senses, `carry_stop.py` stops, `carry_motions.py` makes what is proposed. See docs/carry.md.
+Proposes joint motions while the hands are free and object motions while they hold, as source `moveit`. Controllers A
+and C are switched when both hands have closed and when the internal force is gone. See docs/carry.md.
 """
 
 from __future__ import annotations
@@ -52,18 +51,17 @@ class ImpedanceCarry:
     """One trial under object impedance; call `step` until `done`.
 
     Args:
-        world: The plant, already reset. Joints, fingers and motors are read from it, the object never.
+        world: Plant, already reset; read for joints, fingers and motors only.
         kinematics: Workspace.
         config: Speeds, gains, sensing, limits.
-        trial: Start and goal. The start is not read: the object is found by its sensor.
-        sensors: What senses the object; by default, the configured sensors on the trial's own stream of `seed`.
-        seed: The run's seed.
-        supervisor: Guards the motors; its reflex is a fault. By default one with the standard bounds, which does not
-            watch the distance between the arms.
-        arbiter: Bounds of the arbiter.
+        trial: Its goal; the start is sensed instead.
+        sensors: Object sensors; default: from `config` and `seed`.
+        seed: Seed of the run.
+        supervisor: Guards the motors. The default has standard bounds and ignores the distance between the arms.
+        arbiter: Arbiter bounds.
 
     Attributes:
-        stack: The way to the motors, of this trial alone.
+        stack: Control stack of this trial.
     """
 
     name = "impedance"
@@ -107,7 +105,7 @@ class ImpedanceCarry:
             level = level_part(self._watch.T_world_object)
             over_m = PHASES["approach"].rise_m
             self._q_over = grasp_posture(world.scene, world.robot, level, world.robot.home, above_m=over_m)
-            # A grasp out of reach is refused before anything moves.
+            # Check the grasp before anything moves.
             grasp_posture(world.scene, world.robot, level, self._q_over)
         except GraspUnreachableError as error:
             self._stop_by.heed(("unreachable", error.message))
@@ -116,37 +114,37 @@ class ImpedanceCarry:
 
     @property
     def phase(self) -> str:
-        """Name of the phase the trial is in."""
+        """Name of the present phase."""
         return self._phase
 
     @property
     def fault(self) -> CarryFault | None:
-        """What stopped the trial, or None."""
+        """Fault that stopped the trial, or None."""
         return self._stop_by.fault
 
     @property
     def done(self) -> bool:
-        """Return whether the cycle is over, aborted or not."""
+        """Whether the trial is over, aborted or not."""
         return self._phase == "done"
 
     @property
     def aborted(self) -> str | None:
-        """Why the trial stopped itself, or None."""
+        """Text of the fault, or None."""
         return None if self.fault is None else self.fault.text
 
     @property
     def estimate(self) -> ObjectState:
-        """Where the controller believes the object to be."""
+        """Estimated object state."""
         return self._watch.estimate
 
     @property
     def squeeze_n(self) -> float:
-        """Internal force that is wanted once the squeeze is complete [N]; it falls when the hands slip."""
+        """Requested full internal force [N]; it falls on slip."""
         return self._watch.squeeze_n
 
     @property
     def desired(self) -> ObjectState | None:
-        """Where the object should be in this step, or None while it is not carried under impedance."""
+        """Desired object state; None unless controller C is active."""
         return self.stack.impedance.desired if self._law_drives else None
 
     def step(self) -> None:
@@ -163,7 +161,7 @@ class ImpedanceCarry:
         stops.step()
         self._stop_if_due()
 
-    # What is common to all phases -----------------------------------------------------------------------
+    # Common to all phases -------------------------------------------------------------------------------
 
     @property
     def _law_drives(self) -> bool:
@@ -178,7 +176,7 @@ class ImpedanceCarry:
         self._stop_by.over = phase == "done"
 
     def _propose(self, command: Command) -> None:
-        """Offer a command; one that is refused at once ends the carry, as after the step one refused when it is taken."""
+        """Propose a command; an immediate refusal ends the carry."""
         refusal = self.stack.propose(SOURCE, command)
         if refusal is not None:
             self._stop_by.heed_refusal(refusal)
@@ -188,7 +186,7 @@ class ImpedanceCarry:
         return self._sequence
 
     def _move(self, phase: str, q_goal: Array, *, duration_s: float | None = None) -> None:
-        """Enter a phase in which the open hands go from where they were sent last to a posture (n,)."""
+        """Enter a phase that moves the open hands from their last target to a posture (n,)."""
         if duration_s is None:
             duration_s = joint_duration_s(self._q_last, q_goal, self._config.pace, self.world.robot)
         motion = JointMove(self._q_last, q_goal, duration_s, self.world.dt)
@@ -197,12 +195,12 @@ class ImpedanceCarry:
         self._enter(phase)
 
     def _hold(self, phase: str, what: tuple[HeldMotion, Squeeze]) -> None:
-        """Enter a phase in which the object is held."""
+        """Enter a phase with the object held."""
         self._propose(ObjectCommand(*what, _CLOSED, self.world.time, self._number()))
         self._enter(phase)
 
     def _grasp(self, q_near: Array, *, above_m: float = 0.0) -> Array | None:
-        """Return the posture (n,) with the hands at or over their grasps; None, and a soft stop, where there is none."""
+        """Return the posture (n,) at or over the grasps; None, with a halt, if unreachable."""
         level = level_part(self._watch.T_world_object)
         try:
             return grasp_posture(self._scene, self.world.robot, level, q_near, above_m=above_m)
@@ -218,7 +216,7 @@ class ImpedanceCarry:
                 self._driving = True
                 self._move("approach", self._q_over)
         elif not self.stack.executing:
-            # By now the object has been seen a hundred times: the grasp is placed by the mean.
+            # The grasp uses the mean of all poses so far, about a hundred.
             q_grasp = self._grasp(self._q_over)
             if q_grasp is not None:
                 self._move("descend", q_grasp)
@@ -229,7 +227,7 @@ class ImpedanceCarry:
             self._close(0.0)
 
     def _close(self, t: float) -> None:
-        # The lift is gated on what the fingers feel, not on a clock, so the posture is streamed.
+        # Closing ends on felt pinch, not on time, so the posture is streamed.
         if t == 0.0 or self.stack.tick_next:
             self._propose(JointCommand(self._q_last, _CLOSED, self.world.time, self._number()))
         if self.fault is not None:
@@ -240,7 +238,7 @@ class ImpedanceCarry:
             self._stop_by.heed(self._watch.closing(t))
 
     def _engage(self) -> None:
-        """Both hands have closed: plan the path, tell controller C what is held, let it take over, begin to squeeze."""
+        """Plan the path, switch to controller C and begin to squeeze."""
         world, watch = self.world, self._watch
         T_object = watch.T_world_object
         try:
@@ -299,10 +297,10 @@ class ImpedanceCarry:
             self._enter("done")
 
     def _done(self, t: float) -> None:
-        """Hold: the arms stay where they have come to rest, controller C too if it was interrupted with the object."""
+        """Hold position, under controller C if interrupted with the object."""
         self._mind_the_object()
 
     def _mind_the_object(self) -> None:
-        """Halt the arms when the object gets lost: stopped by the arbiter, it is still squeezed by both hands."""
+        """Halt if the object gets lost; after a stop by the arbiter it is still squeezed."""
         if self._law_drives and not self._stop_by.halted:
             self._stop_by.heed(self._watch.holding(steady=False))

@@ -1,8 +1,7 @@
-"""The scripted operator: joint targets for the whole rod cycle, as a skilled pair of hands would give them.
+"""Scripted operator: joint targets for the whole rod cycle.
 
-It knows where the rod starts (it stands in for the person's eyes) and reads no other state of the simulation.
-Every trial has the same phases with the same durations, the same minimum-jerk profile and the same choice of
-posture, so that the motion is a smooth function of the start pose and a policy can learn it.
+It reads the rod's start and no other simulation state. Durations, profile and posture choice are the same in all
+trials, so the motion is a smooth, learnable function of the start pose.
 """
 
 from __future__ import annotations
@@ -24,19 +23,13 @@ from minidual.tasks.rod_carry import grasp_offsets, level_pose, placement
 from minidual.tasks.task import Trial
 
 _WRIST_COST = 0.1
-"""The last joint turns the hand and nothing else, so it may move freely. With equal costs the elbow would swing to
-spare it, and close to the table, where the forearm is nearly upright, joint 5 would swing three times as fast."""
+"""The last joint only turns the hand and may move freely. With equal costs the elbow swings instead, and near the table
+joint 5 moves three times as fast."""
 
 
 @dataclass(frozen=True)
 class Phase:
-    """A stretch of the cycle.
-
-    Attributes:
-        name: What happens in it.
-        start_s: When it begins [s]; it may begin before the one before it ends.
-        end_s: When it ends [s].
-    """
+    """A phase with start and end [s]; phases may overlap."""
 
     name: str
     start_s: float
@@ -45,13 +38,13 @@ class Phase:
 
 @dataclass(frozen=True)
 class Demonstration:
-    """What the operator would do in one trial, at a constant rate.
+    """Operator commands of one trial.
 
     Attributes:
-        rate_hz: Ticks a second.
-        q: Joint targets (T, n) [rad]; q[0] is the home posture.
-        gripper: Opening commands (T, 2), 0 closed or 1 open.
-        phases: The stretches, in order.
+        rate_hz: Sampling rate.
+        q: Joint targets (T, n) [rad]; q[0] is home.
+        gripper: Openings (T, 2), 0 closed or 1 open.
+        phases: In order.
     """
 
     rate_hz: float
@@ -61,11 +54,11 @@ class Demonstration:
 
     @property
     def duration_s(self) -> float:
-        """Length of the demonstration [s]."""
+        """Length [s]."""
         return len(self.q) / self.rate_hz
 
     def at(self, elapsed_s: float) -> tuple[Array, Array]:
-        """Return joint targets (n,) and openings (2,) at a time since the start [s]; the last ones after the end."""
+        """Return joint targets (n,) and openings (2,) at a time [s]; the last ones after the end."""
         tick = min(max(round(elapsed_s * self.rate_hz), 0), len(self.q) - 1)
         return self.q[tick], self.gripper[tick]
 
@@ -75,8 +68,8 @@ class ScriptedOperator:
 
     Args:
         scene: Rod and task.
-        config: Durations, heights and the deliberate error of the approach.
-        kinematics: Workspace; its own by default.
+        config: Durations, heights and approach error.
+        kinematics: Workspace; default: its own.
     """
 
     def __init__(
@@ -92,11 +85,10 @@ class ScriptedOperator:
         self._grasps = grasp_offsets(scene)
 
     def phases(self) -> tuple[Phase, ...]:
-        """Return the phases with their times; the same in every trial.
+        """Return the phases with their times, the same in every trial.
 
-        The correction begins before the approach ends and the descent before the correction does, so that the
-        hands never stand still over the rod. A policy that sees neither speed nor time would find a pause there,
-        learn to wait, and wait for ever.
+        Approach, correction and descent overlap so that the hands never pause over the rod. A policy that sees neither
+        speed nor time would learn to wait there for ever.
         """
         c = self.config
         result: list[Phase] = []
@@ -120,7 +112,7 @@ class ScriptedOperator:
         return tuple(result)
 
     def approach_error(self, seed: int, trial: Trial) -> Array:
-        """Return the error (x [m], y [m], yaw [rad]) with which the hands arrive over the rod, drawn per trial."""
+        """Return the trial's error (x [m], y [m], yaw [rad]) of the approach."""
         scale = np.array([self.config.approach_noise_m, self.config.approach_noise_m, self.config.approach_noise_rad])
         rng = stream(seed, f"operator/{trial.purpose}", trial.index)
         return scale * np.clip(rng.standard_normal(3), -2.0, 2.0)
@@ -129,12 +121,12 @@ class ScriptedOperator:
         """Return the demonstration of a trial.
 
         Args:
-            trial: Start and goal of the rod.
-            seed: The run's seed, for the error of the approach.
-            rate_hz: Ticks a second.
+            trial: Start and goal.
+            seed: Seed of the run, for the approach error.
+            rate_hz: Sampling rate.
 
         Raises:
-            UsageError: A pose on the way is out of reach.
+            UsageError: A pose is out of reach.
         """
         phases = self.phases()
         ticks = round(phases[-1].end_s * rate_hz)
@@ -151,7 +143,7 @@ class ScriptedOperator:
         return Demonstration(rate_hz, q, gripper, phases)
 
     def _hand_poses(self, t: float, trial: Trial, error: Array, phases: tuple[Phase, ...]) -> tuple[Array, Array]:
-        """Return the poses of both tool centre points at time t."""
+        """Return both tool centre point poses at time t."""
         progress = {p.name: minimum_jerk((t - p.start_s) / (p.end_s - p.start_s))[0] for p in phases}
         T_world_rod = self._rod_pose(trial, error, progress)
         grasped = [T_world_rod @ T_rod_tcp for T_rod_tcp in self._grasps]
@@ -162,7 +154,7 @@ class ScriptedOperator:
         return left, right
 
     def _rod_pose(self, trial: Trial, error: Array, progress: dict[str, float]) -> Array:
-        """Return the level pose that the hands would give the rod if they held it all the time."""
+        """Return the level rod pose as if the hands always held it."""
         lift = self.scene.task.lift_height_m
         start = np.array(placement(trial.start[self.scene.object.name])) + error * (1.0 - progress["correct"])
         x, y, yaw = start + (np.array(placement(trial.goal[self.scene.object.name])) - start) * progress["carry"]
@@ -179,7 +171,7 @@ def _of(phases: tuple[Phase, ...], name: str) -> Phase:
 
 
 def _between(T_from: Array, T_to: Array, s: float) -> Array:
-    """Return the pose at fraction s between two poses of hands that point down: straight line, turn about z."""
+    """Interpolate two poses of downward hands: straight line, turn about z."""
     position = T_from[:3, 3] + s * (T_to[:3, 3] - T_from[:3, 3])
     turn_from, turn_to = (np.arctan2(T[1, 0], T[0, 0]) for T in (T_from, T_to))
     turn = np.arctan2(np.sin(turn_to - turn_from), np.cos(turn_to - turn_from))

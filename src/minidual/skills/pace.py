@@ -1,10 +1,10 @@
-"""How long a motion takes at least: planned to the limits of joints and object, not fixed.
+"""Shortest duration of a motion within the limits of joints and object.
 
-A minimum-jerk motion over a distance d in time T has peak speed 1.875 d / T and peak acceleration 5.7735 d / T^2, so
+Minimum jerk over distance d in time T peaks at speed 1.875 d / T and acceleration 5.7735 d / T^2, so
 
     T = max( 1.875 d / v_max,  sqrt(5.7735 d / a_max) )
 
-over everything that moves: the object's position and direction, and every joint.
+taken over object position, object yaw and all joints, and at least 0.25 s.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def _time(distance: float | Array, speed: float | Array, acceleration: float | A
 
 
 def joint_duration_s(q0: Array, q1: Array, pace: PaceConfig, robot: Robot) -> float:
-    """Return the time for a rest-to-rest joint motion between two postures (n,)."""
+    """Return the time of a rest-to-rest motion between postures (n,)."""
     speed, acceleration = pace.joint_speed_share * robot.v_max, pace.joint_acceleration_share * robot.a_max
     return max(_LEAST_S, _time(q1 - q0, speed, acceleration))
 
@@ -40,16 +40,16 @@ def joint_duration_s(q0: Array, q1: Array, pace: PaceConfig, robot: Robot) -> fl
 def object_duration_s(
     scene: SceneConfig, robot: Robot, start: Waypoint, end: Waypoint, q_near: Array, pace: PaceConfig
 ) -> tuple[float, Array]:
-    """Return the time for a straight motion of the held object between two level poses, and the posture at its end.
+    """Return the time of a straight held motion between level poses, and the end posture.
 
-    The postures along the way come from inverse kinematics at a few points, from which the joints' speeds follow.
+    Joint speeds come from inverse kinematics at sampled poses.
 
     Args:
         scene: Holds the grasp.
-        robot: Whose limits.
-        start: Where it begins; times of the waypoints are not used.
-        end: Where it ends.
-        q_near: Posture (n,) at the start.
+        robot: Joint limits.
+        start: Start pose; its time is ignored.
+        end: End pose; its time is ignored.
+        q_near: Start posture (n,).
         pace: Limits.
 
     Raises:
@@ -61,7 +61,7 @@ def object_duration_s(
         x, y, z, yaw = a + minimum_jerk(k / _SAMPLES)[0] * (b - a)
         postures.append(grasp_posture(scene, robot, level_pose(x, y, z, yaw), postures[-1]))
     q = np.array(postures[1:])
-    # Samples are even in time, so differences are the joints' speeds and accelerations for a duration of one second.
+    # Samples are even in time: differences give speeds and accelerations for a duration of 1 s.
     speed = np.abs(np.diff(q, axis=0)) * _SAMPLES / (pace.joint_speed_share * robot.v_max)
     acceleration = np.abs(np.diff(q, 2, axis=0)) * _SAMPLES**2 / (pace.joint_acceleration_share * robot.a_max)
     distance, turn = float(np.linalg.norm(b[:3] - a[:3])), float(abs(b[3] - a[3]))

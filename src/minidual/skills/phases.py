@@ -1,7 +1,7 @@
-"""The phases of handling an object, with their numbers. Every cycle reads them here.
+"""Phases of handling an object and their parameters, shared by all cycles.
 
-A phase is driven by position (planned joint motions; the hands close and open by the clock) or by force (object
-impedance; a hand counts as closed when both fingers feel the pinch, and the squeeze is ramped).
+Position-driven phases use planned motions and timed hands. Force-driven phases use object impedance: a hand is closed
+when both fingers feel the pinch.
 """
 
 from __future__ import annotations
@@ -13,15 +13,14 @@ from minidual.motion.held.path import ObjectLimits
 
 @dataclass(frozen=True)
 class Phase:
-    """One row of the table.
+    """Parameters of a phase.
 
     Attributes:
-        name: As methods, records and films name it.
-        open: Whether the hands that act are open during it.
-        rise_m: Height of the hands over their grasps at the end of the phase, where it moves them up or down.
-        hold_s: How long the arms hold still, driven by position.
-        force_s: Least duration of the phase's ramp, driven by force.
-        limits: Speed and acceleration of the object, or of the hands that go to it; None is up to the planner.
+        open: Whether the acting hands are open.
+        rise_m: Height of the hands over their grasps at the end.
+        hold_s: Standstill of the arms, position-driven.
+        force_s: Shortest force ramp, force-driven.
+        limits: Of the object or the approaching hands; None leaves it to the planner.
     """
 
     name: str

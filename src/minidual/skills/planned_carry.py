@@ -1,6 +1,6 @@
-"""Do a task by planning alone: the whole cycle is searched before the arms move, then driven by position.
+"""Plan the whole task before moving, then execute it by position.
 
-Nothing is fed back but joint positions; the squeeze is whatever the stiff joints give.
+Only joint positions are fed back; the internal force results from the stiff joints.
 """
 
 from __future__ import annotations
@@ -30,21 +30,19 @@ class PlannedCarry(Drive):
     """One planned trial; call `step` until `done`.
 
     Args:
-        world: The plant, already reset.
-        kinematics: Dynamics for the joint controller.
+        world: Plant, already reset.
+        kinematics: For the joint controller.
         planner: Shared by trials.
-        task: What is to be done.
-        trial: Goal.
-        seed: Of the planner.
-        arbiter: Bounds of the arbiter.
-        T_world_object: Pose (4, 4) at which the object is believed to lie, as it was sensed before the motion; where it
-            truly lies by default.
-        supervisor: Guards the motors; its reflex ends the trial. The plan keeps the distance between the arms that it
-            watches, with a margin.
+        task: The task.
+        trial: Its goal.
+        seed: Seed of the planner.
+        arbiter: Arbiter bounds.
+        T_world_object: Sensed pose (4, 4) of the object; default: its true pose.
+        supervisor: Guards the motors. The plan keeps its minimum arm distance plus a margin.
 
     Attributes:
-        solution: The plan, or None where there is none.
-        record: What the search tried.
+        solution: The plan, or None.
+        record: Search record.
     """
 
     def __init__(

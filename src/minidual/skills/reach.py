@@ -1,4 +1,4 @@
-"""Where the arms must be to hold the object at its ends."""
+"""Postures that grasp the object at its ends."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from minidual.tasks.rod_carry import grasp_offsets
 
 
 class GraspUnreachableError(MinidualError):
-    """The hands cannot be placed on the object where it lies."""
+    """The hands cannot reach their grasps."""
 
 
 @functools.cache
@@ -26,17 +26,17 @@ def _solvers(robot: Robot) -> tuple[ArmIK, ...]:
 def grasp_posture(
     scene: SceneConfig, robot: Robot, T_world_level: Array, q_near: Array, *, above_m: float = 0.0
 ) -> Array:
-    """Return the joints (n,) that put both hands on the object, or straight above their grasps.
+    """Return the joints (n,) with both hands at or straight above their grasps.
 
     Args:
-        scene: Holds the grasps.
-        robot: Whose hands.
-        T_world_level: Level pose (4, 4) of the object.
-        q_near: Posture (n,) to stay close to, so that the arms keep their configuration.
-        above_m: Height of the hands over their grasps.
+        scene: Grasps.
+        robot: The two arms.
+        T_world_level: Level object pose (4, 4).
+        q_near: Start posture (n,) of the search, to keep the arms' configuration.
+        above_m: Height over the grasps.
 
     Raises:
-        GraspUnreachableError: No solution near q_near; the message names the residual.
+        GraspUnreachableError: No solution near q_near.
     """
     q = np.array(q_near)
     for solver, T_object_tcp in zip(_solvers(robot), grasp_offsets(scene), strict=True):

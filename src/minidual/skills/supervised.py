@@ -1,4 +1,4 @@
-"""The supervisor that every trial has between its controllers and the motors."""
+"""The supervisor between a trial's controllers and the motors."""
 
 from __future__ import annotations
 
@@ -14,16 +14,10 @@ from minidual.robot.pair import Robot
 
 @cache
 def arm_distance(robot: Robot) -> ArmDistance:
-    """Return the distance between the arms, built once a process: it compiles a model of its own."""
+    """Return the distance between the arms; cached, as it compiles a model."""
     return ArmDistance(PlanningScene(robot=robot))
 
 
 def trial_supervisor(config: SupervisorConfig, dt_s: float, robot: Robot) -> Supervisor:
-    """Return a supervisor that also watches the distance between the arms.
-
-    Args:
-        config: Bounds.
-        dt_s: Period of the control loop [s].
-        robot: What it guards.
-    """
+    """Return a supervisor that also watches the distance between the arms."""
     return Supervisor(config, dt_s=dt_s, kinematics=Kinematics(robot), self_distance=arm_distance(robot))

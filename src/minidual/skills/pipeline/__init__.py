@@ -1,1 +1,1 @@
-"""Search for a plan of a whole task, phase by phase. See docs/task-pipeline.md."""
+"""Plan a whole task phase by phase. See docs/task-pipeline.md."""

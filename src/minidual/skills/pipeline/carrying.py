@@ -1,4 +1,4 @@
-"""The stage of the held object: off what it stands on, to a place, down."""
+"""Stage of the held object: lift, carry, lower."""
 
 from __future__ import annotations
 
@@ -18,13 +18,12 @@ _OTHER_HEIGHTS_M = (0.06, 0.2)
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """One pose to bring the object to.
+    """A target pose of the object.
 
     Attributes:
-        label: For people.
-        T_world_object: Its pose (4, 4) there.
-        cost: Preference.
-        rests: Whether it stands there; in the air otherwise.
+        T_world_object: (4, 4).
+        cost: Lower is preferred.
+        rests: Whether it is supported there.
     """
 
     label: str
@@ -36,14 +35,14 @@ class Place:
 class Carry(Stage):
     """Bring the held object to one of several places.
 
-    Two hands try one motion without a stop (up, across, down) first. Otherwise, and where that is blocked: straight
-    up, across (straight, or a free motion where that is blocked), straight down.
+    Two hands first try one motion without a stop. Then: straight up, across (straight with one hand, else a free
+    motion), straight down.
 
     Args:
-        name: Of the stage.
-        places: The preferred one has the least cost.
-        lift_m: Height of the way over start and place.
-        budget_s: Wall time of one free motion.
+        name: Stage name.
+        places: Alternatives.
+        lift_m: Height over start and place.
+        budget_s: Wall time per free motion.
     """
 
     def __init__(self, name: str, places: Sequence[Place], lift_m: float, budget_s: float = 2.0) -> None:
@@ -72,7 +71,7 @@ class Carry(Stage):
                     yield self._in_parts(place, height, 0.2 * rank + extra, across, start, tools)
 
     def _check(self, place: Place, index: int, start: State, tools: Tools) -> None:
-        """Raise PlanningError where the hands cannot have the object there: out of reach, or something is there."""
+        """Raise PlanningError if the place is out of reach or in collision."""
         engines = tools.planner.engines(tools.scene(start, resting=place.rests))
         targets = {arm: place.T_world_object @ T for arm, T in start.held_by.items()}
         tools.planner.goals.candidates(
@@ -120,7 +119,7 @@ class Carry(Stage):
         return Candidate(label, place.cost + cost, _at(place, state, segments[-1]), tuple(segments))
 
     def _straight(self, phase: str, T_world_goal: Array, state: State, tools: Tools, segments: list[Segment]) -> State:
-        """Append the straight motion with the object off or onto what it stands on; return the state after it."""
+        """Append a straight lift or lowering; return the state after it."""
         segment = self._line(phase, T_world_goal, state, tools, resting=True)
         segments.append(segment)
         return replace(state, q=segment.trajectory.q[-1], T_world_object=T_world_goal)
@@ -141,7 +140,7 @@ class Carry(Stage):
         return tools.proven(phase, motion, state, scene, Ts_world_object=motion.Ts_world_object)
 
     def _freely(self, T_world_goal: Array, state: State, tools: Tools) -> Segment:
-        """Return the motion with the object to a pose in the air, round whatever stands in the way."""
+        """Return a collision-free motion to a pose in the air."""
         scene = tools.scene(state)
         if len(state.held_by) == len(SIDES):
             left, right = (state.held_by[arm] for arm in SIDES)

@@ -1,4 +1,4 @@
-"""Drive planned segments through the control stack, one after the other."""
+"""Execute planned segments in turn through the control stack."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from minidual.control.stack import ControlStack
 from minidual.skills.pipeline.state import Segment
 
 SOURCE = "moveit"
-"""The arbiter's source of motions that are planned before they run."""
+"""Arbiter source of pre-planned motions."""
 
 
 class Drive:
-    """Proposes each segment when the one before it has ended; call `step` until `done`.
+    """Proposes each segment when the last has ended; call `step` until `done`.
 
     Args:
-        stack: The way to the motors; its arms are where the first segment starts.
-        segments: In the order of time.
+        stack: Control stack, its arms at the start of the first segment.
+        segments: In time order.
 
     Attributes:
         aborted: Why it stopped early, or None.
@@ -37,7 +37,7 @@ class Drive:
 
     @property
     def segment(self) -> Segment | None:
-        """What is driven now."""
+        """The present segment."""
         return self._left[0] if self._left else None
 
     @property
@@ -47,7 +47,7 @@ class Drive:
 
     @property
     def done(self) -> bool:
-        """Whether nothing is left to drive."""
+        """Whether no segment is left."""
         return not self._left
 
     @property

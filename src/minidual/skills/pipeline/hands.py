@@ -1,4 +1,4 @@
-"""Stages of the hands: over a grasp, down to it, close, open, away, home."""
+"""Stages of the hands: reach, descend, close, open, retreat, home."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from minidual.skills.pipeline.stage import Candidate, Failure, Offer, Stage, Too
 from minidual.skills.pipeline.state import CLOSED, OPEN, Segment, State, moved, still
 
 _ATTEMPTS, _NEXT_SEED = 5, 1_000_003
-"""Postures over one grip that are tried, each found with a seed of its own."""
+"""Number of postures tried per grip, and the seed step between them."""
 _SHORTER = (1.0, 0.6)
-"""Shares of the retreat that are tried."""
+"""Shares of the retreat height to try."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,9 +27,8 @@ class Grip:
     """One way to hold the object.
 
     Attributes:
-        label: For people.
         grasps: {arm: T_object_tcp (4, 4)}.
-        cost: Preference.
+        cost: Lower is preferred.
     """
 
     label: str
@@ -38,12 +37,7 @@ class Grip:
 
 
 class OfArms(Stage):
-    """A stage in which some arms act.
-
-    Args:
-        name: Of the stage.
-        arms: Which.
-    """
+    """A stage of some arms."""
 
     def __init__(self, name: str, arms: Sequence[str]) -> None:
         super().__init__(name)
@@ -51,14 +45,14 @@ class OfArms(Stage):
 
 
 class Reach(OfArms):
-    """A free motion of open hands to over their grasps, from where they go straight to them."""
+    """Free motion of open hands to poses backed off from their grasps."""
 
     def __init__(self, name: str, arms: Sequence[str], grips: Sequence[Grip]) -> None:
         super().__init__(name, arms)
         self._grips = sorted(grips, key=lambda grip: grip.cost)
 
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
-        """Yield motions to over every grip, several postures of each."""
+        """Yield motions to every grip, in several postures."""
         if len(start.held_by) == 2:
             yield Failure("closed_chain", "both hands hold the object; a free motion would tear it from them")
             return
@@ -73,7 +67,7 @@ class Reach(OfArms):
                     plan = tools.planner.plan_to_poses(group_of(self.arms), start.q, over, scene=scene, seed=seed)
                 except PlanningError as error:
                     yield failure(error, grip.label)
-                    break  # what is not found at once is not there
+                    break  # further postures would fail too
                 end = replace(start.opened(self.arms, OPEN), q=plan.trajectory.q[-1], reached=dict(grip.grasps))
                 segment = Segment("approach", plan.trajectory, end.openings, scene, plan.verification)
                 label = grip.label if attempt == 0 else f"{grip.label}, posture {attempt + 1}"
@@ -81,10 +75,10 @@ class Reach(OfArms):
 
 
 class Descend(OfArms):
-    """Straight to the grasps that the hands are over."""
+    """Straight motion to the grasps."""
 
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
-        """Yield the one way there."""
+        """Yield the motion."""
         targets = {arm: start.T_world_object @ start.reached[arm] for arm in self.arms}
         try:
             segment = straight(tools, "descend", start, targets, tools.scene(start, touching=self.arms))
@@ -95,10 +89,10 @@ class Descend(OfArms):
 
 
 class Close(OfArms):
-    """Close the hands: from here on they hold the object by the grasps that they are at."""
+    """Close the hands; from then on they hold the object."""
 
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
-        """Yield the one way to close."""
+        """Yield the only candidate."""
         held = {**start.held_by, **{arm: start.reached[arm] for arm in self.arms}}
         left = {arm: T for arm, T in start.reached.items() if arm not in self.arms}
         end = replace(start.opened(self.arms, CLOSED), held_by=held, reached=left)
@@ -106,10 +100,10 @@ class Close(OfArms):
 
 
 class Open(OfArms):
-    """Open hands: the object stays where it is, or with the other hand."""
+    """Open hands; the object stays in place or with the other hand."""
 
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
-        """Yield the one way to open."""
+        """Yield the only candidate."""
         missing = [arm for arm in self.arms if arm not in start.held_by]
         if missing:
             yield Failure("not_held", f"the {missing[0]} hand holds nothing to let go")
@@ -127,10 +121,10 @@ class Open(OfArms):
 
 
 class Retreat(OfArms):
-    """Straight away from the object that was let go."""
+    """Straight motion away from the released object."""
 
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
-        """Yield straight ways away."""
+        """Yield straight retreats."""
         scene = tools.scene(start, touching=self.arms)
         tips = {arm: T for arm, T in tools.tips(start.q).items() if arm in self.arms}
         for share in _SHORTER:
@@ -146,12 +140,12 @@ class Retreat(OfArms):
 
 
 class Home(OfArms):
-    """A free motion of some arms to a configuration; what they hold comes along.
+    """Free motion of some arms to a configuration, with what they hold.
 
     Args:
-        name: Of the stage.
-        arms: That go there; the others stay.
-        q: All joints (n,) [rad]; the robot's home by default.
+        name: Stage name.
+        arms: Moving arms.
+        q: All joints (n,) [rad]; default: home.
     """
 
     def __init__(self, name: str, arms: Sequence[str], q: Array | None = None) -> None:
@@ -159,7 +153,7 @@ class Home(OfArms):
         self._q = None if q is None else check_joints(q, f"the configuration of stage '{name}'")
 
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
-        """Yield the planner's path."""
+        """Yield the planned motion."""
         if len(start.held_by) == 2:
             yield Failure("closed_chain", "both hands hold the object; a free motion would tear it from them")
             return
@@ -178,10 +172,10 @@ class Home(OfArms):
 
 
 def straight(tools: Tools, phase: str, state: State, targets: Mapping[str, Array], scene: PlanningScene) -> Segment:
-    """Return the whole straight move of hands to poses {arm: T_world_tcp (4, 4)}, proven.
+    """Return the complete, proven straight motion of hands to {arm: T_world_tcp (4, 4)}.
 
     Raises:
-        PlanningError: It does not go all the way.
+        PlanningError: It is blocked on the way.
     """
     limits = PHASES[phase].limits
     tips = None if limits is None else TipLimits(limits.speed_m_per_s, limits.acceleration_m_per_s2)
@@ -193,7 +187,7 @@ def straight(tools: Tools, phase: str, state: State, targets: Mapping[str, Array
 
 
 def off(tips: Mapping[str, Array], height_m: float) -> Array:
-    """Return the shift (3,) [m] by which hands at poses {arm: T_world_tcp} back off, against the way they point."""
+    """Return the shift (3,) [m] that backs hands at {arm: T_world_tcp} off, against their approach axes."""
     back = -np.sum([T[:3, 2] for T in tips.values()], axis=0)
     norm = float(np.linalg.norm(back))
     return height_m * (back / norm if norm > 0.1 else np.array([0.0, 0.0, 1.0]))

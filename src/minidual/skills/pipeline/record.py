@@ -1,4 +1,4 @@
-"""What the stages of a search came to: counts and reasons, as a tree."""
+"""Counts and failure reasons of a search."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ _WIDTH = 220
 
 @dataclass
 class StageRecord:
-    """One stage.
+    """Counts of one stage.
 
     Attributes:
-        name: Of the stage.
-        tried_n: Candidates that it was asked for.
-        solved_n: Those that came to something.
-        failures: How often each reason, and the first message with it.
-        chosen: Label of the candidate in the solution.
+        tried_n: Candidates tried.
+        solved_n: Candidates that succeeded.
+        failures: Count per reason.
+        messages: First message per reason.
+        chosen: Candidate in the solution.
     """
 
     name: str
@@ -37,12 +37,12 @@ class StageRecord:
         self.messages.setdefault(failure.reason, failure.message)
 
     def solved(self) -> None:
-        """Count one candidate that came to something."""
+        """Count one success."""
         self.tried_n += 1
         self.solved_n += 1
 
     def to_json(self) -> dict[str, Any]:
-        """Return the counts as plain data."""
+        """Return JSON data."""
         reasons = [{"reason": r, "count": n, "first": self.messages[r]} for r, n in self.failures.most_common()]
         return {
             "stage": self.name,
@@ -55,12 +55,12 @@ class StageRecord:
 
 @dataclass
 class Record:
-    """A whole search.
+    """Record of a search.
 
     Attributes:
-        stages: In the order of time.
+        stages: In time order.
         took_s: Wall time.
-        ended: Why it ended without a solution; empty if it has one.
+        ended: Why no solution was found, or empty.
     """
 
     stages: list[StageRecord]
@@ -68,12 +68,12 @@ class Record:
     ended: str = ""
 
     def deepest(self) -> StageRecord | None:
-        """Return the stage that stopped the search: of those that only failed, the one that failed most."""
+        """Return the blocking stage: among those without success, the one with most failures."""
         stuck = [s for s in self.stages if s.tried_n > 0 and s.solved_n == 0]
         return max(stuck, key=lambda s: sum(s.failures.values()), default=None)
 
     def tree(self, title: str) -> str:
-        """Return counts and reasons as a tree of text."""
+        """Return counts and reasons as a text tree."""
         head = f"{title}: {self.ended or 'solved'} ({self.took_s:.2f} s)"
         lines = [head]
         for index, stage in enumerate(self.stages):
@@ -88,5 +88,5 @@ class Record:
         return "\n".join(lines)
 
     def to_json(self) -> dict[str, Any]:
-        """Return everything as plain data."""
+        """Return JSON data."""
         return {"took_s": self.took_s, "ended": self.ended, "stages": [stage.to_json() for stage in self.stages]}

@@ -1,4 +1,4 @@
-"""Search a task's stages: best candidates first, deepest first among equals, back where a stage fails."""
+"""Best-first search with backtracking over a task's stages; among equal costs, deepest first."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ class TaskFailedError(PlanningError):
         )
         self.record = record
         self.summary = where if stuck is None else f"{where}: {'; '.join(stuck.messages.values())}"
-        """One line: the stage that stopped it and the first message of each reason."""
+        """One line: the blocking stage and its messages."""
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A way through all stages.
+    """A plan through all stages.
 
     Attributes:
-        segments: In the order of time.
-        states: The start, then the end of every stage.
-        record: What was tried.
-        cost: Sum of the preferences.
+        segments: In time order.
+        states: Start, then the end of every stage.
+        record: Search record.
+        cost: Sum of the candidates' costs.
     """
 
     segments: tuple[Segment, ...]
@@ -50,13 +50,13 @@ class Solution:
 
     @property
     def duration_s(self) -> float:
-        """Time that it takes to drive [s]."""
+        """Execution time [s]."""
         return sum(segment.duration_s for segment in self.segments)
 
 
 @dataclass
 class _Node:
-    """A partial solution and the offers of the next stage."""
+    """A partial solution and the next stage's offers."""
 
     done: tuple[Candidate, ...]
     cost: float
@@ -64,14 +64,10 @@ class _Node:
 
 
 class Pipeline:
-    """Stages in the order of time, each of which goes on from the state before it.
-
-    Args:
-        name: For people.
-        stages: In the order of time.
+    """Stages in time order.
 
     Raises:
-        UsageError: No stage, or two of one name.
+        UsageError: No stages, or duplicate names.
     """
 
     def __init__(self, name: str, stages: Sequence[Stage]) -> None:
@@ -84,16 +80,16 @@ class Pipeline:
             raise UsageError(f"the task '{name}' has two stages called '{twice[0]}'")
 
     def solve(self, start: State, tools: Tools, *, budget_s: float = 60.0, tries_max: int = 2000) -> Solution:
-        """Return the first whole way, in the order of preference.
+        """Return the first complete plan found.
 
         Args:
-            start: Where everything is.
+            start: Start state.
             tools: Planners and scene.
-            budget_s: Wall time after which to give up.
-            tries_max: Candidates after which to give up.
+            budget_s: Wall time limit.
+            tries_max: Candidate limit.
 
         Raises:
-            TaskFailedError: Every candidate failed, or budget or tries ended; its message is the tree.
+            TaskFailedError: All candidates failed, or a limit was reached.
         """
         record = Record([StageRecord(stage.name) for stage in self.stages])
         began = time.perf_counter()
@@ -121,7 +117,7 @@ class Pipeline:
             record.stages[depth].solved()
             done = (*node.done, offer)
             total = sum(candidate.cost for candidate in done)
-            node.cost = max(node.cost, total)  # the next offer of the same stage is no better than this one
+            node.cost = max(node.cost, total)  # later offers of this stage cost no less
             heapq.heappush(heap, (node.cost, -depth, next(ticket), node))
             if len(done) == len(self.stages):
                 record.took_s = time.perf_counter() - began

@@ -1,4 +1,4 @@
-"""A stage, what it offers, and the planners it works with."""
+"""Stage interface, its offers, and the planners shared by a search."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ _GAP_STEP_S = 0.005
 
 
 class NotFreeError(PlanningError):
-    """A timed motion does not pass the proof."""
+    """A timed motion fails its proof."""
 
     reason = "not_free"
 
 
 @dataclass(frozen=True)
 class Failure:
-    """Why one candidate failed: a short word to count by, and the message with names and numbers."""
+    """Failure of a candidate: `reason` to count by, `message` with details."""
 
     reason: str
     message: str
@@ -40,10 +40,10 @@ class Candidate:
     """One way through a stage.
 
     Attributes:
-        label: What distinguishes it, for people.
-        cost: Preference; the sum over the stages orders the search.
+        label: For people.
+        cost: Summed over the stages to order the search.
         end: State after it.
-        segments: What is driven.
+        segments: Its motions.
     """
 
     label: str
@@ -53,23 +53,23 @@ class Candidate:
 
 
 Offer = Candidate | Failure
-"""What a stage yields, one after the other, the preferred ones first."""
+"""What a stage yields, cheapest first."""
 
 
 @dataclass(frozen=True)
 class Gap:
-    """The distance that the arms keep from each other.
+    """Minimum distance between the arms.
 
     Attributes:
-        distance: Returns (pair of links, distance [m]) of a posture (n,).
-        least_m: Nearer is a failure.
+        distance: Maps a posture (n,) to (link pair, distance [m]).
+        least_m: Minimum.
     """
 
     distance: Callable[[Array], tuple[str, float]]
     least_m: float
 
     def failure(self, segments: Iterable[Segment]) -> Failure | None:
-        """Return what comes too near on moving segments, sampled every 5 ms, or None."""
+        """Return the failure of proven segments, sampled every 5 ms, or None."""
         found: list[tuple[float, str]] = []
         for motion in (s.trajectory for s in segments if s.verification is not None):
             for q in motion.sample_many(np.arange(0.0, motion.duration_s + _GAP_STEP_S, _GAP_STEP_S, dtype=float))[0]:
@@ -83,14 +83,14 @@ class Gap:
 
 @dataclass
 class Tools:
-    """Planners and scene that all stages of one search share.
+    """Planners and scene shared by all stages of a search.
 
     Attributes:
-        around: What stands there beside the object.
+        around: Obstacles besides the object.
         thing: The object.
         planner: Free motions.
-        seed: Of every random choice.
-        gap: Distance between the arms that every motion keeps, or None.
+        seed: Seed of all random choices.
+        gap: Minimum arm distance, or None.
     """
 
     around: PlanningScene
@@ -101,12 +101,12 @@ class Tools:
 
     @cached_property
     def linear(self) -> LinearPlanner:
-        """Straight motions of hands."""
+        """Planner of straight hand motions."""
         return LinearPlanner(kinematics=self.planner.kinematics)
 
     @cached_property
     def holder(self) -> HeldPlanner:
-        """Motions of an object in both hands."""
+        """Planner of objects in both hands."""
         return HeldPlanner(self.planner)
 
     @property
@@ -119,7 +119,7 @@ class Tools:
         return scene_of(self.robot, self.around, self.thing, state, touching=touching, resting=resting)
 
     def rng(self, *key: int) -> np.random.Generator:
-        """Return the generator of random numbers of one purpose."""
+        """Return the random generator of a purpose."""
         return np.random.default_rng([self.seed, *key])
 
     def tips(self, q: Array) -> dict[str, Array]:
@@ -127,10 +127,10 @@ class Tools:
         return dict(zip(SIDES, self.planner.kinematics.tcp_poses(q), strict=True))
 
     def proven(self, phase: str, motion: Trajectory, state: State, scene: PlanningScene, **more: Array) -> Segment:
-        """Return the segment of a motion, proven in a scene.
+        """Verify a motion and return its segment.
 
         Raises:
-            NotFreeError: It is not free.
+            NotFreeError: The proof failed.
         """
         proof = self.planner.engines(scene).verifier.verify(motion)
         if not proof.ok:
@@ -139,26 +139,22 @@ class Tools:
 
 
 class Stage(ABC):
-    """One step of a task: goes on from the state before it.
-
-    Attributes:
-        name: In the record; distinct within a pipeline.
-    """
+    """One step of a task; `name` is unique in a pipeline."""
 
     def __init__(self, name: str) -> None:
         self.name = name
 
     @abstractmethod
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
-        """Yield candidates that begin at `start`, and failures, the preferred candidates first."""
+        """Yield candidates from `start`, cheapest first, and failures."""
 
 
 def failure(error: PlanningError, label: str = "") -> Failure:
-    """Return the failure that an error of a planner stands for."""
+    """Convert a planner error to a failure."""
     return Failure(error.reason, f"{label}: {error.message}" if label else error.message)
 
 
 def group_of(arms: Iterable[str]) -> str:
-    """Return the planning group that moves these arms."""
+    """Return the planning group of these arms."""
     named = [arm for arm in SIDES if arm in arms]
     return "both_arms" if len(named) == len(SIDES) else f"{named[0]}_arm"

@@ -1,4 +1,4 @@
-"""What stages hand to each other: the state of arms, hands and object, and the motion between two states."""
+"""State between stages, and motion segments."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ OPEN, CLOSED = 1.0, 0.0
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """The state between two stages.
+    """Arms, hands and object between two stages.
 
     Attributes:
         q: All joints (n,) [rad].
-        T_world_object: Pose (4, 4) of the object.
-        held_by: {arm: T_object_tcp (4, 4)} of the hands that hold it.
-        reached: {arm: T_object_tcp (4, 4)} of the open hands that are over or at a grasp.
-        openings: Opening of each hand (left, right), 0 closed to 1 open.
-        rests: Whether the object stands on something.
+        T_world_object: (4, 4).
+        held_by: {arm: T_object_tcp (4, 4)} of holding hands.
+        reached: {arm: T_object_tcp (4, 4)} of open hands over or at a grasp.
+        openings: (left, right), 0 closed to 1 open.
+        rests: Whether the object is supported.
     """
 
     q: Array
@@ -46,15 +46,14 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """What is driven between two states.
+    """Motion between two states.
 
     Attributes:
-        phase: Its phase.
-        trajectory: Timed motion; at rest throughout where only hands move.
-        openings: Commanded opening of each hand meanwhile.
-        scene: Scene in which the motion was proven; None where nothing moves.
-        verification: The proof of the motion; None where nothing moves.
-        Ts_world_object: Planned poses (k, 4, 4) of an object held by both hands, at the samples.
+        trajectory: At rest throughout if only hands move.
+        openings: Commanded hand openings.
+        scene: Scene of the proof; None without motion.
+        verification: Proof; None without motion.
+        Ts_world_object: Planned poses (k, 4, 4) of an object in both hands.
     """
 
     phase: str
@@ -66,17 +65,17 @@ class Segment:
 
     @property
     def duration_s(self) -> float:
-        """Time that it takes [s]."""
+        """Execution time [s]."""
         return self.trajectory.duration_s
 
 
 @dataclass(frozen=True)
 class Thing:
-    """What is handled.
+    """The handled object.
 
     Attributes:
-        shape: In the object's own frame; its name is the object's.
-        rests_on: Obstacles that it may touch while it is lifted off or put down.
+        shape: In the object's frame; carries its name.
+        rests_on: Obstacles it may touch during lift and lowering.
     """
 
     shape: Shape
@@ -84,14 +83,14 @@ class Thing:
 
 
 def still(phase: str, q: Array, duration_s: float, openings: tuple[float, float]) -> Segment:
-    """Return the segment that holds the arms at q (n,) for a while."""
+    """Return a segment that holds the arms at q (n,)."""
     rest = np.zeros((2, len(q)))
     times = np.array([0.0, duration_s])
     return Segment(phase, Trajectory(times, np.array([q, q]), rest, rest.copy(), "both_arms"), openings)
 
 
 def placed(shape: Shape, T: Array) -> Shape:
-    """Return a shape given in some frame, put into the frame in which that frame has the pose T (4, 4)."""
+    """Return a shape transformed by T (4, 4) into the parent frame."""
     T_shape = T @ shape.T_parent_shape
     quat = pin.Quaternion(T_shape[:3, :3]).normalized()
     x, y, z = (float(v) for v in T_shape[:3, 3])
@@ -107,15 +106,15 @@ def scene_of(
     touching: Iterable[str] = (),
     resting: bool = False,
 ) -> PlanningScene:
-    """Return the planning scene of a state.
+    """Return the planning scene of a state: the object is an obstacle, or attached to its first holder.
 
     Args:
-        robot: Names the links of the hands.
-        around: What stands there beside the object.
-        thing: The object: an obstacle where it lies, or attached to the first hand that holds it.
-        state: Says which.
-        touching: Arms whose hands may touch the object (they are about to hold it, or just let go).
-        resting: Whether the object may touch what it rests on.
+        robot: Names of the hand links.
+        around: Other obstacles.
+        thing: The object.
+        state: Its state.
+        touching: Arms whose hands may touch the object.
+        resting: Allow contact with what the object rests on.
     """
     name = thing.shape.name
     links = [link for arm in touching for link in robot.hand_links(arm)]
@@ -134,12 +133,12 @@ def scene_of(
 
 
 def moved(T: Array, shift_m: Array) -> Array:
-    """Return the pose moved by (3,) [m] of the world."""
+    """Return the pose shifted by (3,) [m] in the world."""
     T = np.array(T)
     T[:3, 3] += shift_m
     return T
 
 
 def raised(T: Array, height_m: float) -> Array:
-    """Return the pose moved up by a height [m]."""
+    """Return the pose raised by a height [m]."""
     return moved(T, np.array([0.0, 0.0, height_m]))
