@@ -1,4 +1,4 @@
-"""Motions of a carry: joint moves, held-object motions, internal-force ramps; and the parameters of controller C."""
+"""Motions of a carry, internal-force ramps, and the parameters of controller C."""
 
 from __future__ import annotations
 
@@ -24,11 +24,6 @@ LANDED_S = 0.1
 class JointMove:
     """A minimum-jerk motion of both arms (`control.commands.TimedMotion`).
 
-    Args:
-        q0, q1: Start and end (n,) [rad].
-        duration_s: Duration.
-        dt_s: Grid step.
-
     Attributes:
         q, v, a: (k, n) on the grid.
     """
@@ -50,12 +45,11 @@ class JointMove:
 
 @dataclass(frozen=True)
 class HeldMotion:
-    """Object motion along a path at its roll and pitch when grasped (`control.commands.ObjectMotion`).
+    """Object motion along a path at the tilt it was grasped with (`control.commands.ObjectMotion`).
 
     Attributes:
         path: Level poses.
-        T_level_object: (4, 4), grasped pose relative to level.
-        duration_s: Duration; the path's end is held.
+        T_level_object: (4, 4), grasped relative to level.
         rests_at_s: Path time to hold throughout; None follows the path.
     """
 
@@ -65,18 +59,14 @@ class HeldMotion:
     rests_at_s: float | None = None
 
     def at(self, t_s: float) -> ObjectState:
-        """Return pose, twist and acceleration at a time [s]."""
+        """Return the object state at a time [s]."""
         state = self.path.at(t_s if self.rests_at_s is None else self.rests_at_s)
         return ObjectState(state.T_world_object @ self.T_level_object, state.twist, state.acceleration)
 
 
 @dataclass(frozen=True)
 class Squeeze:
-    """A linear ramp of the internal force [N], then constant.
-
-    Attributes:
-        ramp_s: Ramp time; zero gives `end_n` throughout.
-    """
+    """Linear ramp of the internal force [N], then constant; zero `ramp_s` gives `end_n`."""
 
     start_n: float
     end_n: float
@@ -89,7 +79,7 @@ class Squeeze:
 
 
 def squeezing(path: ObjectPath, T_level_object: Array, squeeze_n: float) -> tuple[HeldMotion, Squeeze]:
-    """Return the ramp up of the internal force, within controller C's rate, at the path's start."""
+    """Return the internal-force ramp up at the path's start, within controller C's rate."""
     ramp_s = max(PHASES["squeeze"].force_s, squeeze_n / SQUEEZE_RATE_N_PER_S)
     return (
         HeldMotion(path, T_level_object, ramp_s + PHASES["settle"].force_s, rests_at_s=0.0),
@@ -98,12 +88,12 @@ def squeezing(path: ObjectPath, T_level_object: Array, squeeze_n: float) -> tupl
 
 
 def carrying(path: ObjectPath, T_level_object: Array, squeeze_n: float) -> tuple[HeldMotion, Squeeze]:
-    """Return the motion along the path plus landing time."""
+    """Return the motion along the path, plus landing."""
     return HeldMotion(path, T_level_object, path.duration_s + LANDED_S), Squeeze(squeeze_n, squeeze_n)
 
 
 def releasing(path: ObjectPath, T_level_object: Array, squeeze_n: float) -> tuple[HeldMotion, Squeeze]:
-    """Return the ramp of the internal force to zero, within controller C's rate, at the path's end."""
+    """Return the internal-force ramp to zero at the path's end, within controller C's rate."""
     ramp_s = max(PHASES["unload"].force_s, squeeze_n / SQUEEZE_RATE_N_PER_S)
     return (HeldMotion(path, T_level_object, ramp_s, rests_at_s=path.duration_s), Squeeze(squeeze_n, 0.0, ramp_s))
 
@@ -116,15 +106,9 @@ def plan_path(
     T_world_object: Array,
     q: Array,
 ) -> ObjectPath:
-    """Return the path from the object to the goal, each segment as fast as the limits allow.
+    """Return the path to `goal` (x [m], y [m], yaw [rad]), as fast as limits allow.
 
-    Args:
-        scene: Grasp and heights.
-        robot: Joint limits.
-        config: Limits, and fixed durations that override them.
-        goal: (x [m], y [m], yaw [rad]).
-        T_world_object: Start pose (4, 4).
-        q: Grasping posture (n,).
+    Durations fixed in `config` override the limits.
 
     Raises:
         GraspUnreachableError: A hand cannot follow.
@@ -153,7 +137,7 @@ def plan_path(
 
 
 def held_object(scene: SceneConfig, T_world_object: Array, T_world_tcps: tuple[Array, Array]) -> HeldObject:
-    """Return the law's model of the object at a pose (4, 4), held at two hand poses."""
+    """Return the law's object model, held at two hand poses."""
     rod = scene.object
     left, right = (inverse(T_world_object) @ T for T in T_world_tcps)
     return HeldObject(rod.mass_kg, np.diag(rod.inertia_kg_m2), (left, right), np.array([0.0, 1.0, 0.0]))

@@ -1,9 +1,9 @@
-"""Stop a carry; each cause becomes one named fault (skills/faults.py).
+"""Stop a carry; each cause becomes one fault (skills/faults.py).
 
 finding        halt on the spot
-lost motors    halt, and those arms get no torque any more
+lost motors    halt, then no torque to those arms
 reflex         the supervisor's soft stop
-arbiter        another mode or a refusal: brake along the path and hold
+arbiter        other mode or refusal: brake along the path and hold
 halt           by another source: halt, hands keep their command
 """
 
@@ -22,23 +22,16 @@ from minidual.skills.faults import FAULTS, CarryFault, Finding
 
 _OPEN = np.ones(2)
 _BRAKED_S = 0.6
-"""Time in which the arbiter brakes any motion along its path."""
+"""Time within which the arbiter has braked along the path."""
 
 
 class CarryStop:
-    """Stops one carry.
-
-    Args:
-        stack: Control stack.
-        source: Name under which the carry proposes.
-        watch: Sensing.
-        deceleration_share: Of a halt, relative to the joints' limits.
+    """Stops one carry that proposes as `source`.
 
     Attributes:
-        fault: Cause of the stop, or None.
-        halted: Whether the arms were stopped on the spot, not along their path.
+        halted: Stopped on the spot, not along the path.
         duration_s: Time until rest.
-        over: Trial ended; stale commands are no fault any more.
+        over: Trial ended; staleness is no fault any more.
     """
 
     def __init__(self, stack: ControlStack, source: str, watch: CarryWatch, *, deceleration_share: float) -> None:
@@ -65,7 +58,7 @@ class CarryStop:
             self._note(name, self._stack.plant.time, detail, self._halt_s())
 
     def heed_motors(self) -> None:
-        """Switch off arms with lost motors, even after another fault."""
+        """Switch off lost arms, even after another fault."""
         if self._told is None:
             return
         finding = self._watch.motors(self._told, self._stack.plant.tau)
@@ -74,13 +67,13 @@ class CarryStop:
             self._stack.switch_off(self._watch.lost_arms)
 
     def heed_refusal(self, refusal: Refusal) -> None:
-        """Record the refusal of a command."""
+        """Record a refusal."""
         if self.fault is None:
             why = f"{refusal.name}: {refusal.detail}"
             self._note("interrupted", self._stack.plant.time, why, _BRAKED_S)
 
     def step(self) -> None:
-        """Step the stack; record reflexes and interruptions by the arbiter."""
+        """Step the stack; record reflexes and interruptions."""
         try:
             self._stack.step()
         except ReflexError as error:
@@ -100,7 +93,6 @@ class CarryStop:
             self._note("reflex", error.reflex.time_s, error.reflex.text, self._halt_s())
 
     def _heed_arbiter(self) -> None:
-        """Record an interruption by the arbiter."""
         stack, refused = self._stack, None
         if len(stack.refusals) > self._refusals_seen:
             news = stack.refusals[self._refusals_seen :]
@@ -127,7 +119,6 @@ class CarryStop:
         self.duration_s = duration_s
 
     def _halt_s(self) -> float:
-        """Return the duration of a halt from the present state."""
         world = self._stack.plant
         return SoftStop(world.q, world.v, self._share * world.robot.a_max).duration_s
 

@@ -21,19 +21,13 @@ from minidual.tasks.rod_carry import tilt_rad
 
 _GRIPPED = 0.9
 _EASED = 0.75
-"""Share of the internal force felt at the onset of slip that is requested from then on."""
+"""Share of the force felt at slip onset that is requested afterwards."""
 _EASE_MARGIN = 1.1
-"""Lower bound of the eased internal force, relative to what the task needs."""
+"""Lower bound of that request, relative to the task's need."""
 
 
 class CarryWatch:
-    """Object sensing of one carry; the object sensor of controller C.
-
-    Args:
-        world: Source of joints and fingers only.
-        kinematics: Workspace.
-        config: Sensing, gains, fault limits.
-        sensors: Object sensors.
+    """Object sensing of one carry, also for controller C; the world gives only joints and fingers.
 
     Raises:
         RuntimeError: The first reading has no pose.
@@ -58,7 +52,7 @@ class CarryWatch:
         self._spread_m: float | None = None
         self._felt_n = 0.0
         self.grip_limit_n = math.inf
-        """Largest internal force [N] that friction carries, learnt from slip onset."""
+        """Internal force [N] that friction carries, learnt at slip onset."""
 
     # Estimates ---------------------------------------------------------------------------------------------
 
@@ -74,7 +68,7 @@ class CarryWatch:
 
     @property
     def held(self) -> bool:
-        """Whether the object is assumed to move with the hands."""
+        """Whether the object is assumed to follow the hands."""
         return self._held is not None
 
     @property
@@ -89,11 +83,11 @@ class CarryWatch:
 
     @property
     def lost_arms(self) -> tuple[int, ...]:
-        """Arms whose motors do not follow their commands."""
+        """Arms with lost motors."""
         return tuple(int(arm) for arm in np.flatnonzero(self._monitor.lost))
 
     def read(self) -> tuple[ObjectState, float]:
-        """Return object state and felt internal force [N] as of the last `sense`."""
+        """Return object state and felt internal force [N]."""
         return self.estimate, self._felt_n
 
     # Updates -----------------------------------------------------------------------------------------------
@@ -114,7 +108,7 @@ class CarryWatch:
             self._feel()
 
     def take_hold(self) -> None:
-        """Assume from now on that the object moves with the hands."""
+        """Assume that the object follows the hands."""
         world, sensing = self._world, self._config.sensing
         period = 1.0 / sensing.pose_rate_hz if sensing.pose_rate_hz > 0.0 else world.dt
         self._held = HeldEstimate(
@@ -128,25 +122,25 @@ class CarryWatch:
         self._feel()
 
     def let_go(self) -> None:
-        """Assume from now on that the object rests where it is."""
+        """Assume that the object rests where it is."""
         self._resting = RestingEstimate(self.T_world_object)
         self._held = None
 
     # Faults ------------------------------------------------------------------------------------------------
 
     def resting(self) -> Finding:
-        """Average a new pose of the untouched object and check it."""
+        """Average a pose of the untouched object and check it."""
         if self._reading.pose is None:
             return None
         self._resting.add(self._reading.pose.T_world_object)
         return self._monitor.resting(self._resting.innovation)
 
     def closing(self, t_s: float) -> Finding:
-        """Check hands that have been closing for `t_s`."""
+        """Check closing hands."""
         return self._monitor.closing(self._gaps_m(), self._pinch, t_s)
 
     def holding(self, *, steady: bool) -> Finding:
-        """Check a held object and reduce the internal force on slip; `steady` also checks that force."""
+        """Check a held object and ease its grip on slip; `steady` includes the force."""
         estimate, monitor = self._held, self._monitor
         if estimate is None:
             return None
@@ -160,23 +154,22 @@ class CarryWatch:
         return next((finding for finding in found if finding is not None), None)
 
     def motors(self, told: Array, applied: Array) -> Finding:
-        """Compare commanded and applied torques (n,) [Nm] of the last step."""
+        """Compare commanded and applied torques (n,) [Nm]."""
         return self._monitor.motors(told, applied)
 
     def _gaps_m(self) -> Array:
-        """Return the finger gap of each hand (2,) [m], from encoders."""
         return 2.0 * self._world.robot.hand.travel_m * self._world.gripper
 
     def _feel(self) -> None:
-        """Compute the felt internal force: the smaller of the hands' opposing axial forces."""
+        """Compute the smaller of the hands' opposing axial forces."""
         left, right = self._forces.dot(self.T_world_object[:3, 1]).tolist()
         self._felt_n = float(np.minimum(-left, right))  # Python's min could drop a NaN
 
     def _ease(self, spread_m: float) -> None:
-        """Reduce the internal force when the hands begin to slip along the object.
+        """Reduce the internal force when the hands begin to slip.
 
-        Friction carries at most 2 mu times the pinch; the force felt at slip onset is that limit. Three quarters of it
-        leave a margin. The force rises while the object is on the table, so low friction shows there.
+        Friction carries at most 2 mu times the pinch; the force felt at slip onset is that limit. The force rises on
+        the table, so low friction shows there.
         """
         if self._spread_m is None:
             self._spread_m = spread_m

@@ -29,7 +29,7 @@ _OF_HANDS = {"descend": Descend, "close": Close, "open": Open, "retreat": Retrea
 
 
 def thing_of(body: ObjectConfig) -> Thing:
-    """Return the planner's object; a cylinder becomes a capsule of the same length (its end rims stick out)."""
+    """Return the planner's object; a cylinder becomes an inscribed capsule, which leaves its end rims out."""
     if body.shape == "box":
         x, y, z = (2.0 * half for half in body.half_sizes_m)
         return Thing(Box(body.name, (0.0, 0.0, 0.0), size_m=(x, y, z)))
@@ -38,7 +38,7 @@ def thing_of(body: ObjectConfig) -> Thing:
 
 
 def around(scene: SceneConfig, robot: Robot = DUAL_PANDA) -> PlanningScene:
-    """Return the obstacles of a task."""
+    """Return a task's obstacles."""
     block = scene.task.obstacle
     if block is None:
         return PlanningScene(robot=robot)
@@ -48,7 +48,7 @@ def around(scene: SceneConfig, robot: Robot = DUAL_PANDA) -> PlanningScene:
 
 
 def pose_of(body: ObjectConfig, where: ObjectPose) -> Array:
-    """Return the pose (4, 4) of an object from a pose or (x, y, yaw) on the table."""
+    """Return the pose (4, 4) for a pose or (x, y, yaw) on the table."""
     if not isinstance(where, tuple):
         return where
     x, y, yaw = where
@@ -56,10 +56,10 @@ def pose_of(body: ObjectConfig, where: ObjectPose) -> Array:
 
 
 def pipeline_of(task: Task, trial: Trial) -> Pipeline:
-    """Return the stages for a task's position-driven steps; force-driven steps are left out.
+    """Return the stages of a task's position-driven steps; force-driven steps are omitted.
 
     Raises:
-        UsageError: Unknown phase, an object other than the carried one, or a hand without a grasp.
+        UsageError: Unknown phase, wrong object, or missing grasp.
     """
     name = task.carried
     item = task.objects[name]
@@ -89,7 +89,7 @@ def pipeline_of(task: Task, trial: Trial) -> Pipeline:
 
 
 def _run_of(steps: Sequence[Step], last: int) -> Sequence[Step]:
-    """Return the consecutive carrying steps of the same hands that end at index `last`."""
+    """Return the carrying steps of the same hands up to index `last`."""
     first = last
     while first > 0 and steps[first - 1].phase in _CARRYING and steps[first - 1].hands == steps[last].hands:
         first -= 1
@@ -97,7 +97,7 @@ def _run_of(steps: Sequence[Step], last: int) -> Sequence[Step]:
 
 
 def _carry(task: Task, steps: Sequence[Step], goal: Place) -> Carry:
-    """Return the combined stage of lift, carry and lower; without a step `lower` it ends in the air."""
+    """Return one stage for lift, carry and lower; without `lower` it ends in the air."""
     rests = any(step.phase == "lower" for step in steps)
     poses = [T for step in steps for T in step.places]
     places = [Place(f"place {k + 1}", T, 0.5 * k, rests) for k, T in enumerate(poses)] or [goal]

@@ -1,8 +1,4 @@
-"""Faults of a carry: how each is sensed and what the hands do.
-
-Every fault stops both arms softly (control/soft_stop.py, the supervisor or the arbiter). docs/carry.md lists detection
-latencies.
-"""
+"""Faults of a carry: detection, and what the hands do. All stop both arms softly; docs/carry.md lists latencies."""
 
 from __future__ import annotations
 
@@ -17,12 +13,7 @@ from minidual.robot.pair import SIDES, Array
 
 @dataclass(frozen=True)
 class FaultKind:
-    """One kind of fault.
-
-    Attributes:
-        sensed_by: How it is detected.
-        opens_hands: False where the object may still be held.
-    """
+    """How a fault is detected, and whether the hands open (not while the object may be held)."""
 
     sensed_by: str
     opens_hands: bool
@@ -48,13 +39,7 @@ FAULTS: dict[str, FaultKind] = {
 
 @dataclass(frozen=True)
 class CarryFault:
-    """A fault found in a carry.
-
-    Attributes:
-        name: Key of FAULTS.
-        at_s: Detection time.
-        detail: Sensed values.
-    """
+    """A detected fault; `name` is a key of FAULTS."""
 
     name: str
     at_s: float
@@ -71,27 +56,27 @@ Finding = tuple[str, str] | None
 
 
 _SCATTERS = 2.9
-"""Threshold in RMS distances: five standard deviations per coordinate. White noise exceeds it twice in a row once in a
+"""Threshold in RMS distances: five standard deviations per coordinate, exceeded by white noise twice in a row once in a
 billion samples."""
 _LEARNT = 10
-"""Samples needed before the learnt scatter is used."""
+"""Samples before the learnt scatter is used."""
 
 
 class _Scatter:
-    """RMS distance of the readings of a resting object."""
+    """RMS distance of a resting object's readings."""
 
     def __init__(self, least: float) -> None:
         self._least, self._squares, self._count = least, 0.0, 0
 
     @property
     def limit(self) -> float:
-        """Distance above which a reading is not noise; generous until enough samples."""
+        """Noise limit; generous until enough samples."""
         if self._count < _LEARNT:
             return 4.0 * self._least
         return max(self._least, _SCATTERS * float(np.sqrt(self._squares / self._count)))
 
     def learn(self, distance: float) -> None:
-        """Add a reading of an unmoved object; outliers are ignored."""
+        """Add a reading of an unmoved object unless it is an outlier."""
         if distance <= self.limit:
             self._squares += distance**2
             self._count += 1
@@ -100,13 +85,7 @@ class _Scatter:
 class FaultMonitor:
     """Detects faults; call each method once a control step in its phases.
 
-    NaN counts as a fault: every comparison asks whether all is well.
-
-    Args:
-        config: Limits.
-        dt_s: Control step.
-        width_m: Object width between the fingers.
-        pinch_n: Commanded pinch.
+    NaN counts as a fault: comparisons ask whether all is well.
     """
 
     def __init__(self, config: CarryFaultConfig, *, dt_s: float, width_m: float, pinch_n: float) -> None:
@@ -120,7 +99,6 @@ class FaultMonitor:
         self._away_m, self._away_rad = _Scatter(config.displaced_m), _Scatter(config.displaced_rad)
 
     def _is_away(self, innovation: tuple[float, float]) -> bool:
-        """Return whether a pose innovation exceeds the sensor's scatter."""
         return not (innovation[0] <= self._away_m.limit and innovation[1] <= self._away_rad.limit)
 
     def _lasts(self, key: str, now: bool, needed: int | None = None) -> bool:
@@ -132,7 +110,7 @@ class FaultMonitor:
         return count >= (self._needed if needed is None else needed)
 
     def motors(self, commanded: Array, applied: Array) -> Finding:
-        """Compare commanded and applied torques (n,) of the last step; updates `lost`."""
+        """Compare commanded and applied torques (n,); updates `lost`."""
         difference = commanded - applied
         np.abs(difference, difference)
         if difference.max() <= self._config.motor_torque_n_m and not self._motors_missing:
@@ -147,7 +125,7 @@ class FaultMonitor:
         return ("lost_arm", "; ".join(found)) if found else None
 
     def resting(self, innovation: tuple[float, float]) -> Finding:
-        """Check a new pose sample of an untouched object."""
+        """Check a pose sample of an untouched object."""
         away_m, away_rad = innovation
         away = self._is_away(innovation)
         self._away_m.learn(away_m)
@@ -157,7 +135,7 @@ class FaultMonitor:
         return None
 
     def closing(self, gap_m: Array, pinch_n: Array, t_s: float) -> Finding:
-        """Check closing hands: finger gaps (2,), pinch (2,), time since the start."""
+        """Check closing hands by gaps (2,), pinch (2,) and time."""
         for arm, name in enumerate(SIDES):
             through = not float(gap_m[arm]) >= self._width - self._config.gap_margin_m
             if self._lasts(f"gap {name}", through, 3):
@@ -171,7 +149,7 @@ class FaultMonitor:
         return None
 
     def holding(self, pinch_n: Array, gap_m: Array, spread_m: float, tilt_rad: float) -> Finding:
-        """Check a held object: pinch (2,), gaps (2,), distance of the hands, tilt."""
+        """Check a held object by pinch (2,), gaps (2,), hand distance and tilt."""
         config = self._config
         least_n, least_m = config.lost_pinch_share * self._pinch, self._width - config.gap_margin_m
         for name, pinch, gap in zip(SIDES, pinch_n.tolist(), gap_m.tolist(), strict=True):
@@ -189,14 +167,14 @@ class FaultMonitor:
         return None
 
     def held_pose(self, innovation: tuple[float, float]) -> Finding:
-        """Check a new pose sample of a held object against the hands."""
+        """Check a pose sample against the hands."""
         away_m, away_rad = innovation
         if self._lasts("held", self._is_away(innovation), 2):
             return ("slip", f"the object is {1e3 * away_m:.1f} mm, {np.degrees(away_rad):.1f} deg off in the hands")
         return None
 
     def squeezing(self, wanted_n: float, felt_n: float) -> Finding:
-        """Compare requested and felt internal force, once steady."""
+        """Compare requested and felt internal force."""
         if self._lasts("squeeze", not felt_n >= self._config.squeeze_share * wanted_n):
             return "slip", f"internal force {felt_n:.1f} of {wanted_n:.0f} N"
         return None

@@ -1,7 +1,6 @@
-"""Execute a held-object plan in simulation and measure the object's deviation from it.
+"""Execute a held-object plan in simulation and measure the object's deviation.
 
-The open hands are round the object on the table; they close, then follow the plan by position. The true pose is used
-for scoring only.
+The hands close, then follow the plan by position. The true pose is used for scoring only.
 """
 
 from __future__ import annotations
@@ -36,10 +35,10 @@ class Execution:
 
     Attributes:
         error_max_m, error_max_rad: Largest deviations.
-        at_m_s, at_rad_s: Their times after the plan's start [s].
-        grasp_error_m, grasp_error_rad: Deviation at the plan's start, from closing the hands.
-        end_error_m, end_error_rad: Deviation at final rest.
-        pinch_min_n: Smallest pinch of either hand [N].
+        at_m_s, at_rad_s: Their plan times [s].
+        grasp_error_m, grasp_error_rad: At the plan's start, from closing.
+        end_error_m, end_error_rad: At final rest.
+        pinch_min_n: Of either hand.
     """
 
     error_max_m: float
@@ -62,17 +61,11 @@ def deviation(T_world_object: Array, T_world_planned: Array) -> tuple[float, flo
 def execute(
     plan: CarriedTrajectory, scene: SceneConfig, *, world: World | None = None, close_s: float = PHASES["close"].hold_s
 ) -> Execution:
-    """Execute a plan that starts with the object level on the table.
-
-    Args:
-        plan: Starts at rest with open hands round the object.
-        scene: Physics and object.
-        world: World of this scene to reuse.
-        close_s: Closing time of the hands.
+    """Execute a plan that starts at rest, object level on the table, open hands round it.
 
     Raises:
         ValueError: The object is tilted at the start.
-        NotDrivenError: The control stack refused or stopped the plan.
+        NotDrivenError: The control stack refused or stopped it.
     """
     T_start = plan.Ts_world_object[0]
     if abs(T_start[2, 1]) > _FLAT or abs(T_start[2, 0]) > _FLAT:

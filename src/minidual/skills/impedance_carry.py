@@ -1,7 +1,7 @@
-"""Carry an object under object impedance: approach, grasp, squeeze, lift, carry, lower, release, retreat.
+"""Carry an object under object impedance.
 
-Proposes joint motions while the hands are free and object motions while they hold, as source `moveit`. Controllers A
-and C are switched when both hands have closed and when the internal force is gone. See docs/carry.md.
+Proposes joint motions for free hands and object motions for holding hands, as source `moveit`. Controllers A and C are
+switched after closing and after the internal force is gone. See docs/carry.md.
 """
 
 from __future__ import annotations
@@ -48,20 +48,10 @@ _STOPPED_S = 0.5
 
 
 class ImpedanceCarry:
-    """One trial under object impedance; call `step` until `done`.
+    """One trial; call `step` until `done`.
 
-    Args:
-        world: Plant, already reset; read for joints, fingers and motors only.
-        kinematics: Workspace.
-        config: Speeds, gains, sensing, limits.
-        trial: Its goal; the start is sensed instead.
-        sensors: Object sensors; default: from `config` and `seed`.
-        seed: Seed of the run.
-        supervisor: Guards the motors. The default has standard bounds and ignores the distance between the arms.
-        arbiter: Arbiter bounds.
-
-    Attributes:
-        stack: Control stack of this trial.
+    The world gives joints, fingers and motors; the object and its start are sensed. The default supervisor has standard
+    bounds and ignores the arm distance. Default sensors draw from `seed`.
     """
 
     name = "impedance"
@@ -114,12 +104,12 @@ class ImpedanceCarry:
 
     @property
     def phase(self) -> str:
-        """Name of the present phase."""
+        """Present phase."""
         return self._phase
 
     @property
     def fault(self) -> CarryFault | None:
-        """Fault that stopped the trial, or None."""
+        """Fault that stopped it, or None."""
         return self._stop_by.fault
 
     @property
@@ -186,7 +176,7 @@ class ImpedanceCarry:
         return self._sequence
 
     def _move(self, phase: str, q_goal: Array, *, duration_s: float | None = None) -> None:
-        """Enter a phase that moves the open hands from their last target to a posture (n,)."""
+        """Enter a phase that moves the open hands from the last target."""
         if duration_s is None:
             duration_s = joint_duration_s(self._q_last, q_goal, self._config.pace, self.world.robot)
         motion = JointMove(self._q_last, q_goal, duration_s, self.world.dt)
@@ -195,12 +185,11 @@ class ImpedanceCarry:
         self._enter(phase)
 
     def _hold(self, phase: str, what: tuple[HeldMotion, Squeeze]) -> None:
-        """Enter a phase with the object held."""
         self._propose(ObjectCommand(*what, _CLOSED, self.world.time, self._number()))
         self._enter(phase)
 
     def _grasp(self, q_near: Array, *, above_m: float = 0.0) -> Array | None:
-        """Return the posture (n,) at or over the grasps; None, with a halt, if unreachable."""
+        """Return the posture (n,) at or over the grasps, or halt and return None."""
         level = level_part(self._watch.T_world_object)
         try:
             return grasp_posture(self._scene, self.world.robot, level, q_near, above_m=above_m)
@@ -297,10 +286,10 @@ class ImpedanceCarry:
             self._enter("done")
 
     def _done(self, t: float) -> None:
-        """Hold position, under controller C if interrupted with the object."""
+        """Hold, under controller C if interrupted with the object."""
         self._mind_the_object()
 
     def _mind_the_object(self) -> None:
-        """Halt if the object gets lost; after a stop by the arbiter it is still squeezed."""
+        """Halt if the object gets lost: the arbiter's stop leaves it squeezed."""
         if self._law_drives and not self._stop_by.halted:
             self._stop_by.heed(self._watch.holding(steady=False))

@@ -1,7 +1,7 @@
 """Scripted operator: joint targets for the whole rod cycle.
 
-It reads the rod's start and no other simulation state. Durations, profile and posture choice are the same in all
-trials, so the motion is a smooth, learnable function of the start pose.
+It reads only the rod's start. Timing, profile and posture choice are fixed, so the motion is a smooth, learnable
+function of that start.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from minidual.tasks.rod_carry import grasp_offsets, level_pose, placement
 from minidual.tasks.task import Trial
 
 _WRIST_COST = 0.1
-"""The last joint only turns the hand and may move freely. With equal costs the elbow swings instead, and near the table
-joint 5 moves three times as fast."""
+"""The last joint only turns the hand. With equal costs the elbow swings instead, and near the table joint 5 moves three
+times as fast."""
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,8 @@ class Demonstration:
     """Operator commands of one trial.
 
     Attributes:
-        rate_hz: Sampling rate.
         q: Joint targets (T, n) [rad]; q[0] is home.
-        gripper: Openings (T, 2), 0 closed or 1 open.
-        phases: In order.
+        gripper: (T, 2), 0 closed or 1 open.
     """
 
     rate_hz: float
@@ -58,19 +56,13 @@ class Demonstration:
         return len(self.q) / self.rate_hz
 
     def at(self, elapsed_s: float) -> tuple[Array, Array]:
-        """Return joint targets (n,) and openings (2,) at a time [s]; the last ones after the end."""
+        """Return joint targets (n,) and openings (2,) at a time [s]; clamped."""
         tick = min(max(round(elapsed_s * self.rate_hz), 0), len(self.q) - 1)
         return self.q[tick], self.gripper[tick]
 
 
 class ScriptedOperator:
-    """Plans demonstrations of the rod task.
-
-    Args:
-        scene: Rod and task.
-        config: Durations, heights and approach error.
-        kinematics: Workspace; default: its own.
-    """
+    """Plans demonstrations of the rod task."""
 
     def __init__(
         self, scene: SceneConfig, config: OperatorConfig | None = None, *, kinematics: Kinematics | None = None
@@ -85,10 +77,10 @@ class ScriptedOperator:
         self._grasps = grasp_offsets(scene)
 
     def phases(self) -> tuple[Phase, ...]:
-        """Return the phases with their times, the same in every trial.
+        """Return the phases; the same in every trial.
 
-        Approach, correction and descent overlap so that the hands never pause over the rod. A policy that sees neither
-        speed nor time would learn to wait there for ever.
+        Approach, correction and descent overlap so that the hands never pause over the rod: a policy without speed or
+        time would learn to wait for ever.
         """
         c = self.config
         result: list[Phase] = []
@@ -112,18 +104,13 @@ class ScriptedOperator:
         return tuple(result)
 
     def approach_error(self, seed: int, trial: Trial) -> Array:
-        """Return the trial's error (x [m], y [m], yaw [rad]) of the approach."""
+        """Return the trial's approach error (x [m], y [m], yaw [rad])."""
         scale = np.array([self.config.approach_noise_m, self.config.approach_noise_m, self.config.approach_noise_rad])
         rng = stream(seed, f"operator/{trial.purpose}", trial.index)
         return scale * np.clip(rng.standard_normal(3), -2.0, 2.0)
 
     def plan(self, trial: Trial, *, seed: int, rate_hz: float = 50.0) -> Demonstration:
-        """Return the demonstration of a trial.
-
-        Args:
-            trial: Start and goal.
-            seed: Seed of the run, for the approach error.
-            rate_hz: Sampling rate.
+        """Return a trial's demonstration.
 
         Raises:
             UsageError: A pose is out of reach.
@@ -143,7 +130,6 @@ class ScriptedOperator:
         return Demonstration(rate_hz, q, gripper, phases)
 
     def _hand_poses(self, t: float, trial: Trial, error: Array, phases: tuple[Phase, ...]) -> tuple[Array, Array]:
-        """Return both tool centre point poses at time t."""
         progress = {p.name: minimum_jerk((t - p.start_s) / (p.end_s - p.start_s))[0] for p in phases}
         T_world_rod = self._rod_pose(trial, error, progress)
         grasped = [T_world_rod @ T_rod_tcp for T_rod_tcp in self._grasps]
@@ -171,7 +157,7 @@ def _of(phases: tuple[Phase, ...], name: str) -> Phase:
 
 
 def _between(T_from: Array, T_to: Array, s: float) -> Array:
-    """Interpolate two poses of downward hands: straight line, turn about z."""
+    """Interpolate poses of downward hands: line, and turn about z."""
     position = T_from[:3, 3] + s * (T_to[:3, 3] - T_from[:3, 3])
     turn_from, turn_to = (np.arctan2(T[1, 0], T[0, 0]) for T in (T_from, T_to))
     turn = np.arctan2(np.sin(turn_to - turn_from), np.cos(turn_to - turn_from))

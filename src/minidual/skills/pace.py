@@ -32,7 +32,7 @@ def _time(distance: float | Array, speed: float | Array, acceleration: float | A
 
 
 def joint_duration_s(q0: Array, q1: Array, pace: PaceConfig, robot: Robot) -> float:
-    """Return the time of a rest-to-rest motion between postures (n,)."""
+    """Return the time between two postures (n,)."""
     speed, acceleration = pace.joint_speed_share * robot.v_max, pace.joint_acceleration_share * robot.a_max
     return max(_LEAST_S, _time(q1 - q0, speed, acceleration))
 
@@ -40,17 +40,7 @@ def joint_duration_s(q0: Array, q1: Array, pace: PaceConfig, robot: Robot) -> fl
 def object_duration_s(
     scene: SceneConfig, robot: Robot, start: Waypoint, end: Waypoint, q_near: Array, pace: PaceConfig
 ) -> tuple[float, Array]:
-    """Return the time of a straight held motion between level poses, and the end posture.
-
-    Joint speeds come from inverse kinematics at sampled poses.
-
-    Args:
-        scene: Holds the grasp.
-        robot: Joint limits.
-        start: Start pose; its time is ignored.
-        end: End pose; its time is ignored.
-        q_near: Start posture (n,).
-        pace: Limits.
+    """Return the time of a straight held motion, and the end posture; waypoint times are ignored.
 
     Raises:
         GraspUnreachableError: A hand cannot follow.

@@ -1,7 +1,6 @@
-"""Phases of handling an object and their parameters, shared by all cycles.
+"""Phases of handling an object and their parameters.
 
-Position-driven phases use planned motions and timed hands. Force-driven phases use object impedance: a hand is closed
-when both fingers feel the pinch.
+Position-driven phases are planned and timed; force-driven phases use object impedance and felt contact.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Plan the whole task before moving, then execute it by position.
+"""Plan the whole task, then execute it by position.
 
-Only joint positions are fed back; the internal force results from the stiff joints.
+Only joint positions are fed back; the internal force results from stiff joints.
 """
 
 from __future__ import annotations
@@ -29,20 +29,11 @@ _GAP_MARGIN_M = 0.005
 class PlannedCarry(Drive):
     """One planned trial; call `step` until `done`.
 
-    Args:
-        world: Plant, already reset.
-        kinematics: For the joint controller.
-        planner: Shared by trials.
-        task: The task.
-        trial: Its goal.
-        seed: Seed of the planner.
-        arbiter: Arbiter bounds.
-        T_world_object: Sensed pose (4, 4) of the object; default: its true pose.
-        supervisor: Guards the motors. The plan keeps its minimum arm distance plus a margin.
+    `T_world_object` is the object's sensed pose; default: its true pose. The plan keeps the supervisor's minimum arm
+    distance plus a margin.
 
     Attributes:
         solution: The plan, or None.
-        record: Search record.
     """
 
     def __init__(

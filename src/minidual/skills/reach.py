@@ -26,17 +26,12 @@ def _solvers(robot: Robot) -> tuple[ArmIK, ...]:
 def grasp_posture(
     scene: SceneConfig, robot: Robot, T_world_level: Array, q_near: Array, *, above_m: float = 0.0
 ) -> Array:
-    """Return the joints (n,) with both hands at or straight above their grasps.
+    """Return joints (n,) with both hands `above_m` over their grasps.
 
-    Args:
-        scene: Grasps.
-        robot: The two arms.
-        T_world_level: Level object pose (4, 4).
-        q_near: Start posture (n,) of the search, to keep the arms' configuration.
-        above_m: Height over the grasps.
+    `T_world_level` is level; the search starts at `q_near` to keep the arms' configuration.
 
     Raises:
-        GraspUnreachableError: No solution near q_near.
+        GraspUnreachableError: No solution near `q_near`.
     """
     q = np.array(q_near)
     for solver, T_object_tcp in zip(_solvers(robot), grasp_offsets(scene), strict=True):

@@ -1,4 +1,4 @@
-"""The supervisor between a trial's controllers and the motors."""
+"""The supervisor of a trial."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from minidual.robot.pair import Robot
 
 @cache
 def arm_distance(robot: Robot) -> ArmDistance:
-    """Return the distance between the arms; cached, as it compiles a model."""
+    """Return the arm distance; cached, as it compiles a model."""
     return ArmDistance(PlanningScene(robot=robot))
 
 
 def trial_supervisor(config: SupervisorConfig, dt_s: float, robot: Robot) -> Supervisor:
-    """Return a supervisor that also watches the distance between the arms."""
+    """Return a supervisor that also watches the arm distance."""
     return Supervisor(config, dt_s=dt_s, kinematics=Kinematics(robot), self_distance=arm_distance(robot))

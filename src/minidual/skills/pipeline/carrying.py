@@ -18,13 +18,7 @@ _OTHER_HEIGHTS_M = (0.06, 0.2)
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """A target pose of the object.
-
-    Attributes:
-        T_world_object: (4, 4).
-        cost: Lower is preferred.
-        rests: Whether it is supported there.
-    """
+    """A target pose (4, 4) of the object; `rests`: supported there."""
 
     label: str
     T_world_object: Array
@@ -35,14 +29,8 @@ class Place:
 class Carry(Stage):
     """Bring the held object to one of several places.
 
-    Two hands first try one motion without a stop. Then: straight up, across (straight with one hand, else a free
-    motion), straight down.
-
-    Args:
-        name: Stage name.
-        places: Alternatives.
-        lift_m: Height over start and place.
-        budget_s: Wall time per free motion.
+    Two hands first try one motion without a stop. Then: straight up, across freely (one hand tries straight first),
+    straight down.
     """
 
     def __init__(self, name: str, places: Sequence[Place], lift_m: float, budget_s: float = 2.0) -> None:
@@ -52,7 +40,7 @@ class Carry(Stage):
         self._budget_s = budget_s
 
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
-        """Yield ways to every place, at several heights."""
+        """Yield ways to every place at several heights."""
         if not start.held_by:
             yield Failure("not_held", "no hand holds the object")
             return
@@ -71,7 +59,7 @@ class Carry(Stage):
                     yield self._in_parts(place, height, 0.2 * rank + extra, across, start, tools)
 
     def _check(self, place: Place, index: int, start: State, tools: Tools) -> None:
-        """Raise PlanningError if the place is out of reach or in collision."""
+        """Raise PlanningError for places out of reach or in collision."""
         engines = tools.planner.engines(tools.scene(start, resting=place.rests))
         targets = {arm: place.T_world_object @ T for arm, T in start.held_by.items()}
         tools.planner.goals.candidates(
@@ -119,7 +107,7 @@ class Carry(Stage):
         return Candidate(label, place.cost + cost, _at(place, state, segments[-1]), tuple(segments))
 
     def _straight(self, phase: str, T_world_goal: Array, state: State, tools: Tools, segments: list[Segment]) -> State:
-        """Append a straight lift or lowering; return the state after it."""
+        """Append a straight lift or lowering; return its end state."""
         segment = self._line(phase, T_world_goal, state, tools, resting=True)
         segments.append(segment)
         return replace(state, q=segment.trajectory.q[-1], T_world_object=T_world_goal)

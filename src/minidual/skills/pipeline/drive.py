@@ -18,12 +18,7 @@ SOURCE = "moveit"
 class Drive:
     """Proposes each segment when the last has ended; call `step` until `done`.
 
-    Args:
-        stack: Control stack, its arms at the start of the first segment.
-        segments: In time order.
-
-    Attributes:
-        aborted: Why it stopped early, or None.
+    The arms must be at the start of the first segment. `aborted` says why it stopped early.
     """
 
     def __init__(self, stack: ControlStack, segments: Sequence[Segment]) -> None:
@@ -42,7 +37,7 @@ class Drive:
 
     @property
     def phase(self) -> str:
-        """Name of the present phase."""
+        """Present phase."""
         return self._left[0].phase if self._left else "done"
 
     @property
@@ -52,7 +47,7 @@ class Drive:
 
     @property
     def elapsed_s(self) -> float:
-        """Time since the present segment was proposed [s]; zero before the first."""
+        """Time since the segment was proposed [s]; zero before the first."""
         return self.stack.plant.time - self._began_s if self._proposed else 0.0
 
     def step(self) -> None:

@@ -17,19 +17,14 @@ from minidual.skills.pipeline.stage import Candidate, Failure, Offer, Stage, Too
 from minidual.skills.pipeline.state import CLOSED, OPEN, Segment, State, moved, still
 
 _ATTEMPTS, _NEXT_SEED = 5, 1_000_003
-"""Number of postures tried per grip, and the seed step between them."""
+"""Postures tried per grip, and the seed step between them."""
 _SHORTER = (1.0, 0.6)
 """Shares of the retreat height to try."""
 
 
 @dataclass(frozen=True, eq=False)
 class Grip:
-    """One way to hold the object.
-
-    Attributes:
-        grasps: {arm: T_object_tcp (4, 4)}.
-        cost: Lower is preferred.
-    """
+    """One way to hold the object: {arm: T_object_tcp (4, 4)}."""
 
     label: str
     grasps: Mapping[str, Array]
@@ -45,14 +40,14 @@ class OfArms(Stage):
 
 
 class Reach(OfArms):
-    """Free motion of open hands to poses backed off from their grasps."""
+    """Free motion of open hands to the approach height over their grasps."""
 
     def __init__(self, name: str, arms: Sequence[str], grips: Sequence[Grip]) -> None:
         super().__init__(name, arms)
         self._grips = sorted(grips, key=lambda grip: grip.cost)
 
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
-        """Yield motions to every grip, in several postures."""
+        """Yield motions to every grip."""
         if len(start.held_by) == 2:
             yield Failure("closed_chain", "both hands hold the object; a free motion would tear it from them")
             return
@@ -140,13 +135,7 @@ class Retreat(OfArms):
 
 
 class Home(OfArms):
-    """Free motion of some arms to a configuration, with what they hold.
-
-    Args:
-        name: Stage name.
-        arms: Moving arms.
-        q: All joints (n,) [rad]; default: home.
-    """
+    """Free motion of some arms, with what they hold, to `q` (n,); default: home."""
 
     def __init__(self, name: str, arms: Sequence[str], q: Array | None = None) -> None:
         super().__init__(name, arms)
@@ -172,10 +161,10 @@ class Home(OfArms):
 
 
 def straight(tools: Tools, phase: str, state: State, targets: Mapping[str, Array], scene: PlanningScene) -> Segment:
-    """Return the complete, proven straight motion of hands to {arm: T_world_tcp (4, 4)}.
+    """Return the proven straight motion of hands to {arm: T_world_tcp (4, 4)}.
 
     Raises:
-        PlanningError: It is blocked on the way.
+        PlanningError: It is blocked.
     """
     limits = PHASES[phase].limits
     tips = None if limits is None else TipLimits(limits.speed_m_per_s, limits.acceleration_m_per_s2)
@@ -187,7 +176,7 @@ def straight(tools: Tools, phase: str, state: State, targets: Mapping[str, Array
 
 
 def off(tips: Mapping[str, Array], height_m: float) -> Array:
-    """Return the shift (3,) [m] that backs hands at {arm: T_world_tcp} off, against their approach axes."""
+    """Return the shift (3,) [m] against the approach axes of hands at {arm: T_world_tcp}."""
     back = -np.sum([T[:3, 2] for T in tips.values()], axis=0)
     norm = float(np.linalg.norm(back))
     return height_m * (back / norm if norm > 0.1 else np.array([0.0, 0.0, 1.0]))

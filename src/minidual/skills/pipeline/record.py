@@ -13,15 +13,7 @@ _WIDTH = 220
 
 @dataclass
 class StageRecord:
-    """Counts of one stage.
-
-    Attributes:
-        tried_n: Candidates tried.
-        solved_n: Candidates that succeeded.
-        failures: Count per reason.
-        messages: First message per reason.
-        chosen: Candidate in the solution.
-    """
+    """Counts of one stage; `failures` and `messages` (the first) are by reason."""
 
     name: str
     tried_n: int = 0
@@ -31,13 +23,13 @@ class StageRecord:
     chosen: str | None = None
 
     def failed(self, failure: Failure) -> None:
-        """Count one failure."""
+        """Count a failure."""
         self.tried_n += 1
         self.failures[failure.reason] += 1
         self.messages.setdefault(failure.reason, failure.message)
 
     def solved(self) -> None:
-        """Count one success."""
+        """Count a success."""
         self.tried_n += 1
         self.solved_n += 1
 
@@ -55,25 +47,19 @@ class StageRecord:
 
 @dataclass
 class Record:
-    """Record of a search.
-
-    Attributes:
-        stages: In time order.
-        took_s: Wall time.
-        ended: Why no solution was found, or empty.
-    """
+    """Record of a search; `ended` says why it found nothing."""
 
     stages: list[StageRecord]
     took_s: float = 0.0
     ended: str = ""
 
     def deepest(self) -> StageRecord | None:
-        """Return the blocking stage: among those without success, the one with most failures."""
+        """Return the stage with most failures among those without success."""
         stuck = [s for s in self.stages if s.tried_n > 0 and s.solved_n == 0]
         return max(stuck, key=lambda s: sum(s.failures.values()), default=None)
 
     def tree(self, title: str) -> str:
-        """Return counts and reasons as a text tree."""
+        """Return a text tree."""
         head = f"{title}: {self.ended or 'solved'} ({self.took_s:.2f} s)"
         lines = [head]
         for index, stage in enumerate(self.stages):

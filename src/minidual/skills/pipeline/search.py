@@ -1,4 +1,4 @@
-"""Best-first search with backtracking over a task's stages; among equal costs, deepest first."""
+"""Best-first search with backtracking over a task's stages; deepest first at equal cost."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from minidual.skills.pipeline.state import Segment, State
 
 
 class TaskFailedError(PlanningError):
-    """No way through all stages; `record` holds counts and reasons."""
+    """No way through all stages."""
 
     reason = "task_failed"
 
@@ -38,9 +38,8 @@ class Solution:
 
     Attributes:
         segments: In time order.
-        states: Start, then the end of every stage.
-        record: Search record.
-        cost: Sum of the candidates' costs.
+        states: Start, then each stage's end.
+        cost: Sum over the candidates.
     """
 
     segments: tuple[Segment, ...]
@@ -80,13 +79,7 @@ class Pipeline:
             raise UsageError(f"the task '{name}' has two stages called '{twice[0]}'")
 
     def solve(self, start: State, tools: Tools, *, budget_s: float = 60.0, tries_max: int = 2000) -> Solution:
-        """Return the first complete plan found.
-
-        Args:
-            start: Start state.
-            tools: Planners and scene.
-            budget_s: Wall time limit.
-            tries_max: Candidate limit.
+        """Return the first complete plan found within wall time and candidate limits.
 
         Raises:
             TaskFailedError: All candidates failed, or a limit was reached.
@@ -117,7 +110,7 @@ class Pipeline:
             record.stages[depth].solved()
             done = (*node.done, offer)
             total = sum(candidate.cost for candidate in done)
-            node.cost = max(node.cost, total)  # later offers of this stage cost no less
+            node.cost = max(node.cost, total)  # later offers of a stage are assumed to cost no less
             heapq.heappush(heap, (node.cost, -depth, next(ticket), node))
             if len(done) == len(self.stages):
                 record.took_s = time.perf_counter() - began

@@ -1,4 +1,4 @@
-"""Stage interface, its offers, and the planners shared by a search."""
+"""Stages, their offers, and the planners of a search."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class NotFreeError(PlanningError):
 
 @dataclass(frozen=True)
 class Failure:
-    """Failure of a candidate: `reason` to count by, `message` with details."""
+    """A failed candidate: `reason` to count by, `message` with details."""
 
     reason: str
     message: str
@@ -37,14 +37,7 @@ class Failure:
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One way through a stage.
-
-    Attributes:
-        label: For people.
-        cost: Summed over the stages to order the search.
-        end: State after it.
-        segments: Its motions.
-    """
+    """One way through a stage to state `end`; summed costs order the search."""
 
     label: str
     cost: float
@@ -53,23 +46,18 @@ class Candidate:
 
 
 Offer = Candidate | Failure
-"""What a stage yields, cheapest first."""
+"""What a stage yields, preferred first."""
 
 
 @dataclass(frozen=True)
 class Gap:
-    """Minimum distance between the arms.
-
-    Attributes:
-        distance: Maps a posture (n,) to (link pair, distance [m]).
-        least_m: Minimum.
-    """
+    """Minimum arm distance; `distance` maps a posture (n,) to (link pair, distance [m])."""
 
     distance: Callable[[Array], tuple[str, float]]
     least_m: float
 
     def failure(self, segments: Iterable[Segment]) -> Failure | None:
-        """Return the failure of proven segments, sampled every 5 ms, or None."""
+        """Return the failure of moving segments, sampled every 5 ms, or None."""
         found: list[tuple[float, str]] = []
         for motion in (s.trajectory for s in segments if s.verification is not None):
             for q in motion.sample_many(np.arange(0.0, motion.duration_s + _GAP_STEP_S, _GAP_STEP_S, dtype=float))[0]:
@@ -83,14 +71,11 @@ class Gap:
 
 @dataclass
 class Tools:
-    """Planners and scene shared by all stages of a search.
+    """Planners and scene of a search.
 
     Attributes:
         around: Obstacles besides the object.
-        thing: The object.
-        planner: Free motions.
-        seed: Seed of all random choices.
-        gap: Minimum arm distance, or None.
+        seed: Of all random choices.
     """
 
     around: PlanningScene
@@ -101,12 +86,12 @@ class Tools:
 
     @cached_property
     def linear(self) -> LinearPlanner:
-        """Planner of straight hand motions."""
+        """Straight hand motions."""
         return LinearPlanner(kinematics=self.planner.kinematics)
 
     @cached_property
     def holder(self) -> HeldPlanner:
-        """Planner of objects in both hands."""
+        """Motions of an object in both hands."""
         return HeldPlanner(self.planner)
 
     @property
@@ -115,11 +100,11 @@ class Tools:
         return self.planner.robot
 
     def scene(self, state: State, *, touching: Iterable[str] = (), resting: bool = False) -> PlanningScene:
-        """Return the planning scene of a state; see `scene_of`."""
+        """Return a state's planning scene; see `scene_of`."""
         return scene_of(self.robot, self.around, self.thing, state, touching=touching, resting=resting)
 
     def rng(self, *key: int) -> np.random.Generator:
-        """Return the random generator of a purpose."""
+        """Return the generator of a purpose."""
         return np.random.default_rng([self.seed, *key])
 
     def tips(self, q: Array) -> dict[str, Array]:
@@ -146,7 +131,7 @@ class Stage(ABC):
 
     @abstractmethod
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
-        """Yield candidates from `start`, cheapest first, and failures."""
+        """Yield candidates from `start`, preferred first, and failures."""
 
 
 def failure(error: PlanningError, label: str = "") -> Failure:
@@ -155,6 +140,6 @@ def failure(error: PlanningError, label: str = "") -> Failure:
 
 
 def group_of(arms: Iterable[str]) -> str:
-    """Return the planning group of these arms."""
+    """Return these arms' planning group."""
     named = [arm for arm in SIDES if arm in arms]
     return "both_arms" if len(named) == len(SIDES) else f"{named[0]}_arm"

@@ -23,10 +23,10 @@ class State:
     """Arms, hands and object between two stages.
 
     Attributes:
-        q: All joints (n,) [rad].
+        q: (n,) [rad].
         T_world_object: (4, 4).
         held_by: {arm: T_object_tcp (4, 4)} of holding hands.
-        reached: {arm: T_object_tcp (4, 4)} of open hands over or at a grasp.
+        reached: The same of open hands over or at a grasp.
         openings: (left, right), 0 closed to 1 open.
         rests: Whether the object is supported.
     """
@@ -39,7 +39,7 @@ class State:
     rests: bool = True
 
     def opened(self, arms: Iterable[str], opening: float) -> State:
-        """Return the state with these hands at an opening."""
+        """Return the state with some hands' opening changed."""
         left, right = (opening if arm in arms else now for arm, now in zip(SIDES, self.openings, strict=True))
         return replace(self, openings=(left, right))
 
@@ -49,11 +49,9 @@ class Segment:
     """Motion between two states.
 
     Attributes:
-        trajectory: At rest throughout if only hands move.
-        openings: Commanded hand openings.
         scene: Scene of the proof; None without motion.
-        verification: Proof; None without motion.
-        Ts_world_object: Planned poses (k, 4, 4) of an object in both hands.
+        verification: The proof; None without motion.
+        Ts_world_object: Planned poses (k, 4, 4) if both hands hold the object.
     """
 
     phase: str
@@ -75,7 +73,7 @@ class Thing:
 
     Attributes:
         shape: In the object's frame; carries its name.
-        rests_on: Obstacles it may touch during lift and lowering.
+        rests_on: Obstacles it may touch when lifted or lowered.
     """
 
     shape: Shape
@@ -90,7 +88,7 @@ def still(phase: str, q: Array, duration_s: float, openings: tuple[float, float]
 
 
 def placed(shape: Shape, T: Array) -> Shape:
-    """Return a shape transformed by T (4, 4) into the parent frame."""
+    """Return a shape transformed by T (4, 4)."""
     T_shape = T @ shape.T_parent_shape
     quat = pin.Quaternion(T_shape[:3, :3]).normalized()
     x, y, z = (float(v) for v in T_shape[:3, 3])
@@ -106,15 +104,9 @@ def scene_of(
     touching: Iterable[str] = (),
     resting: bool = False,
 ) -> PlanningScene:
-    """Return the planning scene of a state: the object is an obstacle, or attached to its first holder.
+    """Return the planning scene: the object is an obstacle, or attached to its first holder.
 
-    Args:
-        robot: Names of the hand links.
-        around: Other obstacles.
-        thing: The object.
-        state: Its state.
-        touching: Arms whose hands may touch the object.
-        resting: Allow contact with what the object rests on.
+    Hands of the arms `touching` may touch the object; `resting` lets it touch what it rests on.
     """
     name = thing.shape.name
     links = [link for arm in touching for link in robot.hand_links(arm)]
@@ -133,7 +125,7 @@ def scene_of(
 
 
 def moved(T: Array, shift_m: Array) -> Array:
-    """Return the pose shifted by (3,) [m] in the world."""
+    """Return the pose shifted by (3,) [m]."""
     T = np.array(T)
     T[:3, 3] += shift_m
     return T
