@@ -1,4 +1,4 @@
-"""One hand fetches a bottle, the other takes it from it in the air and puts it where only that one reaches."""
+"""Handover: the left hand fetches a bottle, the right takes it in the air and puts it down."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _MEETINGS = tuple(
     pose(rot_z(yaw), xyz)
     for yaw, xyz in ((0.1, (0.56, -0.03, 0.30)), (0.1, (0.56, -0.10, 0.30)), (0.1, (0.60, -0.05, 0.35)))
 )
-"""Where the bottle changes hands, its x axis towards where the right hand comes from."""
+"""Exchange poses; the bottle's x axis points to the right hand."""
 _STEPS = (
     *(Step(phase, _L) for phase in ("approach", "descend", "close", "lift")),
     Step("carry", _L, places=_MEETINGS),
@@ -25,11 +25,11 @@ _STEPS = (
     *(Step(phase, _R) for phase in ("carry", "lower", "open", "retreat", "home")),
 )
 _FROM_THE_SIDE = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
-"""Of a hand that points along the bottle's x axis, its fingers closing along y."""
+"""Hand pointing along the bottle's x axis, closing along y."""
 
 
 def handover(config: Config) -> Task:
-    """Return the task: the bottle stands on the left and must stand on the right."""
+    """Return the task: move the standing bottle from left to right."""
     config = preset(
         config,
         {
@@ -49,7 +49,7 @@ def handover(config: Config) -> Task:
             "scene.task.goal_yaw_rad": -0.7,
             "scene.task.lift_height_m": 0.10,
             "scene.task.time_limit_s": 25.0,
-            "scene.task.tilt_max_rad": 0.20,  # where the straight way is blocked, a free motion does not keep it upright
+            "scene.task.tilt_max_rad": 0.20,  # a motion planned round an obstacle does not keep it upright
         },
     )
     body = config.scene.object
@@ -74,7 +74,7 @@ def handover(config: Config) -> Task:
 
 
 def handed_over(task: Task, trial: Trial) -> tuple[SuccessCondition, ...]:
-    """Return the conditions: held all the time, exchanged in the air, put down upright at its goal."""
+    """Return the conditions of success."""
     asked, name = task.scene.task, task.carried
     x, y, _ = placement(trial.goal[name])
     return (

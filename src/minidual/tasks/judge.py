@@ -1,4 +1,4 @@
-"""The judge of a trial: it watches the truth of the task's objects and composes the task's conditions of success."""
+"""Judge of a trial: evaluates the task's conditions on the true state."""
 
 from __future__ import annotations
 
@@ -11,13 +11,12 @@ from minidual.tasks.success import SuccessCondition, Truth
 from minidual.tasks.task import Task, Trial
 
 REST_S = 0.1
-"""A trial is finished when all conditions have held this long: an object let go a millimetre above the table is at rest
-for an instant too."""
+"""All conditions must hold this long: an object let go above the table is at rest for an instant too."""
 
 
 @dataclass(frozen=True)
 class Fault:
-    """What failed, when it first did, and by how much."""
+    """A violated condition and when it first was."""
 
     name: str
     at_s: float
@@ -29,8 +28,8 @@ class Outcome:
     """The verdict on one trial.
 
     Attributes:
-        success: No fault, and finished.
-        faults: Everything that failed, each at its first instant.
+        success: Finished without violation.
+        faults: Violations, each at its first instant.
         duration_s: Time of the finish, or of the end without one.
         measured: Numbers of the conditions by name with unit, and `progress`, the share of stages reached.
     """
@@ -42,19 +41,19 @@ class Outcome:
 
     @property
     def reason(self) -> str:
-        """Return the first fault as one line, or an empty string."""
+        """The first violation as one line, or an empty string."""
         first = min(self.faults, key=lambda f: f.at_s, default=None)
         return "" if first is None else f"{first.name} at {first.at_s:.2f} s: {first.detail}"
 
     def __getattr__(self, name: str) -> float:
-        """Return a measured number, NaN where the task does not measure it."""
+        """Return a measured number, NaN if not measured."""
         if name.startswith("_") or not name.endswith(("_m", "_n", "_rad")):
             raise AttributeError(name)
         return self.measured.get(name, math.nan)
 
 
 def begin(world: World, task: Task, trial: Trial, demanding: Collection[str] = ()) -> Judge:
-    """Put the world to the start of a trial and return its judge; every trial of any kind begins here."""
+    """Reset the world to the trial's start and return its judge."""
     world.reset(poses=trial.start)
     return Judge(task, trial, demanding)
 
@@ -62,10 +61,10 @@ def begin(world: World, task: Task, trial: Trial, demanding: Collection[str] = (
 class Judge:
     """Watches one trial; call `observe` after every physics step and `outcome` at the end.
 
-    Args:
-        task: Names objects and conditions.
-        trial: Names the goals.
-        demanding: Names of optional conditions that this trial must meet too.
+    Conditions named in `demanding` must hold even if optional.
+
+    Raises:
+        ValueError: Two conditions share a name.
     """
 
     def __init__(self, task: Task, trial: Trial, demanding: Collection[str] = ()) -> None:
@@ -86,21 +85,21 @@ class Judge:
 
     @property
     def finished(self) -> bool:
-        """Whether every condition on the final state holds, and has for a while."""
+        """Whether all conditions on the final state have held for `REST_S`."""
         return self._done_at is not None
 
     @property
     def stages(self) -> tuple[str, ...]:
-        """Names of the stages reached so far, in order."""
+        """Names of the stages reached, in order."""
         return tuple(c.name for c in self._stages[: self._reached])
 
     @property
     def faults(self) -> tuple[Fault, ...]:
-        """What has failed so far."""
+        """Violations so far."""
         return tuple(self._faults.values())
 
     def observe(self, world: World) -> None:
-        """Take one instant into account."""
+        """Evaluate the present state."""
         truth, now = self._truth, world.time
         truth.refresh(world)
         for condition in self._observing:
@@ -117,7 +116,7 @@ class Judge:
             self._done_at = now
 
     def outcome(self, world: World) -> Outcome:
-        """Judge the trial as it stands now."""
+        """Judge the trial so far."""
         truth, faults = self._truth, dict(self._faults)
         truth.refresh(world)
         truth.duration_s = truth.time if self._done_at is None else self._done_at

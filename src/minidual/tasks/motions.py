@@ -1,4 +1,4 @@
-"""How the object travels: each row a motion with its goal and what stands in the way."""
+"""Table of carry motions: goal and obstacle."""
 
 from __future__ import annotations
 
@@ -13,12 +13,7 @@ from minidual.registry import Registry
 
 @dataclass(frozen=True)
 class CarryMotion:
-    """One motion.
-
-    Attributes:
-        summary: One line for people.
-        values: Configuration values {dotted path: value} that it stands for, where nobody sets others.
-    """
+    """One motion; `values` are configuration defaults {dotted path: value}."""
 
     summary: str
     values: Mapping[str, Any] = field(default_factory=dict)
@@ -28,8 +23,8 @@ MOTIONS: Registry[CarryMotion] = Registry(
     "motion",
     {
         "straight": CarryMotion("50 cm from the left of the table to the right"),
-        # Turned clockwise, the left hand ends farther from the bases and the arms do not cross. Ten centimetres farther
-        # right the left arm would be stretched: its smallest singular value falls from 0.11 to 0.02.
+        # Clockwise, so that the arms do not cross. With the goal 10 cm farther right the left arm is almost stretched:
+        # its smallest singular value falls from 0.11 to 0.02.
         "rotate": CarryMotion(
             "40 cm, and turned by 90 degrees in the plane on the way",
             {

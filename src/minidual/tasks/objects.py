@@ -1,7 +1,7 @@
-"""What can be carried: each row an object with the squeeze and the stiffness it is carried with.
+"""Table of objects to carry, with internal force and stiffness.
 
-Parallel grippers hold them from above: 80 mm of opening, pads 3 mm over the axis. Pads carry the squeeze by friction, so
-the pinch follows from it (control/pinch.py).
+Parallel grippers hold them from above: 80 mm opening, pads 3 mm over the axis. The pinch force follows from the
+internal force by friction (control/pinch.py).
 """
 
 from __future__ import annotations
@@ -19,10 +19,9 @@ class CarryObject:
     """One object.
 
     Attributes:
-        summary: One line for people.
-        squeeze_range_n: Recommended internal force, least and most.
-        stiffness_range_n_per_m: Recommended translational stiffness, least and most.
-        values: Configuration values {dotted path: value} that it stands for, where nobody sets others.
+        squeeze_range_n: Recommended internal force (min, max).
+        stiffness_range_n_per_m: Recommended translational stiffness (min, max).
+        values: Configuration defaults {dotted path: value}.
     """
 
     summary: str
@@ -34,7 +33,7 @@ class CarryObject:
 def _values(
     body: Mapping[str, Any], squeeze_n: float, stiffness_n_per_m: float, safety: float = SAFETY, **others: float
 ) -> dict[str, Any]:
-    """Return the values of a body and its squeeze; `others` are values of `carry.impedance`."""
+    """Return configuration values; `others` belong to `carry.impedance`."""
     pinch = round(pinch_force(squeeze_n, body["friction"], body["mass_kg"], safety=safety), 1)
     gains = {"internal_force_n": squeeze_n, "stiffness_n_per_m": stiffness_n_per_m, "pinch_n": pinch, **others}
     values = {f"scene.object.{k}": v for k, v in body.items()}
@@ -73,22 +72,22 @@ OBJECTS: Registry[CarryObject] = Registry(
     "object",
     {
         "rod": CarryObject("aluminium rod, 30 cm, 0.2 kg", (25.0, 40.0), (300.0, 500.0)),
-        # Twice the usual safety: pads that press a flat face with 30 N lose it for one simulated step in 3 of 10
-        # carries; with 60 N in none of 12.
+        # Twice the usual safety: on a flat face, pads lose contact for one step in 3 of 10 carries at 30 N, in 0 of 12
+        # at 60 N.
         "board": CarryObject(
             "laminate board, 40 x 5 x 3 cm, 1.0 kg",
             (20.0, 30.0),
             (400.0, 600.0),
             _values(_BOARD, 27.0, 500.0, safety=3.0),
         ),
-        # The hand's continuous limit is 70 N and its maximum 140 N: a carry lasts seconds.
+        # The hand allows 70 N continuously, 140 N at most; a carry lasts seconds.
         "box": CarryObject(
             "plastic box, 30 x 6 x 6 cm, 0.5 kg",
             (40.0, 60.0),
             (300.0, 500.0),
             {**_values(_BOX, 42.0, 400.0), "scene.physics.finger_force_max_n": 110.0},
         ),
-        # It lands softly: a soft spring follows a fast motion less closely, and what is left is a blow.
+        # Slow landing: with low stiffness the tracking error of a fast one becomes an impact.
         "glass": CarryObject(
             "glass tube, 30 cm, 0.15 kg, breaks at 20 N of a hand or 40 N of pinch",
             (10.0, 15.0),

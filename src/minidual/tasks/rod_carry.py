@@ -1,4 +1,4 @@
-"""Both arms carry a long object across the table: where it starts and must end, and where the hands belong on it."""
+"""Both arms carry a long object across the table."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ _PHASES = ("approach", "descend", "close", "squeeze", "lift", "carry", "lower", 
 
 
 def carry_config(config: Config) -> Config:
-    """Return the configuration under which the named object is carried along the named motion; twice changes nothing.
+    """Return the configuration with the values of the named object and motion; idempotent.
 
-    The least internal force of the success test is lowered to the low end of the object's own range where that is below
-    it: the glass must be squeezed with at least 10 N, the others with 20 N.
+    The required internal force drops to the low end of the object's range if lower: 10 N for the glass, 20 N for the
+    others.
 
     Raises:
-        UsageError: There is no such object or motion.
+        UsageError: Unknown object or motion.
     """
     item, motion = OBJECTS[config.carry.object], MOTIONS[config.carry.motion]
     config = preset(config, {"scene.object.name": config.carry.object, **item.values, **motion.values})
@@ -49,7 +49,7 @@ def carry_config(config: Config) -> Config:
 
 
 def rod_carry(config: Config) -> Task:
-    """Return the task: both hands lift the object, carry it level to its goal and put it down."""
+    """Return the task: carry the object level to its goal with both hands."""
     config = carry_config(config)
     body = config.scene.object
     return Task(
@@ -67,7 +67,7 @@ def rod_carry(config: Config) -> Task:
 def draw_on_table(
     task: Task, rng: np.random.Generator, widen: float = 1.0
 ) -> tuple[dict[str, ObjectPose], dict[str, ObjectPose]]:
-    """Return start and goal of the first object: uniform about the nominal ones of `scene.task`."""
+    """Draw start and goal, uniform about those of `scene.task`."""
     asked, name = task.scene.task, task.carried
     dx, dy = widen * asked.start_range_m * rng.uniform(-1.0, 1.0, size=2)
     yaw = widen * asked.start_range_rad * rng.uniform(-1.0, 1.0)
@@ -78,7 +78,7 @@ def draw_on_table(
 
 
 def carried_by_both(task: Task, trial: Trial) -> tuple[SuccessCondition, ...]:
-    """Return the conditions of an object that both hands carry level through the air to its goal."""
+    """Return the conditions of success."""
     asked, name, body = task.scene.task, task.carried, task.scene.object
     x, y, yaw = placement(trial.goal[name])
     conditions: list[SuccessCondition] = [
@@ -99,22 +99,19 @@ def carried_by_both(task: Task, trial: Trial) -> tuple[SuccessCondition, ...]:
 
 
 def placement(pose: ObjectPose) -> tuple[float, float, float]:
-    """Return (x [m], y [m], yaw [rad]) of where an object is put down."""
+    """Return (x [m], y [m], yaw [rad]) of an object pose."""
     if isinstance(pose, tuple):
         return pose
     return float(pose[0, 3]), float(pose[1, 3]), float(np.arctan2(-pose[0, 1], pose[1, 1]))
 
 
 def level_pose(x: float, y: float, z: float, yaw_rad: float) -> Array:
-    """Return the pose (4, 4) of a level object whose long axis (y) is turned by yaw about the vertical."""
+    """Return the pose (4, 4) of a level object with its long axis (y) turned by yaw."""
     return pose(rot_z(yaw_rad), (x, y, z))
 
 
 def level_part(T_world_object: Array) -> Array:
-    """Return the pose with roll about the long axis and tilt removed.
-
-    A cylinder may have rolled on the table; the hands care for the direction of its axis alone.
-    """
+    """Return the pose without tilt or roll about the long axis: a cylinder may have rolled."""
     axis = T_world_object[:3, 1]
     yaw = float(np.arctan2(-axis[0], axis[1]))
     return pose(rot_z(yaw), T_world_object[:3, 3])
@@ -123,7 +120,7 @@ def level_part(T_world_object: Array) -> Array:
 def held_at_ends(body: ObjectConfig) -> dict[str, Array]:
     """Return T_object_tcp (4, 4) by hand, in the object's level frame.
 
-    Hands point down and the fingers close across the object; the left hand holds the +y end.
+    Hands point down and close across the object; the left one holds the +y end.
     """
     rotation = rot_z(np.pi / 2.0) @ rot_x(np.pi)
     ends = zip(SIDES, (body.grasp_offset_m, -body.grasp_offset_m), strict=True)
@@ -131,11 +128,11 @@ def held_at_ends(body: ObjectConfig) -> dict[str, Array]:
 
 
 def grasp_offsets(scene: SceneConfig) -> tuple[Array, Array]:
-    """Return (T_object_left_tcp, T_object_right_tcp) of the carried object; see `held_at_ends`."""
+    """Return (T_object_left_tcp, T_object_right_tcp)."""
     left, right = held_at_ends(scene.object).values()
     return left, right
 
 
 def tilt_rad(T_world_object: Array) -> float:
-    """Return the angle between the long axis and the horizontal [rad]."""
+    """Return the angle between long axis and horizontal."""
     return float(np.arcsin(min(1.0, abs(T_world_object[2, 1]))))

@@ -1,8 +1,7 @@
-"""Conditions of success: small classes over the truth of a named object; a task is a list of them.
+"""Conditions of success on the true state of an object. Methods never read it.
 
-A condition is asked after every physics step (`observe`) and once at the end (`end`); it answers with what is wrong, or
-with an empty string. `holds` says whether the final state is reached now: a trial is finished when all conditions hold.
-Only the judge reads the truth. Methods never do.
+`observe` runs after every physics step, `end` once; both return what is wrong. A trial is finished when `holds` is
+true for all conditions.
 """
 
 from __future__ import annotations
@@ -17,24 +16,23 @@ import numpy as np
 from minidual.config.scene import ObjectConfig
 from minidual.robot.pair import SIDES, Array
 
-if TYPE_CHECKING:  # MuJoCo is not loaded to read a configuration
+if TYPE_CHECKING:  # reading a configuration must not import MuJoCo
     from minidual.plant.world import World
 
 AIRBORNE_M = 0.003
-"""An object is off the table when its lowest point is this far above its resting height."""
+"""An object is off the table above this clearance."""
 TOUCH_N = 0.1
-"""A hand that presses with less does not touch."""
+"""Smaller forces do not count as touch."""
 
 
 class ObjectTruth:
-    """The true state of one object after the last step.
+    """True state of one object after the last step.
 
     Attributes:
-        name: Of its body.
         T: Pose (4, 4) in the world.
-        tilt_rad: Angle between its long axis and the horizontal, or the vertical for one that stands upright.
+        tilt_rad: Of its long axis from the horizontal, or from the vertical if upright.
         clearance_m: Height of its lowest point above its resting height.
-        pinch: Normal force of the weaker finger of each hand (2,) [N].
+        pinch: Normal force of each hand's weaker finger (2,) [N].
     """
 
     def __init__(self, name: str, body: ObjectConfig) -> None:
@@ -57,22 +55,22 @@ class ObjectTruth:
 
     @property
     def yaw_rad(self) -> float:
-        """Direction of its y axis about the vertical, 0 along the world's y."""
+        """Yaw of its y axis, 0 along the world's y."""
         return math.atan2(-self.T[0, 1], self.T[1, 1])
 
     @property
     def speed_m_per_s(self) -> float:
-        """Speed of its centre of mass."""
+        """Linear speed."""
         return float(np.linalg.norm(self._world.object_twist(self.name)[:3]))
 
     @property
     def hand_forces(self) -> Array:
-        """Net force of each hand on it (2, 3) [N]."""
+        """Net force of each hand (2, 3) [N]."""
         return self._world.object_forces(self.name)
 
     @property
     def squeeze_n(self) -> float:
-        """Internal force [N]: the smaller of the hands' forces towards each other along its y axis."""
+        """Internal force: the smaller of the hands' inward forces along y."""
         return self._world.internal_force(self.name)
 
     @property
@@ -82,10 +80,9 @@ class ObjectTruth:
 
 
 class Truth:
-    """The true state of a task's objects after the last step.
+    """True state of a task's objects after the last step.
 
     Attributes:
-        time: Simulated time [s].
         duration_s: Time of the finish, or of now without one; set by the judge before `end`.
     """
 
@@ -104,30 +101,30 @@ class Truth:
         return self._objects[name]
 
     def touches(self, geom: str) -> bool:
-        """Return whether anything touches a geom, by its name."""
+        """Return whether anything touches a geom."""
         return self._world is not None and self._world.touches(geom)
 
 
 class SuccessCondition:
-    """One thing that a task demands; subclasses override what they need."""
+    """Base class; its defaults demand nothing."""
 
     name: ClassVar[str]
-    """Name of its fault."""
+    """Unique within a task."""
     stage: ClassVar[bool] = False
-    """Whether reaching it is a stage of the task's progress."""
+    """Whether it counts for `progress`."""
     optional: ClassVar[bool] = False
-    """Whether it is only measured unless the judge is told to demand it."""
+    """Whether it is only measured unless demanded."""
 
     def observe(self, truth: Truth) -> str:
-        """Return what is wrong at this instant, or an empty string."""
+        """Return what is wrong now, or an empty string."""
         return ""
 
     def holds(self, truth: Truth) -> bool:
-        """Return whether what it demands of the final state is so now."""
+        """Return whether the final state is reached."""
         return True
 
     def reached(self, truth: Truth) -> bool:
-        """Return whether its stage is reached; asked only where `stage` is set, until it is."""
+        """Return whether its stage is reached; called until true."""
         return self.holds(truth)
 
     def end(self, truth: Truth) -> str:
@@ -135,13 +132,13 @@ class SuccessCondition:
         return ""
 
     def measured(self, truth: Truth) -> dict[str, float]:
-        """Return the numbers it rests on, by name with unit."""
+        """Return its numbers, by name with unit."""
         return {}
 
 
 @dataclass
 class Level(SuccessCondition):
-    """The object never tilts further than the limit."""
+    """The object never tilts beyond the limit."""
 
     name = "level"
     object: str
@@ -161,7 +158,7 @@ class Level(SuccessCondition):
 
 @dataclass
 class Whole(SuccessCondition):
-    """An object that can break never feels more than it stands."""
+    """A fragile object never exceeds its pinch or hand force."""
 
     name = "whole"
     object: str
@@ -182,7 +179,7 @@ class Whole(SuccessCondition):
 
 @dataclass
 class Clear(SuccessCondition):
-    """Nothing touches an obstacle."""
+    """Nothing touches the obstacle."""
 
     name = "clear"
     geom: str
@@ -193,7 +190,7 @@ class Clear(SuccessCondition):
 
 @dataclass
 class Held(SuccessCondition):
-    """While the object is off the table, the hands pinch it: both of them, or with `both=False` at least one."""
+    """Off the table, both hands pinch the object (`both=False`: at least one)."""
 
     name = "held"
     stage = True
@@ -226,7 +223,7 @@ class Held(SuccessCondition):
 
 @dataclass
 class Exchanged(SuccessCondition):
-    """At some instant both hands pinch the object while it is off the table: an exchange in the air."""
+    """Both hands pinch the object at once off the table."""
 
     name = "exchanged"
     stage = True
@@ -248,7 +245,7 @@ class Exchanged(SuccessCondition):
 
 @dataclass
 class Squeezed(SuccessCondition):
-    """While the object is off the table, both hands press towards each other along it."""
+    """Off the table, the internal force exceeds the limit."""
 
     name = "squeezed"
     optional = True
@@ -270,7 +267,7 @@ class Squeezed(SuccessCondition):
 
 @dataclass
 class Rose(SuccessCondition):
-    """The object is carried in the air: it rises at least this far, and comes down again."""
+    """The object rises beyond the limit and comes down again."""
 
     name = "rose"
     stage = True
@@ -297,7 +294,7 @@ class Rose(SuccessCondition):
 
 @dataclass
 class Arrived(SuccessCondition):
-    """The object lies within a tolerance of its goal (x, y) [m]."""
+    """The object lies near its goal (x, y) [m]."""
 
     name = "arrived"
     stage = True
@@ -322,7 +319,7 @@ class Arrived(SuccessCondition):
 
 @dataclass
 class Turned(SuccessCondition):
-    """The object points as the goal asks; without a limit its error is only measured."""
+    """The object's yaw is near the goal; only measured without a limit."""
 
     name = "turned"
     object: str
@@ -347,7 +344,7 @@ class Turned(SuccessCondition):
 
 @dataclass
 class Released(SuccessCondition):
-    """No hand touches the object any more."""
+    """No hand touches the object."""
 
     name = "released"
     stage = True
@@ -363,7 +360,7 @@ class Released(SuccessCondition):
 
 @dataclass
 class AtRest(SuccessCondition):
-    """The object lies on the table and does not move."""
+    """The object rests on the table."""
 
     name = "at_rest"
     object: str
@@ -380,7 +377,7 @@ class AtRest(SuccessCondition):
 
 @dataclass
 class OnTime(SuccessCondition):
-    """All of it before the time limit."""
+    """The trial ends within the time limit."""
 
     name = "on_time"
     limit_s: float

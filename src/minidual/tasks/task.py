@@ -1,7 +1,7 @@
-"""What is to be done: objects, where they start and must end, phases, and the conditions of success. TASKS lists them.
+"""Tasks: objects, starts and goals, phases, conditions of success.
 
-A row is a function that builds a task from the configuration, so that `--set` reaches every number of it. Other
-distributions add rows through the entry point group `minidual.tasks`; docs/howto-task.md shows how.
+A row of TASKS builds a task from the configuration, so `--set` reaches every number. Other distributions add rows
+through the entry point group `minidual.tasks` (docs/howto-task.md).
 """
 
 from __future__ import annotations
@@ -19,19 +19,12 @@ from minidual.robot.pair import SIDES, Array
 from minidual.tasks.success import SuccessCondition
 
 ObjectPose = Array | tuple[float, float, float]
-"""Where an object is put: a pose (4, 4), or (x, y, yaw) [m, m, rad] resting on the table."""
+"""A pose (4, 4), or (x, y, yaw) [m, m, rad] resting on the table."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One randomised trial.
-
-    Attributes:
-        purpose: Name of its random stream, e.g. `carry` or `demonstrations`.
-        index: Its number in that stream.
-        start: Where each object starts, by name: (x [m], y [m], yaw [rad]) on the table, or a pose (4, 4).
-        goal: Where objects must be put down, likewise.
-    """
+    """One randomised trial: number `index` of the random stream `purpose`."""
 
     purpose: str
     index: int
@@ -41,12 +34,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class TaskObject:
-    """An object of a task.
-
-    Attributes:
-        body: Shape, mass, friction, colour; its name is the body's.
-        grasps: T_object_tcp (4, 4) by hand ("left", "right"); a hand without one does not grasp it.
-    """
+    """An object and its grasps: T_object_tcp (4, 4) of each hand that grasps it."""
 
     body: ObjectConfig
     grasps: Mapping[str, Array] = field(default_factory=dict)
@@ -54,13 +42,12 @@ class TaskObject:
 
 @dataclass(frozen=True)
 class Step:
-    """One step of a task's plan, for who solves it phase by phase.
+    """One step of a task's plan.
 
     Attributes:
         phase: Row of the phase table (minidual.skills).
-        hands: Which hands do it.
-        object: Name of the object; empty for the task's first.
-        places: Poses (4, 4) in the world to bring it to in this step, the preferred one first; none for the trial's goal.
+        object: Name; empty for the first.
+        places: Target poses (4, 4) in the world, preferred first; empty for the trial's goal.
     """
 
     phase: str
@@ -71,17 +58,15 @@ class Step:
 
 @dataclass(frozen=True)
 class Task:
-    """What is to be done and how it is judged.
+    """What to do and how it is judged.
 
     Attributes:
-        name: Row of TASKS.
-        instruction: One sentence, as a person or a language-conditioned policy reads it.
-        config: The configuration with every value that the task stands for; `config.scene` is its world.
-        objects: By name; the first is the one that is carried, disturbed and measured.
-        steps: Plan in phases.
-        success: Called with the task and a trial; returns new conditions of success for it.
-        draw: Called with (task, rng, widen); returns start and goal of a trial, each {object: pose}.
-        stream: Name under which its trials are drawn.
+        instruction: One sentence for people and language-conditioned policies.
+        config: Configuration with the task's values.
+        objects: By name; the first is carried, disturbed and measured.
+        success: (task, trial) -> new conditions.
+        draw: (task, rng, widen) -> start and goal, each {object: pose}.
+        stream: Prefix of its random streams.
     """
 
     name: str
@@ -95,7 +80,7 @@ class Task:
 
     @property
     def scene(self) -> SceneConfig:
-        """The world in which it is done."""
+        """The scene configuration."""
         return self.config.scene
 
     @property
@@ -105,18 +90,11 @@ class Task:
 
     @property
     def time_limit_s(self) -> float:
-        """Simulated time that a trial may take [s]."""
+        """Simulated time limit."""
         return self.scene.task.time_limit_s
 
     def trial(self, seed: int, purpose: str, index: int, *, widen: float = 1.0) -> Trial:
-        """Draw trial `index` of a purpose; different purposes never share trials.
-
-        Args:
-            seed: The run's seed.
-            purpose: Name of the random stream.
-            index: Trial number.
-            widen: Scale of the start's range; demonstrations may cover more than the tests ask.
-        """
+        """Draw trial `index` of a purpose; `widen` scales the start's range. Purposes never share trials."""
         start, goal = self.draw(self, stream(seed, f"{self.stream}/{purpose}", index), widen)
         return Trial(purpose, index, start, goal)
 
@@ -129,14 +107,14 @@ TASKS: Registry[Callable[[Config], Task]] = Registry(
 
 
 def make_task(config: Config) -> Task:
-    """Return the task that the configuration names.
+    """Return the configured task.
 
     Raises:
-        UsageError: There is no such task, or it refuses a value.
+        UsageError: Unknown task, or it refuses a value.
     """
     return TASKS[config.task](config)
 
 
 def task_config(config: Config) -> Config:
-    """Return the configuration with every value that its task stands for; twice changes nothing."""
+    """Return the configuration with the task's values; idempotent."""
     return make_task(config).config
