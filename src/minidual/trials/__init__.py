@@ -1,1 +1,1 @@
-"""Measuring methods against each other: what one trial showed, what many trials say, and how sure that is."""
+"""Trials of methods, their metrics and comparisons."""

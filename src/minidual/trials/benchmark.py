@@ -1,4 +1,4 @@
-"""Methods by conditions: every method on the same starts under every disturbance that can touch it."""
+"""Benchmark: every method under every condition, from the same starts."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from minidual.trials.runner import TrialResult, Watch, run_trials
 from minidual.trials.tables import write_rows
 
 PURPOSE = "benchmark"
-"""Random stream of the starts: all methods and conditions get the same ones, and no stage before has seen them."""
+"""Random stream of the starts, shared by methods and conditions and used by no earlier stage."""
 
 OVER_SUCCESSES = ("duration_", "path_", "internal_", "pinch_")
-"""How the names of numbers begin that exist only where a trial succeeded."""
+"""Prefixes of the numbers that exist only with a success."""
 
 
 @dataclass(frozen=True)
@@ -29,12 +29,10 @@ class BenchmarkCell:
     """One method under one condition.
 
     Attributes:
-        method: Row of the table of methods.
-        condition: Row of the table of conditions.
-        asked_n: Trials that it should have.
-        summary: What its trials say together; None where the condition does not apply.
+        asked_n: Trials requested.
+        summary: None where the condition does not apply.
         why_not: Why it does not apply, or an empty string.
-        undisturbed: Indices of successes in which its push or move never took place.
+        undisturbed: Indices of successes in which the push or move never took place.
     """
 
     method: str
@@ -46,13 +44,13 @@ class BenchmarkCell:
 
     @property
     def settled(self) -> bool:
-        """Whether it has all its trials, disturbed as it says, or a reason to have none."""
+        """Whether it has all its trials, properly disturbed, or a reason to have none."""
         if self.summary is None:
             return bool(self.why_not)
         return not self.why_not and not self.undisturbed and self.summary.trials_n >= self.asked_n
 
     def not_finite(self) -> list[str]:
-        """Return the names of numbers that should exist and do not."""
+        """Return the names of numbers that should be finite and are not."""
         s = self.summary
         if s is None:
             return []
@@ -61,7 +59,7 @@ class BenchmarkCell:
         return [n for n in due if not math.isfinite(getattr(s, n))]
 
     def record(self) -> dict[str, Any]:
-        """Return the cell as JSON types; a number that does not exist is the word nan."""
+        """Return the cell as JSON types; NaN becomes "nan"."""
         if self.summary is None:
             return {"applies": False, "why": self.why_not}
         kept = ("method", "condition", "trials_n", "failures")
@@ -71,7 +69,7 @@ class BenchmarkCell:
 
 
 def count_trials(methods: Sequence[str], trials_n: Mapping[str, int], config: Config) -> int:
-    """Return how many trials `run_benchmark` runs: those that do not apply are left out."""
+    """Return how many trials `run_benchmark` runs."""
     return sum(n for m in methods for c, n in trials_n.items() if not condition(c).why_not(m, config))
 
 
@@ -88,17 +86,17 @@ def run_benchmark(
     """Run every method under every condition.
 
     Args:
-        methods: Rows of the table of methods.
+        methods: Rows of METHODS.
         trials_n: {condition: trials of each method}.
-        inputs: What the methods are built from.
+        inputs: Passed to the methods.
         workers: Processes.
         purpose: Random stream of the starts.
         on_trial: Called after each trial.
-        watch: Where trials are shown, if anywhere.
+        watch: Shows the trials, if given.
 
     Returns:
-        Cells and trials in the order asked for. A cell depends on the seed and on its own method, condition and number
-        of trials, neither on `workers` nor on what else is run: every random stream is named by what it serves.
+        Cells and trials in order. A cell depends only on seed, method, condition and number of trials: each random
+        stream has its own name.
     """
     cells: list[BenchmarkCell] = []
     everything: list[TrialMetrics] = []
@@ -128,12 +126,12 @@ def run_benchmark(
 
 
 def summaries(cells: Sequence[BenchmarkCell], name: str = CLEAN) -> list[MethodSummary]:
-    """Return what was measured under one condition."""
+    """Return the summaries under one condition."""
     return [c.summary for c in cells if c.condition == name and c.summary is not None]
 
 
 def write_cells(path: Path, cells: Sequence[BenchmarkCell]) -> Path:
-    """Write one row a method and condition; one that does not apply says why."""
+    """Write a CSV row for each cell."""
     rows: list[dict[str, Any]] = []
     for cell in cells:
         applies = "yes" if cell.summary is not None else f"no: {cell.why_not}"
@@ -143,7 +141,7 @@ def write_cells(path: Path, cells: Sequence[BenchmarkCell]) -> Path:
 
 
 def conditions_data(cells: Sequence[BenchmarkCell]) -> dict[str, Any]:
-    """Return {condition: {summary, trials_n, methods: {method: numbers}}} of the disturbed cells, for the verdict."""
+    """Return {condition: {summary, trials_n, methods: {method: numbers}}} of the disturbed cells."""
     table: dict[str, Any] = {}
     for cell in cells:
         if cell.condition != CLEAN:

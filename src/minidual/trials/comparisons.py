@@ -1,7 +1,7 @@
-"""Paired comparisons: two methods on the same starts, and one method with a disturbance and without it.
+"""Paired comparisons of methods, and of disturbed with clean trials, on the same starts.
 
-Success is compared by McNemar's exact test and Newcombe's interval of the difference, completion time by the bootstrap
-of the median difference over the starts on which both completed.
+Success: McNemar's exact test and Newcombe's interval. Completion time: bootstrap of the median difference over starts
+that both completed.
 """
 
 from __future__ import annotations
@@ -23,11 +23,9 @@ _Starts = dict[int, TrialMetrics]
 
 
 def compare_all(trials: Sequence[TrialMetrics], seed: int = 0) -> list[dict[str, Cell]]:
-    """Return comparisons of each pair of methods on the starts they share, condition by condition.
+    """Compare each pair of methods on shared starts, for each condition.
 
-    Args:
-        trials: Of any number of methods and conditions.
-        seed: Of the bootstraps. Each has its own stream by name, so rows depend on neither their order nor the others.
+    Each bootstrap has its own named stream, so rows do not depend on order.
     """
     rows: list[dict[str, Cell]] = []
     for condition, methods in _grouped(trials, lambda t: t.condition, lambda t: t.method).items():
@@ -39,10 +37,7 @@ def compare_all(trials: Sequence[TrialMetrics], seed: int = 0) -> list[dict[str,
 
 
 def compare_with_clean(trials: Sequence[TrialMetrics], seed: int = 0) -> list[dict[str, Cell]]:
-    """Return what each disturbance costs each method: the disturbed trials against the clean ones of the same starts.
-
-    Differences are disturbed less clean: a loss of success is negative.
-    """
+    """Compare each method's disturbed trials with its clean ones; differences are disturbed minus clean."""
     rows: list[dict[str, Cell]] = []
     for method, conditions in _grouped(trials, lambda t: t.method, lambda t: t.condition).items():
         for condition, disturbed in conditions.items():
@@ -64,7 +59,7 @@ def _grouped(
 
 
 def _compared(one: _Starts, two: _Starts, seed: int, name: str) -> dict[str, Cell] | None:
-    """Return the row of two sets of trials on their shared starts, None without any."""
+    """Return the row for the shared starts, None without any."""
     shared = sorted(one.keys() & two.keys())
     if not shared:
         return None

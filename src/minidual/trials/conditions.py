@@ -1,9 +1,7 @@
-"""What the world does to a trial: pushes, another mass, another friction, worse sensing. One table, the clean one first.
+"""Conditions of a trial: pushes, changed mass, friction or light, worse sensing.
 
-A condition changes the plant or the sensors, and the method is told nothing of it: an object that is 50 % heavier is
-still the 0.2 kg object to whoever carries it. (Samples carry their time stamp, so the age of a late pose is known.) What
-changes the plant touches every method; what changes a sensor touches the methods that read it, and the others are not
-run under it: their trials would be the clean ones under another name.
+Methods are not told: a 50 % heavier object still counts as 0.2 kg. (Samples carry time stamps, so the age of a late
+pose is known.) Changes of the plant apply to all methods, changes of a sensor to those that read it.
 
 Other distributions add rows through the entry point group `minidual.conditions` (docs/howto-condition.md).
 """
@@ -35,30 +33,30 @@ CLEAN = "clean"
 _HINGE = 3  # mujoco.mjtJoint.mjJNT_HINGE: the joints of the arms; fingers slide
 ALL = "all"
 _RISEN_M = 0.05
-"""A push comes while the object is in the air: it waits until the object has risen this far ..."""
+"""A push waits until the object has risen this far ..."""
 _DELAY_S = (0.2, 1.2)
-"""... and then for a time drawn from this range."""
+"""... and then for a random time in this range."""
 _ALOFT_M = 0.01
-"""An object pushed lower than this above where it lay may stand on the table, which takes the push for the hands."""
+"""Below this height above its start the object may touch the table, which would take part of the push."""
 _MOVED_AT_S = 0.5
-"""An object is moved while the hands approach: they have set out, and none is near it yet."""
+"""The hands have set out and are not yet near the object."""
 
 
 class Disturbance(Protocol):
-    """What acts on the world after every step of one trial."""
+    """Acts on the world after every step of one trial."""
 
     @property
     def took_place(self) -> bool:
-        """Whether it has acted, wholly and as its condition says."""
+        """Whether it has acted completely."""
         ...
 
     def __call__(self, world: World) -> None:
-        """Act on the world, or wait."""
+        """Act or wait."""
         ...
 
 
 Change = Callable[["mujoco.MjModel", Task, int], None]
-"""Changes the compiled model for a trial by its index; what it changes is changed back afterwards."""
+"""Changes the compiled model for a trial, by its index; undone afterwards."""
 
 
 @dataclass(frozen=True)
@@ -66,15 +64,13 @@ class Condition:
     """One row of the table.
 
     Attributes:
-        name: As in tables and trials.
-        summary: One line for people.
-        act: Makes what happens during a trial from the task and the trial's random stream.
+        act: Makes the disturbance from task and random stream.
         change: Changes the plant.
-        instead_of: Configured values {dotted path: value} that `change` puts others in place of.
-        settings: Configuration values {dotted path: value} under which the trial runs, for the sensors.
-        factors: Of configured values {dotted path: factor}, for the sensors too.
-        sense: Row of SENSES that it changes and nothing else does; empty if it changes the plant.
-        promised: Whether a carry must hold it. One that is not is compared, and measured by no limit.
+        instead_of: Values {dotted path: value} that `change` sets.
+        settings: Configuration values {dotted path: value} of the trials.
+        factors: Factors of configured values {dotted path: factor}.
+        sense: The only row of SENSES that it changes; empty if it changes the plant.
+        promised: Whether a carry must pass it; otherwise it is only compared.
     """
 
     name: str
@@ -89,11 +85,14 @@ class Condition:
 
     @property
     def key(self) -> str:
-        """The name without blanks, for checks and files."""
+        """The name without blanks."""
         return self.name.replace(" ", "_")
 
     def why_not(self, method: str, config: Config) -> str:
-        """Return why it is not run for a method: it cannot touch it, or its trials would be the clean ones; or ""."""
+        """Return why it does not apply to a method, or an empty string.
+
+        The method does not read the sense, or nothing would change.
+        """
         if self.sense and self.sense not in method_spec(method).senses:
             return f"{method} reads no {SENSES[self.sense]}"
         if any(value == _configured(config, path) for path, value in self.instead_of.items()):
@@ -104,14 +103,14 @@ class Condition:
         return ""
 
     def settings_under(self, config: Config) -> dict[str, float]:
-        """Return the configuration values of its trials, where `config` is that of the clean ones."""
+        """Return the values that its trials change in `config`."""
         return {**self.settings, **{path: k * _configured(config, path) for path, k in self.factors.items()}}
 
     def config_under(self, config: Config) -> Config:
-        """Return the configuration of its trials, where `config` is that of the clean ones.
+        """Return the configuration of its trials.
 
         Raises:
-            UsageError: Its values are out of their bounds, as three times a loud noise may be.
+            UsageError: A value is out of bounds, e.g. three times a large noise.
         """
         values = self.settings_under(config)
         try:
@@ -125,7 +124,7 @@ class Condition:
 
     @contextmanager
     def applied(self, model: mujoco.MjModel, task: Task, index: int) -> Generator[None]:
-        """Change a compiled model for trial `index`, and change it back; nothing else may hold it meanwhile."""
+        """Change a compiled model for trial `index`, then restore it; not for shared models."""
         if self.change is None:
             yield
             return
@@ -143,7 +142,7 @@ class Condition:
 
 
 def _arrays(place: Any) -> list[Array]:
-    """Return the arrays of a model, or of a part of it: views of its memory."""
+    """Return views of the arrays of a model or a part of it."""
     found = (getattr(place, name) for name in dir(place) if not name.startswith("_"))
     return [values for values in found if isinstance(values, np.ndarray)]
 
@@ -157,7 +156,7 @@ def _configured(config: Config, path: str) -> float:
 
 
 def _derive(model: mujoco.MjModel) -> None:
-    """Recompute what MuJoCo derives from masses: subtree masses and the weights that soften its constraints."""
+    """Recompute subtree masses and constraint weights from the masses."""
     import mujoco
 
     mujoco.mj_setConst(model, mujoco.MjData(model))
@@ -189,7 +188,7 @@ def friction(value: float) -> Change:
 
 
 def joint_friction(factor: float) -> Change:
-    """Scale viscous and Coulomb friction of one joint, another one each trial."""
+    """Scale viscous and Coulomb friction of one joint, which changes with the trial."""
 
     def change(model: mujoco.MjModel, task: Task, index: int) -> None:
         hinges = np.flatnonzero(model.jnt_type == _HINGE)
@@ -201,7 +200,7 @@ def joint_friction(factor: float) -> Change:
 
 
 def light(factor: float) -> Change:
-    """Scale every light, as the cameras see it."""
+    """Scale every light."""
 
     def change(model: mujoco.MjModel, task: Task, index: int) -> None:
         lamp = model.vis.headlight
@@ -212,16 +211,16 @@ def light(factor: float) -> Change:
 
 
 class Push:
-    """A force on the carried object's centre of mass, once: full for a time, with a ramp before and after.
+    """One force on the carried object's centre of mass, ramped at both ends.
 
-    Without ramps it would be a blow: 20 N on 0.2 kg from one millisecond to the next throws a rigid object off the pad,
-    which no hand, tool or wall with some give does. It reads the truth, as somebody beside the table would.
+    An abrupt 20 N on 0.2 kg throws a rigid object off the pads, which compliant contacts would not do. It reads the true
+    height.
 
     Args:
-        force_n: (3,) world axes.
-        name: Of the object.
-        delay_s: From when the object has risen to when the push begins.
-        duration_s: Time of the full force.
+        force_n: (3,), world axes.
+        name: Name of the object.
+        delay_s: Time between rise and push.
+        duration_s: Time at full force.
         ramp_s: Time of each ramp.
     """
 
@@ -236,7 +235,7 @@ class Push:
         self.took_place = False
 
     def at(self, t_s: float) -> Array:
-        """Return the force (3,) [N] at a time after the push began."""
+        """Return the force (3,) [N] at a time since its begin."""
         share = min(1.0, max(0.0, min(t_s, self.length_s - t_s) / self._ramp_s))
         return share * self._force
 
@@ -259,7 +258,7 @@ class Push:
 
 
 class Move:
-    """Moves the carried object once: from one step to the next it lies elsewhere, as high and turned as before."""
+    """Shifts the carried object along the table once, in one step."""
 
     def __init__(self, by_m: Array, name: str) -> None:
         self._by, self._name = by_m, name
@@ -273,12 +272,12 @@ class Move:
 
 
 def push(force_n: Sequence[float]) -> Callable[[Task, np.random.Generator], Disturbance]:
-    """Return the maker of a push at a random time while the object is in the air."""
+    """Return a maker of pushes at a random time in the air."""
     return lambda task, rng: Push(force_n, task.carried, float(rng.uniform(*_DELAY_S)))
 
 
 def move(distance_m: float) -> Callable[[Task, np.random.Generator], Disturbance]:
-    """Return the maker of a move in a random direction."""
+    """Return a maker of moves in a random direction."""
 
     def make(task: Task, rng: np.random.Generator) -> Disturbance:
         direction = float(rng.uniform(0.0, 2.0 * np.pi))
@@ -335,7 +334,7 @@ for _row in (
 
 
 def condition(name: str) -> Condition:
-    """Return a condition by name, or say which exist; blanks may be underscores or be left out: mass_+50_%."""
+    """Return a condition by name; blanks may be underscores or omitted: mass_+50_%."""
     short = name.replace(" ", "").replace("_", "")
     known = next((n for n in CONDITIONS if n.replace(" ", "").replace("_", "") == short), None)
     if known is None:
@@ -344,10 +343,10 @@ def condition(name: str) -> Condition:
 
 
 def parse_conditions(text: str | Sequence[str]) -> tuple[str, ...]:
-    """Return the conditions named in `clean,push +x,friction 0.3`, each once, the clean one first; `all` names all.
+    """Return the conditions named in `clean,push +x,friction 0.3`, `clean` first; `all` means all.
 
     Raises:
-        UsageError: An unknown or repeated name, or `clean` is not among them: losses are counted from there.
+        UsageError: Unknown or repeated name, or no `clean`.
     """
     typed = [n.strip() for n in (text.split(",") if isinstance(text, str) else text)]
     typed = [n for n in typed if n]

@@ -1,8 +1,8 @@
-"""A task as a Gymnasium environment: joint targets in, joint state and pictures out, at 50 Hz.
+"""Tasks as Gymnasium environments: joint targets in, joint state and images out, at 50 Hz.
 
     env = gymnasium.make("minidual.trials.gym_env:minidual/RodCarry-v0", images=("high",), render_mode="rgb_array")
 
-The part before the colon is imported, which registers an environment for each row of the table of tasks.
+Importing this module registers an environment for each task.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ CONTROL_HZ = 50
 """Rate of actions and observations."""
 
 _OVERTRAVEL_RAD = 0.1
-"""Room beyond the joint limits in the observation space: a collision may push a joint a little over."""
+"""Observation margin beyond the joint limits, which a collision may exceed."""
 _FALLEN_M = -0.1
 """An object below this height has left the table."""
 
@@ -44,34 +44,33 @@ Observation = dict[str, Any]
 class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     """One task.
 
-    Observation (a dictionary):
-        state: (n + 2,) float32, measured joints of the left arm, then of the right [rad], then the hands' openings (0..1).
-        images: only if asked for; {camera: (H, W, 3) uint8}.
-        object: only if asked for; (7,) float32, position [m] and quaternion wxyz of the carried object. Ground truth,
-            which no camera-driven policy may use.
+    Observation:
+        state: (n + 2,) float32, joints of the left and right arm [rad], then gripper openings (0..1).
+        images: {camera: (H, W, 3) uint8}, if requested.
+        object: (7,) float32, position [m] and quaternion wxyz of the object, if requested. Ground truth: not for
+            camera-driven policies.
 
-    Action: (n + 2,) float32, joint targets [rad] within the joint limits, then the opening of each hand (below 0.4
-    closes, above 0.6 opens). One action holds for 20 ms.
+    Action: (n + 2,) float32, joint targets [rad] within limits, then gripper openings (below 0.4 closes, above 0.6 opens);
+    held for 20 ms.
 
-    Reward: gain of the potential -(mean distance of the hands from their grasps + distance of the object from its
-    goal, both in metres), plus 1 on success. The potential shapes without changing which policy is best
-    (Ng, Harada, Russell 1999, for a discount of 1).
+    Reward: gain of the potential -(mean distance of the hands from their grasps + distance of the object from its goal)
+    [m], plus 1 on success. Such shaping keeps the optimal policy (Ng, Harada, Russell 1999, for a discount of 1).
 
-    An episode ends (`terminated`) when the trial is finished, when the object has left the table, or when the simulation
-    diverged; it is cut (`truncated`) at the task's time limit. A finished trial is a success only if every condition
-    held: `info["success"]` says so, `info["faults"]` names what was missed, `info["stages"]` what was reached.
+    An episode is `terminated` when the trial is finished, the object has left the table or the simulation diverged, and
+    `truncated` at the time limit. `info["success"]` is true only if every condition held; `info["faults"]` and
+    `info["stages"]` list violated conditions and reached stages.
 
     Args:
-        scene: World and limits in place of the task's defaults.
-        task: Row of the table of tasks.
-        render_mode: "rgb_array" makes `render` return the overview camera's picture.
-        images: Cameras to observe, out of high, left, right.
+        scene: Replaces the task's default.
+        task: Row of TASKS.
+        render_mode: None or "rgb_array" (overview camera).
+        images: Cameras out of high, left, right.
         object_pose: Observe the object's pose.
-        render_width_px: Width of the picture that `render` returns.
+        render_width_px: Image width of `render`.
         render_height_px: Its height.
 
     Raises:
-        UsageError: An unknown task, camera or render mode.
+        UsageError: Unknown task, camera or render mode.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": CONTROL_HZ}
@@ -114,7 +113,7 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
     @property
     def world(self) -> World:
-        """The simulated world, for scoring and drawing."""
+        """The simulated world."""
         return self._world
 
     def _make_observation_space(self) -> spaces.Dict:
@@ -133,10 +132,10 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Start a trial drawn from the environment's own stream, or the one given as `options["trial"]`.
+        """Start a random trial, or `options["trial"]`.
 
         Raises:
-            UsageError: An unknown option, or a trial that is no Trial.
+            UsageError: Unknown option, or not a Trial.
         """
         super().reset(seed=seed)
         options = options or {}
@@ -154,10 +153,10 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         return self._observe(), {"trial": trial}
 
     def step(self, action: npt.NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Hold one action for 20 ms; values beyond the action space are clipped to it.
+        """Hold one action for 20 ms; values are clipped to the action space.
 
         Raises:
-            UsageError: The action has another shape or is not finite, or `reset` was not called.
+            UsageError: Wrong shape, not finite, or `reset` was not called.
         """
         judge = self._judge
         if judge is None:
@@ -224,7 +223,7 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         return np.clip(np.concatenate([body.xpos, body.xquat]), -10.0, 10.0)
 
     def render(self) -> Image | None:  # type: ignore[override]
-        """Return the overview camera's picture (H, W, 3) uint8, or None without a render mode."""
+        """Return the overview image (H, W, 3) uint8, or None without a render mode."""
         if self.render_mode is None:
             return None
         if self._render_camera is None:

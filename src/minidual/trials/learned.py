@@ -1,4 +1,4 @@
-"""Methods that learned: a trained policy drives from cameras and joints, through the command arbiter."""
+"""Learned methods: a trained policy drives through the command arbiter."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Who does a task: one table of methods, each row a lazy target.
+"""Table of methods.
 
-A method drives a world through one trial: `step()` until `done`. It may read joints, cameras and contact sensors; the
-judge alone reads the truth. Other distributions add rows through the entry point group `minidual.methods`
+A method drives a world through one trial: `step()` until `done`. It may read joints, cameras and contact sensors; only
+the judge reads the truth. Other distributions add rows through the entry point group `minidual.methods`
 (docs/howto-method.md).
 """
 
@@ -27,7 +27,7 @@ SENSES: dict[str, str] = {
     "feedback": "pose or contact force during the motion",
     "picture": "picture",
 }
-"""What a method may read of the object, and what it is called in a sentence; joints are read by all."""
+"""What a method may read of the object, with its name in messages."""
 
 
 class Method(Protocol):
@@ -35,7 +35,7 @@ class Method(Protocol):
 
     @property
     def world(self) -> World:
-        """The plant that it drives."""
+        """The plant."""
         ...
 
     @property
@@ -45,12 +45,12 @@ class Method(Protocol):
 
     @property
     def phase(self) -> str:
-        """Name of the phase the trial is in."""
+        """Name of the current phase."""
         ...
 
     @property
     def done(self) -> bool:
-        """Return whether the method has nothing left to do."""
+        """Whether it has nothing left to do."""
         ...
 
     def step(self) -> None:
@@ -63,13 +63,7 @@ type Factory = Callable[[World, Kinematics, Trial], Method]
 
 @dataclass(frozen=True)
 class MethodInputs:
-    """What a factory may use.
-
-    Attributes:
-        config: The resolved configuration.
-        seed: The run's seed.
-        checkpoint: Folder of the trained policy, for methods that need one.
-    """
+    """Inputs of a factory; `checkpoint` is the folder of a trained policy."""
 
     config: Config
     seed: int
@@ -81,12 +75,10 @@ class MethodSpec:
     """One row of the table.
 
     Attributes:
-        target: `module:function`, or the function; called with the inputs it returns a `Factory`, loading what all
-            trials share (a policy, a planner) once.
-        summary: One line for people.
-        needs_images: The world must be compiled with visual meshes.
-        demands: Optional conditions of success that its trials must meet too.
-        senses: Rows of SENSES: what it reads of the object. Disturbances of other senses do not apply.
+        target: Function or `module:function`: loads what trials share and returns a `Factory`.
+        needs_images: Compile the visual meshes.
+        demands: Optional conditions of success that its trials must meet.
+        senses: Rows of SENSES that it reads; disturbances of others do not apply.
     """
 
     target: str | Callable[[MethodInputs], Factory]
@@ -130,15 +122,15 @@ METHODS: Registry[MethodSpec] = Registry(
 
 
 def method_spec(name: str) -> MethodSpec:
-    """Return the row of a method, or say which exist."""
+    """Return the row of a method."""
     return METHODS[name]
 
 
 def parse_methods(text: str | Sequence[str]) -> tuple[str, ...]:
-    """Return the methods named in `moveit,impedance,act`, each once.
+    """Return the methods named in `moveit,impedance,act`.
 
     Raises:
-        UsageError: An unknown or repeated name, or none at all.
+        UsageError: Unknown, repeated or no name.
     """
     names = [n.strip() for n in (text.split(",") if isinstance(text, str) else text)]
     names = [n for n in names if n]

@@ -1,7 +1,6 @@
-"""What one trial showed, and what the trials of one method say together.
+"""Metrics of one trial, and their summary for one method.
 
-Values that do not exist stay NaN in memory, so that a check on them fails; in CSV and JSON they are words
-("no successful trial"), never an empty cell or a null.
+Missing values are NaN in memory, so that checks on them fail; CSV and JSON use words ("no successful trial").
 """
 
 from __future__ import annotations
@@ -33,23 +32,21 @@ class TrialMetrics:
     """One trial of one method.
 
     Attributes:
-        method: Who drove the arms, e.g. ``moveit``, ``impedance``, ``act``.
-        index: Number of the trial in its stream; methods share trials.
-        condition: What the world did to it, e.g. ``clean``.
-        success: The task's one success test.
-        failure: Name of the first fault, empty on success.
-        reason: The fault in words, with numbers, empty on success.
-        failed_at_s: When it failed; NaN on success.
+        method: E.g. ``moveit``.
+        index: Number in its stream; methods share trials.
+        condition: E.g. ``clean``.
+        failure: Name of the first violated condition, empty on success.
+        reason: The violation with numbers, empty on success.
+        failed_at_s: Its time; NaN on success.
         duration_s: Start to released and at rest; NaN without success.
         torque_ratio_max: Largest |torque| / limit over joints and time.
-        jerk_rms: Low-passed RMS jerk; NaN if the trial ended before it could be measured.
-        tilt_max_rad: Largest tilt of the object.
-        path_length_m: Path of a hand, mean of the two.
-        internal_force_min_n: Least squeeze while the object is off the table; NaN where nobody measured it.
-        pinch_force_min_n: Least grip force while it is off the table.
-        goal_error_m: Distance of the object from its goal at the end.
-        aborted: Why the method stopped itself, empty if it did not.
-        disturbed: Whether the push or move of its condition took place; None where the condition has neither.
+        jerk_rms: Low-passed RMS jerk; NaN if the trial was too short.
+        path_length_m: Path of a hand, mean of both.
+        internal_force_min_n: Minimum off the table; NaN if not measured.
+        pinch_force_min_n: Minimum off the table.
+        goal_error_m: Final distance of the object from its goal.
+        aborted: Why the method stopped itself, or an empty string.
+        disturbed: Whether the push or move took place; None if the condition has none.
     """
 
     method: str
@@ -72,57 +69,40 @@ class TrialMetrics:
 
     @property
     def text(self) -> str:
-        """Return what happened as one line for people."""
+        """The outcome as one line."""
         if self.success:
             return "success"
         stop = f" (stopped itself: {self.aborted})" if self.aborted else ""
         return f"{self.failure} at {self.failed_at_s:.2f} s: {self.reason}{stop}"
 
     def to_row(self) -> dict[str, Cell]:
-        """Return the trial for CSV or JSON, with words where a number does not exist."""
+        """Return the trial for CSV or JSON, words for missing numbers."""
         words = {"failed_at_s": "did not fail", "duration_s": "did not succeed"}
         row = {f.name: _said(getattr(self, f.name), words.get(f.name, NOT_MEASURED)) for f in fields(self)}
         return {**row, "disturbed": NO_EVENT if self.disturbed is None else self.disturbed}
 
 
 _OVER_ALL = ("torque_", "jerk_", "tilt_", "goal_")
-"""How the names of indicators begin that are taken over all trials, failed ones too."""
+"""Prefixes of indicators over all trials, failed ones included."""
 
 
 @dataclass(frozen=True)
 class MethodSummary:
-    """All trials of one method under one condition.
+    """All trials of one method under one condition; *_low and *_high bound 95 % intervals.
 
     Attributes:
-        method: As in the trials.
-        condition: As in the trials.
-        trials_n: Number of trials.
-        successes_n: Number of successes.
-        success_rate: Their ratio.
-        success_low: Lower end of its 95 % Wilson interval.
-        success_high: Upper end.
-        duration_median_s: Median over the successful trials; NaN without any.
-        duration_low_s: Lower end of its 95 % bootstrap interval.
-        duration_high_s: Upper end.
+        success_low, success_high: Wilson interval.
+        duration_median_s: Over successes; NaN without any. Bootstrap interval, as for the other medians.
         torque_ratio_max: Largest over all trials.
-        torque_ratio_median: Median over all trials of each trial's largest.
-        torque_ratio_low: Lower end of its 95 % bootstrap interval.
-        torque_ratio_high: Upper end.
-        jerk_rms_median: Median over all trials long enough to measure, rad/s^3.
-        jerk_rms_low: Lower end of its 95 % bootstrap interval.
-        jerk_rms_high: Upper end.
-        tilt_max_rad: Largest over all trials, failed ones included.
-        tilt_median_rad: Median over all trials of each trial's largest.
-        tilt_low_rad: Lower end of its 95 % bootstrap interval.
-        tilt_high_rad: Upper end.
-        path_length_m: Median over the successful trials; NaN without any.
-        path_length_low_m: Lower end of its 95 % bootstrap interval.
-        path_length_high_m: Upper end.
-        internal_force_min_n: Least over the successful trials.
-        pinch_force_min_n: Least over the successful trials.
-        goal_error_median_m: Median over all trials.
-        failures: Number of trials by name of their first fault.
-        stopped_n: Failed trials in which the method stopped itself: a refusal, where others drop what they hold.
+        torque_ratio_median: Over all trials, of the largest in each.
+        jerk_rms_median: Over all trials long enough, rad/s^3.
+        tilt_max_rad: Largest over all trials.
+        tilt_median_rad: Over all trials, of the largest in each.
+        path_length_m: Median over successes; NaN without any.
+        internal_force_min_n, pinch_force_min_n: Minimum over successes.
+        goal_error_median_m: Over all trials.
+        failures: Trials by first violated condition.
+        stopped_n: Failed trials in which the method stopped itself.
     """
 
     method: str
@@ -156,7 +136,7 @@ class MethodSummary:
     stopped_n: int
 
     def to_row(self) -> dict[str, Cell]:
-        """Return the summary for CSV or JSON, with words where a number does not exist."""
+        """Return the summary for CSV or JSON, words for missing numbers."""
         missing = NO_SUCCESS if self.successes_n == 0 else NOT_MEASURED
         row: dict[str, Cell] = {}
         for f in fields(self):
@@ -169,7 +149,7 @@ class MethodSummary:
 
 
 def jerk_or_nan(q: NDArray[np.floating], rate_hz: float) -> float:
-    """Return `rms_jerk`, or NaN for a trial that ended before it can be measured (half a second)."""
+    """Return `rms_jerk`; NaN for a trial too short for it (half a second)."""
     return math.nan if (len(q) - 1) / rate_hz < min_duration_s() else rms_jerk(q, rate_hz)
 
 
@@ -185,21 +165,21 @@ def trial_metrics(
     condition: str = "clean",
     aborted: str = "",
 ) -> TrialMetrics:
-    """Return the metrics of one trial from its log and the judge's verdict.
+    """Return the metrics of one trial from its log and the verdict.
 
     Args:
-        method: Who drove the arms.
-        index: Number of the trial.
+        method: Name of the method.
+        index: Trial number.
         outcome: The judge's verdict.
         q: (T, n) measured joints, rad.
-        tcp_positions: (T, 2, 3) measured tool centres, metres.
-        rate_hz: Rate of the logs, 1/s.
+        tcp_positions: (T, 2, 3) measured tool centres, m.
+        rate_hz: Log rate.
         torque_ratio_max: Largest |torque| / limit over joints and steps.
-        condition: What the world did to the trial.
+        condition: Name of the condition.
         aborted: Why the method stopped itself.
 
     Raises:
-        DataError: Logs of wrong shape or with values that are not finite.
+        DataError: Wrong shape or not finite.
     """
     positions = np.asarray(tcp_positions, dtype=float)
     for name, log, shape in (("q", q, (len(q), *q.shape[1:2])), ("tcp_positions", positions, (len(q), 2, 3))):
@@ -237,15 +217,11 @@ def trial_metrics(
 
 
 def summarise(trials: Sequence[TrialMetrics], rng: np.random.Generator) -> MethodSummary:
-    """Return what the trials of one method under one condition say together.
-
-    Args:
-        trials: At least one; all of one method and one condition, each trial once.
-        rng: Seeded generator of the bootstrap.
+    """Summarise trials of one method under one condition; `rng` seeds the bootstrap.
 
     Raises:
-        NothingEvaluatedError: no trials.
-        UsageError: trials of several methods or conditions, or a trial twice.
+        NothingEvaluatedError: No trials.
+        UsageError: Several methods or conditions, or a repeated trial.
     """
     if not trials:
         raise NothingEvaluatedError("no trials to summarise")
@@ -259,7 +235,7 @@ def summarise(trials: Sequence[TrialMetrics], rng: np.random.Generator) -> Metho
     counts = Counter(trial.failure for trial in trials if not trial.success)
 
     def spread(values: Sequence[float], *names: str) -> dict[str, float]:
-        """Return median and interval; NaN of nothing, an interval of NaN where a value is not finite."""
+        """Return median and interval; NaN if undefined."""
         middle = float(np.median(values)) if len(values) else math.nan
         known = len(values) > 0 and bool(np.all(np.isfinite(values)))
         ends = bootstrap_median_interval(values, rng) if known else (math.nan, math.nan)
@@ -291,5 +267,5 @@ def summarise(trials: Sequence[TrialMetrics], rng: np.random.Generator) -> Metho
 
 
 def _said(value: Cell, words: str) -> Cell:
-    """Return the value, or the words where it is a number that does not exist."""
+    """Return the value, or the words for a NaN."""
     return words if isinstance(value, float) and not math.isfinite(value) else value

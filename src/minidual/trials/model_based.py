@@ -1,4 +1,4 @@
-"""Methods that know the object's model: object impedance, and planned motion with joint control."""
+"""Model-based methods: object impedance, and planned motion with joint control."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def impedance(inputs: MethodInputs) -> Factory:
 
 
 def planned(inputs: MethodInputs) -> Factory:
-    """Plan from one reading of the pose sensor, then control joint trajectories."""
+    """Plan from one pose reading, then control joint trajectories."""
     config = inputs.config
     robot = robot_from(config.robot)
     supervisor = trial_supervisor(config.supervisor, config.scene.physics.timestep_s, robot)
