@@ -1,4 +1,4 @@
-"""One process, one plant, three modes in turn: moveit, teleop and policy hand the arms to one another."""
+"""Demonstration of mode switches: moveit, teleop and policy drive one plant in turn."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def parse_modes(text: str) -> tuple[str, ...]:
     """Return the modes named in `moveit,teleop,moveit`.
 
     Raises:
-        UsageError: An unknown mode, none, or the same one twice running.
+        UsageError: An unknown mode, none, or a repetition in sequence.
     """
     modes = tuple(m.strip() for m in text.split(",") if m.strip())
     if not modes:
@@ -36,15 +36,13 @@ def parse_modes(text: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class ModesResult:
-    """The whole demonstration.
+    """Result of the demonstration.
 
     Attributes:
-        switches: In order.
-        outcomes: What came of each mode's turn.
-        faults: Bounds that did not hold; empty is good.
-        refusals: (source, name, detail) of everything that the arbiter refused.
-        duration_s: Simulated time.
-        ended: Why it ended before its last turn did, or an empty string.
+        outcomes: Result of each turn.
+        faults: Exceeded bounds.
+        refusals: (source, name, detail) of each refused command.
+        ended: Why it ended early, or an empty string.
     """
 
     switches: tuple[Switch, ...]
@@ -56,7 +54,7 @@ class ModesResult:
 
     @property
     def passed(self) -> bool:
-        """Whether every turn came to its end and every bound held."""
+        """Whether all turns ended and all bounds held."""
         return not self.faults and not self.ended
 
     def to_json(self) -> dict[str, Any]:
@@ -65,10 +63,10 @@ class ModesResult:
 
 
 class ModesDemo:
-    """Gives each mode its turn; run through `steps`, then ask for `result`.
+    """Runs the modes in turn; iterate `steps`, then call `result`.
 
     Args:
-        stack: The plant with its arbiter; freshly reset.
+        stack: The plant with its arbiter, freshly reset.
         turns: (mode, maker of its driver), in order.
     """
 
@@ -76,15 +74,15 @@ class ModesDemo:
         self.stack = stack
         self.recorder = Recorder(stack)
         self.mode = self.doing = ""
-        """The mode asked for last, and what it does, for people."""
+        """The requested mode and its caption."""
         self._turns = tuple(turns)
         self._outcomes: list[dict[str, object]] = []
 
     def steps(self) -> Iterator[tuple[str, str]]:
-        """Run; yield the mode asked for and what it does, after every control step.
+        """Run; yield (mode, caption) after every control step.
 
         Raises:
-            SwitchError: The arbiter did not give a mode its turn, took it away, or refused what the planner proposed.
+            SwitchError: A mode got no turn, lost it, or a trajectory was refused.
             ReflexError: The supervisor stopped the arms.
         """
         stack = self.stack
@@ -115,7 +113,7 @@ class ModesDemo:
             raise SwitchError(f"mode '{mode}' lost its turn at {stack.plant.time:.2f} s: {last}")
 
     def result(self, arbiter: ArbiterConfig, *, ended: str = "") -> ModesResult:
-        """Return what was measured, held to its bounds; `ended` says what ended it too early."""
+        """Return the measurements checked against their bounds."""
         stack, switches = self.stack, tuple(self.recorder.switches)
         return ModesResult(
             switches,

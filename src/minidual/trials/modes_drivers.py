@@ -1,7 +1,7 @@
-"""What each mode does in the demonstration of the three modes: who proposes which commands.
+"""Drivers of the mode demonstration.
 
-moveit  drives to above the object, or home at the end of the demonstration, one arm after the other
-teleop  a scripted leader fetches the object from where it lies and puts it down at a start pose of the task
+moveit  plans to above the object, or home (one arm after the other)
+teleop  a scripted leader fetches the object and puts it down at a start pose of the task
 policy  the trained policy carries it to the goal, as in `minidual deploy`
 """
 
@@ -36,16 +36,13 @@ _QUIET_S = 0.5
 
 
 class SwitchError(MinidualError):
-    """A mode did not get the arms, or may not do with them what its turn is for."""
+    """A mode did not get the arms, or its command was refused."""
 
     exit_code = ExitCode.ACCEPTANCE_FAILED
 
 
 class Driver:
-    """One mode's turn.
-
-    controllers: The set it drives with. caption: What it does, for people.
-    """
+    """One mode's turn: its `controllers`, and a `caption` for people."""
 
     controllers: tuple[str, ...] = DEFAULT_CONTROLLERS
     caption = ""
@@ -54,30 +51,30 @@ class Driver:
         """Called when the switch is confirmed."""
 
     def tick(self) -> None:
-        """Called before each tick of the arbiter: propose."""
+        """Called before each arbiter tick, to propose a command."""
 
     def watch(self) -> None:
         """Called after each control step."""
 
     @property
     def done(self) -> bool:
-        """Whether the next mode may have the arms."""
+        """Whether the turn is over."""
         return True
 
     def result(self) -> dict[str, object]:
-        """Return what came of it, for the log."""
+        """Return its result, for the log."""
         return {}
 
 
 class MoveitDriver(Driver):
-    """Plans when it gets its turn, proposes the trajectories, and may be interrupted in the middle of one.
+    """Plans when its turn begins and proposes the trajectories.
 
     Args:
-        stack: Where to propose.
+        stack: Receives the proposals.
         planner: Plans both goals.
-        seed: Of the planner.
-        home: Drive home, arm by arm, under the two single-arm controllers; else to above the object with both.
-        share: Part of the motion after which the next mode may ask for the arms.
+        seed: Planner seed.
+        home: Drive home, one arm after the other, with the single-arm controllers; otherwise to above the object.
+        share: Fraction of the motion after which the turn ends.
     """
 
     def __init__(
@@ -94,30 +91,26 @@ class MoveitDriver(Driver):
         self._refusals_before = 0
 
     def begin(self) -> None:
-        """Plan and propose the first trajectory.
-
-        Raises:
-            SwitchError: It is refused; so do `tick` and `watch`.
-        """
+        """Plan from the present state."""
         self._refusals_before = len(self.stack.refusals)
         self._began_s = self.stack.plant.time
         self._next()
 
     def tick(self) -> None:
-        """Say that the planner is there, and propose the next trajectory when one has ended."""
+        """Send the heartbeat; propose the next trajectory when one has ended."""
         self.stack.affirm("moveit")
         if self._groups and not self.stack.executing:
             self._next()
 
     def watch(self) -> None:
-        """Look for what is refused only when it is taken."""
+        """Raise SwitchError for a trajectory refused on execution."""
         for refusal in self.stack.refusals[self._refusals_before :]:
             if refusal.source == "moveit":
                 self._fail(refusal)
 
     @property
     def done(self) -> bool:
-        """Whether its share of the motion has been driven."""
+        """Whether its share of the motion is complete."""
         if self._groups:
             return False
         if self._share < 1.0:
@@ -125,7 +118,7 @@ class MoveitDriver(Driver):
         return not self.stack.executing
 
     def result(self) -> dict[str, object]:
-        """Return the plan's length and how far the arms are from home."""
+        """Return planning times and the distance from home."""
         return {
             "trajectories_s": self._motion_s,
             "planning_s": self._planned_s,
@@ -162,14 +155,14 @@ class MoveitDriver(Driver):
 
 
 class TeleopDriver(Driver):
-    """A scripted leader that starts wherever the arms are, fetches the object, and goes home.
+    """A scripted leader that starts from the present posture, fetches the object and goes home.
 
     Args:
-        stack: Where to propose.
+        stack: Receives the proposals.
         operator: Plans the leader's motion.
-        target: Where the object is to be put down: the start of this trial.
-        seed: Of the operator.
-        rate_hz: Ticks a second.
+        target: Its start is where the object is put down.
+        seed: Operator seed.
+        rate_hz: Tick rate.
     """
 
     caption = "scripted leader: fetches the object, puts it at a new start"
@@ -183,7 +176,7 @@ class TeleopDriver(Driver):
         self._k = 0
 
     def begin(self) -> None:
-        """Plan from the present posture and object."""
+        """Plan from the present state."""
         world: World = self.stack.plant
         lies = level_part(world.object_pose())
         trial = Trial("modes", 0, {world.objects[0]: placement(lies)}, self._target)
@@ -198,14 +191,14 @@ class TeleopDriver(Driver):
         self._q, self._opening = q, gripper
 
     def _between(self, a: Array, b: Array) -> Array:
-        """Return rest-to-rest joint targets (k, n) from a to b."""
+        """Return rest-to-rest joint targets (k, n)."""
         span = max(_JOIN_MIN_S, 1.875 * float(np.abs(b - a).max()) / _JOIN_SPEED_RAD_S)
         n = round(span * self._rate)
         blend = np.array([minimum_jerk(k / n)[0] for k in range(n + 1)])
         return a + blend[:, None] * (b - a)
 
     def tick(self) -> None:
-        """Propose the leader's present posture."""
+        """Propose the leader's posture."""
         k = min(self._k, len(self._q) - 1)
         self._k += 1
         command = JointCommand(self._q[k], self._opening[k], self.stack.plant.time, self._k)
@@ -217,7 +210,7 @@ class TeleopDriver(Driver):
         return self._k >= len(self._q) + round(0.2 * self._rate)
 
     def result(self) -> dict[str, object]:
-        """Return where the object lies now, against where it was to be put."""
+        """Return the object's distance from its target."""
         lies = level_part(self.stack.plant.object_pose())
         x, y, _ = placement(next(iter(self._target.values())))
         error = float(np.hypot(lies[0, 3] - x, lies[1, 3] - y))
@@ -225,14 +218,14 @@ class TeleopDriver(Driver):
 
 
 class PolicyDriver(Driver):
-    """The policy at the controls; it sees pictures and joints, never the object's pose.
+    """The policy drives from images and joints, without the object's pose.
 
     Args:
-        stack: Where to propose; its flush drops the policy's chunk.
+        stack: Receives the proposals; its flush drops the policy's chunk.
         runtime: The policy.
-        picture: Returns the (H, W, 3) image of a named camera as the world stands.
-        task: How it is judged.
-        trial: Where the object must go.
+        picture: Returns the (H, W, 3) image of a camera.
+        task: Defines the judging.
+        trial: Defines the goal.
     """
 
     caption = "ACT policy: carries the object to the goal"
@@ -267,7 +260,7 @@ class PolicyDriver(Driver):
         self.stack.propose("policy", command)
 
     def watch(self) -> None:
-        """Judge the present instant."""
+        """Judge the present state."""
         world: World = self.stack.plant
         self._judge.observe(world)
         if not self._judge.finished:
@@ -275,13 +268,13 @@ class PolicyDriver(Driver):
 
     @property
     def done(self) -> bool:
-        """Whether the object has lain at its goal for a while, or the task's time is over."""
+        """Whether the trial has been finished for 0.5 s, or timed out."""
         world: World = self.stack.plant
         over = world.time - self._began_s >= world.scene.task.time_limit_s
         return over or (self._judge.finished and world.time - self._finished_s >= _QUIET_S)
 
     def result(self) -> dict[str, object]:
-        """Return whether the object lies released at its goal, and how far off."""
+        """Return whether the object was put down, and its goal error."""
         error = self._judge.outcome(self.stack.plant).goal_error_m
         return {
             "put_down_at_goal": bool(self._judge.finished),

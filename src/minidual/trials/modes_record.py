@@ -1,4 +1,4 @@
-"""What a switch of mode does to the arms, measured at every control step and held to its bounds."""
+"""Measures mode switches at every control step and checks their bounds."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from minidual.plant.world import World
 from minidual.robot.pair import Array
 
 WINDOW_S = 0.5
-"""A switch is watched from its request until this long after the new source's first command went through."""
+"""A switch is measured from its request until this long after its first command."""
 _LOG_EVERY = 4
 _DRIVEN = (ArbiterState.ALIGNING, ArbiterState.ACTIVE)
 _COLUMNS = (
@@ -33,23 +33,21 @@ _COLUMNS = (
 
 @dataclass
 class Switch:
-    """One switch as measured.
+    """One measured switch.
 
     Attributes:
-        mode: The mode asked for.
-        requested_s: When [s].
-        confirmed_s: When the arms were still and the mode was confirmed [s].
-        first_command_s: When its first command went through [s].
-        speed_at_request_rad_s: Fastest joint when it was asked for.
-        first_step_rad: From the measured posture to the first target that went through, worst joint.
-        target_step_rad: Largest step of the arbiter's target between two of its ticks while the source drove.
-        reference_step_rad: Largest step of the joint reference between two control steps.
-        reference_step_ratio: The same over what the joint's velocity limit allows in a control step.
-        torque_step_nm: Largest step of the torque commanded to the motors between two control steps.
-        torque_step_joint: Where.
-        torque_step_asked_nm: The same of what the controllers asked for, before the supervisor bounded it.
-        torque_step_max_nm: Its bound.
-        controllers: What drove after it.
+        confirmed_s: When the arms were at rest and the mode was confirmed.
+        first_command_s: When its first command was accepted.
+        speed_at_request_rad_s: Of the fastest joint.
+        first_step_rad: Measured posture to first accepted target, worst joint.
+        target_step_rad: Largest target step between control steps while the source drove.
+        reference_step_rad: Largest joint reference step.
+        reference_step_ratio: The same over the velocity limit.
+        torque_step_nm: Largest step of commanded torque.
+        torque_step_joint: Its joint.
+        torque_step_asked_nm: Largest step before the supervisor's limits.
+        torque_step_max_nm: Bound of torque_step_nm.
+        controllers: Active after it.
     """
 
     mode: str
@@ -68,7 +66,7 @@ class Switch:
     controllers: tuple[str, ...] = ()
 
     def bounds(self, arbiter: ArbiterConfig) -> tuple[tuple[str, float, float], ...]:
-        """Return (name, value, bound) of everything that is bounded."""
+        """Return (name, value, bound) of all bounded values."""
         return (
             ("first_step_rad", self.first_step_rad, arbiter.switch_step_max_rad),
             ("target_step_rad", self.target_step_rad, arbiter.switch_step_max_rad),
@@ -77,7 +75,7 @@ class Switch:
         )
 
     def faults(self, arbiter: ArbiterConfig) -> list[str]:
-        """Return every bound that does not hold; a value that is not finite holds none."""
+        """Return the exceeded bounds; NaN exceeds all."""
         return [
             f"switch to {self.mode} at {self.requested_s:.2f} s: {name} {value:.4g}, bound {bound:g}"
             for name, value, bound in self.bounds(arbiter)
@@ -95,7 +93,7 @@ class _Sample:
 
 @dataclass
 class Recorder:
-    """Watches every control step of a stack; call `observe` after each."""
+    """Watches a stack; call `observe` after every control step."""
 
     stack: ControlStack[World]
     switches: list[Switch] = field(default_factory=list)
@@ -104,20 +102,20 @@ class Recorder:
     _steps: int = 0
 
     def requested(self, mode: str) -> None:
-        """Begin to watch a switch."""
+        """Begin a switch."""
         world = self.stack.plant
         speed = float(np.abs(world.v).max())
         largest = world.robot.arm.tau_rate_max * world.dt
         self.switches.append(Switch(mode, world.time, speed_at_request_rad_s=speed, torque_step_max_nm=largest))
 
     def confirmed(self) -> None:
-        """Note that the mode has its turn."""
+        """Record that the mode is confirmed."""
         switch = self.switches[-1]
         switch.confirmed_s = self.stack.plant.time
         switch.controllers = self.stack.manager.active
 
     def observe(self) -> None:
-        """Take the last control step into account."""
+        """Record the last control step."""
         stack = self.stack
         now = _Sample(np.array(stack.reference), np.array(stack.applied), np.array(stack.tau), stack.output.q_target)
         last = now if self._last is None else self._last
@@ -156,7 +154,7 @@ class Recorder:
             switch.torque_step_joint = stack.plant.robot.joint_names[int(np.argmax(applied))]
 
     def write_csv(self, path: Path) -> None:
-        """Write what was watched, every fourth control step."""
+        """Write every fourth control step."""
         with path.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             writer.writerow(_COLUMNS)
@@ -165,5 +163,5 @@ class Recorder:
 
 
 def _larger(so_far: float, steps: Array) -> float:
-    """Return the larger one; NaN stays NaN, so that it fails its bound."""
+    """Return the larger value; NaN stays NaN, so that its bound fails."""
     return float(np.maximum(so_far, np.max(steps)))

@@ -1,4 +1,4 @@
-"""One method under every condition that a carry must hold: how much of its success does each one cost?"""
+"""Success lost by one method under each promised condition."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from minidual.trials.metrics import TrialMetrics
 from minidual.trials.runner import TrialResult, Watch
 
 DROP_MAX = 0.15
-"""A condition may cost less than this share of the clean success rate."""
+"""Limit of the loss of success rate."""
 PURPOSE = "perturb"
-"""Random stream of the starts; every condition has the same ones, and no other stage sees them."""
+"""Random stream of the starts, used by no other stage."""
 _ROUNDING = 1e-9
 
 
@@ -26,11 +26,9 @@ class Robustness:
     """A method under one condition.
 
     Attributes:
-        cell: Its trials.
-        drop: Success rate lost against the clean condition; negative if gained.
-        example: What happened to the first trial that failed, or an empty string.
-        rate_min: Success rate that the clean condition must reach itself; None for the others. Without it a method
-            that never succeeds would lose nothing to any disturbance.
+        drop: Success rate lost against clean; negative if gained.
+        example: First failed trial, or an empty string.
+        rate_min: Required clean success rate, else a method that always fails would lose nothing; None elsewhere.
     """
 
     cell: BenchmarkCell
@@ -45,7 +43,7 @@ class Robustness:
 
     @property
     def holds(self) -> bool:
-        """Whether the loss stays under the limit, and the clean rate reaches its own; a NaN does neither."""
+        """Whether drop and clean rate meet their limits; false for NaN."""
         if self.cell.summary is None or self.cell.undisturbed:
             return False
         reached = self.rate_min is None or self.cell.summary.success_rate >= self.rate_min
@@ -53,11 +51,11 @@ class Robustness:
 
     @property
     def fails(self) -> bool:
-        """Whether it does not hold, and not because it does not apply."""
+        """Whether it applies and does not hold."""
         return not self.holds and (self.cell.summary is not None or not self.cell.why_not)
 
     def row(self) -> dict[str, Any]:
-        """Return the line of the table."""
+        """Return the table row."""
         s = self.cell.summary
         values = (
             ["-"] * 6
@@ -78,7 +76,7 @@ class Robustness:
 
 
 def touching(method: str) -> dict[str, Condition]:
-    """Return the conditions that a carry must hold and that can touch a method, the clean one first."""
+    """Return the promised conditions that apply to a method, clean first."""
     senses = method_spec(method).senses
     return {name: c for name, c in CONDITIONS.items() if c.promised and (not c.sense or c.sense in senses)}
 
@@ -92,7 +90,7 @@ def run_perturbations(
     on_trial: Callable[[TrialResult], None] | None = None,
     watch: Watch | None = None,
 ) -> tuple[list[Robustness], list[TrialMetrics]]:
-    """Run the same trials under every condition that touches the method; results do not depend on `workers`."""
+    """Run the same trials under every condition that applies; results do not depend on `workers`."""
     asked = touching(method)
     for condition in asked.values():
         condition.config_under(inputs.config)  # one that is out of bounds is refused before minutes of trials

@@ -1,4 +1,4 @@
-"""Run trials of a task: one or many, on one core or all, judged, logged, watched, filmed or recorded."""
+"""Run, judge and log trials, in one process or many."""
 
 from __future__ import annotations
 
@@ -31,17 +31,17 @@ from minidual.trials.metrics import TrialMetrics, trial_metrics
 
 LOG_RATE_HZ = 250
 SETTLED_S = 0.5
-"""A trial ends this long after it is finished; methods without an end of their own would go on."""
+"""A trial ends this long after it is finished."""
 _SATURATED = 0.999
-"""Share of its limit from which a motor counts as saturated; controllers clip at the limit itself."""
+"""Share of its limit from which a motor is saturated."""
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _BROKEN: dict[type[MinidualError], str] = {SimulationDivergedError: "diverged", SingularPostureError: "singular"}
-"""What may end a trial from below its method, and the name under which it fails then."""
+"""Errors that end a trial, and the failure name."""
 
 StepHook = Callable[[World, Method], None]
-"""Called after each step of a trial; it only reads."""
+"""Called after each step; read-only."""
 Watch = Callable[["Bench", str], StepHook]
-"""Given the bench and a title before each trial that is watched; returns the trial's step hook."""
+"""Returns a trial's step hook, from the bench and a title."""
 
 
 @dataclass
@@ -52,8 +52,8 @@ class TrialLog:
         t: (T,) [s].
         q: (T, n) measured joints [rad].
         tau: (T, n) motor torques [Nm].
-        tcp: (T, 2, 3) positions of the tool centre points [m].
-        position: (T, 3) position of the carried object [m].
+        tcp: (T, 2, 3) tool centre positions [m].
+        position: (T, 3) of the carried object [m].
         tilt: (T,) [rad].
         pinch: (T, 2) [N].
         internal_force: (T,) [N].
@@ -73,13 +73,12 @@ class TrialLog:
 
 @dataclass(frozen=True)
 class TrialResult:
-    """One trial as run.
+    """Result of one trial.
 
     Attributes:
-        metrics: The row of the tables.
         lifted: Whether the object rose clear of the table.
-        saturated_max_s: Longest time that one motor stood at its torque limit.
-        measured: Numbers of the task's conditions of success, by name with unit, and `progress`.
+        saturated_max_s: Longest time that a motor was at its torque limit.
+        measured: Numbers of the conditions of success.
     """
 
     metrics: TrialMetrics
@@ -89,17 +88,17 @@ class TrialResult:
 
     @property
     def success(self) -> bool:
-        """Whether all conditions of success were met."""
+        """Whether all conditions were met."""
         return self.metrics.success
 
     @property
     def text(self) -> str:
-        """Return the outcome as one line for people."""
+        """The outcome as one line."""
         return self.metrics.text
 
 
 class _Motors:
-    """The largest torque over its limit, and the longest time at a limit."""
+    """Peak torque ratio and longest saturation."""
 
     def __init__(self, limit: Array) -> None:
         self._limit, self.peak = limit, np.zeros(len(limit))
@@ -116,13 +115,7 @@ class _Motors:
 
 
 class Bench:
-    """A world and a method, built once in a process and used for many trials.
-
-    Args:
-        method: Row of the table of methods.
-        inputs: What it is built from.
-        visuals: Compile visual meshes even where the method needs none, to film.
-    """
+    """A world and a method, reused for many trials; `visuals` compiles visual meshes for filming."""
 
     def __init__(self, method: str, inputs: MethodInputs, *, visuals: bool = False) -> None:
         self.method, self.seed = method, inputs.seed
@@ -137,9 +130,9 @@ class Bench:
     def run(
         self, trial: Trial, *, condition: str = CLEAN, on_step: StepHook | None = None
     ) -> tuple[TrialResult, TrialLog]:
-        """Run one trial to its end or its time limit under a condition, and judge it.
+        """Run and judge one trial.
 
-        A trial that breaks (_BROKEN) has failed and is judged as it stood after its last whole step.
+        After an error in _BROKEN the trial has failed and is judged in the state after its last complete step.
         """
         spec = named_condition(condition)
         rng = stream(self.seed, f"disturbance/{trial.purpose}/{spec.name}", trial.index)
@@ -151,7 +144,7 @@ class Bench:
         return result, log
 
     def record(self, trial: Trial, path: Path) -> TrialResult:
-        """Run a trial once more, write it to `path` (.npz) for `minidual replay` and return its result."""
+        """Repeat a trial, writing it to `path` (.npz) for `minidual replay`."""
         recorder = self.world.recorder = Recorder(self.world, seed=self.seed)
         result, _ = self.run(trial)
         self.world.recorder = None
@@ -247,9 +240,9 @@ def run_trials(
     keep_logs: bool = False,
     watch: Watch | None = None,
 ) -> Iterator[tuple[TrialResult, TrialLog | None]]:
-    """Run trials over processes and yield their results in order; the results do not depend on `workers`.
+    """Run trials in parallel and yield results in order, independent of `workers`.
 
-    Watched trials run in this process, one after another, and give the same results.
+    Watched trials run in this process, with the same results.
     """
     if watch is not None:
         bench = Bench(method, inputs)
@@ -264,6 +257,6 @@ def run_trials(
 
 
 def one_thread() -> None:
-    """Give each process that starts now one numeric thread: on a busy machine more of them only wait for each other."""
+    """Limit processes started later to one numeric thread, against oversubscription."""
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"

@@ -1,7 +1,7 @@
-"""How sure a measured rate, median or difference is, from few trials.
+"""Intervals and tests for small samples.
 
-Twenty trials are noise: 13 to 16 successes of 20 can be one and the same method. So every rate has a Wilson
-interval, every median a bootstrap interval, and methods that ran on the same seeds are compared seed by seed.
+13 to 16 successes of 20 can be the same method. So rates have Wilson intervals, medians bootstrap intervals, and
+methods on the same seeds are compared in pairs.
 """
 
 from __future__ import annotations
@@ -23,17 +23,12 @@ RESAMPLES_N = 5000
 def wilson_interval(successes: int, n: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
     """Return the Wilson score interval (low, high) of a success rate.
 
-    Source: E. B. Wilson, "Probable inference, the law of succession, and statistical inference", JASA 22
-    (1927). Unlike rate +- z sqrt(p q / n) it is not empty at 0 or n successes and never leaves [0, 1].
-
-    Args:
-        successes: Number of successes, 0 to n.
-        n: Number of trials, at least 1.
-        confidence: Coverage, between 0 and 1.
+    Source: E. B. Wilson, "Probable inference, the law of succession, and statistical inference", JASA 22 (1927). Unlike
+    rate +- z sqrt(p q / n) it is not empty at 0 or n successes and stays in [0, 1].
 
     Raises:
         NothingEvaluatedError: n is 0.
-        UsageError: successes outside 0 to n, or a confidence outside 0 to 1.
+        UsageError: successes outside 0 to n, or confidence outside 0 to 1.
     """
     if n == 0:
         raise NothingEvaluatedError("no trials: a success rate of nothing has no interval")
@@ -53,17 +48,11 @@ def wilson_interval(successes: int, n: int, confidence: float = CONFIDENCE) -> t
 def bootstrap_median_interval(
     values: ArrayLike, rng: np.random.Generator, confidence: float = CONFIDENCE, resamples_n: int = RESAMPLES_N
 ) -> tuple[float, float]:
-    """Return the percentile bootstrap interval (low, high) of a median.
-
-    Args:
-        values: (N,) finite values, N at least 1.
-        rng: Seeded generator; the same state gives the same interval.
-        confidence: Coverage, between 0 and 1.
-        resamples_n: Number of resamples.
+    """Return the percentile bootstrap interval (low, high) of the median of finite values (N,).
 
     Raises:
-        NothingEvaluatedError: no values.
-        UsageError: a value that is not finite, or a confidence outside 0 to 1.
+        NothingEvaluatedError: No values.
+        UsageError: A value is not finite, or confidence outside 0 to 1.
     """
     sample = np.asarray(values, dtype=float).ravel()
     if sample.size == 0:
@@ -79,15 +68,7 @@ def bootstrap_median_interval(
 
 @dataclass(frozen=True)
 class PairedComparison:
-    """Two methods on the same seeds.
-
-    Attributes:
-        both_n: Seeds on which both succeeded.
-        only_first_n: Seeds on which only the first did.
-        only_second_n: Seeds on which only the second did.
-        neither_n: Seeds on which neither did.
-        p_value: Two-sided exact McNemar probability of a split at least this uneven if they were equal.
-    """
+    """Successes of two methods on the same seeds; `p_value` is McNemar's, exact and two-sided."""
 
     both_n: int
     only_first_n: int
@@ -102,7 +83,7 @@ class PairedComparison:
 
     @property
     def rate_difference(self) -> float:
-        """Success rate of the first less that of the second."""
+        """Success rate of the first minus that of the second."""
         return (self.only_first_n - self.only_second_n) / self.trials_n
 
     @property
@@ -112,18 +93,14 @@ class PairedComparison:
 
 
 def compare_paired(first: Sequence[bool], second: Sequence[bool]) -> PairedComparison:
-    """Compare two methods seed by seed with McNemar's exact test.
+    """Compare two methods' successes on the same seeds, in the same order, with McNemar's exact test.
 
-    Only the seeds on which they disagree carry evidence: were the methods equal, each of those would be a
-    fair coin. Source: Q. McNemar, Psychometrika 12 (1947); exact binomial form.
-
-    Args:
-        first: Success of the first method on each seed.
-        second: Success of the second, on the same seeds in the same order.
+    Only discordant seeds carry evidence: for equal methods each is a fair coin. Source: Q. McNemar, Psychometrika 12
+    (1947); exact binomial form.
 
     Raises:
-        NothingEvaluatedError: no pairs.
-        UsageError: the lengths differ.
+        NothingEvaluatedError: No pairs.
+        UsageError: The lengths differ.
     """
     if len(first) != len(second):
         raise UsageError(f"paired comparison of {len(first)} against {len(second)} trials; they must be as many")
@@ -146,19 +123,12 @@ def paired_rate_interval(
     """Return the interval (low, high) of the difference of two success rates on the same trials.
 
     Source: R. G. Newcombe, "Improved confidence intervals for the difference between binomial proportions based on
-    paired data", Statistics in Medicine 17 (1998), method 10. It combines the two Wilson intervals by the correlation of
-    the pairs. A bootstrap would be empty wherever the two never disagree, as two perfect methods do on any few trials.
-
-    Args:
-        both: Trials on which both succeeded.
-        only_first: On which only the first did.
-        only_second: On which only the second did.
-        neither: On which neither did.
-        confidence: Coverage, between 0 and 1.
+    paired data", Statistics in Medicine 17 (1998), method 10: two Wilson intervals combined by the correlation of the
+    pairs. A bootstrap would be empty without discordant trials.
 
     Raises:
-        NothingEvaluatedError: no trials.
-        UsageError: a confidence outside 0 to 1.
+        NothingEvaluatedError: No trials.
+        UsageError: confidence outside 0 to 1.
     """
     n = both + only_first + only_second + neither
     first_low, first_high = wilson_interval(both + only_first, n, confidence)
@@ -173,7 +143,7 @@ def paired_rate_interval(
 
 
 def _correlation(both: int, only_first: int, only_second: int, neither: int) -> float:
-    """Return the phi coefficient of a 2 x 2 table, a positive one corrected for continuity; 0 where it has none."""
+    """Return the phi coefficient of a 2 x 2 table, continuity-corrected if positive; 0 if undefined."""
     margins = (both + only_first) * (only_second + neither) * (both + only_second) * (only_first + neither)
     if margins == 0:
         return 0.0
@@ -184,16 +154,13 @@ def _correlation(both: int, only_first: int, only_second: int, neither: int) -> 
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
-    """Return the probabilities of a family of tests, corrected so that the family errs as rarely as one test would.
+    """Return p-values adjusted for the family-wise error rate, for any dependence of the tests.
 
     Source: S. Holm, "A simple sequentially rejective multiple test procedure", Scandinavian Journal of Statistics 6
-    (1979). It assumes nothing of how the tests depend on each other.
-
-    Args:
-        p_values: Of all tests of the family, shown or not.
+    (1979). `p_values` must hold all tests of the family.
 
     Raises:
-        UsageError: one that is no probability.
+        UsageError: A value outside 0 to 1.
     """
     if not all(0.0 <= p <= 1.0 for p in p_values):
         raise UsageError(f"{next(p for p in p_values if not 0.0 <= p <= 1.0)} is no probability")

@@ -1,4 +1,4 @@
-"""Methods side by side: summaries, paired tests and trials as CSV and JSON, definitions beside the numbers."""
+"""Summaries, paired tests and trials as CSV, JSON and Markdown."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ DEFINITIONS: dict[str, str] = {
 
 
 def write_csv(path: Path | str, rows: Sequence[TrialMetrics | MethodSummary]) -> Path:
-    """Write one row a trial or a method; raise NothingEvaluatedError for an empty table."""
+    """Write one row per trial or method; raise NothingEvaluatedError without rows."""
     if not rows:
         raise NothingEvaluatedError(f"no rows for {path}: nothing was evaluated")
     return write_rows(Path(path), [row.to_row() for row in rows])
@@ -44,19 +44,19 @@ def write_json(
     *,
     seed: int = 0,
 ) -> Path:
-    """Write definitions, summaries, paired comparisons of all methods, and trials as one document.
+    """Write definitions, summaries, comparisons and trials as one document.
 
     Args:
         path: File to write.
-        summaries: One a method and condition.
+        summaries: One per method and condition.
         trials: All trials.
-        extra: Further entries at the top level; they may not replace one of these.
-        seed: Of the bootstraps in the comparisons.
+        extra: Further top-level entries.
+        seed: Bootstrap seed.
 
     Raises:
-        NothingEvaluatedError: no trials.
-        UsageError: an entry of `extra` takes a name of the document.
-        DataError: the disk refuses, or `extra` holds NaN.
+        NothingEvaluatedError: No trials.
+        UsageError: `extra` repeats an entry.
+        DataError: The file cannot be written, or a value is NaN or infinite.
     """
     if not trials:
         raise NothingEvaluatedError(f"no trials for {path}: nothing was evaluated")
@@ -82,7 +82,7 @@ def _with_failures(summary: MethodSummary) -> dict[str, Any]:
 
 
 def write_rows(path: Path, rows: Sequence[Mapping[str, Any]], *, missing: str = "") -> Path:
-    """Write rows as CSV under the names of all of them in order of appearance; `missing` fills what a row lacks."""
+    """Write rows as CSV; columns in order of appearance, `missing` for absent values."""
     text = io.StringIO()
     names = list(dict.fromkeys(name for row in rows for name in row))
     writer = csv.DictWriter(text, fieldnames=names, restval=missing, lineterminator="\n")
@@ -92,14 +92,14 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, Any]], *, missing: str = 
 
 
 def markdown(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return rows of the same names as a Markdown table, to read and to paste."""
+    """Return rows of equal keys as a Markdown table."""
     heads = [head.replace("_", " ") for head in rows[0]]
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
     return lines + ["| " + " | ".join(str(v) for v in row.values()) + " |" for row in rows]
 
 
 def write_text(path: Path, text: str) -> Path:
-    """Write a file so that it is whole or absent; raise DataError where the disk refuses."""
+    """Write a file atomically; raise DataError if that fails."""
     durable.make_folder(path.parent)
     try:
         durable.write_text(path, text)

@@ -1,14 +1,13 @@
-"""Find squeeze and stiffness of the object impedance by carrying: soft first, then the force, then the stiffness.
+"""Tune internal force and stiffness of the object impedance by carrying.
 
-    1  safe       the softest stiffness and the least force: the arms must come through without a saturated motor
-    2  force      the least squeeze that holds: the root of  margin(f) = least measured internal force - what is needed,
-                  raised from 10 N in steps of 10 and closed in on by Brent's method; the result is 1.5 times that
-    3  stiffness  the largest stiffness before oscillation: the root of  oscillation(K) - limit,  found likewise; the
-                  result keeps 20 % away from it (the stiffest that is tried counts as it is if it does not
-                  oscillate) and must track within a centimetre
+    1  safe       softest stiffness, least force: no torque above 95 % of its limit
+    2  force      least squeeze that holds: root of  margin(f) = least measured internal force - required,  bracketed
+                  in steps of 10 N, refined by Brent's method; the result is 1.5 times that
+    3  stiffness  root of  oscillation(K) - limit,  found likewise; the result is 80 % of it (100 % if the stiffest
+                  value does not oscillate) and must track within 1 cm
 
-Every step is five carries from starts of the tuning's own random stream, and counts by its worst. Source of the three
-phases: the usual procedure for object impedance, soft and safe before strong and stiff.
+Each step is five carries from the tuning's own starts; the worst counts. The order, soft and safe before strong and
+stiff, is the usual one for object impedance.
 """
 
 from __future__ import annotations
@@ -33,15 +32,15 @@ from minidual.trials.methods import Method, MethodInputs
 from minidual.trials.runner import LOG_RATE_HZ, Bench, one_thread
 
 PURPOSE = "tuning"
-"""Random stream of the starts; no acceptance trial comes from it."""
+"""Random stream of the starts, not shared with acceptance trials."""
 CARRIES_N = 5
 FORCES_N = (10.0, 20.0, 30.0, 40.0)
 STIFFNESSES_N_PER_M = (150.0, 300.0, 450.0, 600.0)
-"""Raised step by step until something changes; no object is recommended a larger stiffness than the last."""
+"""Tried in order; the last is the largest recommended for any object."""
 FORCE_FACTOR, STIFFNESS_FACTOR = 1.5, 0.8
 FORCE_CEILING_N = 80.0
 OSCILLATION_MAX_M = 0.0003
-"""RMS of the tracking error above `_HIGH_PASS_HZ` that counts as oscillation."""
+"""RMS tracking error above `_HIGH_PASS_HZ` that counts as oscillation."""
 TRACKING_MAX_M = 0.01
 COMPARED_N = (20.0, 40.0, 80.0)
 _HIGH_PASS_HZ = 5.0
@@ -50,7 +49,7 @@ _SAFE_TORQUE = 0.95
 
 
 class TuningError(MinidualError):
-    """No gains were found, and why."""
+    """No gains were found."""
 
 
 @dataclass(frozen=True)
@@ -58,15 +57,11 @@ class Carried:
     """One carry of a step.
 
     Attributes:
-        success: The task's success test.
-        text: What happened, in one line.
-        internal_force_min_n: Least squeeze while the object was in the air; 0 if it never was.
-        tracking_max_m: Largest distance of the object from where it should have been; NaN if it was never carried.
-        oscillation_m: RMS of that distance above 5 Hz; NaN likewise.
-        tilt_max_rad: Largest tilt.
-        torque_ratio_max: Largest torque over its limit.
-        series: (5, T) while the object was carried, for the figure: time [s], error [m], internal force [N], largest
-            torque over its limit, tilt [rad].
+        internal_force_min_n: Minimum off the table; 0 if never off it.
+        tracking_max_m: Largest position error of the object; NaN if never carried.
+        oscillation_m: RMS of that error above 5 Hz; NaN if too short.
+        torque_ratio_max: Largest |torque| / limit.
+        series: (5, T) during the carry: time [s], error [m], internal force [N], torque ratio, tilt [rad].
     """
 
     success: bool
@@ -94,11 +89,11 @@ class TuningStep:
         return all(c.success for c in self.carries)
 
     def worst(self, name: str, take: Callable[[Any], Any] = np.max) -> float:
-        """Return the worst of one number over the carries; a NaN stays one."""
+        """Return the worst of one number over the carries; NaN propagates."""
         return float(take([getattr(c, name) for c in self.carries]))
 
     def row(self) -> dict[str, Any]:
-        """Return the line of tuning.csv."""
+        """Return the row of tuning.csv."""
         failed = [c.text for c in self.carries if not c.success]
         return {
             "phase": self.phase,
@@ -116,7 +111,7 @@ class TuningStep:
 
 @dataclass
 class Tuning:
-    """What was found, and every step on the way."""
+    """The gains found, and every step."""
 
     force_n: float
     stiffness_n_per_m: float
@@ -128,12 +123,12 @@ class Tuning:
 
     @property
     def settings(self) -> dict[str, float]:
-        """Return the configuration values that were found."""
+        """The configuration values found."""
         return gains(self.force_n, self.stiffness_n_per_m)
 
 
 def gains(force_n: float, stiffness_n_per_m: float) -> dict[str, float]:
-    """Return the configuration of a force and a stiffness; the rotational one keeps the ratio of 500 to 20."""
+    """Return configuration values; rotational stiffness is 1/25 of the translational, as 20 to 500."""
     return {
         "carry.impedance.internal_force_n": float(force_n),
         "carry.impedance.stiffness_n_per_m": float(stiffness_n_per_m),
@@ -142,14 +137,7 @@ def gains(force_n: float, stiffness_n_per_m: float) -> dict[str, float]:
 
 
 class Tuner:
-    """Runs the three phases.
-
-    Args:
-        config: Everything but the gains that are searched.
-        seed: Of the run.
-        workers: Processes; the result does not depend on it.
-        on_step: Called after each step.
-    """
+    """Runs the three phases."""
 
     def __init__(
         self, config: Config, seed: int, *, workers: int = 1, on_step: Callable[[TuningStep], None] | None = None
@@ -161,7 +149,7 @@ class Tuner:
         """Return the gains.
 
         Raises:
-            TuningError: Not even the softest step is safe, no force up to 40 N holds, or nothing tracks.
+            TuningError: The softest step is not safe, no force up to 40 N holds, or the final carries fail.
         """
         soft, stiff = STIFFNESSES_N_PER_M[0], STIFFNESSES_N_PER_M[-1]
         safe = self.step("safe", FORCES_N[0], soft)
@@ -249,7 +237,7 @@ class Tuner:
 
 
 def _raise_until(value: Callable[[float], float], ladder: Sequence[float], tolerance: float) -> None:
-    """Raise x along a ladder until the value turns positive, then close in on the root with Brent's method."""
+    """Increase x along a ladder until the value is positive, then find the root with Brent's method."""
     seen: dict[float, float] = {}
 
     def remembered(x: float) -> float:
@@ -265,7 +253,7 @@ def _raise_until(value: Callable[[float], float], ladder: Sequence[float], toler
 
 
 def carry_once(inputs: MethodInputs, trial: Trial) -> Carried:
-    """Carry once and measure; the true pose of the object is read for the score alone."""
+    """Carry once and measure; the object's true pose is used only for the measurement."""
     bench = Bench("impedance", inputs)
     name, tau_max = bench.task.carried, bench.world.robot.tau_max
     seen = ObjectTruth(name, bench.task.scene.objects[name])
@@ -302,7 +290,7 @@ def carry_once(inputs: MethodInputs, trial: Trial) -> Carried:
 
 
 def oscillation_m(errors: Array, rate_hz: float = LOG_RATE_HZ) -> float:
-    """Return the RMS of tracking errors (T, 3) [m] above 5 Hz, zero phase; NaN if too short to tell."""
+    """Return the RMS of tracking errors (T, 3) [m] above 5 Hz, zero phase; NaN if too short."""
     if len(errors) < rate_hz / 2:
         return float("nan")
     sos = butter(4, _HIGH_PASS_HZ, btype="highpass", fs=rate_hz, output="sos")
