@@ -1,1 +1,1 @@
-"""Query sets of the planner and their evaluation."""
+"""Planner query sets and their evaluation."""

@@ -1,4 +1,4 @@
-"""Plan a set of queries and write down what happened to each."""
+"""Plan a set of queries and record the results."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from minidual.trials.planning.query_set import OBSTACLES_N, ROBOT, stored_set
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """One query and what became of it; `result` is None if it failed, and then `reason` and `message` say why.
+    """Result of one query; `reason` and `message` explain a failure.
 
-    total_s is wall time, cpu_s what of it the process had a processor; scene_s was spent on the scene before.
+    total_s is wall time, cpu_s processor time; scene_s, the scene's setup, is in neither.
     """
 
     query: Query
@@ -45,7 +45,7 @@ class Outcome:
         return self.result is not None
 
     def row(self) -> dict[str, object]:
-        """Return the line of queries.csv; what was not reached is empty."""
+        """Return the row of queries.csv; None where not reached."""
         query, result, audit = self.query, self.result, self.audit
         row: dict[str, object] = {
             "group": query.group,
@@ -78,7 +78,7 @@ class Outcome:
 
 
 def write_rows(rows: Sequence[Mapping[str, object]], path: Path) -> None:
-    """Write rows of one set of names as CSV; numbers to a micrometre or microsecond, None as nothing."""
+    """Write rows of equal keys as CSV; floats have 6 decimals."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, fieldnames=list(rows[0]))
         writer.writeheader()
@@ -87,10 +87,7 @@ def write_rows(rows: Sequence[Mapping[str, object]], path: Path) -> None:
 
 
 def plan_query(planner: Planner, query: Query) -> Outcome:
-    """Plan one query; the clock runs from the goal going in to the proven trajectory coming out.
-
-    The engines of the scene are built before (a scene is known before its goals); that time stands beside.
-    """
+    """Plan one query, timed from goal to proven trajectory; the scene's engines are built before."""
     begin = perf_counter()
     planner.engines(query.scene)
     scene_s = perf_counter() - begin
@@ -110,7 +107,7 @@ def plan_query(planner: Planner, query: Query) -> Outcome:
 def query_source(
     seed: int, obstacles_n: int, blocked_fraction: float, robot: Robot = DUAL_PANDA
 ) -> Callable[[str, int], Query]:
-    """Return what gives query `index` of a group: the stored set of the seed if there is one, else the generator."""
+    """Return a function (group, index) -> query, from the stored set of the seed if there is one."""
     generator = QueryGenerator(seed, obstacles_n, blocked_fraction, robot)
     fits = (obstacles_n, blocked_fraction, robot) == (OBSTACLES_N, 1.0, ROBOT)
     stored = stored_set(seed) if fits else None
@@ -131,15 +128,7 @@ def run_queries(
     queries_n: int | None = None,
     robot: Robot = DUAL_PANDA,
 ) -> dict[str, list[Outcome]]:
-    """Plan queries of every group, in one process so that the times mean something, and audit what was proven.
-
-    Args:
-        config: Query set and planner.
-        seed: Seed of the query set.
-        on_query: Called after each.
-        queries_n: Queries per group; `config.queries_n` by default.
-        robot: The arms.
-    """
+    """Plan queries of every group and audit the proven trajectories, in one process for comparable times."""
     planner = Planner(config=config.planner, robot=robot)
     source = query_source(seed, config.obstacles_n, config.blocked_fraction, robot)
     outcomes: dict[str, list[Outcome]] = {group: [] for group in planner.robot.groups}
@@ -158,7 +147,7 @@ def run_queries(
 
 
 def repeats(config: PlanConfig, outcome: Outcome) -> bool:
-    """Return whether a fresh planner gives the same trajectory, bit for bit, for a query that was solved."""
+    """Return whether a fresh planner reproduces a found trajectory bit for bit."""
     if outcome.result is None:
         return False
     again = plan_query(Planner(outcome.query.scene, config.planner), outcome.query).result
@@ -166,9 +155,9 @@ def repeats(config: PlanConfig, outcome: Outcome) -> bool:
 
 
 def engine_agreement(scene: PlanningScene, states_n: int, seed: int) -> float:
-    """Return the fraction of random states on which both engines say the same.
+    """Return the fraction of random states on which both engines agree.
 
-    Half of the states are uniform within the limits (most collide), half lie round home (most are free).
+    Half are uniform within the limits (mostly in collision), half near home (mostly free).
     """
     planner = Planner(scene)
     engine, robot = planner.engines().verifier.engine, planner.robot

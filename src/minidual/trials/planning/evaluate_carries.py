@@ -1,4 +1,4 @@
-"""Plan a set of held-object moves and write down what happened to each; and the task's own carries."""
+"""Plan held-object moves and the task's carries, and record the results."""
 
 from __future__ import annotations
 
@@ -31,12 +31,10 @@ from minidual.trials.planning.held_moves import HeldMove, HeldMoveGenerator
 
 @dataclass(frozen=True, eq=False)
 class MoveOutcome:
-    """One move and what became of it; `plan` is None if it failed, and then `reason` and `message` say why.
+    """Result of one move; `reason` and `message` explain a failure.
 
-    time_s is the wall time from the query going in to the proven trajectory coming out, with the scene's engines
-    ready; cpu_s the processor time of the same. residual_m and residual_rad are measured again here, on the timed
-    trajectory at every millisecond and half-way between: of each hand against its grasp on the object, and of the
-    hands against each other; clearance_m is the smallest distance along it. NaN without a plan.
+    time_s is wall time and cpu_s processor time, without the scene's setup. residual_m and residual_rad are remeasured by
+    `timed_residual`; clearance_m is the smallest distance along the trajectory. NaN without a plan.
     """
 
     move: HeldMove
@@ -55,7 +53,7 @@ class MoveOutcome:
         return self.plan is not None
 
     def row(self, name: str) -> dict[str, object]:
-        """Return the line of held_moves.csv for a set of this name."""
+        """Return the row of held_moves.csv for the named set."""
         move, plan = self.move, self.plan
         return {
             "set": name,
@@ -80,10 +78,10 @@ class MoveOutcome:
 
 
 def timed_residual(plan: CarriedTrajectory, query: HeldQuery, kinematics: Kinematics) -> tuple[float, float]:
-    """Return the largest error ([m], [rad]) of the hands along the timed trajectory.
+    """Return the largest error ([m], [rad]) of the hands along the trajectory.
 
-    At the samples (1 kHz), where the object's planned pose is known, each hand against its grasp and the hands against
-    each other; half-way between samples, the hands against each other.
+    At the samples (1 kHz), each hand against its grasp and the other hand; half-way between, where the object's planned
+    pose is unknown, only hand against hand.
     """
     hands = HandsIK(query.T_object_tcp_left, query.T_object_tcp_right, kinematics)
     at_samples = hands.strays(plan.q, plan.Ts_world_object)
@@ -97,7 +95,7 @@ def timed_residual(plan: CarriedTrajectory, query: HeldQuery, kinematics: Kinema
 
 
 def plan_move(planner: HeldPlanner, move: HeldMove) -> MoveOutcome:
-    """Plan one move and measure it."""
+    """Plan and measure one move."""
     verifier = planner.engines(move.query.scene).verifier
     begin, cpu = perf_counter(), process_time()
     plan, reason, message = None, "", ""
@@ -119,15 +117,7 @@ def run_moves(
     on_move: Callable[[MoveOutcome], None] = lambda _: None,
     robot: Robot = DUAL_PANDA,
 ) -> list[MoveOutcome]:
-    """Plan `config.held.moves_n` moves of one generator seed.
-
-    Args:
-        config: Number of moves, padding, budget.
-        scene: Holds the object.
-        seed: Seed of the set.
-        on_move: Called after each.
-        robot: The arms.
-    """
+    """Plan `config.held.moves_n` moves of one generator seed."""
     planner = HeldPlanner(Planner(config=config.planner, robot=robot))
     generator = HeldMoveGenerator(seed, scene, robot)
     # Import and compile what the first move would otherwise pay for; whether this one is solved does not matter.
@@ -143,7 +133,7 @@ def run_moves(
 def table_plans(
     config: PlanConfig, scene: SceneConfig, count: int, seed: int, robot: Robot = DUAL_PANDA
 ) -> tuple[list[CarriedTrajectory], list[str]]:
-    """Return `count` plans that lift the object off the table and move it, and a line for each that was not made."""
+    """Return plans of `count` moves from the table, and a line for each failure."""
     planner = HeldPlanner(Planner(config=config.planner, robot=robot))
     generator = HeldMoveGenerator(seed, scene, robot, from_table=True)
     plans: list[CarriedTrajectory] = []
@@ -159,7 +149,7 @@ def table_plans(
 def failed_carries(
     config: PlanConfig, scene: SceneConfig, count: int, seed: int, robot: Robot = DUAL_PANDA
 ) -> list[str]:
-    """Plan `count` trials of the carry in a scene, as method moveit does; return a line for each failure."""
+    """Plan `count` carries as method moveit does; return a line for each failure."""
     task = rod_carry(Config(scene=scene))
     body, planner = scene.object, Planner(config=config.planner, robot=robot)
     failures = []

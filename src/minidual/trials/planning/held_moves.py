@@ -1,8 +1,8 @@
-"""Seeded moves of an object in both hands: where it is, where it shall go, what stands round.
+"""Seeded moves of an object held in both hands.
 
-The goal is up to 0.5 m and 90 degrees away, turned about the vertical and tilted. Every second move has obstacles that
-block the straight way. A move enters the set only with a witness: a path that long searches found from the goal to the
-start, with their own random numbers, and that was timed and proven free. What has no witness is left out and counted.
+Goals are up to 0.5 m and 90 degrees away; in every second move obstacles block the straight path. Each move has a
+witness: a timed, proven path found from goal to start by long searches with their own random numbers. Draws without one
+are counted and left out.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _WITNESS_S = 60.0
 _TRIES_N = 200
 _IK_STARTS_N = 6
 _WITNESS_TRIES = ((0.005, 1.0), (0.008, 0.5), (0.002, 0.5))
-"""Padding [m] and closeness of the points that are checked, of the searches for a witness."""
+"""Padding [m] and check step scale of each witness search."""
 _EDGE_STEP_RAD = 0.03
 _LOW, _HIGH = np.array([0.35, -0.3, 0.08]), np.array([0.6, 0.3, 0.4])
 
@@ -51,15 +51,11 @@ class HeldMove:
     """One move.
 
     Attributes:
-        index: Number in the set.
-        query: The problem.
-        T_world_start: Pose of the object at the start.
-        with_obstacles: Whether more than the table stands round.
-        blocked: Whether the straight way, continued from the start, touches something or cannot be followed.
-        distance_m, turn_rad: How far and by how much the object moves.
-        witness: Points (m, 6 + n) of a path from start to goal that was proven free.
-        undecided_n: Drawn before this one and left out, because no witness was found for them.
-        unreachable_n: Drawn before this one and left out, because no free posture holds the object at start or goal.
+        blocked: Whether the straight path collides or cannot be followed.
+        distance_m, turn_rad: Translation and rotation of the object.
+        witness: Points (m, 6 + n) of a proven path from start to goal.
+        undecided_n: Earlier draws without a witness.
+        unreachable_n: Earlier draws without a free posture at start or goal.
     """
 
     index: int
@@ -75,16 +71,11 @@ class HeldMove:
 
 
 class HeldMoveGenerator:
-    """Makes the moves of a seed; the same seed and index give the same move.
+    """Makes moves, reproducible by seed and index.
 
-    That holds on every machine that makes the 10 000 state checks of a search for a witness within a minute: a search
-    that takes longer is given up, and the draw counts as one without a witness.
+    Reproducible only if a witness search makes its 10 000 state checks within 60 s; slower ones are abandoned.
 
-    Args:
-        seed: Seed of the set.
-        scene: Holds the object and its grasps.
-        robot: The arms.
-        from_table: Start with the object level on the table, which it may touch, and nothing else around.
+    With `from_table` the object starts level on the table, which it may touch, without obstacles.
     """
 
     def __init__(
@@ -101,7 +92,7 @@ class HeldMoveGenerator:
         self._hands = HandsIK(*self._grasps, self._prover.kinematics)
 
     def move(self, index: int) -> HeldMove:
-        """Return move `index`: odd ones have obstacles.
+        """Return move `index`; odd ones have obstacles.
 
         Raises:
             PlanningError: None was found.
@@ -159,7 +150,7 @@ class HeldMoveGenerator:
         )
 
     def _start(self, rng: np.random.Generator) -> Array:
-        """Return an object pose over the table, yawed and a little tilted; or level on it."""
+        """Return a slightly tilted pose above the table, or a level one on it."""
         yaw, lean = rng.uniform(-_YAW_RAD, _YAW_RAD), rng.uniform(-_LEAN_RAD, _LEAN_RAD)
         position = rng.uniform(_LOW, _HIGH)
         if self._from_table:
@@ -169,7 +160,7 @@ class HeldMoveGenerator:
     def _held(
         self, rng: np.random.Generator, engine: MujocoEngine, T_world_object: Array, q_near: Array, room_m: float
     ) -> tuple[Array, Array] | None:
-        """Return (pose, posture (n,)) with room round it that holds the object there, the first found, or None."""
+        """Return (pose, posture (n,)) of the first free posture with clearance, or None."""
         for k in range(_IK_STARTS_N):
             q = np.array(q_near)
             for arm, grasp in zip(self._hands.arms, self._grasps, strict=True):
@@ -198,7 +189,7 @@ class HeldMoveGenerator:
         start: tuple[Array, Array],
         goal: tuple[Array, Array],
     ) -> Array | None:
-        """Return points (m, 6 + n) from start to goal that can be timed and proven free, searched from the goal, or None."""
+        """Return points (m, 6 + n) of a proven path, searched from the goal, or None."""
         for padding_m, step_scale in _WITNESS_TRIES:
             checker = EdgeChecker(engines, padding_m, (start[1], goal[1]), _EDGE_STEP_RAD)
             space = HeldSpace(self._hands, ObjectChart(start[0][:3, :3]), checker, step_scale)
@@ -222,10 +213,7 @@ class HeldMoveGenerator:
 
 
 def _random_goal(rng: np.random.Generator, T_world_start: Array) -> Array:
-    """Return a pose up to 0.5 m and 90 degrees away: the distance and the angle are uniform, the axis is random.
-
-    Half of the turns are about the vertical.
-    """
+    """Return a pose with uniform distance and angle; half of the turns are about the vertical."""
     direction = rng.normal(size=3)
     offset = rng.uniform(0.05, _MOVE_MAX_M) * direction / np.linalg.norm(direction)
     angle = rng.uniform(-_TURN_MAX_RAD, _TURN_MAX_RAD)

@@ -1,10 +1,7 @@
-"""Seeded planning queries: two collision-free configurations round a table with obstacles.
+"""Seeded planning queries between collision-free configurations around a table with obstacles.
 
-Each query has its own scene of boxes and cylinders on the table. Start and goal are tcp poses over the table, hands
-down within a tilt, solved by inverse kinematics to free configurations with room round them. They are hard by
-construction (`KINDS`): the straight line in joint space is never free; the arm has to pass an obstacle, or the other
-arm, or the hands change sides. Nothing here plans, so the set cannot favour what the planner finds easy; that a way
-exists is shown by `minidual.trials.planning.query_set`.
+Poses over the table, hands down within a tilt, are solved by IK. Except for kind "any", the straight line in joint
+space is blocked. No planner is used, so the set cannot favour ours; `query_set` proves feasibility.
 """
 
 from __future__ import annotations
@@ -43,7 +40,7 @@ KINDS: dict[str, str] = {
     "crossing": "the hands change sides, and the straight line is blocked",
     "any": "nothing is asked for",
 }
-"""What makes a query hard, and how that is known."""
+"""What makes a query hard."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,17 +48,14 @@ class Query:
     """One planning problem.
 
     Attributes:
-        group: Planning group.
-        index: Number within the group.
-        seed: Seed for the planner.
-        scene: Table and obstacles.
-        q_start: Free start (n,) [rad].
-        q_goal: Free goal (n,), a witness that the poses can be reached.
+        seed: Planner seed.
+        q_start: Free (n,) [rad].
+        q_goal: Free (n,), a solution for `targets`.
         targets: Tcp poses of the group's arms at the goal.
-        as_poses: Whether the planner is given the poses (and does its own IK) or the joints.
-        blocked: Whether the straight line from start to goal touches something.
-        kind: What makes it hard, a name of `KINDS`.
-        attempt: Which of the generator's scenes it is.
+        as_poses: Whether the goal is given as poses, not joints.
+        blocked: Whether the straight line collides.
+        kind: Key of `KINDS`.
+        attempt: Number of the generator's scene.
     """
 
     group: str
@@ -78,14 +72,7 @@ class Query:
 
 
 class QueryGenerator:
-    """Makes the queries of a seed; the same seed, group and index always give the same query.
-
-    Args:
-        seed: Seed of the set.
-        obstacles_n: Obstacles of each query.
-        blocked_fraction: Share of the queries that must be hard; the others may be anything.
-        robot: The arms.
-    """
+    """Makes queries, reproducible by seed, group and index; `blocked_fraction` of them must be hard."""
 
     def __init__(
         self, seed: int, obstacles_n: int = 5, blocked_fraction: float = 1.0, robot: Robot = DUAL_PANDA
@@ -97,7 +84,7 @@ class QueryGenerator:
         self._solvers = solvers(robot)
 
     def kind(self, group: str, index: int) -> str:
-        """Return what query `index` of a group must be, a name of `KINDS`."""
+        """Return the required kind of a query."""
         group_arms(group)
         if int((index + 1) * self._blocked_fraction) == int(index * self._blocked_fraction):
             return "any"
@@ -105,22 +92,17 @@ class QueryGenerator:
 
     @staticmethod
     def kind_of(group: str, index: int) -> str:
-        """Return what makes query `index` of a group hard."""
+        """Return the kind of a hard query."""
         if index % 2 == 0:
             return "past_obstacle"
         return "crossing" if group == "both_arms" else "past_arm"
 
     def query(self, group: str, index: int, first_attempt: int = 0) -> Query:
-        """Return query `index` of a group; by index they give joints, joints, poses, poses as the goal.
-
-        Args:
-            group: Planning group.
-            index: Number within the group.
-            first_attempt: Scenes before this one are skipped.
+        """Return query `index` of a group, skipping scenes before `first_attempt`.
 
         Raises:
             UsageError: Unknown group.
-            PlanningError: No such query exists for these settings (too many obstacles, say).
+            PlanningError: None found, e.g. too many obstacles.
         """
         for attempt in range(first_attempt, first_attempt + _SCENE_TRIES_N):
             query = self.attempt(group, index, attempt)
@@ -132,7 +114,7 @@ class QueryGenerator:
         )
 
     def attempt(self, group: str, index: int, attempt: int) -> Query | None:
-        """Return the query that this attempt's scene gives, or None if it gives none of the wanted kind."""
+        """Return the query of one scene, or None if it has none of the required kind."""
         arms = group_arms(group)
         kind = self.kind(group, index)
         scene = scene_of(self._seed, group, index, attempt, self._obstacles_n, self._robot)
@@ -166,7 +148,7 @@ class QueryGenerator:
         *,
         crossed: bool = False,
     ) -> Array | None:
-        """Return a free configuration whose `arms` reach random poses, the other joints as in q_base; or None."""
+        """Return a free configuration with `arms` at random poses and other joints of q_base, or None."""
         for _ in range(_POSE_TRIES_N):
             q = np.array(q_base)
             for arm in arms:
@@ -194,7 +176,7 @@ class QueryGenerator:
 
 @functools.cache
 def solvers(robot: Robot) -> dict[str, ArmIK]:
-    """Return the inverse kinematics of both arms."""
+    """Return the IK of both arms."""
     return {side: ArmIK(side, Kinematics(robot)) for side in SIDES}
 
 
@@ -204,13 +186,13 @@ def goal_targets(group: str, q: Array, robot: Robot) -> dict[str, Array]:
 
 
 def _swapped(before: dict[str, Array], after: dict[str, Array]) -> bool:
-    """Return whether the left hand changes from one side of the right hand to the other."""
+    """Return whether the hands exchange sides."""
     a, b = (hands["left"][1, 3] - hands["right"][1, 3] for hands in (before, after))
     return a * b < 0.0 and min(abs(a), abs(b)) > _CROSSED_BY_M
 
 
 def _touched_between(engine: MujocoEngine, start: Array, goal: Array) -> set[frozenset[str]]:
-    """Return the pairs that touch on the straight line from start to goal."""
+    """Return the pairs in contact along the straight line."""
     count = int(np.ceil(np.abs(goal - start).max() / _STEP_RAD))
     touched: set[frozenset[str]] = set()
     for x in np.linspace(0.0, 1.0, count + 1)[1:-1]:
@@ -219,7 +201,7 @@ def _touched_between(engine: MujocoEngine, start: Array, goal: Array) -> set[fro
 
 
 def _is_kind(kind: str, arms: tuple[str, ...], touched: set[frozenset[str]]) -> bool:
-    """Return whether what stands in the way of the straight line makes the query one of this kind."""
+    """Return whether these contacts make the query of this kind."""
     mine = tuple(f"{arm}_" for arm in arms)
     theirs = tuple(f"{arm}_" for arm in SIDES if arm not in arms)
     fixed = ("left_", "right_", "table")
@@ -235,20 +217,20 @@ def _is_kind(kind: str, arms: tuple[str, ...], touched: set[frozenset[str]]) -> 
 
 
 def goal_as_poses(index: int) -> bool:
-    """Return whether query `index` gives poses as its goal: two with joints, two with poses, and so on."""
+    """Return whether the goal is poses: two with joints, two with poses, and so on."""
     return index % 4 >= 2
 
 
 def scene_of(
     seed: int, group: str, index: int, attempt: int, obstacles_n: int, robot: Robot = DUAL_PANDA
 ) -> PlanningScene:
-    """Return the scene of one attempt at a query."""
+    """Return the scene of one attempt."""
     rng = np.random.default_rng([seed, list(DUAL_PANDA.groups).index(group), index, attempt, 0])
     return PlanningScene(obstacles=(TABLE, *random_obstacles(rng, obstacles_n, robot)), robot=robot)
 
 
 def random_pose(rng: np.random.Generator, arm: str) -> Array:
-    """Return a tcp pose (4, 4) over the table, hand down within a tilt, on either side of the middle."""
+    """Return a tcp pose (4, 4) over the table, hand down within a tilt."""
     side = 1.0 if arm == "left" else -1.0
     position = np.array([rng.uniform(0.30, 0.65), side * rng.uniform(-0.15, 0.55), rng.uniform(0.08, 0.45)])
     yaw, about = rng.uniform(-np.pi, np.pi, 2)
@@ -258,7 +240,7 @@ def random_pose(rng: np.random.Generator, arm: str) -> Array:
 
 
 def random_obstacles(rng: np.random.Generator, count: int, robot: Robot = DUAL_PANDA) -> tuple[Shape, ...]:
-    """Return boxes and cylinders standing on the table in front of the arms, clear of the bases."""
+    """Return boxes and cylinders on the table, clear of the bases."""
     shapes: list[Shape] = []
     for k in range(count):
         height = float(rng.uniform(0.10, 0.40))

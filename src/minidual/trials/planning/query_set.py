@@ -1,9 +1,8 @@
-"""The stored query sets: for two seeds, one hundred hard queries a group and for each a way that exists.
+"""Stored query sets: one hundred hard queries per group for two seeds, default robot.
 
-A set holds start, goal and the generator's attempt (which gives the scene) of every query, and a witness: the corners of
-a polyline on which both engines, asked every 0.002 rad, see nothing touch. So a query that the planner fails is the
-planner's failure. Candidates for which a search several times longer than the planner's own found no way are left out,
-and counted. `python scripts/make_query_set.py SEED` makes a set again. The sets are for the default robot.
+Each query has a witness: corners of a polyline that both engines find free every 0.002 rad, so a failed query is the
+planner's failure. Candidates without a path from a search several times longer than the planner's are left out and
+counted. `python scripts/make_query_set.py SEED` makes a set.
 """
 
 from __future__ import annotations
@@ -31,11 +30,11 @@ class QuerySet:
     """One stored set.
 
     Args:
-        arrays: `seed`, and by group G of k queries: `G.attempts`, `G.seeds` (k,), `G.ends` (k, 2, n) start and goal,
-            `G.corners` and `G.corners_n` the witnesses between them, `G.left_out` candidates without a known way.
+        arrays: `seed`, and by group G of k queries `G.attempts`, `G.seeds` (k,), `G.ends` (k, 2, n) start and goal,
+            `G.corners` and `G.corners_n` witnesses, `G.left_out` candidates.
 
     Raises:
-        KeyError, ValueError: An array is missing or has another shape.
+        KeyError, ValueError: Missing or misshapen array.
     """
 
     def __init__(self, arrays: dict[str, Any]) -> None:
@@ -49,7 +48,7 @@ class QuerySet:
         }
 
     def size(self, group: str) -> int:
-        """Return how many queries of a group are stored."""
+        """Return the number of queries of a group."""
         return len(self.attempts[group])
 
     def query(self, group: str, index: int) -> Query:
@@ -61,14 +60,14 @@ class QuerySet:
         return Query(group, index, seed, scene, start, goal, targets, goal_as_poses(index), True, kind, attempt)
 
     def witness(self, group: str, index: int) -> Array:
-        """Return the polyline (k, n) from start to goal that proves a query feasible."""
+        """Return the polyline (k, n) from start to goal."""
         start, goal = self._ends[group][index]
         return np.vstack([start, self._corners[group][index], goal])
 
 
 @functools.cache
 def stored_set(seed: int) -> QuerySet | None:
-    """Return the set of a seed, or None if none is stored.
+    """Return the set of a seed, or None if not stored.
 
     Raises:
         DataError: The file is damaged.
@@ -87,12 +86,12 @@ def stored_set(seed: int) -> QuerySet | None:
 
 
 def stored(q: Array) -> Array:
-    """Return configurations (..., n) as a set keeps them: single precision, inside the limits."""
+    """Return configurations (..., n) as stored: single precision, inside the limits."""
     return np.clip(np.asarray(q, dtype=np.float32).astype(float), ROBOT.q_lower, ROBOT.q_upper)
 
 
 def polyline_states(path: Array, step_rad: float = STEP_RAD) -> Array:
-    """Return states (m, n) along a polyline (k, n), no joint moving more than step_rad between two."""
+    """Return states (m, n) along a polyline (k, n), at most step_rad apart."""
     parts = [path[:1]]
     for a, b in pairwise(path):
         count = max(1, int(np.ceil(np.abs(b - a).max() / step_rad)))
@@ -101,6 +100,6 @@ def polyline_states(path: Array, step_rad: float = STEP_RAD) -> Array:
 
 
 def is_free(path: Array, engines: SceneEngines) -> bool:
-    """Return whether both engines see every sample of a polyline (k, n) free."""
+    """Return whether both engines find a polyline (k, n) free."""
     Q = polyline_states(path)
     return not any(engines.verifier.engine(name).collisions(Q).any() for name in ENGINES)
