@@ -64,7 +64,7 @@ _LOADED: list[bool] = []
 
 
 def _load_kernels(engines: SceneEngines) -> None:
-    """Load the machine code of the planes (0.3 s; 30 s where it must be compiled), so that no budget pays for it."""
+    """Load the planes' machine code (0.3 s; 30 s if compiled) outside planning budgets."""
     home = engines.solids.robot.home
     still = np.zeros((2, len(home)))
     EdgeChecker(engines, 0.0, [home], 0.1).edge_free(home, home + 0.1)
@@ -133,7 +133,7 @@ class Planner:
 
         Raises:
             OutOfLimitsError, StartInCollisionError, GoalInCollisionError: Bad start or goal.
-            NoPathInTimeError: Nothing proven within `budget_s` of wall time.
+            NoPathInTimeError: Nothing proven within `budget_s`.
             UsageError: Bad group or budget, or a goal that moves the other arm.
         """
         times = PhaseTimes()

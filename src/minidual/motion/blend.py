@@ -1,7 +1,7 @@
 """Rounding of polyline corners.
 
 In a corner of half length d, q' = u1 + (u2 - u1) S(x), x = (s - s0) / 2d, S(x) = 3 x^2 - 2 x^3. S is symmetric, so the
-corner meets both straight pieces; q is twice continuously differentiable.
+corner meets both straight pieces, twice continuously differentiable.
 """
 
 from __future__ import annotations

@@ -157,7 +157,7 @@ class GoalFile(StrictModel):
 
 
 def load_goal(path: Path) -> Goal:
-    """Return the goal in a YAML file, or the last sample of a JSON trajectory (`minidual plan --out`).
+    """Return the goal in a YAML file, or the last sample of a JSON trajectory.
 
     Raises:
         ConfigError: Invalid YAML.

@@ -109,7 +109,7 @@ class GoalPlanner:
         self._linear = LinearPlanner(self.planner.limits, self.planner.kinematics)
 
     def resolve(self, group: str, q_start: Array, goal: Goal, scene: PlanningScene | None = None) -> Resolved:
-        """Return a goal as joints or tcp poses, from q_start (n,).
+        """Return a goal as joints or tcp poses.
 
         Raises:
             UsageError: Unknown name, value not finite, or arm outside the group.
@@ -136,11 +136,7 @@ class GoalPlanner:
     def start_joints(
         self, group: str, q_near: Array, start: Goal, scene: PlanningScene | None = None, *, seed: int = 0
     ) -> Array:
-        """Return a goal as start joints (n,); for poses the free IK solution nearest to q_near (n,).
-
-        Raises:
-            What `resolve` and `PoseGoals.candidates` raise.
-        """
+        """Return a goal as start joints (n,); for poses the free IK solution nearest to q_near (n,)."""
         resolved = self.resolve(group, q_near, start, scene)
         if resolved.q is not None:
             return resolved.q
@@ -252,11 +248,7 @@ class _Frames:
         return pose(turned @ R, T[:3, 3] + shift)
 
     def frame(self, name: str) -> Array:
-        """Return T_world_frame (4, 4).
-
-        Raises:
-            UsageError: Unknown frame.
-        """
+        """Return T_world_frame, or raise UsageError."""
         if name == "world":
             return np.eye(4)
         for shape in self._scene.obstacles:

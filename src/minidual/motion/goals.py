@@ -19,7 +19,7 @@ _ROUNDING = 1e-9
 
 
 def group_arms(group: str) -> tuple[str, ...]:
-    """Return the arms of a planning group.
+    """Return the arms of a group.
 
     Raises:
         UsageError: Unknown group.

@@ -29,7 +29,7 @@ _REST_TOLERANCE_RAD = 1e-5
 
 @dataclass(frozen=True)
 class IKSolution:
-    """Joints q (n,) of one arm and the remaining error."""
+    """Joints q (n,) of one arm and the error."""
 
     q: Array
     residual_m: float
@@ -107,8 +107,7 @@ class ArmIK:
     ) -> IKSolution:
         """Minimise sum_i (q_i - posture_i)^2 / mobility_i at the pose; q_start only selects the branch.
 
-        Gauss-Newton with null-space steps in the cost metric (Nakamura, "Advanced Robotics", 1991, ch. 4). On a path, start
-        at the previous solution.
+        Gauss-Newton with null-space steps in the cost metric (Nakamura, "Advanced Robotics", 1991, ch. 4).
         """
         lower, upper = self.lower + margin_rad, self.upper - margin_rad
         q, reached = np.array(q_start, dtype=float), False

@@ -276,7 +276,8 @@ def project(
 ) -> bool:
     """Move q (n,) to the pose (4, 4) by least-norm Newton steps, the first along `wish` (n,) where possible.
 
-    Ignores limits. Quadratic convergence makes the step from an error below `small` the last. Steps over `step_max` fail.
+    Ignores limits. Quadratic convergence makes the step from an error below `small` the last. Steps over `step_max`
+    fail.
     """
     T, axes, R, p = np.empty((3, 4)), np.empty((len(q), 6)), np.empty((3, 3)), np.empty(3)
     e, y, J, L = np.empty(6), np.empty(6), np.empty((6, len(q))), np.zeros((6, 6))

@@ -44,8 +44,8 @@ class PlanResult:
         path: Polyline (n, dof) after shortcutting.
         q_goal: Goal reached (dof,).
         attempts_n: Including the successful one.
-        direct: Whether the path is one segment.
-        rejections: Why earlier attempts failed.
+        direct: Whether `path` is one segment.
+        rejections: Of earlier attempts.
     """
 
     trajectory: Trajectory

@@ -74,8 +74,6 @@ def drive(
 ) -> tuple[Trajectory, Array]:
     """Return the 1 kHz trajectory of profile sd (n,) on s (n,), slowed to the limits, and s at its samples.
 
-    The first columns of `path` are the joints.
-
     Raises:
         TimingError: Slowing down does not suffice.
     """

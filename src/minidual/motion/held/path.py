@@ -73,8 +73,6 @@ class ObjectChart:
 class ObjectPath:
     """Curve T_world_object(s), s in [0, length] [m]: straight in the chart, with rounded corners.
 
-    `corner_m` is the largest half length of a corner.
-
     Raises:
         UsageError: Fewer than two distinct poses, invalid pose, or rotation over 3 rad.
     """

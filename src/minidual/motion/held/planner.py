@@ -69,9 +69,9 @@ def grasp_of(q: Array, T_world_object: Array, kinematics: Kinematics | None = No
 def scene_holding(
     scene: PlanningScene, shape: Shape, T_object_tcp_left: Array, *, rests_on: Sequence[str] = ("table",)
 ) -> PlanningScene:
-    """Return the scene with `shape` (placed in the object frame) in both hands, attached to the left tcp.
+    """Return the scene with `shape` (placed in the object frame) attached to the left tcp.
 
-    The object may touch `rests_on`.
+    The object may touch the hands and `rests_on`.
     """
     T_tcp_shape = inverse(T_object_tcp_left) @ shape.T_parent_shape
     x, y, z, w = pin.Quaternion(T_tcp_shape[:3, :3]).coeffs().tolist()
@@ -105,7 +105,7 @@ class HeldQuery:
         """Return the checked query.
 
         Raises:
-            OutOfLimitsError, UsageError: Bad start, goal or grasp.
+            OutOfLimitsError, UsageError: Bad query.
         """
         return replace(
             self,

@@ -65,7 +65,7 @@ class HeldSpace:
         return np.linalg.norm(d[:, X], axis=1) + JOINT_WEIGHT_M * np.linalg.norm(d[:, Q], axis=1)
 
     def edge_free(self, a: Array, b: Array) -> bool:
-        """Return whether an edge is continuous and free; its ends are not checked."""
+        """Return whether an edge is continuous and free between its ends."""
         step = b - a
         count = int(np.ceil(max(np.linalg.norm(step[X]) / self._step_m, np.abs(step[Q]).max() / self._step_rad)))
         count = max(count, 1)
@@ -98,7 +98,7 @@ class HeldSpace:
 
     @staticmethod
     def sample(rng: np.random.Generator, ends: Array, room_m: float, turn_m: float) -> Array:
-        """Return random coordinates (6,) around both ends (2, 6), with margins of position and rotation."""
+        """Return random coordinates (6,) around both ends (2, 6)."""
         low, high = ends[:, :3].min(axis=0) - room_m, ends[:, :3].max(axis=0) + room_m
         low[2] = max(low[2], 0.0)
         between = ends[0, 3:] + rng.uniform() * (ends[1, 3:] - ends[0, 3:])
@@ -114,7 +114,7 @@ class _Tree:
         return int(np.argmin(space.distance(z, self.points)))
 
     def near_object(self, x: Array, rng: np.random.Generator, among: int) -> int:
-        """Return a random one of the `among` points nearest in object pose."""
+        """Return a random one of the `among` nearest points."""
         away = np.linalg.norm(self.points[:, X] - x, axis=1)
         if among == 1:
             return int(np.argmin(away))
@@ -181,7 +181,7 @@ def _extend(space: HeldSpace, tree: _Tree, x: Array, rng: np.random.Generator) -
 
 
 def _step_towards(space: HeldSpace, z: Array, x: Array, elbows: np.random.Generator | None) -> Array | None:
-    """Return a free point one step towards x, with elbow swings if asked, or None."""
+    """Return a free point one step towards x, or None."""
     way = x - z[X]
     share = min(1.0, _EXTEND_M / max(float(np.linalg.norm(way)), _SAME_M))
     aim = z.copy()
