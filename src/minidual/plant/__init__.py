@@ -1,1 +1,1 @@
-"""The MuJoCo world: model, contacts, cameras."""
+"""The MuJoCo world."""

@@ -1,7 +1,4 @@
-"""Indices of joints in `qpos`, `qvel` and `ctrl`.
-
-Actuators are mapped to joints through `actuator_trnid`: neither ids nor names are reliable.
-"""
+"""Indices of joints in `qpos`, `qvel` and `ctrl`, mapped through `actuator_trnid`: ids and names are unreliable."""
 
 from __future__ import annotations
 
@@ -19,7 +16,7 @@ IntArray = npt.NDArray[np.int64]
 
 @dataclass(frozen=True)
 class JointAddresses:
-    """Indices of `names` in qpos, qvel and ctrl, each (n,)."""
+    """Indices of `names`, each (n,)."""
 
     names: tuple[str, ...]
     qpos: IntArray
@@ -38,15 +35,10 @@ def _require(table: dict[str, int], name: str, kind: str) -> int:
 
 
 def map_joints(model: mujoco.MjModel, names: Sequence[str], *, torque: bool) -> JointAddresses:
-    """Return the addresses of `names`, in their order.
-
-    Args:
-        model: Compiled model.
-        names: Joint names.
-        torque: Require torque motors (no bias, gear x gain = 1); with False, position servos.
+    """Return the addresses of `names`, in order, requiring torque motors (gear x gain = 1) or position servos.
 
     Raises:
-        UsageError: A joint or its actuator is missing, or the actuator is of the other kind.
+        UsageError: A joint or actuator is missing or of the other kind.
     """
     if model.nu == 0:
         raise UsageError(

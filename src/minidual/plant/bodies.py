@@ -1,4 +1,4 @@
-"""True state of an object in the simulation, and the contacts of both hands on it."""
+"""True state of an object, and the hands' contacts on it."""
 
 from __future__ import annotations
 
@@ -10,28 +10,28 @@ import numpy as np
 from minidual.robot.pair import Array, Robot
 
 ObjectPose = Array | tuple[float, float, float]
-"""A pose (4, 4), or (x, y, yaw) [m, m, rad] resting on the table."""
+"""(4, 4), or (x, y, yaw) [m, m, rad] resting on the table."""
 
 
 def object_names(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Return the names of the free bodies, in model order."""
+    """Return the free bodies' names, in model order."""
     free = [i for i in range(model.njnt) if int(model.jnt_type[i]) == int(mujoco.mjtJoint.mjJNT_FREE)]
     return tuple(model.body(int(model.jnt_bodyid[i])).name for i in free)
 
 
 def free_bodies(spec: mujoco.MjSpec) -> list[Any]:
-    """Return the free bodies of an editable model: the objects."""
+    """Return the free bodies of an editable model."""
     free = int(mujoco.mjtJoint.mjJNT_FREE)
     return [body for body in spec.bodies if any(int(joint.type) == free for joint in body.joints)]
 
 
 def contact_sensor(name: str, side: str, finger_link: str) -> str:
-    """Return the name of the contact sensor between a finger and an object."""
+    """Return the name of a finger's contact sensor."""
     return f"{name}_{side}_{finger_link}"
 
 
 class NamedObject:
-    """Reads one object through cached views: a lookup in MjData costs as much as reading three numbers."""
+    """Reads one object through cached views; looking up an MjData field is slow."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, name: str, robot: Robot) -> None:
         self.body = int(model.body(name).id)
@@ -65,7 +65,7 @@ class NamedObject:
         return self._twist.copy()
 
     def put(self, pose: ObjectPose) -> None:
-        """Write a pose into the state; the velocity is kept."""
+        """Write a pose; the velocity is kept."""
         if isinstance(pose, tuple):
             x, y, yaw = pose
             self.qpos[:3] = (x, y, self._rest_height_m)
@@ -75,11 +75,11 @@ class NamedObject:
             mujoco.mju_mat2Quat(self.qpos[3:], np.ascontiguousarray(pose[:3, :3]).ravel())
 
     def forces(self) -> Array:
-        """Return the net force of each hand on the object (2, 3) [N], world axes."""
+        """Return each hand's net force on the object (2, 3) [N], world axes."""
         return self._forces[:, 0] + self._forces[:, 1]
 
     def pinch(self) -> Array:
-        """Return the pinch of each hand (2,) [N]: normal force of its weaker finger."""
+        """Return each hand's pinch (2,) [N]: normal force of its weaker finger."""
         pinches = []
         for arm, axis in enumerate(self._hand_axes):
             left, right = self._forces[arm].dot(axis).tolist()
@@ -88,10 +88,10 @@ class NamedObject:
         return np.array(pinches)
 
     def internal_force(self) -> float:
-        """Return the internal force along the object's y axis [N]; the left hand is at the +y end.
+        """Return the internal force along y [N]; the left hand is at the +y end.
 
-        It is the smaller of the hands' axial forces towards each other: positive under compression, negative under
-        tension, at most zero with one hand.
+        It is the smaller of the hands' axial forces towards each other: negative under tension, at most zero with one
+        hand.
         """
         a, b, c, d = self._readings.dot(self._axis).tolist()
         return min(-a - b, c + d)

@@ -1,4 +1,4 @@
-"""A plant with delayed measurements, for latency studies."""
+"""A plant with delayed measurements."""
 
 from __future__ import annotations
 
@@ -17,13 +17,9 @@ def _late(name: str, doc: str) -> Any:
 
 
 class DelayedPlant:
-    """Delays another plant's measurements; commands, clock and health are not delayed.
+    """Delays measurements by `delay_s`, rounded to control steps; commands, clock and health are immediate.
 
     Until the delay has passed, the first measurements are returned.
-
-    Args:
-        plant: The plant.
-        delay_s: Age of the measurements [s], rounded to control steps.
 
     Raises:
         UsageError: The delay is negative.
@@ -43,7 +39,7 @@ class DelayedPlant:
         self.forget()
 
     def forget(self) -> None:
-        """Clear the buffer; call after every reset of the plant."""
+        """Clear the buffer; call after each reset."""
         self._states.clear()
         self._note()
 
@@ -52,34 +48,34 @@ class DelayedPlant:
 
     @property
     def robot(self) -> Robot:
-        """The two arms."""
+        """See `Plant`."""
         return self._plant.robot
 
     @property
     def time(self) -> float:
-        """Time of the control loop [s]."""
+        """See `Plant`."""
         return self._plant.time
 
     @property
     def stamp_s(self) -> float:
-        """Time of the measurements [s]."""
+        """See `Plant`."""
         return self._states[0]["stamp_s"]
 
     @property
     def grip_max_n(self) -> float:
-        """Largest closing force [N]."""
+        """See `Plant`."""
         return self._plant.grip_max_n
 
     @property
     def health(self) -> str:
-        """Why the plant cannot be driven; empty if it can."""
+        """See `Plant`."""
         return self._plant.health
 
     def command(self, tau: Array, fingers: Array) -> None:
-        """Set torques (n,) [Nm] and finger targets (2,) [m]."""
+        """See `Plant`."""
         self._plant.command(tau, fingers)
 
     def step(self) -> None:
-        """Advance by one control step."""
+        """See `Plant`."""
         self._plant.step()
         self._note()

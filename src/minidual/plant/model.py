@@ -1,4 +1,4 @@
-"""Compile the MuJoCo model: arms from the URDF, motors, scenery, cameras, contact sensors."""
+"""Compile the MuJoCo model."""
 
 from __future__ import annotations
 
@@ -23,13 +23,7 @@ _URDF_COMPILER = (
 
 
 def build_spec(scene: SceneConfig, robot: Robot = DUAL_PANDA, *, visuals: bool = True) -> mujoco.MjSpec:
-    """Return the editable model of the whole scene.
-
-    Args:
-        scene: Physics, objects and task.
-        robot: The two arms.
-        visuals: Include the visual meshes; without them it compiles faster.
-    """
+    """Return the editable model; omitting `visuals` compiles faster."""
     spec = mujoco.MjSpec.from_string(pair_urdf(robot).replace('<link name="world"', _URDF_COMPILER, 1))
     spec.modelname = "minidual"
     spec.compiler.discardvisual = False  # keep the non-colliding geoms added here
@@ -123,7 +117,7 @@ def _add_actuators(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> Non
 
 
 def _look_at(position: tuple[float, float, float], target: tuple[float, float, float]) -> list[float]:
-    """Return the quaternion wxyz of an upright camera (looks along -z, y up) facing `target`."""
+    """Return the quaternion wxyz of an upright camera (along -z, y up) facing `target`."""
     z = np.subtract(position, target)
     z = z / np.linalg.norm(z)
     x = np.cross([0.0, 0.0, 1.0], z)
@@ -152,7 +146,7 @@ def _add_cameras(spec: mujoco.MjSpec, robot: Robot) -> None:
 
 
 def _add_contact_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
-    """Add one net force (3,) per finger and object, of the finger on it, world axes."""
+    """Add one net force (3,) per finger and object, on the object, world axes."""
     data = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)
     netforce = 3
     for name in [body.name for body in free_bodies(spec)]:

@@ -1,7 +1,6 @@
-"""Interface between the control stack and the arms: measurements, commands and clock.
+"""Interface between the control stack and simulated or real arms.
 
-`World` and `DelayedPlant` implement it; a real robot's driver can. True object poses and contact forces are not part of
-it.
+True object poses and contact forces are excluded.
 """
 
 from __future__ import annotations
@@ -13,10 +12,10 @@ from minidual.robot.pair import Array, Robot
 
 
 class Plant(Protocol):
-    """Two arms with hands. Measurements are copies and change only in `step`."""
+    """Two arms with hands. Measurements are copies, updated in `step`."""
 
     dt: float
-    """Period of the control loop [s]."""
+    """Control period [s]."""
 
     @property
     def robot(self) -> Robot:
@@ -25,12 +24,12 @@ class Plant(Protocol):
 
     @property
     def time(self) -> float:
-        """Time of the control loop [s]."""
+        """Control time [s]."""
         ...
 
     @property
     def stamp_s(self) -> float:
-        """Time of the measurements on the same clock [s]; at most `time`."""
+        """Measurement time [s], same clock; at most `time`."""
         ...
 
     @property
@@ -45,17 +44,17 @@ class Plant(Protocol):
 
     @property
     def tau(self) -> Array:
-        """Applied motor torques (n,) [Nm]."""
+        """Motor torques (n,) [Nm]."""
         ...
 
     @property
     def fingers(self) -> Array:
-        """Distance (2,) [m] of each hand's fingers from the middle."""
+        """Distance (2,) [m] of the fingers from the middle."""
         ...
 
     @property
     def grip(self) -> Array:
-        """Closing force (2,) [N] of each hand: mean of its finger motors."""
+        """Closing force (2,) [N]: mean of the finger motors."""
         ...
 
     @property
@@ -65,11 +64,11 @@ class Plant(Protocol):
 
     @property
     def health(self) -> str:
-        """Why the plant cannot be driven; empty if it can."""
+        """Why the plant cannot be driven, or empty."""
         ...
 
     def command(self, tau: Array, fingers: Array) -> None:
-        """Set torques (n,) [Nm] and finger targets (2,) [m] for the next step."""
+        """Set torques (n,) [Nm] and finger targets (2,) [m]."""
         ...
 
     def step(self) -> None:
@@ -79,12 +78,7 @@ class Plant(Protocol):
 
 @dataclass(frozen=True)
 class PoseSample:
-    """One measured object pose.
-
-    Attributes:
-        T_world_object: (4, 4).
-        age_ticks: Age in control steps.
-    """
+    """A measured pose (4, 4); its age is in control steps."""
 
     T_world_object: Array
     age_ticks: int
@@ -92,13 +86,13 @@ class PoseSample:
 
 @dataclass(frozen=True)
 class Reading:
-    """Object measurements that arrived in one control step.
+    """Object measurements of one control step.
 
     Attributes:
         pose: None between samples.
-        hand_forces: (2, 3) [N], of each hand on the object, world axes.
-        pinch: (2,) [N], of each hand.
-        stamp_s: Sampling time of forces and pinch [s].
+        hand_forces: (2, 3) [N], on the object, world axes.
+        pinch: (2,) [N].
+        stamp_s: Sampling time of the forces.
     """
 
     pose: PoseSample | None
@@ -108,13 +102,13 @@ class Reading:
 
 
 class ObjectSensors(Protocol):
-    """Cameras and force sensors of one object."""
+    """Sensors of one object."""
 
     @property
     def delay_ticks(self) -> int:
-        """Age of a pose sample on arrival, in control steps."""
+        """Age of a pose on arrival, in control steps."""
         ...
 
     def sense(self) -> Reading:
-        """Return what has arrived; call once a control step."""
+        """Return new readings; call once a control step."""
         ...

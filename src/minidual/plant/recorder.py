@@ -1,4 +1,4 @@
-"""Keep what a replay needs while a world runs: the last second, or a whole trial."""
+"""Record the last second or a whole trial for replay."""
 
 from __future__ import annotations
 
@@ -20,16 +20,10 @@ _KEYFRAME_S, _KEYFRAME_TRIAL_S = 0.02, 0.1
 
 
 class Recorder:
-    """Records every step of a world whose `recorder` is set to it.
+    """Records each step of the world that has it as `recorder`; a reset starts over.
 
-    A reset of the world clears the recording. External forces and model changes before the first step are kept; writes
-    to the state between steps are not, so their replay deviates.
-
-    Args:
-        world: The world.
-        window_s: Time span to keep; None keeps everything since the reset.
-        seed: Seed of the run, for the file.
-        folder: Folder for dumps; None disables them.
+    External forces and model changes before the first step are kept. State writes between steps are not, so their
+    replay deviates. `window_s` None keeps everything; without `folder` there are no dumps.
     """
 
     def __init__(
@@ -47,11 +41,11 @@ class Recorder:
         self._state_size = mujoco.mj_stateSize(world.model, STATE)
         self._time_tolerance_s = 1.5 * world.dt
         self.write_error: OSError | None = None
-        """Error of the last failed dump."""
+        """Last failed dump's error."""
         self.clear()
 
     def clear(self) -> None:
-        """Drop everything kept."""
+        """Start over."""
         self._count = 0
         self._last_s = -1.0
         self._keyframes: list[tuple[int, Array]] = []
@@ -61,11 +55,11 @@ class Recorder:
 
     @property
     def steps(self) -> int:
-        """Number of steps kept."""
+        """Steps kept."""
         return self._count
 
     def before_step(self) -> None:
-        """Keep the controls of the step about to be made; `World.step` calls it."""
+        """Keep the next step's controls; `World.step` calls it."""
         now = self._data.time
         if not 0.0 < now - self._last_s < self._time_tolerance_s:
             self.clear()
@@ -89,11 +83,11 @@ class Recorder:
         return state
 
     def _ended_whole(self) -> bool:
-        """Return whether the world has neither been reset nor diverged since its last step."""
+        """Return whether no reset or divergence followed the last step."""
         return self._count > 0 and 0.0 < self._data.time - self._last_s < self._time_tolerance_s
 
     def _make_room(self) -> None:
-        """Drop steps older than the window, or double the capacity."""
+        """Drop old steps, or double the capacity."""
         if self._window is None:
             self._controls = np.concatenate([self._controls, np.empty_like(self._controls)])
             return
@@ -107,7 +101,7 @@ class Recorder:
             self._pushes.insert(0, (0, before[-1]))
 
     def recording(self, reason: str, *, kind: str = "trial", details: Mapping[str, Any] | None = None) -> Recording:
-        """Return what was kept, from the first keyframe in the window."""
+        """Return what was kept, from the window's first keyframe."""
         first = 0
         if self._window is not None and self._count > self._window:
             first = self._count - self._window
@@ -137,13 +131,13 @@ class Recorder:
         )
 
     def write(self, path: Path, reason: str, *, details: Mapping[str, Any] | None = None) -> Path:
-        """Write a trial to a file."""
+        """Write a trial."""
         return write_recording(path, self.recording(reason, details=details))
 
     def dump(self, name: str, reason: str, *, details: Mapping[str, Any] | None = None) -> Path | None:
-        """Write the window to the dump folder; return the file, or None without folder, steps or success.
+        """Write the window; return its file, or None.
 
-        Disk errors go to `write_error` and are not raised: the arms must be stopped in any case.
+        Disk errors go to `write_error`, not raised: the arms must stop anyway.
         """
         if self._folder is None or self._count == 0:
             return None

@@ -1,12 +1,10 @@
-"""Recording file: initial state, controls and keyframes of a simulation, for replay.
+"""Recording file for replay: npz without pickle.
 
-An npz file (no pickle) of
-
-    header      JSON as bytes: format, version, kind, reason, arm, scene, seed, libraries, details
-    controls    (T, nu) `ctrl` of every physics step
-    keyframes   (K, n) full MuJoCo state before step keyframe_steps[k], and after the last step
-    push_steps, pushes   external wrenches (nbody, 6), stored on change
-    model.*     physical model fields, which a condition may have changed
+header      JSON: format, version, kind, reason, arm, scene, seed, libraries, details
+controls    (T, nu) `ctrl` of every step
+keyframes   (K, n) MuJoCo states before keyframe_steps[k], and at the end
+push_steps, pushes   external wrenches (nbody, 6), on change
+model.*     physical model fields
 """
 
 from __future__ import annotations
@@ -37,7 +35,7 @@ from minidual.robot.pair import Array, Robot
 FORMAT = "minidual-recording"
 VERSION = 2
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
-"""All that the next step depends on, including the solver's warm start, so a replay can be bit-exact."""
+"""Everything the next step depends on, including the solver's warm start."""
 
 _SIZE_MAX = 256 * 2**20
 _LIBRARIES = ("mujoco", "numpy", "pin", "example-robot-data")
@@ -53,18 +51,9 @@ class Recording:
     """A replayable stretch of simulation.
 
     Attributes:
-        kind: "dump" (the last second before a fault) or "trial" (from reset to end).
-        arm: Key in the table of arms.
-        controls: (T, nu).
-        keyframe_steps: (K,) step before which each keyframe was taken. The first is 0; the last is T unless the world
-            was reset or diverged.
-        keyframes: (K, n).
-        push_steps: (P,) first step of each push.
-        pushes: (P, nbody, 6) external wrenches.
-        model: Physical model fields.
-        libraries: Library versions when recorded.
-        seed: Seed of the run, if known.
-        details: Further JSON data.
+        kind: "dump" (last second before a fault) or "trial".
+        keyframe_steps: (K,), from 0 to T; T is missing after a reset or divergence.
+        push_steps: (P,) first steps.
     """
 
     kind: str
@@ -83,7 +72,7 @@ class Recording:
 
     @property
     def robot(self) -> Robot:
-        """The two arms."""
+        """Arms."""
         return robot_from(RobotConfig(arm=self.arm))
 
     @property
@@ -93,22 +82,22 @@ class Recording:
 
     @property
     def steps(self) -> int:
-        """Number of physics steps."""
+        """Number of steps."""
         return len(self.controls)
 
     @property
     def start_s(self) -> float:
-        """Simulated time before the first step [s], from the first keyframe."""
+        """Time before the first step [s]."""
         return float(self.keyframes[0, 0])
 
     @property
     def end_s(self) -> float:
-        """Simulated time after the last step [s]."""
+        """Time after the last step [s]."""
         return self.start_s + self.steps * self.dt_s
 
 
 def versions() -> dict[str, str]:
-    """Return the versions on which bit-exactness depends."""
+    """Return versions that affect bit-exactness."""
     found = {"minidual": minidual.__version__, "python": platform.python_version(), "machine": platform.machine()}
     for name in _LIBRARIES:
         try:
@@ -119,7 +108,7 @@ def versions() -> dict[str, str]:
 
 
 def physical_fields(model: mujoco.MjModel) -> dict[str, Array]:
-    """Return copies of the fields that trials may change; visual geoms are left out."""
+    """Return copies of fields that trials may change."""
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     fields = {name: np.array(getattr(model, name), dtype=float) for name in (*_BODY, *_JOINT, *_MOTOR)}
     fields |= {name: np.array(getattr(model, name)[solid], dtype=float) for name in _GEOM}
@@ -127,10 +116,10 @@ def physical_fields(model: mujoco.MjModel) -> dict[str, Array]:
 
 
 def apply_physical_fields(model: mujoco.MjModel, fields: Mapping[str, Array]) -> list[str]:
-    """Write recorded fields into a model; return the names of those that differed.
+    """Write recorded fields; return the names that differed.
 
     Raises:
-        DataError: A field is missing or its shape differs: another robot or scene.
+        DataError: A field is missing or of another shape.
     """
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     now = physical_fields(model)
@@ -177,7 +166,7 @@ def read_recording(path: Path) -> Recording:
     """Read a recording.
 
     Raises:
-        DataError: The file is missing, damaged, of another format or version, or does not fit this version.
+        DataError: Missing, damaged, or of another version.
     """
     again = "record it again, or check that the copy is complete"
     if not path.is_file():

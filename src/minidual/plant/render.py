@@ -1,4 +1,4 @@
-"""Off-screen rendering and video files."""
+"""Off-screen rendering and video."""
 
 from __future__ import annotations
 
@@ -26,13 +26,12 @@ Image = npt.NDArray[np.uint8]
 
 
 _SHADOW_CLIP, _SHADOW_SIZE = 2.0, 2048
-"""Reach (relative to the model's extent) and size of the shadow map. MuJoCo's default reach of 1 leaves false shadow
-speckles on the floor beyond the table."""
+"""Shadow map: reach relative to the model, and size. MuJoCo's reach of 1 leaves speckles on the floor."""
 
 
 @contextlib.contextmanager
 def _shadow_settings(model: mujoco.MjModel) -> Iterator[None]:
-    """Extend the shadow map for an OpenGL context created inside the block; restore the model afterwards."""
+    """Extend shadows for an OpenGL context created inside the block."""
     before = float(model.vis.map.shadowclip), int(model.vis.quality.shadowsize)
     model.vis.map.shadowclip, model.vis.quality.shadowsize = _SHADOW_CLIP, _SHADOW_SIZE
     try:
@@ -42,14 +41,9 @@ def _shadow_settings(model: mujoco.MjModel) -> Iterator[None]:
 
 
 class Camera:
-    """Renders images of one size; use as a context manager or call `close`.
+    """Renders images of one size; close it after use.
 
-    Args:
-        model: Compiled with `visuals=True`.
-        width_px: Width.
-        height_px: Height.
-        shadows: Draw shadows: several times slower in software, off for recorded images.
-        supersample: Render this many times larger and average (anti-aliasing).
+    Shadows are several times slower in software; `supersample` is the anti-aliasing factor.
     """
 
     def __init__(
@@ -73,11 +67,11 @@ class Camera:
 
     @classmethod
     def recorded(cls, model: mujoco.MjModel, config: CameraConfig) -> Self:
-        """Return the camera for recorded images and policy observations."""
+        """Return the camera of recordings and policies."""
         return cls(model, config.width_px, config.height_px, supersample=config.supersample)
 
     def picture(self, data: mujoco.MjData, camera: str) -> Image:
-        """Return the (H, W, 3) uint8 image of `camera`."""
+        """Return the image (H, W, 3) of `camera`."""
         self._update(data, camera)
         image = self._renderer.render()
         s = self._supersample
@@ -87,7 +81,7 @@ class Camera:
         return image
 
     def bodies_seen(self, data: mujoco.MjData, camera: str) -> dict[str, float]:
-        """Return the share of the image (0..1) that each visible body fills."""
+        """Return each visible body's share of the image."""
         self._renderer.enable_segmentation_rendering()
         try:
             self._update(data, camera)
@@ -119,9 +113,9 @@ class Camera:
 
 
 def write_video(path: Path, frames: Iterable[Image], *, fps: int) -> int:
-    """Write (H, W, 3) uint8 frames as H.264 mp4 and return their number.
+    """Write (H, W, 3) frames as H.264 mp4; return their number.
 
-    The file is renamed into place, so an existing film is complete.
+    Renamed into place: an existing film is complete.
     """
     import av
 

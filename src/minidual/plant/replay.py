@@ -1,4 +1,4 @@
-"""Replay a recording: check that it repeats bit-exactly and find what first exceeded a bound."""
+"""Replay a recording: bit-exactness, and what first exceeded a bound."""
 
 from __future__ import annotations
 
@@ -20,15 +20,7 @@ _POSITION_TOLERANCE_RAD = 1e-3
 
 @dataclass(frozen=True)
 class Sign:
-    """First time that a quantity exceeded its bound.
-
-    Attributes:
-        time_s: Simulated time [s].
-        what: Joint and quantity.
-        value: Its value.
-        bound: Its bound; None if it only had to be finite.
-        unit: Unit of value and bound.
-    """
+    """First exceedance of a quantity; `bound` None means not finite."""
 
     time_s: float
     what: str
@@ -38,14 +30,14 @@ class Sign:
 
     @property
     def text(self) -> str:
-        """One line for people."""
+        """One line."""
         bound = "" if self.bound is None else f", bound {self.bound:.6g} {self.unit}"
         return f"{self.time_s:.3f} s  {self.what}: {self.value:.6g} {self.unit}{bound}"
 
 
 @dataclass(frozen=True)
 class Deviation:
-    """First difference from the recording: quantity `what` at `time_s`, by `size` in its unit."""
+    """First difference from the recording."""
 
     time_s: float
     what: str
@@ -57,14 +49,10 @@ class Replayed:
     """Result of a replay.
 
     Attributes:
-        from_s, to_s: Replayed time span [s].
-        compared: Keyframes compared, without the starting one.
-        largest_deviation: From any keyframe; 0.0 is bit-exact.
-        deviates: First keyframe that differs, or None.
-        model_changed: Physical fields that differ from the scene's.
-        versions_differ: `name`, `was` and `is` of each changed library.
-        first: First exceedance of each quantity, by time.
-        ended: Why the replay stopped early, or None.
+        compared: Keyframes, without the starting one.
+        largest_deviation: 0.0 is bit-exact.
+        first: Exceedances by time.
+        ended: Why it stopped early, or None.
     """
 
     from_s: float
@@ -80,7 +68,7 @@ class Replayed:
 
     @property
     def exact(self) -> bool:
-        """Whether keyframes were compared and all matched bit-exactly."""
+        """Whether keyframes were compared and all matched."""
         return self.compared > 0 and self.deviates is None
 
 
@@ -91,17 +79,13 @@ def replay(
     to_s: float | None = None,
     on_step: Callable[[World], None] | None = None,
 ) -> Replayed:
-    """Run the recorded controls from the recorded start and compare the states.
+    """Run the recorded controls from the last keyframe at or before `from_s` and compare states.
 
-    Args:
-        recording: The recording.
-        from_s: Begin at the last keyframe at or before this time; default: the start.
-        to_s: Stop time; default: the end.
-        on_step: Called with the world before the first and after every step.
+    `on_step` is called before the first and after each step.
 
     Raises:
-        UsageError: The times lie outside the recording, or its state sizes do not fit the robot.
-        DataError: Its physical fields do not fit the model.
+        UsageError: Times outside the recording, or state sizes unlike the robot's.
+        DataError: Physical fields do not fit the model.
     """
     model = build_model(recording.scene, recording.robot, visuals=False)
     changed = apply_physical_fields(model, recording.model)
@@ -169,7 +153,6 @@ def replay(
 
 
 def _steps(recording: Recording, world: World, from_s: float | None, to_s: float | None) -> tuple[int, int]:
-    """Return the first step and the one after the last."""
     if recording.controls.shape[1] != world.model.nu or recording.keyframes.shape[1] != mujoco.mj_stateSize(
         world.model, STATE
     ):
@@ -191,7 +174,7 @@ def _steps(recording: Recording, world: World, from_s: float | None, to_s: float
 
 
 def _state_names(world: World) -> list[str]:
-    """Return the name of every number in (time, qpos, qvel)."""
+    """Name every number in (time, qpos, qvel)."""
     model = world.model
     positions, velocities = [""] * model.nq, [""] * model.nv
     for i in range(model.njnt):
@@ -206,7 +189,7 @@ def _state_names(world: World) -> list[str]:
 
 
 def _deviation(data: mujoco.MjData, recorded: mujoco.MjData, names: list[str]) -> tuple[float, str]:
-    """Return the largest difference of two states and its quantity; NaN if a number is NaN."""
+    """Return the largest difference (NaN if any) and its quantity."""
     here = np.concatenate([[data.time], data.qpos, data.qvel])
     there = np.concatenate([[recorded.time], recorded.qpos, recorded.qvel])
     if np.array_equal(here, there):
@@ -253,7 +236,7 @@ def _note(signs: dict[str, Sign], sign: Sign) -> None:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Silence MuJoCo's warnings; the replay reports them itself."""
+    """Silence MuJoCo's warnings."""
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda _message: None)
     try:

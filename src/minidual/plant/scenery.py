@@ -1,4 +1,4 @@
-"""Surroundings in the MuJoCo model: table, marks, obstacle, and the objects of the task."""
+"""Table, marks, obstacle and objects in the MuJoCo model."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ GROUP_VISUAL, GROUP_MARKER = 1, 2
 SOLREF = [0.002, 1.0]
 SOLIMP = [0.99, 0.999, 0.001, 0.5, 2.0]
 _FACE_MARGIN_M = 0.0002
-"""Contact distance of flat faces; it enlarges a box by this much on every side. Without it MuJoCo loses contacts of
-parallel faces for single steps (pads penetrate by micrometres) and the fingers jump."""
+"""Contact distance of flat faces, which enlarges boxes. Without it parallel faces lose contact for single steps and the
+fingers jump."""
 _BAND_M = 0.0006
 _TABLE_HALF_M = (0.6, 0.8, 0.02)
 _TABLE_CENTRE_X_M = 0.38
@@ -25,7 +25,7 @@ _ALONG_Y = [np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0]
 
 
 def add_surroundings(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> None:
-    """Add sky, light, floor, table, start and goal marks, and the obstacle."""
+    """Add everything but arms and objects."""
     spec.add_texture(
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
@@ -109,7 +109,7 @@ def _about_z(yaw_rad: float) -> list[float]:
 
 
 def add_objects(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
-    """Add each object as a free body with its frame at the centre of mass."""
+    """Add the objects as free bodies, frames at the centre of mass."""
     for item in scene.objects.values():
         _add_object(spec, item, scene.task.start_xy_m if item.xy_m is None else item.xy_m)
 

@@ -1,9 +1,9 @@
-"""Simulated object sensors of a carry: pose and contact forces with noise and delay.
+"""Simulated object sensors with noise and delay.
 
     pose      at the camera's rate:  p + b_p + n_p,  exp(b_R + n_R) R
-    force     of each hand on the object, every control step:  f + n_f;  pinch:  max(0, F + n_F)
+    force     every control step:  f + n_f;  pinch:  max(0, F + n_F)
 
-n is white Gaussian noise, b a bias drawn once per trial. Samples arrive `delay_s` after they were taken.
+n is white Gaussian, b a bias drawn once per trial; samples arrive `delay_s` late.
 """
 
 from __future__ import annotations
@@ -21,15 +21,9 @@ _FORCES = 8  # three components of two hands, then two pinches
 
 
 class Sensors:
-    """Samples the world and delivers the samples late.
+    """Samples the world and delivers late; until then, the first sample.
 
-    Until the delay has passed, the first pose and forces are delivered: the object is assumed at rest before.
-
-    Args:
-        world: Source of the true state.
-        config: Noise, delay, rate.
-        rng: Noise stream of the trial. Draws do not depend on the amplitudes: smaller noise is the same noise scaled.
-        name: Object; None for the only one.
+    Noise draws do not depend on amplitudes: smaller noise is the same noise scaled.
     """
 
     def __init__(self, world: World, config: SensingConfig, rng: np.random.Generator, name: str | None = None) -> None:
@@ -48,7 +42,7 @@ class Sensors:
         self._first = True
 
     def sense(self) -> Reading:
-        """Sample the world and return what arrives; call once a control step."""
+        """Sample the world and return what arrives; once a control step."""
         tick, length = self._tick, self.delay_ticks + 1
         now = self._forces[tick % length]
         self._sample_forces(now)
@@ -67,7 +61,7 @@ class Sensors:
         return Reading(pose, forces[:6].reshape(2, 3), forces[6:], stamp_s)
 
     def _sample_forces(self, out: Array) -> None:
-        """Write the present noisy forces and pinches into (8,)."""
+        """Write noisy forces and pinches into (8,)."""
         row = self._force_row
         if row == _BLOCK:
             self._force_noise = self._config.force_noise_n * self._rng.standard_normal((_BLOCK, _FORCES))

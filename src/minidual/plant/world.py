@@ -1,4 +1,4 @@
-"""The simulated world: physics step and readings."""
+"""The simulated world."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from minidual.robot.pair import Array, Robot
 
 
 class StepRecorder(Protocol):
-    """Records steps for replay, as `minidual.plant.recorder.Recorder` does."""
+    """Records steps for replay, as `Recorder` does."""
 
     def before_step(self) -> None:
-        """Keep the controls of the step about to be made."""
+        """Keep the next step's controls."""
         ...
 
     def dump(self, name: str, reason: str, *, details: Mapping[str, Any] | None = None) -> Path | None:
-        """Write what was kept; return the file, or None if nothing was written."""
+        """Write what was kept; return the file, if written."""
         ...
 
 
 class SimulationDivergedError(MinidualError):
-    """The state or a command is not finite."""
+    """A state or command is not finite."""
 
 
 _NOT_FINITE: tuple[tuple[mujoco.mjtWarning, str], ...] = (
@@ -40,19 +40,14 @@ _NOT_FINITE: tuple[tuple[mujoco.mjtWarning, str], ...] = (
     (mujoco.mjtWarning.mjWARN_BADQACC, "accelerations"),
     (mujoco.mjtWarning.mjWARN_BADCTRL, "commands"),
 )
-"""MuJoCo only counts these, then resets the state or zeroes the commands."""
+"""MuJoCo only counts these and resets the state or zeroes the commands."""
 
 
 class World:
-    """Two arms, two grippers, a table and named objects; `command`, then `step`.
+    """Two arms, a table and named objects; `command`, then `step`.
 
-    Readings are copies. An object name of None means the only object.
-
-    Args:
-        scene: Physics, objects and task.
-        robot: The two arms.
-        visuals: Compile the visual meshes, needed only for rendering.
-        model: Compiled model to reuse, from `build_model`.
+    Readings are copies. Object name None means the only one. `visuals` are needed only for rendering; `model` reuses
+    one from `build_model`.
     """
 
     def __init__(
@@ -72,7 +67,6 @@ class World:
         self.joints = map_joints(self.model, robot.joint_names, torque=True)
         self.finger_joints = map_joints(self.model, robot.finger_joint_names, torque=False)
         self.objects = object_names(self.model)
-        """Object names."""
         self._objects: dict[str | None, NamedObject] = {
             name: NamedObject(self.model, self.data, name, robot) for name in self.objects
         }
@@ -84,9 +78,9 @@ class World:
             np.ascontiguousarray(self.finger_joints.ctrl.reshape(2, 2).T)
         )  # strided indices are slow
         self.recorder: StepRecorder | None = None
-        """Optional recorder for replays."""
+        """For replays."""
         self.observer: Callable[[World], None] | None = None
-        """Optional viewer callback after every step; it must only read."""
+        """Viewer callback after each step; must only read."""
         self.reset()
 
     @property
@@ -106,23 +100,23 @@ class World:
 
     @property
     def tau(self) -> Array:
-        """Motor torques (n,) [Nm] applied in the last step."""
+        """Motor torques (n,) [Nm], last step."""
         return self._force[self.joints.ctrl]
 
     @property
     def stamp_s(self) -> float:
-        """Time of the measurements [s]: now."""
+        """Measurement time [s]: now."""
         return float(self.data.time)
 
     @property
     def fingers(self) -> Array:
-        """Distance (2,) [m] of each hand's fingers from the middle."""
+        """See `Plant`."""
         a, b, c, d = self._qpos[self.finger_joints.qpos].tolist()
         return np.array([0.5 * (a + b), 0.5 * (c + d)])
 
     @property
     def grip(self) -> Array:
-        """Closing force (2,) [N] of each hand in the last step: mean of its finger motors."""
+        """Closing force (2,) [N], last step."""
         a, b, c, d = self._force[self.finger_joints.ctrl].tolist()
         return np.array([-0.5 * (a + b), -0.5 * (c + d)])
 
@@ -133,25 +127,25 @@ class World:
 
     @property
     def health(self) -> str:
-        """Always empty: a diverging simulation raises in `step`."""
+        """Empty: divergence raises in `step`."""
         return ""
 
     @property
     def gripper(self) -> Array:
-        """Opening of each hand (2,), 0 closed to 1 open."""
+        """Openings (2,), 0..1 open."""
         fingers = self._qpos[self.finger_joints.qpos]
         return (fingers[0::2] + fingers[1::2]) / (2.0 * self.robot.hand.travel_m)
 
     @property
     def finger_targets(self) -> Array:
-        """Last commanded finger targets (2,) [m]."""
+        """Commanded targets (2,) [m]."""
         return self._ctrl[self._finger_ctrl[0]]
 
     def truth(self, name: str | None = None) -> NamedObject:
-        """Return the reader of an object's true state.
+        """Return an object's true state.
 
         Raises:
-            UsageError: The object is unknown, or None is ambiguous.
+            UsageError: The object is unknown or ambiguous.
         """
         found = self._objects.get(name)
         if found is None:
@@ -161,27 +155,27 @@ class World:
         return found
 
     def object_pose(self, name: str | None = None) -> Array:
-        """Return the true pose (4, 4) of an object."""
+        """Return the true pose (4, 4)."""
         return self.truth(name).pose()
 
     def object_twist(self, name: str | None = None) -> Array:
-        """Return the true twist (6,) at the centre of mass, world axes."""
+        """Return the true twist (6,); see `NamedObject`."""
         return self.truth(name).twist()
 
     def object_forces(self, name: str | None = None) -> Array:
-        """Return the net force of each hand on an object (2, 3) [N], world axes, left then right."""
+        """Return the hands' forces (2, 3) [N]; see `NamedObject`."""
         return self.truth(name).forces()
 
     def pinch(self, name: str | None = None) -> Array:
-        """Return the pinch of each hand (2,) [N]: normal force of its weaker finger."""
+        """Return the hands' pinch (2,) [N]; see `NamedObject`."""
         return self.truth(name).pinch()
 
     def internal_force(self, name: str | None = None) -> float:
-        """Return the internal force [N]; see `NamedObject.internal_force`."""
+        """Return the internal force [N]; see `NamedObject`."""
         return self.truth(name).internal_force()
 
     def place(self, name: str | None, pose: ObjectPose) -> None:
-        """Put an object somewhere, at rest."""
+        """Put an object at a pose, at rest."""
         found = self.truth(name)
         found.put(pose)
         found.qvel[:] = 0.0
@@ -193,7 +187,7 @@ class World:
         return int(self.data.ncon)
 
     def contact_pairs(self) -> list[tuple[str, str, float]]:
-        """Return (body, body, distance [m]) of every contact."""
+        """Return (body, body, distance [m]) per contact."""
         body = self.model.geom_bodyid
         return [
             (self.model.body(int(body[c.geom1])).name, self.model.body(int(body[c.geom2])).name, float(c.dist))
@@ -201,7 +195,7 @@ class World:
         ]
 
     def touches(self, geom: str) -> bool:
-        """Return whether anything touches the geom of this name."""
+        """Return whether anything touches a geom."""
         index = self.model.geom(geom).id
         return bool((self.data.contact.geom[: self.data.ncon] == index).any())
 
@@ -213,14 +207,10 @@ class World:
         return any({int(body[c.geom1]), int(body[c.geom2])} == pair for c in contacts)
 
     def reset(self, q: Array | None = None, *, poses: Mapping[str, ObjectPose] | None = None) -> None:
-        """Reset: arms at q (n,), hands open, objects at `poses`.
-
-        Args:
-            q: Joint positions [rad]; default: home.
-            poses: By object name; default: the scene's start.
+        """Put the arms at q (n,) (default: home), hands open, objects at `poses` (default: start).
 
         Raises:
-            UsageError: q has the wrong shape or leaves the joint limits, or an object is unknown.
+            UsageError: Invalid q or unknown object.
         """
         robot = self.robot
         q = robot.home if q is None else np.asarray(q, dtype=float)
@@ -242,19 +232,16 @@ class World:
         mujoco.mj_forward(self.model, self.data)
 
     def command(self, tau: Array, fingers: Array) -> None:
-        """Set motor torques (n,) [Nm] and each hand's finger target (2,) [m].
-
-        The actuators clip torques at the motors' limits, as real drives do.
-        """
+        """Set torques (n,) [Nm], clipped at the motor limits, and finger targets (2,) [m]."""
         self._ctrl[self.joints.ctrl] = tau
         left, right = self._finger_ctrl
         self._ctrl[left] = self._ctrl[right] = fingers
 
     def step(self) -> None:
-        """Advance by one time step.
+        """Advance by `dt`.
 
         Raises:
-            SimulationDivergedError: The state or a command was not finite; MuJoCo has reset or zeroed it.
+            SimulationDivergedError: MuJoCo has reset the state or zeroed commands.
         """
         before = self.data.time
         if self.recorder is not None:

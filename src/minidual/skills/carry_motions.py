@@ -18,7 +18,7 @@ from minidual.skills.phases import PHASES
 from minidual.tasks.rod_carry import level_part
 
 LANDED_S = 0.1
-"""Rest time of a lowered object before release."""
+"""Rest time before release."""
 
 
 class JointMove:
@@ -45,12 +45,9 @@ class JointMove:
 
 @dataclass(frozen=True)
 class HeldMotion:
-    """Object motion along a path at the tilt it was grasped with (`control.commands.ObjectMotion`).
+    """Object motion along level poses, tilted as grasped by `T_level_object` (`control.commands.ObjectMotion`).
 
-    Attributes:
-        path: Level poses.
-        T_level_object: (4, 4), grasped relative to level.
-        rests_at_s: Path time to hold throughout; None follows the path.
+    `rests_at_s` holds one path time throughout.
     """
 
     path: ObjectPath
@@ -79,7 +76,7 @@ class Squeeze:
 
 
 def squeezing(path: ObjectPath, T_level_object: Array, squeeze_n: float) -> tuple[HeldMotion, Squeeze]:
-    """Return the internal-force ramp up at the path's start, within controller C's rate."""
+    """Return the internal-force ramp-up at the path's start, within controller C's rate."""
     ramp_s = max(PHASES["squeeze"].force_s, squeeze_n / SQUEEZE_RATE_N_PER_S)
     return (
         HeldMotion(path, T_level_object, ramp_s + PHASES["settle"].force_s, rests_at_s=0.0),
@@ -137,7 +134,7 @@ def plan_path(
 
 
 def held_object(scene: SceneConfig, T_world_object: Array, T_world_tcps: tuple[Array, Array]) -> HeldObject:
-    """Return the law's object model, held at two hand poses."""
+    """Return the law's object model."""
     rod = scene.object
     left, right = (inverse(T_world_object) @ T for T in T_world_tcps)
     return HeldObject(rod.mass_kg, np.diag(rod.inertia_kg_m2), (left, right), np.array([0.0, 1.0, 0.0]))

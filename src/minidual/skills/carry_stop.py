@@ -26,7 +26,7 @@ _BRAKED_S = 0.6
 
 
 class CarryStop:
-    """Stops one carry that proposes as `source`.
+    """Stops one carry.
 
     Attributes:
         halted: Stopped on the spot, not along the path.
@@ -58,7 +58,7 @@ class CarryStop:
             self._note(name, self._stack.plant.time, detail, self._halt_s())
 
     def heed_motors(self) -> None:
-        """Switch off lost arms, even after another fault."""
+        """Switch off lost arms."""
         if self._told is None:
             return
         finding = self._watch.motors(self._told, self._stack.plant.tau)

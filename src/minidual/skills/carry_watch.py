@@ -63,7 +63,7 @@ class CarryWatch:
 
     @property
     def estimate(self) -> ObjectState:
-        """Estimated object state."""
+        """Estimated object motion."""
         return ObjectState(self._resting.T_world_object) if self._held is None else self._held.state
 
     @property
@@ -73,12 +73,12 @@ class CarryWatch:
 
     @property
     def gripped(self) -> bool:
-        """Whether both hands pinch enough to lift."""
+        """Whether both hands pinch enough."""
         return float(self._pinch.min()) > _GRIPPED * self._config.impedance.pinch_n
 
     @property
     def squeeze_n(self) -> float:
-        """Requested full internal force [N]; it falls on slip."""
+        """Requested internal force [N]; reduced on slip."""
         return min(self._config.impedance.internal_force_n, self.grip_limit_n)
 
     @property

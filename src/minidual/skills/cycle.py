@@ -97,7 +97,7 @@ def _run_of(steps: Sequence[Step], last: int) -> Sequence[Step]:
 
 
 def _carry(task: Task, steps: Sequence[Step], goal: Place) -> Carry:
-    """Return one stage for lift, carry and lower; without `lower` it ends in the air."""
+    """Return one stage for lift, carry and lower."""
     rests = any(step.phase == "lower" for step in steps)
     poses = [T for step in steps for T in step.places]
     places = [Place(f"place {k + 1}", T, 0.5 * k, rests) for k, T in enumerate(poses)] or [goal]

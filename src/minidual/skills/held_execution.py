@@ -34,11 +34,9 @@ class Execution:
     """Deviation of the object from the plan.
 
     Attributes:
-        error_max_m, error_max_rad: Largest deviations.
-        at_m_s, at_rad_s: Their plan times [s].
-        grasp_error_m, grasp_error_rad: At the plan's start, from closing.
+        at_m_s, at_rad_s: Plan times of the largest deviations [s].
+        grasp_error_m, grasp_error_rad: At the start, from closing.
         end_error_m, end_error_rad: At final rest.
-        pinch_min_n: Of either hand.
     """
 
     error_max_m: float

@@ -50,8 +50,7 @@ _STOPPED_S = 0.5
 class ImpedanceCarry:
     """One trial; call `step` until `done`.
 
-    The world gives joints, fingers and motors; the object and its start are sensed. The default supervisor has standard
-    bounds and ignores the arm distance. Default sensors draw from `seed`.
+    Object and start are sensed. The default supervisor has standard bounds and ignores the arm distance.
     """
 
     name = "impedance"
@@ -129,7 +128,7 @@ class ImpedanceCarry:
 
     @property
     def squeeze_n(self) -> float:
-        """Requested full internal force [N]; it falls on slip."""
+        """Requested internal force [N]; reduced on slip."""
         return self._watch.squeeze_n
 
     @property
@@ -138,7 +137,7 @@ class ImpedanceCarry:
         return self.stack.impedance.desired if self._law_drives else None
 
     def step(self) -> None:
-        """Run one control and physics step."""
+        """Run one control step."""
         watch, stops = self._watch, self._stop_by
         watch.sense()
         if self._phase in ("approach", "descend"):

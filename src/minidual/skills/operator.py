@@ -1,7 +1,6 @@
-"""Scripted operator: joint targets for the whole rod cycle.
+"""Scripted operator: joint targets for the rod cycle.
 
-It reads only the rod's start. Timing, profile and posture choice are fixed, so the motion is a smooth, learnable
-function of that start.
+It reads only the rod's start; with fixed timing, its motion is a smooth, learnable function of that.
 """
 
 from __future__ import annotations
@@ -23,8 +22,8 @@ from minidual.tasks.rod_carry import grasp_offsets, level_pose, placement
 from minidual.tasks.task import Trial
 
 _WRIST_COST = 0.1
-"""The last joint only turns the hand. With equal costs the elbow swings instead, and near the table joint 5 moves three
-times as fast."""
+"""The last joint only turns the hand. With equal costs the elbow swings, and near the table joint 5 moves three times
+as fast."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +55,7 @@ class Demonstration:
         return len(self.q) / self.rate_hz
 
     def at(self, elapsed_s: float) -> tuple[Array, Array]:
-        """Return joint targets (n,) and openings (2,) at a time [s]; clamped."""
+        """Return joint targets (n,) and openings (2,) at a time [s]."""
         tick = min(max(round(elapsed_s * self.rate_hz), 0), len(self.q) - 1)
         return self.q[tick], self.gripper[tick]
 
@@ -77,10 +76,9 @@ class ScriptedOperator:
         self._grasps = grasp_offsets(scene)
 
     def phases(self) -> tuple[Phase, ...]:
-        """Return the phases; the same in every trial.
+        """Return the phases, the same in every trial.
 
-        Approach, correction and descent overlap so that the hands never pause over the rod: a policy without speed or
-        time would learn to wait for ever.
+        They overlap over the rod: a policy without speed or time could learn to wait there for ever.
         """
         c = self.config
         result: list[Phase] = []
@@ -140,7 +138,7 @@ class ScriptedOperator:
         return left, right
 
     def _rod_pose(self, trial: Trial, error: Array, progress: dict[str, float]) -> Array:
-        """Return the level rod pose as if the hands always held it."""
+        """Return the level rod pose as if always held."""
         lift = self.scene.task.lift_height_m
         start = np.array(placement(trial.start[self.scene.object.name])) + error * (1.0 - progress["correct"])
         x, y, yaw = start + (np.array(placement(trial.goal[self.scene.object.name])) - start) * progress["carry"]

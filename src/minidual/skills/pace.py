@@ -4,7 +4,7 @@ Minimum jerk over distance d in time T peaks at speed 1.875 d / T and accelerati
 
     T = max( 1.875 d / v_max,  sqrt(5.7735 d / a_max) )
 
-taken over object position, object yaw and all joints, and at least 0.25 s.
+over object position, yaw and all joints; at least 0.25 s.
 """
 
 from __future__ import annotations

@@ -16,10 +16,10 @@ class Phase:
 
     Attributes:
         open: Whether the acting hands are open.
-        rise_m: Height of the hands over their grasps at the end.
-        hold_s: Standstill of the arms, position-driven.
-        force_s: Shortest force ramp, force-driven.
-        limits: Of the object or the approaching hands; None leaves it to the planner.
+        rise_m: Final height of the hands over their grasps.
+        hold_s: Standstill, position-driven.
+        force_s: Shortest force ramp.
+        limits: Of the object or hands; None: the planner's.
     """
 
     name: str

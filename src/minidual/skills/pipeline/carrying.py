@@ -40,7 +40,7 @@ class Carry(Stage):
         self._budget_s = budget_s
 
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
-        """Yield ways to every place at several heights."""
+        """Yield ways to every place."""
         if not start.held_by:
             yield Failure("not_held", "no hand holds the object")
             return

@@ -51,7 +51,7 @@ class Drive:
         return self.stack.plant.time - self._began_s if self._proposed else 0.0
 
     def step(self) -> None:
-        """Run one control and physics step."""
+        """Run one control step."""
         stack = self.stack
         if self._left and not stack.executing and stack.source == SOURCE:
             self._propose_next()

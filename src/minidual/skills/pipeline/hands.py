@@ -135,7 +135,7 @@ class Retreat(OfArms):
 
 
 class Home(OfArms):
-    """Free motion of some arms, with what they hold, to `q` (n,); default: home."""
+    """Free motion of some arms and what they hold to `q` (n,), by default home."""
 
     def __init__(self, name: str, arms: Sequence[str], q: Array | None = None) -> None:
         super().__init__(name, arms)

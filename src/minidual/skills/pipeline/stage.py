@@ -57,7 +57,7 @@ class Gap:
     least_m: float
 
     def failure(self, segments: Iterable[Segment]) -> Failure | None:
-        """Return the failure of moving segments, sampled every 5 ms, or None."""
+        """Return the failure of moving segments, sampled every 5 ms."""
         found: list[tuple[float, str]] = []
         for motion in (s.trajectory for s in segments if s.verification is not None):
             for q in motion.sample_many(np.arange(0.0, motion.duration_s + _GAP_STEP_S, _GAP_STEP_S, dtype=float))[0]:
@@ -71,12 +71,7 @@ class Gap:
 
 @dataclass
 class Tools:
-    """Planners and scene of a search.
-
-    Attributes:
-        around: Obstacles besides the object.
-        seed: Of all random choices.
-    """
+    """Planners and scene of a search; `around` holds the other obstacles."""
 
     around: PlanningScene
     thing: Thing

@@ -23,8 +23,6 @@ class State:
     """Arms, hands and object between two stages.
 
     Attributes:
-        q: (n,) [rad].
-        T_world_object: (4, 4).
         held_by: {arm: T_object_tcp (4, 4)} of holding hands.
         reached: The same of open hands over or at a grasp.
         openings: (left, right), 0 closed to 1 open.
@@ -69,12 +67,7 @@ class Segment:
 
 @dataclass(frozen=True)
 class Thing:
-    """The handled object.
-
-    Attributes:
-        shape: In the object's frame; carries its name.
-        rests_on: Obstacles it may touch when lifted or lowered.
-    """
+    """The handled object: shape in its own frame, and obstacles it may touch when lifted or lowered."""
 
     shape: Shape
     rests_on: tuple[str, ...] = ("table",)
