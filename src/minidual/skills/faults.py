@@ -13,7 +13,7 @@ from minidual.robot.pair import SIDES, Array
 
 @dataclass(frozen=True)
 class FaultKind:
-    """How a fault is detected, and whether the hands open (not while the object may be held)."""
+    """How a fault is detected, and whether the hands then open."""
 
     sensed_by: str
     opens_hands: bool
