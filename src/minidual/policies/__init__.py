@@ -1,5 +1,4 @@
-"""Learned policies: kinds in one table, training on demonstrations, and the runtime that drives the arms.
+"""Learned policies: kinds, training and runtime.
 
-`kinds`, `demonstrations`, `records`, `policy` and `pilot` import neither torch nor LeRobot; a kind loads them when it is
-used.
+`kinds`, `demonstrations`, `records`, `policy` and `pilot` import neither torch nor LeRobot; kinds load lazily.
 """

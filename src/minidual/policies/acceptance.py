@@ -1,4 +1,4 @@
-"""What a fresh checkpoint must do before it drives anything: load, emit finite actions of the robot, stay inside limits."""
+"""Acceptance test of a new checkpoint on recorded observations."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from minidual.robot.pair import Robot
 
 @dataclass(frozen=True)
 class EmittedActions:
-    """What the reloaded policy emitted on recorded observations.
+    """Actions of the reloaded policy.
 
     Attributes:
-        in_limits: Share of joint targets inside the limits as predicted.
-        in_limits_emitted: The same as they leave the runtime, which clamps.
-        overshoot_max_rad: How far the worst predicted target lies outside.
-        joints_n: Joint targets of an action.
-        grippers_n: Gripper commands of an action.
+        in_limits: Share of predicted joint targets inside the limits.
+        in_limits_emitted: The same after the runtime's clamping.
+        overshoot_max_rad: Largest predicted excess.
+        joints_n: Joint targets per action.
+        grippers_n: Gripper commands per action.
         samples: Observations.
-        inference_hz: Inferences a second.
+        inference_hz: Inferences per second.
     """
 
     in_limits: float
@@ -38,7 +38,7 @@ class EmittedActions:
 def exercise_checkpoint(
     checkpoint: Path, demos: Demonstrations, robot: Robot, *, samples: int = 256, device: str = "cpu"
 ) -> EmittedActions:
-    """Load `checkpoint` as deployment does and run it on `samples` ticks spread evenly over the dataset."""
+    """Load `checkpoint` as in deployment and run it on `samples` evenly spaced ticks."""
     lower, upper = robot.q_lower, robot.q_upper
     runtime = PolicyRuntime.load(checkpoint, device, n_action_steps=1, blend_ticks=0, limits=(lower, upper))
     rows = np.linspace(0, len(demos) - 1, min(samples, len(demos))).astype(np.int64)

@@ -1,4 +1,4 @@
-"""ACT through LeRobot: the stock policy, and the one with a spatial-softmax image encoder; checkpoints in LeRobot's layout."""
+"""ACT through LeRobot, with a resnet18 or spatial-softmax encoder."""
 
 from __future__ import annotations
 
@@ -42,16 +42,14 @@ class ActKind(PolicyKind):
     policy_class: type[PreTrainedPolicy] = ACTPolicy
 
     def make(self, config: TrainConfig, common: Mapping[str, Any]) -> PreTrainedPolicy:
-        """Return a new policy; weights from the torch generator as it stands.
+        """Return a policy with weights from torch's current generator.
 
-        Args:
-            config: Settings of this kind.
-            common: Settings of the transformer and the features, as LeRobot names them.
+        `common` holds LeRobot's settings of transformer and features.
         """
         return ACTPolicy(ACTConfig(vision_backbone="resnet18", pretrained_backbone_weights=None, **common))
 
     def require(self, device: str) -> None:
-        """Raise EnvironmentMissingError if torch sees no such device."""
+        """Raise EnvironmentMissingError for a missing device."""
         if device == "cuda" and not torch.cuda.is_available():
             raise EnvironmentMissingError(
                 "the configuration asks for device 'cuda', but torch finds no CUDA device; devices here: cpu",
@@ -90,7 +88,7 @@ class ActKind(PolicyKind):
         return TorchChunkPolicy(self.read(folder, device), threads)
 
     def read(self, folder: Path, device: str = "cpu") -> Trained:
-        """Return policy (in evaluation mode) and processors of a checkpoint."""
+        """Read policy (in evaluation mode) and processors."""
         if missing := [name for name in REQUIRED if not (folder / name).is_file()]:
             raise DataError(f"checkpoint {folder} lacks {', '.join(missing)}", remedy=f"{REMEDY} --force")
         try:
@@ -119,13 +117,13 @@ class ActKind(PolicyKind):
 
 
 class SpatialActKind(ActKind):
-    """ACT's transformer behind a small encoder of keypoints."""
+    """ACT's transformer behind a keypoint encoder."""
 
     config_class = SpatialActConfig
     policy_class = SpatialActPolicy
 
     def make(self, config: TrainConfig, common: Mapping[str, Any]) -> PreTrainedPolicy:
-        """Return a new policy with its image encoders in the configured precision."""
+        """Return a policy with encoders in the configured precision."""
         described = SpatialActConfig(keypoints=config.keypoints, keyframe_weight=config.keyframe_weight, **common)
         policy = SpatialActPolicy(described)
         policy.model.use_precision(bf16=use_bf16(config))
@@ -136,7 +134,7 @@ ACT_KIND, SPATIAL_ACT = ActKind(), SpatialActKind()
 
 
 def _common(config: TrainConfig, demos: Demonstrations) -> dict[str, Any]:
-    """Return what both kinds share: features named after the cameras, the transformer, the optimiser."""
+    """Return both kinds' shared settings."""
     inputs = {STATE: PolicyFeature(type=FeatureType.STATE, shape=(demos.dim,))}
     for camera in demos.cameras:
         size = demos.images[camera].shape[1:3]
@@ -163,18 +161,18 @@ def _common(config: TrainConfig, demos: Demonstrations) -> dict[str, Any]:
 
 
 def use_bf16(config: TrainConfig) -> bool:
-    """Return whether the convolutions compute in bfloat16: as configured, or where it is native under "auto"."""
+    """Return whether convolutions use bfloat16; "auto" requires native support."""
     if config.precision != "auto":
         return config.precision == "bf16"
     if config.device == "cuda":
         return torch.cuda.is_bf16_supported()
-    # Without native instructions bfloat16 is emulated and several times slower than float32.
+    # Emulated bfloat16 is several times slower than float32.
     can = torch.cpu.get_capabilities()
     return bool(can.get("avx512_bf16") or can.get("amx_tile"))
 
 
 def _read_config(folder: Path, device: str) -> PreTrainedConfig:
-    # LeRobot parses with a command-line parser that reports a bad file on stderr and exits.
+    # LeRobot's command-line parser reports a bad file on stderr and exits.
     with contextlib.redirect_stderr(io.StringIO()) as said:
         try:
             return PreTrainedConfig.from_pretrained(folder, cli_overrides=[f"--device={device}"])
@@ -211,7 +209,7 @@ class TorchChunkPolicy(ChunkPolicy):
 
 @contextlib.contextmanager
 def _threads(count: int | None) -> Iterator[None]:
-    """Set torch's threads and put them back; None leaves them."""
+    """Set torch's threads temporarily, unless None."""
     before = torch.get_num_threads()
     if count is None or count == before:
         yield

@@ -1,8 +1,8 @@
-"""A small convolutional encoder that reports where things are: strided conv and spatial softmax.
+"""A convolutional encoder with spatial softmax.
 
-A plain strided convolution with pooling memorises the training episodes and localises nothing; a spatial softmax gives
-the transformer the expected pixel coordinates of a few learned features (Finn et al., Deep Spatial Autoencoders for
-Visuomotor Learning, 2016). Coordinates stay in float32: bfloat16 resolves a quarter of a pixel over 128.
+Spatial softmax outputs expected pixel coordinates of learned features (Finn et al., Deep Spatial Autoencoders for
+Visuomotor Learning, 2016). Plain strided convolution with pooling memorised training episodes instead. Coordinates stay
+float32: bfloat16 resolves only a quarter pixel over 128.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from torch import Tensor, nn
 
 
 class SpatialSoftmax(nn.Module):
-    """Expected image coordinates of each channel under a softmax over its pixels.
+    """Expected image coordinates of each channel.
 
-    Output is (B, 3 K): x and y in [-1, 1] (pixel centres, x to the right, y down) and the spread, the
-    standard deviation of the softmax in the same units, which tells a found feature from a missing one.
+    Output (B, 3 K): x (right) and y (down) in [-1, 1] at pixel centres, and the softmax's standard deviation, which is
+    large where a feature is missing.
     """
 
     def __init__(self, channels: int) -> None:
@@ -24,7 +24,7 @@ class SpatialSoftmax(nn.Module):
         self.log_inverse_temperature = nn.Parameter(torch.zeros(channels))
 
     def forward(self, logits: Tensor) -> Tensor:
-        """Map (B, K, h, w) logits to (B, 3 K) coordinates and spreads, computed in float32."""
+        """Map logits (B, K, h, w) to (B, 3 K) in float32."""
         batch, channels, height, width = logits.shape
         scaled = logits.float() * self.log_inverse_temperature.exp().view(1, -1, 1, 1)
         weights = scaled.reshape(batch, channels, height * width).softmax(dim=-1).view(batch, channels, height, width)
@@ -43,9 +43,9 @@ def _pixel_centres(count: int, device: torch.device) -> Tensor:
 
 
 class KeypointEncoder(nn.Module):
-    """Image (B, 3, H, W), normalised, to keypoints (B, 3 K): four convolutions at stride 2 and 4.
+    """Normalised images to keypoints by convolutions of total stride 4.
 
-    The convolutions run under bfloat16 autocast when `bf16` is set: twice the training rate where it is native.
+    `bf16` enables autocast, which doubles the training rate where native.
     """
 
     def __init__(self, keypoints: int, widths: tuple[int, int, int] = (32, 32, 64)) -> None:
@@ -71,7 +71,7 @@ class KeypointEncoder(nn.Module):
                     nn.init.zeros_(module.bias)
 
     def forward(self, image: Tensor) -> Tensor:
-        """Return the keypoints (B, 3 K) of normalised images (B, 3, H, W)."""
+        """Map images (B, 3, H, W) to (B, 3 K)."""
         with torch.autocast(image.device.type, torch.bfloat16, enabled=self.bf16):
             logits = self.features(image)
         return self.pool(logits)

@@ -1,7 +1,4 @@
-"""Demonstrations in memory: the arrays of a dataset, the phase of each tick, and weighted sampling.
-
-All images stay uint8 in the arrays they were read into; only the batch at hand becomes float.
-"""
+"""Demonstrations in memory, phases, and weighted sampling."""
 
 from __future__ import annotations
 
@@ -24,13 +21,13 @@ class Demonstrations:
 
     Attributes:
         images: (N, H, W, 3) uint8 by camera.
-        state: (N, dim) float32: joints [rad], left then right, then two openings.
-        action: (N, dim) float32, likewise.
-        episode_index: (N,) ascending; the ticks of an episode are contiguous and in order.
-        keyframes_n: Gripper switches that are kept as keyframes (K).
-        phase: (N,) number of switches before the tick; 0 is the approach.
-        keyframe_ticks: (N, K) row of the K-th switch of the episode, -1 where there is none.
-        last_tick: (N,) last row of the episode.
+        state: (N, dim): joints [rad], left then right, then two gripper openings.
+        action: (N, dim), likewise.
+        episode_index: (N,) ascending; episodes are contiguous.
+        keyframes_n: Gripper switches per episode used as keyframes (K).
+        phase: (N,) switches before the tick; 0 is the approach.
+        keyframe_ticks: (N, K) rows of the episode's first K switches, or -1.
+        last_tick: (N,) the episode's last row.
     """
 
     images: dict[str, NDArray[np.uint8]]
@@ -43,7 +40,7 @@ class Demonstrations:
     last_tick: NDArray[np.int64] = field(init=False)
 
     def __post_init__(self) -> None:
-        """Derive the phases; DataError for no ticks, wrong shapes, values not finite, or episodes out of order."""
+        """Derive phases; DataError for empty, malformed, non-finite or unordered data."""
         _check(self)
         phase = np.zeros(len(self), dtype=np.int64)
         ticks = np.full((len(self), self.keyframes_n), -1, dtype=np.int64)
@@ -53,7 +50,7 @@ class Demonstrations:
         for start, stop in self.episode_bounds().values():
             switches = gripper_switches(gripper[start:stop], span)
             for tick in switches:
-                # The switching tick itself still belongs to the phase before it.
+                # The switching tick belongs to the phase before it.
                 phase[start + tick + 1 : stop] += 1
             for k, tick in enumerate(switches[: self.keyframes_n]):
                 ticks[start:stop, k] = start + tick
@@ -63,12 +60,12 @@ class Demonstrations:
         object.__setattr__(self, "last_tick", last)
 
     def __len__(self) -> int:
-        """Return the number of ticks."""
+        """Number of ticks."""
         return int(self.state.shape[0])
 
     @property
     def dim(self) -> int:
-        """Entries of a state and of an action."""
+        """Entries of a state or action."""
         return int(self.state.shape[1])
 
     @property
@@ -78,17 +75,17 @@ class Demonstrations:
 
     @property
     def cameras(self) -> list[str]:
-        """Camera names in their one order: by name."""
+        """Sorted camera names."""
         return sorted(self.images)
 
     def episode_bounds(self) -> dict[int, tuple[int, int]]:
-        """Return episode number to (first row, one past the last row)."""
+        """Return (first row, one past the last) by episode."""
         episodes, first = np.unique(self.episode_index, return_index=True)
         stops = [*first[1:].tolist(), len(self)]
         return {int(e): (int(a), int(b)) for e, a, b in zip(episodes, first, stops, strict=True)}
 
     def rows_of(self, episodes: list[int]) -> NDArray[np.int64]:
-        """Return the row indices of `episodes`, in order."""
+        """Return the rows of `episodes`."""
         bounds = self.episode_bounds()
         return np.concatenate([np.empty(0, np.int64), *(np.arange(*bounds[e]) for e in episodes)])
 
@@ -96,13 +93,13 @@ class Demonstrations:
 def load_demonstrations(
     root: Path, cameras: Sequence[str], progress: Callable[[int], None] | None = None
 ) -> Demonstrations:
-    """Read the LeRobot dataset at `root` with the images of `cameras` (all of them when empty).
+    """Read a LeRobot dataset with `cameras` (all if empty).
 
-    `progress` is called with the number of images decoded since its last call.
+    `progress` receives the number of newly decoded images.
 
     Raises:
-        DataError: The dataset is missing or corrupt.
-        UsageError: The dataset has no such camera.
+        DataError: Missing or corrupt dataset.
+        UsageError: Unknown camera.
     """
     tables = read_dataset(root)
     wanted = sorted(cameras or tables.cameras)
@@ -113,14 +110,10 @@ def load_demonstrations(
 
 
 def gripper_switches(gripper: NDArray[np.float32], span: NDArray[np.float32]) -> list[int]:
-    """Return the ticks at which the gripper command changes over, earliest first.
+    """Return ticks where a gripper command (T, 2) crosses the middle of its range.
 
-    A switch is a crossing of the middle between the extremes; two grippers that switch within 25 ticks of each other
-    count once.
-
-    Args:
-        gripper: (T, 2) gripper actions of one episode.
-        span: (2,) range of each gripper over the dataset; one that hardly moves in the episode is ignored.
+    Crossings within 25 ticks count once. A gripper that covers less than half of `span` (2,), its range over the
+    dataset, is ignored.
     """
     crossings: list[int] = []
     for column in range(gripper.shape[1]):
@@ -136,7 +129,7 @@ def gripper_switches(gripper: NDArray[np.float32], span: NDArray[np.float32]) ->
 
 
 def split_episodes(episodes: list[int], fraction: float, rng: np.random.Generator) -> tuple[list[int], list[int]]:
-    """Split episode numbers into (training, validation); one episode, or fraction 0, leaves none to validate."""
+    """Return (training, validation) episodes; at least one trains."""
     count = min(round(fraction * len(episodes)), len(episodes) - 1)
     if fraction > 0 and len(episodes) > 1:
         count = max(count, 1)
@@ -146,14 +139,14 @@ def split_episodes(episodes: list[int], fraction: float, rng: np.random.Generato
 
 
 class WeightedRows:
-    """Draws rows with replacement, each with a probability in proportion to its weight."""
+    """Draws rows with replacement, proportionally to weights."""
 
     def __init__(self, rows: NDArray[np.int64], weights: NDArray[np.float64]) -> None:
         self._rows = rows
         self._cumulative = np.cumsum(weights)
 
     def draw(self, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
-        """Return (count,) row indices."""
+        """Return (count,) rows."""
         positions = np.searchsorted(self._cumulative, rng.random(count) * self._cumulative[-1], side="right")
         return self._rows[np.minimum(positions, len(self._rows) - 1)]
 

@@ -1,7 +1,4 @@
-"""Kinds of policy: how each is trained, and how its checkpoints are loaded and asked for actions. POLICIES lists them.
-
-A checkpoint is a folder with a config.json whose "type" names its kind; everything else in it is the kind's own.
-"""
+"""Kinds of policy, selected by "type" in a checkpoint's config.json."""
 
 from __future__ import annotations
 
@@ -29,8 +26,8 @@ class ChunkPolicy(ABC):
     """A loaded checkpoint.
 
     Attributes:
-        cameras: Cameras that it looks through, with image size (H, W).
-        chunk_size: Actions that one inference predicts.
+        cameras: Required image size (H, W) by camera.
+        chunk_size: Actions per inference.
         dim: Entries of state and action: all joints, then two grippers.
     """
 
@@ -40,19 +37,17 @@ class ChunkPolicy(ABC):
 
     @abstractmethod
     def predict(self, images: Mapping[str, Image], state: NDArray[np.float32]) -> NDArray[np.float64]:
-        """Return the next actions (chunk_size, dim): joint targets [rad], then openings.
+        """Return actions (chunk_size, dim): joint targets [rad], then openings.
 
-        Args:
-            images: (H, W, 3) uint8 for each of `cameras`.
-            state: (dim,) measured joints [rad], then openings.
+        `images` are (H, W, 3); `state` (dim,) holds measured joints [rad], then openings.
         """
 
 
 class PolicyKind(ABC):
-    """One row of POLICIES."""
+    """A way to train and load policies."""
 
     def require(self, device: str) -> None:  # noqa: B027 (most kinds run anywhere)
-        """Raise EnvironmentMissingError if this kind cannot run on `device` ("cpu" or "cuda") here."""
+        """Raise EnvironmentMissingError if `device` ("cpu" or "cuda") is unusable."""
 
     @abstractmethod
     def train(
@@ -65,29 +60,29 @@ class PolicyKind(ABC):
         resume_dir: Path | None = None,
         advance: Advance | None = None,
     ) -> TrainResult:
-        """Train on demonstrations and write the checkpoint `folder`, which appears only when it is whole.
+        """Train and write the checkpoint `folder` atomically.
 
         Args:
-            demos: Read, never changed.
-            config: `config.policy` is this kind's name; what does not apply to it is ignored.
-            seed: The same seed, data and settings give the same checkpoint on a CPU.
-            folder: To make.
-            resume_dir: Where an interrupted training leaves its progress, and goes on from; None keeps none.
-            advance: Progress.
+            demos: Read only.
+            config: Settings that do not apply are ignored.
+            seed: On a CPU, equal inputs give equal checkpoints.
+            folder: New folder.
+            resume_dir: Saves progress and resumes from it, unless None.
+            advance: Progress callback.
 
         Raises:
-            DataError: The dataset cannot be used, or `folder` exists.
-            UsageError: A setting makes the training fail.
-            EnvironmentMissingError: The device is missing.
+            DataError: Unusable dataset, or existing `folder`.
+            UsageError: Training diverges with these settings.
+            EnvironmentMissingError: Missing device.
         """
 
     @abstractmethod
     def load(self, folder: Path, device: str, threads: int | None) -> ChunkPolicy:
-        """Load a checkpoint without network; `threads` for numeric libraries, None leaves them.
+        """Load a checkpoint offline; `threads` None keeps the default.
 
         Raises:
-            DataError: The checkpoint is missing or corrupt.
-            EnvironmentMissingError: The device is missing.
+            DataError: Missing or corrupt checkpoint.
+            EnvironmentMissingError: Missing device.
         """
 
 
@@ -96,11 +91,11 @@ POLICIES: Registry[PolicyKind] = Registry(
     {"spatial_act": "minidual.policies.act:SPATIAL_ACT", "act": "minidual.policies.act:ACT_KIND"},
     group="minidual.policies",
 )
-"""Kinds by the name that `train.policy` takes and checkpoints carry."""
+"""Kinds by `train.policy`."""
 
 
 def load_policy(folder: Path, device: str = "cpu", threads: int | None = None) -> ChunkPolicy:
-    """Load a checkpoint of any kind; raises as `PolicyKind.load`."""
+    """Load any kind of checkpoint; raises as `PolicyKind.load`."""
     if not folder.is_dir():
         raise DataError(f"there is no checkpoint folder {folder}", remedy=REMEDY)
     path = folder / "config.json"

@@ -1,4 +1,4 @@
-"""Normalisation statistics from the training ticks, in the layout LeRobot's processors store."""
+"""Normalisation statistics in LeRobot's layout."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from minidual.demos.lerobot_reader import ACTION, STATE, camera_key
 from minidual.policies.demonstrations import Demonstrations
 
 LEROBOT_EPS = 1e-8
-"""LeRobot's processors, which deployment uses, divide by std + eps; so must training."""
+"""LeRobot's processors divide by std + eps; training must match."""
 IMAGE_SAMPLE = 512
 
 Stats = dict[str, dict[str, Tensor]]
 
 
 def dataset_statistics(demos: Demonstrations, rows: NDArray[np.int64], std_floor: float) -> Stats:
-    """Return mean and std of state, action and images over `rows`.
+    """Return mean and std over `rows`.
 
-    State and action: (dim,); images: (3, 1, 1) of values in [0, 1], over at most 512 evenly spaced frames. Each std
-    is at least `std_floor`: a joint that hardly moves must not turn encoder noise into large inputs.
+    State and action: (dim,). Images: (3, 1, 1) in [0, 1], from at most 512 frames. `std_floor` keeps the noise of
+    nearly still joints small.
     """
     stats: Stats = {}
     for key, array in ((STATE, demos.state), (ACTION, demos.action)):
@@ -44,20 +44,17 @@ def _mean_std(mean: NDArray[np.float64], std: NDArray[np.float64], floor: float)
 
 
 def normalise(values: Tensor, stats: dict[str, Tensor]) -> Tensor:
-    """Return (values - mean) / (std + eps), as LeRobot's NormalizerProcessorStep does."""
+    """Return (values - mean) / (std + eps)."""
     return (values - stats["mean"]) / (stats["std"] + LEROBOT_EPS)
 
 
 def normalise_images(
     images: Tensor, stats: dict[str, Tensor], contrast: Tensor | None = None, brightness: Tensor | None = None
 ) -> Tensor:
-    """Return normalised float images (B, 3, H, W), channels last in memory, from uint8 (B, H, W, 3), in one pass.
+    """Normalise uint8 (B, H, W, 3) to float (B, 3, H, W), channels last in memory.
 
-    Args:
-        images: uint8 pixels.
-        stats: mean and std, (3, 1, 1), of values in [0, 1].
-        contrast: (B,) factors about mid-grey, or None.
-        brightness: (B,) offsets in units of full scale, or None.
+    `stats` are (3, 1, 1) in [0, 1]; `contrast` (B,) are factors about mid-grey, `brightness` (B,) offsets in units of
+    full scale.
     """
     inverse = 1.0 / (stats["std"].view(1, 1, 1, 3) + LEROBOT_EPS)
     mean = stats["mean"].view(1, 1, 1, 3)

@@ -1,4 +1,4 @@
-"""A trained policy at the controls: cameras and joints in, joint targets out, through the command arbiter."""
+"""Runs a policy in closed loop through the command arbiter."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ SOURCE = "policy"
 
 
 def load_runtime(checkpoint: Path, config: DeployConfig, robot: Robot) -> PolicyRuntime:
-    """Load a checkpoint for closed-loop use, its actions clamped to the joint limits.
+    """Load a checkpoint with actions clamped to joint limits.
 
     Raises:
-        DataError: The checkpoint is missing or corrupt.
-        UsageError: It drives other arms.
+        DataError: Missing or corrupt checkpoint.
+        UsageError: Checkpoint for other arms.
     """
     return PolicyRuntime.load(
         checkpoint,
@@ -42,16 +42,16 @@ def load_runtime(checkpoint: Path, config: DeployConfig, robot: Robot) -> Policy
 
 
 class PolicyPilot:
-    """One trial of a policy; it sees pictures and joints, never the rod's pose.
+    """One trial of a policy, which observes only images, joints and grippers.
 
     Args:
-        world: The plant, already reset.
-        kinematics: Dynamics for the joint controller.
+        world: The reset plant.
+        kinematics: For the joint controller.
         runtime: The policy.
-        picture: Returns the (H, W, 3) image of a named camera as the world stands.
-        arbiter: Configuration of the arbiter.
-        rate_hz: Rate of policy and arbiter, the one at which the demonstrations were recorded.
-        supervisor: Guards the motors; its reflex ends the trial.
+        picture: Renders a named camera, (H, W, 3).
+        arbiter: Its configuration.
+        rate_hz: Policy and arbiter rate, as recorded.
+        supervisor: Its reflex ends the trial.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class PolicyPilot:
         self.aborted: str | None = None
         self._runtime, self._picture = runtime, picture
         self.stack = ControlStack(world, kinematics, arbiter, rate_hz=rate_hz, supervisor=supervisor)
-        # A switch must drop the chunk that is under way, or it would run on after the switch.
+        # A mode switch must drop the current chunk, or it would run on afterwards.
         self.stack.on_flush(lambda mode: runtime.reset())
         runtime.reset()
         self.stack.request(SOURCE)
@@ -86,11 +86,11 @@ class PolicyPilot:
 
     @property
     def done(self) -> bool:
-        """A policy has no end of its own; the judge or the clock ends the trial, or a fault stops it."""
+        """Whether a reflex or invalid data ended the trial; a policy never finishes by itself."""
         return self.aborted is not None
 
     def step(self) -> None:
-        """Run one control and physics step; with a tick of policy and arbiter before it where one is due."""
+        """Run one control and physics step, after a policy tick if due."""
         if self._step % self._steps_per_tick == 0:
             self._tick()
         self._step += 1

@@ -1,8 +1,7 @@
-"""The policy runtime: a checkpoint, its queue of actions, and nothing that outlives a reset.
+"""The policy runtime: queues and blends predicted chunks.
 
-One inference predicts a chunk; `n_action_steps` of it run before the next inference. A new chunk takes over from the rest
-of the old one over `blend_ticks`, because consecutive chunks disagree by up to 0.05 rad at their boundary. `reset` drops
-the queue, so that an old chunk never runs after a switch of mode.
+Of each chunk `n_action_steps` actions run. The next chunk is blended in over `blend_ticks`, as consecutive chunks
+differ by up to 0.05 rad at their boundary.
 """
 
 from __future__ import annotations
@@ -23,15 +22,13 @@ Floats = NDArray[np.float64]
 
 
 class PolicyRuntime:
-    """Drives the joints and two grippers from camera images and the measured state.
-
-    Per episode call `reset`, per tick `act`.
+    """Maps images and state to actions; call `reset` per episode and `act` per tick.
 
     Args:
         policy: The loaded checkpoint.
-        n_action_steps: Ticks of each chunk that run before the next inference.
-        blend_ticks: Ticks over which a new chunk takes over from the old one.
-        limits: (lower, upper) joint limits, each (n,) [rad], to which actions are clamped; None clamps nothing.
+        n_action_steps: Ticks per inference.
+        blend_ticks: Blending time.
+        limits: (lower, upper), each (n,) [rad], clamp actions unless None.
 
     Raises:
         UsageError: A setting does not fit the checkpoint.
@@ -63,41 +60,41 @@ class PolicyRuntime:
                 )
             self._lower[: self.joints_n], self._upper[: self.joints_n] = low, high
         self.times_s: list[float] = []
-        """Time of each inference, the image's conversion included."""
+        """Inference times, with image conversion but without rendering."""
         self.reset()
 
     @classmethod
     def load(cls, checkpoint: Path, device: str = "cpu", *, threads: int | None = 1, **options: Any) -> Self:
-        """Load a checkpoint of any kind without network; options as the class takes them, errors as `load_policy`."""
+        """Load a checkpoint of any kind; raises as `load_policy`."""
         return cls(load_policy(checkpoint, device, threads), **options)
 
     @property
     def cameras(self) -> Mapping[str, tuple[int, int]]:
-        """Cameras that the policy looks through, with image size (H, W)."""
+        """Required image size (H, W) by camera."""
         return self.policy.cameras
 
     @property
     def inference_hz(self) -> float:
-        """Inferences a second at the mean time of all but the first, which pays for warming up; NaN before any."""
+        """Mean inference rate without the first (warm-up); NaN before any."""
         times = self.times_s[1:] or self.times_s
         return 1.0 / float(np.mean(times)) if times else float("nan")
 
     def reset(self) -> None:
-        """Drop the queue: at the start of an episode, and on a switch of mode."""
+        """Drop the queue, at an episode's start or a mode switch."""
         self._chunk: Floats | None = None
         self._old: Floats | None = None
         self._cursor = 0
 
     def act(self, images: Mapping[str, Image | Callable[[], Image]], state: Floats) -> Floats:
-        """Return the action (dim,) of this tick: joint targets [rad], then two openings.
+        """Return this tick's action (dim,): joint targets [rad], then openings.
 
         Args:
-            images: Camera name to (H, W, 3) uint8, or to a function that renders it, called only on ticks with an
-                inference. Cameras that the policy does not know are ignored.
+            images: (H, W, 3) uint8 by camera, or functions that render them, called only for inference; unknown cameras
+                are ignored.
             state: (dim,) measured joints [rad], then openings.
 
         Raises:
-            DataError: A camera is missing, an image has another size or type, or a value is not finite.
+            DataError: Missing or wrong image, or non-finite value.
         """
         if self._chunk is None or self._cursor >= self._steps:
             seen: dict[str, Any] = {c: i() if callable(i) and c in self.cameras else i for c, i in images.items()}
@@ -106,7 +103,7 @@ class PolicyRuntime:
             self.times_s.append(time.perf_counter() - started)
             if self._chunk is not None:
                 left = self._chunk[self._cursor :]
-                # Without overlap the last action is held while the new chunk takes over.
+                # Without overlap the last action is held while the new chunk is blended in.
                 self._old = left if len(left) else np.repeat(self._chunk[-1:], self._blend, axis=0)
             self._chunk, self._cursor = chunk, 0
         action = self._chunk[self._cursor]
@@ -117,7 +114,7 @@ class PolicyRuntime:
         return np.clip(action, self._lower, self._upper)
 
     def predict_chunk(self, images: Mapping[str, Image], state: Floats) -> Floats:
-        """Return one whole chunk (chunk_size, dim) as predicted: not blended, not clamped, not queued."""
+        """Return one raw chunk (chunk_size, dim), not blended, clamped or queued."""
         seen = {camera: self._checked_image(images, camera) for camera in self.cameras}
         chunk = self.policy.predict(seen, self._checked_state(state))
         if not np.isfinite(chunk).all():

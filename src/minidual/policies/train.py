@@ -1,7 +1,6 @@
-"""The training loop: deterministic from its seed, stopped by steps, resumable at any step.
+"""The deterministic, resumable training loop.
 
-Every step draws its rows, noise and dropout from a stream named by (seed, step): a run that was interrupted and resumed
-ends with the same weights as one that was not.
+Each step draws rows, noise and dropout from the stream (seed, step), so resuming gives the same weights.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ PROGRESS_FILE = "progress.pt"
 
 
 class Trained(NamedTuple):
-    """A LeRobot policy with its normalising pre-processor and un-normalising post-processor."""
+    """A LeRobot policy with pre- and post-processor."""
 
     policy: Any
     preprocessor: Any
@@ -46,7 +45,7 @@ class Trained(NamedTuple):
 
 @dataclass
 class _State:
-    """What a resumed run needs beside weights and optimiser."""
+    """Loop state to resume, besides weights and optimiser."""
 
     step: int = 0
     spent_s: float = 0.0
@@ -64,7 +63,7 @@ def train(
     resume_dir: Path | None = None,
     advance: Advance | None = None,
 ) -> tuple[TrainResult, Trained]:
-    """Train the policy that `build` makes from normalisation statistics; arguments as `PolicyKind.train`."""
+    """Train the policy built from normalisation statistics; arguments as `PolicyKind.train`."""
     training, validation = split_episodes(
         list(demos.episode_bounds()), config.validation_fraction, stream(seed, "train.split")
     )
@@ -85,7 +84,7 @@ def train(
 
 @contextmanager
 def _torch_settings(config: TrainConfig, seed: int) -> Iterator[None]:
-    """Set threads and the torch generator for the training, and put both back afterwards."""
+    """Set threads and generator temporarily."""
     threads = torch.get_num_threads()
     devices = [torch.cuda.current_device()] if config.device == "cuda" and torch.cuda.is_available() else []
     with torch.random.fork_rng(devices=devices):
@@ -98,7 +97,7 @@ def _torch_settings(config: TrainConfig, seed: int) -> Iterator[None]:
 
 
 class _Loop:
-    """The optimiser's state and one step of it."""
+    """The optimiser and its steps."""
 
     def __init__(
         self,
@@ -127,7 +126,7 @@ class _Loop:
         self.fingerprint = training_fingerprint(demos, config, seed)
 
     def learning_rate(self, step: int) -> float:
-        """Return the rate of a step: linear warm-up, then a cosine down to one hundredth."""
+        """Linear warm-up, then cosine decay to one hundredth."""
         config = self.config
         warmup = max(1, round(config.warmup_fraction * config.steps))
         if step < warmup:
@@ -136,7 +135,7 @@ class _Loop:
         return config.learning_rate * (0.01 + 0.99 * 0.5 * (1.0 + math.cos(math.pi * done)))
 
     def run(self, advance: Advance | None) -> str:
-        """Train to the last step; return "steps", or "time limit" if that came first."""
+        """Train until the last step or the time limit; return which."""
         config, state = self.config, self.state
         self.policy.train()
         last = time.perf_counter()
@@ -177,7 +176,7 @@ class _Loop:
         torch.nn.utils.clip_grad_norm_(self.parameters, self.config.gradient_clip)
         self.optimiser.step()
         if self.config.ema_decay > 0:
-            # A short memory at first: the random initial weights must not linger in the average.
+            # Short memory at first, so that the random initial weights leave the average.
             decay = min(self.config.ema_decay, (1 + step) / (10 + step))
             get_ema_multi_avg_fn(decay)(self.average, [p.detach() for p in self.parameters], 0)
         self.state.recent.append((value, parts["l1_loss"], parts.get("keyframe_loss")))
@@ -200,7 +199,7 @@ class _Loop:
 
     @torch.no_grad()
     def _validate(self) -> tuple[float | None, float | None]:
-        """Return L1 (in std) and the mean keyframe error [rad] on held-out episodes, with the averaged weights."""
+        """Return held-out L1 (in std) and keyframe error [rad] of the averaged weights."""
         if not len(self.validation_rows):
             return None, None
         current = [p.detach().clone() for p in self.parameters]
@@ -222,7 +221,7 @@ class _Loop:
         return float(np.mean(l1)), float(errors.mean()) if errors.numel() else None
 
     def use_averaged_weights(self) -> None:
-        """Put the moving average into the policy, where there is one."""
+        """Copy the moving average into the policy, if enabled."""
         if self.config.ema_decay > 0:
             self._set_weights(self.average)
 
@@ -232,7 +231,7 @@ class _Loop:
             parameter.copy_(value)
 
     def save(self) -> None:
-        """Write the progress so far, atomically."""
+        """Save progress atomically."""
         if self.progress is None:
             return
         record = {
@@ -247,7 +246,7 @@ class _Loop:
             torch.save(record, partial)
 
     def resume(self) -> int:
-        """Load the progress of the same training, if there is any; return the step to go on from."""
+        """Load matching progress; return the next step."""
         if self.progress is None or not self.progress.is_file():
             return 0
         try:
@@ -255,7 +254,7 @@ class _Loop:
             if saved["fingerprint"] != self.fingerprint:
                 return 0
         except (OSError, RuntimeError, EOFError, KeyError, TypeError, pickle.UnpicklingError):
-            return 0  # written atomically, so this is damage from outside: the training starts again
+            return 0  # written atomically, so the damage is external: train from the start
         self.policy.load_state_dict(saved["weights"])
         self.optimiser.load_state_dict(saved["optimiser"])
         self.average = saved["average"]
@@ -264,7 +263,7 @@ class _Loop:
         return self.state.step
 
     def result(self, training: list[int], validation: list[int], resumed: int, stopped_by: str) -> TrainResult:
-        """Sum the run up. The final loss is the mean L1 of the last twentieth of the curve."""
+        """Summarise; the final loss averages the last twentieth of the curve."""
         state, curve = self.state, self.state.curve
         if not curve:
             raise DataError("training ended without a single step")
@@ -293,7 +292,7 @@ class _Loop:
 
 
 def training_fingerprint(demos: Demonstrations, config: TrainConfig, seed: int) -> str:
-    """Return a hash of all that the weights depend on: seed, configuration, actions, states, sampled images."""
+    """Return a hash of seed, settings, actions, states and sampled images."""
     digest = hashlib.sha256()
     settings = config.model_dump(exclude={"time_limit_s", "loss_ratio_max", "actions_in_limits_min", "train_s_max"})
     digest.update(json.dumps([seed, settings], sort_keys=True).encode())

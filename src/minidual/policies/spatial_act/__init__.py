@@ -1,8 +1,7 @@
-"""ACT with a spatial-softmax image encoder, laid out as a LeRobot policy plug-in.
+"""ACT with a spatial-softmax encoder, as a LeRobot plug-in.
 
-Importing this package registers the policy type `spatial_act` with LeRobot, so that LeRobot's own
-`PreTrainedConfig.from_pretrained`, `get_policy_class` and `make_pre_post_processors` understand a checkpoint
-whose config.json says `"type": "spatial_act"`.
+Importing it registers the type `spatial_act` with LeRobot's `PreTrainedConfig.from_pretrained`, `get_policy_class` and
+`make_pre_post_processors`.
 """
 
 from minidual.policies.spatial_act.configuration_spatial_act import SpatialActConfig

@@ -1,4 +1,4 @@
-"""Configuration of the policy type `spatial_act` (LeRobot finds it by file and class name)."""
+"""Configuration of `spatial_act`; LeRobot finds it by file and class name."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from lerobot.policies.act.configuration_act import ACTConfig
 @PreTrainedConfig.register_subclass("spatial_act")
 @dataclass
 class SpatialActConfig(PreTrainedConfig):
-    """Settings of ACT's transformer, under the names of `ACTConfig`, and of the keypoint encoder before it.
+    """Settings of ACT's transformer (named as in `ACTConfig`) and of the keypoint encoder.
 
-    `keyframe_weight` > 0 adds a head that predicts the actions at the first `keyframes` gripper switches (grasp,
-    release) from the keypoints; its prediction is also part of the transformer's image token.
+    `keyframe_weight` > 0 adds a head that predicts the actions at the first `keyframes` gripper switches from the
+    keypoints.
     """
 
     n_obs_steps: int = 1
@@ -41,7 +41,7 @@ class SpatialActConfig(PreTrainedConfig):
     keyframes: int = 2
 
     def __post_init__(self) -> None:
-        """Raise ValueError where a field does not fit this policy type."""
+        """Raise ValueError for unsupported settings."""
         super().__post_init__()
         if not 1 <= self.n_action_steps <= self.chunk_size:
             raise ValueError(f"n_action_steps {self.n_action_steps} is outside 1..chunk_size {self.chunk_size}")
@@ -49,26 +49,26 @@ class SpatialActConfig(PreTrainedConfig):
             raise ValueError(f"n_obs_steps is {self.n_obs_steps}; spatial_act reads one observation")
 
     def transformer(self, **changes: Any) -> ACTConfig:
-        """Return the stock configuration of the transformer."""
+        """Return the transformer's ACT configuration."""
         shared = {f.name for f in fields(self) if f.init} & {f.name for f in fields(ACTConfig) if f.init}
         settings = {name: getattr(self, name) for name in shared} | changes
         return ACTConfig(**settings, pretrained_backbone_weights=None)
 
     def validate_features(self) -> None:
-        """Raise ValueError without a camera or an action."""
+        """Raise ValueError without camera or action."""
         if not self.image_features or self.action_feature is None:
             raise ValueError("spatial_act needs at least one camera among its inputs, and an output 'action'")
 
     def get_optimizer_preset(self) -> AdamWConfig:
-        """Return the optimiser of lerobot-train."""
+        """Return lerobot-train's optimiser."""
         return AdamWConfig(lr=self.optimizer_lr, weight_decay=self.optimizer_weight_decay)
 
     def get_scheduler_preset(self) -> None:
-        """Return no scheduler."""
+        """No scheduler."""
 
     @property
     def observation_delta_indices(self) -> None:
-        """One observation."""
+        """Current observation only."""
 
     @property
     def action_delta_indices(self) -> list[int]:

@@ -1,11 +1,8 @@
 """The policy `spatial_act`: keypoints per camera, then LeRobot's unmodified ACT transformer.
 
-The stock ACT takes a vector beside the robot state, its environment-state token. The keypoints of all cameras, in the
-order of the configuration, and the predicted keyframes enter there.
-
-A keyframe is the action at a moment when a gripper switches (the grasp, the release). Every frame before the switch is
-asked to predict it from the image alone. That gives the encoder a localisation signal in each sample; the action chunk,
-which reaches one second ahead, gives hardly any early in the approach.
+Keypoints and predicted keyframes enter through ACT's environment-state token. A keyframe is the action at a gripper
+switch. Every earlier frame must predict it from images alone, which trains localisation in each sample; early in the
+approach the one-second action chunk hardly does.
 """
 
 from __future__ import annotations
@@ -30,7 +27,7 @@ Parts = tuple[Tensor, tuple[Tensor | None, Tensor | None], Tensor | None]
 
 
 class SpatialActModel(nn.Module):
-    """Keypoint encoders, the keyframe head and the ACT transformer."""
+    """Keypoint encoders, keyframe head and ACT transformer."""
 
     def __init__(self, config: SpatialActConfig) -> None:
         super().__init__()
@@ -42,8 +39,8 @@ class SpatialActModel(nn.Module):
         self.has_keyframe = config.keyframe_weight > 0
         keyframe_dim = 0
         if self.has_keyframe:
-            # Linear plus a small nonlinear branch: the map from pixels to joints is close to linear over the
-            # few centimetres that an object moves, and few demonstrations determine a linear map well.
+            # Linear plus a small nonlinear branch: the map from pixels to joints is nearly linear over the few centimetres that an
+            # object moves, and few demonstrations suffice for a linear map.
             keyframe_dim = config.keyframes * action_dim
             self.keyframe_linear = nn.Linear(keypoint_dim, keyframe_dim)
             self.keyframe_hidden = nn.Sequential(nn.Linear(keypoint_dim, 64), nn.ReLU(), nn.Linear(64, keyframe_dim))
@@ -53,14 +50,14 @@ class SpatialActModel(nn.Module):
         self.act = ACT(config.transformer(input_features=inputs))
 
     def use_precision(self, *, bf16: bool) -> None:
-        """Set whether the convolutions compute in bfloat16, and lay their weights out for speed."""
+        """Set bfloat16 use, and channels-last weights for speed."""
         encoders: Any = self.backbone
         encoders.to(memory_format=torch.channels_last)
         for encoder in encoders:
             encoder.bf16 = bf16
 
     def forward(self, batch: dict[str, Tensor]) -> Parts:
-        """Return the action chunk (B, S, A), the latent parameters, and the keyframes (B, K, A) or None."""
+        """Return action chunk (B, S, A), latent parameters, keyframes (B, K, A) or None."""
         pairs = zip(self.backbone, self.cameras, strict=True)
         token = keypoints = torch.cat([encoder(batch[camera]) for encoder, camera in pairs], dim=1)
         keyframe: Tensor | None = None
@@ -87,36 +84,32 @@ class SpatialActPolicy(PreTrainedPolicy):
         self.reset()
 
     def get_optim_params(self) -> Any:
-        """Return the parameters for lerobot-train."""
+        """Return parameter groups for lerobot-train."""
         image = list(self.model.backbone.parameters())
         known = {id(p) for p in image}
         rest = [p for p in self.parameters() if id(p) not in known]
         return [{"params": rest}, {"params": image, "lr": self.config.optimizer_lr_backbone}]
 
     def reset(self) -> None:
-        """Drop the queue of `select_action`."""
+        """Drop `select_action`'s queue."""
         self._queue: deque[Tensor] = deque(maxlen=self.config.n_action_steps)
 
     @torch.no_grad()
     def select_action(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
-        """Return one normalised action (B, A) of the queue, which a new chunk fills when it is empty."""
+        """Return the next normalised action (B, A), predicting a chunk if none is queued."""
         if not self._queue:
             self._queue.extend(self.predict_action_chunk(batch)[:, : self.config.n_action_steps].transpose(0, 1))
         return self._queue.popleft()
 
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
-        """Return the normalised action chunk (B, chunk_size, A) for a normalised observation batch."""
+        """Return the normalised chunk (B, chunk_size, A)."""
         self.eval()
         return self.model(batch)[0]
 
     @torch.no_grad()
     def predict_keyframes(self, batch: dict[str, Tensor]) -> Tensor:
-        """Return the normalised actions (B, K, A) at the gripper switches, predicted from the images alone.
-
-        Raises:
-            ValueError: The policy was configured with keyframe_weight 0 and has no such head.
-        """
+        """Return normalised keyframes (B, K, A); ValueError without keyframe head."""
         self.eval()
         keyframe = self.model(batch)[2]
         if keyframe is None:
@@ -124,10 +117,10 @@ class SpatialActPolicy(PreTrainedPolicy):
         return keyframe
 
     def forward(self, batch: dict[str, Tensor], **kwargs: Any) -> tuple[Tensor, dict[str, float]]:
-        """Return the training loss and its parts: masked L1, keyframe L1, KL divergence with a VAE.
+        """Return the loss and its parts: masked L1, keyframe L1, KL divergence.
 
-        The batch may carry `keyframe` (B, K, A) with `keyframe_is_valid` (B, K): the normalised actions at the gripper
-        switches, used only for the switch that lies next ahead of each sample.
+        Optional `keyframe` (B, K, A) holds normalised actions at the gripper switches; `keyframe_is_valid` (B, K) marks
+        each sample's next switch.
         """
         actions, (mean, log_variance), keyframe = self.model(batch)
         loss = _masked_l1(actions, batch[ACTION], ~batch["action_is_pad"])
@@ -144,7 +137,7 @@ class SpatialActPolicy(PreTrainedPolicy):
 
 
 def _masked_l1(predicted: Tensor, wanted: Tensor, valid: Tensor) -> Tensor:
-    """Return the mean absolute error (B, S, A) over the entries where `valid` (B, S) is true."""
+    """Return the mean absolute error over entries with `valid` (B, S)."""
     mask = valid.unsqueeze(-1)
     count = (mask.sum() * predicted.shape[-1]).clamp_min(1)
     return (F.l1_loss(predicted, wanted, reduction="none") * mask).sum() / count
