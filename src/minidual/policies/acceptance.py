@@ -1,4 +1,4 @@
-"""Acceptance test of a new checkpoint on recorded observations."""
+"""Acceptance test of a new checkpoint."""
 
 from __future__ import annotations
 
@@ -14,16 +14,14 @@ from minidual.robot.pair import Robot
 
 @dataclass(frozen=True)
 class EmittedActions:
-    """Actions of the reloaded policy.
+    """Actions on recorded observations.
 
     Attributes:
         in_limits: Share of predicted joint targets inside the limits.
-        in_limits_emitted: The same after the runtime's clamping.
+        in_limits_emitted: The same after clamping.
         overshoot_max_rad: Largest predicted excess.
-        joints_n: Joint targets per action.
-        grippers_n: Gripper commands per action.
+        joints_n, grippers_n: Entries per action.
         samples: Observations.
-        inference_hz: Inferences per second.
     """
 
     in_limits: float
@@ -38,7 +36,7 @@ class EmittedActions:
 def exercise_checkpoint(
     checkpoint: Path, demos: Demonstrations, robot: Robot, *, samples: int = 256, device: str = "cpu"
 ) -> EmittedActions:
-    """Load `checkpoint` as in deployment and run it on `samples` evenly spaced ticks."""
+    """Run `checkpoint` as deployed on `samples` evenly spaced ticks."""
     lower, upper = robot.q_lower, robot.q_upper
     runtime = PolicyRuntime.load(checkpoint, device, n_action_steps=1, blend_ticks=0, limits=(lower, upper))
     rows = np.linspace(0, len(demos) - 1, min(samples, len(demos))).astype(np.int64)

@@ -1,4 +1,4 @@
-"""ACT through LeRobot, with a resnet18 or spatial-softmax encoder."""
+"""ACT policies through LeRobot."""
 
 from __future__ import annotations
 
@@ -36,16 +36,13 @@ REQUIRED = ("config.json", "model.safetensors", "policy_preprocessor.json", "pol
 
 
 class ActKind(PolicyKind):
-    """LeRobot's stock ACT with a resnet18."""
+    """Stock ACT with a resnet18."""
 
     config_class: type[PreTrainedConfig] = ACTConfig
     policy_class: type[PreTrainedPolicy] = ACTPolicy
 
     def make(self, config: TrainConfig, common: Mapping[str, Any]) -> PreTrainedPolicy:
-        """Return a policy with weights from torch's current generator.
-
-        `common` holds LeRobot's settings of transformer and features.
-        """
+        """Return a policy with weights from torch's generator; `common` holds LeRobot settings."""
         return ACTPolicy(ACTConfig(vision_backbone="resnet18", pretrained_backbone_weights=None, **common))
 
     def require(self, device: str) -> None:
@@ -66,7 +63,7 @@ class ActKind(PolicyKind):
         resume_dir: Path | None = None,
         advance: Advance | None = None,
     ) -> TrainResult:
-        """Train in torch; see `PolicyKind.train`."""
+        """See `PolicyKind.train`."""
         self.require(config.device)
         if folder.exists():
             raise DataError(f"the checkpoint folder {folder} exists already", remedy=f"{REMEDY} --force")
@@ -83,7 +80,7 @@ class ActKind(PolicyKind):
         return result
 
     def load(self, folder: Path, device: str, threads: int | None) -> ChunkPolicy:
-        """Load a checkpoint; see `PolicyKind.load`."""
+        """See `PolicyKind.load`."""
         self.require(device)
         return TorchChunkPolicy(self.read(folder, device), threads)
 
@@ -117,13 +114,13 @@ class ActKind(PolicyKind):
 
 
 class SpatialActKind(ActKind):
-    """ACT's transformer behind a keypoint encoder."""
+    """ACT with a keypoint encoder."""
 
     config_class = SpatialActConfig
     policy_class = SpatialActPolicy
 
     def make(self, config: TrainConfig, common: Mapping[str, Any]) -> PreTrainedPolicy:
-        """Return a policy with encoders in the configured precision."""
+        """Return a policy of the configured precision."""
         described = SpatialActConfig(keypoints=config.keypoints, keyframe_weight=config.keyframe_weight, **common)
         policy = SpatialActPolicy(described)
         policy.model.use_precision(bf16=use_bf16(config))
@@ -134,7 +131,6 @@ ACT_KIND, SPATIAL_ACT = ActKind(), SpatialActKind()
 
 
 def _common(config: TrainConfig, demos: Demonstrations) -> dict[str, Any]:
-    """Return both kinds' shared settings."""
     inputs = {STATE: PolicyFeature(type=FeatureType.STATE, shape=(demos.dim,))}
     for camera in demos.cameras:
         size = demos.images[camera].shape[1:3]
@@ -181,7 +177,7 @@ def _read_config(folder: Path, device: str) -> PreTrainedConfig:
 
 
 class TorchChunkPolicy(ChunkPolicy):
-    """A LeRobot policy with its processors."""
+    """A LeRobot policy with processors."""
 
     def __init__(self, trained: Trained, threads: int | None) -> None:
         self._trained, self._threads = trained, threads
@@ -209,7 +205,7 @@ class TorchChunkPolicy(ChunkPolicy):
 
 @contextlib.contextmanager
 def _threads(count: int | None) -> Iterator[None]:
-    """Set torch's threads temporarily, unless None."""
+    """Set torch's threads temporarily."""
     before = torch.get_num_threads()
     if count is None or count == before:
         yield

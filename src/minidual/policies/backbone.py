@@ -1,8 +1,8 @@
 """A convolutional encoder with spatial softmax.
 
-Spatial softmax outputs expected pixel coordinates of learned features (Finn et al., Deep Spatial Autoencoders for
-Visuomotor Learning, 2016). Plain strided convolution with pooling memorised training episodes instead. Coordinates stay
-float32: bfloat16 resolves only a quarter pixel over 128.
+It outputs expected pixel coordinates of learned features (Finn et al., Deep Spatial Autoencoders for Visuomotor
+Learning, 2016). Plain convolution with pooling memorised episodes. Coordinates stay float32: bfloat16 resolves a
+quarter pixel over 128.
 """
 
 from __future__ import annotations
@@ -12,10 +12,9 @@ from torch import Tensor, nn
 
 
 class SpatialSoftmax(nn.Module):
-    """Expected image coordinates of each channel.
+    """Each channel's expected image coordinates (B, 3 K).
 
-    Output (B, 3 K): x (right) and y (down) in [-1, 1] at pixel centres, and the softmax's standard deviation, which is
-    large where a feature is missing.
+    x (right) and y (down) in [-1, 1] at pixel centres, and the softmax's standard deviation.
     """
 
     def __init__(self, channels: int) -> None:
@@ -24,7 +23,7 @@ class SpatialSoftmax(nn.Module):
         self.log_inverse_temperature = nn.Parameter(torch.zeros(channels))
 
     def forward(self, logits: Tensor) -> Tensor:
-        """Map logits (B, K, h, w) to (B, 3 K) in float32."""
+        """Map logits (B, K, h, w) in float32."""
         batch, channels, height, width = logits.shape
         scaled = logits.float() * self.log_inverse_temperature.exp().view(1, -1, 1, 1)
         weights = scaled.reshape(batch, channels, height * width).softmax(dim=-1).view(batch, channels, height, width)
@@ -43,9 +42,9 @@ def _pixel_centres(count: int, device: torch.device) -> Tensor:
 
 
 class KeypointEncoder(nn.Module):
-    """Normalised images to keypoints by convolutions of total stride 4.
+    """Convolutions of total stride 4, then spatial softmax.
 
-    `bf16` enables autocast, which doubles the training rate where native.
+    `bf16` doubles the training rate where native.
     """
 
     def __init__(self, keypoints: int, widths: tuple[int, int, int] = (32, 32, 64)) -> None:

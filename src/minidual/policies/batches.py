@@ -14,9 +14,9 @@ from minidual.policies.normalisation import Stats, normalise, normalise_images
 
 
 class BatchMaker:
-    """Cuts action chunks, adds noise and jitter, normalises.
+    """Cuts action chunks, augments, normalises.
 
-    Chunks past an episode's end repeat its last command: demonstrations end at rest.
+    Chunks past an episode's end repeat its last command, which is at rest.
     """
 
     def __init__(self, demos: Demonstrations, config: TrainConfig, stats: Stats) -> None:
@@ -25,7 +25,7 @@ class BatchMaker:
         self._stats = {key: {n: t.to(config.device) for n, t in s.items()} for key, s in stats.items()}
 
     def training(self, rows: NDArray[np.int64], rng: np.random.Generator) -> dict[str, Tensor]:
-        """Return a batch with random noise and jitter."""
+        """Return an augmented batch."""
         config = self._config
         state = self._demos.state[rows].copy()
         sigma = np.where(self._demos.phase[rows] == 0, config.state_noise_approach_rad, config.state_noise_rad)
@@ -38,7 +38,7 @@ class BatchMaker:
         )
 
     def clean(self, rows: NDArray[np.int64]) -> dict[str, Tensor]:
-        """Return a batch without noise or jitter."""
+        """Return an unaugmented batch."""
         return self._assemble(rows, self._demos.state[rows])
 
     def _assemble(

@@ -1,4 +1,4 @@
-"""Demonstrations in memory, phases, and weighted sampling."""
+"""Demonstrations in memory, and their sampling."""
 
 from __future__ import annotations
 
@@ -21,12 +21,11 @@ class Demonstrations:
 
     Attributes:
         images: (N, H, W, 3) uint8 by camera.
-        state: (N, dim): joints [rad], left then right, then two gripper openings.
-        action: (N, dim), likewise.
-        episode_index: (N,) ascending; episodes are contiguous.
+        state, action: (N, dim): joints [rad], left then right, two gripper openings.
+        episode_index: (N,) ascending.
         keyframes_n: Gripper switches per episode used as keyframes (K).
-        phase: (N,) switches before the tick; 0 is the approach.
-        keyframe_ticks: (N, K) rows of the episode's first K switches, or -1.
+        phase: (N,) switches before the tick.
+        keyframe_ticks: (N, K) rows of the first K switches, or -1.
         last_tick: (N,) the episode's last row.
     """
 
@@ -40,7 +39,7 @@ class Demonstrations:
     last_tick: NDArray[np.int64] = field(init=False)
 
     def __post_init__(self) -> None:
-        """Derive phases; DataError for empty, malformed, non-finite or unordered data."""
+        """Derive phases; DataError for invalid data."""
         _check(self)
         phase = np.zeros(len(self), dtype=np.int64)
         ticks = np.full((len(self), self.keyframes_n), -1, dtype=np.int64)
@@ -65,7 +64,7 @@ class Demonstrations:
 
     @property
     def dim(self) -> int:
-        """Entries of a state or action."""
+        """Entries of state or action."""
         return int(self.state.shape[1])
 
     @property
@@ -79,13 +78,13 @@ class Demonstrations:
         return sorted(self.images)
 
     def episode_bounds(self) -> dict[int, tuple[int, int]]:
-        """Return (first row, one past the last) by episode."""
+        """Return each episode's (first row, end)."""
         episodes, first = np.unique(self.episode_index, return_index=True)
         stops = [*first[1:].tolist(), len(self)]
         return {int(e): (int(a), int(b)) for e, a, b in zip(episodes, first, stops, strict=True)}
 
     def rows_of(self, episodes: list[int]) -> NDArray[np.int64]:
-        """Return the rows of `episodes`."""
+        """Return their rows."""
         bounds = self.episode_bounds()
         return np.concatenate([np.empty(0, np.int64), *(np.arange(*bounds[e]) for e in episodes)])
 
@@ -94,8 +93,6 @@ def load_demonstrations(
     root: Path, cameras: Sequence[str], progress: Callable[[int], None] | None = None
 ) -> Demonstrations:
     """Read a LeRobot dataset with `cameras` (all if empty).
-
-    `progress` receives the number of newly decoded images.
 
     Raises:
         DataError: Missing or corrupt dataset.
@@ -110,10 +107,9 @@ def load_demonstrations(
 
 
 def gripper_switches(gripper: NDArray[np.float32], span: NDArray[np.float32]) -> list[int]:
-    """Return ticks where a gripper command (T, 2) crosses the middle of its range.
+    """Return ticks where a gripper command (T, 2) crosses mid-range.
 
-    Crossings within 25 ticks count once. A gripper that covers less than half of `span` (2,), its range over the
-    dataset, is ignored.
+    Crossings within 25 ticks count once; grippers moving less than half of `span` (2,) are ignored.
     """
     crossings: list[int] = []
     for column in range(gripper.shape[1]):
@@ -139,14 +135,14 @@ def split_episodes(episodes: list[int], fraction: float, rng: np.random.Generato
 
 
 class WeightedRows:
-    """Draws rows with replacement, proportionally to weights."""
+    """Weighted draws with replacement."""
 
     def __init__(self, rows: NDArray[np.int64], weights: NDArray[np.float64]) -> None:
         self._rows = rows
         self._cumulative = np.cumsum(weights)
 
     def draw(self, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
-        """Return (count,) rows."""
+        """Return rows."""
         positions = np.searchsorted(self._cumulative, rng.random(count) * self._cumulative[-1], side="right")
         return self._rows[np.minimum(positions, len(self._rows) - 1)]
 

@@ -1,4 +1,4 @@
-"""Kinds of policy, selected by "type" in a checkpoint's config.json."""
+"""Kinds of policy, named by "type" in config.json."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from minidual.registry import Registry
 
 Image = NDArray[np.uint8]
 Advance = Callable[[int, float], None]
-"""Called with (steps since the last call, loss)."""
+"""Arguments: steps since the last call, loss."""
 REMEDY = "minidual train-act"
 
 
@@ -26,9 +26,9 @@ class ChunkPolicy(ABC):
     """A loaded checkpoint.
 
     Attributes:
-        cameras: Required image size (H, W) by camera.
+        cameras: Image size (H, W) by camera.
         chunk_size: Actions per inference.
-        dim: Entries of state and action: all joints, then two grippers.
+        dim: Joints plus two grippers.
     """
 
     cameras: Mapping[str, tuple[int, int]]
@@ -39,15 +39,15 @@ class ChunkPolicy(ABC):
     def predict(self, images: Mapping[str, Image], state: NDArray[np.float32]) -> NDArray[np.float64]:
         """Return actions (chunk_size, dim): joint targets [rad], then openings.
 
-        `images` are (H, W, 3); `state` (dim,) holds measured joints [rad], then openings.
+        `images`: (H, W, 3). `state`: (dim,), as measured.
         """
 
 
 class PolicyKind(ABC):
-    """A way to train and load policies."""
+    """Trains and loads policies."""
 
     def require(self, device: str) -> None:  # noqa: B027 (most kinds run anywhere)
-        """Raise EnvironmentMissingError if `device` ("cpu" or "cuda") is unusable."""
+        """Raise EnvironmentMissingError if `device` is unusable."""
 
     @abstractmethod
     def train(
@@ -60,25 +60,19 @@ class PolicyKind(ABC):
         resume_dir: Path | None = None,
         advance: Advance | None = None,
     ) -> TrainResult:
-        """Train and write the checkpoint `folder` atomically.
+        """Train and write a new checkpoint `folder` atomically.
 
-        Args:
-            demos: Read only.
-            config: Settings that do not apply are ignored.
-            seed: On a CPU, equal inputs give equal checkpoints.
-            folder: New folder.
-            resume_dir: Saves progress and resumes from it, unless None.
-            advance: Progress callback.
+        On a CPU, equal inputs give equal checkpoints. `resume_dir` keeps progress for resuming.
 
         Raises:
             DataError: Unusable dataset, or existing `folder`.
-            UsageError: Training diverges with these settings.
+            UsageError: Training diverges.
             EnvironmentMissingError: Missing device.
         """
 
     @abstractmethod
     def load(self, folder: Path, device: str, threads: int | None) -> ChunkPolicy:
-        """Load a checkpoint offline; `threads` None keeps the default.
+        """Load a checkpoint offline.
 
         Raises:
             DataError: Missing or corrupt checkpoint.
@@ -91,11 +85,10 @@ POLICIES: Registry[PolicyKind] = Registry(
     {"spatial_act": "minidual.policies.act:SPATIAL_ACT", "act": "minidual.policies.act:ACT_KIND"},
     group="minidual.policies",
 )
-"""Kinds by `train.policy`."""
 
 
 def load_policy(folder: Path, device: str = "cpu", threads: int | None = None) -> ChunkPolicy:
-    """Load any kind of checkpoint; raises as `PolicyKind.load`."""
+    """Load any checkpoint; raises as `PolicyKind.load`."""
     if not folder.is_dir():
         raise DataError(f"there is no checkpoint folder {folder}", remedy=REMEDY)
     path = folder / "config.json"

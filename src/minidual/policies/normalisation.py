@@ -11,7 +11,7 @@ from minidual.demos.lerobot_reader import ACTION, STATE, camera_key
 from minidual.policies.demonstrations import Demonstrations
 
 LEROBOT_EPS = 1e-8
-"""LeRobot's processors divide by std + eps; training must match."""
+"""Added to std by LeRobot's processors."""
 IMAGE_SAMPLE = 512
 
 Stats = dict[str, dict[str, Tensor]]
@@ -20,8 +20,7 @@ Stats = dict[str, dict[str, Tensor]]
 def dataset_statistics(demos: Demonstrations, rows: NDArray[np.int64], std_floor: float) -> Stats:
     """Return mean and std over `rows`.
 
-    State and action: (dim,). Images: (3, 1, 1) in [0, 1], from at most 512 frames. `std_floor` keeps the noise of
-    nearly still joints small.
+    State and action: (dim,). Images: (3, 1, 1) in [0, 1], from 512 frames. `std_floor` limits noise of still joints.
     """
     stats: Stats = {}
     for key, array in ((STATE, demos.state), (ACTION, demos.action)):
@@ -51,10 +50,9 @@ def normalise(values: Tensor, stats: dict[str, Tensor]) -> Tensor:
 def normalise_images(
     images: Tensor, stats: dict[str, Tensor], contrast: Tensor | None = None, brightness: Tensor | None = None
 ) -> Tensor:
-    """Normalise uint8 (B, H, W, 3) to float (B, 3, H, W), channels last in memory.
+    """Normalise uint8 (B, H, W, 3) to channels-last float (B, 3, H, W).
 
-    `stats` are (3, 1, 1) in [0, 1]; `contrast` (B,) are factors about mid-grey, `brightness` (B,) offsets in units of
-    full scale.
+    `contrast` (B,) scales about mid-grey; `brightness` (B,) is in full scales.
     """
     inverse = 1.0 / (stats["std"].view(1, 1, 1, 3) + LEROBOT_EPS)
     mean = stats["mean"].view(1, 1, 1, 3)

@@ -1,4 +1,4 @@
-"""Runs a policy in closed loop through the command arbiter."""
+"""Runs a policy through the command arbiter."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SOURCE = "policy"
 
 
 def load_runtime(checkpoint: Path, config: DeployConfig, robot: Robot) -> PolicyRuntime:
-    """Load a checkpoint with actions clamped to joint limits.
+    """Load a checkpoint that respects joint limits.
 
     Raises:
         DataError: Missing or corrupt checkpoint.
@@ -42,15 +42,15 @@ def load_runtime(checkpoint: Path, config: DeployConfig, robot: Robot) -> Policy
 
 
 class PolicyPilot:
-    """One trial of a policy, which observes only images, joints and grippers.
+    """One trial of a policy.
 
     Args:
         world: The reset plant.
-        kinematics: For the joint controller.
+        kinematics: For joint control.
         runtime: The policy.
-        picture: Renders a named camera, (H, W, 3).
-        arbiter: Its configuration.
-        rate_hz: Policy and arbiter rate, as recorded.
+        picture: Renders a camera, (H, W, 3).
+        arbiter: Settings.
+        rate_hz: Of policy and arbiter, as recorded.
         supervisor: Its reflex ends the trial.
     """
 
@@ -86,11 +86,11 @@ class PolicyPilot:
 
     @property
     def done(self) -> bool:
-        """Whether a reflex or invalid data ended the trial; a policy never finishes by itself."""
+        """Whether a reflex or invalid data ended the trial."""
         return self.aborted is not None
 
     def step(self) -> None:
-        """Run one control and physics step, after a policy tick if due."""
+        """Run one control step, after a policy tick if due."""
         if self._step % self._steps_per_tick == 0:
             self._tick()
         self._step += 1

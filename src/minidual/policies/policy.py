@@ -1,7 +1,6 @@
-"""The policy runtime: queues and blends predicted chunks.
+"""The policy runtime: runs `n_action_steps` of each chunk.
 
-Of each chunk `n_action_steps` actions run. The next chunk is blended in over `blend_ticks`, as consecutive chunks
-differ by up to 0.05 rad at their boundary.
+The next chunk is blended in over `blend_ticks`, as consecutive chunks differ by up to 0.05 rad.
 """
 
 from __future__ import annotations
@@ -22,16 +21,16 @@ Floats = NDArray[np.float64]
 
 
 class PolicyRuntime:
-    """Maps images and state to actions; call `reset` per episode and `act` per tick.
+    """Maps images and state to actions.
 
     Args:
-        policy: The loaded checkpoint.
+        policy: A loaded checkpoint.
         n_action_steps: Ticks per inference.
         blend_ticks: Blending time.
-        limits: (lower, upper), each (n,) [rad], clamp actions unless None.
+        limits: Joint limits (lower, upper) [rad] for clamping.
 
     Raises:
-        UsageError: A setting does not fit the checkpoint.
+        UsageError: Settings unfit for the checkpoint.
     """
 
     def __init__(
@@ -60,27 +59,27 @@ class PolicyRuntime:
                 )
             self._lower[: self.joints_n], self._upper[: self.joints_n] = low, high
         self.times_s: list[float] = []
-        """Inference times, with image conversion but without rendering."""
+        """Inference times without rendering."""
         self.reset()
 
     @classmethod
     def load(cls, checkpoint: Path, device: str = "cpu", *, threads: int | None = 1, **options: Any) -> Self:
-        """Load a checkpoint of any kind; raises as `load_policy`."""
+        """Load any checkpoint; raises as `load_policy`."""
         return cls(load_policy(checkpoint, device, threads), **options)
 
     @property
     def cameras(self) -> Mapping[str, tuple[int, int]]:
-        """Required image size (H, W) by camera."""
+        """Image size (H, W) by camera."""
         return self.policy.cameras
 
     @property
     def inference_hz(self) -> float:
-        """Mean inference rate without the first (warm-up); NaN before any."""
+        """Mean rate without the first (warm-up) inference, or NaN."""
         times = self.times_s[1:] or self.times_s
         return 1.0 / float(np.mean(times)) if times else float("nan")
 
     def reset(self) -> None:
-        """Drop the queue, at an episode's start or a mode switch."""
+        """Drop the queue (new episode or mode)."""
         self._chunk: Floats | None = None
         self._old: Floats | None = None
         self._cursor = 0
@@ -88,10 +87,7 @@ class PolicyRuntime:
     def act(self, images: Mapping[str, Image | Callable[[], Image]], state: Floats) -> Floats:
         """Return this tick's action (dim,): joint targets [rad], then openings.
 
-        Args:
-            images: (H, W, 3) uint8 by camera, or functions that render them, called only for inference; unknown cameras
-                are ignored.
-            state: (dim,) measured joints [rad], then openings.
+        `images` are (H, W, 3) uint8, or functions that render them when needed; `state` is (dim,).
 
         Raises:
             DataError: Missing or wrong image, or non-finite value.
@@ -114,7 +110,7 @@ class PolicyRuntime:
         return np.clip(action, self._lower, self._upper)
 
     def predict_chunk(self, images: Mapping[str, Image], state: Floats) -> Floats:
-        """Return one raw chunk (chunk_size, dim), not blended, clamped or queued."""
+        """Return one raw chunk (chunk_size, dim)."""
         seen = {camera: self._checked_image(images, camera) for camera in self.cameras}
         chunk = self.policy.predict(seen, self._checked_state(state))
         if not np.isfinite(chunk).all():

@@ -1,4 +1,4 @@
-"""Training results: loss.csv, loss.png and train.json."""
+"""Results of training."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class LossRow:
-    """Means since the last row, and validation where computed."""
+    """Means since the last row, and any validation."""
 
     step: int
     loss: float
@@ -27,7 +27,7 @@ class LossRow:
 
 @dataclass
 class TrainResult:
-    """A training summary. L1 is in units of the action's std; it does not select checkpoints."""
+    """A training summary; L1 in units of the action's std."""
 
     steps: int
     steps_asked: int
@@ -49,7 +49,7 @@ class TrainResult:
 
 
 def write_loss_csv(curve: Sequence[LossRow], path: Path) -> None:
-    """Write the loss curve without times, so equal seeds give equal files."""
+    """Write the loss curve, without times: equal seeds, equal files."""
     with path.open("w", newline="", encoding="utf-8") as handle:
         writer = csv.writer(handle, lineterminator="\n")
         names = [f.name for f in fields(LossRow)]
@@ -60,14 +60,14 @@ def write_loss_csv(curve: Sequence[LossRow], path: Path) -> None:
 
 
 def write_train_json(result: TrainResult, extra: dict[str, Any], path: Path) -> dict[str, Any]:
-    """Write and return the summary without its curve."""
+    """Write and return the summary."""
     record = {key: value for key, value in asdict(result).items() if key != "curve"} | extra
     path.write_text(json.dumps(record, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     return record
 
 
 def draw_loss(result: TrainResult, path: Path) -> None:
-    """Plot loss, validation and learning rate."""
+    """Plot losses and learning rate."""
     from matplotlib.figure import Figure
 
     curve = result.curve
@@ -104,7 +104,7 @@ def draw_loss(result: TrainResult, path: Path) -> None:
 
 
 def _smooth(values: np.ndarray) -> np.ndarray:
-    """Return a centred moving mean over a twentieth of the points."""
+    """Moving mean over a twentieth of the points."""
     half = max(1, len(values) // 40)
     sums = np.concatenate([[0.0], np.cumsum(values)])
     index = np.arange(len(values))

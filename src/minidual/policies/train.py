@@ -1,6 +1,6 @@
-"""The deterministic, resumable training loop.
+"""The deterministic training loop.
 
-Each step draws rows, noise and dropout from the stream (seed, step), so resuming gives the same weights.
+Steps draw from the stream (seed, step), so resuming gives the same weights.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ PROGRESS_FILE = "progress.pt"
 
 
 class Trained(NamedTuple):
-    """A LeRobot policy with pre- and post-processor."""
+    """A LeRobot policy with processors."""
 
     policy: Any
     preprocessor: Any
@@ -45,7 +45,7 @@ class Trained(NamedTuple):
 
 @dataclass
 class _State:
-    """Loop state to resume, besides weights and optimiser."""
+    """State to resume, besides weights and optimiser."""
 
     step: int = 0
     spent_s: float = 0.0
@@ -63,7 +63,7 @@ def train(
     resume_dir: Path | None = None,
     advance: Advance | None = None,
 ) -> tuple[TrainResult, Trained]:
-    """Train the policy built from normalisation statistics; arguments as `PolicyKind.train`."""
+    """Train the policy built from statistics; see `PolicyKind.train`."""
     training, validation = split_episodes(
         list(demos.episode_bounds()), config.validation_fraction, stream(seed, "train.split")
     )
@@ -84,7 +84,6 @@ def train(
 
 @contextmanager
 def _torch_settings(config: TrainConfig, seed: int) -> Iterator[None]:
-    """Set threads and generator temporarily."""
     threads = torch.get_num_threads()
     devices = [torch.cuda.current_device()] if config.device == "cuda" and torch.cuda.is_available() else []
     with torch.random.fork_rng(devices=devices):
@@ -97,8 +96,6 @@ def _torch_settings(config: TrainConfig, seed: int) -> Iterator[None]:
 
 
 class _Loop:
-    """The optimiser and its steps."""
-
     def __init__(
         self,
         demos: Demonstrations,
@@ -135,7 +132,7 @@ class _Loop:
         return config.learning_rate * (0.01 + 0.99 * 0.5 * (1.0 + math.cos(math.pi * done)))
 
     def run(self, advance: Advance | None) -> str:
-        """Train until the last step or the time limit; return which."""
+        """Train; return "steps" or "time limit"."""
         config, state = self.config, self.state
         self.policy.train()
         last = time.perf_counter()
@@ -199,7 +196,7 @@ class _Loop:
 
     @torch.no_grad()
     def _validate(self) -> tuple[float | None, float | None]:
-        """Return held-out L1 (in std) and keyframe error [rad] of the averaged weights."""
+        """Return held-out L1 (in std) and keyframe error [rad], averaged weights."""
         if not len(self.validation_rows):
             return None, None
         current = [p.detach().clone() for p in self.parameters]
@@ -221,7 +218,7 @@ class _Loop:
         return float(np.mean(l1)), float(errors.mean()) if errors.numel() else None
 
     def use_averaged_weights(self) -> None:
-        """Copy the moving average into the policy, if enabled."""
+        """Use the moving average, if enabled."""
         if self.config.ema_decay > 0:
             self._set_weights(self.average)
 
@@ -231,7 +228,6 @@ class _Loop:
             parameter.copy_(value)
 
     def save(self) -> None:
-        """Save progress atomically."""
         if self.progress is None:
             return
         record = {
@@ -246,7 +242,7 @@ class _Loop:
             torch.save(record, partial)
 
     def resume(self) -> int:
-        """Load matching progress; return the next step."""
+        """Load matching progress; return its step."""
         if self.progress is None or not self.progress.is_file():
             return 0
         try:
@@ -263,7 +259,7 @@ class _Loop:
         return self.state.step
 
     def result(self, training: list[int], validation: list[int], resumed: int, stopped_by: str) -> TrainResult:
-        """Summarise; the final loss averages the last twentieth of the curve."""
+        """Summarise; the final loss averages the last twentieth."""
         state, curve = self.state, self.state.curve
         if not curve:
             raise DataError("training ended without a single step")
@@ -292,7 +288,7 @@ class _Loop:
 
 
 def training_fingerprint(demos: Demonstrations, config: TrainConfig, seed: int) -> str:
-    """Return a hash of seed, settings, actions, states and sampled images."""
+    """Return a hash of everything that determines the weights (images sampled)."""
     digest = hashlib.sha256()
     settings = config.model_dump(exclude={"time_limit_s", "loss_ratio_max", "actions_in_limits_min", "train_s_max"})
     digest.update(json.dumps([seed, settings], sort_keys=True).encode())

@@ -1,1 +1,1 @@
-"""Arm models, URDF, kinematics and trajectories."""
+"""Arm models, kinematics and trajectories."""

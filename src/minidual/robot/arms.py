@@ -1,4 +1,4 @@
-"""The table of arms; add an arm as a row."""
+"""The table of arms."""
 
 from __future__ import annotations
 
@@ -177,5 +177,5 @@ def _pair(name: str) -> Robot:
 
 
 def robot_from(config: RobotConfig) -> Robot:
-    """Return the configured pair of arms, cached by name; UsageError for an unknown arm."""
+    """Return the configured robot, cached; UsageError for unknown arms."""
     return _pair(config.arm)

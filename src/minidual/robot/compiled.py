@@ -1,7 +1,7 @@
-"""Compile numeric loops with numba, cached on disk if some directory is writable.
+"""Compile numeric loops with numba, cached on disk if possible.
 
-Without fastmath, operations keep their order and NaN propagates. numba's cache watches only the compiled function's
-file, so helpers must share it. Importing this module imports numba.
+Without fastmath, operations keep their order and NaN propagates. numba's cache watches only the kernel's file, so
+helpers must share it.
 """
 
 from __future__ import annotations
@@ -20,12 +20,11 @@ VECTOR = types.float64[::1]
 ROWS = types.float64[:, ::1]
 BLOCKS = types.float64[:, :, ::1]
 UNCOUNTED: dict[str, bool] = {"_nrt": False} if hasattr(DefaultOptions, "_nrt") else {}
-"""Private numba flag: no reference counting of arrays, whose atomic operations take five times as long as the calls.
-Without it results are equal."""
+"""Private numba flag: no reference counting, whose atomic operations take five times as long as the calls."""
 
 
 def kernel(signature: Any = None) -> Callable[[Callable[..., Any]], Any]:
-    """Compile for a signature at import, or lazily by argument types."""
+    """Compile for a signature at import, or lazily."""
 
     def compiled(function: Callable[..., Any]) -> Any:
         try:
@@ -39,12 +38,12 @@ def kernel(signature: Any = None) -> Callable[[Callable[..., Any]], Any]:
 
 
 def inlined(function: Callable[..., Any]) -> Any:
-    """Inline a function into kernels; it must not allocate."""
+    """Inline into kernels; must not allocate."""
     options: dict[str, Any] = {"error_model": "numpy", "forceinline": True, **UNCOUNTED}
     return njit(**options)(function)
 
 
 def floats(x: Array) -> Array:
-    """Return x as contiguous, writable floats, which compiled code expects but does not change."""
+    """Return x as contiguous, writable floats."""
     x = np.ascontiguousarray(x, dtype=float)
     return x if x.flags.writeable else x.copy()

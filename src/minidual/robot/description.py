@@ -1,7 +1,6 @@
-"""The URDF of two arms with hands, composed from installed descriptions.
+"""The URDF of two arms, composed from installed descriptions.
 
-MuJoCo and Pinocchio read the same string. Links and joints are prefixed `left_` and `right_`; both bases are fixed to
-`world`.
+Links and joints are prefixed `left_` and `right_`; both bases are fixed to `world`.
 """
 
 from __future__ import annotations
@@ -27,8 +26,8 @@ class ArmLink:
 
     Attributes:
         name: Without side prefix.
-        joints_before: Number of arm joints that move it, without fingers.
-        collides: Whether it has collision geometry.
+        joints_before: Arm joints (not fingers) that move it.
+        collides: Has collision geometry.
     """
 
     name: str
@@ -38,7 +37,7 @@ class ArmLink:
 
 @functools.cache
 def file_at(address: str) -> Path:
-    """Return the file at an absolute path or package://DISTRIBUTION/path.
+    """Resolve an absolute path or package://DISTRIBUTION/path.
 
     Raises:
         EnvironmentMissingError: No such distribution or file.
@@ -64,7 +63,6 @@ def file_at(address: str) -> Path:
 
 @functools.cache
 def _document(address: str) -> ET.Element:
-    """Return a URDF with absolute mesh paths."""
     path = file_at(address)
     root = ET.parse(path).getroot()
     for mesh in root.iter("mesh"):
@@ -74,7 +72,6 @@ def _document(address: str) -> ET.Element:
 
 
 def _ends(joint: ET.Element) -> tuple[str, str]:
-    """Return (parent, child) links."""
     parent, child = joint.find("parent"), joint.find("child")
     if parent is None or child is None:
         raise UsageError(f"joint '{joint.get('name')}' of a URDF has no parent or child link")
@@ -82,7 +79,7 @@ def _ends(joint: ET.Element) -> tuple[str, str]:
 
 
 def _part(address: str, base: str, tip: str | None) -> list[ET.Element]:
-    """Return links and joints from base to tip, or all beyond the base."""
+    """Return the chain from base to tip, or everything beyond the base."""
     root = _document(address)
     parent = {child: mother for mother, child in map(_ends, root.findall("joint"))}
     links = {link.attrib["name"] for link in root.findall("link")}
@@ -111,7 +108,7 @@ def _part(address: str, base: str, tip: str | None) -> list[ET.Element]:
 
 @functools.cache
 def arm_elements(arm: ArmModel) -> tuple[ET.Element, ...]:
-    """Return links and joints of one arm and hand, without prefix. Cached: do not modify."""
+    """Return links and joints of arm and hand. Cached: do not modify."""
     hand = arm.hand
     mount = ET.Element("joint", name=f"{hand.palm_link}_joint", type="fixed")
     ET.SubElement(mount, "parent", link=arm.flange_link)
@@ -122,7 +119,7 @@ def arm_elements(arm: ArmModel) -> tuple[ET.Element, ...]:
 
 @functools.cache
 def materials(address: str) -> dict[str, tuple[float, float, float, float]]:
-    """Return named colours, rgba in 0..1."""
+    """Return named rgba colours."""
     colours = {}
     for material in _document(address).iter("material"):
         colour = material.find("color")
@@ -134,7 +131,7 @@ def materials(address: str) -> dict[str, tuple[float, float, float, float]]:
 
 @functools.cache
 def arm_links(arm: ArmModel) -> tuple[ArmLink, ...]:
-    """Return one arm's and hand's links, base first."""
+    """Return links of arm and hand."""
     elements = arm_elements(arm)
     above = {_ends(e)[1]: e for e in elements if e.tag == "joint"}
 
@@ -154,7 +151,7 @@ def arm_links(arm: ArmModel) -> tuple[ArmLink, ...]:
 
 @functools.cache
 def never_touching(arm: ArmModel) -> tuple[tuple[str, str], ...]:
-    """Return link pairs that never touch, without prefix, from both SRDF files and the arm model."""
+    """Return link pairs that never touch, from SRDF files and arm model."""
     known = {link.name for link in arm_links(arm)}
     pairs: dict[tuple[str, str], None] = {}
     for address in filter(None, (arm.srdf, arm.hand.srdf)):
@@ -165,7 +162,6 @@ def never_touching(arm: ArmModel) -> tuple[tuple[str, str], ...]:
 
 
 def _prefixed(element: ET.Element, prefix: str) -> ET.Element:
-    """Return a copy with all names prefixed."""
     element = copy.deepcopy(element)
     element.set("name", prefix + element.attrib["name"])
     for tag in ("parent", "child"):
@@ -176,10 +172,9 @@ def _prefixed(element: ET.Element, prefix: str) -> ET.Element:
 
 @functools.cache
 def pair_urdf(robot: Robot) -> str:
-    """Return the URDF of both arms with absolute mesh paths.
+    """Return the URDF with absolute mesh paths.
 
-    Visual meshes are left out (MuJoCo reads no DAE; see `minidual.robot.visuals`), and so is the fingers' `mimic`: each
-    finger has its own servo.
+    Visuals are dropped (MuJoCo reads no DAE), and the fingers' `mimic`: each has its own servo.
     """
     root = ET.Element("robot", name=f"dual_{robot.arm.name}")
     ET.SubElement(root, "link", name="world")

@@ -1,4 +1,4 @@
-"""Kinematics and dynamics through Pinocchio, from MuJoCo's URDF."""
+"""Kinematics and dynamics through Pinocchio."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ def _shared_model(robot: Robot) -> Any:
 
 
 class Kinematics:
-    """Kinematics and dynamics of all n arm joints, fingers locked open.
+    """Kinematics of all arm joints, fingers locked open.
 
-    An instance has one workspace: give each thread or process its own.
+    Instances own a workspace: one per thread.
     """
 
     def __init__(self, robot: Robot = DUAL_PANDA) -> None:
@@ -47,7 +47,7 @@ class Kinematics:
         self.tcp_ids: tuple[int, int] = tuple(self.model.getFrameId(n) for n in robot.tcp_names)  # type: ignore[assignment]
 
     def tcp_poses(self, q: Array) -> tuple[Array, Array]:
-        """Return left and right T_world_tcp, each (4, 4), for q (n,)."""
+        """Return left and right T_world_tcp for q."""
         pin.forwardKinematics(self.model, self.data, q)
         left, right = self.tcp_ids
         return (
@@ -56,7 +56,7 @@ class Kinematics:
         )
 
     def tcp_jacobians(self, q: Array) -> tuple[Array, Array]:
-        """Return both tcp Jacobians (6, n), [linear; angular], world-aligned."""
+        """Return Jacobians (6, n), [linear; angular], world-aligned."""
         pin.computeJointJacobians(self.model, self.data, q)
         pin.updateFramePlacements(self.model, self.data)
         left, right = self.tcp_ids
@@ -67,24 +67,24 @@ class Kinematics:
         )
 
     def mass_matrix(self, q: Array) -> Array:
-        """Return the joint-space inertia (n, n), including rotors."""
+        """Return inertia (n, n), including rotors."""
         M = pin.crba(self.model, self.data, q)
         return np.triu(M) + np.triu(M, 1).T
 
     def bias(self, q: Array, v: Array) -> Array:
-        """Return Coriolis, centrifugal and gravity torques (n,) [Nm]."""
+        """Return Coriolis, centrifugal and gravity torques [Nm]."""
         return pin.nonLinearEffects(self.model, self.data, q, v)
 
     def gravity(self, q: Array) -> Array:
-        """Return gravity torques (n,) [Nm]."""
+        """Return gravity torques [Nm]."""
         return pin.computeGeneralizedGravity(self.model, self.data, q)
 
     def rnea(self, q: Array, v: Array, a: Array) -> Array:
-        """Return inverse-dynamics torques (n,) [Nm], without joint friction."""
+        """Return inverse-dynamics torques [Nm], frictionless."""
         return pin.rnea(self.model, self.data, q, v, a)
 
     def torques(self, q: Array, v: Array, a: Array) -> Array:
-        """Return `rnea` [Nm] for rows of q, v, a, each (samples, n)."""
+        """Return `rnea` for rows of states."""
         if self._pool is None:
             self._pool = pin.ModelPool(self.model, 1)
         columns = [np.asfortranarray(np.asarray(x, dtype=float).T) for x in (q, v, a)]
@@ -94,12 +94,12 @@ class Kinematics:
 
 
 class HandMotion:
-    """Kinematics of both hands, updated in place at 1 kHz: copy arrays that you keep.
+    """Motion of both hands, updated in place: copy what you keep.
 
     Attributes:
         p: Left and right tcp positions (3,) [m].
         R: Orientations (3, 3) in the world.
-        J: Stacked Jacobians (12, n), [linear; angular] left then right, world-aligned. J J^T is block-diagonal.
+        J: (12, n), [linear; angular] left then right, world-aligned.
         acceleration: (12,), J a + Jdot v.
     """
 
@@ -116,7 +116,7 @@ class HandMotion:
         self._a_left, self._a_right = self.acceleration[:6], self.acceleration[6:]
 
     def update(self, q: Array, v: Array, a: Array) -> None:
-        """Update all arrays; q, v, a are (n,)."""
+        """Update all arrays."""
         model, data, left, right, frame = self._model, self._data, self._left, self._right, _WORLD_ALIGNED
         forwardKinematics(model, data, q, v, a)
         computeJointJacobians(model, data)

@@ -1,9 +1,8 @@
-"""Two arms of one model on a table, with all names, limits and postures.
+"""Two arms of one model on a table.
 
-`q` is (n,) [rad], left arm first; grippers are separate, (2,). `T_a_b` is the pose (4, 4) of b in a, so inner names
-cancel: `T_world_rod = T_world_tcp @ T_tcp_rod`. Twists and wrenches are [linear; angular] (6,), world-aligned by
-default. Quaternions are wxyz. The world's origin is on the table top between the bases; x points away from them, left
-is +y.
+`q` is (n,) [rad], left arm first; grippers are separate, (2,). `T_a_b` is the pose (4, 4) of b in a. Twists and
+wrenches are [linear; angular] (6,), world-aligned by default. Quaternions are wxyz. The world's origin is on the table
+top between the bases; x points away from them, left is +y.
 """
 
 from __future__ import annotations
@@ -18,25 +17,20 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
 
 SIDES: tuple[str, str] = ("left", "right")
-"""Prefixes in storage order."""
+"""In storage order."""
 
 
 @dataclass(frozen=True)
 class HandModel:
-    """A parallel gripper; link and joint names have no side prefix.
+    """A parallel gripper; names have no side prefix.
 
     Attributes:
-        name: For messages.
-        urdf, srdf: As in ArmModel; everything beyond `palm_link` is used.
-        finger_joints: Joint names.
-        finger_links: Link names.
-        palm_link: Link that carries the fingers.
-        tcp_link: Tool centre point.
-        travel_m: Of one finger; the hand opens to twice that.
+        urdf, srdf: As in ArmModel; used from `palm_link` outwards.
+        travel_m: Per finger; the hand opens twice that.
         force_max_n: Continuous, per finger.
-        finger_armature_kg: Reflected rotor inertia per finger.
-        pad_height_m: z of the soft pad's collision box in the finger's frame.
-        camera_position_m: Wrist camera in the palm's frame.
+        finger_armature_kg: Reflected rotor inertia.
+        pad_height_m: z of the soft pad in the finger's frame.
+        camera_position_m: In the palm's frame.
         camera_tilt_rad: From the palm's z axis, about its y.
     """
 
@@ -57,7 +51,7 @@ class HandModel:
 
 @dataclass(frozen=True)
 class Posture:
-    """A named posture [rad] of both arms."""
+    """A named posture [rad]."""
 
     left: tuple[float, ...]
     right: tuple[float, ...]
@@ -66,30 +60,24 @@ class Posture:
 
 @dataclass(frozen=True)
 class ArmModel:
-    """One arm with its hand. Limits have one entry per joint; each table row names their source.
+    """One arm with its hand; limits per joint.
 
     Attributes:
-        name: Row of the table.
-        urdf: Absolute path or package://DISTRIBUTION/path; meshes likewise, or relative to it.
-        srdf: Pairs of links that never collide, or None.
-        never_touch: More such pairs, without side prefix.
-        joints: Names, base first, without side prefix.
-        base_link: Link on the table.
-        flange_link: Link that carries the hand; links beyond are dropped.
-        mount_rpy_rad: Palm's orientation in the flange's frame.
-        base_xy_m: Left base; the right one is mirrored in y. Both face +x.
-        home: Home posture [rad].
-        q_lower, q_upper: Position limits [rad].
+        urdf: Absolute path or package://DISTRIBUTION/path.
+        srdf: Pairs of links that never collide.
+        never_touch: More such pairs, without prefix.
+        joints: Names, base first, without prefix.
+        flange_link: Carries the hand.
+        mount_rpy_rad: Palm in the flange's frame.
+        base_xy_m: Left base; the right one mirrors y. Both face +x.
         v_max: [rad/s].
         a_max: [rad/s^2].
         jerk_max: [rad/s^3].
         tau_max: [Nm].
         tau_rate_max: [Nm/s].
-        armature: Reflected rotor inertia per joint [kg m^2].
-        damping: Viscous friction [Nm s/rad].
+        armature: Reflected rotor inertia [kg m^2].
+        damping: [Nm s/rad].
         friction: Dry friction [Nm].
-        hand: Gripper.
-        postures: More (name, posture) pairs.
     """
 
     name: str
@@ -116,7 +104,7 @@ class ArmModel:
     postures: tuple[tuple[str, Posture], ...] = ()
 
     def __post_init__(self) -> None:
-        """Raise ValueError unless every limit has one entry per joint."""
+        """Raise ValueError for limits of wrong length."""
         for name in ("home", "q_lower", "q_upper", "v_max", "a_max", "jerk_max", "tau_max"):
             if len(getattr(self, name)) != len(self.joints):
                 raise ValueError(
@@ -126,7 +114,7 @@ class ArmModel:
 
 @dataclass(frozen=True)
 class Robot:
-    """Two arms of model `arm`."""
+    """Two arms of one model."""
 
     arm: ArmModel
 
@@ -137,18 +125,18 @@ class Robot:
 
     @property
     def hand(self) -> HandModel:
-        """Gripper of both arms."""
+        """Both arms' gripper."""
         return self.arm.hand
 
     @property
     def base_positions_m(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-        """Bases in the world, left then right."""
+        """Left and right base."""
         x, y = self.arm.base_xy_m
         return (x, y, 0.0), (x, -y, 0.0)
 
     @property
     def sides(self) -> tuple[str, str]:
-        """Prefixes in storage order."""
+        """In storage order."""
         return SIDES
 
     @property
@@ -158,7 +146,7 @@ class Robot:
 
     @property
     def dof(self) -> int:
-        """Joints of both arms."""
+        """Joints altogether."""
         return 2 * self.dof_per_arm
 
     @cached_property
@@ -168,7 +156,7 @@ class Robot:
 
     @cached_property
     def finger_joint_names(self) -> tuple[str, ...]:
-        """Four names, in storage order."""
+        """In storage order."""
         return tuple(f"{side}_{joint}" for side in SIDES for joint in self.hand.finger_joints)
 
     @cached_property
@@ -178,11 +166,11 @@ class Robot:
 
     @cached_property
     def palm_names(self) -> tuple[str, str]:
-        """Links that carry the fingers."""
+        """Finger carriers."""
         return self.both(self.hand.palm_link)
 
     def hand_links(self, side: str) -> tuple[str, str, str]:
-        """Return palm and fingers of one hand."""
+        """Return palm and fingers."""
         first, second = self.hand.finger_links
         return f"{side}_{self.hand.palm_link}", f"{side}_{first}", f"{side}_{second}"
 
@@ -193,46 +181,46 @@ class Robot:
 
     @cached_property
     def groups(self) -> dict[str, slice]:
-        """Slices of q by planning group."""
+        """Slices of q."""
         n = self.dof_per_arm
         return {"left_arm": slice(0, n), "right_arm": slice(n, 2 * n), "both_arms": slice(0, 2 * n)}
 
     def joints_of(self, arm: int) -> slice:
-        """Return the slice of q of arm 0 (left) or 1."""
+        """Return the slice of arm 0 (left) or 1."""
         n = self.dof_per_arm
         return slice(arm * n, (arm + 1) * n)
 
     @cached_property
     def home(self) -> Array:
-        """Home posture (n,) [rad]."""
+        """Home posture [rad]."""
         return self._both(self.arm.home)
 
     @cached_property
     def q_lower(self) -> Array:
-        """Lower position limits (n,) [rad]."""
+        """Position limits [rad]."""
         return self._both(self.arm.q_lower)
 
     @cached_property
     def q_upper(self) -> Array:
-        """Upper position limits (n,) [rad]."""
+        """Position limits [rad]."""
         return self._both(self.arm.q_upper)
 
     @cached_property
     def v_max(self) -> Array:
-        """Velocity limits (n,) [rad/s]."""
+        """Velocity limits [rad/s]."""
         return self._both(self.arm.v_max)
 
     @cached_property
     def a_max(self) -> Array:
-        """Acceleration limits (n,) [rad/s^2]."""
+        """Acceleration limits [rad/s^2]."""
         return self._both(self.arm.a_max)
 
     @cached_property
     def jerk_max(self) -> Array:
-        """Jerk limits (n,) [rad/s^3]."""
+        """Jerk limits [rad/s^3]."""
         return self._both(self.arm.jerk_max)
 
     @cached_property
     def tau_max(self) -> Array:
-        """Torque limits (n,) [Nm]."""
+        """Torque limits [Nm]."""
         return self._both(self.arm.tau_max)

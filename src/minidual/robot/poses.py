@@ -10,7 +10,7 @@ from minidual.robot.pair import Array
 
 
 def pose(rotation: Array, position: Array | tuple[float, float, float]) -> Array:
-    """Return the pose of a rotation and position [m]."""
+    """Return a pose."""
     T = np.eye(4)
     T[:3, :3] = rotation
     T[:3, 3] = position
@@ -18,19 +18,19 @@ def pose(rotation: Array, position: Array | tuple[float, float, float]) -> Array
 
 
 def inverse(T: Array) -> Array:
-    """Return the inverse pose."""
+    """Invert a pose."""
     R = T[:3, :3]
     return pose(R.T, -R.T @ T[:3, 3])
 
 
 def rot_x(angle_rad: float) -> Array:
-    """Return the rotation about x."""
+    """Rotate about x."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
 
 
 def rot_z(angle_rad: float) -> Array:
-    """Return the rotation about z."""
+    """Rotate about z."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
@@ -38,7 +38,7 @@ def rot_z(angle_rad: float) -> Array:
 def rotation_log(R: Array) -> Array:
     """Return the rotation vector (3,) [rad].
 
-    Near pi the axis comes from the symmetric part, as the antisymmetric part loses its digits.
+    Near pi the antisymmetric part loses digits; the axis then comes from the symmetric part.
     """
     vee = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
     cosine = 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0)
@@ -56,12 +56,12 @@ def rotation_log(R: Array) -> Array:
 
 
 def quat_from_yaw(yaw_rad: float) -> Array:
-    """Return the quaternion wxyz of a yaw."""
+    """Return the quaternion wxyz."""
     return np.array([np.cos(yaw_rad / 2.0), 0.0, 0.0, np.sin(yaw_rad / 2.0)])
 
 
 def rotation_from_quat(quat_wxyz: Array) -> Array:
-    """Return the rotation of a unit quaternion wxyz."""
+    """Return the rotation."""
     w, x, y, z = quat_wxyz
     return np.array(
         [

@@ -23,19 +23,19 @@ def _all_finite(x: Array) -> bool:
 
 
 def largest(x: Array) -> Array:
-    """Return the largest |x| per column of (n, d), NaN if present. The transposed copy is ten times faster."""
+    """Return the largest |x| per column (transposed copy: ten times faster). NaN propagates."""
     return np.abs(np.ascontiguousarray(x.T)).max(axis=1)
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Joint samples on a regular time grid. A plan of one arm keeps the other's columns constant.
+    """Samples on a regular time grid.
 
     Attributes:
         times: (n,) [s], from 0; n >= 2.
         q: (n, dof) [rad].
-        v: (n, dof) [rad/s].
-        a: (n, dof) [rad/s^2].
+        v: [rad/s].
+        a: [rad/s^2].
         group: Planning group that moves.
     """
 
@@ -60,23 +60,23 @@ class Trajectory:
 
     @property
     def duration_s(self) -> float:
-        """Time of the last sample [s]."""
+        """Time of the last sample."""
         return float(self.times[-1])
 
     @property
     def dt_s(self) -> float:
-        """Step between samples [s]."""
+        """Time step."""
         return float(self.times[1] - self.times[0])
 
     def sample(self, t: float) -> tuple[Array, Array, Array]:
-        """Return q, v, a (dof,) at time t [s], clamped to the trajectory's ends."""
+        """Return q, v, a (dof,) at time t, clamped to the ends."""
         q, v, a = self.sample_many(np.array([t]))
         return q[0], v[0], a[0]
 
     def sample_many(self, times: Array) -> tuple[Array, Array, Array]:
-        """Return q, v, a (m, dof) at times (m,) [s].
+        """Return q, v, a (m, dof) at times (m,).
 
-        q is the samples' cubic Hermite interpolant, v its derivative; a is linear.
+        q is a cubic Hermite interpolant, v its derivative; a is linear.
         """
         t = np.clip(np.asarray(times, dtype=float), 0.0, self.duration_s)
         h = self.dt_s
@@ -94,13 +94,13 @@ class Trajectory:
         return q, v, a
 
     def variation_rates(self) -> Array:
-        """Return upper bounds (n - 1, dof) [rad/s] on joint speeds within each step, from Bezier coefficients."""
+        """Return speed bounds (n - 1, dof) [rad/s] per step, from Bezier coefficients."""
         h = self.dt_s
         middle = 3.0 * np.diff(self.q, axis=0) / h - self.v[:-1] - self.v[1:]
         return np.maximum(np.maximum(np.abs(self.v[:-1]), np.abs(self.v[1:])), np.abs(middle))
 
     def slowed(self, factor: float) -> Trajectory:
-        """Return the path in about `factor` >= 1 times the time, with the same step."""
+        """Return the path, `factor` >= 1 times slower."""
         if not (np.isfinite(factor) and factor >= 1.0):
             raise UsageError(f"slow-down factor {factor}; it must be finite and >= 1")
         n = int(np.ceil((len(self.times) - 1) * factor)) + 1
@@ -110,14 +110,14 @@ class Trajectory:
         return Trajectory(times, q, v / exact, a / exact**2, self.group)
 
     def digest(self) -> str:
-        """Return the sha256 of all samples."""
+        """Return a sha256 of all samples."""
         h = hashlib.sha256(self.group.encode())
         for x in (self.times, self.q, self.v, self.a):
             h.update(np.ascontiguousarray(x).tobytes())
         return h.hexdigest()
 
     def to_json(self, joint_names: Sequence[str], every: int = 1) -> dict[str, Any]:
-        """Return JSON data of every `every`-th sample and the last."""
+        """Return every `every`-th sample and the last."""
         rows = np.unique(np.append(np.arange(0, len(self.times), every), len(self.times) - 1))
         return {
             "group": self.group,
@@ -133,7 +133,7 @@ class Trajectory:
         path.write_text(json.dumps(self.to_json(joint_names, every)), encoding="utf-8")
 
     def write_csv(self, path: Path, joint_names: Sequence[str]) -> None:
-        """Write time, q, v, a, one row per sample."""
+        """Write time, q, v, a."""
         header = [f"{name}_{unit}" for unit in ("rad", "rad_per_s", "rad_per_s2") for name in joint_names]
         with path.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)

@@ -1,11 +1,11 @@
-"""Vectors of three floats for 1 kHz code: `np.cross` takes 14 us, `cross` 0.13 us."""
+"""Vectors of three floats: `np.cross` takes 14 us, `cross` 0.13 us."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 Vector = Sequence[float]
-"""For example from `array.tolist()`."""
+"""From `array.tolist()`."""
 
 
 def cross(a: Vector, b: Vector) -> tuple[float, float, float]:

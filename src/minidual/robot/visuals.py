@@ -1,4 +1,4 @@
-"""Visual meshes of one arm and hand, decimated and split by colour."""
+"""Visual meshes, decimated and split by colour."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from minidual.robot.description import arm_elements, materials
 from minidual.robot.pair import ArmModel, Array
 
 FACES_PER_ARM = 9000
-"""Target triangles per arm (the Panda's files have 134,300); on a CPU a face costs more than a pixel."""
+"""Target triangles per arm (the Panda's files: 134,300); CPU rendering cost grows with them."""
 
 
 @dataclass(frozen=True)
 class VisualMesh:
-    """One single-colour mesh in its link's frame.
+    """One single-colour mesh.
 
     Attributes:
         link: Without side prefix.
         vertices: (V, 3) [m].
-        faces: (F, 3) indices.
-        rgba: (4,) in 0..1.
+        faces: (F, 3).
+        rgba: In 0..1.
     """
 
     link: str
@@ -38,13 +38,13 @@ class VisualMesh:
 
 _Colour = tuple[float, float, float, float]
 _SHRINK_MAX_M = 0.01
-"""Decimation that shortens a link by more has cut part of it off."""
+"""A link shortened by more was cut."""
 _GREY: _Colour = (0.7, 0.7, 0.7, 1.0)
 
 
 @functools.cache
 def arm_visuals(arm: ArmModel) -> tuple[VisualMesh, ...]:
-    """Return one arm's meshes, about 1 s at the first call."""
+    """Return one arm's meshes (first call about 1 s)."""
     import pinocchio as pin
 
     colours = materials(arm.hand.urdf) | materials(arm.urdf)
@@ -74,7 +74,7 @@ def arm_visuals(arm: ArmModel) -> tuple[VisualMesh, ...]:
 
 
 def _coloured(path: Path, colour: _Colour | None) -> list[tuple[_Colour, Array, npt.NDArray[np.int64]]]:
-    """Return (colour, vertices, faces) by colour; `colour` is the fallback."""
+    """Return (colour, vertices, faces) by colour."""
     import trimesh
 
     by_colour: dict[_Colour, list[trimesh.Trimesh]] = {}
@@ -91,7 +91,7 @@ def _coloured(path: Path, colour: _Colour | None) -> list[tuple[_Colour, Array, 
 
 
 def _decimated(meshes: list[tuple[Any, Any]], reduction: float) -> list[tuple[Any, Any]]:
-    """Decimate one link, less aggressively if part of it was cut off."""
+    """Decimate one link, less aggressively if part was cut off."""
     import fast_simplification
 
     def size(parts: list[tuple[Any, Any]]) -> Array:

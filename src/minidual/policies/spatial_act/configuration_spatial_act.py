@@ -1,4 +1,4 @@
-"""Configuration of `spatial_act`; LeRobot finds it by file and class name."""
+"""Configuration of `spatial_act`, found by file and class name."""
 
 from __future__ import annotations
 
@@ -13,10 +13,9 @@ from lerobot.policies.act.configuration_act import ACTConfig
 @PreTrainedConfig.register_subclass("spatial_act")
 @dataclass
 class SpatialActConfig(PreTrainedConfig):
-    """Settings of ACT's transformer (named as in `ACTConfig`) and of the keypoint encoder.
+    """Settings of ACT's transformer (see `ACTConfig`) and the keypoint encoder.
 
-    `keyframe_weight` > 0 adds a head that predicts the actions at the first `keyframes` gripper switches from the
-    keypoints.
+    `keyframe_weight` > 0 adds a head predicting actions at the first `keyframes` gripper switches.
     """
 
     n_obs_steps: int = 1

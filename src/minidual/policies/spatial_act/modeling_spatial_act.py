@@ -1,8 +1,8 @@
-"""The policy `spatial_act`: keypoints per camera, then LeRobot's unmodified ACT transformer.
+"""The policy `spatial_act`: keypoints per camera, then LeRobot's ACT transformer.
 
-Keypoints and predicted keyframes enter through ACT's environment-state token. A keyframe is the action at a gripper
-switch. Every earlier frame must predict it from images alone, which trains localisation in each sample; early in the
-approach the one-second action chunk hardly does.
+Keypoints and predicted keyframes form ACT's environment-state token. A keyframe is the action at a gripper switch. Each
+frame learns to predict the next one from images alone: early in the approach, one-second chunks hardly train
+localisation.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Parts = tuple[Tensor, tuple[Tensor | None, Tensor | None], Tensor | None]
 
 
 class SpatialActModel(nn.Module):
-    """Keypoint encoders, keyframe head and ACT transformer."""
+    """Encoders, keyframe head and transformer."""
 
     def __init__(self, config: SpatialActConfig) -> None:
         super().__init__()
@@ -50,7 +50,7 @@ class SpatialActModel(nn.Module):
         self.act = ACT(config.transformer(input_features=inputs))
 
     def use_precision(self, *, bf16: bool) -> None:
-        """Set bfloat16 use, and channels-last weights for speed."""
+        """Set bfloat16 and channels-last weights."""
         encoders: Any = self.backbone
         encoders.to(memory_format=torch.channels_last)
         for encoder in encoders:
@@ -71,7 +71,7 @@ class SpatialActModel(nn.Module):
 
 
 class SpatialActPolicy(PreTrainedPolicy):
-    """LeRobot policy of type `spatial_act`."""
+    """The LeRobot policy `spatial_act`."""
 
     config_class: Any = SpatialActConfig
     name: Any = "spatial_act"
@@ -96,7 +96,7 @@ class SpatialActPolicy(PreTrainedPolicy):
 
     @torch.no_grad()
     def select_action(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
-        """Return the next normalised action (B, A), predicting a chunk if none is queued."""
+        """Return the next normalised action (B, A)."""
         if not self._queue:
             self._queue.extend(self.predict_action_chunk(batch)[:, : self.config.n_action_steps].transpose(0, 1))
         return self._queue.popleft()
@@ -117,10 +117,10 @@ class SpatialActPolicy(PreTrainedPolicy):
         return keyframe
 
     def forward(self, batch: dict[str, Tensor], **kwargs: Any) -> tuple[Tensor, dict[str, float]]:
-        """Return the loss and its parts: masked L1, keyframe L1, KL divergence.
+        """Return the loss and its parts.
 
-        Optional `keyframe` (B, K, A) holds normalised actions at the gripper switches; `keyframe_is_valid` (B, K) marks
-        each sample's next switch.
+        Optional `keyframe` (B, K, A): normalised actions at gripper switches; `keyframe_is_valid` (B, K) marks the next
+        switch.
         """
         actions, (mean, log_variance), keyframe = self.model(batch)
         loss = _masked_l1(actions, batch[ACTION], ~batch["action_is_pad"])
@@ -137,7 +137,7 @@ class SpatialActPolicy(PreTrainedPolicy):
 
 
 def _masked_l1(predicted: Tensor, wanted: Tensor, valid: Tensor) -> Tensor:
-    """Return the mean absolute error over entries with `valid` (B, S)."""
+    """Mean absolute error over `valid` (B, S)."""
     mask = valid.unsqueeze(-1)
     count = (mask.sum() * predicted.shape[-1]).clamp_min(1)
     return (F.l1_loss(predicted, wanted, reduction="none") * mask).sum() / count

@@ -1,4 +1,4 @@
-"""Processors of `spatial_act`: those of the stock ACT."""
+"""Processors of stock ACT."""
 
 from __future__ import annotations
 
@@ -13,6 +13,6 @@ from minidual.policies.spatial_act.configuration_spatial_act import SpatialActCo
 def make_spatial_act_pre_post_processors(
     config: SpatialActConfig, dataset_stats: dict[str, dict[str, Tensor]] | None = None
 ) -> tuple[Any, Any]:
-    """Return the normalising pre-processor and un-normalising post-processor."""
+    """Return normalising pre-processor and un-normalising post-processor."""
     act: Any = config  # has the ACTConfig entries read there
     return make_act_pre_post_processors(act, dataset_stats)
