@@ -1,8 +1,7 @@
 """Certificate: proves from few samples that a trajectory never touches anything.
 
-Every moving pair needs, on each stretch of motion, a plane that both ends clear by more than the parts can deviate in
-between (`minidual.proof.planes`). Unproven stretches are halved, down to the samples, which should be 1 ms apart. No
-collision library is used.
+On each stretch of motion every moving pair needs a plane that both ends clear by more than the parts can deviate in
+between (`minidual.proof.planes`). Unproven stretches are halved, down to the samples.
 """
 
 from __future__ import annotations
@@ -27,8 +26,8 @@ class Certificate:
     """Result of a proof.
 
     Attributes:
-        reason: Empty if ok, else the unproven pair and time.
-        samples_n: Samples at which stretches end.
+        reason: The unproven pair and time, if any.
+        samples_n: Ends of stretches.
     """
 
     ok: bool
@@ -37,7 +36,7 @@ class Certificate:
 
 
 def certify(solids: Solids, trajectory: Trajectory) -> Certificate:
-    """Prove a trajectory; a bad one is refused without exception."""
+    """Prove a trajectory; bad ones are refused without exception."""
     # Joints whose samples all agree may still move between them.
     moved = ((trajectory.q != trajectory.q[0]) | (trajectory.v != 0.0)).any(axis=0)
     groups = solids.robot.groups

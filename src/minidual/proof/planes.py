@@ -1,8 +1,8 @@
 """Compiled search for planes that separate two parts, at a state or throughout a stretch.
 
 A part is a union of convex solids: vertex hulls, thickened by a ball or (cylinders) a disc. Two solids are d apart if
-along some direction all of one lies d beyond all of the other. Only extreme points matter for this check, so the search
-(Gilbert, Johnson and Keerthi) need not be trusted.
+along some direction all of one lies d beyond all of the other. This check needs only extreme points, so the search
+(Gilbert, Johnson, Keerthi) need not be trusted.
 
 A stretch is compared with the straight joint-space line between its ends. A vertex's second derivative along it is
 bounded by a sum over joint pairs: both steps times the distance from the outer axis. An eighth of this bounds its
@@ -24,7 +24,7 @@ from minidual.robot.compiled import inlined, kernel
 from minidual.robot.pair import Array
 
 JOINT = np.dtype([("parent", "i8"), ("R", "f8", (3, 3)), ("p", "f8", 3)])
-"""Parent frame (0: world, k + 1: joint k) and placement in it; the joint turns about z."""
+"""Parent frame (0: world, k + 1: joint k) and placement; the joint turns about z."""
 SOLID = np.dtype([("first", "i8"), ("end", "i8")] + [(name, "f8") for name in ("ball", "disc", "x", "y", "z")])
 """Vertex rows, radii [m], disc axis."""
 PART = np.dtype(
@@ -53,7 +53,7 @@ _EXACT_M = 1e-4
 
 @inlined
 def _place(geometry: Geometry, q: Array, n: int, work: Work) -> None:
-    """Write poses and centres at q (dof,) into row n."""
+    """Write poses and centres into row n."""
     joints, parts = geometry[0], geometry[3]
     R, p, C = work[1], work[2], work[3]
     for r in range(3):
@@ -81,7 +81,7 @@ def _place(geometry: Geometry, q: Array, n: int, work: Work) -> None:
 
 @inlined
 def _seen_from(work: Work, n: int, f: int, a: int, to: int) -> None:
-    """Write frame a's pose at state n, seen from f, into row `to`."""
+    """Write frame a's pose, seen from f, into row `to`."""
     R, p, seen_R, seen_p = work[1], work[2], work[4], work[5]
     if f == 0:
         for r in range(3):
@@ -99,7 +99,7 @@ def _seen_from(work: Work, n: int, f: int, a: int, to: int) -> None:
 
 @inlined
 def _farthest(geometry: Geometry, k: int, R: Array, p: Array, n: int, x: float, y: float, z: float) -> Point:
-    """Return solid k's extent along (x, y, z), without ball, and the extreme point."""
+    """Return solid k's extent along (x, y, z), without ball, and extreme point."""
     vertices, solids = geometry[1], geometry[2]
     mx = R[n, 0, 0] * x + R[n, 1, 0] * y + R[n, 2, 0] * z
     my = R[n, 0, 1] * x + R[n, 1, 1] * y + R[n, 2, 1] * z
@@ -137,7 +137,7 @@ def _farthest(geometry: Geometry, k: int, R: Array, p: Array, n: int, x: float, 
 
 @inlined
 def _difference(geometry: Geometry, a: int, b: int, ends: int, x: float, y: float, z: float, work: Work) -> Point:
-    """Return solid a's smallest distance beyond b along (x, y, z) over the ends, and the vector from b to a.
+    """Return solid a's smallest distance beyond b along (x, y, z) over the ends, and the difference vector.
 
     Even pose rows hold a, odd rows b.
     """
@@ -158,10 +158,7 @@ def _difference(geometry: Geometry, a: int, b: int, ends: int, x: float, y: floa
 
 @inlined
 def _on_triangle(S: Array, i: int, j: int, k: int) -> tuple[float, float, float]:
-    """Return weights of the triangle's point nearest to the origin.
-
-    Ericson, Real-Time Collision Detection, section 5.1.5.
-    """
+    """Return weights of the triangle's nearest point to the origin (Ericson, Real-Time Collision Detection, 5.1.5)."""
     ax, ay, az = S[i, 0], S[i, 1], S[i, 2]
     bx, by, bz = S[j, 0], S[j, 1], S[j, 2]
     cx, cy, cz = S[k, 0], S[k, 1], S[k, 2]
@@ -194,7 +191,7 @@ def _on_triangle(S: Array, i: int, j: int, k: int) -> tuple[float, float, float]
 
 @inlined
 def _outside(S: Array, i: int, j: int, k: int, m: int) -> bool:
-    """Return whether the triangle does not have the origin and row m on one side."""
+    """Return whether the triangle does not have origin and row m on one side."""
     ux, uy, uz = S[j, 0] - S[i, 0], S[j, 1] - S[i, 1], S[j, 2] - S[i, 2]
     vx, vy, vz = S[k, 0] - S[i, 0], S[k, 1] - S[i, 1], S[k, 2] - S[i, 2]
     nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
@@ -205,10 +202,7 @@ def _outside(S: Array, i: int, j: int, k: int, m: int) -> bool:
 
 @inlined
 def _nearest(S: Array, count: int) -> tuple[int, float, float, float]:
-    """Return (count, x, y, z), the simplex point nearest to the origin, and drop unneeded rows.
-
-    It is the origin if all four are needed.
-    """
+    """Return (count, x, y, z), the simplex's nearest point to the origin, and drop unneeded rows."""
     weights = (1.0, 0.0, 0.0)
     i, j, k = 0, 1, 2
     if count == 2:
@@ -247,10 +241,9 @@ def _nearest(S: Array, count: int) -> tuple[int, float, float, float]:
 
 @inlined
 def _separate(geometry: Geometry, a: int, b: int, ends: int, need: float, exact: bool, row: int, work: Work) -> float:
-    """Return a lower bound on the solids' distance at all ends (Gilbert, Johnson and Keerthi).
+    """Return a lower bound on the solids' distance at all ends.
 
-    Stops when the bound exceeds `need` or cannot; if `exact`, within `_EXACT_M` of convergence. Stores the best
-    direction.
+    Stops when the bound exceeds `need` or cannot; if `exact`, within `_EXACT_M` of convergence.
     """
     solids, directions, S = geometry[2], work[0], work[6]
     thick = solids[a].ball + solids[b].ball
@@ -281,7 +274,7 @@ def _separate(geometry: Geometry, a: int, b: int, ends: int, need: float, exact:
 
 @inlined
 def _between_balls(geometry: Geometry, pair: Any, i: int, j: int, work: Work) -> float:
-    """Return the smallest distance of bounding balls between states i and j."""
+    """Return the bounding balls' smallest distance between states i and j."""
     parts, R, C = geometry[3], work[1], work[3]
     a, b, f = pair.a, pair.b, pair.frame
     x, y, z = C[i, a, 0] - C[i, b, 0], C[i, a, 1] - C[i, b, 1], C[i, a, 2] - C[i, b, 2]
@@ -308,10 +301,7 @@ def _between_balls(geometry: Geometry, pair: Any, i: int, j: int, work: Work) ->
 
 @inlined
 def _beside(geometry: Geometry, pair: Any, i: int, j: int, work: Work) -> float:
-    """Return how far a's ball lies beyond b along their last direction; -inf unless b is one fixed solid.
-
-    It settles most pairs of link and box.
-    """
+    """Return how far a's ball lies beyond b along their last direction; -inf unless b is one fixed solid."""
     solids, parts = geometry[2], geometry[3]
     directions, R, p, C = work[0], work[1], work[2], work[3]
     a, b = pair.a, pair.b
@@ -327,7 +317,7 @@ def _beside(geometry: Geometry, pair: Any, i: int, j: int, work: Work) -> float:
 def _apart(geometry: Geometry, pair: Any, i: int, j: int, need: float, exact: bool, work: Work) -> float:
     """Return a lower bound on the parts' distance at states i and j.
 
-    Stops at the first solids within `need`; if `exact`, visits all, lowering `need`.
+    Stops at the first solids within `need`, unless `exact`.
     """
     parts = geometry[3]
     a, b = pair.a, pair.b
@@ -352,9 +342,9 @@ def _apart(geometry: Geometry, pair: Any, i: int, j: int, need: float, exact: bo
 
 @inlined
 def _deviate(geometry: Geometry, step: Array, off: Array, table: Array) -> None:
-    """Write each part's largest deviation from its chords [m], seen from the link that joint i moves, into the table.
+    """Tabulate each part's largest deviation from its chords [m], seen from the link that joint i moves.
 
-    Its last row is for fixed parts. step, off: (dof,) [rad], between the ends and off the straight line.
+    The last row is for fixed parts. `off` [rad]: departure from the straight line.
     """
     parts, reach = geometry[3], geometry[5]
     n = reach.shape[1]
@@ -374,9 +364,9 @@ def _deviate(geometry: Geometry, step: Array, off: Array, table: Array) -> None:
 
 @inlined
 def _off_chord(q: Array, bend: Array, i: int, j: int, step: Array, off: Array) -> None:
-    """Write the step (dof,) from sample i to j and the largest departure (dof,) from the straight line.
+    """Write the step from sample i to j and the largest departure from the straight line.
 
-    bend: (n - 1, dof) [rad], departures between neighbouring samples.
+    `bend` (n - 1, dof): departures between neighbouring samples.
     """
     square, total = 0.0, 0.0
     for c in range(q.shape[1]):
@@ -401,7 +391,7 @@ def _off_chord(q: Array, bend: Array, i: int, j: int, step: Array, off: Array) -
 
 @inlined
 def _bends(q: Array, v: Array, dt: float, bend: Array) -> None:
-    """Write departures (n - 1, dof) [rad] of the cubics from their chords."""
+    """Write the cubics' departures (n - 1, dof) [rad] from their chords."""
     for k in range(len(q) - 1):
         for c in range(q.shape[1]):
             # A cubic's second derivative is largest at an end; an eighth of it bounds the departure.
@@ -413,7 +403,7 @@ def _bends(q: Array, v: Array, dt: float, bend: Array) -> None:
 
 @inlined
 def _first_stretches(q: Array, length: float, stack: Array) -> int:
-    """Stack stretches of about `length` [rad], first on top; return their number."""
+    """Stack stretches of about `length`, first on top; return their number."""
     last = len(q) - 1
     whole = 0.0
     for k in range(last):
@@ -448,15 +438,13 @@ def prove(
         q: Samples (n, dof) [rad], n >= 2, joined by cubics.
         v: Velocities [rad/s].
         dt: Step [s].
-        length: First stretches' length [rad], summed over joints.
+        length: First stretches' [rad], summed over joints.
         chosen: (c,) rows of `pairs`.
-        need: Distance [m], including rounding.
-        directions: (r, 3), updated in place.
+        need: [m], including rounding.
+        directions: (r, 3), updated.
 
     Returns:
-        asked: (n,) bool, ends of stretches.
-        failed: First sample of the unproven step, or -1.
-        pair: Its pair, or -1.
+        Ends of stretches (n,) bool; the unproven step's first sample and pair, or -1, -1.
     """
     parts, pairs = geometry[3], geometry[4]
     n, dof = q.shape
@@ -540,7 +528,7 @@ def survey(geometry: Geometry, Q: Array, chosen: Rows, keep: Keep, work: Work) -
     """Return the first row of Q (n, dof) that is not free, or n.
 
     Free: all pairs are proven farther apart than the padding. At a tight state its clearance suffices, growing linearly
-    to the padding within `relax`. `chosen` (c,) is reordered, blocking pairs first.
+    to the padding within `relax`. `chosen` is reordered, blocking pairs first.
     """
     for k in range(len(Q)):
         if not _free(geometry, Q[k], chosen, keep, work):
@@ -552,7 +540,7 @@ def survey(geometry: Geometry, Q: Array, chosen: Rows, keep: Keep, work: Work) -
 def sweep(
     geometry: Geometry, a: Array, b: Array, fractions: Array, q: Array, chosen: Rows, keep: Keep, work: Work
 ) -> int:
-    """Run `survey` on a + fractions[k] (b - a); q (dof,) is memory."""
+    """Run `survey` on a + fractions[k] (b - a)."""
     for k in range(len(fractions)):
         for c in range(len(q)):
             q[c] = a[c] + fractions[k] * (b[c] - a[c])
@@ -565,7 +553,7 @@ def sweep(
 def clearance(geometry: Geometry, Q: Array, chosen: Rows, most: float, work: Work) -> float:
     """Return a lower bound [m] on the smallest distance over Q (n, dof), at most `most`.
 
-    Negative in contact; minus infinity if nothing is proven.
+    Negative in contact; -inf if nothing is proven.
     """
     pairs = geometry[4]
     least = most

@@ -1,7 +1,7 @@
 """The proof's geometry: convex solids on joint frames.
 
 If joint j turns by e, a point at distance r from its axis moves by at most r |e|. The reach bounds r in any posture by
-link lengths plus the part's radius about its own joint.
+link lengths plus the part's radius.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _ENDS = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
 
 @dataclass(frozen=True)
 class _Solid:
-    """Vertices (n, 3) [m] in a joint's frame, thickening radii, the disc's axis."""
+    """Vertices (n, 3) [m] in a joint's frame, thickening radii, disc axis."""
 
     points: Array
     ball: float
@@ -38,13 +38,7 @@ class _Solid:
 
 
 class Solids:
-    """One scene's convex solids.
-
-    Attributes:
-        geometry: The kernels' first argument.
-        pairs: Names of the checked pairs.
-        robot: The arms.
-    """
+    """One scene's convex solids; `geometry` is the kernels' first argument."""
 
     def __init__(self, scene: PlanningScene) -> None:
         self.robot, self.pairs = scene.robot, scene.checked_pairs
@@ -114,7 +108,7 @@ class Solids:
         return np.array(pairs, dtype=PAIR)
 
     def of_arms(self, arms: Sequence[str]) -> np.ndarray:
-        """Return rows of pairs moved by these arms."""
+        """Return pairs moved by these arms."""
         frames, n = self._parts["frame"], self.robot.dof_per_arm
         moves = np.zeros(len(frames), dtype=bool)
         if "left" in arms:
@@ -125,7 +119,7 @@ class Solids:
         return np.flatnonzero(moves[pairs["a"]] | moves[pairs["b"]])
 
     def workspace(self) -> planes.Work:
-        """Allocate the kernels' memory for one state; it keeps plane directions."""
+        """Allocate the kernels' memory for one state."""
         one = self.robot.dof + 1
         return (
             np.zeros((self._directions_n, 3)),
@@ -158,7 +152,7 @@ class Solids:
 
 @dataclass(frozen=True)
 class _Chain:
-    """Joints with frames turned so that their axes are z; `turns` maps original frames (world first) into them."""
+    """Joints with frames turned to make their axes z; `turns` maps original frames into them."""
 
     joints: np.ndarray
     turns: tuple[pin.SE3, ...]
@@ -185,7 +179,6 @@ def _chain(robot: Robot) -> _Chain:
 
 @functools.cache
 def _robot_solids(robot: Robot) -> dict[str, tuple[int, tuple[_Solid, ...]]]:
-    """Return (joint index or 0, solids) by link."""
     model, turns = Kinematics(robot).model, _chain(robot).turns
     found: dict[str, tuple[int, tuple[_Solid, ...]]] = {}
     for item in robot_geometry(robot).geometryObjects:

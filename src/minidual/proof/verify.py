@@ -1,7 +1,7 @@
 """Verification of timed trajectories; a plan succeeds only if it passes.
 
-It proves the limits and the certificate. The audit tests the certificate by dense sampling with two collision engines,
-too slow for every plan. A verified trajectory that fails an audit shows an error in the certificate.
+The audit tests the certificate by dense sampling with two collision engines, too slow for every plan. A verified
+trajectory that fails an audit shows an error in the certificate.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ class Verification:
     """Result of verification.
 
     Attributes:
-        reason: Empty if ok, else the first failure.
-        samples_n: Samples at which stretches end.
-        velocity_ratio, acceleration_ratio, jerk_ratio, torque_ratio: Largest fractions of the limits.
+        reason: The first failure, if any.
+        samples_n: Ends of stretches.
+        velocity_ratio, acceleration_ratio, jerk_ratio, torque_ratio: Largest fractions of limits.
         limit_margin_rad: Smallest distance to a position limit.
     """
 
@@ -56,7 +56,6 @@ class Audit:
     """Result of dense sampling.
 
     Attributes:
-        samples_n: Checked states.
         step_max_rad: Largest joint step.
         collisions_n: States in contact for any engine.
         disagreements_n: States on which engines disagree.
@@ -94,7 +93,7 @@ class Verifier:
     def clearance(self, trajectory: Trajectory) -> float:
         """Return the smallest distance [m] at an audit's states, at most `CLEARANCE_MAX_M`.
 
-        A lower bound, at most 0.1 mm too small.
+        At most 0.1 mm too small, never too large.
         """
         return self._solids.clearance(collision_samples(trajectory, self._step_rad), CLEARANCE_MAX_M)
 
@@ -118,9 +117,9 @@ class Verifier:
 
 
 def collision_samples(trajectory: Trajectory, step_rad: float = STEP_RAD) -> Array:
-    """Return (n, dof) configurations with joint steps of at most `step_rad`.
+    """Return configurations (n, dof) with joint steps of at most `step_rad`.
 
-    Times divide the integrated bound on the fastest joint's speed evenly.
+    Times divide the integrated bound on the fastest joint evenly.
     """
     fastest = trajectory.variation_rates().max(axis=1) * trajectory.dt_s
     gone = np.concatenate([[0.0], np.cumsum(fastest)])
