@@ -1,11 +1,11 @@
-"""The allowed-collision matrix: unchecked pairs of links of one arm, with reasons.
+"""The allowed-collision matrix: unchecked pairs of links of one arm.
 
-Both arms are of one model, so only the left one is sampled:
+Only the left arm is sampled; the right one is equal. Reasons:
 
-- `rigid`: no joint between the links (fingers are locked);
-- `adjacent`: one joint connects them directly; their hulls overlap there;
-- `always`: they touch at home and in at least 95 % of the samples;
-- `model`: the arm's model rules contact out, although the hulls come near;
+- `rigid`: no joint in between (fingers are locked);
+- `adjacent`: one joint connects them directly;
+- `always`: contact at home and in at least 95 % of the samples;
+- `model`: the arm's model rules contact out;
 - `never`: no contact in any sample.
 
 Samples are uniform within the joint limits. Their number doubles from 20 000 until no pair changes class over two
@@ -39,7 +39,7 @@ from minidual.robot.pair import SIDES, Robot
 SAMPLES_MIN = 20_000
 SAMPLES_MAX = 1_280_000
 QUIET_DOUBLINGS = 2
-"""Consecutive doublings without a changed class that end the sampling."""
+"""Consecutive unchanged doublings that end the sampling."""
 ALWAYS_FRACTION = 0.95
 _RULE_VERSION = "4"
 _SEED = 7
@@ -47,7 +47,7 @@ _SEED = 7
 
 @dataclass(frozen=True)
 class Round:
-    """Samples so far, and the pairs ("link + link") that changed class."""
+    """Samples so far, and pairs that changed class."""
 
     samples_n: int
     changed: tuple[str, ...]
@@ -55,11 +55,11 @@ class Round:
 
 @dataclass(frozen=True)
 class BuiltAcm:
-    """The matrix and its sampling history.
+    """The matrix and its history.
 
     Attributes:
-        converged: Whether the rule was met before the sample limit.
-        rarest: The pair with the fewest contacts (at least one), and their number.
+        converged: False if the sample limit was reached.
+        rarest: The touching pair with fewest contacts, and their number.
     """
 
     acm: AllowedCollisions
@@ -105,7 +105,7 @@ def default_acm(robot: Robot) -> AllowedCollisions:
 
 @cache
 def acm_report(robot: Robot) -> BuiltAcm:
-    """Return matrix and history from the user's cache, or build them (about 1 s)."""
+    """Return matrix and history from the user's cache, or build them (1 s)."""
     path = _cache_file(robot)
     cached = _read(path, robot)
     if cached is not None:
@@ -116,7 +116,7 @@ def acm_report(robot: Robot) -> BuiltAcm:
 
 
 def build_acm(robot: Robot, samples_min: int = SAMPLES_MIN, samples_max: int = SAMPLES_MAX) -> BuiltAcm:
-    """Build the matrix; `samples_max` ends the sampling without convergence."""
+    """Build the matrix."""
     side = SIDES[0]
     reasons = dict(_structural_pairs(robot))
     pairs = [p for p in itertools.combinations(_links(robot), 2) if p not in reasons]
@@ -184,7 +184,7 @@ def _structural_pairs(robot: Robot) -> Iterable[tuple[tuple[str, str], str]]:
 
 
 def model_hash(robot: Robot) -> str:
-    """Return the sha256 of URDF, meshes, limits and home, whatever the installation path."""
+    """Hash the geometry (URDF, meshes), limits and home; installation paths do not matter."""
     urdf = pair_urdf(robot)
     digest = hashlib.sha256(_RULE_VERSION.encode())
     digest.update(re.sub(r'filename="[^"]*/([^"/]+)"', r'filename="\1"', urdf).encode())
@@ -205,7 +205,7 @@ def _cache_file(robot: Robot) -> Path:
 
 
 def _read(path: Path, robot: Robot) -> BuiltAcm | None:
-    """Return the cached matrix; None if missing or invalid."""
+    """Return None if missing or invalid."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         acm = AllowedCollisions(frozenset(allowed_pair(*(str(v) for v in row)) for row in content["pairs"]))
@@ -220,7 +220,7 @@ def _read(path: Path, robot: Robot) -> BuiltAcm | None:
 
 
 def _write(path: Path, built: BuiltAcm) -> None:
-    """Ignore unwritable folders: the matrix is then built again."""
+    """Ignore unwritable folders."""
     with contextlib.suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, json.dumps(built.to_json(), indent=0))

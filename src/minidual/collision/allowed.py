@@ -11,7 +11,7 @@ from minidual.errors import UsageError
 
 @dataclass(frozen=True, order=True)
 class AllowedPair:
-    """Two links in alphabetical order, and the reason."""
+    """Two sorted links, and the reason."""
 
     first: str
     second: str
@@ -37,7 +37,7 @@ class AllowedCollisions:
         return {(e.first, e.second): e.reason for e in self.entries}
 
     def reason(self, a: str, b: str) -> str | None:
-        """Return the reason, or None for a checked pair."""
+        """Return the reason, or None if checked."""
         return self._reasons.get((a, b) if a < b else (b, a))
 
     def with_pair(self, a: str, b: str, reason: str = "user") -> AllowedCollisions:
@@ -46,7 +46,7 @@ class AllowedCollisions:
         return AllowedCollisions(frozenset(kept | {allowed_pair(a, b, reason)}))
 
     def without_pair(self, a: str, b: str) -> AllowedCollisions:
-        """Return a copy that checks the pair; UsageError if it does already."""
+        """Return a copy that checks the pair; UsageError if already checked."""
         if self.reason(a, b) is None:
             raise UsageError(f"the pair {a} and {b} is checked already; it has no entry to remove")
         return AllowedCollisions(frozenset(e for e in self.entries if {e.first, e.second} != {a, b}))

@@ -20,7 +20,7 @@ _GJK_TOLERANCE = 1e-9
 
 
 class CoalEngine:
-    """One scene's collision checks; `items` maps parts to indices of geometry objects."""
+    """Checks one scene; `items` maps parts to geometry objects."""
 
     def __init__(self, scene: Checked) -> None:
         self.model = Kinematics(scene.robot).model
@@ -48,7 +48,7 @@ class CoalEngine:
             request.gjk_tolerance = _GJK_TOLERANCE
 
     def collisions(self, Q: Array) -> np.ndarray:
-        """Return contact (n,) bool for Q (n, dof), in one C++ call."""
+        """Return contact (n,) bool for Q (n, dof)."""
         if len(Q) == 0:
             return np.zeros(0, dtype=bool)
         columns = np.asfortranarray(np.asarray(Q, dtype=float).T)
@@ -58,7 +58,7 @@ class CoalEngine:
 
 @functools.cache
 def robot_geometry(robot: Robot) -> pin.GeometryModel:
-    """Return the robot's convex hulls, fingers locked. Cached: do not modify."""
+    """Return the robot's convex hulls. Cached: do not modify."""
     urdf = pair_urdf(robot)
     full = pin.buildModelFromXML(urdf)
     full_geometry = pin.buildGeomFromUrdfString(full, urdf, pin.GeometryType.COLLISION)
@@ -75,7 +75,7 @@ def robot_geometry(robot: Robot) -> pin.GeometryModel:
 
 
 def convex_solids(shape: Shape) -> list[coal.CollisionGeometry]:
-    """Return one solid, or one per piece of a mesh."""
+    """Return one solid, or one per mesh piece."""
     match shape:
         case Box():
             return [coal.Box(*shape.size_m)]

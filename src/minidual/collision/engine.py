@@ -39,7 +39,7 @@ class Checked(Protocol):
 
 @dataclass(frozen=True)
 class Pairs:
-    """Chosen pairs, independent of allowed collisions."""
+    """Chosen pairs, whatever a scene allows."""
 
     robot: Robot
     checked_pairs: tuple[tuple[str, str], ...]
@@ -61,7 +61,7 @@ class PairDistance:
 
 
 class CollisionEngine(Protocol):
-    """One scene's checks. Instances own a workspace: one per process."""
+    """Checks one scene. One instance per process."""
 
     def collisions(self, Q: Array) -> np.ndarray:
         """Return contact (n,) bool for Q (n, dof)."""
@@ -72,4 +72,4 @@ ENGINES: Registry[Callable[[Any], CollisionEngine]] = Registry(
     "collision engine",
     {"mujoco": "minidual.collision.mujoco_engine:MujocoEngine", "coal": "minidual.collision.coal_engine:CoalEngine"},
 )
-"""An audit asks all of them."""
+"""An audit asks all."""

@@ -6,7 +6,7 @@ from minidual.errors import MinidualError
 
 
 class PlanningError(MinidualError):
-    """Base class; `reason` is a machine-readable word for tables."""
+    """Base class; `reason` is machine-readable."""
 
     reason = "planning_failed"
 
@@ -30,7 +30,7 @@ class GoalInCollisionError(PlanningError):
 
 
 class OutOfLimitsError(PlanningError):
-    """A configuration is outside the joint limits, not finite, or misshapen."""
+    """A configuration is outside the limits, not finite, or misshapen."""
 
     reason = "out_of_limits"
 
@@ -48,12 +48,12 @@ class TimingError(PlanningError):
 
 
 class ClosedChainError(PlanningError):
-    """The hands cannot keep their grasps along the path."""
+    """The hands cannot keep their grasps."""
 
     reason = "closed_chain"
 
 
 class LinearMoveError(PlanningError):
-    """A straight hand motion ends too early."""
+    """A straight motion ends early."""
 
     reason = "linear_blocked"

@@ -1,7 +1,7 @@
-"""Cover a mesh with convex pieces for the collision engines.
+"""Cover a mesh with convex pieces.
 
 The cover is one hull, or up to `parts_max` hulls found by cutting with planes. Lids (convex hulls of the cut's loops)
-close both halves, so each half's hull contains all of the solid on its side.
+close both halves, so each half's hull contains its side of the solid.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ class MeshReport:
     """Quality of the cover.
 
     Attributes:
-        volume_m3: Of the mesh; None if it is not closed.
-        hull_volume_m3: Sum over the pieces, which may overlap.
+        volume_m3: None for an open mesh.
+        hull_volume_m3: Sum over pieces, which may overlap.
     """
 
     faces_n: int
@@ -56,15 +56,9 @@ class MeshReport:
 def load_mesh(
     path: Path, name: str, position_m: Vec3, quat_wxyz: Quat = IDENTITY, *, scale: float = 1.0, parts_max: int = 1
 ) -> tuple[Mesh, MeshReport]:
-    """Read a mesh file as convex pieces.
+    """Read a mesh file (STL, OBJ, PLY, OFF, Collada, glTF) as convex pieces.
 
-    Args:
-        path: STL, OBJ, PLY, OFF, Collada or glTF.
-        name: Obstacle name.
-        position_m: Of the file's origin.
-        quat_wxyz: Orientation.
-        scale: Metres per unit of the file.
-        parts_max: Most pieces; 1 gives one hull.
+    `scale` is metres per unit of the file.
 
     Raises:
         UsageError: Missing file, unknown extension, bad scale, size or `parts_max`.
@@ -142,7 +136,7 @@ def _cover(triangles: Array, parts_max: int) -> list[_Piece]:
 
 
 def _entry(triangles: Array, hull: _Piece, counter: itertools.count[int]) -> Any:
-    """Return a heap entry: (-volume saved, order, hull, halves)."""
+    """Return (-volume saved, order, hull, halves)."""
     saved, halves = _best_cut(triangles, hull, _FRACTIONS)
     if saved < _SAVING_MIN * hull[0]:
         # One cut through a ring saves nothing, two do: look one cut ahead.
@@ -169,7 +163,7 @@ def _best_cut(triangles: Array, hull: _Piece, fractions: tuple[float, ...]) -> t
 
 
 def _planes(heights: Array, fractions: tuple[float, ...]) -> list[float]:
-    """Return cuts at fractions of the height and, if the levels are few, beside each."""
+    """Return cuts at fractions of the height and beside few levels."""
     low, high = float(heights.min()), float(heights.max())
     levels = np.unique(heights.round(9))[1:-1]
     # Beside a face, not in it: a triangle in the plane would be neither above nor below.
@@ -184,7 +178,7 @@ def _halves(triangles: Array, axis: int, at: float) -> list[tuple[Array, _Piece]
 
 
 def cut(triangles: Array, axis: int, at: float) -> tuple[Array, Array]:
-    """Cut triangles (n, 3, 3) by a plane; return (above, below) with lids, each (m, 3, 3)."""
+    """Cut triangles (n, 3, 3) by a plane; return (above, below) with lids."""
     height = triangles[:, :, axis] - at
     above = (height >= 0.0).sum(axis=1)
     sides = {3: [triangles[above == 3]], 0: [triangles[above == 0]]}
@@ -211,7 +205,7 @@ def cut(triangles: Array, axis: int, at: float) -> tuple[Array, Array]:
 
 
 def _lids(segments: Array, axis: int, size: float) -> Array:
-    """Cover each loop of a rim (k, 2, 3) with its planar convex hull, as triangles."""
+    """Cover each loop of a rim (k, 2, 3) with its planar hull."""
     if len(segments) == 0:
         return np.zeros((0, 3, 3))
     points = segments.reshape(-1, 3)

@@ -19,7 +19,7 @@ _CLOSEST_WITHIN_M = 0.1
 
 
 class MujocoEngine:
-    """One scene's checks. Instances own a workspace: one per process."""
+    """Checks one scene. One instance per process."""
 
     def __init__(self, scene: Checked) -> None:
         robot = scene.robot
@@ -52,7 +52,7 @@ class MujocoEngine:
             self.margin_m = margin_m
 
     def contact_count(self, q: Array) -> int:
-        """Place the arms and count contacts within the margin."""
+        """Place the arms and count contacts."""
         self.data.qpos[self._addresses] = q
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_collision(self.model, self.data)
@@ -81,7 +81,7 @@ class MujocoEngine:
         return sorted(found, key=lambda p: (p.distance_m, p.first, p.second))
 
     def closest(self, q: Array, within_m: float = _CLOSEST_WITHIN_M) -> list[PairDistance]:
-        """Return checked pairs nearer than `within_m`, nearest first."""
+        """Return pairs nearer than `within_m`, nearest first."""
         before = self.margin_m
         self.set_margin(within_m)
         self.contact_count(q)

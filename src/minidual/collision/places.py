@@ -1,4 +1,4 @@
-"""Positions and orientations in scene and goal files."""
+"""Places in scene and goal files."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class OrientationFields(StrictModel):
     """An optional orientation, in one of two forms."""
 
     quat_wxyz: tuple[float, float, float, float] | None = None
-    """Scalar first; normalised if within 0.001 of length 1."""
+    """Scalar first; normalised if its length is within 0.001 of 1."""
     rpy_rad: Finite3 | None = None
     """About fixed x, y, z in this order, as in a URDF."""
 
@@ -46,7 +46,7 @@ class OrientationFields(StrictModel):
 
 
 class PlaceFields(OrientationFields):
-    """A position with an optional orientation, in the parent's frame."""
+    """A position with optional orientation."""
 
     position_m: Finite3
 

@@ -31,7 +31,7 @@ class PlanningScene:
     The table is an obstacle: `PlanningScene(obstacles=())` is empty space. Pairs of immobile parts are never checked.
 
     Raises:
-        UsageError: A duplicate name, an unknown link, or a bad `min_distance_m`.
+        UsageError: A duplicate or unknown name, or bad `min_distance_m`.
     """
 
     obstacles: tuple[Shape, ...] = (TABLE,)
@@ -39,7 +39,7 @@ class PlanningScene:
     allowed: AllowedCollisions = field(default=None)  # type: ignore[assignment]
     """The robot's own matrix by default."""
     min_distance_m: float = 0.0
-    """Distance [m] kept from obstacles that are not allowed to touch. Engines see obstacles grown by it."""
+    """Distance [m] kept from obstacles, unless contact is allowed. Engines see obstacles grown by it."""
     robot: Robot = DUAL_PANDA
 
     def __post_init__(self) -> None:

@@ -1,7 +1,6 @@
 """Immutable solid obstacles.
 
-Sizes are full lengths [m], quaternions wxyz. Cylinders and capsules lie along their z axis; a capsule's `length_m`
-excludes its ends.
+Sizes are full lengths [m], quaternions wxyz. Cylinders and capsules lie along z; `length_m` excludes a capsule's ends.
 """
 
 from __future__ import annotations
@@ -52,7 +51,7 @@ class _Shape:
 
 @dataclass(frozen=True)
 class Box(_Shape):
-    """A box with its edges along its own axes."""
+    """A box along its axes."""
 
     size_m: Vec3 = (0.1, 0.1, 0.1)
 
@@ -63,7 +62,7 @@ class Box(_Shape):
 
 @dataclass(frozen=True)
 class Cylinder(_Shape):
-    """A cylinder along its own z axis."""
+    """A cylinder along z."""
 
     radius_m: float = 0.05
     length_m: float = 0.1
@@ -75,7 +74,7 @@ class Cylinder(_Shape):
 
 @dataclass(frozen=True)
 class Capsule(_Shape):
-    """A cylinder along z with half-sphere ends."""
+    """A cylinder with half-sphere ends."""
 
     radius_m: float = 0.05
     length_m: float = 0.1
@@ -98,10 +97,10 @@ class Sphere(_Shape):
 
 @dataclass(frozen=True)
 class Mesh(_Shape):
-    """A union of convex pieces (`minidual.collision.meshes`).
+    """A union of convex pieces.
 
     Attributes:
-        pieces: Vertices of each piece, (n, 3) float64 [m], as hashable bytes in C order.
+        pieces: Vertices of each piece, (n, 3) float64 [m], as hashable bytes.
         file: Source, for messages.
     """
 
@@ -131,7 +130,7 @@ Shape = Box | Cylinder | Capsule | Sphere | Mesh
 
 @dataclass(frozen=True)
 class Attached:
-    """An object placed in and moving with the frame of `link`; `touch_links` may touch it."""
+    """An object moving with `link`; `touch_links` may touch it."""
 
     shape: Shape
     link: str
@@ -146,7 +145,7 @@ class Attached:
 def grown(shape: Shape, by_m: float) -> Shape:
     """Return a shape containing everything within `by_m`.
 
-    Spheres and capsules are exact. Other shapes keep sharp edges, reaching up to 0.73 by_m further.
+    Spheres and capsules are exact. Others keep sharp edges, reaching up to 0.73 by_m further.
     """
     if by_m <= 0.0:
         return shape

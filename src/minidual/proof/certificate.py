@@ -36,7 +36,7 @@ class Certificate:
 
 
 def certify(solids: Solids, trajectory: Trajectory) -> Certificate:
-    """Prove a trajectory; bad ones are refused without exception."""
+    """Prove a trajectory; never raises."""
     # Joints whose samples all agree may still move between them.
     moved = ((trajectory.q != trajectory.q[0]) | (trajectory.v != 0.0)).any(axis=0)
     groups = solids.robot.groups

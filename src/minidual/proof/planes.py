@@ -1,13 +1,13 @@
 """Compiled search for planes that separate two parts, at a state or throughout a stretch.
 
-A part is a union of convex solids: vertex hulls, thickened by a ball or (cylinders) a disc. Two solids are d apart if
-along some direction all of one lies d beyond all of the other. This check needs only extreme points, so the search
-(Gilbert, Johnson, Keerthi) need not be trusted.
+A part is a union of convex solids: vertex hulls, thickened by a ball or disc (cylinders). Two solids are d apart if
+along some direction all of one lies d beyond the other. Checking a direction is independent of its search (Gilbert,
+Johnson, Keerthi).
 
-A stretch is compared with the straight joint-space line between its ends. A vertex's second derivative along it is
-bounded by a sum over joint pairs: both steps times the distance from the outer axis. An eighth of this bounds its
-distance from its chord. Leaving the line by e_j adds at most r_j e_j (r_j: reach). A plane clearing both ends by more
-than both deviations separates the solids throughout. Links of one arm are seen from the inner one.
+A stretch is compared with the straight joint-space line between its ends. Along it a vertex's second derivative is at
+most a sum over joint pairs: both steps times the distance from the outer axis. An eighth of this bounds its distance
+from its chord. Leaving the line by e_j adds at most r_j e_j (r_j: reach). A plane clearing both ends by more than both
+deviations separates the solids throughout. Links of one arm are seen from the inner one.
 
 NaN counts as not proven: sums propagate it, comparisons drop it. Helpers share this file because numba's cache watches
 no other.

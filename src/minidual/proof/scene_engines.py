@@ -1,4 +1,4 @@
-"""Solids, verifier and engines of one scene."""
+"""Geometry and engines of one scene."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from minidual.robot.pair import Array
 
 
 class SceneEngines:
-    """Planning geometry of one scene (a few ms to build); collision engines are built on demand."""
+    """Planning geometry of one scene, built in a few ms."""
 
     def __init__(self, scene: PlanningScene, verify_step_rad: float = STEP_RAD) -> None:
         self.scene = scene

@@ -152,7 +152,7 @@ class Solids:
 
 @dataclass(frozen=True)
 class _Chain:
-    """Joints with frames turned to make their axes z; `turns` maps original frames into them."""
+    """Joints, frames turned to have axis z; `turns` maps original frames into them."""
 
     joints: np.ndarray
     turns: tuple[pin.SE3, ...]

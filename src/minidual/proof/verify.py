@@ -32,9 +32,8 @@ class Verification:
 
     Attributes:
         reason: The first failure, if any.
-        samples_n: Ends of stretches.
         velocity_ratio, acceleration_ratio, jerk_ratio, torque_ratio: Largest fractions of limits.
-        limit_margin_rad: Smallest distance to a position limit.
+        limit_margin_rad: Smallest distance from position limits.
     """
 
     ok: bool
@@ -56,9 +55,8 @@ class Audit:
     """Result of dense sampling.
 
     Attributes:
-        step_max_rad: Largest joint step.
         collisions_n: States in contact for any engine.
-        disagreements_n: States on which engines disagree.
+        disagreements_n: States with disagreement.
         clearance_m: See `Verifier.clearance`.
     """
 
@@ -98,7 +96,7 @@ class Verifier:
         return self._solids.clearance(collision_samples(trajectory, self._step_rad), CLEARANCE_MAX_M)
 
     def engine(self, name: str) -> Any:
-        """Return this scene's engine, built on first use (about 20 ms)."""
+        """Return an engine, built on first use (20 ms)."""
         if name not in self._engines:
             self._engines[name] = ENGINES[name](self._scene)
         return self._engines[name]
