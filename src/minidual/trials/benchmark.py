@@ -18,10 +18,10 @@ from minidual.trials.runner import TrialResult, Watch, run_trials
 from minidual.trials.tables import write_rows
 
 PURPOSE = "benchmark"
-"""Random stream of the starts, shared by methods and conditions and used by no earlier stage."""
+"""Random stream of the starts, used by no earlier stage."""
 
 OVER_SUCCESSES = ("duration_", "path_", "internal_", "pinch_")
-"""Prefixes of the numbers that exist only with a success."""
+"""Prefixes of numbers that need a success."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class BenchmarkCell:
     Attributes:
         asked_n: Trials requested.
         summary: None where the condition does not apply.
-        why_not: Why it does not apply, or an empty string.
+        why_not: Why it does not.
         undisturbed: Indices of successes in which the push or move never took place.
     """
 
@@ -59,7 +59,7 @@ class BenchmarkCell:
         return [n for n in due if not math.isfinite(getattr(s, n))]
 
     def record(self) -> dict[str, Any]:
-        """Return the cell as JSON types; NaN becomes "nan"."""
+        """Return JSON types; NaN becomes "nan"."""
         if self.summary is None:
             return {"applies": False, "why": self.why_not}
         kept = ("method", "condition", "trials_n", "failures")
@@ -83,20 +83,11 @@ def run_benchmark(
     on_trial: Callable[[TrialResult], None] | None = None,
     watch: Watch | None = None,
 ) -> tuple[list[BenchmarkCell], list[TrialMetrics]]:
-    """Run every method under every condition.
-
-    Args:
-        methods: Rows of METHODS.
-        trials_n: {condition: trials of each method}.
-        inputs: Passed to the methods.
-        workers: Processes.
-        purpose: Random stream of the starts.
-        on_trial: Called after each trial.
-        watch: Shows the trials, if given.
+    """Run every method under every condition; `trials_n` is {condition: trials of each method}.
 
     Returns:
-        Cells and trials in order. A cell depends only on seed, method, condition and number of trials: each random
-        stream has its own name.
+        Cells and trials. A cell depends only on seed, method, condition and number of trials: each random stream has its
+        own name.
     """
     cells: list[BenchmarkCell] = []
     everything: list[TrialMetrics] = []
@@ -141,7 +132,7 @@ def write_cells(path: Path, cells: Sequence[BenchmarkCell]) -> Path:
 
 
 def conditions_data(cells: Sequence[BenchmarkCell]) -> dict[str, Any]:
-    """Return {condition: {summary, trials_n, methods: {method: numbers}}} of the disturbed cells."""
+    """Return {condition: {summary, trials_n, methods}} of the disturbed cells."""
     table: dict[str, Any] = {}
     for cell in cells:
         if cell.condition != CLEAN:

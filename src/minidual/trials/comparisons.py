@@ -1,4 +1,4 @@
-"""Paired comparisons of methods, and of disturbed with clean trials, on the same starts.
+"""Paired comparisons on the same starts.
 
 Success: McNemar's exact test and Newcombe's interval. Completion time: bootstrap of the median difference over starts
 that both completed.
@@ -23,10 +23,7 @@ _Starts = dict[int, TrialMetrics]
 
 
 def compare_all(trials: Sequence[TrialMetrics], seed: int = 0) -> list[dict[str, Cell]]:
-    """Compare each pair of methods on shared starts, for each condition.
-
-    Each bootstrap has its own named stream, so rows do not depend on order.
-    """
+    """Compare each pair of methods for each condition; bootstraps have named streams, so rows do not depend on order."""
     rows: list[dict[str, Cell]] = []
     for condition, methods in _grouped(trials, lambda t: t.condition, lambda t: t.method).items():
         for (first, one), (second, two) in combinations(methods.items(), 2):

@@ -1,7 +1,7 @@
 """Conditions of a trial: pushes, changed mass, friction or light, worse sensing.
 
-Methods are not told: a 50 % heavier object still counts as 0.2 kg. (Samples carry time stamps, so the age of a late
-pose is known.) Changes of the plant apply to all methods, changes of a sensor to those that read it.
+Methods are not told: a 50 % heavier object still counts as 0.2 kg. Changes of the plant apply to all methods, changes
+of a sensor to those that read it.
 
 Other distributions add rows through the entry point group `minidual.conditions` (docs/howto-condition.md).
 """
@@ -37,13 +37,13 @@ _RISEN_M = 0.05
 _DELAY_S = (0.2, 1.2)
 """... and then for a random time in this range."""
 _ALOFT_M = 0.01
-"""Below this height above its start the object may touch the table, which would take part of the push."""
+"""Below this rise the table may take part of the push."""
 _MOVED_AT_S = 0.5
 """The hands have set out and are not yet near the object."""
 
 
 class Disturbance(Protocol):
-    """Acts on the world after every step of one trial."""
+    """Acts on the world after every step."""
 
     @property
     def took_place(self) -> bool:
@@ -56,7 +56,7 @@ class Disturbance(Protocol):
 
 
 Change = Callable[["mujoco.MjModel", Task, int], None]
-"""Changes the compiled model for a trial, by its index; undone afterwards."""
+"""Changes the compiled model for trial `index`."""
 
 
 @dataclass(frozen=True)
@@ -64,13 +64,13 @@ class Condition:
     """One row of the table.
 
     Attributes:
-        act: Makes the disturbance from task and random stream.
+        act: Makes the disturbance of a trial.
         change: Changes the plant.
         instead_of: Values {dotted path: value} that `change` sets.
-        settings: Configuration values {dotted path: value} of the trials.
-        factors: Factors of configured values {dotted path: factor}.
-        sense: The only row of SENSES that it changes; empty if it changes the plant.
-        promised: Whether a carry must pass it; otherwise it is only compared.
+        settings: Configuration values {dotted path: value}.
+        factors: Factors {dotted path: factor} of configured values.
+        sense: Row of SENSES that it changes; empty for the plant.
+        promised: Whether a carry must pass it.
     """
 
     name: str
@@ -89,10 +89,7 @@ class Condition:
         return self.name.replace(" ", "_")
 
     def why_not(self, method: str, config: Config) -> str:
-        """Return why it does not apply to a method, or an empty string.
-
-        The method does not read the sense, or nothing would change.
-        """
+        """Return why it does not apply (sense not read, nothing would change), or an empty string."""
         if self.sense and self.sense not in method_spec(method).senses:
             return f"{method} reads no {SENSES[self.sense]}"
         if any(value == _configured(config, path) for path, value in self.instead_of.items()):
@@ -103,7 +100,7 @@ class Condition:
         return ""
 
     def settings_under(self, config: Config) -> dict[str, float]:
-        """Return the values that its trials change in `config`."""
+        """Return its changes of `config`."""
         return {**self.settings, **{path: k * _configured(config, path) for path, k in self.factors.items()}}
 
     def config_under(self, config: Config) -> Config:
@@ -124,7 +121,7 @@ class Condition:
 
     @contextmanager
     def applied(self, model: mujoco.MjModel, task: Task, index: int) -> Generator[None]:
-        """Change a compiled model for trial `index`, then restore it; not for shared models."""
+        """Change a compiled model, then restore it; not for shared models."""
         if self.change is None:
             yield
             return
@@ -142,13 +139,12 @@ class Condition:
 
 
 def _arrays(place: Any) -> list[Array]:
-    """Return views of the arrays of a model or a part of it."""
+    """Return views of a model's arrays."""
     found = (getattr(place, name) for name in dir(place) if not name.startswith("_"))
     return [values for values in found if isinstance(values, np.ndarray)]
 
 
 def _configured(config: Config, path: str) -> float:
-    """Return the value at a dotted path."""
     found: Any = config
     for step in path.split("."):
         found = getattr(found, step)
@@ -156,7 +152,7 @@ def _configured(config: Config, path: str) -> float:
 
 
 def _derive(model: mujoco.MjModel) -> None:
-    """Recompute subtree masses and constraint weights from the masses."""
+    """Recompute subtree masses and constraint weights."""
     import mujoco
 
     mujoco.mj_setConst(model, mujoco.MjData(model))
@@ -188,7 +184,7 @@ def friction(value: float) -> Change:
 
 
 def joint_friction(factor: float) -> Change:
-    """Scale viscous and Coulomb friction of one joint, which changes with the trial."""
+    """Scale viscous and Coulomb friction of one joint, in turn."""
 
     def change(model: mujoco.MjModel, task: Task, index: int) -> None:
         hinges = np.flatnonzero(model.jnt_type == _HINGE)
@@ -211,17 +207,9 @@ def light(factor: float) -> Change:
 
 
 class Push:
-    """One force on the carried object's centre of mass, ramped at both ends.
+    """One force on the carried object's centre of mass, from its true height.
 
-    An abrupt 20 N on 0.2 kg throws a rigid object off the pads, which compliant contacts would not do. It reads the true
-    height.
-
-    Args:
-        force_n: (3,), world axes.
-        name: Name of the object.
-        delay_s: Time between rise and push.
-        duration_s: Time at full force.
-        ramp_s: Time of each ramp.
+    Ramped: an abrupt 20 N on 0.2 kg throws a rigid object off the pads; compliant contacts would not.
     """
 
     def __init__(
@@ -235,12 +223,12 @@ class Push:
         self.took_place = False
 
     def at(self, t_s: float) -> Array:
-        """Return the force (3,) [N] at a time since its begin."""
+        """Return the force (3,) [N] at a time since its start."""
         share = min(1.0, max(0.0, min(t_s, self.length_s - t_s) / self._ramp_s))
         return share * self._force
 
     def __call__(self, world: World) -> None:
-        """Push, or wait."""
+        """Act or wait."""
         body = world.truth(self._name).body
         height = float(world.data.xpos[body, 2])
         if self._rest_m is None:
@@ -265,7 +253,7 @@ class Move:
         self.took_place = False
 
     def __call__(self, world: World) -> None:
-        """Move it, or wait."""
+        """Act or wait."""
         if not self.took_place and world.time >= _MOVED_AT_S:
             world.truth(self._name).qpos[:2] += self._by
             self.took_place = True
@@ -334,7 +322,7 @@ for _row in (
 
 
 def condition(name: str) -> Condition:
-    """Return a condition by name; blanks may be underscores or omitted: mass_+50_%."""
+    """Return a condition by name; blanks may be underscores or omitted."""
     short = name.replace(" ", "").replace("_", "")
     known = next((n for n in CONDITIONS if n.replace(" ", "").replace("_", "") == short), None)
     if known is None:

@@ -34,7 +34,7 @@ CONTROL_HZ = 50
 """Rate of actions and observations."""
 
 _OVERTRAVEL_RAD = 0.1
-"""Observation margin beyond the joint limits, which a collision may exceed."""
+"""A collision may push joints beyond their limits."""
 _FALLEN_M = -0.1
 """An object below this height has left the table."""
 
@@ -47,18 +47,15 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     Observation:
         state: (n + 2,) float32, joints of the left and right arm [rad], then gripper openings (0..1).
         images: {camera: (H, W, 3) uint8}, if requested.
-        object: (7,) float32, position [m] and quaternion wxyz of the object, if requested. Ground truth: not for
-            camera-driven policies.
+        object: (7,) float32, true position [m] and quaternion wxyz, if requested.
 
-    Action: (n + 2,) float32, joint targets [rad] within limits, then gripper openings (below 0.4 closes, above 0.6 opens);
-    held for 20 ms.
+    Action: (n + 2,) float32, joint targets [rad], then gripper openings (below 0.4 closes, above 0.6 opens); held 20 ms.
 
     Reward: gain of the potential -(mean distance of the hands from their grasps + distance of the object from its goal)
     [m], plus 1 on success. Such shaping keeps the optimal policy (Ng, Harada, Russell 1999, for a discount of 1).
 
     An episode is `terminated` when the trial is finished, the object has left the table or the simulation diverged, and
-    `truncated` at the time limit. `info["success"]` is true only if every condition held; `info["faults"]` and
-    `info["stages"]` list violated conditions and reached stages.
+    `truncated` at the time limit. `info` says `success`, and at the end `faults` (violated conditions) and `stages`.
 
     Args:
         scene: Replaces the task's default.
@@ -66,8 +63,8 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         render_mode: None or "rgb_array" (overview camera).
         images: Cameras out of high, left, right.
         object_pose: Observe the object's pose.
-        render_width_px: Image width of `render`.
-        render_height_px: Its height.
+        render_width_px: Of `render`.
+        render_height_px: Of `render`.
 
     Raises:
         UsageError: Unknown task, camera or render mode.
@@ -153,10 +150,10 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         return self._observe(), {"trial": trial}
 
     def step(self, action: npt.NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Hold one action for 20 ms; values are clipped to the action space.
+        """Hold one action, clipped to the action space, for 20 ms.
 
         Raises:
-            UsageError: Wrong shape, not finite, or `reset` was not called.
+            UsageError: Wrong shape, not finite, or not reset.
         """
         judge = self._judge
         if judge is None:

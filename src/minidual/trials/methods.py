@@ -1,8 +1,7 @@
 """Table of methods.
 
-A method drives a world through one trial: `step()` until `done`. It may read joints, cameras and contact sensors; only
-the judge reads the truth. Other distributions add rows through the entry point group `minidual.methods`
-(docs/howto-method.md).
+A method drives a world through one trial: `step()` until `done`. Only the judge reads the truth. Other distributions
+add rows through the entry point group `minidual.methods` (docs/howto-method.md).
 """
 
 from __future__ import annotations
@@ -63,7 +62,7 @@ type Factory = Callable[[World, Kinematics, Trial], Method]
 
 @dataclass(frozen=True)
 class MethodInputs:
-    """Inputs of a factory; `checkpoint` is the folder of a trained policy."""
+    """Inputs of a factory; `checkpoint` is the policy's folder."""
 
     config: Config
     seed: int
@@ -75,7 +74,7 @@ class MethodSpec:
     """One row of the table.
 
     Attributes:
-        target: Function or `module:function`: loads what trials share and returns a `Factory`.
+        target: Function or `module:function`; loads what trials share and returns a `Factory`.
         needs_images: Compile the visual meshes.
         demands: Optional conditions of success that its trials must meet.
         senses: Rows of SENSES that it reads; disturbances of others do not apply.

@@ -1,6 +1,6 @@
-"""Metrics of one trial, and their summary for one method.
+"""Metrics of trials, and their summary.
 
-Missing values are NaN in memory, so that checks on them fail; CSV and JSON use words ("no successful trial").
+Missing values are NaN in memory, so that checks on them fail; CSV and JSON use words.
 """
 
 from __future__ import annotations
@@ -32,20 +32,18 @@ class TrialMetrics:
     """One trial of one method.
 
     Attributes:
-        method: E.g. ``moveit``.
         index: Number in its stream; methods share trials.
-        condition: E.g. ``clean``.
-        failure: Name of the first violated condition, empty on success.
-        reason: The violation with numbers, empty on success.
-        failed_at_s: Its time; NaN on success.
+        failure: First violated condition, empty on success.
+        reason: The violation with numbers.
+        failed_at_s: NaN on success.
         duration_s: Start to released and at rest; NaN without success.
         torque_ratio_max: Largest |torque| / limit over joints and time.
-        jerk_rms: Low-passed RMS jerk; NaN if the trial was too short.
-        path_length_m: Path of a hand, mean of both.
+        jerk_rms: Low-passed; NaN if the trial was too short.
+        path_length_m: Mean of both hands.
         internal_force_min_n: Minimum off the table; NaN if not measured.
         pinch_force_min_n: Minimum off the table.
-        goal_error_m: Final distance of the object from its goal.
-        aborted: Why the method stopped itself, or an empty string.
+        goal_error_m: At the end.
+        aborted: Why the method stopped itself.
         disturbed: Whether the push or move took place; None if the condition has none.
     """
 
@@ -76,14 +74,14 @@ class TrialMetrics:
         return f"{self.failure} at {self.failed_at_s:.2f} s: {self.reason}{stop}"
 
     def to_row(self) -> dict[str, Cell]:
-        """Return the trial for CSV or JSON, words for missing numbers."""
+        """Return the trial for CSV or JSON."""
         words = {"failed_at_s": "did not fail", "duration_s": "did not succeed"}
         row = {f.name: _said(getattr(self, f.name), words.get(f.name, NOT_MEASURED)) for f in fields(self)}
         return {**row, "disturbed": NO_EVENT if self.disturbed is None else self.disturbed}
 
 
 _OVER_ALL = ("torque_", "jerk_", "tilt_", "goal_")
-"""Prefixes of indicators over all trials, failed ones included."""
+"""Prefixes of indicators that include failed trials."""
 
 
 @dataclass(frozen=True)
@@ -91,14 +89,11 @@ class MethodSummary:
     """All trials of one method under one condition; *_low and *_high bound 95 % intervals.
 
     Attributes:
-        success_low, success_high: Wilson interval.
-        duration_median_s: Over successes; NaN without any. Bootstrap interval, as for the other medians.
-        torque_ratio_max: Largest over all trials.
-        torque_ratio_median: Over all trials, of the largest in each.
+        success_low, success_high: Wilson interval; the others are bootstrap intervals of medians.
+        duration_median_s, path_length_m: Medians over successes; NaN without any.
+        torque_ratio_max, tilt_max_rad: Largest over all trials.
+        torque_ratio_median, tilt_median_rad: Over all trials, of the largest in each.
         jerk_rms_median: Over all trials long enough, rad/s^3.
-        tilt_max_rad: Largest over all trials.
-        tilt_median_rad: Over all trials, of the largest in each.
-        path_length_m: Median over successes; NaN without any.
         internal_force_min_n, pinch_force_min_n: Minimum over successes.
         goal_error_median_m: Over all trials.
         failures: Trials by first violated condition.
@@ -136,7 +131,7 @@ class MethodSummary:
     stopped_n: int
 
     def to_row(self) -> dict[str, Cell]:
-        """Return the summary for CSV or JSON, words for missing numbers."""
+        """Return the summary for CSV or JSON."""
         missing = NO_SUCCESS if self.successes_n == 0 else NOT_MEASURED
         row: dict[str, Cell] = {}
         for f in fields(self):
@@ -165,17 +160,17 @@ def trial_metrics(
     condition: str = "clean",
     aborted: str = "",
 ) -> TrialMetrics:
-    """Return the metrics of one trial from its log and the verdict.
+    """Return the metrics of one trial from its log and verdict.
 
     Args:
-        method: Name of the method.
+        method: Its name.
         index: Trial number.
-        outcome: The judge's verdict.
+        outcome: The verdict.
         q: (T, n) measured joints, rad.
-        tcp_positions: (T, 2, 3) measured tool centres, m.
+        tcp_positions: (T, 2, 3) measured, m.
         rate_hz: Log rate.
-        torque_ratio_max: Largest |torque| / limit over joints and steps.
-        condition: Name of the condition.
+        torque_ratio_max: Largest |torque| / limit.
+        condition: Its name.
         aborted: Why the method stopped itself.
 
     Raises:
@@ -217,7 +212,7 @@ def trial_metrics(
 
 
 def summarise(trials: Sequence[TrialMetrics], rng: np.random.Generator) -> MethodSummary:
-    """Summarise trials of one method under one condition; `rng` seeds the bootstrap.
+    """Summarise trials of one method and condition.
 
     Raises:
         NothingEvaluatedError: No trials.

@@ -1,4 +1,4 @@
-"""Demonstration of mode switches: moveit, teleop and policy drive one plant in turn."""
+"""Demonstration: moveit, teleop and policy drive one plant in turn."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def parse_modes(text: str) -> tuple[str, ...]:
     """Return the modes named in `moveit,teleop,moveit`.
 
     Raises:
-        UsageError: An unknown mode, none, or a repetition in sequence.
+        UsageError: Unknown or no mode, or one twice in sequence.
     """
     modes = tuple(m.strip() for m in text.split(",") if m.strip())
     if not modes:
@@ -42,7 +42,7 @@ class ModesResult:
         outcomes: Result of each turn.
         faults: Exceeded bounds.
         refusals: (source, name, detail) of each refused command.
-        ended: Why it ended early, or an empty string.
+        ended: Why it ended early.
     """
 
     switches: tuple[Switch, ...]
@@ -65,9 +65,7 @@ class ModesResult:
 class ModesDemo:
     """Runs the modes in turn; iterate `steps`, then call `result`.
 
-    Args:
-        stack: The plant with its arbiter, freshly reset.
-        turns: (mode, maker of its driver), in order.
+    `turns` are (mode, maker of its driver); the stack must be freshly reset.
     """
 
     def __init__(self, stack: ControlStack[World], turns: Sequence[tuple[str, Callable[[], Driver]]]) -> None:

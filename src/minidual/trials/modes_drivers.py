@@ -1,8 +1,8 @@
 """Drivers of the mode demonstration.
 
-moveit  plans to above the object, or home (one arm after the other)
-teleop  a scripted leader fetches the object and puts it down at a start pose of the task
-policy  the trained policy carries it to the goal, as in `minidual deploy`
+moveit  plans to above the object, or home
+teleop  a scripted leader fetches the object and puts it down at a start pose
+policy  the trained policy carries it to the goal
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class SwitchError(MinidualError):
 
 
 class Driver:
-    """One mode's turn: its `controllers`, and a `caption` for people."""
+    """One mode's turn."""
 
     controllers: tuple[str, ...] = DEFAULT_CONTROLLERS
     caption = ""
@@ -69,12 +69,8 @@ class Driver:
 class MoveitDriver(Driver):
     """Plans when its turn begins and proposes the trajectories.
 
-    Args:
-        stack: Receives the proposals.
-        planner: Plans both goals.
-        seed: Planner seed.
-        home: Drive home, one arm after the other, with the single-arm controllers; otherwise to above the object.
-        share: Fraction of the motion after which the turn ends.
+    With `home`, it drives home, one arm after the other with the single-arm controllers; otherwise to above the object. The
+    turn ends after the fraction `share` of the motion.
     """
 
     def __init__(
@@ -91,13 +87,13 @@ class MoveitDriver(Driver):
         self._refusals_before = 0
 
     def begin(self) -> None:
-        """Plan from the present state."""
+        """Plan the first trajectory."""
         self._refusals_before = len(self.stack.refusals)
         self._began_s = self.stack.plant.time
         self._next()
 
     def tick(self) -> None:
-        """Send the heartbeat; propose the next trajectory when one has ended."""
+        """Send the heartbeat; propose the next trajectory."""
         self.stack.affirm("moveit")
         if self._groups and not self.stack.executing:
             self._next()
@@ -155,15 +151,7 @@ class MoveitDriver(Driver):
 
 
 class TeleopDriver(Driver):
-    """A scripted leader that starts from the present posture, fetches the object and goes home.
-
-    Args:
-        stack: Receives the proposals.
-        operator: Plans the leader's motion.
-        target: Its start is where the object is put down.
-        seed: Operator seed.
-        rate_hz: Tick rate.
-    """
+    """A scripted leader: starts from the present posture, puts the object at the start of `target`, goes home."""
 
     caption = "scripted leader: fetches the object, puts it at a new start"
 
@@ -220,12 +208,7 @@ class TeleopDriver(Driver):
 class PolicyDriver(Driver):
     """The policy drives from images and joints, without the object's pose.
 
-    Args:
-        stack: Receives the proposals; its flush drops the policy's chunk.
-        runtime: The policy.
-        picture: Returns the (H, W, 3) image of a camera.
-        task: Defines the judging.
-        trial: Defines the goal.
+    A flush of the stack drops its chunk. `picture` returns the (H, W, 3) image of a camera.
     """
 
     caption = "ACT policy: carries the object to the goal"

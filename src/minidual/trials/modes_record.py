@@ -1,4 +1,4 @@
-"""Measures mode switches at every control step and checks their bounds."""
+"""Measures mode switches at every control step."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from minidual.plant.world import World
 from minidual.robot.pair import Array
 
 WINDOW_S = 0.5
-"""A switch is measured from its request until this long after its first command."""
+"""Measurement continues this long after the first command."""
 _LOG_EVERY = 4
 _DRIVEN = (ArbiterState.ALIGNING, ArbiterState.ACTIVE)
 _COLUMNS = (
@@ -36,18 +36,15 @@ class Switch:
     """One measured switch.
 
     Attributes:
-        confirmed_s: When the arms were at rest and the mode was confirmed.
+        confirmed_s: When the arms were at rest.
         first_command_s: When its first command was accepted.
-        speed_at_request_rad_s: Of the fastest joint.
         first_step_rad: Measured posture to first accepted target, worst joint.
-        target_step_rad: Largest target step between control steps while the source drove.
+        target_step_rad: Largest target step while the source drove.
         reference_step_rad: Largest joint reference step.
         reference_step_ratio: The same over the velocity limit.
-        torque_step_nm: Largest step of commanded torque.
-        torque_step_joint: Its joint.
-        torque_step_asked_nm: Largest step before the supervisor's limits.
+        torque_step_nm: Largest commanded torque step.
+        torque_step_asked_nm: Before the supervisor's limits.
         torque_step_max_nm: Bound of torque_step_nm.
-        controllers: Active after it.
     """
 
     mode: str
@@ -66,7 +63,7 @@ class Switch:
     controllers: tuple[str, ...] = ()
 
     def bounds(self, arbiter: ArbiterConfig) -> tuple[tuple[str, float, float], ...]:
-        """Return (name, value, bound) of all bounded values."""
+        """Return (name, value, bound) of bounded values."""
         return (
             ("first_step_rad", self.first_step_rad, arbiter.switch_step_max_rad),
             ("target_step_rad", self.target_step_rad, arbiter.switch_step_max_rad),
@@ -109,7 +106,7 @@ class Recorder:
         self.switches.append(Switch(mode, world.time, speed_at_request_rad_s=speed, torque_step_max_nm=largest))
 
     def confirmed(self) -> None:
-        """Record that the mode is confirmed."""
+        """Record the confirmation."""
         switch = self.switches[-1]
         switch.confirmed_s = self.stack.plant.time
         switch.controllers = self.stack.manager.active

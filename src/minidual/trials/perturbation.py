@@ -26,9 +26,9 @@ class Robustness:
     """A method under one condition.
 
     Attributes:
-        drop: Success rate lost against clean; negative if gained.
+        drop: Success rate lost against clean.
         example: First failed trial, or an empty string.
-        rate_min: Required clean success rate, else a method that always fails would lose nothing; None elsewhere.
+        rate_min: Required clean success rate (a method that always fails loses nothing); None elsewhere.
     """
 
     cell: BenchmarkCell
@@ -76,7 +76,7 @@ class Robustness:
 
 
 def touching(method: str) -> dict[str, Condition]:
-    """Return the promised conditions that apply to a method, clean first."""
+    """Return the promised conditions of a method, clean first."""
     senses = method_spec(method).senses
     return {name: c for name, c in CONDITIONS.items() if c.promised and (not c.sense or c.sense in senses)}
 
@@ -90,7 +90,7 @@ def run_perturbations(
     on_trial: Callable[[TrialResult], None] | None = None,
     watch: Watch | None = None,
 ) -> tuple[list[Robustness], list[TrialMetrics]]:
-    """Run the same trials under every condition that applies; results do not depend on `workers`."""
+    """Run the same trials under every condition that applies."""
     asked = touching(method)
     for condition in asked.values():
         condition.config_under(inputs.config)  # one that is out of bounds is refused before minutes of trials

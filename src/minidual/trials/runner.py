@@ -1,4 +1,4 @@
-"""Run, judge and log trials, in one process or many."""
+"""Run, judge and log trials."""
 
 from __future__ import annotations
 
@@ -33,31 +33,30 @@ LOG_RATE_HZ = 250
 SETTLED_S = 0.5
 """A trial ends this long after it is finished."""
 _SATURATED = 0.999
-"""Share of its limit from which a motor is saturated."""
+"""Share of the limit from which a motor is saturated."""
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _BROKEN: dict[type[MinidualError], str] = {SimulationDivergedError: "diverged", SingularPostureError: "singular"}
-"""Errors that end a trial, and the failure name."""
+"""Errors that end a trial, with the failure name."""
 
 StepHook = Callable[[World, Method], None]
 """Called after each step; read-only."""
 Watch = Callable[["Bench", str], StepHook]
-"""Returns a trial's step hook, from the bench and a title."""
+"""Returns a trial's step hook, from bench and title."""
 
 
 @dataclass
 class TrialLog:
-    """Time series of one trial at 250 Hz.
+    """Time series at 250 Hz.
 
     Attributes:
         t: (T,) [s].
-        q: (T, n) measured joints [rad].
+        q: (T, n) measured [rad].
         tau: (T, n) motor torques [Nm].
-        tcp: (T, 2, 3) tool centre positions [m].
-        position: (T, 3) of the carried object [m].
+        tcp: (T, 2, 3) tool centres [m].
+        position: (T, 3) of the object [m].
         tilt: (T,) [rad].
         pinch: (T, 2) [N].
         internal_force: (T,) [N].
-        phase: (T,) names.
     """
 
     t: Array
@@ -76,8 +75,7 @@ class TrialResult:
     """Result of one trial.
 
     Attributes:
-        lifted: Whether the object rose clear of the table.
-        saturated_max_s: Longest time that a motor was at its torque limit.
+        saturated_max_s: Longest time of one motor at its torque limit.
         measured: Numbers of the conditions of success.
     """
 
@@ -132,7 +130,7 @@ class Bench:
     ) -> tuple[TrialResult, TrialLog]:
         """Run and judge one trial.
 
-        After an error in _BROKEN the trial has failed and is judged in the state after its last complete step.
+        After an error in _BROKEN the trial has failed; its state is that after the last complete step.
         """
         spec = named_condition(condition)
         rng = stream(self.seed, f"disturbance/{trial.purpose}/{spec.name}", trial.index)
@@ -144,7 +142,7 @@ class Bench:
         return result, log
 
     def record(self, trial: Trial, path: Path) -> TrialResult:
-        """Repeat a trial, writing it to `path` (.npz) for `minidual replay`."""
+        """Run a trial and write it to `path` (.npz) for `minidual replay`."""
         recorder = self.world.recorder = Recorder(self.world, seed=self.seed)
         result, _ = self.run(trial)
         self.world.recorder = None
@@ -240,7 +238,7 @@ def run_trials(
     keep_logs: bool = False,
     watch: Watch | None = None,
 ) -> Iterator[tuple[TrialResult, TrialLog | None]]:
-    """Run trials in parallel and yield results in order, independent of `workers`.
+    """Run trials in parallel and yield results in order.
 
     Watched trials run in this process, with the same results.
     """

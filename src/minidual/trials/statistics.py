@@ -1,7 +1,7 @@
 """Intervals and tests for small samples.
 
-13 to 16 successes of 20 can be the same method. So rates have Wilson intervals, medians bootstrap intervals, and
-methods on the same seeds are compared in pairs.
+13 to 16 successes of 20 can be the same method: rates have Wilson intervals, medians bootstrap intervals, and methods
+on the same seeds are compared in pairs.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def wilson_interval(successes: int, n: int, confidence: float = CONFIDENCE) -> t
     """Return the Wilson score interval (low, high) of a success rate.
 
     Source: E. B. Wilson, "Probable inference, the law of succession, and statistical inference", JASA 22 (1927). Unlike
-    rate +- z sqrt(p q / n) it is not empty at 0 or n successes and stays in [0, 1].
+    rate +- z sqrt(p q / n) it is not empty at 0 or n successes.
 
     Raises:
         NothingEvaluatedError: n is 0.
@@ -48,7 +48,7 @@ def wilson_interval(successes: int, n: int, confidence: float = CONFIDENCE) -> t
 def bootstrap_median_interval(
     values: ArrayLike, rng: np.random.Generator, confidence: float = CONFIDENCE, resamples_n: int = RESAMPLES_N
 ) -> tuple[float, float]:
-    """Return the percentile bootstrap interval (low, high) of the median of finite values (N,).
+    """Return the percentile bootstrap interval (low, high) of the median of values (N,).
 
     Raises:
         NothingEvaluatedError: No values.
@@ -68,7 +68,7 @@ def bootstrap_median_interval(
 
 @dataclass(frozen=True)
 class PairedComparison:
-    """Successes of two methods on the same seeds; `p_value` is McNemar's, exact and two-sided."""
+    """Two methods on the same seeds; `p_value` is McNemar's, exact, two-sided."""
 
     both_n: int
     only_first_n: int
@@ -78,7 +78,7 @@ class PairedComparison:
 
     @property
     def trials_n(self) -> int:
-        """Number of paired seeds."""
+        """Number of pairs."""
         return self.both_n + self.only_first_n + self.only_second_n + self.neither_n
 
     @property
@@ -93,7 +93,7 @@ class PairedComparison:
 
 
 def compare_paired(first: Sequence[bool], second: Sequence[bool]) -> PairedComparison:
-    """Compare two methods' successes on the same seeds, in the same order, with McNemar's exact test.
+    """Compare two methods' successes on the same seeds with McNemar's exact test.
 
     Only discordant seeds carry evidence: for equal methods each is a fair coin. Source: Q. McNemar, Psychometrika 12
     (1947); exact binomial form.
@@ -123,8 +123,7 @@ def paired_rate_interval(
     """Return the interval (low, high) of the difference of two success rates on the same trials.
 
     Source: R. G. Newcombe, "Improved confidence intervals for the difference between binomial proportions based on
-    paired data", Statistics in Medicine 17 (1998), method 10: two Wilson intervals combined by the correlation of the
-    pairs. A bootstrap would be empty without discordant trials.
+    paired data", Statistics in Medicine 17 (1998), method 10. A bootstrap would be empty without discordant trials.
 
     Raises:
         NothingEvaluatedError: No trials.
@@ -143,7 +142,7 @@ def paired_rate_interval(
 
 
 def _correlation(both: int, only_first: int, only_second: int, neither: int) -> float:
-    """Return the phi coefficient of a 2 x 2 table, continuity-corrected if positive; 0 if undefined."""
+    """Return the phi coefficient, continuity-corrected if positive; 0 if undefined."""
     margins = (both + only_first) * (only_second + neither) * (both + only_second) * (only_first + neither)
     if margins == 0:
         return 0.0
@@ -154,7 +153,7 @@ def _correlation(both: int, only_first: int, only_second: int, neither: int) -> 
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
-    """Return p-values adjusted for the family-wise error rate, for any dependence of the tests.
+    """Return p-values adjusted for the family-wise error rate, for any dependence.
 
     Source: S. Holm, "A simple sequentially rejective multiple test procedure", Scandinavian Journal of Statistics 6
     (1979). `p_values` must hold all tests of the family.

@@ -1,4 +1,4 @@
-"""Summaries, paired tests and trials as CSV, JSON and Markdown."""
+"""Trials, summaries and paired tests as CSV, JSON and Markdown."""
 
 from __future__ import annotations
 
@@ -44,14 +44,7 @@ def write_json(
     *,
     seed: int = 0,
 ) -> Path:
-    """Write definitions, summaries, comparisons and trials as one document.
-
-    Args:
-        path: File to write.
-        summaries: One per method and condition.
-        trials: All trials.
-        extra: Further top-level entries.
-        seed: Bootstrap seed.
+    """Write definitions, summaries, comparisons and trials as one document; `extra` adds top-level entries.
 
     Raises:
         NothingEvaluatedError: No trials.
@@ -82,7 +75,7 @@ def _with_failures(summary: MethodSummary) -> dict[str, Any]:
 
 
 def write_rows(path: Path, rows: Sequence[Mapping[str, Any]], *, missing: str = "") -> Path:
-    """Write rows as CSV; columns in order of appearance, `missing` for absent values."""
+    """Write rows as CSV; `missing` fills absent values."""
     text = io.StringIO()
     names = list(dict.fromkeys(name for row in rows for name in row))
     writer = csv.DictWriter(text, fieldnames=names, restval=missing, lineterminator="\n")

@@ -1,13 +1,12 @@
 """Tune internal force and stiffness of the object impedance by carrying.
 
-    1  safe       softest stiffness, least force: no torque above 95 % of its limit
-    2  force      least squeeze that holds: root of  margin(f) = least measured internal force - required,  bracketed
-                  in steps of 10 N, refined by Brent's method; the result is 1.5 times that
-    3  stiffness  root of  oscillation(K) - limit,  found likewise; the result is 80 % of it (100 % if the stiffest
-                  value does not oscillate) and must track within 1 cm
+    1  safe       softest stiffness, least force: torques below 95 % of the limits
+    2  force      root of  least measured internal force - required,  bracketed in steps of 10 N, refined by Brent's
+                  method; the result is 1.5 times the least force that held
+    3  stiffness  root of  oscillation - limit,  found likewise; the result is 80 % of it (100 % if the stiffest value
+                  does not oscillate) and must track within 1 cm
 
-Each step is five carries from the tuning's own starts; the worst counts. The order, soft and safe before strong and
-stiff, is the usual one for object impedance.
+Each step is five carries; the worst counts. The order is the usual one for object impedance.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ PURPOSE = "tuning"
 CARRIES_N = 5
 FORCES_N = (10.0, 20.0, 30.0, 40.0)
 STIFFNESSES_N_PER_M = (150.0, 300.0, 450.0, 600.0)
-"""Tried in order; the last is the largest recommended for any object."""
+"""Tried in order; no object is recommended more than the last."""
 FORCE_FACTOR, STIFFNESS_FACTOR = 1.5, 0.8
 FORCE_CEILING_N = 80.0
 OSCILLATION_MAX_M = 0.0003
@@ -58,8 +57,8 @@ class Carried:
 
     Attributes:
         internal_force_min_n: Minimum off the table; 0 if never off it.
-        tracking_max_m: Largest position error of the object; NaN if never carried.
-        oscillation_m: RMS of that error above 5 Hz; NaN if too short.
+        tracking_max_m: Largest position error of the object.
+        oscillation_m: RMS of that error above 5 Hz.
         torque_ratio_max: Largest |torque| / limit.
         series: (5, T) during the carry: time [s], error [m], internal force [N], torque ratio, tilt [rad].
     """
@@ -76,7 +75,7 @@ class Carried:
 
 @dataclass(frozen=True)
 class TuningStep:
-    """Carries with one force and one stiffness."""
+    """Carries with one force and stiffness."""
 
     phase: str
     force_n: float
@@ -89,7 +88,7 @@ class TuningStep:
         return all(c.success for c in self.carries)
 
     def worst(self, name: str, take: Callable[[Any], Any] = np.max) -> float:
-        """Return the worst of one number over the carries; NaN propagates."""
+        """Return the worst of one number; NaN propagates."""
         return float(take([getattr(c, name) for c in self.carries]))
 
     def row(self) -> dict[str, Any]:
@@ -128,7 +127,7 @@ class Tuning:
 
 
 def gains(force_n: float, stiffness_n_per_m: float) -> dict[str, float]:
-    """Return configuration values; rotational stiffness is 1/25 of the translational, as 20 to 500."""
+    """Return configuration values; rotational stiffness is 1/25 of translational."""
     return {
         "carry.impedance.internal_force_n": float(force_n),
         "carry.impedance.stiffness_n_per_m": float(stiffness_n_per_m),
@@ -149,7 +148,7 @@ class Tuner:
         """Return the gains.
 
         Raises:
-            TuningError: The softest step is not safe, no force up to 40 N holds, or the final carries fail.
+            TuningError: The softest step is unsafe, no force up to 40 N holds, or no final gains.
         """
         soft, stiff = STIFFNESSES_N_PER_M[0], STIFFNESSES_N_PER_M[-1]
         safe = self.step("safe", FORCES_N[0], soft)
@@ -237,7 +236,7 @@ class Tuner:
 
 
 def _raise_until(value: Callable[[float], float], ladder: Sequence[float], tolerance: float) -> None:
-    """Increase x along a ladder until the value is positive, then find the root with Brent's method."""
+    """Bracket a root on a ladder, then refine it with Brent's method."""
     seen: dict[float, float] = {}
 
     def remembered(x: float) -> float:
@@ -253,7 +252,7 @@ def _raise_until(value: Callable[[float], float], ladder: Sequence[float], toler
 
 
 def carry_once(inputs: MethodInputs, trial: Trial) -> Carried:
-    """Carry once and measure; the object's true pose is used only for the measurement."""
+    """Carry once and measure the object's true pose."""
     bench = Bench("impedance", inputs)
     name, tau_max = bench.task.carried, bench.world.robot.tau_max
     seen = ObjectTruth(name, bench.task.scene.objects[name])

@@ -1,4 +1,4 @@
-"""Plan a set of queries and record the results."""
+"""Plan query sets and record the results."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Outcome:
         return self.result is not None
 
     def row(self) -> dict[str, object]:
-        """Return the row of queries.csv; None where not reached."""
+        """Return the row of queries.csv."""
         query, result, audit = self.query, self.result, self.audit
         row: dict[str, object] = {
             "group": query.group,
@@ -78,7 +78,7 @@ class Outcome:
 
 
 def write_rows(rows: Sequence[Mapping[str, object]], path: Path) -> None:
-    """Write rows of equal keys as CSV; floats have 6 decimals."""
+    """Write rows as CSV; floats have 6 decimals."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, fieldnames=list(rows[0]))
         writer.writeheader()
@@ -87,7 +87,7 @@ def write_rows(rows: Sequence[Mapping[str, object]], path: Path) -> None:
 
 
 def plan_query(planner: Planner, query: Query) -> Outcome:
-    """Plan one query, timed from goal to proven trajectory; the scene's engines are built before."""
+    """Plan one query, timed from goal to proven trajectory."""
     begin = perf_counter()
     planner.engines(query.scene)
     scene_s = perf_counter() - begin
@@ -107,7 +107,7 @@ def plan_query(planner: Planner, query: Query) -> Outcome:
 def query_source(
     seed: int, obstacles_n: int, blocked_fraction: float, robot: Robot = DUAL_PANDA
 ) -> Callable[[str, int], Query]:
-    """Return a function (group, index) -> query, from the stored set of the seed if there is one."""
+    """Return (group, index) -> query, from the stored set of the seed if there is one."""
     generator = QueryGenerator(seed, obstacles_n, blocked_fraction, robot)
     fits = (obstacles_n, blocked_fraction, robot) == (OBSTACLES_N, 1.0, ROBOT)
     stored = stored_set(seed) if fits else None
@@ -128,7 +128,7 @@ def run_queries(
     queries_n: int | None = None,
     robot: Robot = DUAL_PANDA,
 ) -> dict[str, list[Outcome]]:
-    """Plan queries of every group and audit the proven trajectories, in one process for comparable times."""
+    """Plan and audit queries of every group, in one process for comparable times."""
     planner = Planner(config=config.planner, robot=robot)
     source = query_source(seed, config.obstacles_n, config.blocked_fraction, robot)
     outcomes: dict[str, list[Outcome]] = {group: [] for group in planner.robot.groups}
@@ -147,7 +147,7 @@ def run_queries(
 
 
 def repeats(config: PlanConfig, outcome: Outcome) -> bool:
-    """Return whether a fresh planner reproduces a found trajectory bit for bit."""
+    """Return whether a fresh planner reproduces a trajectory bit for bit."""
     if outcome.result is None:
         return False
     again = plan_query(Planner(outcome.query.scene, config.planner), outcome.query).result
@@ -157,7 +157,7 @@ def repeats(config: PlanConfig, outcome: Outcome) -> bool:
 def engine_agreement(scene: PlanningScene, states_n: int, seed: int) -> float:
     """Return the fraction of random states on which both engines agree.
 
-    Half are uniform within the limits (mostly in collision), half near home (mostly free).
+    Half are uniform (mostly in collision), half near home (mostly free).
     """
     planner = Planner(scene)
     engine, robot = planner.engines().verifier.engine, planner.robot

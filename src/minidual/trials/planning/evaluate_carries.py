@@ -1,4 +1,4 @@
-"""Plan held-object moves and the task's carries, and record the results."""
+"""Plan held-object moves and the task's carries."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ from minidual.trials.planning.held_moves import HeldMove, HeldMoveGenerator
 class MoveOutcome:
     """Result of one move; `reason` and `message` explain a failure.
 
-    time_s is wall time and cpu_s processor time, without the scene's setup. residual_m and residual_rad are remeasured by
-    `timed_residual`; clearance_m is the smallest distance along the trajectory. NaN without a plan.
+    time_s is wall time and cpu_s processor time, without the scene's setup; residuals are those of `timed_residual`,
+    clearance_m is the minimum along the trajectory. NaN without a plan.
     """
 
     move: HeldMove
@@ -53,7 +53,7 @@ class MoveOutcome:
         return self.plan is not None
 
     def row(self, name: str) -> dict[str, object]:
-        """Return the row of held_moves.csv for the named set."""
+        """Return the row of held_moves.csv."""
         move, plan = self.move, self.plan
         return {
             "set": name,
@@ -80,8 +80,7 @@ class MoveOutcome:
 def timed_residual(plan: CarriedTrajectory, query: HeldQuery, kinematics: Kinematics) -> tuple[float, float]:
     """Return the largest error ([m], [rad]) of the hands along the trajectory.
 
-    At the samples (1 kHz), each hand against its grasp and the other hand; half-way between, where the object's planned
-    pose is unknown, only hand against hand.
+    At the samples (1 kHz), each hand against its grasp and the other hand; half-way between, hand against hand.
     """
     hands = HandsIK(query.T_object_tcp_left, query.T_object_tcp_right, kinematics)
     at_samples = hands.strays(plan.q, plan.Ts_world_object)
@@ -117,7 +116,7 @@ def run_moves(
     on_move: Callable[[MoveOutcome], None] = lambda _: None,
     robot: Robot = DUAL_PANDA,
 ) -> list[MoveOutcome]:
-    """Plan `config.held.moves_n` moves of one generator seed."""
+    """Plan `config.held.moves_n` moves."""
     planner = HeldPlanner(Planner(config=config.planner, robot=robot))
     generator = HeldMoveGenerator(seed, scene, robot)
     # Import and compile what the first move would otherwise pay for; whether this one is solved does not matter.

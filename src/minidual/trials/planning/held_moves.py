@@ -1,8 +1,7 @@
 """Seeded moves of an object held in both hands.
 
 Goals are up to 0.5 m and 90 degrees away; in every second move obstacles block the straight path. Each move has a
-witness: a timed, proven path found from goal to start by long searches with their own random numbers. Draws without one
-are counted and left out.
+witness: a timed, proven path from long searches with their own random numbers. Other draws are counted and left out.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ _WITNESS_S = 60.0
 _TRIES_N = 200
 _IK_STARTS_N = 6
 _WITNESS_TRIES = ((0.005, 1.0), (0.008, 0.5), (0.002, 0.5))
-"""Padding [m] and check step scale of each witness search."""
+"""Padding [m] and check step scale."""
 _EDGE_STEP_RAD = 0.03
 _LOW, _HIGH = np.array([0.35, -0.3, 0.08]), np.array([0.6, 0.3, 0.4])
 
@@ -53,7 +52,7 @@ class HeldMove:
     Attributes:
         blocked: Whether the straight path collides or cannot be followed.
         distance_m, turn_rad: Translation and rotation of the object.
-        witness: Points (m, 6 + n) of a proven path from start to goal.
+        witness: Points (m, 6 + n) of a proven path.
         undecided_n: Earlier draws without a witness.
         unreachable_n: Earlier draws without a free posture at start or goal.
     """
@@ -73,7 +72,7 @@ class HeldMove:
 class HeldMoveGenerator:
     """Makes moves, reproducible by seed and index.
 
-    Reproducible only if a witness search makes its 10 000 state checks within 60 s; slower ones are abandoned.
+    Requires that a witness search makes its 10 000 state checks within 60 s.
 
     With `from_table` the object starts level on the table, which it may touch, without obstacles.
     """
@@ -150,7 +149,6 @@ class HeldMoveGenerator:
         )
 
     def _start(self, rng: np.random.Generator) -> Array:
-        """Return a slightly tilted pose above the table, or a level one on it."""
         yaw, lean = rng.uniform(-_YAW_RAD, _YAW_RAD), rng.uniform(-_LEAN_RAD, _LEAN_RAD)
         position = rng.uniform(_LOW, _HIGH)
         if self._from_table:

@@ -1,7 +1,7 @@
-"""Seeded planning queries between collision-free configurations around a table with obstacles.
+"""Seeded planning queries around a table with obstacles.
 
-Poses over the table, hands down within a tilt, are solved by IK. Except for kind "any", the straight line in joint
-space is blocked. No planner is used, so the set cannot favour ours; `query_set` proves feasibility.
+IK solves poses over the table. Except for kind "any", the straight line in joint space is blocked. No planner is used,
+so the set cannot favour ours; `query_set` proves feasibility.
 """
 
 from __future__ import annotations
@@ -51,10 +51,9 @@ class Query:
         seed: Planner seed.
         q_start: Free (n,) [rad].
         q_goal: Free (n,), a solution for `targets`.
-        targets: Tcp poses of the group's arms at the goal.
-        as_poses: Whether the goal is given as poses, not joints.
+        targets: Tcp poses of the group's arms.
+        as_poses: Whether the goal is given as poses.
         blocked: Whether the straight line collides.
-        kind: Key of `KINDS`.
         attempt: Number of the generator's scene.
     """
 
@@ -72,7 +71,7 @@ class Query:
 
 
 class QueryGenerator:
-    """Makes queries, reproducible by seed, group and index; `blocked_fraction` of them must be hard."""
+    """Makes queries, reproducible by seed, group and index; `blocked_fraction` of them are hard."""
 
     def __init__(
         self, seed: int, obstacles_n: int = 5, blocked_fraction: float = 1.0, robot: Robot = DUAL_PANDA
@@ -98,7 +97,7 @@ class QueryGenerator:
         return "crossing" if group == "both_arms" else "past_arm"
 
     def query(self, group: str, index: int, first_attempt: int = 0) -> Query:
-        """Return query `index` of a group, skipping scenes before `first_attempt`.
+        """Return query `index`, skipping scenes before `first_attempt`.
 
         Raises:
             UsageError: Unknown group.
@@ -114,7 +113,7 @@ class QueryGenerator:
         )
 
     def attempt(self, group: str, index: int, attempt: int) -> Query | None:
-        """Return the query of one scene, or None if it has none of the required kind."""
+        """Return the query of one scene, or None without one of the required kind."""
         arms = group_arms(group)
         kind = self.kind(group, index)
         scene = scene_of(self._seed, group, index, attempt, self._obstacles_n, self._robot)
@@ -148,7 +147,7 @@ class QueryGenerator:
         *,
         crossed: bool = False,
     ) -> Array | None:
-        """Return a free configuration with `arms` at random poses and other joints of q_base, or None."""
+        """Return a free configuration with `arms` at random poses, or None."""
         for _ in range(_POSE_TRIES_N):
             q = np.array(q_base)
             for arm in arms:
@@ -181,7 +180,7 @@ def solvers(robot: Robot) -> dict[str, ArmIK]:
 
 
 def goal_targets(group: str, q: Array, robot: Robot) -> dict[str, Array]:
-    """Return T_world_tcp (4, 4) of the group's arms at q (n,)."""
+    """Return T_world_tcp (4, 4) of the group's arms."""
     return {arm: solvers(robot)[arm].tcp_pose(q[robot.groups[f"{arm}_arm"]]) for arm in group_arms(group)}
 
 
@@ -201,7 +200,7 @@ def _touched_between(engine: MujocoEngine, start: Array, goal: Array) -> set[fro
 
 
 def _is_kind(kind: str, arms: tuple[str, ...], touched: set[frozenset[str]]) -> bool:
-    """Return whether these contacts make the query of this kind."""
+    """Return whether these contacts make this kind."""
     mine = tuple(f"{arm}_" for arm in arms)
     theirs = tuple(f"{arm}_" for arm in SIDES if arm not in arms)
     fixed = ("left_", "right_", "table")
@@ -217,7 +216,7 @@ def _is_kind(kind: str, arms: tuple[str, ...], touched: set[frozenset[str]]) -> 
 
 
 def goal_as_poses(index: int) -> bool:
-    """Return whether the goal is poses: two with joints, two with poses, and so on."""
+    """Return whether the goal is poses; alternates in pairs."""
     return index % 4 >= 2
 
 

@@ -1,8 +1,8 @@
 """Stored query sets: one hundred hard queries per group for two seeds, default robot.
 
-Each query has a witness: corners of a polyline that both engines find free every 0.002 rad, so a failed query is the
-planner's failure. Candidates without a path from a search several times longer than the planner's are left out and
-counted. `python scripts/make_query_set.py SEED` makes a set.
+Each query has a witness: corners of a polyline that both engines find free every 0.002 rad, so failing it is the
+planner's failure. Candidates without a witness after a search several times longer than the planner's are left out.
+`python scripts/make_query_set.py SEED` makes a set.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class QuerySet:
 
     Args:
         arrays: `seed`, and by group G of k queries `G.attempts`, `G.seeds` (k,), `G.ends` (k, 2, n) start and goal,
-            `G.corners` and `G.corners_n` witnesses, `G.left_out` candidates.
+            `G.corners`, `G.corners_n` witnesses, `G.left_out`.
 
     Raises:
         KeyError, ValueError: Missing or misshapen array.
@@ -67,7 +67,7 @@ class QuerySet:
 
 @functools.cache
 def stored_set(seed: int) -> QuerySet | None:
-    """Return the set of a seed, or None if not stored.
+    """Return the set of a seed, or None.
 
     Raises:
         DataError: The file is damaged.
