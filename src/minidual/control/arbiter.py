@@ -1,7 +1,5 @@
 """The command arbiter: the only writer of joint commands, with at most one driving source.
 
-A switch holds the measured posture, flushes all mailboxes, waits until the arms are still, then admits one source.
-
                  request           still            first command
     holding -----------> settling ------> waiting ----------------> active <----> aligning
        ^                    |                |                         |     a step over the bound
@@ -11,8 +9,7 @@ A switch holds the measured posture, flushes all mailboxes, waits until the arms
                             ^           silent for stop_after_s
                             | halt, from any state
 
-Streamed targets are bounded per step. A timed command is taken once, if it starts where the arms are, and runs while
-its source affirms that it is alive. A switch or a silent source brakes it along its path; a halt drops it.
+A switch or a silent source brakes timed commands along their paths; a halt drops them. See docs/control.md.
 """
 
 from __future__ import annotations
@@ -32,7 +29,7 @@ from minidual.errors import UsageError, unknown_name
 from minidual.robot.pair import SIDES, Array, Robot
 
 _STOP_SHARE = 0.5
-"""Share of the joints' acceleration limits for stopping moving arms at a switch."""
+"""Share of the joints' acceleration limits for stopping at a switch."""
 _DRIVING = (ArbiterState.WAITING, ArbiterState.ALIGNING, ArbiterState.ACTIVE, ArbiterState.STALE)
 
 
@@ -50,9 +47,7 @@ class CommandArbiter:
     Streamed targets move each joint by at most `switch_step_max_rad` a tick.
 
     Args:
-        robot: The two arms.
-        config: Bounds and times.
-        gripper: Openings (2,) held until a source commands others.
+        gripper: Openings (2,) held until commanded otherwise.
         control_dt_s: Control step of timed commands.
         admit: Returns why the controllers cannot take a command, or None; the default admits joint commands.
     """
@@ -70,9 +65,9 @@ class CommandArbiter:
         self._robot = robot
         self._underway = Underway(control_dt_s, robot, admit)
         self.on_confirm: list[Callable[[str], None]] = []
-        """Called with the mode when a switch is confirmed, before the source's first command."""
+        """Called with the mode at confirmation, before the source's first command."""
         self.on_flush: list[Callable[[str], None]] = []
-        """Called with the mode when a switch begins or a halt flushes ("hold"), so that sources drop queued chunks."""
+        """Called with the mode at every switch or halt ("hold"); sources must drop queued chunks."""
         self._mailboxes = {source: Mailbox(source, robot) for source in SOURCES}
         self._requests: list[str] = []
         self._halt: tuple[str, Array | None] | None = None
@@ -105,8 +100,7 @@ class CommandArbiter:
     def propose(self, source: str, command: Command) -> Refusal | None:
         """Offer a command; return its refusal, or None.
 
-        Checks that need the posture run at the tick that takes the command. Commands of sources that do not drive are kept
-        until the next flush.
+        Posture checks follow at the tick that takes it. Commands of idle sources are kept until the next flush.
 
         Raises:
             UsageError: Unknown source.
@@ -117,35 +111,20 @@ class CommandArbiter:
         return refusal
 
     def affirm(self, source: str) -> None:
-        """Report a source as alive; without this or new commands for `stale_s` its timed commands brake.
-
-        Raises:
-            UsageError: Unknown source.
-        """
+        """Report a source as alive; after `stale_s` without this or new commands its timed commands brake."""
         self._mailbox(source)
         self._affirmed.add(source)
 
     def request(self, mode: str) -> None:
-        """Request a source, or "hold", for the next tick; the last request counts.
-
-        Raises:
-            UsageError: Unknown mode.
-        """
+        """Request a source, or "hold", for the next tick; the last request counts."""
         if mode not in (*SOURCES, HOLD):
             raise unknown_name("mode", mode, (*SOURCES, HOLD))
         self._requests.append(mode)
 
     def halt(self, source: str, gripper: Array | None = None) -> None:
-        """Stop the arms at the next tick; no source drives afterwards.
+        """Stop the arms at the next tick and end any driving or switching.
 
-        Timed commands are dropped; a settling switch is refused.
-
-        Args:
-            source: Who asks.
-            gripper: Openings (2,), accepted only from the driving source (else refused as `not_driving`; the arms still stop).
-
-        Raises:
-            UsageError: Unknown source.
+        Openings `gripper` (2,) are accepted only from the driving source (else `not_driving`; the arms still stop).
         """
         self._mailbox(source)
         fault = None if gripper is None else opening_fault(gripper)
@@ -160,12 +139,7 @@ class CommandArbiter:
         return self._mailboxes[source]
 
     def tick(self, now_s: float, q_measured: Array, v_measured: Array) -> ArbiterOutput:
-        """Return this tick's output.
-
-        Args:
-            now_s: Time [s].
-            q_measured: (n,) [rad].
-            v_measured: (n,) [rad/s].
+        """Return the output at now_s [s], q_measured (n,) [rad], v_measured (n,) [rad/s].
 
         Raises:
             UsageError: Time runs backwards, or the first posture is not finite.
@@ -211,7 +185,7 @@ class CommandArbiter:
         return now_s - last
 
     def _posture(self, q_measured: Array) -> Array:
-        """Return the measured posture, or the present target if the measurement is unusable."""
+        """Return the measured posture, or the present target if unusable."""
         usable = np.shape(q_measured) == (self._robot.dof,) and bool(np.isfinite(q_measured).all())
         if usable:
             posture = np.clip(q_measured, self._robot.q_lower, self._robot.q_upper)
@@ -229,7 +203,6 @@ class CommandArbiter:
         return self._target
 
     def _begin_requested(self, now_s: float, posture: Array, v_measured: Array) -> None:
-        """Start the last requested switch, unless that source drives already."""
         requests, self._requests = self._requests, []
         if not requests:
             return
@@ -269,14 +242,13 @@ class CommandArbiter:
         return True
 
     def _flush(self, mode: str, now_s: float) -> None:
-        """Forget every command and notify the listeners."""
         for mailbox in self._mailboxes.values():
             mailbox.flush(now_s)
         for listener in self.on_flush:
             listener(mode)
 
     def _settle(self, switch: _Switch, now_s: float, speed: float, posture: Array) -> str | None:
-        """Confirm the switch once the arms are still; refuse it after the timeout."""
+        """Confirm the switch once still; refuse it after the timeout."""
         mode, waited = switch.mode, now_s - switch.since_s
         if speed < self.config.still_speed_rad_s and not self._underway.executions:
             self._switch = None
@@ -301,7 +273,6 @@ class CommandArbiter:
         self._refusals.append(Refusal(source, name, detail))
 
     def _begin_timed(self, source: str, now_s: float, posture: Array) -> None:
-        """Begin the waiting timed commands that pass the checks."""
         taken, refused = self._mailboxes[source].take_timed(now_s, self.config.stale_s)
         self._refusals.extend(refused)
         for command in taken:
@@ -314,7 +285,7 @@ class CommandArbiter:
                 self._gripper[arm] = command.gripper[arm]
 
     def _fresh(self, source: str, now_s: float) -> dict[int, JointCommand]:
-        """Return each arm's streamed command that can be followed now."""
+        """Return the followable streamed commands by arm."""
         mailbox = self._mailboxes[source]
         fresh, refused = mailbox.fresh(now_s, self.config.stale_s)
         self._refusals.extend(refused)
@@ -364,7 +335,7 @@ class CommandArbiter:
         return {**driven, **fresh}
 
     def _run_timed(self, now_s: float) -> dict[int, Command]:
-        """Run the timed commands, or brake them if the source is silent; return them by arm."""
+        """Run or brake the timed commands; return the running ones by arm."""
         executions = self._underway.executions
         if not executions:
             return {}
@@ -378,11 +349,9 @@ class CommandArbiter:
         return {arm: e.command for e in executions for arm in e.arms}
 
     def _is_gone(self, now_s: float) -> bool:
-        """Return whether the source has been silent for over `stale_s`."""
         return now_s - self._alive_s > self.config.stale_s + 1e-9
 
     def _go_quiet(self, now_s: float) -> None:
-        """Hold while the source is silent; stop after `stop_after_s`."""
         if now_s - self._heard_s > self.config.stop_after_s:
             self._state = ArbiterState.STOPPED
             self._source = None

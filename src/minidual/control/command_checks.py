@@ -1,4 +1,4 @@
-"""Posture-independent checks, run when a command is proposed."""
+"""Posture-independent command checks."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from minidual.robot.pair import Array, Robot
 SQUEEZE_CEILING_N = 80.0
 """Highest accepted internal force."""
 OBJECT_SPEED_MAX_M_PER_S = 1.0
-"""Highest commanded object speed, just below the arms' own limits."""
+"""Just below the arms' own limits."""
 
 _LIMIT_TOLERANCE_RAD = 1e-6
 _SPEED_TOLERANCE = 1.02
@@ -63,7 +63,6 @@ def _common_fault(command: Command) -> Fault | None:
 
 
 def _posture_fault(q: Array, joints: slice, robot: Robot) -> Fault | None:
-    """Return the fault of postures (m, joints), or None."""
     names = robot.joint_names[joints]
     finite = np.isfinite(q)
     if not finite.all():

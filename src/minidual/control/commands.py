@@ -1,8 +1,8 @@
-"""Data passing through the arbiter: commands and refusals.
+"""Data passing through the arbiter.
 
-* `JointCommand`       joint target, streamed at 50 to 100 Hz (leader, policy)
-* `TrajectoryCommand`  timed joint trajectory, run at 1 kHz (planner)
-* `ObjectCommand`      timed path of a held object with squeeze, run at 1 kHz
+* `JointCommand`       joint target, streamed at 50 to 100 Hz
+* `TrajectoryCommand`  timed joint trajectory, run at 1 kHz
+* `ObjectCommand`      timed object path with squeeze, run at 1 kHz
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from minidual.control.object_impedance import ObjectState
 from minidual.robot.pair import SIDES, Array
 
 SOURCES: tuple[str, ...] = ("moveit", "teleop", "policy")
-"""Command sources, each also a mode; at most one drives."""
+"""Command sources, each also a mode."""
 
 HOLD = "hold"
 """Mode without a driving source."""
@@ -34,7 +34,7 @@ class JointCommand:
     Attributes:
         q: [rad], (n,) left then right, or one arm's.
         gripper: Openings (2,) left, right, 0 closed to 1 open; a single arm's command moves its hand only.
-        stamp_s: Creation time on the arbiter's clock [s].
+        stamp_s: Creation time on the arbiter's clock.
         sequence: Increases with each command of the source.
         group: `both_arms`, `left_arm` or `right_arm`.
     """
@@ -61,7 +61,7 @@ class JointCommand:
 class TimedMotion(Protocol):
     """Joint trajectory on a regular grid, at rest at both ends (such as `robot.trajectory.Trajectory`).
 
-    q, v, a: (samples, joints), joints of both arms or one; a single arm's command uses its own columns.
+    Columns are both arms' or one's; a single arm's command uses its own.
     """
 
     @property
@@ -96,14 +96,13 @@ class TimedMotion(Protocol):
 
 @dataclass(frozen=True)
 class TrajectoryCommand:
-    """A timed joint trajectory; it starts when the arbiter takes it.
+    """A timed joint trajectory.
 
     Attributes:
         motion: Must start at the arms' posture.
         gripper: Openings (2,) from the start on.
-        stamp_s: Creation time [s]; refused if not taken within `stale_s`.
-        sequence: As for `JointCommand`.
-        group: As for `JointCommand`.
+        stamp_s: Creation time; refused if not taken within `stale_s`.
+        sequence, group: As for `JointCommand`.
     """
 
     motion: TimedMotion
@@ -119,7 +118,7 @@ class TrajectoryCommand:
 
 
 class ObjectMotion(Protocol):
-    """Timed object path, at rest at both ends (such as `control.object_path.ObjectPath`)."""
+    """Timed object path, at rest at both ends (such as `ObjectPath`)."""
 
     @property
     def duration_s(self) -> float:
@@ -127,7 +126,7 @@ class ObjectMotion(Protocol):
         ...
 
     def at(self, t_s: float) -> ObjectState:
-        """Return the object's state at a time [s]."""
+        """Return the object's state."""
         ...
 
 
@@ -137,8 +136,7 @@ class ObjectCommand:
 
     Attributes:
         motion: Must start at the object's pose.
-        squeeze_n: Internal force [N] by path time [s], 0 to 80.
-        gripper, stamp_s, sequence: As for `TrajectoryCommand`.
+        squeeze_n: Internal force by path time, 0 to 80.
     """
 
     motion: ObjectMotion
@@ -162,8 +160,7 @@ class Refusal:
     """A refused command or request.
 
     Attributes:
-        source: Its source or mode.
-        name: Stable name (list: docs/control.md).
+        name: Stable name (docs/control.md).
         detail: Value and bound.
     """
 
@@ -175,9 +172,9 @@ class Refusal:
 class ArbiterState(StrEnum):
     """What the arbiter does.
 
-    holding: no source drives. settling: waits for still arms. waiting: a source may drive, nothing runs. aligning: the
-    target approaches the source's at a bounded rate. active: commands pass. stale: source silent, target held. stopped:
-    halted, silent too long or not still in time; needs a new request.
+    settling: waits for still arms. waiting: a source may drive, nothing runs. aligning: the target approaches the source's
+    at a bounded rate. stale: source silent, target held. stopped: halted, silent too long or not still in time; needs a
+    new request.
     """
 
     HOLDING = "holding"

@@ -1,7 +1,7 @@
-"""Controller switching: every joint is always driven by exactly one controller.
+"""Strict, atomic controller switching: exactly one controller drives each joint.
 
-A switch names the whole new set and is strict and atomic: an invalid set is refused and changes nothing. The torque
-difference fades over `fade_s`, or at the drives' rate limit where it must go sooner (a squeeze that lost its object).
+After a switch the torque difference fades over `fade_s`, or changes at the drives' rate limit where it must go sooner
+(a squeeze that lost its object).
 """
 
 from __future__ import annotations
@@ -29,14 +29,7 @@ class ControllerSwitchError(MinidualError):
 
 
 class ControllerManager:
-    """Runs the active controllers.
-
-    Args:
-        controllers: All controllers.
-        dt_s: Control step.
-        robot: The two arms.
-        fade_s: Fade time of the torque difference.
-    """
+    """Runs the active controllers."""
 
     def __init__(self, controllers: Sequence[Controller], dt_s: float, robot: Robot, *, fade_s: float = 0.1) -> None:
         self._robot = robot
@@ -95,12 +88,9 @@ class ControllerManager:
         return chosen
 
     def switch(self, names: Sequence[str], q: Array, v: Array, *, swiftly: bool = False) -> None:
-        """Activate exactly these controllers at measured q, v (n,).
+        """Activate exactly these controllers at measured q, v (n,), if `check` passes.
 
         With `swiftly` the torques change at the drives' rate limit instead of fading.
-
-        Raises:
-            UsageError, ControllerSwitchError: See `check`.
         """
         chosen = self.check(names)
         had_any = bool(self._active)
@@ -115,7 +105,7 @@ class ControllerManager:
         self._whole = chosen[0] if len(chosen) == 1 else None
 
     def find_fault(self, command: Command) -> Fault | None:
-        """Return why the active controllers cannot take a command, or None."""
+        """Return why the active controllers refuse a command, or None."""
         for controller in self._active:
             if set(controller.arms) & set(command.arms):
                 fault = controller.find_fault(command)
@@ -124,7 +114,7 @@ class ControllerManager:
         return None
 
     def follow(self, output: ArbiterOutput) -> None:
-        """Pass the arbiter's output to the active controllers."""
+        """Pass on the arbiter's output."""
         for controller in self._active:
             controller.follow(output)
 
@@ -149,7 +139,7 @@ class ControllerManager:
         return self._joined(lambda controller: cast("Array", controller.acceleration))
 
     def _joined(self, part: Callable[[Controller], Array]) -> Array:
-        """Return (n,) values, each joint's from its controller."""
+        """Join (n,) values, each joint's from its controller."""
         if self._whole is not None:
             return part(self._whole)
         joined = np.empty(self._robot.dof)

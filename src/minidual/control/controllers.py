@@ -1,9 +1,9 @@
-"""The controllers and their common interface.
+"""The controllers and their interface.
 
 A  `both_arms`                  joint trajectory control
 B  `left_arm`, `right_arm`      the same for one arm
-C  `object_impedance`           both arms and an object (object_controller)
-   `soft_stop`                  stops both arms and holds them softly (soft_stop)
+C  `object_impedance`           both arms and an object
+   `soft_stop`                  stops and softly holds both arms
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 
 _BLEND_S = 0.5
-"""Fade time of the offset between reference and trajectory start."""
+"""Fade time of a trajectory's start offset."""
 
 
 class Controller(ABC):
@@ -33,7 +33,7 @@ class Controller(ABC):
 
     @abstractmethod
     def find_fault(self, command: Command) -> Fault | None:
-        """Return why it cannot take a command now, or None."""
+        """Return why it refuses a command now, or None."""
 
     def not_ready(self) -> str:
         """Return why it cannot be activated, or ""."""
@@ -41,19 +41,19 @@ class Controller(ABC):
 
     @abstractmethod
     def activate(self, q: Array, v: Array) -> None:
-        """Take over smoothly at measured q (n,) [rad], v (n,) [rad/s]."""
+        """Take over smoothly at measured q, v (n,)."""
 
     def follow(self, output: ArbiterOutput) -> None:  # noqa: B027 - a controller may follow nothing
-        """Receive the arbiter's output of this tick."""
+        """Receive the arbiter's output."""
 
     @abstractmethod
     def update(self, q: Array, v: Array) -> Array:
-        """Run one control step; return torques (n,) [Nm], valid for its own joints."""
+        """Run one control step; return torques (n,) [Nm], valid for its joints."""
 
     @property
     @abstractmethod
     def reference(self) -> Array:
-        """Last joint reference (n,) [rad], or measured joints if there is none."""
+        """Last joint reference (n,) [rad]; measured joints if none."""
 
     @property
     def acceleration(self) -> Array | None:
@@ -62,15 +62,7 @@ class Controller(ABC):
 
 
 class JointTrajectoryController(Controller):
-    """Follows streamed targets through the reference filter, and timed trajectories directly.
-
-    Args:
-        group: `both_arms`, `left_arm` or `right_arm`; also its name.
-        kinematics: Dynamics.
-        dt_s: Control step.
-        natural_frequency_rad_s: Closed-loop frequency of all joints.
-        bandwidth_rad_s: Of the reference filter.
-    """
+    """Follows streamed targets through the reference filter, and timed trajectories directly."""
 
     def __init__(
         self,
@@ -95,7 +87,7 @@ class JointTrajectoryController(Controller):
         self._a_asked = np.zeros(n)
 
     def find_fault(self, command: Command) -> Fault | None:
-        """Refuse all but joint targets and trajectories."""
+        """Refuse all but joint commands."""
         if isinstance(command, JointCommand | TrajectoryCommand):
             return None
         return "wrong_controller", f"controller {self.name} takes joint commands, no {type(command).__name__}"
@@ -137,11 +129,11 @@ class JointTrajectoryController(Controller):
 
     @property
     def acceleration(self) -> Array | None:
-        """As commanded, without the fading start offset; None while braking."""
+        """As commanded, without the fading offset; None while braking."""
         return self._last_a
 
     def _trajectory_reference(self) -> tuple[Array, Array, Array]:
-        """Return the reference: trajectories where they drive, the filter elsewhere."""
+        """Return the reference: trajectories where they drive, else the filter."""
         driven = {arm for execution in self._executions for arm in execution.arms}
         if not driven.issuperset(self.arms):
             self._q[:], self._v[:], self._a[:] = self._filter.step(self._target)

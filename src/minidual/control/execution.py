@@ -4,7 +4,7 @@ Braking slows the clock, so two hands that carry something keep their distance:
 
     q(s),  s' = r,  r falls from 1 to 0;   v = q' r,   a = q'' r^2 + q' dr/dt
 
-dr/dt ramps up and down over short times, so the torques do not jump.
+dr/dt is ramped, so the torques do not jump.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from minidual.control.object_impedance import ObjectState
 from minidual.robot.pair import Array, Robot
 
 BRAKE_SHARE = 0.8
-"""Share of the joints' acceleration limits for braking a trajectory."""
+"""Share of the joints' acceleration limits."""
 _BRAKE_SLOPE_MIN, _BRAKE_SLOPE_MAX = 2.0, 20.0
 _OBJECT_BRAKE_SLOPE = 4.0
 _BRAKE_RAMP_S = 0.03
@@ -41,12 +41,11 @@ class _Clock:
 
     @property
     def finished(self) -> bool:
-        """Whether it reached the end or stopped."""
+        """Whether it ended or stopped."""
         return self.k >= self.steps or self.rate == 0.0
 
     @property
     def braking(self) -> bool:
-        """Whether it was braked."""
         return self._slope_max > 0.0
 
     def brake(self, slope_max: float) -> None:
@@ -54,7 +53,7 @@ class _Clock:
         self._slope_max = slope_max
 
     def step(self) -> None:
-        """Advance one control step; the first leads to time zero."""
+        """Advance one control step, first to time zero."""
         if self._slope_max > 0.0:
             rise = self.slope + self._slope_max * self._dt / _BRAKE_RAMP_S
             # On this curve slope and rate reach zero together, within the ramp time.
@@ -89,11 +88,6 @@ class _Execution:
 
 class TrajectoryExecution(_Execution):
     """A running trajectory.
-
-    Args:
-        command: Checked by `find_fault`.
-        dt_s: Control step.
-        robot: The two arms.
 
     Attributes:
         joints: Slice of the driven joints.
@@ -133,12 +127,7 @@ class TrajectoryExecution(_Execution):
 
 
 class ObjectExecution(_Execution):
-    """A running object path.
-
-    Attributes:
-        desired: Present desired object state.
-        squeeze_n: Present desired internal force.
-    """
+    """A running object path."""
 
     def __init__(self, command: ObjectCommand, dt_s: float) -> None:
         super().__init__(command.arms, command.motion.duration_s, dt_s)
@@ -147,7 +136,7 @@ class ObjectExecution(_Execution):
         self.squeeze_n = command.squeeze_n(0.0)
 
     def brake(self) -> None:
-        """Come to rest on the path, keeping the squeeze of that point."""
+        """Come to rest on the path, keeping that point's squeeze."""
         if not (self._clock.braking or self._clock.finished):
             self._clock.brake(_OBJECT_BRAKE_SLOPE)
 
@@ -177,9 +166,9 @@ class ArbiterOutput:
         gripper: (2,), 0 closed to 1 open.
         active_source: Source whose command passed, or None.
         held_arms: Arms without a fresh command.
-        switched_to: Mode confirmed in this tick, or None.
-        refusals: All since the last tick.
-        executions: Running timed commands; their arms ignore `q_target`.
+        switched_to: Mode confirmed now, or None.
+        refusals: Since the last tick.
+        executions: Their arms ignore `q_target`.
         halted: Whether the arms must stop now.
     """
 

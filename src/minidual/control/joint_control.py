@@ -2,9 +2,8 @@
 
     tau = M(q) [ a_ref + 2 zeta wn (v_ref - v) + wn^2 (q_ref - q) ] + h(q, v) + d v + c tanh(v / v_s)
 
-Scaling by M gives every joint the same natural frequency wn; a shoulder carries over ten times a wrist's inertia
-(table: docs/force-control.md). h: Coriolis, centrifugal and gravity torques. Source: Siciliano et al., Robotics,
-ch. 8.5.2.
+Scaling by M gives every joint the same natural frequency wn, though a shoulder carries over ten times a wrist's inertia.
+h: Coriolis, centrifugal and gravity torques. Source: Siciliano et al., Robotics, ch. 8.5.2.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from minidual.robot.pair import Array, Robot
 class JointFriction:
     """Friction to cancel: d v + c tanh(v / v_s).
 
-    Within v_s of rest a measured velocity's sign is noise, so tanh replaces sign and dry friction is not cancelled at rest.
+    Dry friction is not cancelled at rest, where a measured velocity's sign is noise.
 
     Attributes:
         viscous: d, (n,) or scalar [Nm s/rad].
@@ -46,10 +45,9 @@ class ComputedTorque:
     """Tracks joint references of both arms.
 
     Args:
-        kinematics: Workspace.
-        natural_frequency_rad_s: wn of all joints.
+        natural_frequency_rad_s: wn.
         damping_ratio: zeta.
-        friction: Cancelled friction; default the model's.
+        friction: Default the model's.
     """
 
     def __init__(
@@ -71,7 +69,7 @@ class ComputedTorque:
         self._e, self._de, self._dde = self._errors
 
     def torque(self, q: Array, v: Array, q_ref: Array, v_ref: Array, a_ref: Array) -> Array:
-        """Return motor torques (n,) [Nm], clipped to the motors' limits."""
+        """Return motor torques (n,) [Nm], clipped to the limits."""
         subtract(q_ref, q, self._e)
         subtract(v_ref, v, self._de)
         self._dde[:] = a_ref

@@ -1,8 +1,7 @@
-"""Compiled control-law algebra, run at 1 kHz between two Pinocchio calls (about 1 us instead of hundreds of Python steps).
+"""Compiled control-law algebra (numba): about 1 us a call instead of hundreds of Python operations.
 
-`LAW` is one record with all data of the object impedance, so a call passes one argument; numpy shares its memory
-through `view`. Vectors of three are tuples, which the compiler keeps in registers. All helpers live in this file
-because numba's cache tracks changes of no other. Importing it imports numba: import where a controller is built.
+A call passes one record `LAW`; numpy shares its memory through `view`. Vectors of three are tuples, kept in registers.
+All helpers must live in this file: numba's cache tracks no other. Import late: it imports numba.
 """
 
 from __future__ import annotations
@@ -45,14 +44,14 @@ LAW = np.dtype(
         ("f", "f8", 12),
     ]
 )
-"""Object and hand data of the object impedance, named as in its law."""
+"""The object impedance's object and hand data."""
 
 ROWS = ("posture", "viscous", "dry", "tau_max", "q", "v", "qdd_posture", "qdd", "push")
-"""Rows (rows, n) of its joint data."""
+"""Its joint data, (rows, n)."""
 POSTURE, VISCOUS, DRY, TAU_MAX, Q, V, QDD_POSTURE, QDD, PUSH = range(len(ROWS))
 
 Vector = tuple[float, float, float]
-"""A vector in registers; helpers that only read also take an array (3,) (`Elements`)."""
+"""Helpers that only read also take arrays (`Elements`)."""
 Elements = Any
 
 _LAW = types.Array(from_dtype(LAW), 1, "C")
@@ -123,13 +122,13 @@ def apply_transposed(A: Array, x: Elements) -> Vector:
 
 @njit
 def within(x: float, low: float, high: float) -> float:
-    """Return x clipped to its bounds; NaN stays NaN."""
+    """Return x clipped; NaN stays NaN."""
     return high if x > high else low if x < low else x
 
 
 @njit
 def rotation_vector(Ex: Vector, Ey: Vector, Ez: Vector) -> Vector:
-    """Return the rotation vector [rad] of the matrix with these rows (Rodrigues)."""
+    """Return the rotation vector [rad] of the matrix with these rows."""
     vee = (Ez[1] - Ey[2], Ex[2] - Ez[0], Ey[0] - Ex[1])
     sine = 0.5 * math.sqrt(dot(vee, vee))
     cosine = 0.5 * (Ex[0] + Ey[1] + Ez[2] - 1.0)
@@ -146,25 +145,25 @@ def rotation_vector(Ex: Vector, Ey: Vector, Ez: Vector) -> Vector:
 
 @njit
 def row_by(wanted: Array, i: int, x: Vector, y: Vector, z: Vector) -> Vector:
-    """Return row i of `wanted` times the transpose of the matrix with columns x, y, z."""
+    """Return row i of `wanted` [x y z]^T."""
     return plus(times(wanted[i, 0], x), plus(times(wanted[i, 1], y), times(wanted[i, 2], z)))
 
 
 @njit
 def friction(v: float, d: float, c: float, smooth: float) -> float:
-    """Return d v + c tanh(v / v_s); tanh is skipped for c = 0."""
+    """Return d v + c tanh(v / v_s)."""
     return d * v + c * math.tanh(v / smooth) if c != 0.0 else d * v
 
 
 @njit
 def turn(wanted: Array, x: Vector, y: Vector, z: Vector) -> Vector:
-    """Return log(wanted actual^T) [rad], `actual` given by its columns."""
+    """Return log(wanted actual^T) [rad], actual = [x y z]."""
     return rotation_vector(row_by(wanted, 0, x, y, z), row_by(wanted, 1, x, y, z), row_by(wanted, 2, x, y, z))
 
 
 @njit
 def hand_wrenches(force: Vector, moment: Vector, r_left: Vector, r_right: Vector, squeeze: Vector, f: Array) -> None:
-    """Fill f (12,) with G^+ w + (I - G^+ G) [-squeeze; 0; squeeze; 0] (derivation: docs/force-control.md)."""
+    """Fill f (12,) with G^+ w + (I - G^+ G) [-squeeze; 0; squeeze; 0] (docs/force-control.md)."""
     m, h = times(0.5, plus(r_left, r_right)), times(0.5, minus(r_left, r_right))
     n = plus(minus(moment, cross(m, force)), times(2.0, cross(h, squeeze)))
     share = times(0.5 / (1.0 + dot(h, h)), plus(n, times(dot(h, n), h)))
@@ -176,7 +175,7 @@ def hand_wrenches(force: Vector, moment: Vector, r_left: Vector, r_right: Vector
 
 @njit
 def least_norm(J: Array, b: Array, x: Array) -> bool:
-    """Fill x (n,) with J^T (J J^T)^-1 b, J (6, n), b (6,), by Cholesky; return whether J has full rank."""
+    """Fill x (n,) with J^T (J J^T)^-1 b, J (6, n); return whether J has full rank."""
     L, y = np.empty((6, 6)), np.empty(6)
     for i in range(6):
         for j in range(i + 1):
@@ -275,7 +274,7 @@ def impedance(
 
 @kernel(types.void(_LAW, _MATRIX, _VECTOR))
 def add_push(law: Array, rows: Array, tau: Array) -> None:
-    """Add push and friction to tau (n,) [Nm], clipped to the motors' limits."""
+    """Add push and friction to tau (n,) [Nm] and clip."""
     smooth = law[0].smooth
     for j in range(len(tau)):
         tau[j] += rows[PUSH, j] + friction(rows[V, j], rows[VISCOUS, j], rows[DRY, j], smooth)
@@ -284,7 +283,7 @@ def add_push(law: Array, rows: Array, tau: Array) -> None:
 
 @kernel(types.void(_VECTOR, _VECTOR, _MATRIX, types.float64))
 def add_friction(tau: Array, v: Array, joints: Array, smooth: float) -> None:
-    """Add friction to tau (n,) [Nm], clipped; joints (3, n): d, c, tau_max."""
+    """Add friction to tau (n,) [Nm] and clip; joints (3, n): d, c, tau_max."""
     for j in range(len(tau)):
         tau[j] += friction(v[j], joints[0, j], joints[1, j], smooth)
         tau[j] = within(tau[j], -joints[2, j], joints[2, j])
@@ -292,7 +291,7 @@ def add_friction(tau: Array, v: Array, joints: Array, smooth: float) -> None:
 
 @kernel(types.void(_VECTOR, _VECTOR, _VECTOR, _MATRIX, types.float64, types.float64, _MATRIX))
 def follow_target(target: Array, q: Array, v: Array, bounds: Array, w: float, dt: float, after: Array) -> None:
-    """Fill `after` (3, n) with q, v, a one step later (filter: `minidual.control.reference`).
+    """Fill `after` (3, n) with the next q, v, a (see `reference`).
 
     bounds (5, n): a_max, v_max, d, lower and upper joint limits.
     """

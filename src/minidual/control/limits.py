@@ -1,7 +1,4 @@
-"""The supervisor's bounds as arrays for one vectorised comparison.
-
-They are the robot's limits (sources: `minidual.robot.arms`); the configuration may only tighten them.
-"""
+"""The supervisor's bounds as arrays. Limits come from `minidual.robot.arms`; the configuration may only tighten them."""
 
 from __future__ import annotations
 
@@ -12,16 +9,16 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot
 
 ROWS: tuple[str, ...] = ("position", "velocity", "torque", "torque_step", "acceleration", "acceleration_step")
-"""Quantities compared each tick, per joint; a step is the difference between two ticks."""
+"""Quantities compared each tick, per joint; a step is a difference between ticks."""
 
 POSITION_TOLERANCE_RAD = 1e-3
-"""Tolerated excess: targets may lie on the bound and tracking is not perfect."""
+"""Targets may lie on the bound; tracking is imperfect."""
 TORQUE_TOLERANCE = 1e-6
-"""Relative excess over a torque limit accepted as rounding."""
+"""Relative excess accepted as rounding."""
 SATURATED = 0.999
-"""Share of the torque limit from which a motor counts as saturated (controllers clip at the limit)."""
+"""Share of the torque limit that counts as saturated."""
 _WIDTH_M = 0.1
-"""Lateral extent of a link or hand from the line through the joints."""
+"""Lateral extent of a link or hand."""
 
 
 class TickBounds:
@@ -30,11 +27,8 @@ class TickBounds:
     Attributes:
         centre, scale: (6, n).
         q_lower, q_upper: (n,) [rad], margins applied.
-        v_max: (n,) [rad/s].
-        tau_max: (n,) [Nm].
         tau_step: Largest torque change per tick [Nm].
-        a_max: (n,) [rad/s^2].
-        a_step: (n,) largest change of the reference acceleration per tick [rad/s^2].
+        a_step: (n,) largest change of reference acceleration per tick [rad/s^2].
     """
 
     def __init__(self, config: SupervisorConfig, dt_s: float, robot: Robot) -> None:
@@ -61,16 +55,15 @@ class TickBounds:
         self.scale = 1.0 / half
 
     def stopping_point(self, q: Array, v: Array) -> Array:
-        """Return where each joint (n,) [rad] stops when braking at the robot's acceleration limit."""
+        """Return where the joints (n,) [rad] stop under full braking."""
         return q + v * np.abs(v) / (2.0 * self._a_brake)
 
 
 class Reach:
-    """How far arm points are from each joint's axis, and how fast parts can approach.
+    """How far arm points lie from joint axes, and how fast parts can approach.
 
     Attributes:
-        m: (n,) [m]; turning joint j by dq moves no point of the arm by more than m[j] |dq|. Sum of the axis-aligned
-            steps from the joint to the tool centre point, plus a hand's width.
+        m: (n,) [m]; turning joint j by dq moves no point by more than m[j] |dq|.
     """
 
     def __init__(self, kinematics: Kinematics) -> None:
@@ -85,10 +78,9 @@ class Reach:
         self._acceleration = float(self.m @ robot.a_max)
 
     def safe_time_s(self, v: Array, gap_m: float) -> float:
-        """Return the time [s] in which two parts cannot close a gap [m], at any posture.
+        """Return the time [s] in which no gap [m] can close, at any posture.
 
-        Joint speeds v (n,) [rad/s] may grow at the acceleration limits: in time h no gap shrinks by more than
-        h sum_j m[j] (|v_j| + a_j h), summed over both arms.
+        In time h no gap shrinks by more than h sum_j m[j] (|v_j| + a_j h), over both arms' joints.
         """
         speed = float(self.m @ np.abs(v))
         root = np.sqrt(speed * speed + 4.0 * self._acceleration * max(0.0, gap_m))

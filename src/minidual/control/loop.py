@@ -11,14 +11,7 @@ from minidual.robot.pair import Array
 
 
 class JointLoop[P: Plant]:
-    """Drives a world from joint and gripper targets.
-
-    Args:
-        world: The plant.
-        kinematics: Dynamics.
-        natural_frequency_rad_s: Closed-loop frequency of all joints.
-        bandwidth_rad_s: Of the reference filter.
-    """
+    """Drives a world from joint and gripper targets."""
 
     def __init__(
         self, world: P, kinematics: Kinematics, *, natural_frequency_rad_s: float = 20.0, bandwidth_rad_s: float = 30.0
@@ -35,7 +28,7 @@ class JointLoop[P: Plant]:
         self.grippers.reset()
 
     def step(self, q_target: Array, gripper: Array) -> None:
-        """Run one control and physics step towards joints (n,) [rad] and openings (2,)."""
+        """Run one control and physics step."""
         q_ref, v_ref, a_ref = self.reference.step(q_target)
         self._apply(q_ref, v_ref, a_ref, gripper)
 

@@ -10,12 +10,7 @@ from minidual.robot.pair import SIDES, Robot
 class Mailbox:
     """Keeps the newest command per arm.
 
-    A newer command replaces an older one. `flush` forgets all; commands stamped earlier are refused afterwards, so a
-    late action chunk never runs.
-
-    Args:
-        source: Name used in refusals.
-        robot: The two arms.
+    Commands stamped before a `flush` are refused afterwards, so a late action chunk never runs.
     """
 
     def __init__(self, source: str, robot: Robot) -> None:
@@ -63,7 +58,7 @@ class Mailbox:
     def fresh(self, now_s: float, stale_s: float) -> tuple[dict[int, JointCommand], list[Refusal]]:
         """Return each arm's command at most `stale_s` old, and refusals.
 
-        A stamp more than `stale_s` in the future is dropped: it would stay fresh too long.
+        Stamps over `stale_s` ahead are dropped.
         """
         fresh: dict[int, JointCommand] = {}
         refusals: list[Refusal] = []
@@ -77,7 +72,7 @@ class Mailbox:
         return fresh, refusals
 
     def take_timed(self, now_s: float, stale_s: float) -> tuple[list[TimedCommand], list[Refusal]]:
-        """Remove and return the waiting timed commands, and refusals of bad stamps."""
+        """Remove and return the waiting timed commands, and refusals."""
         waiting, self._timed = self._timed, []
         taken: list[TimedCommand] = []
         refusals: list[Refusal] = []

@@ -18,9 +18,9 @@ from minidual.robot.pair import Array
 from minidual.robot.poses import rotation_log
 
 SQUEEZE_RATE_N_PER_S = 200.0
-"""Largest rate of the commanded squeeze; the grip limit lowers it at once."""
+"""Largest squeeze rate; the grip limit acts at once."""
 _START_M, _START_RAD = 0.02, 0.1
-"""Largest offset of a path's start from the object."""
+"""Largest start offset of a path."""
 
 
 class ObjectSensor(Protocol):
@@ -28,11 +28,11 @@ class ObjectSensor(Protocol):
 
     @property
     def grip_limit_n(self) -> float:
-        """Largest internal force [N] that friction carries; infinite if unknown."""
+        """Largest internal force that friction carries, or infinite."""
         ...
 
     def read(self) -> tuple[ObjectState, float]:
-        """Return the object's state (acceleration unused) and measured internal force [N]."""
+        """Return the object's state and the measured internal force [N]."""
         ...
 
 
@@ -40,10 +40,8 @@ class ObjectImpedanceController(Controller):
     """Object impedance along a path, with servoed squeeze.
 
     Args:
-        kinematics: Dynamics.
-        dt_s: Control step.
         sensor: Required for activation.
-        drives: Returns whether this controller is active; default never.
+        drives: Returns whether this controller is active.
     """
 
     name = "object_impedance"
@@ -82,7 +80,7 @@ class ObjectImpedanceController(Controller):
         self._law = ObjectImpedance(self._kinematics, held, ImpedanceGains() if gains is None else gains)
 
     def find_fault(self, command: Command) -> Fault | None:
-        """Refuse all but object paths that start at the object."""
+        """Refuse all but object paths starting at the object."""
         if not isinstance(command, ObjectCommand):
             return ("wrong_controller", f"controller {self.name} takes object paths, no {type(command).__name__}")
         measured, _ = self._ready_sensor().read()

@@ -1,13 +1,12 @@
 """Estimate the object's pose from delayed, noisy pose samples and the joint encoders.
 
 A resting object's pose is the mean of all samples. For a held object the hands define a frame H, known at once
-and without noise from the encoders: origin midway between the tool centre points; y from the right to the left
-one; x the mean finger direction, made orthogonal to y. Each sample corrects the object's pose X in H:
+without noise: origin midway between the tool centre points; y from the right to the left one; x the mean finger
+direction, orthogonal to y. Samples z correct the object's pose X in H:
 
     X  <-  X + g (T_H(t - delay)^-1 z  -  X),        g = max(1 / n, sample period / memory)
 
-The estimate is T_H(t) X; its twist is that of H at the object. y uses positions because two pads let the object
-pivot about the line between the fingers.
+y uses positions because two pads let the object pivot about the line between the fingers.
 """
 
 from __future__ import annotations
@@ -31,8 +30,6 @@ class RestingEstimate:
     """Mean pose of a resting object.
 
     Attributes:
-        T_world_object: (4, 4) mean.
-        samples_n: Samples in it.
         innovation: (distance [m], angle [rad]) of the last sample from the previous mean.
     """
 
@@ -51,15 +48,12 @@ class HeldEstimate:
     """Pose and twist of an object in both hands.
 
     Args:
-        kinematics: Workspace.
         q: Joints (n,) after closing.
-        T_world_object: Pose (4, 4) known by then.
-        delay_ticks: Largest age of a sample.
+        T_world_object: Pose (4, 4) by then, weighted as `samples_n` samples.
+        delay_ticks: Largest usable sample age.
         least_gain: Smallest g.
-        samples_n: Number of samples T_world_object counts as.
 
     Attributes:
-        state: Object at the last update.
         innovation: (distance [m], angle [rad]) of the last sample from the estimate.
         spread_m: Distance between the hands.
     """
@@ -88,13 +82,9 @@ class HeldEstimate:
         self.state = ObjectState(T_world_object)
 
     def update(self, q: Array, v: Array, sample: Array | None, age_ticks: int = 0) -> ObjectState:
-        """Return the object's present state.
+        """Return the object's state at joints q, v (n,).
 
-        Args:
-            q: Joint positions (n,).
-            v: Joint velocities (n,).
-            sample: Pose (4, 4) that arrived in this step, or None.
-            age_ticks: Its age in steps; samples older than `delay_ticks` are dropped.
+        A new sample (4, 4), age_ticks steps old, is ignored if older than `delay_ticks`.
         """
         T_world_hands, velocity, omega = self._hands(q, v)
         self._history.append(T_world_hands)
@@ -109,7 +99,7 @@ class HeldEstimate:
         return self.state
 
     def _hands(self, q: Array, v: Array) -> tuple[Array, Vector, Vector]:
-        """Return T_world_hands (4, 4), its velocity and angular velocity; set `spread_m`."""
+        """Return T_world_hands (4, 4), velocity, angular velocity; set `spread_m`."""
         model, data = self._model, self._data
         pin.forwardKinematics(model, data, q, v)
         pin.updateFramePlacement(model, data, self._left)
@@ -135,7 +125,7 @@ class HeldEstimate:
 
 
 def _towards(T: Array, sample: Array, gain: float) -> tuple[Array, tuple[float, float]]:
-    """Return T moved by share `gain` towards the sample, and their (distance [m], angle [rad])."""
+    """Return T moved towards the sample, and their (distance [m], angle [rad])."""
     offset = sample[:3, 3] - T[:3, 3]
     turn = rotation_log(T[:3, :3].T @ sample[:3, :3])
     moved = pose(T[:3, :3] @ pin.exp3(gain * turn), T[:3, 3] + gain * offset)

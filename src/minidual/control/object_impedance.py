@@ -1,16 +1,14 @@
-"""Object impedance: two arms hold an object whose pose behaves like a damped spring; the squeeze is servoed.
+"""Object impedance: the held object behaves like a damped spring; the squeeze is servoed.
 
     e     = [ p_d - p ; log(R_d R^T) ]                                   pose error, world axes
     w     = K e + D (V_d - V) + [ m (a_d - g) ; I_w alpha_d + omega_d x I_w omega_d ],   I_w = R I_o R^T
-    F     = sat_[0, 80] ( F_d + sat_15 ( k_int (F_d - F_measured) ) )    squeeze along the object's axis
-    f     = G^+ w + (I - G^+ G) f_int(F)                                 hand wrenches on the object
+    F     = sat_[0, 80] ( F_d + sat_15 ( k_int (F_d - F_measured) ) )    squeeze
+    f     = G^+ w + (I - G^+ G) f_int(F)                                 hand wrenches
     tau_i = M qdd_ff + h + J_i^T f_i + friction,     J qdd_ff = a_hand - Jdot v
 
-D = 2 zeta sqrt(K M_eff): without inertia shaping, M_eff includes both arms' inertia at the hands. A small
-torsional spring holds each hand to its grasp frame, since two opposed finger pads let it pivot.
-
-Sources: Schneider and Cannon 1992 (object impedance); Caccavale et al. 2008 (internal and external forces);
-Siciliano and Khatib, Springer Handbook of Robotics, ch. 30.
+D = 2 zeta sqrt(K M_eff); without inertia shaping M_eff includes the arms. Torsional springs hold the hands to the
+grasp, since opposed pads let them pivot. Sources: Schneider and Cannon 1992; Caccavale et al. 2008; Springer
+Handbook of Robotics, ch. 30.
 """
 
 from __future__ import annotations
@@ -36,7 +34,7 @@ def bounded(value: float, low: float, high: float) -> float:
 
 
 class SingularPostureError(MinidualError):
-    """A stretched arm's hand cannot be accelerated in every direction."""
+    """A stretched arm's hand cannot accelerate in every direction."""
 
 
 @dataclass(frozen=True)
@@ -54,8 +52,8 @@ class HeldObject:
 
     Attributes:
         inertia_kg_m2: (3, 3) about the centre of mass, object axes.
-        T_object_tcps: (T_object_left_tcp, T_object_right_tcp).
-        axis: (3,) unit vector, object axes, from the right to the left hand.
+        T_object_tcps: Left, right.
+        axis: (3,) unit vector, object axes, from right to left hand.
     """
 
     mass_kg: float
@@ -81,11 +79,7 @@ class ImpedanceGains:
 
 
 class ObjectImpedance:
-    """The law for one object and grasp.
-
-    Args:
-        friction: Cancelled joint friction; default the model's.
-    """
+    """The law for one object and grasp."""
 
     def __init__(
         self, kinematics: Kinematics, held: HeldObject, gains: ImpedanceGains, friction: JointFriction | None = None
@@ -126,10 +120,10 @@ class ObjectImpedance:
         self._hands = HandMotion(kinematics, self._J, known["a_hands"])
 
     def engage(self, q: Array) -> None:
-        """Set the damping and the null-space posture from q (n,).
+        """Set damping and null-space posture from q (n,).
 
         Raises:
-            SingularPostureError: A hand cannot be accelerated in every direction.
+            SingularPostureError: A hand lost a direction of motion.
         """
         self._posture[:] = q
         M = self._kinematics.mass_matrix(q)
@@ -159,18 +153,12 @@ class ObjectImpedance:
         internal_force_n: float,
         measured_internal_force_n: float,
     ) -> Array:
-        """Return motor torques (n,) [Nm], clipped to the motors' limits.
+        """Return motor torques (n,) [Nm], clipped to the limits, from joints q, v (n,).
 
-        Args:
-            q: Joint positions (n,) [rad].
-            v: Joint velocities (n,) [rad/s].
-            measured: Measured object state; its acceleration is unused.
-            desired: Desired object state.
-            internal_force_n: Desired squeeze [N].
-            measured_internal_force_n: Squeeze measured at the contacts [N], never derived from the hands' distance.
+        The measured internal force must come from the contacts, never from the hands' distance.
 
         Raises:
-            SingularPostureError: J J^T is singular.
+            SingularPostureError: A hand lost a direction of motion.
         """
         law, rows, hands = self._law, self._rows, self._hands
         self._q[:], self._v[:] = q, v

@@ -15,7 +15,7 @@ from minidual.robot.pair import Array
 
 
 def minimum_jerk(s: float) -> tuple[float, float, float]:
-    """Return the quintic rest-to-rest blend at s (clipped to 0..1) and its two derivatives by s."""
+    """Return the quintic rest-to-rest blend at s, clipped to 0..1, and two derivatives."""
     s = min(1.0, max(0.0, s))
     return (s**3 * (10.0 + s * (6.0 * s - 15.0)), 30.0 * s**2 * (1.0 - s) ** 2, 60.0 * s * (1.0 + s * (2.0 * s - 3.0)))
 
@@ -30,12 +30,7 @@ class Waypoint:
 
 
 class ObjectPath:
-    """Rest-to-rest object motion through level poses.
-
-    Args:
-        start: Pose at time zero (duration unused).
-        waypoints: At least one.
-    """
+    """Rest-to-rest object motion through level poses (start's duration unused)."""
 
     def __init__(self, start: Waypoint, waypoints: Sequence[Waypoint]) -> None:
         points = [start, *waypoints]

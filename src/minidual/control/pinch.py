@@ -1,7 +1,7 @@
 """Pinch force with which two pads carry the squeeze by friction.
 
-The fingers close across the object; the squeeze F lies in the pads' plane, as does each hand's half of weight and
-inertia m (g + a). With the object's axis tilted by theta, one hand carries in that plane
+The squeeze F lies in the pads' plane, as does each hand's half of weight and inertia m (g + a). With the object's axis
+tilted by theta, one hand carries there
 
     along  F + m (g + a) sin(theta) / 2          across  m (g + a) cos(theta) / 2
 
@@ -9,8 +9,7 @@ Two pads pressed by N resist up to 2 mu N (Coulomb):
 
     N >= safety sqrt(along^2 + across^2) / (2 mu)
 
-For light objects: f_int < 2 mu F_pinch. Torsional pad friction is neglected; the hands' torsional springs hold the
-object's rotation.
+Torsional pad friction is neglected; the hands' torsional springs hold that rotation.
 """
 
 from __future__ import annotations
@@ -35,13 +34,8 @@ def pinch_force(
 ) -> float:
     """Return each finger's normal force [N].
 
-    Args:
-        squeeze_n: Internal force.
-        mu: Pad friction coefficient.
-        mass_kg: Object's; each hand carries half.
-        safety: At least 1.
-        tilt_rad: Largest angle of the object's axis from horizontal.
-        acceleration_m_per_s2: Largest upward acceleration.
+    `tilt_rad` is the object axis' largest angle from horizontal, the acceleration the largest upward one; each hand
+    carries half the mass.
 
     Raises:
         UsageError: A value is out of range.

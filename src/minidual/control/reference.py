@@ -4,9 +4,8 @@
     v_want(e) = w e / 2                          for |e| <= d = 4 b / w^2
                 sign(e) sqrt(2 b (|e| - d / 2))  beyond, braking with b < a_max
 
-Near the target this is the critically damped filter w^2 e - 2 w v_ref. The braking curve keeps a bounded
-acceleration from overshooting large jumps (by 0.2 rad for 1 rad). Recording and deployment must use the same
-numbers: a policy would otherwise run on another plant than it was trained on.
+The braking curve prevents overshoot on large jumps (0.2 rad for 1 rad). Recording and deployment must use the same
+numbers, else a policy runs on another plant than it was trained on.
 """
 
 from __future__ import annotations
@@ -17,17 +16,15 @@ from minidual.control.kernels import follow_target
 from minidual.robot.pair import Array, Robot
 
 _BRAKE_SHARE = 0.9
-"""b / a_max; the rest is left for tracking the braking curve."""
+"""b / a_max; the rest serves to track the curve."""
 
 
 class ReferenceFilter:
-    """Second-order tracking of joint targets; it never differentiates them.
+    """Second-order tracking of joint targets, without differentiating them.
 
     Args:
-        dt_s: Control step.
-        robot: The two arms.
-        bandwidth_rad_s: w; the lag behind a slowly moving target is 2 / w.
-        acceleration_scale: a_max as a share of the joints' limits.
+        bandwidth_rad_s: w; slowly moving targets are followed 2 / w late.
+        acceleration_scale: a_max as a share of the limits.
     """
 
     def __init__(
@@ -41,22 +38,19 @@ class ReferenceFilter:
         self.q, self.v, self.a = np.zeros((3, robot.dof))
 
     def reset(self, q: Array, v: Array | None = None, a: Array | None = None) -> None:
-        """Start from posture q (n,) [rad], velocity v and acceleration a (default zero)."""
+        """Start from posture q (n,) [rad], by default at rest."""
         self.q = np.array(q, dtype=float)
         self.v = np.zeros_like(self.q) if v is None else np.array(v, dtype=float)
         self.a = np.zeros_like(self.q) if a is None else np.array(a, dtype=float)
 
     def follow(self, q: Array, v: Array, a: Array) -> None:
-        """Take over the state (each (n,)) of an already smooth reference.
-
-        No step uses the acceleration; it is kept for readers.
-        """
+        """Take over an already smooth reference, each (n,); `a` is only stored."""
         self.q, self.v, self.a = q.copy(), v.copy(), a
 
     def step(self, target: Array) -> tuple[Array, Array, Array]:
-        """Advance one step towards target (n,) [rad]; return new arrays (q_ref, v_ref, a_ref).
+        """Advance towards target (n,) [rad]; return new (q_ref, v_ref, a_ref).
 
-        With s = min(1, d / |e|), a = w^2 e sqrt(s (2 - s)) - 2 w v covers both pieces.
+        With s = min(1, d / |e|), a = w^2 e sqrt(s (2 - s)) - 2 w v.
         """
         self._target[:] = target
         after = np.empty((3, len(self._target)))

@@ -1,7 +1,4 @@
-"""Table of the supervisor's reflexes: what stops the arms, why, and the remedy.
-
-A reflex is reported once, as a `ReflexError` with that tick's torque; the supervisor then holds the arms until reset.
-"""
+"""The supervisor's reflexes: what stops the arms, why, and the remedy."""
 
 from __future__ import annotations
 
@@ -19,8 +16,7 @@ class ReflexKind:
     """A table row.
 
     Attributes:
-        libfranka: Name of the real arm's equivalent error, or "".
-        cause: One line.
+        libfranka: The real arm's equivalent error, or "".
         remedy: What to check.
         unit: Of value and bound.
     """
@@ -123,11 +119,11 @@ class Reflex:
 
     Attributes:
         name: Key of REFLEXES.
-        time_s: On the control loop's clock [s].
+        time_s: On the control loop's clock.
         where: Joint, hand, pair of parts, or source.
-        value: Measured or requested; NaN possible for `not_finite`.
+        value: NaN possible for `not_finite`.
         bound: None if there is none.
-        details: Measurements and request of that tick (JSON types).
+        details: That tick's measurements and request (JSON types).
     """
 
     name: str
@@ -151,10 +147,9 @@ class Reflex:
 
 
 class ReflexError(MinidualError):
-    """The supervisor stops the arms.
+    """The supervisor stops the arms; raised once per reflex.
 
     Attributes:
-        reflex: The cause.
         tau: (n,) [Nm] to apply in this tick; finite, within limits.
         dump: File with the last second for `minidual replay`, if written.
         no_dump: Why writing failed, or "".

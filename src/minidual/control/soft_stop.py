@@ -14,19 +14,13 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot
 
 STOP_SHARE = 0.5
-"""Peak deceleration as a share of the joints' acceleration limits."""
+"""Peak deceleration as share of the joints' limits."""
 _STOP_FREQUENCY_RAD_S = 8.0
-"""Soft, so that hands holding one object do not fight."""
+"""Soft: hands holding one object must not fight."""
 
 
 class TorqueRate:
-    """Limits torque rates.
-
-    Args:
-        tau: Present torques (n,) [Nm].
-        dt_s: Control step.
-        rate_nm_per_s: Bound.
-    """
+    """Limits torque rates from tau (n,) [Nm] on."""
 
     def __init__(self, tau: Array, dt_s: float, rate_nm_per_s: float) -> None:
         self.tau = tau.copy()
@@ -42,14 +36,7 @@ class TorqueRate:
 
 
 class SwitchedOff:
-    """Arms whose torque falls to zero at the drives' rate and stays there.
-
-    Args:
-        arms: Arm indices.
-        tau: Present torques (n,) [Nm].
-        dt_s: Control step.
-        robot: The two arms.
-    """
+    """Arms whose torque falls to zero at the drives' rate and stays there."""
 
     def __init__(self, arms: Sequence[int], tau: Array, dt_s: float, robot: Robot) -> None:
         self._joints = np.repeat([arm in arms for arm in (0, 1)], robot.dof_per_arm)
@@ -65,15 +52,13 @@ class SwitchedOff:
 
 
 class SoftStop:
-    """Joint reference from (q, v) to rest with bounded deceleration.
+    """Joint reference from (q, v) to rest.
 
-    All joints share v(t) = v_0 (1 - s)^2 (1 + 2 s), s = t / T, so two hands initially keep the motion of a common
-    object. Peak deceleration: 1.5 |v_0| / T.
+    All joints share v(t) = v_0 (1 - s)^2 (1 + 2 s), s = t / T, so two hands initially keep a common object's motion. Peak
+    deceleration: 1.5 |v_0| / T.
 
     Args:
-        q: Start joints (n,).
-        v: Start velocities (n,).
-        deceleration: Peak (n,) [rad/s^2].
+        deceleration: Largest peak (n,) [rad/s^2].
         least_s: Smallest T.
     """
 
@@ -91,13 +76,7 @@ class SoftStop:
 
 
 class SoftStopController(Controller):
-    """Stops both arms on one profile and holds them softly; takes no commands (see `ControlStack.halt`).
-
-    Args:
-        kinematics: Dynamics.
-        dt_s: Control step.
-        deceleration_share: Peak deceleration as a share of the limits.
-    """
+    """Stops both arms on one profile and holds them softly (see `ControlStack.halt`)."""
 
     name = "soft_stop"
 

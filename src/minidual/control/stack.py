@@ -9,8 +9,7 @@
         stack.affirm("moveit")
         stack.step()
 
-`step` is one 1 kHz tick; the arbiter runs at its own rate, and at once for requests, halts and timed commands. See
-docs/control.md.
+The arbiter runs at its own rate, and at once for requests, halts and timed commands. See docs/control.md.
 """
 
 from __future__ import annotations
@@ -42,22 +41,19 @@ _STOPPING: tuple[str, ...] = ("soft_stop",)
 
 
 class PlantError(MinidualError):
-    """The plant cannot be driven, or its measurements are stale."""
+    """The plant failed, or its measurements are stale."""
 
 
 class ControlStack[P: Plant]:
     """Drives one plant.
 
     Args:
-        plant: The arms.
-        kinematics: Dynamics.
-        config: Of the arbiter.
         rate_hz: Of the arbiter in `step`.
         controllers: Initial set.
         pinch_force_n: Closing force of the hands.
-        supervisor: Guards the torques; None disables guarding.
-        sensor: Object measurements, required to activate controller C.
-        stop_share: Deceleration of a halt as a share of the joints' limits.
+        supervisor: None disables guarding.
+        sensor: Required to activate controller C.
+        stop_share: Deceleration of a halt as a share of the limits.
     """
 
     def __init__(
@@ -122,7 +118,7 @@ class ControlStack[P: Plant]:
         self.refusals: list[Refusal] = []
         """All since the reset."""
         self.reflex: MinidualError | None = None
-        """Error with which the supervisor stopped the arms, or None."""
+        """Error of the latched reflex, or None."""
         self.applied = np.zeros_like(q)
         """Last torques (n,) [Nm], after the supervisor."""
         self._off: SwitchedOff | None = None
@@ -131,35 +127,25 @@ class ControlStack[P: Plant]:
     # Commands --------------------------------------------------------------------------------------------
 
     def propose(self, source: str, command: Command) -> Refusal | None:
-        """Offer a command; return its refusal, or None (posture checks follow at the next tick).
-
-        Raises:
-            UsageError: Unknown source.
-        """
+        """Offer a command; return its refusal, or None (posture checks follow at the next tick)."""
         refusal = self.arbiter.propose(source, command)
         if refusal is None and not isinstance(command, JointCommand):
             self._due = self._pending = True
         return refusal
 
     def affirm(self, source: str) -> None:
-        """Report a source as alive; call at the arbiter's rate while its timed command runs.
-
-        Raises:
-            UsageError: Unknown source.
-        """
+        """Report a source as alive; call at the arbiter's rate during its timed command."""
         self.arbiter.affirm(source)
 
     def request(self, mode: str, controllers: Sequence[str] | None = None) -> None:
         """Request a source to drive, or "hold".
 
-        Args:
-            mode: A source, or "hold".
-            controllers: Set to activate at confirmation; default `both_arms`, for "hold" the active set. If the mode
-                already drives, a named set takes over at once.
+        At confirmation `controllers` are activated: by default `both_arms`, for "hold" the active set. If the mode already
+        drives, a named set takes over at once.
 
         Raises:
             UsageError: Unknown mode or controller, or a source requested during a reflex.
-            ControllerSwitchError: The set is invalid or not ready, or must take over during a timed command.
+            ControllerSwitchError: The set is invalid, not ready, or must take over during a timed command.
         """
         named = controllers is not None
         if controllers is None:
@@ -185,8 +171,7 @@ class ControlStack[P: Plant]:
         """Change the active controllers at once, keeping the mode.
 
         Raises:
-            UsageError: Unknown controller.
-            ControllerSwitchError: Refused set, or a running timed command; nothing changes.
+            ControllerSwitchError: Invalid set, or a running timed command; nothing changes.
         """
         self.manager.check(names)
         if self.executing:
@@ -199,31 +184,22 @@ class ControlStack[P: Plant]:
     def halt(self, source: str, gripper: Array | None = None) -> None:
         """Stop the arms in the next step; no source drives afterwards.
 
-        `soft_stop` drives until the next requested mode brings its controllers.
-
-        Args:
-            source: Who asks.
-            gripper: Openings (2,), accepted only from the driving source.
-
-        Raises:
-            UsageError: Unknown source.
+        `soft_stop` drives until the next requested mode brings its controllers. Openings `gripper` (2,) are accepted only from
+        the driving source.
         """
         self.arbiter.halt(source, gripper)
         self._due = True
 
     def switch_off(self, arms: Sequence[int]) -> None:
-        """Command no torque to exactly these arms until reset, in case dead drives return.
-
-        The torque falls to zero at the drives' rate.
-        """
+        """Ramp exactly these arms' torque to zero until reset, in case dead drives return."""
         self._off = SwitchedOff(arms, self.applied, self.plant.dt, self._robot)
 
     def on_flush(self, listener: Callable[[str], None]) -> None:
-        """Call `listener(mode)` at every switch or halt, so that sources drop queued chunks."""
+        """Call `listener(mode)` at every switch or halt; sources must drop queued chunks."""
         self._flush_listeners.append(listener)
 
     def recover(self) -> None:
-        """Resume after a reflex at the measured posture, with no driving source."""
+        """Resume after a reflex at the measured posture, without driving source."""
         self._reset_supervisor()
         self.reflex = None
         for name in self.manager.active:
@@ -249,7 +225,7 @@ class ControlStack[P: Plant]:
 
     @property
     def tick_next(self) -> bool:
-        """Whether the next `step` has a regular arbiter tick: propose streamed commands then."""
+        """Whether the next `step` has a regular arbiter tick, the time to propose streamed commands."""
         return self._countdown == 0
 
     @property
@@ -278,7 +254,7 @@ class ControlStack[P: Plant]:
         self.advance()
 
     def arbitrate(self) -> ArbiterOutput:
-        """Run an arbiter tick now, for callers with their own timing (then `advance`)."""
+        """Run an arbiter tick now, for callers with their own timing."""
         plant = self.plant
         output = self.arbiter.tick(plant.time, plant.q, plant.v)
         self.output = output
@@ -317,7 +293,7 @@ class ControlStack[P: Plant]:
             raise stopped
 
     def _torque(self, q: Array, v: Array) -> tuple[Array, MinidualError | None]:
-        """Return this tick's torques (n,) [Nm] and the error that stopped the arms, if any."""
+        """Return this tick's torques (n,) [Nm], and the error to raise or None."""
         failed: MinidualError | None = None
         tau = self.applied
         try:
@@ -339,7 +315,6 @@ class ControlStack[P: Plant]:
             return self._stop(error), error
 
     def _check_plant(self) -> None:
-        """Raise PlantError for a failed plant or stale measurements."""
         plant, limit_s = self.plant, self._config.stale_s
         if plant.health:
             raise PlantError(f"the plant cannot be driven: {plant.health}")
@@ -360,7 +335,7 @@ class ControlStack[P: Plant]:
         return tau
 
     def _fall_back(self, error: MinidualError, q: Array, v: Array) -> Array:
-        """Hold with the joint controllers; return their torque (n,) [Nm]."""
+        """Hold with the joint controllers."""
         if self.manager.active == DEFAULT_CONTROLLERS:  # no other controller could hold the arms
             raise error
         self.manager.switch(DEFAULT_CONTROLLERS, q, v)

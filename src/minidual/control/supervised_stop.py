@@ -1,7 +1,7 @@
 """Controlled stop after a reflex.
 
-The reference brakes each joint at a fixed share of its acceleration limit and then holds; soft computed torque
-follows it, starting from the last applied torque and within the motors' rate limit.
+The reference brakes each joint at a fixed share of its limit, then holds; soft computed torque follows within the
+motors' rate limit.
 """
 
 from __future__ import annotations
@@ -16,13 +16,7 @@ from minidual.robot.pair import Array
 
 
 class SupervisedStop:
-    """Torques of the stop.
-
-    Args:
-        kinematics: Own workspace.
-        config: Deceleration and stiffness.
-        dt_s: Control step.
-    """
+    """Torques of the stop; kinematics must be its own workspace."""
 
     def __init__(self, kinematics: Kinematics, config: SupervisorConfig, dt_s: float) -> None:
         self._robot = kinematics.robot
@@ -31,7 +25,7 @@ class SupervisedStop:
         self._dt = dt_s
 
     def begin(self, q: Array, v: Array, tau: Array) -> None:
-        """Start from finite posture (n,) [rad], velocity [rad/s] and applied torque [Nm]."""
+        """Start from finite posture, velocity and applied torque (n,)."""
         robot = self._robot
         self._q, self._v = q.copy(), v.copy()
         self._q_ref, self._v_ref = q.copy(), np.clip(v, -robot.v_max, robot.v_max)

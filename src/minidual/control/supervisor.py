@@ -1,8 +1,7 @@
-"""The supervisor checks measurements and torques between controllers and motors, and stops the arms at a violation.
+"""The supervisor checks measurements and torques, and stops the arms at a violation.
 
-All joint bounds are one comparison per tick; kinematic bounds are checked at most every `slow_period_s`, with
-look-ahead. A violation raises `ReflexError` once; then `guard` returns soft-stop torques until `reset`. See
-docs/supervisor.md.
+Joint bounds are checked every tick, kinematic bounds at least every `slow_period_s`, with look-ahead. A violation
+raises `ReflexError` once; then `guard` returns soft-stop torques until `reset`. See docs/supervisor.md.
 """
 
 from __future__ import annotations
@@ -35,18 +34,15 @@ def dumping(recorder: StepRecorder) -> OnReflex:
 
 
 SEEN = ("measured_position_rad", "measured_velocity_rad_per_s", "asked_torque_nm")
-"""Per-joint values that a reflex records; non-finite ones become text."""
+"""Per-joint values recorded by a reflex; non-finite ones become text."""
 
 
 class Supervisor:
     """Guards both arms.
 
     Args:
-        config: Bounds.
-        dt_s: Control step.
         kinematics: Own workspace; created by default.
         self_distance: Without it self-collision is not checked.
-        on_reflex: Called at a reflex.
     """
 
     def __init__(
@@ -111,8 +107,6 @@ class Supervisor:
     def fail(self, time_s: float, q: Array, v: Array, why: str) -> Array:
         """Stop the arms when the controllers give no torque; call instead of `guard`.
 
-        With a latched reflex, return the soft-stop torques (n,) [Nm].
-
         Raises:
             ReflexError: Once, `controller_failed`; apply its `tau`.
         """
@@ -122,18 +116,13 @@ class Supervisor:
         return self._stop.torque(q, v)
 
     def heard(self, time_s: float) -> None:
-        """Report a command; after the first report, silence for over `stale_s` is a reflex."""
+        """Report a command; later silence for over `stale_s` is a reflex."""
         self._deadline_s = time_s + self.config.stale_s
 
     def guard(self, time_s: float, q: Array, v: Array, tau: Array, a_ref: Array | None = None) -> Array:
         """Return the torques (n,) [Nm] to apply; finite and within limits.
 
-        Args:
-            time_s: Control loop time [s], strictly increasing.
-            q: (n,) measured [rad].
-            v: (n,) measured [rad/s].
-            tau: (n,) requested [Nm], already clipped.
-            a_ref: (n,) commanded reference acceleration [rad/s^2], if any.
+        `tau` must already be clipped; `a_ref` (n,) [rad/s^2] is the commanded reference acceleration, if any.
 
         Raises:
             ReflexError: Once, at a violation; apply its `tau`.
@@ -241,7 +230,7 @@ class Supervisor:
         return tau - step + np.clip(step, -bounds.tau_step, bounds.tau_step)
 
     def _look_slowly(self, time_s: float) -> None:
-        """Check kinematic bounds and schedule the next check."""
+        """Check kinematic bounds; schedule the next check."""
         self._next_slow = self._tick + self._slow_ticks
         q, v = self._rows[0], self._rows[1]
         self._q_good, self._v_good = q.copy(), v.copy()

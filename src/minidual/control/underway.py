@@ -16,9 +16,7 @@ class Underway:
     """Running timed commands, at most one per arm.
 
     Args:
-        dt_s: Control step.
-        robot: The two arms.
-        admit: Returns why the controllers cannot take a command, or None; the default admits joint commands.
+        admit: Returns why the controllers refuse a command, or None; the default admits joint commands.
     """
 
     def __init__(self, dt_s: float, robot: Robot, admit: Callable[[Command], Fault | None] | None = None) -> None:
@@ -29,10 +27,7 @@ class Underway:
     def begin(self, command: TimedCommand, posture: Array, start_bound_rad: float) -> Fault | None:
         """Begin a command, or return why not.
 
-        Args:
-            command: What to run.
-            posture: Measured joints (n,) [rad].
-            start_bound_rad: Largest offset of a trajectory's start.
+        A trajectory may start at most `start_bound_rad` from the measured posture (n,).
         """
         fault = self.busy(command.arms) or self.admit(command)
         if fault is None and isinstance(command, TrajectoryCommand):
@@ -48,7 +43,7 @@ class Underway:
         return None
 
     def busy(self, arms: tuple[int, ...]) -> Fault | None:
-        """Return the fault if one of these arms is driven already, or None."""
+        """Return a fault if one of these arms is driven, or None."""
         for execution in self.executions:
             shared = [SIDES[arm] for arm in arms if arm in execution.arms]
             if shared:
@@ -62,7 +57,7 @@ class Underway:
         return any(execution.braking for execution in self.executions)
 
     def follow(self, target: Array) -> tuple[Array, bool]:
-        """Return the target (n,) updated on trajectories, and whether a command ended."""
+        """Return the target (n,) updated on trajectories, and whether any ended."""
         target = target.copy()
         for execution in self.executions:
             if isinstance(execution, TrajectoryExecution):
