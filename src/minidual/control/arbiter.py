@@ -35,8 +35,6 @@ _DRIVING = (ArbiterState.WAITING, ArbiterState.ALIGNING, ArbiterState.ACTIVE, Ar
 
 @dataclass
 class _Switch:
-    """A pending switch."""
-
     mode: str
     since_s: float
 
@@ -44,12 +42,11 @@ class _Switch:
 class CommandArbiter:
     """Decides at each tick which joint target reaches the controllers.
 
-    Streamed targets move each joint by at most `switch_step_max_rad` a tick.
+    Streamed targets move at most `switch_step_max_rad` a tick.
 
     Args:
         gripper: Openings (2,) held until commanded otherwise.
-        control_dt_s: Control step of timed commands.
-        admit: Returns why the controllers cannot take a command, or None; the default admits joint commands.
+        admit: Returns why the controllers refuse a command, or None; default admits joint commands.
     """
 
     def __init__(
@@ -100,7 +97,7 @@ class CommandArbiter:
     def propose(self, source: str, command: Command) -> Refusal | None:
         """Offer a command; return its refusal, or None.
 
-        Posture checks follow at the tick that takes it. Commands of idle sources are kept until the next flush.
+        Posture checks follow when a tick takes it. Commands of idle sources are kept until a flush.
 
         Raises:
             UsageError: Unknown source.
@@ -111,12 +108,12 @@ class CommandArbiter:
         return refusal
 
     def affirm(self, source: str) -> None:
-        """Report a source as alive; after `stale_s` without this or new commands its timed commands brake."""
+        """Report a source as alive; after silence for `stale_s` its timed commands brake."""
         self._mailbox(source)
         self._affirmed.add(source)
 
     def request(self, mode: str) -> None:
-        """Request a source, or "hold", for the next tick; the last request counts."""
+        """Request a source, or "hold"; the last request counts."""
         if mode not in (*SOURCES, HOLD):
             raise unknown_name("mode", mode, (*SOURCES, HOLD))
         self._requests.append(mode)
@@ -124,7 +121,7 @@ class CommandArbiter:
     def halt(self, source: str, gripper: Array | None = None) -> None:
         """Stop the arms at the next tick and end any driving or switching.
 
-        Openings `gripper` (2,) are accepted only from the driving source (else `not_driving`; the arms still stop).
+        Openings `gripper` (2,) are accepted only from the driving source.
         """
         self._mailbox(source)
         fault = None if gripper is None else opening_fault(gripper)
@@ -185,7 +182,6 @@ class CommandArbiter:
         return now_s - last
 
     def _posture(self, q_measured: Array) -> Array:
-        """Return the measured posture, or the present target if unusable."""
         usable = np.shape(q_measured) == (self._robot.dof,) and bool(np.isfinite(q_measured).all())
         if usable:
             posture = np.clip(q_measured, self._robot.q_lower, self._robot.q_upper)
@@ -248,7 +244,6 @@ class CommandArbiter:
             listener(mode)
 
     def _settle(self, switch: _Switch, now_s: float, speed: float, posture: Array) -> str | None:
-        """Confirm the switch once still; refuse it after the timeout."""
         mode, waited = switch.mode, now_s - switch.since_s
         if speed < self.config.still_speed_rad_s and not self._underway.executions:
             self._switch = None
@@ -285,7 +280,6 @@ class CommandArbiter:
                 self._gripper[arm] = command.gripper[arm]
 
     def _fresh(self, source: str, now_s: float) -> dict[int, JointCommand]:
-        """Return the followable streamed commands by arm."""
         mailbox = self._mailboxes[source]
         fresh, refused = mailbox.fresh(now_s, self.config.stale_s)
         self._refusals.extend(refused)
@@ -335,7 +329,7 @@ class CommandArbiter:
         return {**driven, **fresh}
 
     def _run_timed(self, now_s: float) -> dict[int, Command]:
-        """Run or brake the timed commands; return the running ones by arm."""
+        """Run or brake the timed commands; return those running by arm."""
         executions = self._underway.executions
         if not executions:
             return {}

@@ -1,8 +1,8 @@
 """Data passing through the arbiter.
 
 * `JointCommand`       joint target, streamed at 50 to 100 Hz
-* `TrajectoryCommand`  timed joint trajectory, run at 1 kHz
-* `ObjectCommand`      timed object path with squeeze, run at 1 kHz
+* `TrajectoryCommand`  timed joint trajectory
+* `ObjectCommand`      timed object path with squeeze
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class JointCommand:
 
     Attributes:
         q: [rad], (n,) left then right, or one arm's.
-        gripper: Openings (2,) left, right, 0 closed to 1 open; a single arm's command moves its hand only.
+        gripper: Openings (2,), 0 closed to 1 open; a single arm's command moves its hand only.
         stamp_s: Creation time on the arbiter's clock.
         sequence: Increases with each command of the source.
         group: `both_arms`, `left_arm` or `right_arm`.
@@ -59,7 +59,7 @@ class JointCommand:
 
 
 class TimedMotion(Protocol):
-    """Joint trajectory on a regular grid, at rest at both ends (such as `robot.trajectory.Trajectory`).
+    """Joint trajectory at rest at both ends (such as `robot.trajectory.Trajectory`).
 
     Columns are both arms' or one's; a single arm's command uses its own.
     """
@@ -100,9 +100,7 @@ class TrajectoryCommand:
 
     Attributes:
         motion: Must start at the arms' posture.
-        gripper: Openings (2,) from the start on.
         stamp_s: Creation time; refused if not taken within `stale_s`.
-        sequence, group: As for `JointCommand`.
     """
 
     motion: TimedMotion
@@ -132,7 +130,7 @@ class ObjectMotion(Protocol):
 
 @dataclass(frozen=True)
 class ObjectCommand:
-    """A path of the object in both hands, with its squeeze.
+    """Timed path of the object in both hands, with its squeeze.
 
     Attributes:
         motion: Must start at the object's pose.
@@ -172,9 +170,8 @@ class Refusal:
 class ArbiterState(StrEnum):
     """What the arbiter does.
 
-    settling: waits for still arms. waiting: a source may drive, nothing runs. aligning: the target approaches the source's
-    at a bounded rate. stale: source silent, target held. stopped: halted, silent too long or not still in time; needs a
-    new request.
+    settling: waits for still arms. waiting: a source may drive, nothing runs. aligning: the target approaches the
+    source's at bounded rate. stale: source silent. stopped: halted, silent too long or not still in time.
     """
 
     HOLDING = "holding"

@@ -1,7 +1,7 @@
 """Strict, atomic controller switching: exactly one controller drives each joint.
 
-After a switch the torque difference fades over `fade_s`, or changes at the drives' rate limit where it must go sooner
-(a squeeze that lost its object).
+After a switch the torque difference fades, or changes at the drives' rate limit where it must go sooner (a squeeze that
+lost its object).
 """
 
 from __future__ import annotations
@@ -65,7 +65,6 @@ class ControllerManager:
         """Return the named controllers.
 
         Raises:
-            UsageError: Unknown name.
             ControllerSwitchError: A joint is unclaimed or claimed twice, or a controller is not ready.
         """
         chosen = tuple(self[name] for name in names)
@@ -90,7 +89,7 @@ class ControllerManager:
     def switch(self, names: Sequence[str], q: Array, v: Array, *, swiftly: bool = False) -> None:
         """Activate exactly these controllers at measured q, v (n,), if `check` passes.
 
-        With `swiftly` the torques change at the drives' rate limit instead of fading.
+        `swiftly`: at the drives' rate limit instead of fading.
         """
         chosen = self.check(names)
         had_any = bool(self._active)

@@ -1,9 +1,9 @@
 """The controllers and their interface.
 
-A  `both_arms`                  joint trajectory control
-B  `left_arm`, `right_arm`      the same for one arm
+A  `both_arms`                  joint trajectories
+B  `left_arm`, `right_arm`      the same, one arm
 C  `object_impedance`           both arms and an object
-   `soft_stop`                  stops and softly holds both arms
+   `soft_stop`                  stops both arms
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _BLEND_S = 0.5
 
 
 class Controller(ABC):
-    """Turns commands into torques of the arms (indices `arms`) it claims."""
+    """Turns commands into torques of the arms it claims."""
 
     name: str
     arms: tuple[int, ...] = (0, 1)
@@ -48,7 +48,7 @@ class Controller(ABC):
 
     @abstractmethod
     def update(self, q: Array, v: Array) -> Array:
-        """Run one control step; return torques (n,) [Nm], valid for its joints."""
+        """Run one control step; return torques (n,), valid for its joints."""
 
     @property
     @abstractmethod
@@ -133,7 +133,6 @@ class JointTrajectoryController(Controller):
         return self._last_a
 
     def _trajectory_reference(self) -> tuple[Array, Array, Array]:
-        """Return the reference: trajectories where they drive, else the filter."""
         driven = {arm for execution in self._executions for arm in execution.arms}
         if not driven.issuperset(self.arms):
             self._q[:], self._v[:], self._a[:] = self._filter.step(self._target)

@@ -1,8 +1,8 @@
-"""Running timed commands: each has its own clock and can be braked along its path.
+"""Running timed commands, each with its own clock.
 
 Braking slows the clock, so two hands that carry something keep their distance:
 
-    q(s),  s' = r,  r falls from 1 to 0;   v = q' r,   a = q'' r^2 + q' dr/dt
+    q(s),  s' = r from 1 to 0,  v = q' r,  a = q'' r^2 + q' dr/dt
 
 dr/dt is ramped, so the torques do not jump.
 """
@@ -69,20 +69,16 @@ class _Clock:
 
 
 class _Execution:
-    """A timed command with its clock."""
-
     def __init__(self, arms: tuple[int, ...], duration_s: float, dt_s: float) -> None:
         self.arms = arms
         self._clock = _Clock(duration_s, dt_s)
 
     @property
     def finished(self) -> bool:
-        """Whether it ended or came to rest."""
         return self._clock.finished
 
     @property
     def braking(self) -> bool:
-        """Whether `brake` was called."""
         return self._clock.braking
 
 
@@ -164,12 +160,11 @@ class ArbiterOutput:
     Attributes:
         q_target: (n,) [rad], finite and within limits.
         gripper: (2,), 0 closed to 1 open.
-        active_source: Source whose command passed, or None.
+        active_source: Source whose command passed.
         held_arms: Arms without a fresh command.
-        switched_to: Mode confirmed now, or None.
-        refusals: Since the last tick.
+        switched_to: Mode confirmed now.
         executions: Their arms ignore `q_target`.
-        halted: Whether the arms must stop now.
+        halted: The arms must stop now.
     """
 
     q_target: Array

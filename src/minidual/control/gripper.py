@@ -1,10 +1,9 @@
 """Close the hands to a force, without knowing what they hold.
 
-    closing   target' = -sat( k (F - f), speed )      f: measured closing force
-    opening   target' = +speed, up to the hand's travel
+    closing   target' = -sat(k (F - f), speed),  f measured closing force
+    opening   target' = +speed
 
-In contact the integrator settles at f = F. The target stays within half the travel of the measured fingers, so it cannot
-run away where a motor cannot reach F.
+The target stays within half the travel of the measured fingers, so it cannot run away where a motor cannot reach F.
 """
 
 from __future__ import annotations
@@ -26,9 +25,7 @@ _NEAR = 0.9
 class Grippers:
     """Turns opening commands (0 closed, 1 open) into finger targets [m].
 
-    Args:
-        pinch_force_n: Closing force, limited to what the motors give.
-        speed_m_per_s: Largest target speed.
+    The closing force is limited to what the motors give.
     """
 
     def __init__(self, plant: Plant, *, pinch_force_n: float = JOINT_PINCH_N, speed_m_per_s: float = 0.08) -> None:
@@ -51,7 +48,7 @@ class Grippers:
 
     @property
     def is_open(self) -> Array:
-        """Commanded state (2,), 1 open, 0 closed."""
+        """Commanded state (2,)."""
         return np.array(self._is_open, dtype=float)
 
     def step(self, command: Array) -> Array:

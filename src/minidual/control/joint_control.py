@@ -1,9 +1,9 @@
-"""Computed-torque control of all joints.
+"""Computed-torque control of all joints (Siciliano et al., Robotics, ch. 8.5.2).
 
-    tau = M(q) [ a_ref + 2 zeta wn (v_ref - v) + wn^2 (q_ref - q) ] + h(q, v) + d v + c tanh(v / v_s)
+    tau = M(q) [a_ref + 2 zeta wn (v_ref - v) + wn^2 (q_ref - q)] + h(q, v) + d v + c tanh(v / v_s)
 
-Scaling by M gives every joint the same natural frequency wn, though a shoulder carries over ten times a wrist's inertia.
-h: Coriolis, centrifugal and gravity torques. Source: Siciliano et al., Robotics, ch. 8.5.2.
+Scaling by M gives every joint the same wn, though a shoulder carries over ten times a wrist's inertia. h: Coriolis,
+centrifugal and gravity torques.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class JointFriction:
 
 
 class ComputedTorque:
-    """Tracks joint references of both arms.
+    """Tracks joint references.
 
     Args:
         natural_frequency_rad_s: wn.

@@ -1,7 +1,7 @@
-"""Compiled control-law algebra (numba): about 1 us a call instead of hundreds of Python operations.
+"""Compiled control-law algebra: about 1 us a call instead of hundreds of Python operations.
 
-A call passes one record `LAW`; numpy shares its memory through `view`. Vectors of three are tuples, kept in registers.
-All helpers must live in this file: numba's cache tracks no other. Import late: it imports numba.
+Vectors of three are tuples, kept in registers. All helpers must live in this file: numba's cache tracks no other.
+Import late: it imports numba.
 """
 
 from __future__ import annotations
@@ -219,7 +219,7 @@ def posture_acceleration(law: Array, rows: Array) -> None:
 def impedance(
     law: Array, rows: Array, jacobian: Array, p_left: Array, p_right: Array, R_left: Array, R_right: Array
 ) -> bool:
-    """Fill f, push = J^T f and qdd; return False if J J^T is singular."""
+    """Fill f, push = J^T f and qdd; return False if singular."""
     s = law[0]
     R, p = s.T, (s.T[0, 3], s.T[1, 3], s.T[2, 3])
     R_d, p_d = s.T_d, (s.T_d[0, 3], s.T_d[1, 3], s.T_d[2, 3])
@@ -247,7 +247,7 @@ def impedance(
         J = jacobian[6 * i : 6 * i + 6, n * i : n * (i + 1)]
         v, qdd = rows[V, n * i : n * (i + 1)], rows[QDD, n * i : n * (i + 1)]
 
-        # Torsional spring to the grasp frame, which is where the hand would be had the object not turned in it.
+        # Torsional spring from the object orientation implied by this hand's grasp to the desired one.
         B = s.R_hand_object[i]
         error = turn(R_d, apply(R_hand, B[:, 0]), apply(R_hand, B[:, 1]), apply(R_hand, B[:, 2]))
         for k in range(3):
@@ -274,7 +274,7 @@ def impedance(
 
 @kernel(types.void(_LAW, _MATRIX, _VECTOR))
 def add_push(law: Array, rows: Array, tau: Array) -> None:
-    """Add push and friction to tau (n,) [Nm] and clip."""
+    """Add push and friction to tau (n,) and clip."""
     smooth = law[0].smooth
     for j in range(len(tau)):
         tau[j] += rows[PUSH, j] + friction(rows[V, j], rows[VISCOUS, j], rows[DRY, j], smooth)
@@ -283,7 +283,7 @@ def add_push(law: Array, rows: Array, tau: Array) -> None:
 
 @kernel(types.void(_VECTOR, _VECTOR, _MATRIX, types.float64))
 def add_friction(tau: Array, v: Array, joints: Array, smooth: float) -> None:
-    """Add friction to tau (n,) [Nm] and clip; joints (3, n): d, c, tau_max."""
+    """Add friction to tau (n,) and clip; joints (3, n): d, c, tau_max."""
     for j in range(len(tau)):
         tau[j] += friction(v[j], joints[0, j], joints[1, j], smooth)
         tau[j] = within(tau[j], -joints[2, j], joints[2, j])
@@ -293,7 +293,7 @@ def add_friction(tau: Array, v: Array, joints: Array, smooth: float) -> None:
 def follow_target(target: Array, q: Array, v: Array, bounds: Array, w: float, dt: float, after: Array) -> None:
     """Fill `after` (3, n) with the next q, v, a (see `reference`).
 
-    bounds (5, n): a_max, v_max, d, lower and upper joint limits.
+    bounds (5, n): a_max, v_max, d, lower, upper.
     """
     for j in range(len(target)):
         a_max, v_max, near = bounds[0, j], bounds[1, j], bounds[2, j]

@@ -1,4 +1,4 @@
-"""The supervisor's bounds as arrays. Limits come from `minidual.robot.arms`; the configuration may only tighten them."""
+"""The supervisor's bounds: the limits of `minidual.robot.arms`, which the configuration may only tighten."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ POSITION_TOLERANCE_RAD = 1e-3
 TORQUE_TOLERANCE = 1e-6
 """Relative excess accepted as rounding."""
 SATURATED = 0.999
-"""Share of the torque limit that counts as saturated."""
+"""Share of the torque limit that counts as saturated; controllers clip at 1."""
 _WIDTH_M = 0.1
 """Lateral extent of a link or hand."""
 
@@ -27,8 +27,7 @@ class TickBounds:
     Attributes:
         centre, scale: (6, n).
         q_lower, q_upper: (n,) [rad], margins applied.
-        tau_step: Largest torque change per tick [Nm].
-        a_step: (n,) largest change of reference acceleration per tick [rad/s^2].
+        tau_step, a_step: Largest change per tick.
     """
 
     def __init__(self, config: SupervisorConfig, dt_s: float, robot: Robot) -> None:
@@ -60,7 +59,7 @@ class TickBounds:
 
 
 class Reach:
-    """How far arm points lie from joint axes, and how fast parts can approach.
+    """Bounds on how far and fast arm points can move.
 
     Attributes:
         m: (n,) [m]; turning joint j by dq moves no point by more than m[j] |dq|.
@@ -78,9 +77,9 @@ class Reach:
         self._acceleration = float(self.m @ robot.a_max)
 
     def safe_time_s(self, v: Array, gap_m: float) -> float:
-        """Return the time [s] in which no gap [m] can close, at any posture.
+        """Return the time [s] in which no gap [m] can close.
 
-        In time h no gap shrinks by more than h sum_j m[j] (|v_j| + a_j h), over both arms' joints.
+        In time h no gap shrinks by more than h sum_j m[j] (|v_j| + a_j h), over both arms.
         """
         speed = float(self.m @ np.abs(v))
         root = np.sqrt(speed * speed + 4.0 * self._acceleration * max(0.0, gap_m))

@@ -39,9 +39,7 @@ class ObjectSensor(Protocol):
 class ObjectImpedanceController(Controller):
     """Object impedance along a path, with servoed squeeze.
 
-    Args:
-        sensor: Required for activation.
-        drives: Returns whether this controller is active.
+    `sensor` is required for activation; `drives` returns whether it is active.
     """
 
     name = "object_impedance"
@@ -67,7 +65,7 @@ class ObjectImpedanceController(Controller):
         self._reference = np.zeros(self._kinematics.robot.dof)
 
     def configure(self, held: HeldObject, gains: ImpedanceGains | None = None) -> None:
-        """Set object and gains, required for activation.
+        """Set object and gains.
 
         Raises:
             UsageError: The controller is active.

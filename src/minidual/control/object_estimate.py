@@ -1,10 +1,9 @@
-"""Estimate the object's pose from delayed, noisy pose samples and the joint encoders.
+"""Estimate the object's pose from delayed, noisy samples and the joint encoders.
 
-A resting object's pose is the mean of all samples. For a held object the hands define a frame H, known at once
-without noise: origin midway between the tool centre points; y from the right to the left one; x the mean finger
-direction, orthogonal to y. Samples z correct the object's pose X in H:
+At rest it is the mean of all samples. When held, its pose X in a frame H of the hands is estimated: origin midway
+between the tool centre points, y from right to left, x the mean finger direction. Samples z correct X:
 
-    X  <-  X + g (T_H(t - delay)^-1 z  -  X),        g = max(1 / n, sample period / memory)
+    X <- X + g (T_H(t - delay)^-1 z - X),  g = max(1 / n, sample period / memory)
 
 y uses positions because two pads let the object pivot about the line between the fingers.
 """
@@ -49,12 +48,12 @@ class HeldEstimate:
 
     Args:
         q: Joints (n,) after closing.
-        T_world_object: Pose (4, 4) by then, weighted as `samples_n` samples.
+        T_world_object: Pose (4, 4), weighted as `samples_n` samples.
         delay_ticks: Largest usable sample age.
         least_gain: Smallest g.
 
     Attributes:
-        innovation: (distance [m], angle [rad]) of the last sample from the estimate.
+        innovation: (distance [m], angle [rad]) of the last sample.
         spread_m: Distance between the hands.
     """
 
@@ -84,7 +83,7 @@ class HeldEstimate:
     def update(self, q: Array, v: Array, sample: Array | None, age_ticks: int = 0) -> ObjectState:
         """Return the object's state at joints q, v (n,).
 
-        A new sample (4, 4), age_ticks steps old, is ignored if older than `delay_ticks`.
+        Samples (4, 4) older than `delay_ticks` are ignored.
         """
         T_world_hands, velocity, omega = self._hands(q, v)
         self._history.append(T_world_hands)

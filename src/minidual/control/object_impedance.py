@@ -1,14 +1,13 @@
 """Object impedance: the held object behaves like a damped spring; the squeeze is servoed.
 
-    e     = [ p_d - p ; log(R_d R^T) ]                                   pose error, world axes
-    w     = K e + D (V_d - V) + [ m (a_d - g) ; I_w alpha_d + omega_d x I_w omega_d ],   I_w = R I_o R^T
-    F     = sat_[0, 80] ( F_d + sat_15 ( k_int (F_d - F_measured) ) )    squeeze
-    f     = G^+ w + (I - G^+ G) f_int(F)                                 hand wrenches
-    tau_i = M qdd_ff + h + J_i^T f_i + friction,     J qdd_ff = a_hand - Jdot v
+    e     = [p_d - p; log(R_d R^T)]                                  pose error, world axes
+    w     = K e + D (V_d - V) + [m (a_d - g); I_w alpha_d + omega_d x I_w omega_d],  I_w = R I_o R^T
+    F     = sat_[0, 80](F_d + sat_15(k_int (F_d - F_measured)))      squeeze
+    f     = G^+ w + (I - G^+ G) f_int(F)                             hand wrenches
+    tau_i = M qdd_ff + h + J_i^T f_i + friction,  J qdd_ff = a_hand - Jdot v
 
-D = 2 zeta sqrt(K M_eff); without inertia shaping M_eff includes the arms. Torsional springs hold the hands to the
-grasp, since opposed pads let them pivot. Sources: Schneider and Cannon 1992; Caccavale et al. 2008; Springer
-Handbook of Robotics, ch. 30.
+D = 2 zeta sqrt(K M_eff), M_eff including the arms. Torsional springs hold the hands to the grasp, since opposed
+pads let them pivot. Sources: Schneider and Cannon 1992; Caccavale et al. 2008; docs/force-control.md.
 """
 
 from __future__ import annotations
@@ -153,7 +152,7 @@ class ObjectImpedance:
         internal_force_n: float,
         measured_internal_force_n: float,
     ) -> Array:
-        """Return motor torques (n,) [Nm], clipped to the limits, from joints q, v (n,).
+        """Return motor torques (n,) [Nm], clipped to the limits.
 
         The measured internal force must come from the contacts, never from the hands' distance.
 
@@ -166,7 +165,7 @@ class ObjectImpedance:
         self._T_d[:], self._twist_d[:], self._a_d[:] = (desired.T_world_object, desired.twist, desired.acceleration)
         self._squeezed[0] = self._squeeze(internal_force_n, measured_internal_force_n)
 
-        # The least-norm acceleration then cancels the posture's effect on the hands.
+        # Posture first: the least-norm correction then cancels its effect on the hands.
         kernels.posture_acceleration(law, rows)
         hands.update(self._q, self._v, self._qdd_posture)
         if not kernels.impedance(law, rows, self._J, *hands.p, *hands.R):

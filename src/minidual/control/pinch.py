@@ -1,12 +1,8 @@
-"""Pinch force with which two pads carry the squeeze by friction.
+"""Pinch force with which two pads carry the squeeze F by friction.
 
-The squeeze F lies in the pads' plane, as does each hand's half of weight and inertia m (g + a). With the object's axis
-tilted by theta, one hand carries there
+Each hand also carries half of weight and inertia; the object's axis is tilted by theta:
 
-    along  F + m (g + a) sin(theta) / 2          across  m (g + a) cos(theta) / 2
-
-Two pads pressed by N resist up to 2 mu N (Coulomb):
-
+    along = F + m (g + a) sin(theta) / 2,  across = m (g + a) cos(theta) / 2
     N >= safety sqrt(along^2 + across^2) / (2 mu)
 
 Torsional pad friction is neglected; the hands' torsional springs hold that rotation.
@@ -34,8 +30,7 @@ def pinch_force(
 ) -> float:
     """Return each finger's normal force [N].
 
-    `tilt_rad` is the object axis' largest angle from horizontal, the acceleration the largest upward one; each hand
-    carries half the mass.
+    `tilt_rad` is the axis' largest angle from horizontal, the acceleration the largest upward one.
 
     Raises:
         UsageError: A value is out of range.

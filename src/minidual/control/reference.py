@@ -1,10 +1,10 @@
-"""Turn joint targets arriving at 50 to 100 Hz into references at 1 kHz that the arms can follow.
+"""Turn joint targets arriving at 50 to 100 Hz into smooth references at 1 kHz.
 
-    a = clip( 2 w (v_want(e) - v_ref), +- a_max ),  e = target - q_ref
-    v_want(e) = w e / 2                          for |e| <= d = 4 b / w^2
-                sign(e) sqrt(2 b (|e| - d / 2))  beyond, braking with b < a_max
+    a = clip(2 w (v_want(e) - v_ref), +-a_max),  e = target - q_ref
+    v_want(e) = w e / 2                         for |e| <= d = 4 b / w^2
+                sign(e) sqrt(2 b (|e| - d / 2)) beyond, braking with b < a_max
 
-The braking curve prevents overshoot on large jumps (0.2 rad for 1 rad). Recording and deployment must use the same
+The braking curve prevents overshoot (0.2 rad after a jump of 1 rad). Recording and deployment must use the same
 numbers, else a policy runs on another plant than it was trained on.
 """
 
@@ -23,7 +23,7 @@ class ReferenceFilter:
     """Second-order tracking of joint targets, without differentiating them.
 
     Args:
-        bandwidth_rad_s: w; slowly moving targets are followed 2 / w late.
+        bandwidth_rad_s: w; the lag is 2 / w.
         acceleration_scale: a_max as a share of the limits.
     """
 
@@ -48,9 +48,9 @@ class ReferenceFilter:
         self.q, self.v, self.a = q.copy(), v.copy(), a
 
     def step(self, target: Array) -> tuple[Array, Array, Array]:
-        """Advance towards target (n,) [rad]; return new (q_ref, v_ref, a_ref).
+        """Advance towards target (n,); return new (q_ref, v_ref, a_ref).
 
-        With s = min(1, d / |e|), a = w^2 e sqrt(s (2 - s)) - 2 w v.
+        With s = min(1, d/|e|), a = w^2 e sqrt(s (2 - s)) - 2 w v.
         """
         self._target[:] = target
         after = np.empty((3, len(self._target)))

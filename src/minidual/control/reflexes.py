@@ -16,9 +16,8 @@ class ReflexKind:
     """A table row.
 
     Attributes:
-        libfranka: The real arm's equivalent error, or "".
+        libfranka: The real arm's equivalent error.
         remedy: What to check.
-        unit: Of value and bound.
     """
 
     libfranka: str
@@ -119,10 +118,8 @@ class Reflex:
 
     Attributes:
         name: Key of REFLEXES.
-        time_s: On the control loop's clock.
         where: Joint, hand, pair of parts, or source.
         value: NaN possible for `not_finite`.
-        bound: None if there is none.
         details: That tick's measurements and request (JSON types).
     """
 
@@ -151,8 +148,8 @@ class ReflexError(MinidualError):
 
     Attributes:
         tau: (n,) [Nm] to apply in this tick; finite, within limits.
-        dump: File with the last second for `minidual replay`, if written.
-        no_dump: Why writing failed, or "".
+        dump: File for `minidual replay`, if written.
+        no_dump: Why writing failed.
     """
 
     def __init__(self, reflex: Reflex, tau: Array, dump: Path | None = None, no_dump: str = "") -> None:

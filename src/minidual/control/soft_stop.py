@@ -47,19 +47,15 @@ class SwitchedOff:
         self._rate.limit(self._zero)
 
     def apply(self, tau: Array) -> Array:
-        """Return tau (n,) with the switched-off arms' torques replaced."""
+        """Return tau with the switched-off arms' torques replaced."""
         return np.where(self._joints, self._rate.tau, tau)
 
 
 class SoftStop:
     """Joint reference from (q, v) to rest.
 
-    All joints share v(t) = v_0 (1 - s)^2 (1 + 2 s), s = t / T, so two hands initially keep a common object's motion. Peak
+    All joints share v(t) = v_0 (1 - s)^2 (1 + 2 s), s = t/T, so two hands initially keep a common object's motion. Peak
     deceleration: 1.5 |v_0| / T.
-
-    Args:
-        deceleration: Largest peak (n,) [rad/s^2].
-        least_s: Smallest T.
     """
 
     def __init__(self, q: Array, v: Array, deceleration: Array, *, least_s: float = 0.1) -> None:
@@ -67,7 +63,7 @@ class SoftStop:
         self.duration_s = max(least_s, float(np.max(1.5 * np.abs(v) / deceleration)))
 
     def at(self, t_s: float) -> tuple[Array, Array, Array]:
-        """Return (q, v, a), each (n,), at time t; at rest from `duration_s` on."""
+        """Return (q, v, a) at time t; at rest from `duration_s` on."""
         s = min(1.0, max(0.0, t_s / self.duration_s))
         speed = (1.0 - s) ** 2 * (1.0 + 2.0 * s)
         way = s - s**3 + 0.5 * s**4  # the integral of (1 - s)^2 (1 + 2 s) = 1 - 3 s^2 + 2 s^3

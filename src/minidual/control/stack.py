@@ -50,7 +50,6 @@ class ControlStack[P: Plant]:
     Args:
         rate_hz: Of the arbiter in `step`.
         controllers: Initial set.
-        pinch_force_n: Closing force of the hands.
         supervisor: None disables guarding.
         sensor: Required to activate controller C.
         stop_share: Deceleration of a halt as a share of the limits.
@@ -95,7 +94,7 @@ class ControlStack[P: Plant]:
         self.reset()
 
     def reset(self) -> None:
-        """Start at the measured posture, hands open, no driving source; call at every plant reset.
+        """Start at the measured posture, hands open; call at every plant reset.
 
         Flush listeners stay.
         """
@@ -127,25 +126,25 @@ class ControlStack[P: Plant]:
     # Commands --------------------------------------------------------------------------------------------
 
     def propose(self, source: str, command: Command) -> Refusal | None:
-        """Offer a command; return its refusal, or None (posture checks follow at the next tick)."""
+        """Offer a command; return its refusal, or None."""
         refusal = self.arbiter.propose(source, command)
         if refusal is None and not isinstance(command, JointCommand):
             self._due = self._pending = True
         return refusal
 
     def affirm(self, source: str) -> None:
-        """Report a source as alive; call at the arbiter's rate during its timed command."""
+        """Report a source as alive; call at the arbiter's rate."""
         self.arbiter.affirm(source)
 
     def request(self, mode: str, controllers: Sequence[str] | None = None) -> None:
-        """Request a source to drive, or "hold".
+        """Request a source, or "hold".
 
-        At confirmation `controllers` are activated: by default `both_arms`, for "hold" the active set. If the mode already
-        drives, a named set takes over at once.
+        At confirmation `controllers` are activated: by default `both_arms`, for "hold" the active set. If the mode
+        already drives, a named set takes over at once.
 
         Raises:
-            UsageError: Unknown mode or controller, or a source requested during a reflex.
-            ControllerSwitchError: The set is invalid, not ready, or must take over during a timed command.
+            UsageError: Unknown name, or a source requested during a reflex.
+            ControllerSwitchError: The set is refused, or a timed command is running.
         """
         named = controllers is not None
         if controllers is None:
@@ -171,7 +170,7 @@ class ControlStack[P: Plant]:
         """Change the active controllers at once, keeping the mode.
 
         Raises:
-            ControllerSwitchError: Invalid set, or a running timed command; nothing changes.
+            ControllerSwitchError: Refused set, or a running timed command.
         """
         self.manager.check(names)
         if self.executing:
@@ -184,8 +183,8 @@ class ControlStack[P: Plant]:
     def halt(self, source: str, gripper: Array | None = None) -> None:
         """Stop the arms in the next step; no source drives afterwards.
 
-        `soft_stop` drives until the next requested mode brings its controllers. Openings `gripper` (2,) are accepted only from
-        the driving source.
+        `soft_stop` drives until the next requested mode. Openings `gripper` (2,) are accepted only from the driving
+        source.
         """
         self.arbiter.halt(source, gripper)
         self._due = True
@@ -220,12 +219,12 @@ class ControlStack[P: Plant]:
 
     @property
     def executing(self) -> bool:
-        """Whether a timed command runs or waits for the next tick."""
+        """Whether a timed command runs or waits."""
         return self._pending or bool([e for e in self.arbiter.executions if not e.finished])
 
     @property
     def tick_next(self) -> bool:
-        """Whether the next `step` has a regular arbiter tick, the time to propose streamed commands."""
+        """Whether the next `step` has a regular arbiter tick."""
         return self._countdown == 0
 
     @property
@@ -293,7 +292,7 @@ class ControlStack[P: Plant]:
             raise stopped
 
     def _torque(self, q: Array, v: Array) -> tuple[Array, MinidualError | None]:
-        """Return this tick's torques (n,) [Nm], and the error to raise or None."""
+        """Return this tick's torques (n,), and the error to raise or None."""
         failed: MinidualError | None = None
         tau = self.applied
         try:
@@ -326,7 +325,6 @@ class ControlStack[P: Plant]:
             )
 
     def _stop(self, error: MinidualError) -> Array:
-        """Hold the arms after a reflex; return the reflex's torque."""
         tau = getattr(error, "tau", None)
         if tau is None:  # not a reflex but a usage error
             raise error
@@ -335,7 +333,6 @@ class ControlStack[P: Plant]:
         return tau
 
     def _fall_back(self, error: MinidualError, q: Array, v: Array) -> Array:
-        """Hold with the joint controllers."""
         if self.manager.active == DEFAULT_CONTROLLERS:  # no other controller could hold the arms
             raise error
         self.manager.switch(DEFAULT_CONTROLLERS, q, v)

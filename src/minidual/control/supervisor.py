@@ -29,7 +29,7 @@ OnReflex = Callable[[Reflex], Path | None]
 
 
 def dumping(recorder: StepRecorder) -> OnReflex:
-    """Return a callback that writes the recorder's last second at a reflex."""
+    """Return a callback that dumps the recorder's last second."""
     return lambda reflex: recorder.dump(reflex.name, reflex.text, details=reflex.details)
 
 
@@ -105,10 +105,10 @@ class Supervisor:
         self._estop = reason  # one assignment is atomic: no lock
 
     def fail(self, time_s: float, q: Array, v: Array, why: str) -> Array:
-        """Stop the arms when the controllers give no torque; call instead of `guard`.
+        """Stop the arms when the controllers give no torque, instead of `guard`.
 
         Raises:
-            ReflexError: Once, `controller_failed`; apply its `tau`.
+            ReflexError: Once; apply its `tau`.
         """
         if self._reflex is None:
             self._rows[0], self._rows[1] = q, v
@@ -122,10 +122,10 @@ class Supervisor:
     def guard(self, time_s: float, q: Array, v: Array, tau: Array, a_ref: Array | None = None) -> Array:
         """Return the torques (n,) [Nm] to apply; finite and within limits.
 
-        `tau` must already be clipped; `a_ref` (n,) [rad/s^2] is the commanded reference acceleration, if any.
+        `tau` must already be clipped; `a_ref` (n,) is the commanded reference acceleration.
 
         Raises:
-            ReflexError: Once, at a violation; apply its `tau`.
+            ReflexError: Once; apply its `tau`.
             UsageError: Time did not increase.
         """
         if self._reflex is not None:
@@ -202,7 +202,7 @@ class Supervisor:
         """Limit the torque rate; count saturation and jumps."""
         bounds = self.bounds
         in_order = self._tick - 1 - self._slow_tick
-        if in_order:  # ticks in order since the last check: the requested torque was the applied one
+        if in_order:  # ticks within bounds since the last check: their requested torque was applied unchanged
             self._saturated[:] = 0
             np.maximum(self._jumps - in_order, 0, out=self._jumps)
             jump = step
@@ -230,7 +230,6 @@ class Supervisor:
         return tau - step + np.clip(step, -bounds.tau_step, bounds.tau_step)
 
     def _look_slowly(self, time_s: float) -> None:
-        """Check kinematic bounds; schedule the next check."""
         self._next_slow = self._tick + self._slow_ticks
         q, v = self._rows[0], self._rows[1]
         self._q_good, self._v_good = q.copy(), v.copy()
@@ -283,7 +282,6 @@ class Supervisor:
         self._trip("workspace", time_s, f"{axis} of the {SIDES[arm]} hand", value, bound)
 
     def _trip(self, name: str, time_s: float, where: str, value: float, bound: float | None) -> None:
-        """Latch and raise a reflex."""
         details = {
             key: [x if math.isfinite(x) else str(x) for x in values.tolist()]  # JSON has no NaN
             for key, values in zip(SEEN, self._rows[:3], strict=True)

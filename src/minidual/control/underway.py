@@ -13,11 +13,7 @@ from minidual.robot.pair import SIDES, Array, Robot
 
 
 class Underway:
-    """Running timed commands, at most one per arm.
-
-    Args:
-        admit: Returns why the controllers refuse a command, or None; the default admits joint commands.
-    """
+    """Running timed commands, at most one per arm; `admit` returns why a command is refused, or None."""
 
     def __init__(self, dt_s: float, robot: Robot, admit: Callable[[Command], Fault | None] | None = None) -> None:
         self._dt, self._robot = dt_s, robot
