@@ -167,7 +167,7 @@ def _links(robot: Robot) -> dict[str, Link]:
 
 def _structural_pairs(robot: Robot) -> Iterable[tuple[tuple[str, str], str]]:
     links = _links(robot)
-    first: dict[int, str] = {}  # the first link after each joint, which the joint connects
+    first: dict[int, str] = {}  # by number of joints before it: the link that the last of them moves
     for link in links.values():
         first.setdefault(link.joints_before, link.name)
     known = set(links)

@@ -72,7 +72,7 @@ class PolicyKind(ABC):
 
     @abstractmethod
     def load(self, folder: Path, device: str, threads: int | None) -> ChunkPolicy:
-        """Load a checkpoint offline.
+        """Load a checkpoint offline; `threads` None leaves the libraries' default.
 
         Raises:
             DataError: Missing or corrupt checkpoint.

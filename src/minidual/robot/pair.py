@@ -1,6 +1,6 @@
 """Two arms of one model on a table.
 
-`q` is (n,) [rad], left arm first; grippers are separate, (2,). `T_a_b` is the pose (4, 4) of b in a. Twists and
+`q` is (n,) [rad], left arm first, with n from the arm model; grippers are separate, (2,). `T_a_b` is the pose (4, 4) of b in a. Twists and
 wrenches are [linear; angular] (6,), world-aligned by default. Quaternions are wxyz. The world's origin is on the table
 top between the bases; x points away from them, left is +y.
 """

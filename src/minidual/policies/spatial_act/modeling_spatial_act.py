@@ -39,8 +39,8 @@ class SpatialActModel(nn.Module):
         self.has_keyframe = config.keyframe_weight > 0
         keyframe_dim = 0
         if self.has_keyframe:
-            # Linear plus a small nonlinear branch: the map from pixels to joints is nearly linear over the few centimetres that an
-            # object moves, and few demonstrations suffice for a linear map.
+            # Linear plus a small nonlinear branch: the map from pixels to joints is nearly linear over the few
+            # centimetres that an object moves, and few demonstrations suffice for a linear map.
             keyframe_dim = config.keyframes * action_dim
             self.keyframe_linear = nn.Linear(keypoint_dim, keyframe_dim)
             self.keyframe_hidden = nn.Sequential(nn.Linear(keypoint_dim, 64), nn.ReLU(), nn.Linear(64, keyframe_dim))
