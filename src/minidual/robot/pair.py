@@ -1,8 +1,9 @@
 """Two arms of one model on a table.
 
-`q` is (n,) [rad], left arm first, with n from the arm model; grippers are separate, (2,). `T_a_b` is the pose (4, 4) of b in a. Twists and
-wrenches are [linear; angular] (6,), world-aligned by default. Quaternions are wxyz. The world's origin is on the table
-top between the bases; x points away from them, left is +y.
+`q` is (n,) [rad], left arm first; grippers are separate, (2,). Only the arm model fixes n. `T_a_b` is the pose (4, 4)
+of b in a, so inner names cancel: `T_world_rod = T_world_tcp @ T_tcp_rod`. Twists and wrenches are [linear; angular]
+(6,), world-aligned by default. Quaternions are wxyz. The world's origin is on the table top between the bases; x points
+away from them, left is +y.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from minidual.robot.pair import Array
 
 
 def _all_finite(x: Array) -> bool:
-    # A NaN makes the sum NaN, and one sum is faster to check. The sum may overflow, so then every value is checked.
+    # A NaN or an overflow spoils the sum, which is faster to check; only then is every value checked.
     with np.errstate(all="ignore"):
         return bool(np.isfinite(x.sum()) or np.isfinite(x).all())
 
