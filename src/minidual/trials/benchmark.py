@@ -44,13 +44,13 @@ class BenchmarkCell:
 
     @property
     def settled(self) -> bool:
-        """Whether it has all its trials, properly disturbed, or a reason to have none."""
+        """Whether it has all its trials, disturbed, or a reason for none."""
         if self.summary is None:
             return bool(self.why_not)
         return not self.why_not and not self.undisturbed and self.summary.trials_n >= self.asked_n
 
     def not_finite(self) -> list[str]:
-        """Return the names of numbers that should be finite and are not."""
+        """Return names of numbers that should be finite and are not."""
         s = self.summary
         if s is None:
             return []
@@ -83,11 +83,9 @@ def run_benchmark(
     on_trial: Callable[[TrialResult], None] | None = None,
     watch: Watch | None = None,
 ) -> tuple[list[BenchmarkCell], list[TrialMetrics]]:
-    """Run every method under every condition; `trials_n` is {condition: trials of each method}.
+    """Run every method under every condition, `trials_n` trials each.
 
-    Returns:
-        Cells and trials. A cell depends only on seed, method, condition and number of trials: each random stream has its
-        own name.
+    A cell depends only on seed, method, condition and number of trials: each random stream has its own name.
     """
     cells: list[BenchmarkCell] = []
     everything: list[TrialMetrics] = []
@@ -132,7 +130,7 @@ def write_cells(path: Path, cells: Sequence[BenchmarkCell]) -> Path:
 
 
 def conditions_data(cells: Sequence[BenchmarkCell]) -> dict[str, Any]:
-    """Return {condition: {summary, trials_n, methods}} of the disturbed cells."""
+    """Return {condition: {summary, trials_n, methods}} without the clean cells."""
     table: dict[str, Any] = {}
     for cell in cells:
         if cell.condition != CLEAN:

@@ -1,9 +1,7 @@
 """Conditions of a trial: pushes, changed mass, friction or light, worse sensing.
 
-Methods are not told: a 50 % heavier object still counts as 0.2 kg. Changes of the plant apply to all methods, changes
-of a sensor to those that read it.
-
-Other distributions add rows through the entry point group `minidual.conditions` (docs/howto-condition.md).
+Methods are not told: a 50 % heavier object still counts as 0.2 kg. Changes of a sensor apply only to methods that
+read it. Other distributions add rows through the entry point group `minidual.conditions` (docs/howto-condition.md).
 """
 
 from __future__ import annotations
@@ -39,7 +37,7 @@ _DELAY_S = (0.2, 1.2)
 _ALOFT_M = 0.01
 """Below this rise the table may take part of the push."""
 _MOVED_AT_S = 0.5
-"""The hands have set out and are not yet near the object."""
+"""The hands have left and are not yet near."""
 
 
 class Disturbance(Protocol):
@@ -65,7 +63,6 @@ class Condition:
 
     Attributes:
         act: Makes the disturbance of a trial.
-        change: Changes the plant.
         instead_of: Values {dotted path: value} that `change` sets.
         settings: Configuration values {dotted path: value}.
         factors: Factors {dotted path: factor} of configured values.
@@ -89,7 +86,7 @@ class Condition:
         return self.name.replace(" ", "_")
 
     def why_not(self, method: str, config: Config) -> str:
-        """Return why it does not apply (sense not read, nothing would change), or an empty string."""
+        """Return why it does not apply, or an empty string."""
         if self.sense and self.sense not in method_spec(method).senses:
             return f"{method} reads no {SENSES[self.sense]}"
         if any(value == _configured(config, path) for path, value in self.instead_of.items()):
@@ -107,7 +104,7 @@ class Condition:
         """Return the configuration of its trials.
 
         Raises:
-            UsageError: A value is out of bounds, e.g. three times a large noise.
+            UsageError: A value is out of bounds.
         """
         values = self.settings_under(config)
         try:
@@ -159,7 +156,7 @@ def _derive(model: mujoco.MjModel) -> None:
 
 
 def mass(factor: float) -> Change:
-    """Scale mass and inertia of the carried object."""
+    """Scale the carried object's mass and inertia."""
 
     def change(model: mujoco.MjModel, task: Task, index: int) -> None:
         body = model.body(task.carried).id
@@ -184,7 +181,7 @@ def friction(value: float) -> Change:
 
 
 def joint_friction(factor: float) -> Change:
-    """Scale viscous and Coulomb friction of one joint, in turn."""
+    """Scale the friction of one joint, in turn."""
 
     def change(model: mujoco.MjModel, task: Task, index: int) -> None:
         hinges = np.flatnonzero(model.jnt_type == _HINGE)
@@ -209,7 +206,7 @@ def light(factor: float) -> Change:
 class Push:
     """One force on the carried object's centre of mass, from its true height.
 
-    Ramped: an abrupt 20 N on 0.2 kg throws a rigid object off the pads; compliant contacts would not.
+    Ramped, because an abrupt 20 N on 0.2 kg throws a rigid object off the pads.
     """
 
     def __init__(
@@ -322,7 +319,7 @@ for _row in (
 
 
 def condition(name: str) -> Condition:
-    """Return a condition by name; blanks may be underscores or omitted."""
+    """Return a condition; blanks may be underscores or omitted."""
     short = name.replace(" ", "").replace("_", "")
     known = next((n for n in CONDITIONS if n.replace(" ", "").replace("_", "") == short), None)
     if known is None:
@@ -331,7 +328,7 @@ def condition(name: str) -> Condition:
 
 
 def parse_conditions(text: str | Sequence[str]) -> tuple[str, ...]:
-    """Return the conditions named in `clean,push +x,friction 0.3`, `clean` first; `all` means all.
+    """Return the conditions named in `clean,push +x,friction 0.3`, `clean` first; or `all`.
 
     Raises:
         UsageError: Unknown or repeated name, or no `clean`.

@@ -1,8 +1,6 @@
-"""Tasks as Gymnasium environments: joint targets in, joint state and images out, at 50 Hz.
+"""Tasks as Gymnasium environments at 50 Hz; importing this module registers them.
 
-    env = gymnasium.make("minidual.trials.gym_env:minidual/RodCarry-v0", images=("high",), render_mode="rgb_array")
-
-Importing this module registers an environment for each task.
+env = gymnasium.make("minidual.trials.gym_env:minidual/RodCarry-v0", images=("high",), render_mode="rgb_array")
 """
 
 from __future__ import annotations
@@ -46,8 +44,8 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
     Observation:
         state: (n + 2,) float32, joints of the left and right arm [rad], then gripper openings (0..1).
-        images: {camera: (H, W, 3) uint8}, if requested.
-        object: (7,) float32, true position [m] and quaternion wxyz, if requested.
+        images: {camera: (H, W, 3) uint8}, optional.
+        object: (7,) float32, true position [m] and quaternion wxyz, optional.
 
     Action: (n + 2,) float32, joint targets [rad], then gripper openings (below 0.4 closes, above 0.6 opens); held 20 ms.
 
@@ -55,14 +53,14 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     [m], plus 1 on success. Such shaping keeps the optimal policy (Ng, Harada, Russell 1999, for a discount of 1).
 
     An episode is `terminated` when the trial is finished, the object has left the table or the simulation diverged, and
-    `truncated` at the time limit. `info` says `success`, and at the end `faults` (violated conditions) and `stages`.
+    `truncated` at the time limit. `info` has `success`, and at the end `faults` (violated conditions) and `stages`.
 
     Args:
         scene: Replaces the task's default.
         task: Row of TASKS.
-        render_mode: None or "rgb_array" (overview camera).
+        render_mode: None or "rgb_array".
         images: Cameras out of high, left, right.
-        object_pose: Observe the object's pose.
+        object_pose: Observe `object`.
         render_width_px: Of `render`.
         render_height_px: Of `render`.
 
@@ -150,7 +148,7 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         return self._observe(), {"trial": trial}
 
     def step(self, action: npt.NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Hold one action, clipped to the action space, for 20 ms.
+        """Hold one action, clipped to its space.
 
         Raises:
             UsageError: Wrong shape, not finite, or not reset.

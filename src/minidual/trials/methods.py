@@ -75,9 +75,9 @@ class MethodSpec:
 
     Attributes:
         target: Function or `module:function`; loads what trials share and returns a `Factory`.
-        needs_images: Compile the visual meshes.
-        demands: Optional conditions of success that its trials must meet.
-        senses: Rows of SENSES that it reads; disturbances of others do not apply.
+        needs_images: Compile visual meshes.
+        demands: Optional conditions of success required here.
+        senses: Rows of SENSES that it reads.
     """
 
     target: str | Callable[[MethodInputs], Factory]

@@ -1,7 +1,4 @@
-"""Metrics of trials, and their summary.
-
-Missing values are NaN in memory, so that checks on them fail; CSV and JSON use words.
-"""
+"""Metrics of trials, and their summary. Missing values are NaN, in CSV and JSON words."""
 
 from __future__ import annotations
 
@@ -29,19 +26,17 @@ Cell = float | int | str | bool
 
 @dataclass(frozen=True)
 class TrialMetrics:
-    """One trial of one method.
+    """One trial.
 
     Attributes:
-        index: Number in its stream; methods share trials.
         failure: First violated condition, empty on success.
         reason: The violation with numbers.
         failed_at_s: NaN on success.
         duration_s: Start to released and at rest; NaN without success.
         torque_ratio_max: Largest |torque| / limit over joints and time.
-        jerk_rms: Low-passed; NaN if the trial was too short.
+        jerk_rms: Low-passed; NaN if too short.
         path_length_m: Mean of both hands.
-        internal_force_min_n: Minimum off the table; NaN if not measured.
-        pinch_force_min_n: Minimum off the table.
+        internal_force_min_n, pinch_force_min_n: Minimum off the table.
         goal_error_m: At the end.
         aborted: Why the method stopped itself.
         disturbed: Whether the push or move took place; None if the condition has none.
@@ -86,7 +81,7 @@ _OVER_ALL = ("torque_", "jerk_", "tilt_", "goal_")
 
 @dataclass(frozen=True)
 class MethodSummary:
-    """All trials of one method under one condition; *_low and *_high bound 95 % intervals.
+    """Trials of one method under one condition; *_low and *_high bound 95 % intervals.
 
     Attributes:
         success_low, success_high: Wilson interval; the others are bootstrap intervals of medians.
@@ -95,9 +90,8 @@ class MethodSummary:
         torque_ratio_median, tilt_median_rad: Over all trials, of the largest in each.
         jerk_rms_median: Over all trials long enough, rad/s^3.
         internal_force_min_n, pinch_force_min_n: Minimum over successes.
-        goal_error_median_m: Over all trials.
         failures: Trials by first violated condition.
-        stopped_n: Failed trials in which the method stopped itself.
+        stopped_n: Failures in which the method stopped itself.
     """
 
     method: str
@@ -144,7 +138,7 @@ class MethodSummary:
 
 
 def jerk_or_nan(q: NDArray[np.floating], rate_hz: float) -> float:
-    """Return `rms_jerk`; NaN for a trial too short for it (half a second)."""
+    """Return `rms_jerk`; NaN below half a second."""
     return math.nan if (len(q) - 1) / rate_hz < min_duration_s() else rms_jerk(q, rate_hz)
 
 
@@ -160,7 +154,7 @@ def trial_metrics(
     condition: str = "clean",
     aborted: str = "",
 ) -> TrialMetrics:
-    """Return the metrics of one trial from its log and verdict.
+    """Return the metrics of one trial.
 
     Args:
         method: Its name.

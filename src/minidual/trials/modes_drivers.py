@@ -1,7 +1,7 @@
 """Drivers of the mode demonstration.
 
 moveit  plans to above the object, or home
-teleop  a scripted leader fetches the object and puts it down at a start pose
+teleop  a scripted leader puts the object down at a start pose
 policy  the trained policy carries it to the goal
 """
 
@@ -51,7 +51,7 @@ class Driver:
         """Called when the switch is confirmed."""
 
     def tick(self) -> None:
-        """Called before each arbiter tick, to propose a command."""
+        """Propose a command; called before each arbiter tick."""
 
     def watch(self) -> None:
         """Called after each control step."""
@@ -62,15 +62,15 @@ class Driver:
         return True
 
     def result(self) -> dict[str, object]:
-        """Return its result, for the log."""
+        """Return its result."""
         return {}
 
 
 class MoveitDriver(Driver):
     """Plans when its turn begins and proposes the trajectories.
 
-    With `home`, it drives home, one arm after the other with the single-arm controllers; otherwise to above the object. The
-    turn ends after the fraction `share` of the motion.
+    With `home`, it drives home with the single-arm controllers, otherwise to above the object. The turn ends after the
+    fraction `share` of the motion.
     """
 
     def __init__(
@@ -99,14 +99,14 @@ class MoveitDriver(Driver):
             self._next()
 
     def watch(self) -> None:
-        """Raise SwitchError for a trajectory refused on execution."""
+        """Raise SwitchError for a refused trajectory."""
         for refusal in self.stack.refusals[self._refusals_before :]:
             if refusal.source == "moveit":
                 self._fail(refusal)
 
     @property
     def done(self) -> bool:
-        """Whether its share of the motion is complete."""
+        """Whether its share is complete."""
         if self._groups:
             return False
         if self._share < 1.0:
@@ -114,7 +114,7 @@ class MoveitDriver(Driver):
         return not self.stack.executing
 
     def result(self) -> dict[str, object]:
-        """Return planning times and the distance from home."""
+        """Return planning times and distance from home."""
         return {
             "trajectories_s": self._motion_s,
             "planning_s": self._planned_s,
@@ -151,7 +151,7 @@ class MoveitDriver(Driver):
 
 
 class TeleopDriver(Driver):
-    """A scripted leader: starts from the present posture, puts the object at the start of `target`, goes home."""
+    """A scripted leader: puts the object at the start of `target`, then goes home."""
 
     caption = "scripted leader: fetches the object, puts it at a new start"
 
@@ -194,7 +194,7 @@ class TeleopDriver(Driver):
 
     @property
     def done(self) -> bool:
-        """Whether the leader is home again."""
+        """Whether the leader is home."""
         return self._k >= len(self._q) + round(0.2 * self._rate)
 
     def result(self) -> dict[str, object]:
@@ -251,7 +251,7 @@ class PolicyDriver(Driver):
 
     @property
     def done(self) -> bool:
-        """Whether the trial has been finished for 0.5 s, or timed out."""
+        """Whether the trial is finished for 0.5 s or timed out."""
         world: World = self.stack.plant
         over = world.time - self._began_s >= world.scene.task.time_limit_s
         return over or (self._judge.finished and world.time - self._finished_s >= _QUIET_S)

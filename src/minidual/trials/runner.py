@@ -113,7 +113,7 @@ class _Motors:
 
 
 class Bench:
-    """A world and a method, reused for many trials; `visuals` compiles visual meshes for filming."""
+    """A world and a method for many trials; `visuals` compiles visual meshes."""
 
     def __init__(self, method: str, inputs: MethodInputs, *, visuals: bool = False) -> None:
         self.method, self.seed = method, inputs.seed
@@ -128,10 +128,7 @@ class Bench:
     def run(
         self, trial: Trial, *, condition: str = CLEAN, on_step: StepHook | None = None
     ) -> tuple[TrialResult, TrialLog]:
-        """Run and judge one trial.
-
-        After an error in _BROKEN the trial has failed; its state is that after the last complete step.
-        """
+        """Run and judge one trial; an error in _BROKEN fails it in its last complete state."""
         spec = named_condition(condition)
         rng = stream(self.seed, f"disturbance/{trial.purpose}/{spec.name}", trial.index)
         disturb = None if spec.act is None else spec.act(self.task, rng)
@@ -142,7 +139,7 @@ class Bench:
         return result, log
 
     def record(self, trial: Trial, path: Path) -> TrialResult:
-        """Run a trial and write it to `path` (.npz) for `minidual replay`."""
+        """Run a trial and write it to `path` (.npz) for replay."""
         recorder = self.world.recorder = Recorder(self.world, seed=self.seed)
         result, _ = self.run(trial)
         self.world.recorder = None
@@ -238,10 +235,7 @@ def run_trials(
     keep_logs: bool = False,
     watch: Watch | None = None,
 ) -> Iterator[tuple[TrialResult, TrialLog | None]]:
-    """Run trials in parallel and yield results in order.
-
-    Watched trials run in this process, with the same results.
-    """
+    """Run trials in parallel and yield results in order; watched ones run in this process."""
     if watch is not None:
         bench = Bench(method, inputs)
         for number, trial in enumerate(trials, start=1):

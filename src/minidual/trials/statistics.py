@@ -1,8 +1,4 @@
-"""Intervals and tests for small samples.
-
-13 to 16 successes of 20 can be the same method: rates have Wilson intervals, medians bootstrap intervals, and methods
-on the same seeds are compared in pairs.
-"""
+"""Intervals and tests for small samples: 13 to 16 successes of 20 can be the same method."""
 
 from __future__ import annotations
 
@@ -93,7 +89,7 @@ class PairedComparison:
 
 
 def compare_paired(first: Sequence[bool], second: Sequence[bool]) -> PairedComparison:
-    """Compare two methods' successes on the same seeds with McNemar's exact test.
+    """Compare two methods on the same seeds with McNemar's exact test.
 
     Only discordant seeds carry evidence: for equal methods each is a fair coin. Source: Q. McNemar, Psychometrika 12
     (1947); exact binomial form.
@@ -120,7 +116,7 @@ def compare_paired(first: Sequence[bool], second: Sequence[bool]) -> PairedCompa
 def paired_rate_interval(
     both: int, only_first: int, only_second: int, neither: int, confidence: float = CONFIDENCE
 ) -> tuple[float, float]:
-    """Return the interval (low, high) of the difference of two success rates on the same trials.
+    """Return the interval (low, high) of the difference of two paired success rates.
 
     Source: R. G. Newcombe, "Improved confidence intervals for the difference between binomial proportions based on
     paired data", Statistics in Medicine 17 (1998), method 10. A bootstrap would be empty without discordant trials.

@@ -1,10 +1,10 @@
 """Tune internal force and stiffness of the object impedance by carrying.
 
     1  safe       softest stiffness, least force: torques below 95 % of the limits
-    2  force      root of  least measured internal force - required,  bracketed in steps of 10 N, refined by Brent's
-                  method; the result is 1.5 times the least force that held
-    3  stiffness  root of  oscillation - limit,  found likewise; the result is 80 % of it (100 % if the stiffest value
-                  does not oscillate) and must track within 1 cm
+    2  force      root of  least internal force - required,  bracketed in steps of 10 N, then Brent's method;
+                  the result is 1.5 times the least force that held
+    3  stiffness  root of  oscillation - limit,  likewise; the result is 80 % of it (100 % if the stiffest does not
+                  oscillate) and must track within 1 cm
 
 Each step is five carries; the worst counts. The order is the usual one for object impedance.
 """
@@ -31,11 +31,11 @@ from minidual.trials.methods import Method, MethodInputs
 from minidual.trials.runner import LOG_RATE_HZ, Bench, one_thread
 
 PURPOSE = "tuning"
-"""Random stream of the starts, not shared with acceptance trials."""
+"""Random stream of the starts, not used for acceptance."""
 CARRIES_N = 5
 FORCES_N = (10.0, 20.0, 30.0, 40.0)
 STIFFNESSES_N_PER_M = (150.0, 300.0, 450.0, 600.0)
-"""Tried in order; no object is recommended more than the last."""
+"""Tried in order; the last is the largest recommended."""
 FORCE_FACTOR, STIFFNESS_FACTOR = 1.5, 0.8
 FORCE_CEILING_N = 80.0
 OSCILLATION_MAX_M = 0.0003
@@ -59,7 +59,6 @@ class Carried:
         internal_force_min_n: Minimum off the table; 0 if never off it.
         tracking_max_m: Largest position error of the object.
         oscillation_m: RMS of that error above 5 Hz.
-        torque_ratio_max: Largest |torque| / limit.
         series: (5, T) during the carry: time [s], error [m], internal force [N], torque ratio, tilt [rad].
     """
 
@@ -122,7 +121,7 @@ class Tuning:
 
     @property
     def settings(self) -> dict[str, float]:
-        """The configuration values found."""
+        """As configuration values."""
         return gains(self.force_n, self.stiffness_n_per_m)
 
 
@@ -148,7 +147,7 @@ class Tuner:
         """Return the gains.
 
         Raises:
-            TuningError: The softest step is unsafe, no force up to 40 N holds, or no final gains.
+            TuningError: The softest step is unsafe, or no gains hold.
         """
         soft, stiff = STIFFNESSES_N_PER_M[0], STIFFNESSES_N_PER_M[-1]
         safe = self.step("safe", FORCES_N[0], soft)
@@ -236,7 +235,7 @@ class Tuner:
 
 
 def _raise_until(value: Callable[[float], float], ladder: Sequence[float], tolerance: float) -> None:
-    """Bracket a root on a ladder, then refine it with Brent's method."""
+    """Bracket a root on a ladder, then use Brent's method."""
     seen: dict[float, float] = {}
 
     def remembered(x: float) -> float:
@@ -252,7 +251,7 @@ def _raise_until(value: Callable[[float], float], ladder: Sequence[float], toler
 
 
 def carry_once(inputs: MethodInputs, trial: Trial) -> Carried:
-    """Carry once and measure the object's true pose."""
+    """Carry once and measure the true pose."""
     bench = Bench("impedance", inputs)
     name, tau_max = bench.task.carried, bench.world.robot.tau_max
     seen = ObjectTruth(name, bench.task.scene.objects[name])

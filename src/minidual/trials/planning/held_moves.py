@@ -54,7 +54,7 @@ class HeldMove:
         distance_m, turn_rad: Translation and rotation of the object.
         witness: Points (m, 6 + n) of a proven path.
         undecided_n: Earlier draws without a witness.
-        unreachable_n: Earlier draws without a free posture at start or goal.
+        unreachable_n: Earlier draws without a free posture.
     """
 
     index: int
@@ -70,11 +70,9 @@ class HeldMove:
 
 
 class HeldMoveGenerator:
-    """Makes moves, reproducible by seed and index.
+    """Makes moves, reproducible if a witness search makes its 10 000 state checks within 60 s.
 
-    Requires that a witness search makes its 10 000 state checks within 60 s.
-
-    With `from_table` the object starts level on the table, which it may touch, without obstacles.
+    With `from_table` the object starts level on the table, without obstacles.
     """
 
     def __init__(
@@ -158,7 +156,7 @@ class HeldMoveGenerator:
     def _held(
         self, rng: np.random.Generator, engine: MujocoEngine, T_world_object: Array, q_near: Array, room_m: float
     ) -> tuple[Array, Array] | None:
-        """Return (pose, posture (n,)) of the first free posture with clearance, or None."""
+        """Return (pose, posture (n,)) of the first free posture, or None."""
         for k in range(_IK_STARTS_N):
             q = np.array(q_near)
             for arm, grasp in zip(self._hands.arms, self._grasps, strict=True):
@@ -187,7 +185,7 @@ class HeldMoveGenerator:
         start: tuple[Array, Array],
         goal: tuple[Array, Array],
     ) -> Array | None:
-        """Return points (m, 6 + n) of a proven path, searched from the goal, or None."""
+        """Return a proven path, searched from the goal, or None."""
         for padding_m, step_scale in _WITNESS_TRIES:
             checker = EdgeChecker(engines, padding_m, (start[1], goal[1]), _EDGE_STEP_RAD)
             space = HeldSpace(self._hands, ObjectChart(start[0][:3, :3]), checker, step_scale)
@@ -211,7 +209,7 @@ class HeldMoveGenerator:
 
 
 def _random_goal(rng: np.random.Generator, T_world_start: Array) -> Array:
-    """Return a pose with uniform distance and angle; half of the turns are about the vertical."""
+    """Return a pose with uniform distance and angle; half turn about the vertical."""
     direction = rng.normal(size=3)
     offset = rng.uniform(0.05, _MOVE_MAX_M) * direction / np.linalg.norm(direction)
     angle = rng.uniform(-_TURN_MAX_RAD, _TURN_MAX_RAD)

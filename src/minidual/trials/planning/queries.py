@@ -54,7 +54,7 @@ class Query:
         targets: Tcp poses of the group's arms.
         as_poses: Whether the goal is given as poses.
         blocked: Whether the straight line collides.
-        attempt: Number of the generator's scene.
+        attempt: Number of the scene.
     """
 
     group: str
@@ -71,7 +71,7 @@ class Query:
 
 
 class QueryGenerator:
-    """Makes queries, reproducible by seed, group and index; `blocked_fraction` of them are hard."""
+    """Makes queries by seed, group and index; `blocked_fraction` of them are hard."""
 
     def __init__(
         self, seed: int, obstacles_n: int = 5, blocked_fraction: float = 1.0, robot: Robot = DUAL_PANDA
@@ -200,7 +200,7 @@ def _touched_between(engine: MujocoEngine, start: Array, goal: Array) -> set[fro
 
 
 def _is_kind(kind: str, arms: tuple[str, ...], touched: set[frozenset[str]]) -> bool:
-    """Return whether these contacts make this kind."""
+    """Return whether contacts make this kind."""
     mine = tuple(f"{arm}_" for arm in arms)
     theirs = tuple(f"{arm}_" for arm in SIDES if arm not in arms)
     fixed = ("left_", "right_", "table")
@@ -229,7 +229,7 @@ def scene_of(
 
 
 def random_pose(rng: np.random.Generator, arm: str) -> Array:
-    """Return a tcp pose (4, 4) over the table, hand down within a tilt."""
+    """Return a tcp pose (4, 4) over the table, hand down."""
     side = 1.0 if arm == "left" else -1.0
     position = np.array([rng.uniform(0.30, 0.65), side * rng.uniform(-0.15, 0.55), rng.uniform(0.08, 0.45)])
     yaw, about = rng.uniform(-np.pi, np.pi, 2)

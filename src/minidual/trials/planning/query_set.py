@@ -1,8 +1,7 @@
 """Stored query sets: one hundred hard queries per group for two seeds, default robot.
 
 Each query has a witness: corners of a polyline that both engines find free every 0.002 rad, so failing it is the
-planner's failure. Candidates without a witness after a search several times longer than the planner's are left out.
-`python scripts/make_query_set.py SEED` makes a set.
+planner's failure. `python scripts/make_query_set.py SEED` makes a set.
 """
 
 from __future__ import annotations
