@@ -1,4 +1,4 @@
-"""Handover: the left hand fetches a bottle, the right takes it in the air and puts it down."""
+"""Handover: the left hand fetches a bottle, the right takes it in the air."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _FROM_THE_SIDE = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
 
 
 def handover(config: Config) -> Task:
-    """Return the task: move the standing bottle from left to right."""
+    """Return the task."""
     config = preset(
         config,
         {

@@ -1,4 +1,4 @@
-"""Judge of a trial: evaluates the task's conditions on the true state."""
+"""Judge of a trial: evaluates conditions on the true state."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from minidual.tasks.success import SuccessCondition, Truth
 from minidual.tasks.task import Task, Trial
 
 REST_S = 0.1
-"""All conditions must hold this long: an object let go above the table is at rest for an instant too."""
+"""Conditions must hold this long: an object let go above the table is at rest for an instant too."""
 
 
 @dataclass(frozen=True)
@@ -25,13 +25,13 @@ class Fault:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The verdict on one trial.
+    """The verdict.
 
     Attributes:
         success: Finished without violation.
         faults: Violations, each at its first instant.
-        duration_s: Time of the finish, or of the end without one.
-        measured: Numbers of the conditions by name with unit, and `progress`, the share of stages reached.
+        duration_s: Time of the finish, or of the end.
+        measured: Numbers of the conditions, and `progress`, the share of stages reached.
     """
 
     success: bool
@@ -41,7 +41,7 @@ class Outcome:
 
     @property
     def reason(self) -> str:
-        """The first violation as one line, or an empty string."""
+        """The first violation as one line."""
         first = min(self.faults, key=lambda f: f.at_s, default=None)
         return "" if first is None else f"{first.name} at {first.at_s:.2f} s: {first.detail}"
 
@@ -53,15 +53,15 @@ class Outcome:
 
 
 def begin(world: World, task: Task, trial: Trial, demanding: Collection[str] = ()) -> Judge:
-    """Reset the world to the trial's start and return its judge."""
+    """Reset the world to the trial's start."""
     world.reset(poses=trial.start)
     return Judge(task, trial, demanding)
 
 
 class Judge:
-    """Watches one trial; call `observe` after every physics step and `outcome` at the end.
+    """Watches one trial; call `observe` after every physics step.
 
-    Conditions named in `demanding` must hold even if optional.
+    Conditions in `demanding` must hold even if optional.
 
     Raises:
         ValueError: Two conditions share a name.
@@ -85,12 +85,12 @@ class Judge:
 
     @property
     def finished(self) -> bool:
-        """Whether all conditions on the final state have held for `REST_S`."""
+        """Whether the final conditions have held for `REST_S`."""
         return self._done_at is not None
 
     @property
     def stages(self) -> tuple[str, ...]:
-        """Names of the stages reached, in order."""
+        """Stages reached."""
         return tuple(c.name for c in self._stages[: self._reached])
 
     @property

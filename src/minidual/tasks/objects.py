@@ -19,8 +19,8 @@ class CarryObject:
     """One object.
 
     Attributes:
-        squeeze_range_n: Recommended internal force (min, max).
-        stiffness_range_n_per_m: Recommended translational stiffness (min, max).
+        squeeze_range_n: Recommended internal force.
+        stiffness_range_n_per_m: Recommended translational stiffness.
         values: Configuration defaults {dotted path: value}.
     """
 

@@ -31,10 +31,9 @@ _PHASES = ("approach", "descend", "close", "squeeze", "lift", "carry", "lower", 
 
 
 def carry_config(config: Config) -> Config:
-    """Return the configuration with the values of the named object and motion; idempotent.
+    """Return the configuration with object and motion applied; idempotent.
 
-    The required internal force drops to the low end of the object's range if lower: 10 N for the glass, 20 N for the
-    others.
+    The required internal force drops to the low end of the object's range if lower: 10 N for the glass.
 
     Raises:
         UsageError: Unknown object or motion.
@@ -49,7 +48,7 @@ def carry_config(config: Config) -> Config:
 
 
 def rod_carry(config: Config) -> Task:
-    """Return the task: carry the object level to its goal with both hands."""
+    """Return the task: both hands carry the object."""
     config = carry_config(config)
     body = config.scene.object
     return Task(
@@ -106,22 +105,19 @@ def placement(pose: ObjectPose) -> tuple[float, float, float]:
 
 
 def level_pose(x: float, y: float, z: float, yaw_rad: float) -> Array:
-    """Return the pose (4, 4) of a level object with its long axis (y) turned by yaw."""
+    """Return the pose (4, 4) of a level object."""
     return pose(rot_z(yaw_rad), (x, y, z))
 
 
 def level_part(T_world_object: Array) -> Array:
-    """Return the pose without tilt or roll about the long axis: a cylinder may have rolled."""
+    """Return the pose without tilt or roll: a cylinder may have rolled."""
     axis = T_world_object[:3, 1]
     yaw = float(np.arctan2(-axis[0], axis[1]))
     return pose(rot_z(yaw), T_world_object[:3, 3])
 
 
 def held_at_ends(body: ObjectConfig) -> dict[str, Array]:
-    """Return T_object_tcp (4, 4) by hand, in the object's level frame.
-
-    Hands point down and close across the object; the left one holds the +y end.
-    """
+    """Return T_object_tcp (4, 4) by hand, pointing down; the left hand holds the +y end."""
     rotation = rot_z(np.pi / 2.0) @ rot_x(np.pi)
     ends = zip(SIDES, (body.grasp_offset_m, -body.grasp_offset_m), strict=True)
     return {side: pose(rotation, (0.0, y, body.grasp_height_m)) for side, y in ends}
@@ -134,5 +130,5 @@ def grasp_offsets(scene: SceneConfig) -> tuple[Array, Array]:
 
 
 def tilt_rad(T_world_object: Array) -> float:
-    """Return the angle between long axis and horizontal."""
+    """Return the long axis' angle from the horizontal."""
     return float(np.arcsin(min(1.0, abs(T_world_object[2, 1]))))

@@ -1,7 +1,6 @@
 """Conditions of success on the true state of an object. Methods never read it.
 
-`observe` runs after every physics step, `end` once; both return what is wrong. A trial is finished when `holds` is
-true for all conditions.
+`observe` runs after every physics step, `end` once. A trial is finished when `holds` is true for all conditions.
 """
 
 from __future__ import annotations
@@ -26,12 +25,12 @@ TOUCH_N = 0.1
 
 
 class ObjectTruth:
-    """True state of one object after the last step.
+    """True state of one object.
 
     Attributes:
         T: Pose (4, 4) in the world.
         tilt_rad: Of its long axis from the horizontal, or from the vertical if upright.
-        clearance_m: Height of its lowest point above its resting height.
+        clearance_m: Height of its lowest point above resting.
         pinch: Normal force of each hand's weaker finger (2,) [N].
     """
 
@@ -55,7 +54,7 @@ class ObjectTruth:
 
     @property
     def yaw_rad(self) -> float:
-        """Yaw of its y axis, 0 along the world's y."""
+        """Yaw of its y axis."""
         return math.atan2(-self.T[0, 1], self.T[1, 1])
 
     @property
@@ -70,20 +69,19 @@ class ObjectTruth:
 
     @property
     def squeeze_n(self) -> float:
-        """Internal force: the smaller of the hands' inward forces along y."""
+        """Internal force: the smaller inward hand force along y."""
         return self._world.internal_force(self.name)
 
     @property
     def on_table(self) -> bool:
-        """Whether it touches the table."""
+        """Contact with the table."""
         return self._world.on_table(self.name)
 
 
 class Truth:
-    """True state of a task's objects after the last step.
+    """True state of a task's objects.
 
-    Attributes:
-        duration_s: Time of the finish, or of now without one; set by the judge before `end`.
+    duration_s is the time of the finish, or of now without one; the judge sets it before `end`.
     """
 
     def __init__(self, objects: Mapping[str, ObjectConfig]) -> None:
@@ -106,17 +104,17 @@ class Truth:
 
 
 class SuccessCondition:
-    """Base class; its defaults demand nothing."""
+    """Base class; demands nothing."""
 
     name: ClassVar[str]
     """Unique within a task."""
     stage: ClassVar[bool] = False
-    """Whether it counts for `progress`."""
+    """Counts for `progress`."""
     optional: ClassVar[bool] = False
-    """Whether it is only measured unless demanded."""
+    """Only measured unless demanded."""
 
     def observe(self, truth: Truth) -> str:
-        """Return what is wrong now, or an empty string."""
+        """Return what is wrong now, or ""."""
         return ""
 
     def holds(self, truth: Truth) -> bool:
@@ -124,21 +122,21 @@ class SuccessCondition:
         return True
 
     def reached(self, truth: Truth) -> bool:
-        """Return whether its stage is reached; called until true."""
+        """Return whether its stage is reached."""
         return self.holds(truth)
 
     def end(self, truth: Truth) -> str:
-        """Return what is wrong at the end, or an empty string."""
+        """Return what is wrong at the end, or ""."""
         return ""
 
     def measured(self, truth: Truth) -> dict[str, float]:
-        """Return its numbers, by name with unit."""
+        """Return numbers by name."""
         return {}
 
 
 @dataclass
 class Level(SuccessCondition):
-    """The object never tilts beyond the limit."""
+    """Tilt limit."""
 
     name = "level"
     object: str
@@ -158,7 +156,7 @@ class Level(SuccessCondition):
 
 @dataclass
 class Whole(SuccessCondition):
-    """A fragile object never exceeds its pinch or hand force."""
+    """Pinch and hand force limits of a fragile object."""
 
     name = "whole"
     object: str
@@ -179,7 +177,7 @@ class Whole(SuccessCondition):
 
 @dataclass
 class Clear(SuccessCondition):
-    """Nothing touches the obstacle."""
+    """No contact with the obstacle."""
 
     name = "clear"
     geom: str
@@ -190,7 +188,7 @@ class Clear(SuccessCondition):
 
 @dataclass
 class Held(SuccessCondition):
-    """Off the table, both hands pinch the object (`both=False`: at least one)."""
+    """Off the table, both hands pinch the object (`both=False`: one)."""
 
     name = "held"
     stage = True
@@ -245,7 +243,7 @@ class Exchanged(SuccessCondition):
 
 @dataclass
 class Squeezed(SuccessCondition):
-    """Off the table, the internal force exceeds the limit."""
+    """Least internal force off the table."""
 
     name = "squeezed"
     optional = True
@@ -267,7 +265,7 @@ class Squeezed(SuccessCondition):
 
 @dataclass
 class Rose(SuccessCondition):
-    """The object rises beyond the limit and comes down again."""
+    """The object rises and comes down again."""
 
     name = "rose"
     stage = True
@@ -294,7 +292,7 @@ class Rose(SuccessCondition):
 
 @dataclass
 class Arrived(SuccessCondition):
-    """The object lies near its goal (x, y) [m]."""
+    """The object is near its goal (x, y) [m]."""
 
     name = "arrived"
     stage = True
@@ -319,7 +317,7 @@ class Arrived(SuccessCondition):
 
 @dataclass
 class Turned(SuccessCondition):
-    """The object's yaw is near the goal; only measured without a limit."""
+    """The yaw is near the goal; without a limit, only measured."""
 
     name = "turned"
     object: str
@@ -377,7 +375,7 @@ class AtRest(SuccessCondition):
 
 @dataclass
 class OnTime(SuccessCondition):
-    """The trial ends within the time limit."""
+    """Time limit."""
 
     name = "on_time"
     limit_s: float

@@ -1,7 +1,6 @@
-"""Tasks: objects, starts and goals, phases, conditions of success.
+"""Tasks. A row of TASKS builds one from the configuration, so `--set` reaches every number.
 
-A row of TASKS builds a task from the configuration, so `--set` reaches every number. Other distributions add rows
-through the entry point group `minidual.tasks` (docs/howto-task.md).
+Other distributions add rows through the entry point group `minidual.tasks` (docs/howto-task.md).
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ ObjectPose = Array | tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Trial:
-    """One randomised trial: number `index` of the random stream `purpose`."""
+    """Randomised trial `index` of the random stream `purpose`."""
 
     purpose: str
     index: int
@@ -34,7 +33,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class TaskObject:
-    """An object and its grasps: T_object_tcp (4, 4) of each hand that grasps it."""
+    """An object and T_object_tcp (4, 4) of each grasping hand."""
 
     body: ObjectConfig
     grasps: Mapping[str, Array] = field(default_factory=dict)
@@ -42,12 +41,12 @@ class TaskObject:
 
 @dataclass(frozen=True)
 class Step:
-    """One step of a task's plan.
+    """One step of a plan.
 
     Attributes:
         phase: Row of the phase table (minidual.skills).
         object: Name; empty for the first.
-        places: Target poses (4, 4) in the world, preferred first; empty for the trial's goal.
+        places: Target poses (4, 4), preferred first; empty for the trial's goal.
     """
 
     phase: str
@@ -62,7 +61,6 @@ class Task:
 
     Attributes:
         instruction: One sentence for people and language-conditioned policies.
-        config: Configuration with the task's values.
         objects: By name; the first is carried, disturbed and measured.
         success: (task, trial) -> new conditions.
         draw: (task, rng, widen) -> start and goal, each {object: pose}.
@@ -94,7 +92,7 @@ class Task:
         return self.scene.task.time_limit_s
 
     def trial(self, seed: int, purpose: str, index: int, *, widen: float = 1.0) -> Trial:
-        """Draw trial `index` of a purpose; `widen` scales the start's range. Purposes never share trials."""
+        """Draw trial `index` of a purpose; `widen` scales the start's range."""
         start, goal = self.draw(self, stream(seed, f"{self.stream}/{purpose}", index), widen)
         return Trial(purpose, index, start, goal)
 

@@ -31,8 +31,7 @@ class BenchmarkCell:
     Attributes:
         asked_n: Trials requested.
         summary: None where the condition does not apply.
-        why_not: Why it does not.
-        undisturbed: Indices of successes in which the push or move never took place.
+        undisturbed: Successes in which the push or move never took place.
     """
 
     method: str
@@ -107,7 +106,7 @@ def run_benchmark(
                 if on_trial is not None:
                     on_trial(result)
             rng = stream(inputs.seed, f"bootstrap/{purpose}/{method}/{name}")
-            # A success in which the push or move never took place is a clean trial under another name.
+            # Without its push or move, a success is an undisturbed trial.
             missed = tuple(t.index for t in rows if under.act is not None and t.success and t.disturbed is not True)
             cells.append(BenchmarkCell(method, name, n, summarise(rows, rng), undisturbed=missed))
             everything += rows

@@ -23,7 +23,7 @@ _Starts = dict[int, TrialMetrics]
 
 
 def compare_all(trials: Sequence[TrialMetrics], seed: int = 0) -> list[dict[str, Cell]]:
-    """Compare each pair of methods for each condition; bootstraps have named streams, so rows do not depend on order."""
+    """Compare each pair of methods per condition; bootstraps have named streams, so order does not matter."""
     rows: list[dict[str, Cell]] = []
     for condition, methods in _grouped(trials, lambda t: t.condition, lambda t: t.method).items():
         for (first, one), (second, two) in combinations(methods.items(), 2):
@@ -56,7 +56,7 @@ def _grouped(
 
 
 def _compared(one: _Starts, two: _Starts, seed: int, name: str) -> dict[str, Cell] | None:
-    """Return the row for the shared starts, None without any."""
+    """Return the row for the shared starts, or None."""
     shared = sorted(one.keys() & two.keys())
     if not shared:
         return None

@@ -22,18 +22,18 @@ from minidual.robot.pair import Array
 from minidual.tasks.task import Task
 from minidual.trials.methods import SENSES, method_spec
 
-if TYPE_CHECKING:  # MuJoCo is not loaded to read the table
+if TYPE_CHECKING:  # the table must be readable without importing MuJoCo
     import mujoco
 
     from minidual.plant.world import World
 
 CLEAN = "clean"
-_HINGE = 3  # mujoco.mjtJoint.mjJNT_HINGE: the joints of the arms; fingers slide
+_HINGE = 3  # mujoco.mjtJoint.mjJNT_HINGE: arm joints; fingers slide
 ALL = "all"
 _RISEN_M = 0.05
-"""A push waits until the object has risen this far ..."""
+"""A push waits until the object has risen this far"""
 _DELAY_S = (0.2, 1.2)
-"""... and then for a random time in this range."""
+"""and then for a random time in this range."""
 _ALOFT_M = 0.01
 """Below this rise the table may take part of the push."""
 _MOVED_AT_S = 0.5
@@ -54,7 +54,7 @@ class Disturbance(Protocol):
 
 
 Change = Callable[["mujoco.MjModel", Task, int], None]
-"""Changes the compiled model for trial `index`."""
+"""Changes the compiled model for a trial."""
 
 
 @dataclass(frozen=True)
@@ -118,15 +118,13 @@ class Condition:
 
     @contextmanager
     def applied(self, model: mujoco.MjModel, task: Task, index: int) -> Generator[None]:
-        """Change a compiled model, then restore it; not for shared models."""
+        """Change a compiled model, then restore it."""
         if self.change is None:
             yield
             return
         kept = [(values, values.copy()) for place in (model, model.vis.headlight) for values in _arrays(place)]
         try:
-            self.change(
-                model, task, index
-            )  # in here: one that breaks half way must not leave the rest to the next trial
+            self.change(model, task, index)  # inside try: a partial change must be undone too
             _derive(model)
             yield
         finally:
@@ -167,7 +165,7 @@ def mass(factor: float) -> Change:
 
 
 def friction(value: float) -> Change:
-    """Set the friction of objects, pads and table."""
+    """Set friction of objects, pads and table."""
 
     def change(model: mujoco.MjModel, task: Task, index: int) -> None:
         # MuJoCo takes the larger friction of the two geoms in contact, so all of them change.
@@ -243,7 +241,7 @@ class Push:
 
 
 class Move:
-    """Shifts the carried object along the table once, in one step."""
+    """Shifts the carried object once along the table."""
 
     def __init__(self, by_m: Array, name: str) -> None:
         self._by, self._name = by_m, name

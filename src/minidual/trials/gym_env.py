@@ -170,7 +170,7 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
                 judge.observe(self._world)
         except SimulationDivergedError:
             diverged = True
-            self._world.reset(poses=judge.trial.start)  # a finite last observation
+            self._world.reset(poses=judge.trial.start)  # so that the last observation is finite
         outcome = judge.outcome(self._world)
         success = outcome.success and not diverged
         fallen = bool(self._world.object_pose(self._task.carried)[2, 3] < _FALLEN_M)
@@ -218,7 +218,7 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         return np.clip(np.concatenate([body.xpos, body.xquat]), -10.0, 10.0)
 
     def render(self) -> Image | None:  # type: ignore[override]
-        """Return the overview image (H, W, 3) uint8, or None without a render mode."""
+        """Return the overview image, or None without a render mode."""
         if self.render_mode is None:
             return None
         if self._render_camera is None:

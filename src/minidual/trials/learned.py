@@ -21,7 +21,7 @@ def policy(inputs: MethodInputs) -> Factory:
     robot = robot_from(config.robot)
     runtime = load_runtime(inputs.checkpoint, config.deploy, robot)
     supervisor = trial_supervisor(config.supervisor, config.scene.physics.timestep_s, robot)
-    cameras: dict[int, Camera] = {}  # one a model, not one a trial: an OpenGL context is slow to make
+    cameras: dict[int, Camera] = {}  # one per model: an OpenGL context is slow to create
 
     def make(world: World, kinematics: Kinematics, trial: Trial) -> PolicyPilot:
         camera = cameras.get(id(world.model))

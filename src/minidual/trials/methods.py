@@ -17,7 +17,7 @@ from minidual.errors import UsageError
 from minidual.registry import Registry
 from minidual.tasks.task import Trial
 
-if TYPE_CHECKING:  # MuJoCo is not loaded to read the table
+if TYPE_CHECKING:  # the table must be readable without importing MuJoCo
     from minidual.plant.world import World
     from minidual.robot.kinematics import Kinematics
 
@@ -30,7 +30,7 @@ SENSES: dict[str, str] = {
 
 
 class Method(Protocol):
-    """One trial of one method."""
+    """One trial."""
 
     @property
     def world(self) -> World:
@@ -44,16 +44,16 @@ class Method(Protocol):
 
     @property
     def phase(self) -> str:
-        """Name of the current phase."""
+        """Current phase."""
         ...
 
     @property
     def done(self) -> bool:
-        """Whether it has nothing left to do."""
+        """Whether it has ended."""
         ...
 
     def step(self) -> None:
-        """Run one control and physics step."""
+        """Run one control step."""
         ...
 
 

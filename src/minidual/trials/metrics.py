@@ -16,7 +16,7 @@ from minidual.errors import DataError, NothingEvaluatedError, UsageError
 from minidual.tasks.judge import Outcome
 from minidual.trials.statistics import bootstrap_median_interval, wilson_interval
 
-#: What stands in a table where a value does not exist.
+#: Words for missing values in tables.
 NO_SUCCESS = "no successful trial"
 NOT_MEASURED = "not measured"
 NO_EVENT = "no push or move"
@@ -156,16 +156,7 @@ def trial_metrics(
 ) -> TrialMetrics:
     """Return the metrics of one trial.
 
-    Args:
-        method: Its name.
-        index: Trial number.
-        outcome: The verdict.
-        q: (T, n) measured joints, rad.
-        tcp_positions: (T, 2, 3) measured, m.
-        rate_hz: Log rate.
-        torque_ratio_max: Largest |torque| / limit.
-        condition: Its name.
-        aborted: Why the method stopped itself.
+    `q` is (T, n) [rad], `tcp_positions` (T, 2, 3) [m], both measured.
 
     Raises:
         DataError: Wrong shape or not finite.
@@ -232,7 +223,7 @@ def summarise(trials: Sequence[TrialMetrics], rng: np.random.Generator) -> Metho
 
     torques, tilts = [t.torque_ratio_max for t in trials], [t.tilt_max_rad for t in trials]
     jerks = [t.jerk_rms for t in trials if math.isfinite(t.jerk_rms)]
-    return MethodSummary(  # np.max and np.min pass a NaN on; the built-ins may lose it
+    return MethodSummary(  # np.max and np.min propagate NaN, the built-ins may not
         method=trials[0].method,
         condition=trials[0].condition,
         trials_n=len(trials),

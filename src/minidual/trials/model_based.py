@@ -32,7 +32,7 @@ def planned(inputs: MethodInputs) -> Factory:
     planner, task = Planner(config=config.plan.planner, robot=robot), make_task(config)
 
     def make(world: World, kinematics: Kinematics, trial: Trial) -> PlannedCarry:
-        # The sensor and the noise that object impedance has, on the same stream: both begin from the same reading.
+        # Same sensor, noise and stream as object impedance: both start from the same reading.
         rng = stream(inputs.seed, f"sensing/{trial.purpose}", trial.index)
         seen = Sensors(world, config.carry.sensing, rng).sense().pose
         if seen is None:

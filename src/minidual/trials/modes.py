@@ -39,7 +39,6 @@ class ModesResult:
     """Result of the demonstration.
 
     Attributes:
-        outcomes: Result of each turn.
         faults: Exceeded bounds.
         refusals: (source, name, detail) of each refused command.
         ended: Why it ended early.
@@ -65,7 +64,7 @@ class ModesResult:
 class ModesDemo:
     """Runs the modes in turn; iterate `steps`, then call `result`.
 
-    `turns` are (mode, maker of its driver); the stack must be freshly reset.
+    `turns` are (mode, maker of its driver).
     """
 
     def __init__(self, stack: ControlStack[World], turns: Sequence[tuple[str, Callable[[], Driver]]]) -> None:

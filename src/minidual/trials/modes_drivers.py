@@ -36,7 +36,7 @@ _QUIET_S = 0.5
 
 
 class SwitchError(MinidualError):
-    """A mode did not get the arms, or its command was refused."""
+    """A mode did not get the arms, or a command was refused."""
 
     exit_code = ExitCode.ACCEPTANCE_FAILED
 
@@ -51,7 +51,7 @@ class Driver:
         """Called when the switch is confirmed."""
 
     def tick(self) -> None:
-        """Propose a command; called before each arbiter tick."""
+        """Propose a command before an arbiter tick."""
 
     def watch(self) -> None:
         """Called after each control step."""
@@ -125,7 +125,7 @@ class MoveitDriver(Driver):
         world: World = self.stack.plant
         group = self._groups.pop(0)
         if self._home:
-            # The arm that is not planned for is held where it is.
+            # The other arm is held in place.
             result = self._planner.plan_to_joints(
                 group, world.q, world.robot.home[world.robot.groups[group]], seed=self._seed
             )
@@ -151,7 +151,7 @@ class MoveitDriver(Driver):
 
 
 class TeleopDriver(Driver):
-    """A scripted leader: puts the object at the start of `target`, then goes home."""
+    """A scripted leader: puts the object at `target`'s start, then goes home."""
 
     caption = "scripted leader: fetches the object, puts it at a new start"
 
@@ -198,7 +198,7 @@ class TeleopDriver(Driver):
         return self._k >= len(self._q) + round(0.2 * self._rate)
 
     def result(self) -> dict[str, object]:
-        """Return the object's distance from its target."""
+        """Return the goal error."""
         lies = level_part(self.stack.plant.object_pose())
         x, y, _ = placement(next(iter(self._target.values())))
         error = float(np.hypot(lies[0, 3] - x, lies[1, 3] - y))
@@ -257,7 +257,7 @@ class PolicyDriver(Driver):
         return over or (self._judge.finished and world.time - self._finished_s >= _QUIET_S)
 
     def result(self) -> dict[str, object]:
-        """Return whether the object was put down, and its goal error."""
+        """Return `put_down_at_goal` and goal error."""
         error = self._judge.outcome(self.stack.plant).goal_error_m
         return {
             "put_down_at_goal": bool(self._judge.finished),

@@ -38,13 +38,12 @@ class Switch:
     Attributes:
         confirmed_s: When the arms were at rest.
         first_command_s: When its first command was accepted.
-        first_step_rad: Measured posture to first accepted target, worst joint.
+        first_step_rad: Measured posture to first target, worst joint.
         target_step_rad: Largest target step while the source drove.
-        reference_step_rad: Largest joint reference step.
-        reference_step_ratio: The same over the velocity limit.
+        reference_step_ratio: Largest reference step over the velocity limit.
         torque_step_nm: Largest commanded torque step.
         torque_step_asked_nm: Before the supervisor's limits.
-        torque_step_max_nm: Bound of torque_step_nm.
+        torque_step_max_nm: Its bound.
     """
 
     mode: str
@@ -136,7 +135,7 @@ class Recorder:
         if driven and np.isnan(switch.first_command_s):
             switch.first_command_s = now
             switch.first_step_rad = float(np.max(np.abs(target - stack.plant.q)))
-        if now > switch.first_command_s + WINDOW_S:  # not before the first command: its time is NaN
+        if now > switch.first_command_s + WINDOW_S:  # false while first_command_s is NaN
             return
         if driven and stack.state in _DRIVEN:
             switch.target_step_rad = _larger(switch.target_step_rad, np.abs(target - last_target))

@@ -27,8 +27,8 @@ class Robustness:
 
     Attributes:
         drop: Success rate lost against clean.
-        example: First failed trial, or an empty string.
-        rate_min: Required clean success rate (a method that always fails loses nothing); None elsewhere.
+        example: First failed trial.
+        rate_min: Required clean success rate; a method that always fails loses nothing.
     """
 
     cell: BenchmarkCell
@@ -93,7 +93,7 @@ def run_perturbations(
     """Run the same trials under every condition that applies."""
     asked = touching(method)
     for condition in asked.values():
-        condition.config_under(inputs.config)  # one that is out of bounds is refused before minutes of trials
+        condition.config_under(inputs.config)  # raise for values out of bounds before minutes of trials
     cells, trials = run_benchmark(
         [method],
         dict.fromkeys(asked, trials_n),

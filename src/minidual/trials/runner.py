@@ -166,7 +166,7 @@ class Bench:
             try:
                 method.step()
             except tuple(_BROKEN) as error:
-                mujoco.mj_setState(world.model, world.data, last, _STATE)  # one that diverged has been reset
+                mujoco.mj_setState(world.model, world.data, last, _STATE)  # a diverged world has been reset
                 mujoco.mj_forward(world.model, world.data)
                 broken = Fault(_BROKEN[type(error)], world.time, error.message)
                 rows = rows or [self._sample(seen, method.phase)]
@@ -187,7 +187,7 @@ class Bench:
         arrays: list[Any] = [np.array(column) for column in numbers]
         log = TrialLog(*[*arrays, list(phases)])
         outcome = judge.outcome(world)
-        if broken is not None:  # its fault stands before those that only follow from it
+        if broken is not None:  # the cause comes before its consequences
             outcome = replace(outcome, success=False, faults=(broken, *outcome.faults))
         metrics = trial_metrics(
             self.method,

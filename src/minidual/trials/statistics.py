@@ -35,7 +35,7 @@ def wilson_interval(successes: int, n: int, confidence: float = CONFIDENCE) -> t
     centre = rate + z * z / (2 * n)
     half = z * math.sqrt(rate * (1 - rate) / n + z * z / (4 * n * n))
     scale = 1 + z * z / n
-    # At the ends the bound is exactly 0 or 1; rounding must not put it beyond.
+    # Exactly 0 or 1 at the ends, despite rounding.
     low = 0.0 if successes == 0 else (centre - half) / scale
     high = 1.0 if successes == n else (centre + half) / scale
     return low, high
@@ -44,7 +44,7 @@ def wilson_interval(successes: int, n: int, confidence: float = CONFIDENCE) -> t
 def bootstrap_median_interval(
     values: ArrayLike, rng: np.random.Generator, confidence: float = CONFIDENCE, resamples_n: int = RESAMPLES_N
 ) -> tuple[float, float]:
-    """Return the percentile bootstrap interval (low, high) of the median of values (N,).
+    """Return the percentile bootstrap interval (low, high) of a median.
 
     Raises:
         NothingEvaluatedError: No values.
@@ -130,7 +130,7 @@ def paired_rate_interval(
     second_low, second_high = wilson_interval(both + only_second, n, confidence)
     first, second = (both + only_first) / n, (both + only_second) / n
     phi = _correlation(both, only_first, only_second, neither)
-    # How far each rate may lie from what was measured, on the side on which the difference shrinks or grows.
+    # Distances of the rates from their interval ends, on the side where the difference shrinks or grows.
     down = (first - first_low, second_high - second)
     up = (first_high - first, second - second_low)
     low, high = (math.sqrt(max(0.0, a * a - 2.0 * phi * a * b + b * b)) for a, b in (down, up))

@@ -16,7 +16,7 @@ from minidual.trials.comparisons import compare_all, compare_with_clean
 from minidual.trials.metrics import MethodSummary, TrialMetrics
 from minidual.trials.statistics import CONFIDENCE
 
-#: What every number in the tables means, where its name does not say it.
+#: Meaning of table columns whose names do not say it.
 DEFINITIONS: dict[str, str] = {
     "jerk_filter": JERK_FILTER,
     "success_interval": f"Wilson score, {CONFIDENCE:.0%}",

@@ -39,7 +39,7 @@ STIFFNESSES_N_PER_M = (150.0, 300.0, 450.0, 600.0)
 FORCE_FACTOR, STIFFNESS_FACTOR = 1.5, 0.8
 FORCE_CEILING_N = 80.0
 OSCILLATION_MAX_M = 0.0003
-"""RMS tracking error above `_HIGH_PASS_HZ` that counts as oscillation."""
+"""Limit of the RMS tracking error above 5 Hz."""
 TRACKING_MAX_M = 0.01
 COMPARED_N = (20.0, 40.0, 80.0)
 _HIGH_PASS_HZ = 5.0
@@ -83,7 +83,7 @@ class TuningStep:
 
     @property
     def holds(self) -> bool:
-        """Whether every carry succeeded."""
+        """Whether all succeeded."""
         return all(c.success for c in self.carries)
 
     def worst(self, name: str, take: Callable[[Any], Any] = np.max) -> float:
@@ -159,7 +159,7 @@ class Tuner:
             )
         start_n_per_m = self._config.carry.impedance.stiffness_n_per_m
         least = self._least_force(start_n_per_m)
-        # Rounded before they are tried: what is written into the profile is what was carried with.
+        # Rounded before the final carries, so that exactly the written values are tried.
         force = round(min(FORCE_FACTOR * least, FORCE_CEILING_N), 1)
         last = self._last_stiffness(force)
         stiffness = last if last == stiff else float(round(STIFFNESS_FACTOR * last))
@@ -199,7 +199,7 @@ class Tuner:
             return least if step.holds else min(least, -_FORCE_STEP_N)
 
         _raise_until(margin, FORCES_N, _FORCE_STEP_N)
-        # Brent's method ends on either side of the root; what counts is the least that was seen to hold.
+        # Brent's method may end on either side of the root: take the least force that held.
         held = [s.force_n for s in self.steps if s.phase == "force" and s.holds]
         if not held:
             row = self.steps[-1].row()
@@ -215,7 +215,7 @@ class Tuner:
             step = self.step("stiffness", force_n, stiffness)
             oscillation = step.worst("oscillation_m")
             if not step.holds or not np.isfinite(oscillation):
-                return 1.0  # what cannot be carried is past the limit
+                return 1.0  # a failed carry counts as past the limit
             return oscillation / OSCILLATION_MAX_M - 1.0
 
         _raise_until(excess, STIFFNESSES_N_PER_M, _STIFFNESS_STEP_N_PER_M)

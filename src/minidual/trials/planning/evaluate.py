@@ -25,7 +25,7 @@ from minidual.trials.planning.query_set import OBSTACLES_N, ROBOT, stored_set
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """Result of one query; `reason` and `message` explain a failure.
+    """Result of one query.
 
     total_s is wall time, cpu_s processor time; scene_s, the scene's setup, is in neither.
     """
@@ -132,7 +132,7 @@ def run_queries(
     planner = Planner(config=config.planner, robot=robot)
     source = query_source(seed, config.obstacles_n, config.blocked_fraction, robot)
     outcomes: dict[str, list[Outcome]] = {group: [] for group in planner.robot.groups}
-    # The first plans of a process load machine code, on a new machine they compile it (40 s); `make bench` times them.
+    # Warm up: the first plans load machine code, or compile it on a new machine (40 s); `make bench` times them.
     for group in outcomes:
         plan_query(planner, source(group, 0))
     for group, done in outcomes.items():
@@ -157,7 +157,7 @@ def repeats(config: PlanConfig, outcome: Outcome) -> bool:
 def engine_agreement(scene: PlanningScene, states_n: int, seed: int) -> float:
     """Return the fraction of random states on which both engines agree.
 
-    Half are uniform (mostly in collision), half near home (mostly free).
+    Half are uniform (mostly in collision), half near home.
     """
     planner = Planner(scene)
     engine, robot = planner.engines().verifier.engine, planner.robot

@@ -31,10 +31,10 @@ from minidual.trials.planning.held_moves import HeldMove, HeldMoveGenerator
 
 @dataclass(frozen=True, eq=False)
 class MoveOutcome:
-    """Result of one move; `reason` and `message` explain a failure.
+    """Result of one move.
 
     time_s is wall time and cpu_s processor time, without the scene's setup; residuals are those of `timed_residual`,
-    clearance_m is the minimum along the trajectory. NaN without a plan.
+    clearance_m is the minimum. NaN without a plan.
     """
 
     move: HeldMove
@@ -86,7 +86,7 @@ def timed_residual(plan: CarriedTrajectory, query: HeldQuery, kinematics: Kinema
     at_samples = hands.strays(plan.q, plan.Ts_world_object)
     between, _, _ = plan.sample_many(plan.times[:-1] + 0.5 * plan.dt_s)
     T_tcp_object = inverse(query.T_object_tcp_left)
-    # The left hand tells where the object is: what remains is the right hand against the left one.
+    # The object's pose follows from the left hand, so the error is that of the right hand against it.
     objects = np.array([kinematics.tcp_poses(q)[0] @ T_tcp_object for q in between])
     halfway = hands.strays(between, objects)
     worst_m, worst_rad = np.max([at_samples, halfway], axis=0).tolist()
@@ -119,7 +119,7 @@ def run_moves(
     """Plan `config.held.moves_n` moves."""
     planner = HeldPlanner(Planner(config=config.planner, robot=robot))
     generator = HeldMoveGenerator(seed, scene, robot)
-    # Import and compile what the first move would otherwise pay for; whether this one is solved does not matter.
+    # Warm up imports and compilation, so that the first move is not charged for them.
     with suppress(PlanningError):
         planner.plan(HeldMoveGenerator(seed + 1, scene, robot).move(0).query)
     outcomes = []

@@ -101,7 +101,7 @@ class QueryGenerator:
 
         Raises:
             UsageError: Unknown group.
-            PlanningError: None found, e.g. too many obstacles.
+            PlanningError: None found.
         """
         for attempt in range(first_attempt, first_attempt + _SCENE_TRIES_N):
             query = self.attempt(group, index, attempt)
@@ -191,7 +191,7 @@ def _swapped(before: dict[str, Array], after: dict[str, Array]) -> bool:
 
 
 def _touched_between(engine: MujocoEngine, start: Array, goal: Array) -> set[frozenset[str]]:
-    """Return the pairs in contact along the straight line."""
+    """Return the contacts along the straight line."""
     count = int(np.ceil(np.abs(goal - start).max() / _STEP_RAD))
     touched: set[frozenset[str]] = set()
     for x in np.linspace(0.0, 1.0, count + 1)[1:-1]:
@@ -239,7 +239,7 @@ def random_pose(rng: np.random.Generator, arm: str) -> Array:
 
 
 def random_obstacles(rng: np.random.Generator, count: int, robot: Robot = DUAL_PANDA) -> tuple[Shape, ...]:
-    """Return boxes and cylinders on the table, clear of the bases."""
+    """Return boxes and cylinders clear of the bases."""
     shapes: list[Shape] = []
     for k in range(count):
         height = float(rng.uniform(0.10, 0.40))
