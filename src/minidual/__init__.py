@@ -2,7 +2,7 @@
 
 import os
 
-# mujoco picks its OpenGL platform when it is first imported, whoever imports it first.
+# mujoco picks its OpenGL platform at its first import.
 os.environ.setdefault("MUJOCO_GL", "egl")
 
 __version__ = "0.1.0"

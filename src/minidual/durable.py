@@ -1,7 +1,7 @@
-"""Files and folders that are either whole under their name or absent, even after a kill or a power cut.
+"""Atomic files and folders: whole under their name or absent, even after a kill or a power cut.
 
-The work is done under a temporary name in the same folder, brought to the disk (fsync) and renamed. The temporary name
-carries the writer's process id, so that what a killed writer left can be told from work in progress.
+Data is written under a temporary name in the same folder, synced (fsync) and renamed. The name carries the writer's
+process id, which identifies stale files.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ _PARTIAL = re.compile(r"^\..+\.(?P<pid>\d+)\.partial$")
 
 
 def partial_path(path: Path) -> Path:
-    """Return the temporary name under which this process makes `path`."""
+    """Return this process's temporary name for `path`."""
     return path.with_name(f".{path.name}.{os.getpid()}.partial")
 
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Generator[Path]:
-    """Yield a temporary name; publish what was made under it when the block ends, remove it when the block raises."""
+    """Yield a temporary name; publish it when the block ends, remove it if the block raises."""
     partial = partial_path(path)
     try:
         yield partial
@@ -37,15 +37,15 @@ def replacing(path: Path) -> Generator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write `text` (UTF-8): a reader sees the old file or the whole new one."""
+    """Replace `path` by `text` (UTF-8) atomically."""
     with replacing(path) as partial:
         partial.write_text(text, encoding="utf-8")
 
 
 def publish(partial: Path, path: Path) -> None:
-    """Bring a finished temporary file or folder to the disk and rename it.
+    """Sync a temporary file or folder and rename it.
 
-    A file replaces one of that name; for a folder the name must be free.
+    A file replaces an existing one; a folder's name must be free.
     """
     for folder, _, files in os.walk(partial):
         for name in files:
@@ -58,7 +58,7 @@ def publish(partial: Path, path: Path) -> None:
 
 
 def sync(path: Path) -> None:
-    """Bring a file's content, or a folder's entries, to the disk."""
+    """Sync a file's content, or a folder's entries, to the disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -69,7 +69,7 @@ def sync(path: Path) -> None:
 def is_stale(path: Path) -> bool:
     """Return whether `path` is a temporary name whose writer is dead.
 
-    A process that reuses the id of a dead writer started after the file was last written.
+    A process that reuses the id started after the file was last written.
     """
     match = _PARTIAL.match(path.name)
     if match is None:
@@ -83,14 +83,14 @@ def is_stale(path: Path) -> bool:
 
 
 def remove_stale(path: Path) -> None:
-    """Remove what killed writers of `path` left."""
+    """Remove temporary files of `path` whose writers are dead."""
     for left in path.parent.glob(f".{path.name}.*.partial"):
         if is_stale(left):
             remove(left)
 
 
 def remove(path: Path) -> None:
-    """Remove a file or a whole folder if it is there."""
+    """Remove a file or folder if it exists."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     else:
@@ -99,7 +99,7 @@ def remove(path: Path) -> None:
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder and its parents; raise UsageError where that is impossible."""
+    """Make a folder and its parents; UsageError if that fails."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -1,6 +1,6 @@
-"""The one family of errors that the command line turns into a message and an exit code.
+"""Errors that the command line turns into a message and an exit code.
 
-A message names the thing, the bound and what exists; `remedy` says what to type or do next.
+Messages name the thing, the bound and the alternatives; `remedy` says what to do.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from enum import IntEnum
 
 
 class ExitCode(IntEnum):
-    """Exit codes of every `minidual` command."""
+    """Exit codes of `minidual`."""
 
     PASS = 0
     ACCEPTANCE_FAILED = 1
@@ -24,7 +24,7 @@ class ExitCode(IntEnum):
 
 
 class MinidualError(Exception):
-    """Base of all expected errors: shown without a traceback, with its remedy and its exit code."""
+    """Base of expected errors, shown without a traceback."""
 
     exit_code: ExitCode = ExitCode.USAGE
 
@@ -37,7 +37,7 @@ class MinidualError(Exception):
         return self.message if self.remedy is None else f"{self.message}\n  remedy: {self.remedy}"
 
     def __reduce__(self) -> tuple[object, ...]:
-        # Errors cross process boundaries (worker pools); keyword-only arguments need help there.
+        # Worker pools pickle errors; keyword-only arguments need help.
         return (_rebuild, (type(self), self.message, self.remedy))
 
 
@@ -48,37 +48,37 @@ def _rebuild(cls: type[MinidualError], message: str, remedy: str | None) -> Mini
 
 
 class UsageError(MinidualError):
-    """A name, value or file that the user gave is wrong."""
+    """A name, value or file given by the user is wrong."""
 
 
 class ConfigError(UsageError):
-    """The configuration does not hold; the message names file, line and dotted path."""
+    """Invalid configuration; the message names file, line and dotted path."""
 
 
 class GateClosedError(MinidualError):
-    """A stage was asked for whose upstream verdict is not passing and fresh."""
+    """An upstream verdict is not passing and fresh."""
 
     exit_code = ExitCode.GATE_CLOSED
 
 
 class EnvironmentMissingError(MinidualError):
-    """A library, driver or device that the work needs is not there."""
+    """A library, driver or device is missing."""
 
     exit_code = ExitCode.ENVIRONMENT
 
 
 class NothingEvaluatedError(MinidualError):
-    """A stage ended without a single check or trial."""
+    """A stage ended without any check or trial."""
 
     exit_code = ExitCode.NOTHING_EVALUATED
 
 
 class DataError(MinidualError):
-    """A file on disk is corrupt, truncated or of another schema."""
+    """A file is corrupt, truncated or of another schema."""
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> UsageError:
-    """Return the error for an unknown name: what exists, and the closest one."""
+    """Return the error for an unknown name, listing the known ones and the closest."""
     names = sorted(known)
     close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
     remedy = f"did you mean '{close[0]}'?" if close else None

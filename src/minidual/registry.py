@@ -1,8 +1,7 @@
-"""One table a family: rows by name, duplicates refused, unknown names answered with what exists.
+"""Tables of named things.
 
-A row's value is the thing itself or a lazy target, "module:attribute", that is imported when it is first asked for.
-A family may take rows from other distributions through an entry point group; those are read at the first lookup, so a
-table costs nothing until it is used.
+A value is the thing itself or a lazy target, "module:attribute", imported at first use. Entry points of other
+distributions are read at the first lookup.
 """
 
 from __future__ import annotations
@@ -19,12 +18,9 @@ class Registry[T](Mapping[str, T]):
     """A table of one kind of thing.
 
     Args:
-        kind: What a row is, in the singular, as messages say it ("task").
-        rows: {name: value or "module:attribute"}; more with `add`.
-        group: Entry point group for rows of other distributions ("minidual.tasks"), or None.
-
-    Raises:
-        ValueError: `rows` is not a mapping of distinct names.
+        kind: Singular noun for messages ("task").
+        rows: {name: value or "module:attribute"}.
+        group: Entry point group of further rows ("minidual.tasks"), or None.
     """
 
     def __init__(self, kind: str, rows: Mapping[str, T | str] | None = None, *, group: str | None = None) -> None:
@@ -45,10 +41,10 @@ class Registry[T](Mapping[str, T]):
         self._rows[name] = value
 
     def __getitem__(self, name: str) -> T:
-        """Return a row, loading it at its first use.
+        """Return a row, loading it at first use.
 
         Raises:
-            UsageError: There is no such row, or its target cannot be loaded.
+            UsageError: The row is unknown or cannot be loaded.
         """
         rows = self._all()
         if name not in rows:
@@ -83,10 +79,10 @@ class Registry[T](Mapping[str, T]):
         return self._rows
 
     def names(self, text: str | Sequence[str]) -> tuple[str, ...]:
-        """Return the rows named in "a,b", or in a sequence of names.
+        """Return the row names in "a,b" or in a sequence.
 
         Raises:
-            UsageError: A name is unknown or repeated, or there is none.
+            UsageError: A name is unknown or repeated, or none is given.
         """
         names = [n.strip() for n in (text.split(",") if isinstance(text, str) else text) if n.strip()]
         if not names:
@@ -106,11 +102,11 @@ class Registry[T](Mapping[str, T]):
 
 
 def load_target(target: str) -> Any:
-    """Import the attribute that "module:attribute" names.
+    """Import the attribute named by "module:attribute".
 
     Raises:
         ImportError: There is no such module.
-        AttributeError: The module has no such attribute.
+        AttributeError: There is no such attribute.
     """
     module, _, attribute = target.partition(":")
     return getattr(importlib.import_module(module), attribute)

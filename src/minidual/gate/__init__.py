@@ -1,1 +1,1 @@
-"""The gate: stages, checks, verdicts, fingerprints and the run store. Knows no robotics."""
+"""The gate: stages, checks, verdicts, fingerprints and the run store. No robotics."""

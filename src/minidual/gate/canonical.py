@@ -1,4 +1,4 @@
-"""Values as strict JSON: one text for equal values, no NaN literals, hashes of texts and files."""
+"""Canonical strict JSON without NaN literals, and hashes of texts and files."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from minidual.errors import DataError
 def canonical(value: Any, where: str = "value") -> Any:
     """Return `value` as plain JSON types; non-finite floats become "nan", "inf" or "-inf".
 
-    Takes pydantic models, mappings with string keys, sequences, sets (sorted), paths, enums, numpy scalars
-    and arrays. TypeError names the dotted place of anything else.
+    Takes pydantic models, mappings with string keys, sequences, sets (sorted), paths, enums, numpy scalars and arrays.
+    TypeError names the dotted place of anything else.
     """
     if isinstance(value, enum.Enum):
         value = value.value
@@ -45,18 +45,18 @@ def canonical(value: Any, where: str = "value") -> Any:
 
 
 def digest(value: Any) -> str:
-    """Return the sha256 of the canonical JSON text of `value` (keys sorted)."""
+    """Return the sha256 of the canonical JSON text, keys sorted."""
     text = json.dumps(canonical(value), sort_keys=True, allow_nan=False, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def dumps(value: Any) -> str:
-    """Return `value` as indented strict JSON with a final newline."""
+    """Return indented strict JSON with a final newline."""
     return json.dumps(canonical(value), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def parse_json(content: bytes, path: Path) -> Any:
-    """Parse strict JSON. DataError names the file for truncated text, NaN literals and duplicate keys."""
+    """Parse strict JSON; DataError for invalid text, NaN literals and duplicate keys."""
     try:
         return json.loads(content.decode("utf-8"), parse_constant=_refuse_constant, object_pairs_hook=_unique)
     except (ValueError, RecursionError) as error:
@@ -79,10 +79,7 @@ _HASHES: dict[tuple[str, int, int, int, int], str] = {}
 
 
 def file_sha256(path: Path) -> str:
-    """Return the sha256 of a file.
-
-    Remembered within the process for as long as inode, size, mtime and ctime stay the same.
-    """
+    """Return the sha256 of a file, cached in the process by inode, size, mtime and ctime."""
     stat = path.stat()
     key = (str(path), stat.st_ino, stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns)
     if key not in _HASHES:

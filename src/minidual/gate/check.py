@@ -1,4 +1,4 @@
-"""One measured value against one limit. What passes is derived here and assigned nowhere."""
+"""One measured value against one limit. The result is always derived."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _NON_FINITE = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 
 
 def plain_number(value: Any, what: str) -> Number:
-    """Return `value` as a Python bool, int or float (numpy scalars are unpacked); TypeError otherwise."""
+    """Return `value` as a Python bool, int or float, unpacking numpy scalars; TypeError otherwise."""
     if not isinstance(value, bool | int | float) and hasattr(value, "item") and getattr(value, "ndim", 0) == 0:
         value = value.item()
     if not isinstance(value, bool | int | float):
@@ -33,7 +33,7 @@ def plain_number(value: Any, what: str) -> Number:
 
 
 def jsonable_number(value: Number) -> Number | str:
-    """Return `value` as JSON can hold it: a non-finite float becomes the string "nan", "inf" or "-inf"."""
+    """Return `value` for JSON; non-finite floats become "nan", "inf" or "-inf"."""
     return str(float(value)) if isinstance(value, float) and not math.isfinite(value) else value
 
 
@@ -41,9 +41,13 @@ def jsonable_number(value: Number) -> Number | str:
 class Check:
     """A named observation with its limit.
 
-    `op` None means "reported without a limit": such a check neither passes nor fails, and never counts as
-    evidence. A non-finite `observed` fails every limit. `unit` is a suffix such as "rad" or "n" ("" for a
-    ratio or a count), `why` says in one line what the limit protects, `remedy` what to do when it fails.
+    Without `op` the value is only reported: it neither passes nor fails and is no evidence. A non-finite `observed`
+    fails every limit.
+
+    Attributes:
+        unit: Suffix such as "rad"; "" for a ratio or count.
+        why: What the limit protects, one line.
+        remedy: What to do when the check fails.
     """
 
     name: str
@@ -71,21 +75,21 @@ class Check:
 
     @property
     def limited(self) -> bool:
-        """Whether the check has a limit, so that it can fail."""
+        """Whether the check has a limit."""
         return self.op is not None
 
     @property
     def passed(self) -> bool | None:
-        """True or False against the limit; None without one. A non-finite observation is False."""
+        """Whether the limit holds; None without one."""
         if self.op is None:
             return None
         return math.isfinite(self.observed) and _COMPARE[self.op](self.observed, self.limit)
 
     @property
     def margin(self) -> float | None:
-        """Distance to the limit in the check's unit, positive on the good side.
+        """Distance to the limit in `unit`, positive if it holds.
 
-        For "==" it is minus the absolute deviation; None without a limit or for bools.
+        Minus the absolute deviation for "=="; None without a limit or for bools.
         """
         if self.op is None or self.limit is None or isinstance(self.limit, bool):
             return None
@@ -95,7 +99,7 @@ class Check:
         return 0.0 - gap if self.op in ("<", "<=") else 0.0 - abs(gap)  # from 0.0, so that none is -0.0
 
     def sentence(self) -> str:
-        """Return "tilt_max_rad is 0.12 rad, limit <= 0.0873 rad" for messages."""
+        """Return, for example, "tilt_max_rad is 0.12 rad, limit <= 0.0873 rad"."""
         unit = f" {self.unit}" if self.unit else ""
         text = f"{self.name} is {format_number(self.observed)}{unit}"
         if self.op is not None and self.limit is not None:
@@ -103,7 +107,7 @@ class Check:
         return text
 
     def to_json(self) -> dict[str, Any]:
-        """Return the check with its derived result and margin, ready for json.dumps(allow_nan=False)."""
+        """Return the check, its result and its margin as strict JSON types."""
         margin = self.margin
         return {
             "name": self.name,
@@ -119,7 +123,7 @@ class Check:
 
     @classmethod
     def from_json(cls, record: Mapping[str, Any]) -> Check:
-        """Rebuild a check; DataError if the record is malformed or its result is not what the values say."""
+        """Rebuild a check; DataError if the record is malformed or contradicts its values."""
         try:
             observed = record["observed"]
             if isinstance(observed, str):
@@ -135,7 +139,7 @@ class Check:
 
 
 def format_number(value: Number | None) -> str:
-    """Return a short text for tables and messages: four significant digits, bools as yes and no."""
+    """Return a short text: four significant digits, yes or no for bools."""
     if value is None:
         return ""
     if isinstance(value, bool):

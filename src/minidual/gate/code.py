@@ -1,8 +1,7 @@
-"""The code that a stage reaches: one digest a module, blind to comments, docstrings and line breaks.
+"""Code that a stage reaches: one digest per module, ignoring comments, docstrings and line breaks.
 
-A module reaches what it imports, at its top or inside a function, and what a lazy target ("module:attribute") in it
-names. Imports under TYPE_CHECKING do not run and are left out. Only modules of the target's own package and of minidual
-are looked at; other libraries stand in the fingerprint by version.
+Follows imports, function-level ones included, and lazy targets ("module:attribute"), but not imports under
+TYPE_CHECKING. Only the target's own package and minidual count; the fingerprint records other libraries by version.
 """
 
 from __future__ import annotations
@@ -23,19 +22,19 @@ _PACKAGE = __name__.split(".")[0]
 
 @dataclass(frozen=True)
 class Code:
-    """What a stage's code was.
+    """Code of a stage.
 
     Attributes:
         modules: {module: digest of its syntax tree}.
-        sources: sha256 of the same files as they are, comments included. While it holds, no tree needs to be built
-            (5 ms against about 1 s for a stage).
+        sources: sha256 of the files, comments included. While it matches, no tree is built (5 ms instead of 1 s per
+            stage).
     """
 
     modules: dict[str, str] = field(default_factory=dict[str, str])
     sources: str = ""
 
     def changes(self, now: Code) -> list[str]:
-        """Return the modules whose code differs, came or went."""
+        """Return the modules added, removed or changed."""
         names = self.modules.keys() | now.modules.keys()
         return sorted(name for name in names if self.modules.get(name) != now.modules.get(name))
 
@@ -44,8 +43,8 @@ def code_of(targets: Iterable[str], known: Code | None = None) -> Code:
     """Return the code that the targets ("module:attribute") reach.
 
     Args:
-        targets: Where to begin.
-        known: What it was once; returned as it is if none of its files has changed.
+        targets: Starting points.
+        known: Earlier code, returned if its files are unchanged.
     """
     if known is not None and known.modules and _sources(known.modules) == known.sources:
         return known
@@ -66,7 +65,7 @@ def _sources(modules: Iterable[str]) -> str:
 
 @cache
 def _reach(target: str) -> dict[str, str]:
-    """Return {module: digest} of every module that a target reaches; one without Python source is left out."""
+    """Return {module: digest}; modules without Python source are left out."""
     first = target.partition(":")[0]
     roots = {_PACKAGE, first.split(".")[0]}
     found: dict[str, str] = {}
@@ -85,7 +84,7 @@ def _reach(target: str) -> dict[str, str]:
 
 @cache
 def _module(name: str) -> tuple[str, tuple[str, ...]] | None:
-    """Return (digest, names that it may import) of one module, or None where there is no such Python source."""
+    """Return (digest, imported names) of a module, or None without Python source."""
     path = _source(name)
     if path is None:
         return None
@@ -100,7 +99,7 @@ def _top(name: str) -> ModuleSpec | None:
 
 
 def _source(name: str) -> Path | None:
-    """Return the file of a module without importing anything, or None."""
+    """Return a module's file without importing it, or None."""
     top, *below = name.split(".")
     spec = _top(top)
     if spec is None or spec.origin is None:
@@ -116,7 +115,7 @@ def _source(name: str) -> Path | None:
 
 
 def _strip(tree: ast.Module) -> None:
-    """Remove docstrings, other strings that stand alone, and blocks that only type checkers read."""
+    """Remove docstrings, other standalone strings and TYPE_CHECKING blocks."""
     for node in ast.walk(tree):
         for part in ("body", "orelse"):
             body = getattr(node, part, None)

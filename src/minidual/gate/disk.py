@@ -1,4 +1,4 @@
-"""A full or forbidden disk, said in words."""
+"""Error messages for a full disk or missing permissions."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ _ELSEWHERE = "point --runs-dir or MINIDUAL_RUNS at"
 
 @contextmanager
 def disk_errors(folder: Path) -> Generator[None]:
-    """Turn OSError for a full disk or a missing permission into a message; other errors pass as they are."""
+    """Turn OSError for a full disk or a missing permission into EnvironmentMissingError."""
     try:
         yield
     except OSError as error:
         what = error.filename or folder
-        # HDF5 and Arrow put the system's words into errors that do not always carry its number.
+        # HDF5 and Arrow errors carry the system's text but not always its errno.
         if error.errno in _FULL or "No space left on device" in str(error):
             raise EnvironmentMissingError(
                 f"no space left on the disk of {folder} (writing {what})",

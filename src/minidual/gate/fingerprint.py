@@ -1,4 +1,4 @@
-"""What a verdict depends on, and the words for how that differs from now."""
+"""What a verdict depends on, and how that differs from now."""
 
 from __future__ import annotations
 
@@ -21,14 +21,17 @@ UNSEEN = "(absent)"
 
 @dataclass(frozen=True)
 class Fingerprint:
-    """Everything that determines a result (the first six) and the circumstances (the last five).
+    """Everything that a verdict depends on.
 
-    parameters: resolved configuration subtree, as JSON.
-    options: command-line extras that are not configuration.
-    inputs: sha256 of each input artefact, keyed "stage/path".
-    upstream: sha256 of the verdict of every transitively required stage, None where there was none.
-    version, commit, machine, libraries, code: circumstances; a difference only warns, and a report over results of
-        other code is no acceptance. code: see `minidual.gate.code`.
+    `version`, `commit`, `machine`, `libraries` and `code` are circumstances: a difference only warns. A report over
+    results of other code is no acceptance.
+
+    Attributes:
+        parameters: Resolved configuration subtree, as JSON.
+        options: Command-line options outside the configuration.
+        inputs: sha256 of each input artefact by "stage/path".
+        upstream: sha256 of the verdict of each required stage, direct or not; None if missing.
+        code: See `minidual.gate.code`.
     """
 
     parameters: dict[str, Any]
@@ -54,7 +57,7 @@ class Fingerprint:
         return cls(**values)
 
     def differences(self, now: Fingerprint) -> list[str]:
-        """Return one reason for each thing that makes the result of `self` stale `now`."""
+        """Return the reasons why a result of `self` is stale."""
         reasons = [
             f"{label} {name} was {_short(then)}, is {_short(current)}"
             for label, before, after in (
@@ -77,7 +80,7 @@ class Fingerprint:
         return reasons
 
     def circumstances(self, now: Fingerprint) -> list[str]:
-        """Return one warning for each circumstance that differs `now` without making the result stale."""
+        """Return one warning per changed circumstance; these do not make a result stale."""
         warnings: list[str] = []
         if self.version != now.version:
             warnings.append(f"made by minidual {self.version}, this is {now.version}")
@@ -98,7 +101,7 @@ class Fingerprint:
 def changes(
     before: Mapping[str, Any], after: Mapping[str, Any], *, flat: bool = False, prefix: str = ""
 ) -> Iterable[tuple[str, Any, Any]]:
-    """Yield (dotted name, before, after) for every leaf that differs; `flat` does not enter mappings."""
+    """Yield (dotted name, before, after) for each differing leaf; `flat` does not enter mappings."""
     for key in [*before, *(key for key in after if key not in before)]:
         then, current = before.get(key, UNSEEN), after.get(key, UNSEEN)
         if not flat and isinstance(then, dict) and isinstance(current, dict):
@@ -121,7 +124,7 @@ def _short(value: Any) -> str:
 
 
 def circumstances_now(libraries: Iterable[str]) -> dict[str, Any]:
-    """Return version, commit, machine and versions of `libraries` (distribution names) as a dict."""
+    """Return version, commit, machine and versions of `libraries` (distribution names)."""
     return _circumstances(tuple(libraries))
 
 
@@ -149,7 +152,7 @@ def _library_version(name: str) -> str:
 
 
 def _commit() -> str | None:
-    """Return the git commit of this package's own checkout ("+changes" if edited), None outside of one."""
+    """Return the commit of this package's checkout ("+changes" if edited), None outside one."""
     package = Path(minidual.__file__).parent
 
     def git(*words: str) -> str:
@@ -157,8 +160,7 @@ def _commit() -> str | None:
         return subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
 
     try:
-        # An installed wheel may lie in a virtual environment inside somebody's repository: ask whether
-        # git knows this very file before believing that the commit is ours.
+        # An installed wheel may lie inside somebody else's repository: check that git tracks this file.
         git("ls-files", "--error-unmatch", "__init__.py")
         commit = git("rev-parse", "HEAD")
         return f"{commit}+changes" if git("status", "--porcelain", "--", ".") else commit

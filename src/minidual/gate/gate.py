@@ -1,8 +1,8 @@
-"""The state of every stage, and whether the gate of one is open.
+"""State of each stage, and whether its gate is open.
 
-States: pass and fail (a fresh verdict says so), error (a verdict without evidence, a corrupt one, or an
-attempt that crashed), stale (parameters, inputs, upstream or artefacts changed), incomplete (began, did not
-finish), blocked (not run, and an upstream stage does not pass), missing (not run, could be).
+States: pass and fail (fresh verdict), error (verdict without evidence, corrupt verdict or crashed attempt), stale
+(parameters, inputs, upstream or artefacts changed), incomplete (begun, unfinished), blocked (not run, upstream does not
+pass), missing (not run).
 """
 
 from __future__ import annotations
@@ -29,9 +29,11 @@ State = Literal["pass", "fail", "error", "stale", "missing", "incomplete", "bloc
 
 @dataclass(frozen=True)
 class StageState:
-    """Where a stage stands.
+    """State of a stage.
 
-    reasons: why it is not pass or fail, one line each. warnings: what changed without making it stale.
+    Attributes:
+        reasons: Why it is not pass or fail.
+        warnings: Changes that do not make it stale.
     """
 
     name: str
@@ -44,7 +46,7 @@ class StageState:
     corrupt: bool = False
 
     def why(self) -> str:
-        """Return what stands against the stage in a few words: the worst check, or the first reasons."""
+        """Return the first failed check, or the first two reasons."""
         if self.state == "fail" and self.verdict is not None:
             failed = self.verdict.failed_checks()
             more = f", and {len(failed) - 1} more" if len(failed) > 1 else ""
@@ -57,8 +59,9 @@ class StageState:
 class Gate:
     """Judges the stages of one run against one configuration.
 
-    options: command-line options typed now, by stage. A stage without an entry is judged with the options
-    that its own verdict was made with: `teleop-record --episodes 10` stays fresh for `train-act`.
+    Attributes:
+        options: Command-line options by stage. A stage without an entry is judged with its verdict's options, so
+            `teleop-record --episodes 10` stays fresh for `train-act`.
     """
 
     table: StageTable
@@ -68,28 +71,28 @@ class Gate:
     _known: dict[str, StageState] = field(default_factory=dict[str, StageState])
 
     def state(self, name: str) -> StageState:
-        """Return the state of a stage (judged once, then remembered)."""
+        """Return the cached state of a stage."""
         if name not in self._known:
             self._known[name] = self._judge(name)
         return self._known[name]
 
     def forget(self) -> None:
-        """Judge anew from now on, after a stage ran."""
+        """Clear the cached states."""
         self._known.clear()
 
     def closed_by(self, name: str) -> list[StageState]:
-        """Return the directly required stages that keep the gate of `name` closed; empty if it is open."""
+        """Return the directly required stages that do not pass."""
         return [state for required in self.table[name].requires if (state := self.state(required)).state != "pass"]
 
     def root_cause(self, name: str) -> StageState | None:
-        """Return the first stage above `name` that does not pass although everything above it does."""
+        """Return the first non-passing stage above `name` whose own gate is open."""
         for upstream in self.table.upstream(name):
             if self.state(upstream).state != "pass" and not self.closed_by(upstream):
                 return self.state(upstream)
         return None
 
     def closed_error(self, name: str, command: CommandText) -> GateClosedError | DataError:
-        """Return the error for a closed gate: blocking stage, its check, and the command that mends it."""
+        """Return the closed-gate error: cause, failed check and command to type."""
         first = self.closed_by(name)[0]
         cause = self.root_cause(name) or first
         unfinished = [up for up in self.table.upstream(name) if self.state(up).state != "pass"]
@@ -106,7 +109,7 @@ class Gate:
         return GateClosedError(text, remedy=f"{advice}{mend}")
 
     def code_changes(self, name: str) -> dict[str, list[str]]:
-        """Return {stage: modules} for the stages above `name` whose verdicts other code made."""
+        """Return {stage: changed modules} for stages above `name` whose verdicts other code made."""
         found: dict[str, list[str]] = {}
         for upstream in self.table.upstream(name):
             verdict = self.state(upstream).verdict
@@ -117,7 +120,7 @@ class Gate:
         return found
 
     def effective(self, name: str, verdict: Verdict | None) -> tuple[dict[str, Any], LoadedConfig]:
-        """Return (options, configuration with them applied) that `name` is judged or run with."""
+        """Return (options, configuration) that `name` is judged or run with."""
         from minidual.config.loader import Override
 
         entry = self.table[name]
@@ -127,7 +130,7 @@ class Gate:
         return options, self.loaded.with_overrides(overrides)
 
     def fingerprint(self, name: str, verdict: Verdict | None = None) -> Fingerprint:
-        """Return the fingerprint that a verdict of `name` made now would have."""
+        """Return the fingerprint that a new verdict of `name` would have."""
         entry = self.table[name]
         options, loaded = self.effective(name, verdict)
         inputs: dict[str, str] = {}
@@ -135,8 +138,7 @@ class Gate:
             upstream = self.state(required)
             if upstream.verdict is not None:
                 for path, artefact in upstream.verdict.artefacts.items():
-                    # The upstream's configuration is part of its verdict; as an input it would say twice,
-                    # and worse, that something changed.
+                    # The upstream's configuration is already part of its verdict.
                     if path != CONFIG_FILE:
                         inputs[f"{required}/{path}"] = artefact.sha256
         return Fingerprint(

@@ -1,4 +1,4 @@
-"""One writer at a time in a run folder, held by the kernel so that a killed process cannot keep it."""
+"""One writer at a time in a run folder. The kernel releases the lock when its process dies."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LOCK_FILE = ".lock"
 
 @contextmanager
 def run_lock(folder: Path, command: str) -> Generator[None]:
-    """Hold the lock of a run folder; UsageError names the process that has it."""
+    """Hold the lock of a run folder; UsageError names the process that holds it."""
     folder.mkdir(parents=True, exist_ok=True)
     descriptor = os.open(folder / LOCK_FILE, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     if not _acquired(descriptor):
@@ -28,8 +28,8 @@ def run_lock(folder: Path, command: str) -> Generator[None]:
             f"run '{folder.name}' is being written by {holder}",
             remedy=f"wait for it to end, or work in another run with --run NAME (this one is {folder})",
         )
-    # A forked worker shares the lock through its copy of the descriptor and would keep it alive after this
-    # process was killed: children close theirs at once.
+    # A forked worker inherits the descriptor and would keep the lock after this process was killed, so children close
+    # it.
     mine = os.getpid()
     held = True
 
@@ -51,7 +51,7 @@ def run_lock(folder: Path, command: str) -> Generator[None]:
 
 
 def _acquired(descriptor: int) -> bool:
-    """Try for a fifth of a second: `status` holds a shared lock for an instant when it asks who writes."""
+    """Try for 0.2 s: `lock_is_held` takes a shared lock for an instant."""
     for _ in range(5):
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -63,7 +63,7 @@ def _acquired(descriptor: int) -> bool:
 
 
 def lock_is_held(folder: Path) -> bool:
-    """Return whether some process holds the lock of a run folder now."""
+    """Return whether a process holds the lock of a run folder."""
     try:
         descriptor = os.open(folder / LOCK_FILE, os.O_RDONLY | os.O_CLOEXEC)
     except FileNotFoundError:
@@ -78,7 +78,7 @@ def lock_is_held(folder: Path) -> bool:
 
 
 def lock_holder_text(folder: Path) -> str:
-    """Return "process 12 (minidual carry, since ...)" from the lock file, or what can be said."""
+    """Return "process 12 (minidual carry, since ...)" from the lock file, or "another process"."""
     try:
         record = json.loads((folder / LOCK_FILE).read_text(encoding="utf-8"))
         return f"process {record['pid']} ({record['command']}, since {record['since']})"

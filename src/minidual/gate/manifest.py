@@ -1,4 +1,4 @@
-"""The list of a stage's artefacts with their hashes: what makes tampering visible."""
+"""Hashes of a stage's artefacts, which detect changes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _NOT_ARTEFACTS = (VERDICT_FILE, ATTEMPT_FILE)
 
 @dataclass(frozen=True)
 class Artefact:
-    """Hash and size of one file."""
+    """Hash and size of a file."""
 
     sha256: str
     size_bytes: int
@@ -29,9 +29,9 @@ def _files_under(folder: Path) -> Iterable[Path]:
 
 
 def build_manifest(folder: Path, listed: Sequence[str] | None) -> dict[str, Artefact]:
-    """Return {relative posix path: Artefact} of `listed` files and folders (None: every file in `folder`).
+    """Return {relative posix path: Artefact} of `listed` paths (None: all files).
 
-    DataError if a listed path does not exist or leaves the folder.
+    DataError if a path is missing or outside the folder.
     """
     if listed is None:
         files: set[Path] = set(_files_under(folder))
@@ -53,7 +53,7 @@ def build_manifest(folder: Path, listed: Sequence[str] | None) -> dict[str, Arte
 
 
 def manifest_changes(folder: Path, manifest: Mapping[str, Artefact]) -> list[str]:
-    """Return one reason for every artefact in `folder` that is gone or no longer what it was."""
+    """Return one reason per missing or changed artefact."""
     reasons: list[str] = []
     for name, artefact in manifest.items():
         path = folder / name
@@ -72,5 +72,5 @@ def manifest_to_json(manifest: Mapping[str, Artefact]) -> dict[str, Any]:
 
 
 def manifest_from_json(record: Mapping[str, Any]) -> dict[str, Artefact]:
-    """Rebuild a manifest from its JSON form; KeyError or TypeError if malformed."""
+    """Rebuild a manifest; KeyError or TypeError if malformed."""
     return {name: Artefact(str(item["sha256"]), int(item["size_bytes"])) for name, item in record.items()}

@@ -1,4 +1,4 @@
-"""Progress that a stage reports, whoever listens: a bar on a terminal, plain lines elsewhere, or nobody."""
+"""Progress of a stage, shown as a bar, plain lines or nothing."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Protocol, Self
 
 
 class Task(Protocol):
-    """One piece of counted work. Also a context manager, so that it ends whatever happens."""
+    """Counted work; as a context manager it always ends."""
 
     def advance(self, steps: float = 1, note: str = "") -> None:
-        """Count `steps` as done; `note` is a few words shown beside the bar ("loss 0.12")."""
+        """Count `steps` as done; `note` is shown beside the bar ("loss 0.12")."""
 
     def __enter__(self) -> Self: ...
 
@@ -22,18 +22,18 @@ class Task(Protocol):
 
 
 class Progress(Protocol):
-    """Where a stage tells how far it is."""
+    """Progress of a stage."""
 
     def task(self, description: str, total: float | None = None) -> Task:
         """Begin a task: `with progress.task("trials", 20) as task: ... task.advance()`."""
         ...
 
     def note(self, message: str) -> None:
-        """Say one line to the person watching."""
+        """Show one line."""
 
 
 class PlainTask:
-    """Says a line at the start, at most one every `every_s` seconds, and one at the end."""
+    """Prints a line at most every `every_s` seconds, and one at the end."""
 
     def __init__(self, description: str, total: float | None, say: Callable[[str], None], every_s: float) -> None:
         self._description = description
@@ -45,7 +45,7 @@ class PlainTask:
         self._started = self._last = time.monotonic()
 
     def advance(self, steps: float = 1, note: str = "") -> None:
-        """Count `steps` as done and say so if the last line is old enough."""
+        """Count `steps` as done; print if due."""
         self._done += steps
         self._note = note or self._note
         now = time.monotonic()
@@ -71,23 +71,23 @@ class PlainTask:
 
 
 class PlainProgress:
-    """Plain lines through `say` (a function that prints one line), for logs and pipes."""
+    """Plain lines through `say`, for logs and pipes."""
 
     def __init__(self, say: Callable[[str], None], every_s: float = 10.0) -> None:
         self._say = say
         self._every_s = every_s
 
     def task(self, description: str, total: float | None = None) -> PlainTask:
-        """Begin a task that reports in plain lines."""
+        """Begin a task."""
         return PlainTask(description, total, self._say, self._every_s)
 
     def note(self, message: str) -> None:
-        """Say one line."""
+        """Print one line."""
         self._say(message)
 
 
 class SilentProgress(PlainProgress):
-    """Nobody listens: for tests and for use as a library."""
+    """No output, for tests and library use."""
 
     def __init__(self) -> None:
         super().__init__(lambda _line: None, every_s=float("inf"))

@@ -1,4 +1,4 @@
-"""Run a stage behind its gate, or all of them up to one, and leave a verdict or an honest trace."""
+"""Run one stage behind its gate, or all up to one."""
 
 from __future__ import annotations
 
@@ -27,28 +27,28 @@ EXIT_OF_STATUS = {"pass": ExitCode.PASS, "fail": ExitCode.ACCEPTANCE_FAILED, "er
 
 
 class StageCrashedError(MinidualError):
-    """A stage raised something nobody foresaw. The traceback is in a file; the cause is chained."""
+    """A stage raised an unforeseen exception; the traceback is in a file."""
 
     exit_code = ExitCode.INTERNAL
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """A stage after the command: its state, and whether it ran or was found fresh."""
+    """State of a stage after a command, and whether it ran or was fresh."""
 
     state: StageState
     ran: bool
 
     @property
     def verdict(self) -> Verdict:
-        """The verdict (a finished or fresh stage always has one)."""
+        """The verdict; ValueError if there is none."""
         if self.state.verdict is None:
             raise ValueError(f"stage {self.state.name} has no verdict")
         return self.state.verdict
 
     @property
     def exit_code(self) -> ExitCode:
-        """0 for pass, 1 for fail, 5 when nothing was evaluated."""
+        """0 for pass, 1 for fail, 5 if nothing was evaluated."""
         return EXIT_OF_STATUS[self.verdict.status]
 
 
@@ -56,8 +56,9 @@ class Outcome:
 class Runner:
     """Runs stages of one run.
 
-    command: turns "plan" into the full command to type, for remedies.
-    view: handed to the stages as it is. What is watched runs in this process, so with a view there is one worker.
+    Attributes:
+        command: Turns "plan" into the full command, for remedies.
+        view: Passed on to the stages; with a view there is one worker, in this process.
     """
 
     table: StageTable
@@ -70,19 +71,19 @@ class Runner:
     def run(
         self, name: str, options: Mapping[str, Any] | None = None, *, force: bool = False, waiver: str | None = None
     ) -> Outcome:
-        """Run one stage; a fresh passing one is returned as it is unless `force`.
+        """Run one stage; a passing, fresh one is returned unless `force`.
 
         Args:
-            name: the stage.
-            options: command-line options typed for this stage.
-            force: run even if passing and fresh. Never opens a gate.
-            waiver: reason that opens a closed gate; it is written into the verdict and all below it.
+            name: Stage to run.
+            options: Command-line options of this stage.
+            force: Run even if fresh. Never opens a gate.
+            waiver: Reason that opens a closed gate; recorded in this and all downstream verdicts.
 
         Raises:
-            GateClosedError: an upstream stage does not pass and there is no waiver.
-            DataError: an upstream verdict is corrupt.
-            UsageError: another process writes in this run.
-            StageCrashedError: the stage raised an unforeseen exception.
+            GateClosedError: An upstream stage does not pass and there is no waiver.
+            DataError: An upstream verdict is corrupt.
+            UsageError: Another process writes in this run.
+            StageCrashedError: The stage raised an unforeseen exception.
         """
         with disk_errors(self.store.folder), self.store.writing(self.command(name)):
             gate = Gate(self.table, self.store, self.loaded, {name: dict(options or {})})
@@ -92,10 +93,9 @@ class Runner:
     def run_until(
         self, last: str | None = None, *, force: bool = False, waiver: str | None = None
     ) -> Iterator[Outcome]:
-        """Run every stage up to `last` (default: all) that is not passing and fresh; yields each outcome.
+        """Run each stage up to `last` (default: all) unless passing and fresh; yield each outcome.
 
-        Stops after the first stage that does not pass, unless a waiver carries it on. Holds the run's lock
-        from the first stage to the last.
+        Stops at the first stage that does not pass, unless waived. Holds the run's lock throughout.
         """
         names = self.table.names if last is None else (*self.table.upstream(last), last)
         command = "run" if last is None else f"run --until {last}"
@@ -104,8 +104,8 @@ class Runner:
             for name in names:
                 self._validate(gate, name)
             for name in names:
-                # A finished stage that stands keeps the options it was typed with; one that must run again
-                # runs as the configuration says.
+                # A passing, fresh stage keeps the options it was run with; one that runs again follows the
+                # configuration.
                 if force or gate.state(name).state != "pass":
                     gate = Gate(self.table, self.store, self.loaded, {name: {}})
                 outcome = self._run_locked(gate, name, force, waiver)
@@ -115,7 +115,7 @@ class Runner:
                     return
 
     def _validate(self, gate: Gate, name: str) -> None:
-        """Raise what is wrong with the options and the configuration of a stage before anything else is said."""
+        """Raise errors in a stage's options and configuration."""
         _, loaded = gate.effective(name, None)
         self.table[name].checked(loaded.config)
 
@@ -131,7 +131,7 @@ class Runner:
         return Outcome(gate.state(name), ran=True)
 
     def _waivers(self, gate: Gate, name: str, closed: list[StageState], reason: str | None) -> tuple[Waiver, ...]:
-        """Return the waivers that taint `name`: those of everything above it, and its own if one was used."""
+        """Return the waivers that apply to `name`: inherited ones and its own."""
         waivers: list[Waiver] = []
         for upstream in self.table.upstream(name):
             verdict = gate.state(upstream).verdict
@@ -143,7 +143,7 @@ class Runner:
         return tuple(waivers)
 
     def _weakened(self, gate: Gate, entry: StageEntry, loaded: LoadedConfig) -> tuple[str, ...]:
-        """Return what this stage and those above it asked for less than the shipped profile."""
+        """Return what this and upstream stages ask for less than the shipped profile."""
         if not loaded.config.acceptance:
             return ()
         own = [f"{entry.name}: {line}" for line in entry.weaker(loaded.config, loaded.reference())]
@@ -214,7 +214,7 @@ class Runner:
 
 
 def _closing_checks(entry: StageEntry, checks: Sequence[Check], context: StageContext) -> list[Check]:
-    """Return the checks on waivers and code for a closing stage; they are no evidence, so they stand beside others."""
+    """Return the checks on waivers and code of a closing stage; they alone are no evidence."""
     if not entry.closing or not any(check.limited for check in checks):
         return []
     waivers, changed = context.waivers, context.code_changes

@@ -1,15 +1,13 @@
-"""What a stage is given and what it returns.
+"""Input and output of a stage.
 
 A stage is a function and a row in `minidual/stages/registry.py` (see docs/howto-stage.md):
 
     def run(context: StageContext) -> StageResult:
         rate = measure(context.config.carry, context.seed)
-        (context.folder / "trials.csv").write_text(...)
-        return StageResult(checks=[Check("success_rate", rate, ">=", 0.8, why="the carry must be repeatable")])
+        return StageResult(checks=[Check("success_rate", rate, ">=", 0.8, why="...")])
 
-Rules: write only under `context.folder`, a temporary folder that is renamed when the stage is done. Read upstream
-artefacts through `context.upstream`. Draw randomness from `context.seed` alone. Raise errors of `minidual.errors` for
-what a user can mend. Return at least one check with a limit.
+Write only under `context.folder`, read upstream artefacts through `context.upstream`, seed all randomness from
+`context.seed`, raise `minidual.errors` for what a user can fix, and return a limited check.
 """
 
 from __future__ import annotations
@@ -29,22 +27,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class StageContext:
-    """All that a stage may know about the run.
+    """Input of a stage.
 
     Attributes:
-        folder: Temporary folder for artefacts; empty but for `config.yaml`.
-        config: The resolved configuration, command-line options applied.
-        seed: The one seed of the run.
-        profile: Name of the profile, or the stem of its file.
-        upstream: {stage: finished folder} of every stage required, directly or not. All are passing and fresh unless
-            the gate was waived.
-        verdicts: The verdicts in those folders.
-        summaries: {stage: one line} of those stages, in the order of the table.
-        code_changes: {stage: modules} of those stages whose results other code made.
-        waivers: Waivers that taint this stage, its own and inherited.
-        options: Options of the command that stand for no configuration value, as typed.
-        workers: Processes that the stage may use; results must not depend on it.
-        view: The live view of somebody who watches, or None. Results must not depend on it.
+        folder: Temporary artefact folder; holds only `config.yaml` at first.
+        config: Resolved configuration, options applied.
+        profile: Name of the profile.
+        upstream: {stage: finished folder} of all required stages, direct or not; passing and fresh unless waived.
+        verdicts: Their verdicts.
+        summaries: {stage: one line}, in table order.
+        code_changes: {stage: modules} for results of other code; closing stages only.
+        waivers: Own and inherited waivers.
+        options: Command-line options.
+        workers: Processes allowed; must not affect results.
+        view: Live view or None; must not affect results.
     """
 
     folder: Path
@@ -64,12 +60,12 @@ class StageContext:
 
 @dataclass(frozen=True)
 class StageResult:
-    """What a stage found. The status is derived from `checks`; a stage cannot assign it.
+    """Result of a stage; its status is derived from `checks`.
 
     Attributes:
-        checks: At least one with a limit; names unique.
-        artefacts: Files or folders relative to the context's folder for the manifest; default: every file in it.
-        data: Numbers for the report, as JSON types, under about 100 kB.
+        checks: Unique names, at least one limit.
+        artefacts: Paths relative to the folder; default: all files.
+        data: JSON types for the report, under about 100 kB.
         notes: Lines for people.
     """
 

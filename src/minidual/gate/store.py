@@ -1,10 +1,10 @@
-"""Run folders on disk: finished stages, the one under way, and what a crash leaves behind.
+"""Run folders on disk.
 
-runs/<run>/config.yaml           the configuration of the latest command
-runs/<run>/<stage>/              a finished stage: artefacts, config.yaml and verdict.json
-runs/<run>/.<stage>.tmp/         a stage under way, or what is left of one that did not finish
-runs/<run>/.<stage>.old/         the previous result during the instant of its replacement
-runs/<run>/crash-*.txt           tracebacks
+runs/<run>/config.yaml      configuration of the latest command
+runs/<run>/<stage>/         finished stage: artefacts, config.yaml, verdict.json
+runs/<run>/.<stage>.tmp/    unfinished stage
+runs/<run>/.<stage>.old/    previous result during replacement
+runs/<run>/crash-*.txt      tracebacks
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ class RunStore:
     """One run folder.
 
     Args:
-        root: the folder of all runs; it need not exist yet.
-        run: name of the run; UsageError if it could not be a folder's name.
+        root: Folder of all runs; need not exist.
+        run: Name; UsageError if unfit for a folder.
     """
 
     def __init__(self, root: Path, run: str) -> None:
@@ -62,7 +62,7 @@ class RunStore:
         return self.folder / f".{stage}.old"
 
     def stage_folder(self, stage: str) -> Path:
-        """Return the folder of the finished stage (it need not exist)."""
+        """Return the folder of the finished stage; it need not exist."""
         folder = self.folder / stage
         if not (folder / VERDICT_FILE).is_file() and (self._old(stage) / VERDICT_FILE).is_file():
             return self._old(stage)
@@ -73,7 +73,7 @@ class RunStore:
         return self.stage_folder(stage) / VERDICT_FILE
 
     def verdict(self, stage: str) -> tuple[Verdict, str] | None:
-        """Return (verdict, sha256 of its file), None if there is none; DataError if it is corrupt."""
+        """Return (verdict, sha256 of its file) or None; DataError if corrupt."""
         path = self.verdict_path(stage)
         try:
             found = read_verdict(path)
@@ -84,7 +84,7 @@ class RunStore:
         return found
 
     def attempt(self, stage: str) -> Attempt | None:
-        """Return the unfinished attempt at `stage`, if its folder is there."""
+        """Return the unfinished attempt at `stage`, or None."""
         folder = self._temporary(stage)
         if not folder.is_dir():
             return None
@@ -98,18 +98,18 @@ class RunStore:
         return attempt
 
     def half_written(self, stage: str) -> bool:
-        """Return whether the folder of `stage` exists without a verdict."""
+        """Return whether the folder of `stage` lacks a verdict."""
         return (self.folder / stage).is_dir() and not self.verdict_path(stage).is_file()
 
     def writer(self) -> str | None:
-        """Return who writes in this run now, None if nobody does."""
+        """Return the current writer, or None."""
         return lock_holder_text(self.folder) if lock_is_held(self.folder) else None
 
     @contextmanager
     def writing(self, command: str) -> Generator[None]:
-        """Hold the run's lock; mends a replacement that was cut short.
+        """Hold the run's lock and repair an interrupted replacement.
 
-        UsageError if another process holds it, or if a file stands where the folder should be.
+        UsageError if another process holds the lock or a file blocks the folder.
         """
         for place in (self.folder, *self.folder.parents):
             if place.exists() and not place.is_dir():
@@ -131,7 +131,7 @@ class RunStore:
         old.rename(folder)
 
     def begin(self, stage: str, config_text: str) -> Path:
-        """Return a fresh temporary folder for `stage`, marked as under way; clears what a dead one left."""
+        """Clear and return the temporary folder of `stage`, marked as running."""
         folder = self._temporary(stage)
         if folder.exists():
             shutil.rmtree(folder)
@@ -145,16 +145,15 @@ class RunStore:
         write_text(self._temporary(attempt.stage) / ATTEMPT_FILE, dumps(asdict(attempt)))
 
     def abandon(self, stage: str, state: Literal["interrupted", "error"], message: str) -> None:
-        """Mark the attempt at `stage` as ended without a verdict. Its files stay until the next attempt."""
+        """Mark the attempt as ended without a verdict; its files stay until the next one."""
         try:
             self._mark(Attempt(stage, state, os.getpid(), now_text(), message))
         except OSError:
-            # On a full disk even the mark may not fit. The old mark says "running", and without its lock
-            # that reads as "killed": still unfinished, never whole.
+            # On a full disk the old mark stays: "running" without a lock reads as killed, so still unfinished.
             return
 
     def publish(self, stage: str, verdict: Verdict) -> Path:
-        """Write the verdict as the last file, put the folder in its place, drop the previous one."""
+        """Write the verdict last, then replace the previous folder."""
         temporary, folder, old = self._temporary(stage), self.folder / stage, self._old(stage)
         (temporary / ATTEMPT_FILE).unlink(missing_ok=True)
         write_text(temporary / VERDICT_FILE, verdict.text())
@@ -169,7 +168,7 @@ class RunStore:
         return folder
 
     def write_crash(self, name: str, error: BaseException) -> Path:
-        """Write the traceback of `error` into the run folder and return its path."""
+        """Write the traceback into the run folder and return its path."""
         self.folder.mkdir(parents=True, exist_ok=True)
         path = self.folder / f"crash-{name}-{now_stamp()}-{os.getpid()}.txt"
         path.write_text("".join(traceback.format_exception(error)), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The rows of the command line: options, stages and tools. Code loads on demand."""
+"""Rows of the command line: options, stages and tools. Code is loaded on demand."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ if TYPE_CHECKING:
     from minidual.config.root import Config
 
 CommandText = Callable[[str], str]
-"""Turns "plan" into the full command to type, with the profile and run flags in use."""
+"""Turns "plan" into the full command to type, with profile and run flags."""
 
 
 @dataclass(frozen=True)
 class Option:
-    """An option of a command, or with `argument` a word that stands by itself (`minidual replay FILE`).
+    """Option or argument of a command.
 
     Attributes:
-        name: As typed, without dashes.
+        name: Without dashes.
         help: One line.
-        kind: `int`, `float`, `str` or `bool` (a flag).
-        path: Dotted configuration path that it overrides; None for one that is no configuration.
-        split: Turns "a,b" into a list.
-        argument: Typed without a name.
-        many: An argument that may be repeated; its value is a tuple.
-        required: An argument that cannot be left out.
+        kind: Type of the value; `bool` is a flag.
+        path: Dotted configuration path that it overrides, or None.
+        split: Whether to split "a,b" into a list.
+        argument: Whether it is positional (`minidual replay FILE`).
+        many: Whether the argument may repeat; its value is a tuple.
+        required: Whether the argument is required.
     """
 
     name: str
@@ -49,27 +49,27 @@ class Option:
 
     @property
     def key(self) -> str:
-        """Its name in Python (`from` is a keyword, so it becomes `from_`)."""
+        """Python name; keywords get a trailing underscore."""
         name = self.name.replace("-", "_")
         return f"{name}_" if keyword.iskeyword(name) else name
 
     def value(self, typed: Any) -> Any:
-        """Return the configuration value for what was typed."""
+        """Return the configuration value."""
         return [word.strip() for word in str(typed).split(",") if word.strip()] if self.split else typed
 
 
 @dataclass(frozen=True)
 class ToolEntry:
-    """A command that writes no verdict, or with `triggers` an aside of a stage's command.
+    """A command without verdict; with `triggers`, an alternative of a stage's command.
 
     Attributes:
-        name: The command, or for an aside the name of its folder ("carry-tune").
+        name: The command, or the output folder ("carry-tune").
         target: "module:function", see `minidual.gate.tool`.
         summary: One line.
-        options: What may be typed.
-        triggers: Options any of which asks for the aside; its other options only go with those.
-        watchable: It shows moving arms, so the command takes --view.
-        view_default: The view without --view.
+        options: Its options.
+        triggers: Options that select it instead of the stage; its others require one of these.
+        watchable: Whether the command takes --view.
+        view_default: View without --view.
     """
 
     name: str
@@ -85,33 +85,32 @@ class ToolEntry:
         return cast(ToolFunction, _loaded(self.name, self.target))
 
     def is_asked_for(self, values: Mapping[str, Any]) -> bool:
-        """Return whether one of its triggers was typed."""
+        """Return whether a trigger was given."""
         keys = [option.key for option in self.options if option.name in self.triggers]
         return any(values.get(key) not in (None, False) for key in keys)
 
 
 @dataclass(frozen=True)
 class StageEntry:
-    """One stage: its name, requirements and summary stand here and nowhere else.
+    """One stage.
 
     Attributes:
         name: The command.
         target: "module:function", see `minidual.gate.stage`.
-        requires: Stages whose passing, fresh verdicts open its gate.
+        requires: Stages that must pass, fresh.
         summary: One line.
-        reads: Dotted configuration paths that the result depends on. A change there makes the verdict stale, so
-            `workers` and cosmetic switches are left out. Seed and profile always count.
-        resolve: "module:function" from Config to Config: fills in what names in the configuration stand for. It is
-            called for `status` too, so its module must import quickly.
-        check: "module:function" that takes the Config and raises UsageError for a name or value that the models cannot
-            know to be wrong. It is called for every stage of a run before the first one begins.
-        at_least, at_most: Dotted paths of counts and limits. A value that asks for less than the shipped profile is no
-            acceptance.
-        question: What the stage answers on the debug ladder.
-        options: What may be typed.
-        asides: What the command does instead of running the stage when one of their triggers is typed.
-        watchable: It shows moving arms, so the command takes --view.
-        closing: It ends the pipeline; a waiver anywhere above it is a failed check in it.
+        reads: Dotted configuration paths that the result depends on; changes make the verdict stale. Seed and profile
+            always count.
+        resolve: "module:function" from Config to Config that resolves names. `status` calls it too, so its module must
+            import quickly.
+        check: "module:function" that raises UsageError for values that the models cannot validate. Called for all
+            stages before a run begins.
+        at_least, at_most: Paths of counts and limits. Weaker values than the shipped profile's are no acceptance.
+        question: Its question on the debug ladder.
+        options: Its options.
+        asides: Tools that its triggers run instead.
+        watchable: Whether the command takes --view.
+        closing: Whether it ends the pipeline; a waiver or changed code upstream fails a check in it.
     """
 
     name: str
@@ -130,15 +129,15 @@ class StageEntry:
     closing: bool = False
 
     def load(self) -> StageFunction:
-        """Return the function; EnvironmentMissingError names a library that it needs and that is not there."""
+        """Return the function; EnvironmentMissingError names a missing library."""
         return cast(StageFunction, _loaded(self.name, self.target))
 
     def code(self, known: Code | None = None) -> Code:
-        """Return the code that the stage reaches; `known` is what it was once, see `code_of`."""
+        """Return the code that the stage reaches; for `known` see `code_of`."""
         return code_of([target for target in (self.target, self.resolve) if isinstance(target, str)], known)
 
     def resolved(self, config: Config) -> Config:
-        """Return the configuration that the stage runs under.
+        """Return the resolved configuration.
 
         Raises:
             UsageError: A name or value is wrong.
@@ -146,7 +145,7 @@ class StageEntry:
         return config if self.resolve is None else cast("Config", _loaded(self.name, self.resolve)(config))
 
     def checked(self, config: Config) -> Config:
-        """Return `resolved`, after asking `check`.
+        """Run `check`, then return `resolved`.
 
         Raises:
             UsageError: A name or value is wrong.
@@ -156,7 +155,7 @@ class StageEntry:
         return self.resolved(config)
 
     def parameters(self, config: Config) -> dict[str, Any]:
-        """Return what the result depends on, nested as in the configuration."""
+        """Return the `reads` subtree of the configuration."""
         with contextlib.suppress(MinidualError):  # refused before the stage runs; until then, what was typed
             config = self.resolved(config)
         found: dict[str, Any] = {}
@@ -170,7 +169,7 @@ class StageEntry:
         return found
 
     def weaker(self, config: Config, reference: Config) -> tuple[str, ...]:
-        """Return one line for each count or limit in `config` that asks for less than `reference`."""
+        """Return one line per count or limit weaker than `reference`."""
         lines: list[str] = []
         for path in (*self.at_least, *self.at_most):
             value, asked = (attrgetter(path)(source) for source in (config, reference))
@@ -179,7 +178,7 @@ class StageEntry:
         return tuple(lines)
 
     def overrides(self, options: Mapping[str, Any]) -> list[tuple[str, Any, str]]:
-        """Return (dotted path, value, text as typed) for those `options` that stand for configuration."""
+        """Return (dotted path, value, option text) for `options` that override configuration."""
         known = {option.name: option for option in self.options}
         return [
             (path, known[name].value(value), f"--{name} {value}")
@@ -188,13 +187,13 @@ class StageEntry:
         ]
 
     def extras(self, options: Mapping[str, Any]) -> dict[str, Any]:
-        """Return those `options` that are no configuration."""
+        """Return `options` outside the configuration."""
         paths = {option.name: option.path for option in self.options}
         return {name: value for name, value in options.items() if paths.get(name) is None}
 
 
 def _as_strict(value: Any, asked: Any, *, least: bool) -> bool:
-    """Return whether a value asks for as much as the profile's: a number, numbers by name, or names that must be there."""
+    """Return whether a number, mapping of numbers or set of names is at least as strict as the profile's."""
     if asked is None:
         return True
     if value is None:
@@ -230,11 +229,11 @@ def _loaded(name: str, target: str | Callable[..., Any]) -> Callable[..., Any]:
 
 
 class StageTable:
-    """Stages in the order in which they run.
+    """Stages in run order.
 
     Args:
-        entries: Rows; names unique, and each requires only stages above it (ValueError otherwise).
-        libraries: Distributions whose versions are written into every verdict.
+        entries: Rows with unique names; each requires only earlier ones (else ValueError).
+        libraries: Distributions whose versions verdicts record.
     """
 
     def __init__(self, entries: Sequence[StageEntry], libraries: Sequence[str] = ()) -> None:
@@ -244,17 +243,17 @@ class StageTable:
             self.add(entry)
 
     def add(self, entry: StageEntry) -> None:
-        """Add a row at the end."""
+        """Append a row."""
         for name in entry.requires:
             if name not in self._entries:
                 raise ValueError(f"stage '{entry.name}' requires '{name}', which does not stand above it")
         self._entries.add(entry.name, entry)
 
     def plug_in(self, group: str) -> None:
-        """Add the rows that other distributions declare as entry points of `group`.
+        """Add rows from entry points of `group`.
 
         Raises:
-            UsageError: A row cannot be loaded, is not a StageEntry, or does not fit the table.
+            UsageError: A row cannot be loaded, is not a StageEntry, or does not fit.
         """
         for point in importlib.metadata.entry_points(group=group):
             try:
@@ -280,7 +279,7 @@ class StageTable:
         return self._entries[name]
 
     def upstream(self, name: str) -> tuple[str, ...]:
-        """Return every stage that `name` requires, directly or not, in order."""
+        """Return all stages that `name` requires, directly or not, in order."""
         needed: set[str] = set()
         wanted = list(self[name].requires)
         while wanted:

@@ -1,18 +1,8 @@
-"""Commands that are no stage: they show, measure or try something, write no verdict and open no gate.
+"""Tools: commands that write no verdict and open no gate.
 
-A tool is a function that takes a `ToolContext` and returns a `ToolResult`; it stands as a row in
-`minidual/stages/tools.py` and is a command of its own (`minidual view`), or as an aside in the row of a stage, where
-one of its options asks for it instead of the stage (`minidual carry --tune`):
-
-    def tune(context: ToolContext) -> ToolResult:
-        from minidual.trials.tuning import tune_impedance  # heavy imports here
-
-        found = tune_impedance(context.config, context.seed, context.progress)
-        found.write(context.output / "tuned.yaml")
-        return ToolResult(lines=[found.text()], data=found.to_json())
-
-`output` is a temporary folder, renamed to runs/<run>/<name> when the function returns, so that a tool that was
-stopped leaves nothing that looks whole.
+A tool is a function from `ToolContext` to `ToolResult`. Its row stands in `minidual/stages/registry.py`, as a command
+(`minidual view`) or as an aside of a stage (`minidual carry --tune`). `output` is a temporary folder, renamed to
+runs/<run>/<name> on success, so an interrupted tool leaves no result.
 """
 
 from __future__ import annotations
@@ -32,13 +22,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ToolContext:
-    """All that a tool may know.
+    """Input of a tool.
 
-    config: the resolved configuration. seed, workers: as in it.
-    run_folder: the run that the command names; it need not exist.
-    options: what was typed, without what was left out.
-    command: turns "plan" into the full command to type, with the profile and run flags in use.
-    view: the live view (minidual.show.view.View) of somebody who watches, or None; only where the row says `watchable`.
+    Attributes:
+        run_folder: Folder of the run; need not exist.
+        options: Options given.
+        command: Turns "plan" into the full command, with profile and run flags.
+        view: Live view (minidual.show.view.View) or None.
     """
 
     config: Config
@@ -54,22 +44,22 @@ class ToolContext:
 
     @property
     def folder(self) -> Path:
-        """Where what the tool writes will be when it has ended."""
+        """Final folder of the output."""
         return self.run_folder / self._name
 
     @property
     def output(self) -> Path:
-        """The folder to write into, made when first asked for."""
+        """Temporary output folder, created on first access."""
         temporary = self.run_folder / f".{self._name}.tmp"
         temporary.mkdir(parents=True, exist_ok=True)
         return temporary
 
     def begin(self) -> None:
-        """Drop what a tool that was stopped left behind."""
+        """Remove output of an interrupted run."""
         shutil.rmtree(self.run_folder / f".{self._name}.tmp", ignore_errors=True)
 
     def publish(self) -> None:
-        """Put the output in its place, if there is any."""
+        """Move the output to its final folder, if there is any."""
         temporary = self.run_folder / f".{self._name}.tmp"
         if temporary.is_dir():
             shutil.rmtree(self.folder, ignore_errors=True)
@@ -78,12 +68,13 @@ class ToolContext:
 
 @dataclass(frozen=True)
 class ToolResult:
-    """What a tool has to say.
+    """Result of a tool.
 
-    lines: for stdout, where data goes (without --json).
-    notes: for stderr, where people read.
-    data: the one document that --json prints.
-    exit_code: ACCEPTANCE_FAILED where a limit that the tool itself states does not hold.
+    Attributes:
+        lines: Printed to stdout without --json.
+        notes: Printed to stderr.
+        data: Printed by --json.
+        exit_code: ACCEPTANCE_FAILED if a limit of the tool does not hold.
     """
 
     lines: Sequence[str] = ()

@@ -1,4 +1,4 @@
-"""The verdict of a stage: derived from its checks, tied to its fingerprint, sealed by a digest."""
+"""Verdict of a stage, derived from its checks, with fingerprint and digest."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SCHEMA = 2
 
 @dataclass(frozen=True)
 class Waiver:
-    """A gate opened by hand: for which stage, why, and what stood against it ({stage: state})."""
+    """A gate opened by hand; `blocking` is {stage: state}."""
 
     stage: str
     reason: str
@@ -29,7 +29,7 @@ class Waiver:
 
 
 def derive_status(checks: Sequence[Check]) -> Status:
-    """Return "pass" if every limited check passes and there is one, "fail" if one fails, else "error"."""
+    """Return "pass", "fail", or "error" if no check has a limit."""
     limited = [check for check in checks if check.limited]
     if not limited:
         return "error"
@@ -38,9 +38,10 @@ def derive_status(checks: Sequence[Check]) -> Status:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a finished stage found. `status` is a property: there is nothing to assign.
+    """Result of a finished stage.
 
-    weakened: counts and limits, here and upstream, that asked for less than the shipped profile; one line each.
+    Attributes:
+        weakened: Counts and limits, here and upstream, that ask for less than the shipped profile.
     """
 
     stage: str
@@ -67,25 +68,25 @@ class Verdict:
 
     @property
     def status(self) -> Status:
-        """Pass, fail or error, derived from the checks."""
+        """Pass, fail or error."""
         return derive_status(self.checks)
 
     @property
     def acceptance(self) -> bool:
-        """Whether this verdict may count: an acceptance profile, nothing asked for less, and no waiver anywhere above."""
+        """Whether the profile counts as acceptance, with nothing weakened or waived here or upstream."""
         return self.acceptance_profile and not self.waivers and not self.weakened
 
     @property
     def profile(self) -> str:
-        """Name of the profile that the stage ran under."""
+        """Name of the profile."""
         return self.fingerprint.profile
 
     def failed_checks(self) -> list[Check]:
-        """Return the limited checks that did not pass."""
+        """Return the checks that failed."""
         return [check for check in self.checks if check.passed is False]
 
     def check(self, name: str) -> Check:
-        """Return the check called `name`; DataError lists those that exist."""
+        """Return the named check; DataError lists the existing ones."""
         for check in self.checks:
             if check.name == name:
                 return check
@@ -95,7 +96,7 @@ class Verdict:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Return the verdict as JSON types, with its derived status and its digest."""
+        """Return JSON types, with derived status and digest."""
         body = canonical(
             {
                 "schema": SCHEMA,
@@ -124,12 +125,12 @@ class Verdict:
         return body
 
     def text(self) -> str:
-        """Return the verdict as the text of its file."""
+        """Return the text of the verdict file."""
         return dumps(self.to_json())
 
     @classmethod
     def from_json(cls, record: Mapping[str, Any]) -> Verdict:
-        """Rebuild a verdict; DataError if it is malformed, edited, or claims what its checks do not say."""
+        """Rebuild a verdict; DataError if malformed, edited or inconsistent."""
         try:
             if record["schema"] != SCHEMA:
                 raise DataError(f"schema {record['schema']} is not {SCHEMA}")
@@ -161,7 +162,7 @@ class Verdict:
 
 
 def read_verdict(path: Path) -> tuple[Verdict, str]:
-    """Return the verdict in `path` and the sha256 of the file; DataError names the file and what is wrong."""
+    """Return the verdict in `path` and the file's sha256; DataError if corrupt."""
     content = path.read_bytes()
     record = parse_json(content, path)
     if not isinstance(record, dict):
