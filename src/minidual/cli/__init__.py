@@ -1,4 +1,4 @@
-"""The command line: parse, call one stage, print. No logic, and no heavy import before a command runs."""
+"""The command line: parse, call one stage, print. Heavy imports wait until a command runs."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ _RUNNING: dict[str, tuple[Any, Any]] = {"force": _FORCE, "waive_gate": _WAIVE}
 def _add(
     app: typer.Typer, table: StageTable, name: str, summary: str, own: Mapping[str, tuple[Any, Any]], body: Body
 ) -> None:
-    """Add a command whose options are `own` and the common ones ({name: (annotation, default)})."""
+    """Add a command with `own` and common options ({name: (annotation, default)})."""
     options = {**own, **_COMMON}
 
     def command(**values: Any) -> None:
@@ -91,7 +91,7 @@ def _typed(option: Option) -> tuple[Any, Any]:
 
 
 def _stage_options(entry: StageEntry) -> dict[str, tuple[Any, Any]]:
-    """Return the options of a stage and of its asides; one that both have is the stage's."""
+    """Return the options of a stage and its asides; the stage's take precedence."""
     asides = [option for aside in entry.asides for option in aside.options]
     return {option.key: _typed(option) for option in (*asides, *entry.options)}
 
@@ -107,7 +107,7 @@ def _flag(name: str) -> str:
 
 
 def build_app(table: StageTable, tools: Sequence[ToolEntry] = ()) -> typer.Typer:
-    """Return the command line for a table of stages and the tools beside them."""
+    """Return the command line of the stages and tools."""
     app = typer.Typer(
         name="minidual",
         help="From an empty folder to a measured dual-arm robot system. Each command is a stage behind a gate.",
@@ -157,7 +157,7 @@ def build_app(table: StageTable, tools: Sequence[ToolEntry] = ()) -> typer.Typer
 
 
 def run_command_line(arguments: Sequence[str], table: StageTable, tools: Sequence[ToolEntry] = ()) -> int:
-    """Run one command and return its exit code (see minidual.errors.ExitCode)."""
+    """Run one command and return its exit code."""
     app = build_app(table, tools)
     commands = {command.name or "" for command in app.registered_commands} | {"config"}
     if arguments and arguments[0].split("=")[0] in {_flag(name) for name in _COMMON}:
@@ -179,7 +179,7 @@ def run_command_line(arguments: Sequence[str], table: StageTable, tools: Sequenc
 
 
 def _on_termination(number: int, frame: FrameType | None) -> None:
-    """A polite request to end (SIGTERM) is the same as Ctrl-C: mark, tidy, exit 130."""
+    """Treat SIGTERM like Ctrl-C."""
     raise KeyboardInterrupt
 
 
@@ -188,7 +188,7 @@ def main() -> None:
     from minidual.stages.registry import STAGES, TOOLS
 
     signal.signal(signal.SIGTERM, _on_termination)
-    # Some libraries' docstrings hold invalid escapes, and Python says so whenever it compiles them.
+    # Some libraries' docstrings hold invalid escapes, which warn when compiled.
     warnings.simplefilter("ignore", SyntaxWarning)
     try:
         STAGES.plug_in("minidual.stages")

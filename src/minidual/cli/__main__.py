@@ -1,4 +1,4 @@
-"""`python -m minidual.cli`: the same as the `minidual` command."""
+"""`python -m minidual.cli`, the `minidual` command."""
 
 from minidual.cli import main
 

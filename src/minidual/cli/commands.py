@@ -1,4 +1,4 @@
-"""What each command does, given what was typed: ask the pipeline, print the answer, return an exit code."""
+"""Bodies of the commands."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from minidual.gate.table import StageEntry, ToolEntry
 
 Body = Callable[[Session, Mapping[str, Any]], ExitCode]
-"""A command's work: the session and the values of its own options in, an exit code out."""
+"""A command's function of session and own options."""
 
 
 def stage_body(entry: StageEntry) -> Body:
-    """Return the body of the command that runs `entry`."""
+    """Return the body of a stage's command."""
 
     def body(session: Session, values: Mapping[str, Any]) -> ExitCode:
         from minidual.cli.tables import print_outcome
@@ -45,12 +45,12 @@ def stage_body(entry: StageEntry) -> Body:
 
 
 def tool_body(tool: ToolEntry) -> Body:
-    """Return the body of the command that is a tool."""
+    """Return the body of a tool's command."""
     return lambda session, values: run_tool(tool, session, values)
 
 
 def run_tool(tool: ToolEntry, session: Session, values: Mapping[str, Any], stage: StageEntry | None = None) -> ExitCode:
-    """Run a tool and print what it says; the options of the stage that it is an aside of hold for it too."""
+    """Run a tool and print its result; an aside takes its stage's options too."""
     from minidual.cli.progress import progress_for
     from minidual.config.loader import Override
     from minidual.gate.disk import disk_errors
@@ -90,12 +90,12 @@ def run_tool(tool: ToolEntry, session: Session, values: Mapping[str, Any], stage
 
 
 def _was_typed(value: Any) -> bool:
-    """Return whether an option was given: 0 was, though it equals False."""
+    """Return whether an option was given; 0 counts."""
     return not (value is None or value is False or value == ())
 
 
 def _refuse_loose_options(entry: StageEntry, values: Mapping[str, Any]) -> None:
-    """Refuse an option that goes with an aside which nothing asked for: the stage would ignore it."""
+    """Refuse aside options without their trigger."""
     own = {option.name for option in entry.options}
     for aside in entry.asides:
         for option in aside.options:
@@ -121,7 +121,7 @@ def _outcome_json(outcome: Outcome) -> dict[str, Any]:
 
 
 def run_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
-    """Run all stages that need it, up to the one named."""
+    """Run all stages up to `until` that are not fresh."""
     from minidual.cli.tables import print_outcome, print_status
 
     until = values["until"]
@@ -192,7 +192,7 @@ def _state_json(state: StageState) -> dict[str, Any]:
 
 
 def explain_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
-    """Explain one stage, or without one walk the debug ladder."""
+    """Explain one stage, or the debug ladder."""
     from minidual.cli.ladder import explain_ladder, ladder_json, print_lowest
     from minidual.cli.tables import print_explanation
 

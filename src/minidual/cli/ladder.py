@@ -1,7 +1,7 @@
-"""The debug ladder: the stages from the bottom up, and the lowest one that does not hold.
+"""The debug ladder: stages from the bottom up.
 
-Faults travel upwards: a policy that misses its object may be a camera, a plan or a joint. So `minidual explain` without
-a stage points at the lowest stage that does not pass, and `minidual explain STAGE` repeats it.
+A fault propagates upwards (a policy may miss because of a camera), so `minidual explain` points at the lowest stage
+that does not pass.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 
 
 def lowest(session: Session, gate: Gate) -> StageState | None:
-    """Return the first stage of the table that does not pass, or None."""
+    """Return the first stage that does not pass, or None."""
     return next((state for name in session.table.names if (state := gate.state(name)).state != "pass"), None)
 
 
 def reasons(state: StageState) -> list[str]:
-    """Return what stands against a stage, one line each: failed checks with why and remedy, or why it is not fresh."""
+    """Return failed checks with why and remedy, or why the stage is not fresh."""
     if state.state != "fail" or state.verdict is None:
         return [f"{state.name} is {state.state}", *(f"  {reason}" for reason in state.reasons)]
     lines: list[str] = []
@@ -56,7 +56,7 @@ def ladder_json(session: Session, gate: Gate) -> dict[str, Any]:
 
 
 def explain_ladder(session: Session) -> ExitCode:
-    """Show all stages and the lowest that does not hold."""
+    """Print all stages and the lowest that does not pass."""
     from minidual.errors import ExitCode
 
     gate = session.gate()
@@ -77,7 +77,7 @@ def explain_ladder(session: Session) -> ExitCode:
 
 
 def print_lowest(session: Session, gate: Gate) -> None:
-    """Print which stage to look at, why, and what to type."""
+    """Print the stage to look at, why, and the command."""
     found = lowest(session, gate)
     if found is None:
         session.data.print(Text("every stage holds", style="green"))

@@ -1,4 +1,4 @@
-"""Progress bars on a terminal, plain lines elsewhere; always on stderr."""
+"""Progress on stderr: bars on a terminal, plain lines elsewhere."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from minidual.gate.progress import PlainProgress, Progress, Task
 
 
 class BarTask:
-    """One bar. The display lives as long as its tasks do."""
+    """One bar of a shared display."""
 
     def __init__(self, owner: BarProgress, description: str, total: float | None) -> None:
         self._owner = owner
@@ -36,7 +36,7 @@ class BarTask:
 
 
 class BarProgress:
-    """Bars with an estimate of the time left, drawn by rich."""
+    """Bars drawn by rich."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
@@ -44,7 +44,7 @@ class BarProgress:
         self._open = 0
 
     def task(self, description: str, total: float | None = None) -> Task:
-        """Begin a task with a bar of its own."""
+        """Begin a task."""
         return BarTask(self, description, total)
 
     def note(self, message: str) -> None:
@@ -52,7 +52,7 @@ class BarProgress:
         self._console.print(message, markup=False, highlight=False)
 
     def open(self, description: str, total: float | None) -> tuple[RichBars, TaskID]:
-        """Return the display, started if need be, and a new bar in it."""
+        """Return the display, started if needed, and a new bar."""
         if self._bars is None:
             self._bars = RichBars(
                 TextColumn("{task.description}"),
@@ -68,7 +68,7 @@ class BarProgress:
         return self._bars, self._bars.add_task(description, total=total, note="")
 
     def close(self) -> None:
-        """Take the display down when the last task has ended."""
+        """Stop the display after the last task."""
         self._open -= 1
         if self._open <= 0 and self._bars is not None:
             self._bars.stop()

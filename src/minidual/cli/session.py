@@ -1,4 +1,4 @@
-"""One command's run of the program: what was typed, the run it means, and how it ends."""
+"""State of one command: options, run and exit."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Typed:
-    """The options that every command takes, as typed."""
+    """Options common to all commands."""
 
     profile: str = "standard"
     settings: Sequence[str] = ()
@@ -41,7 +41,7 @@ class Typed:
     debug: bool = False
 
     def command(self, words: str) -> str:
-        """Return "minidual <words>" with those of these options that decide which run and result is meant."""
+        """Return "minidual <words>" with the options that select run and result."""
         flags: list[str] = []
         if self.profile != "standard":
             flags += ["--profile", self.profile]
@@ -57,7 +57,7 @@ class Typed:
 
 
 class Session:
-    """Everything a command needs, made when it is first asked for."""
+    """Lazily made objects of a command."""
 
     def __init__(self, typed: Typed, table: StageTable) -> None:
         self.typed = typed
@@ -65,17 +65,17 @@ class Session:
 
     @cached_property
     def people(self) -> Console:
-        """The console on stderr, where people read."""
+        """Console on stderr, for people."""
         return _console(stderr=True)
 
     @cached_property
     def data(self) -> Console:
-        """The console on stdout, where the answers of `status` and `explain` go."""
+        """Console on stdout, for `status` and `explain`."""
         return _console(stderr=False)
 
     @cached_property
     def loaded(self) -> LoadedConfig:
-        """The resolved configuration."""
+        """Resolved configuration."""
         from minidual.config.loader import Override, load_config
 
         overrides: list[Override | str] = list(self.typed.settings)
@@ -94,13 +94,13 @@ class Session:
         return RunStore(location.root, location.name)
 
     def gate(self) -> Gate:
-        """Return a gate that judges the run as it is now."""
+        """Return a gate for the present run."""
         from minidual.gate.gate import Gate
 
         return Gate(self.table, self.store, self.loaded)
 
     def runner(self, view: View | None = None) -> Runner:
-        """Return a runner that reports to people and shows the arms to `view`."""
+        """Return a runner with progress and `view`."""
         from minidual.cli.progress import progress_for
         from minidual.gate.runner import Runner
 
@@ -110,7 +110,7 @@ class Session:
         return Runner(self.table, self.store, self.loaded, progress, self.typed.command, view)
 
     def following(self, gate: Gate | None = None) -> str:
-        """Return the line that says what to type next."""
+        """Return the next command to type."""
         gate = gate or self.gate()
         for name in self.table.names:
             state = gate.state(name).state
@@ -121,19 +121,19 @@ class Session:
         return "every stage passes and is fresh"
 
     def print_json(self, document: Any) -> None:
-        """Print one JSON document to stdout."""
+        """Print a JSON document to stdout."""
         from minidual.gate.canonical import canonical
 
         print(json.dumps(canonical(document), indent=2, allow_nan=False, ensure_ascii=False))
 
     def end(self, body: Callable[[Session], ExitCode]) -> int:
-        """Run `body`; turn whatever it raises into one message and the right exit code."""
+        """Run `body`; turn exceptions into a message and an exit code."""
         try:
             code = body(self)
             sys.stdout.flush()
             return int(code)
         except BrokenPipeError:
-            # The reader went away (`| head`); nothing more can be said there, not even at shutdown.
+            # The reader closed the pipe (`| head`).
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return int(ExitCode.PASS)
         except KeyboardInterrupt as error:
@@ -170,5 +170,5 @@ def _console(*, stderr: bool) -> Console:
     from rich.console import Console
 
     stream = sys.stderr if stderr else sys.stdout
-    # Off a terminal rich assumes 80 columns and folds what a log or a grep wants in one line.
+    # Off a terminal rich assumes 80 columns and would fold log lines.
     return Console(stderr=stderr, highlight=False, width=None if stream.isatty() else 160)

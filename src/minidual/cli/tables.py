@@ -1,4 +1,4 @@
-"""What people read: the table of a stage, the status of a run, the explanation of a stage."""
+"""Printed tables and explanations."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ _SHOWN_ARTEFACTS = 8
 
 
 def state_text(state: str) -> Text:
-    """Return a state in its colour."""
+    """Return a coloured state."""
     return Text(state, style=_STYLES.get(state, ""))
 
 
 def margin_text(check: Check) -> str:
-    """Return the distance to the limit with its sign, and as a share of the limit where that has a meaning."""
+    """Return the signed margin, and as a share of a nonzero limit."""
     margin = check.margin
     if margin is None or margin != margin:
         return ""
@@ -41,7 +41,7 @@ def margin_text(check: Check) -> str:
 
 
 def checks_table(checks: Sequence[Check], title: str, *, explained: bool = False) -> Table:
-    """Return the table of a stage: check, observed, limit, margin, result; why and remedy if `explained`."""
+    """Return the table of checks; with why and remedy if `explained`."""
     table = Table(title=title, title_justify="left", show_lines=explained)
     for header in ("check", "observed", "limit", "margin", "result"):
         table.add_column(header, justify="left" if header in ("check", "result") else "right", overflow="fold")
@@ -64,7 +64,7 @@ def checks_table(checks: Sequence[Check], title: str, *, explained: bool = False
 
 
 def label(verdict: Verdict) -> str:
-    """Return the words that keep a verdict from passing for more than it is."""
+    """Return why a verdict is no acceptance, if so."""
     words = [] if verdict.acceptance_profile else [f"profile '{verdict.profile}': wiring only, never acceptance"]
     words += [f"asks for less than the profile, no acceptance: {line}" for line in verdict.weakened]
     words += [f"GATE WAIVED at {waiver.stage}: {waiver.reason}" for waiver in verdict.waivers]
@@ -72,7 +72,7 @@ def label(verdict: Verdict) -> str:
 
 
 def print_outcome(console: Console, outcome: Outcome, following: str) -> None:
-    """Print how a stage ended: table, notes, artefact paths, next command."""
+    """Print checks, notes, artefacts and next command."""
     verdict, state = outcome.verdict, outcome.state
     title = f"{state.name}: {verdict.status}, {'fresh' if not outcome.ran else f'{verdict.duration_s:.1f} s'}"
     console.print(checks_table(verdict.checks, title))
@@ -86,7 +86,7 @@ def print_outcome(console: Console, outcome: Outcome, following: str) -> None:
 
 
 def print_artefacts(console: Console, state: StageState) -> None:
-    """Print where the artefacts of a stage are."""
+    """Print artefact paths."""
     if state.verdict is None or state.folder is None:
         return
     names = list(state.verdict.artefacts)
@@ -97,7 +97,7 @@ def print_artefacts(console: Console, state: StageState) -> None:
 
 
 def print_status(console: Console, states: Sequence[StageState], title: str, following: str) -> None:
-    """Print one line a stage: state, checks passed, duration, and what stands against it."""
+    """Print one line per stage."""
     table = Table(title=title, title_justify="left")
     table.add_column("stage", no_wrap=True)
     table.add_column("state", no_wrap=True)
@@ -121,7 +121,7 @@ def print_status(console: Console, states: Sequence[StageState], title: str, fol
 def print_explanation(
     console: Console, entry: StageEntry, state: StageState, upstream: Sequence[StageState], following: str
 ) -> None:
-    """Print all that is known about one stage."""
+    """Print all about one stage."""
     console.print(Text.assemble((entry.name, "bold"), " is ", state_text(state.state), f". {entry.summary}."))
     for item in upstream:
         console.print(Text.assemble("  requires ", item.name, ": ", state_text(item.state)))

@@ -1,4 +1,4 @@
-"""The options of a command that can be watched, and the view that they ask for."""
+"""View options and the view they select."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ VIEW_OPTIONS: dict[str, tuple[Any, Any]] = {
     ),
     "view_port": (Annotated[int | None, typer.Option(help="First port to try for --view web (default 8080).")], None),
 }
-"""Options of every command that moves the arms. They are no configuration: a verdict is the same with a view."""
+"""Options of watchable commands; they never change a verdict."""
 
 
 @contextmanager
 def live_view(session: Session, values: Mapping[str, Any], default: str = "none") -> Generator[View | None]:
-    """Yield the view that was asked for (None: nobody watches) and close it at the end, whatever happens.
+    """Yield the selected view or None; close it at the end.
 
     Raises:
-        UsageError: An address without a web view, or what minidual.show.view.make_view raises.
+        UsageError: An address without a web view, or an error of make_view.
     """
     from minidual.show.view import make_view
 

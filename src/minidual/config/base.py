@@ -6,6 +6,6 @@ from pydantic import BaseModel, ConfigDict
 
 
 class StrictModel(BaseModel):
-    """Frozen, no unknown keys, no NaN or infinity, no silent coercion from strings."""
+    """Frozen; refuses unknown keys, NaN and infinity. `validate_document` adds strict types."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=False, validate_default=True)

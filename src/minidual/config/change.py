@@ -1,4 +1,4 @@
-"""A configuration with some values replaced, validated like one that was read from a file."""
+"""Validated changes of a configuration."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def changed(config: Config, settings: Mapping[str, Any]) -> Config:
 
     Raises:
         UsageError: There is no such path.
-        pydantic.ValidationError: A value out of its bounds.
+        pydantic.ValidationError: A value is invalid.
     """
     document = config.model_dump()
     for path, value in settings.items():
@@ -35,11 +35,11 @@ def changed(config: Config, settings: Mapping[str, Any]) -> Config:
 
 
 def preset[M: BaseModel](section: M, values: Mapping[str, Any]) -> M:
-    """Return a section with values at dotted paths where nobody has set another; in a set part, what is open is filled.
+    """Return a section with unset values filled in by dotted path, also inside parts that are set.
 
     Raises:
         UsageError: There is no such path.
-        pydantic.ValidationError: The values do not go together.
+        pydantic.ValidationError: The values are invalid together.
     """
     wanted: dict[str, Any] = {}
     inner: dict[str, dict[str, Any]] = {}
@@ -59,6 +59,6 @@ def preset[M: BaseModel](section: M, values: Mapping[str, Any]) -> M:
 
 
 def replaced[M: BaseModel](section: M, **values: Any) -> M:
-    """Return a validated copy with these values; fields that nobody set stay unset."""
+    """Return a validated copy with `values`; unset fields stay unset."""
     known = {name: getattr(section, name) for name in section.model_fields_set}
     return type(section).model_validate({**known, **values})

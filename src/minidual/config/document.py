@@ -1,7 +1,7 @@
-"""YAML read strictly, with the line of every value: the raw material of the configuration.
+"""Strict YAML with the line of every value.
 
-Scalars follow YAML 1.2 where PyYAML follows 1.1: `on`, `yes` and `no` are text, not booleans; `010` and
-`1:30` are text, not 8 and 90. Text where a number is meant is refused later, by the models.
+Unlike PyYAML, scalars follow YAML 1.2: `on`, `yes`, `no`, `010` and `1:30` are text. The models later refuse text where
+a number is expected.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _LOOKS_NUMERIC = re.compile(r"[-+]?(inf|nan|infinity|[0-9.][0-9_.]*([eE][-+]?[0-
 
 
 class _Loader(yaml.SafeLoader):
-    """Composes nodes without guessing at types; `_scalar` does that."""
+    """Composes nodes without resolving types; `_scalar` does that."""
 
     yaml_implicit_resolvers = {}  # noqa: RUF012 - PyYAML's own way to declare it
 
@@ -35,7 +35,7 @@ _compose = cast(Callable[..., yaml.Node | None], yaml.compose)  # pyright: ignor
 
 @dataclass
 class Document:
-    """A tree of plain values and where each one stands: {dotted path: "file.yaml:12"}."""
+    """A tree of plain values; origins map dotted paths to "file.yaml:12"."""
 
     source: str
     tree: dict[str, Any]
@@ -43,7 +43,7 @@ class Document:
 
 
 def read_document(path: Path) -> Document:
-    """Read a YAML file; ConfigError names file and line of a syntax error, duplicate key or non-finite number."""
+    """Read a YAML file; ConfigError names file and line of an error."""
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -52,7 +52,7 @@ def read_document(path: Path) -> Document:
 
 
 def parse_document(text: str, source: str) -> Document:
-    """Parse YAML text; `source` is the name that messages give it."""
+    """Parse YAML text; messages call it `source`."""
     try:
         node = _compose(text, Loader=_Loader)
     except yaml.MarkedYAMLError as error:
@@ -70,7 +70,7 @@ def parse_document(text: str, source: str) -> Document:
 
 
 def parse_value(text: str, source: str) -> Any:
-    """Parse a value typed on the command line: numbers as Python reads them (1e-3 too), else YAML."""
+    """Parse a command-line value: Python numbers (1e-3 too), else YAML."""
     if _LOOKS_NUMERIC.fullmatch(text.strip()):
         try:
             return _finite(float(text), source) if not _INT.fullmatch(text.strip()) else int(text)
@@ -80,7 +80,7 @@ def parse_value(text: str, source: str) -> Any:
 
 
 def looks_numeric(text: str) -> bool:
-    """Return whether a person would take `text` for a number."""
+    """Return whether `text` looks like a number."""
     return _LOOKS_NUMERIC.fullmatch(text.strip()) is not None
 
 

@@ -1,4 +1,4 @@
-"""Settings of `minidual train-act` and of the policy runtime behind `minidual deploy`."""
+"""Settings of `train-act` and of the policy runtime."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from minidual.config.base import StrictModel
 
 
 class TrainConfig(StrictModel):
-    """How a policy is built and trained. The defaults are the CPU recipe; the gpu profile is the full-size ACT."""
+    """Policy and training. Defaults are the CPU recipe; the gpu profile is full-size ACT."""
 
     # Architecture
     policy: str = Field(
@@ -86,7 +86,7 @@ class TrainConfig(StrictModel):
 
 
 class DeployConfig(StrictModel):
-    """How a trained policy drives the arms, and what the closed-loop trials must reach."""
+    """Policy runtime, and limits of the closed-loop trials."""
 
     n_action_steps: int = Field(
         default=25, ge=1, le=500, description="ticks of a chunk that run before the next inference"

@@ -1,4 +1,4 @@
-"""From a profile and what was typed to a validated configuration, with messages that name file and line."""
+"""Load and validate configurations; messages name file and line."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from minidual.errors import ConfigError, UsageError
 
 @dataclass(frozen=True)
 class Override:
-    """A value from the command line: dotted path, value, and the text that messages quote."""
+    """A command-line value with its dotted path and quoted text."""
 
     path: str
     value: Any
@@ -29,7 +29,7 @@ class Override:
 
 
 def parse_override(text: str) -> Override:
-    """Parse "a.b=value" as given to --set; ConfigError if it has another form."""
+    """Parse "a.b=value" of --set; ConfigError if malformed."""
     path, equals, value = text.partition("=")
     path = path.strip()
     if not equals or not all(path.split(".")):
@@ -40,7 +40,7 @@ def parse_override(text: str) -> Override:
 
 @dataclass(frozen=True)
 class LoadedConfig:
-    """A validated configuration and where its values came from."""
+    """A validated configuration and its origins."""
 
     config: Config
     profile: str
@@ -49,7 +49,7 @@ class LoadedConfig:
     document: Document
 
     def with_overrides(self, overrides: Sequence[Override]) -> LoadedConfig:
-        """Return this configuration with further values replaced, validated again."""
+        """Return a validated copy with values replaced."""
         if not overrides:
             return self
         document = copy.deepcopy(self.document)
@@ -59,22 +59,22 @@ class LoadedConfig:
         return LoadedConfig(_validate(document), self.profile, self.sources, (*self.overrides, *overrides), document)
 
     def reference(self) -> Config:
-        """Return the configuration of the shipped profile that this one rests on, as it was shipped."""
+        """Return the unchanged shipped profile that this one extends."""
         shipped = [path.stem for path in self.sources if path.parent == SHIPPED_FOLDER]
         return load_config(shipped[-1] if shipped else DEFAULT_PROFILE).config
 
     def to_yaml(self) -> str:
-        """Return the resolved configuration as YAML; it can be given to --profile again."""
+        """Return the resolved configuration as YAML, valid for --profile."""
         head = f"# profile: {self.profile}\n" + "".join(f"# {item.text}\n" for item in self.overrides)
         return head + yaml.safe_dump(self.config.model_dump(mode="json"), sort_keys=False, allow_unicode=True)
 
 
 def load_config(profile: str = DEFAULT_PROFILE, overrides: Sequence[Override | str] = ()) -> LoadedConfig:
-    """Load a profile (shipped name or .yaml file), apply overrides in order, and validate.
+    """Load a profile (shipped name or .yaml file), apply overrides, and validate.
 
     Raises:
-        ConfigError: what does not hold, with file, line and dotted path; all problems in one message.
-        UsageError: no such profile.
+        ConfigError: All problems, with file, line and dotted path.
+        UsageError: There is no such profile.
     """
     name, path = find_profile(profile)
     document, sources = _read_chain(path, ())
@@ -106,7 +106,7 @@ def _read_chain(path: Path, below: tuple[Path, ...]) -> tuple[Document, tuple[Pa
 
 
 def _merge(base: dict[str, Any], over: Mapping[str, Any], location: tuple[str, ...]) -> None:
-    """Lay `over` on `base`. Sections merge key by key; a mapping that is one value is replaced whole."""
+    """Merge `over` into `base` by section; other mappings are replaced."""
     for key, value in over.items():
         inner = (*location, key)
         if isinstance(value, dict) and isinstance(base.get(key), dict) and _keys_at(inner):
@@ -124,7 +124,7 @@ def _refuse_regained_acceptance(base: Mapping[str, Any], over: Mapping[str, Any]
 
 
 def _apply(document: Document, override: Override, resolved: dict[str, Any]) -> None:
-    """Set one value. A mapping that is one value keeps its other keys, defaults included (`resolved`)."""
+    """Set one value. A mapping that is one value keeps its other keys."""
     if override.path == "acceptance":
         _refuse_regained_acceptance(document.tree, {"acceptance": override.value}, override.text)
     *sections, key = override.path.split(".")
@@ -149,7 +149,7 @@ def validate_document[Model: BaseModel](document: Document, model: type[Model]) 
     """Return the document as a model.
 
     Raises:
-        ConfigError: what does not hold, with file, line and dotted path; all problems in one message.
+        ConfigError: All problems, with file, line and dotted path.
     """
     try:
         return model.model_validate_json(json.dumps(document.tree, allow_nan=False), strict=True)
@@ -165,7 +165,7 @@ def _validate(document: Document) -> Config:
 
 
 def _sentence(problem: Any, document: Document, model: type[BaseModel]) -> tuple[str, str | None]:
-    """Return ("smoke.yaml:7: plan.queries_n: ...", remedy or None) for one error of pydantic."""
+    """Return (message, remedy or None) for a pydantic error."""
     location = _typed_location(
         [str(part) for part in problem["loc"]], document.tree, missing=problem["type"] == "missing"
     )
@@ -216,7 +216,7 @@ def _origin(location: Sequence[str], document: Document) -> str:
 
 
 def _keys_at(location: Sequence[str]) -> set[str]:
-    """Return the keys of the model that stands at `location` in the configuration (empty if none does)."""
+    """Return the keys of the model at `location`; empty if none."""
     models: list[type[BaseModel]] = [Config]
     for part in location:
         annotations = [model.model_fields[part].annotation for model in models if part in model.model_fields]
@@ -227,9 +227,9 @@ def _keys_at(location: Sequence[str]) -> set[str]:
 
 
 def _typed_location(location: Sequence[str], tree: Any, *, missing: bool) -> list[str]:
-    """Return the location as it was typed: pydantic names the chosen member of a union too, which no file does.
+    """Return the location as typed, without pydantic's union members.
 
-    missing: the last part is a key that is not there.
+    `missing` means that the last part is an absent key.
     """
     typed: list[str] = []
     place: Any = tree
@@ -246,7 +246,7 @@ def _typed_location(location: Sequence[str], tree: Any, *, missing: bool) -> lis
 
 
 def _allowed_here(location: Sequence[str | int], root: type[BaseModel]) -> set[str]:
-    """Return the keys allowed at pydantic's `location`, through lists, named entries and members of a union."""
+    """Return the keys allowed at pydantic's `location`."""
     models: list[type[BaseModel]] = [root]
     for part in location:
         fields = [model.model_fields[part] for model in models if part in model.model_fields]

@@ -1,4 +1,4 @@
-"""Configuration of the `plan` stage and of the planner that other stages use."""
+"""Configuration of the `plan` stage and of the planner."""
 
 from __future__ import annotations
 
@@ -13,41 +13,41 @@ PlannerName = Literal["rrtconnect", "rrt", "rrtstar", "bitstar", "kpiece"]
 
 
 class PlannerConfig(StrictModel):
-    """How one plan is made. The defaults solve the standard queries; none of them weakens the final proof."""
+    """Settings of one plan. None weakens the final proof."""
 
     planner: PlannerName = "rrtconnect"
     range_rad: float = Field(default=1.0, gt=0.0, le=10.0)
-    """Longest edge of a search tree, Euclidean in joint space."""
+    """Longest edge of a search tree, Euclidean."""
     edge_step_rad: float = Field(default=0.08, gt=0.0, le=0.2)
-    """Largest joint step between two collision checks during the search; the proof finds what that misses."""
+    """Largest joint step between collision checks in the search."""
     padding_m: float = Field(default=0.008, ge=0.0, le=0.1)
-    """Distance that the search keeps; it relaxes near a start or goal that is nearer than that."""
+    """Clearance in the search; relaxed near closer starts and goals."""
     fallback_planners: tuple[PlannerName, ...] = ("rrtconnect", "kpiece")
-    """Planners that take turns after four searches of `planner` that found nothing."""
+    """Planners used in turn after four failed searches."""
     search_checks_n: int = Field(default=2_500, ge=100, le=100_000_000)
-    """State checks after which one search gives up; every further attempt has half as many again."""
+    """State checks per search; each further attempt gets half as many more."""
     shortcut_rounds_n: int = Field(default=10, ge=0, le=10_000)
     blend_radius_rad: float = Field(default=0.3, gt=0.001, le=2.0)
     """Largest half length of a rounded corner."""
     velocity_scale: float = Field(default=0.95, gt=0.0, le=1.0)
-    """Fraction of the robot's velocity limits that a plan uses; the rest is headroom."""
+    """Fraction of the velocity limits."""
     acceleration_scale: float = Field(default=0.9, gt=0.0, le=1.0)
     torque_scale: float = Field(default=0.95, gt=0.0, le=1.0)
     jerk_scale: float = Field(default=0.95, gt=0.0, le=1.0)
-    """Fraction of libfranka's jerk limits that a plan uses."""
+    """Fraction of libfranka's jerk limits."""
     smoothing_s: float = Field(default=0.04, ge=0.0, le=1.0)
-    """Window over which the path position is averaged, so that the acceleration does not jump."""
+    """Averaging window of the path position, for continuous acceleration."""
     ik_restarts_n: int = Field(default=30, ge=1, le=10_000)
     goal_candidates_n: int = Field(default=2, ge=1, le=100)
-    """Joint solutions of a pose goal that are tried in turn, the nearest first."""
+    """Joint solutions of a pose goal to try, nearest first."""
     verify_step_rad: float = Field(default=0.002, gt=0.0, le=0.002)
-    """Largest joint step between the samples of an audit, which tests the continuous proof."""
+    """Largest joint step between audit samples."""
     budget_s: float = Field(default=10.0, gt=0.0, le=3600.0)
-    """Wall time after which a query is given up."""
+    """Wall time limit of a query."""
 
 
 class GroupTimes(StrictModel):
-    """A time [s] for each planning group; None sets no limit."""
+    """Times per planning group [s]; None sets no limit."""
 
     left_arm: float | None = Field(default=None, gt=0.0)
     right_arm: float | None = Field(default=None, gt=0.0)
@@ -55,26 +55,26 @@ class GroupTimes(StrictModel):
 
 
 class PlanConfig(StrictModel):
-    """How many queries are planned, and how fast it must go."""
+    """Queries and limits of the stage."""
 
     queries_n: int = Field(default=20, ge=1, le=10000)
     """Queries per planning group."""
     second_seed: int = Field(default=20261, ge=0, lt=2**63)
-    """Seed of a second query set, so that success does not rest on one set."""
+    """Seed of the second query set."""
     second_queries_n: int = Field(default=0, ge=0, le=10000)
-    """Queries per planning group of the second set."""
+    """Second-set queries per planning group."""
     obstacles_n: int = Field(default=5, ge=0, le=50)
-    """Boxes and cylinders on the table of each query."""
+    """Boxes and cylinders per query."""
     blocked_fraction: float = Field(default=1.0, ge=0.0, le=1.0)
-    """Share of the queries that are hard by construction: no straight line free, past an obstacle or an arm."""
+    """Share of queries whose straight line is blocked."""
     agreement_states_n: int = Field(default=2000, ge=100, le=1_000_000)
-    """Random states on which the two collision engines are compared."""
+    """Random states for comparing the collision engines."""
     success_rate_min: float = Field(default=1.0, ge=0.0, le=1.0)
     time_max_s: float = Field(default=10.0, gt=0.0, le=3600.0)
     time_median_max_s: GroupTimes = GroupTimes()
-    """Largest median time of each group, of every set."""
+    """Largest median time per group and set."""
     time_p99_max_s: float | None = Field(default=None, gt=0.0)
-    """Largest 99th percentile of the time of each group, of every set."""
+    """Largest 99th percentile per group and set."""
     agreement_min: float = Field(default=0.999, ge=0.0, le=1.0)
     planner: PlannerConfig = PlannerConfig()
     held: HeldMovesConfig = HeldMovesConfig()

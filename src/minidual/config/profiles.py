@@ -1,4 +1,4 @@
-"""Where profiles are: the shipped ones by name, a person's own by file."""
+"""Finds shipped profiles by name and others by file."""
 
 from __future__ import annotations
 
@@ -13,16 +13,15 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 
 
 def shipped_profiles() -> tuple[str, ...]:
-    """Return the names of the profiles that come with the package."""
+    """Return the names of the shipped profiles."""
     return tuple(sorted(path.stem for path in SHIPPED_FOLDER.glob("*.yaml")))
 
 
 def find_profile(profile: str, relative_to: Path | None = None) -> tuple[str, Path]:
-    """Return (name, file) of a profile given as a shipped name or as a path that ends in .yaml.
+    """Return (name, file) of a shipped name or .yaml path.
 
-    `relative_to` is the folder that a relative path starts from (default: the working folder).
-    UsageError for an unknown name; ConfigError for a missing file, or one named like a shipped profile,
-    whose verdicts would pass for those of the shipped one.
+    Paths are relative to `relative_to` (default: working folder). UsageError for an unknown name; ConfigError for a
+    missing file, or one named like a shipped profile, as their verdicts could not be told apart.
     """
     if not profile.endswith((".yaml", ".yml")):
         if profile not in shipped_profiles():

@@ -8,7 +8,7 @@ from minidual.config.base import StrictModel
 
 
 class RobotConfig(StrictModel):
-    """Which arms stand on the table."""
+    """Which arms are used."""
 
     arm: str = Field(default="panda", min_length=1)
-    """Row of the table of arms (minidual.robot.arms): panda, xarm7, ur5, or one of another distribution."""
+    """Name in the table of arms (minidual.robot.arms)."""

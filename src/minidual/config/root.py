@@ -1,4 +1,4 @@
-"""The root of the configuration: one section a concern, every value typed and bounded."""
+"""Root of the configuration."""
 
 from __future__ import annotations
 
@@ -19,19 +19,18 @@ from minidual.config.view import ViewConfig
 
 
 class Config(StrictModel):
-    """The resolved configuration of a run."""
+    """Resolved configuration of a run."""
 
     acceptance: bool = True
-    """Whether verdicts of this profile count as acceptance. A profile that extends one with `false` cannot
-    switch it on again."""
+    """Whether verdicts count as acceptance. Extending profiles cannot revert `false`."""
     seed: int = Field(default=20260, ge=0, lt=2**63)
-    """The one seed of the run; every random stream is derived from it by name."""
+    """Seed of all named random streams."""
     workers: int = Field(default=2, ge=1, le=512)
-    """Processes a stage may use. Results do not depend on it."""
+    """Processes per stage; results do not depend on it."""
 
     robot: RobotConfig = RobotConfig()
     task: str = "rod_carry"
-    """What is done; a row of the table of tasks."""
+    """Name in the table of tasks."""
 
     env_check: EnvCheckConfig = EnvCheckConfig()
     plan: PlanConfig = PlanConfig()

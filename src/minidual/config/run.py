@@ -1,4 +1,4 @@
-"""Where runs are kept and what a run is called."""
+"""Location and name of a run."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class RunLocation:
 def locate_run(
     profile: str, run: str | None = None, runs_folder: Path | None = None, environment: Mapping[str, str] | None = None
 ) -> RunLocation:
-    """Return where a run is: `runs_folder`, else $MINIDUAL_RUNS, else ./runs; named `run`, else `profile`."""
+    """Locate a run in `runs_folder`, $MINIDUAL_RUNS or ./runs; its name is `run` or `profile`."""
     variable = (os.environ if environment is None else environment).get(RUNS_VARIABLE)
     root = runs_folder or (Path(variable).expanduser() if variable else Path("runs"))
     return RunLocation(root, profile if run is None else run)

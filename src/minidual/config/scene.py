@@ -1,4 +1,4 @@
-"""Configuration of the simulated world: physics, objects, the cameras and the randomisation."""
+"""Configuration of the simulated world."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from pydantic import Field, model_validator
 from minidual.config.base import StrictModel
 
 OBSTACLE = "obstacle"
-"""Name of the geom that stands in the way, where a task has one."""
+"""Name of the obstacle geom."""
 
 
 class PhysicsConfig(StrictModel):
-    """Solver settings; the values are those under which a pinched object does not creep."""
+    """Solver settings under which a pinched object does not creep."""
 
     timestep_s: float = Field(default=0.001, gt=0.0, le=0.002)
     impratio: float = Field(default=100.0, ge=1.0, le=1000.0)
@@ -23,58 +23,55 @@ class PhysicsConfig(StrictModel):
 
 
 class ObjectConfig(StrictModel):
-    """A named body: the aluminium rod, or what a task puts in its place.
+    """A carried or further object.
 
-    Its long axis is y, or z for one that stands upright. A cylinder has a radius; a box a width (x, between the fingers)
-    and a height.
+    Its long axis is y, or z if upright. A cylinder has a radius; a box a width (x, between the fingers) and a height.
     """
 
     name: str = Field(default="rod", pattern=r"^[a-z][a-z0-9_]*$")
-    """Name of its body."""
     shape: Literal["cylinder", "box"] = "cylinder"
     upright: bool = False
-    """Whether it stands on its end; its long axis is then z."""
     length_m: float = Field(default=0.30, gt=0.03, le=0.6)
     radius_m: float = Field(default=0.00887, gt=0.003, le=0.035)
     width_m: float = Field(default=0.05, gt=0.005, le=0.07)
-    """Of a box, between the fingers; a hand opens to 80 mm."""
+    """Width of a box; a hand opens to 80 mm."""
     height_m: float = Field(default=0.05, gt=0.005, le=0.2)
-    """Of a box; of an upright one, its depth along y."""
+    """Height of a box, or depth along y if upright."""
     mass_kg: float = Field(default=0.2, gt=0.01, le=3.0)
     friction: float = Field(default=0.5, gt=0.05, le=2.0)
     rolling_friction: float = Field(default=0.002, ge=0.0, le=0.1)
     grasp_offset_m: float = Field(default=0.12, ge=0.0, le=0.25)
     """Distance of each hand from the centre, along the long axis."""
     grasp_height_m: float = Field(default=0.003, ge=-0.01, le=0.02)
-    """Height of the tool centre point over the axis of a lying object."""
+    """Height of the tool centre point above the axis of a lying object."""
     break_force_n: float | None = Field(default=None, gt=0.0)
-    """Net force of one hand at which the object breaks; None for one that does not."""
+    """Net force of one hand that breaks the object; None for unbreakable."""
     break_pinch_n: float | None = Field(default=None, gt=0.0)
-    """Pinch of one hand at which the object breaks."""
+    """Pinch force of one hand that breaks the object."""
     colour: tuple[float, float, float, float] = (0.96, 0.45, 0.09, 1.0)
     xy_m: tuple[float, float] | None = None
-    """Where it stands while no trial places it; None for the start of the task."""
+    """Position unless a trial places it; None uses the task's start."""
 
     @property
     def half_width_m(self) -> float:
-        """Half of what lies between the fingers."""
+        """Half of the width between the fingers."""
         return self.radius_m if self.shape == "cylinder" else self.width_m / 2
 
     @property
     def half_sizes_m(self) -> tuple[float, float, float]:
-        """Half of its extent along its own x, y and z."""
+        """Half extents along x, y and z."""
         across = self.radius_m if self.shape == "cylinder" else self.height_m / 2
         long = self.length_m / 2
         return (self.half_width_m, across, long) if self.upright else (self.half_width_m, long, across)
 
     @property
     def rest_height_m(self) -> float:
-        """Height of the centre over the table while it rests."""
+        """Height of the resting centre over the table."""
         return self.half_sizes_m[2]
 
     @property
     def inertia_kg_m2(self) -> tuple[float, float, float]:
-        """Principal moments about x, y and z of a body of uniform density."""
+        """Principal moments about x, y, z at uniform density."""
         m, length = self.mass_kg, self.length_m
         if self.shape == "cylinder":
             across, along = m * (3 * self.radius_m**2 + length**2) / 12.0, 0.5 * m * self.radius_m**2
@@ -91,35 +88,35 @@ class ObjectConfig(StrictModel):
 
 
 class ObstacleConfig(StrictModel):
-    """A block that stands on the table; nothing may touch it."""
+    """A block on the table that nothing may touch."""
 
     size_m: tuple[float, float, float] = (0.30, 0.04, 0.10)
-    """Length along x, y and z."""
+    """Length along x, y, z."""
     xy_m: tuple[float, float] = (0.5, 0.0)
 
 
 class TaskConfig(StrictModel):
-    """Start, goal and limits of one trial."""
+    """Start, goal and limits of a trial."""
 
     start_xy_m: tuple[float, float] = (0.5, 0.25)
     goal_xy_m: tuple[float, float] = (0.5, -0.25)
     goal_yaw_rad: float = Field(default=0.0, ge=-3.2, le=3.2)
-    """Direction in which the object must lie at the goal."""
+    """Direction of the object at the goal."""
     goal_range_m: float = Field(default=0.0, ge=0.0, le=0.1)
-    """The goal is uniform within +-range about the nominal one, drawn after the start."""
+    """Half width of the uniform goal range, drawn after the start."""
     goal_range_rad: float = Field(default=0.0, ge=0.0, le=0.6)
     yaw_tolerance_rad: float | None = Field(default=None, gt=0.0, le=1.0)
-    """Largest error of that direction; None judges the place alone."""
+    """Largest direction error; None judges position alone."""
     obstacle: ObstacleConfig | None = None
     lift_height_m: float = Field(default=0.12, gt=0.03, le=0.4)
-    """Height to which a method lifts the object's centre above its resting height."""
+    """Rise of the object's centre during the lift."""
     start_range_m: float = Field(default=0.05, ge=0.0, le=0.1)
     start_range_rad: float = Field(default=0.2618, ge=0.0, le=0.6)
-    """Start pose is uniform within +-range about the nominal one (15 degrees)."""
+    """Half width of the uniform start range (15 degrees)."""
     clear_height_m: float = Field(default=0.04, gt=0.0, le=0.3)
-    """The object must rise at least this far."""
+    """Least rise of the object."""
     tilt_max_rad: float = Field(default=0.08727, gt=0.0, le=0.3)
-    """Five degrees between the object's axis and the horizontal."""
+    """Five degrees from the horizontal."""
     goal_tolerance_m: float = Field(default=0.02, gt=0.0, le=0.1)
     pinch_min_n: float = Field(default=20.0, gt=0.0)
     internal_force_min_n: float = Field(default=20.0, gt=0.0)
@@ -128,21 +125,20 @@ class TaskConfig(StrictModel):
 
 
 class CameraConfig(StrictModel):
-    """The recorded images."""
+    """Recorded images."""
 
     width_px: int = Field(default=128, ge=32, le=1920)
     height_px: int = Field(default=96, ge=24, le=1080)
     supersample: int = Field(default=2, ge=1, le=4)
-    """Render this many times larger and average. A pixel spans 8 mm of the table; without averaging an edge inside
-    it leaves no trace, with it the shade of the pixel tells where the edge is."""
+    """Render this many times larger and average: a pixel spans 8 mm, and averaging keeps edges inside it visible."""
 
 
 class SceneConfig(StrictModel):
-    """Everything that shapes the simulated world."""
+    """Configuration of the world."""
 
     physics: PhysicsConfig = PhysicsConfig()
     object: ObjectConfig = ObjectConfig()
-    """What is carried."""
+    """The carried object."""
     more: tuple[ObjectConfig, ...] = ()
     """Further objects."""
     task: TaskConfig = TaskConfig()
@@ -150,7 +146,7 @@ class SceneConfig(StrictModel):
 
     @property
     def objects(self) -> dict[str, ObjectConfig]:
-        """All objects by name, the carried one first."""
+        """Objects by name, the carried one first."""
         return {item.name: item for item in (self.object, *self.more)}
 
     @model_validator(mode="after")

@@ -1,4 +1,4 @@
-"""Named postures beside those of the arm model."""
+"""Named postures."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from minidual.config.base import StrictModel
 
 
 class NamedStateConfig(StrictModel):
-    """A posture with a name. One arm may be left out; the state then says nothing about it."""
+    """A posture of one or both arms."""
 
     left_rad: tuple[float, ...] | None = None
     """Joints of the left arm, base first."""
@@ -21,4 +21,4 @@ class SemanticsConfig(StrictModel):
     """Named states."""
 
     states: dict[str, NamedStateConfig] = Field(default={})
-    """They add to the arm model's own (`home` and others), or replace one under its name."""
+    """Added to the arm model's states (`home` and others), replacing same names."""

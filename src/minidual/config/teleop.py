@@ -1,4 +1,4 @@
-"""Configuration of the `teleop-record` stage: the operator, the mirror and what is recorded."""
+"""Configuration of `teleop-record`: operator, mirror and recording."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from minidual.config.base import StrictModel
 
 
 class OperatorConfig(StrictModel):
-    """The scripted operator: how long each phase of the rod cycle takes, and how exactly it approaches."""
+    """Phase durations and accuracy of the scripted operator."""
 
     approach_s: float = Field(default=1.8, ge=0.5, le=20.0)
     correct_s: float = Field(default=0.6, ge=0.1, le=20.0)
@@ -21,9 +21,9 @@ class OperatorConfig(StrictModel):
     retreat_s: float = Field(default=0.5, ge=0.2, le=20.0)
     rest_s: float = Field(default=0.1, ge=0.02, le=20.0)
     overlap_s: float = Field(default=0.3, ge=0.0, le=1.0)
-    """How early the correction begins before the approach ends, and the descent before the correction does."""
+    """Overlap of the correction with the approach, and of the descent with the correction."""
     approach_noise_m: float = Field(default=0.010, ge=0.0, le=0.05)
-    """Standard deviation of the error with which the hands arrive over the rod; corrected before they go down."""
+    """Standard deviation of the arrival error over the rod, corrected before the descent."""
     approach_noise_rad: float = Field(default=0.04, ge=0.0, le=0.2)
 
     @model_validator(mode="after")
@@ -38,33 +38,33 @@ class MirrorConfig(StrictModel):
     """When a leader may drive the follower."""
 
     start_error_max_rad: float = Field(default=0.1, gt=0.0, le=0.6)
-    """Largest difference of any joint between leader and follower at the start."""
+    """Largest initial joint difference between leader and follower."""
     calibration_max_rad: float = Field(default=0.5, gt=0.0, le=3.2)
-    """Largest offset that calibration accepts as a mounting error."""
+    """Largest offset that calibration accepts."""
     workspace_margin_rad: float = Field(default=0.0, ge=0.0, le=0.3)
-    """How far the mirrored targets stay from the joint limits."""
+    """Distance of mirrored targets from the joint limits."""
 
 
 class TeleopConfig(StrictModel):
-    """What is demonstrated, by whom, and how it is recorded."""
+    """What is demonstrated and recorded, and by whom."""
 
     episodes_n: int = Field(default=120, ge=1, le=10000)
-    """Demonstrations to keep; the command line calls this --episodes."""
+    """Demonstrations to keep (--episodes)."""
     leader: str = Field(default="scripted", min_length=1)
     rate_hz: float = Field(default=50.0, ge=10.0, le=100.0)
     cameras: tuple[Literal["high", "left", "right"], ...] = ("high",)
     widen: float = Field(default=1.3, ge=1.0, le=2.0)
-    """Demonstrations start from a range this much wider than the tests'."""
+    """Range of the starts, as a multiple of the tests' range."""
     attempts_max_ratio: float = Field(default=1.5, ge=1.0, le=10.0)
-    """Give up after this many attempts for each demonstration asked for."""
+    """Most attempts per demonstration asked for."""
     jerk_max_rad_s3: float = Field(default=200.0, gt=0.0)
-    """Episodes above this RMS jerk are filtered out."""
+    """Episodes with a larger RMS jerk are rejected."""
     latency_max_s: float = Field(default=0.1, gt=0.0)
     episodes_per_min: float = Field(default=3.0, ge=0.0)
     keep_rejected: bool = True
-    """Keep the files of failed attempts in the folder `rejected`, with the reason in each."""
+    """Whether to keep files of failed attempts in `rejected`."""
     person_time_limit_s: float = Field(default=120.0, ge=5.0, le=3600.0)
-    """An episode led by a person ends by then."""
+    """Time limit of an episode led by a person."""
     operator: OperatorConfig = OperatorConfig()
     mirror: MirrorConfig = MirrorConfig()
 
