@@ -1,1 +1,1 @@
-"""One file a command: calls the domain and turns its numbers into checks."""
+"""One module per command, turning domain numbers into checks."""

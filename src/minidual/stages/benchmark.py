@@ -1,4 +1,4 @@
-"""`minidual benchmark`: the same task, starts and success test for every method, undisturbed and disturbed."""
+"""`minidual benchmark`: all methods on the same task, with and without disturbances."""
 
 from __future__ import annotations
 
@@ -34,10 +34,9 @@ _UNITS = {
 
 
 def benchmark_checks(summaries: Sequence[MethodSummary], config: BenchmarkConfig) -> list[Check]:
-    """Return the checks of the trials that nothing disturbs.
+    """Return the checks of the undisturbed trials.
 
-    Every method must have run and reached its least success rate (none is asked in profiles that do not judge
-    learned success). The other indicators are reported: they compare, they do not gate.
+    Only trial counts and success rates have limits; the latter only where configured.
     """
     checks = []
     for summary in summaries:
@@ -70,9 +69,9 @@ def benchmark_checks(summaries: Sequence[MethodSummary], config: BenchmarkConfig
 
 
 def condition_checks(cells: Sequence[BenchmarkCell], methods: Sequence[str], conditions: Sequence[str]) -> list[Check]:
-    """Return the checks of the table of methods by conditions: it is whole, and its numbers are numbers.
+    """Return the checks of the methods-by-conditions table.
 
-    Success under a disturbance is reported with its interval. No limit is set for it.
+    The table must be complete and finite. Disturbed success has no limit.
     """
     settled = {(c.method, c.condition) for c in cells if c.settled}
     asked = [(m, c) for m in methods for c in conditions]
@@ -120,7 +119,7 @@ def _interval(summary: MethodSummary) -> str:
 
 
 def run(context: StageContext) -> StageResult:
-    """Run all trials of all methods under all conditions and write the tables."""
+    """Run all trials and write the tables."""
     config, seed, folder = context.config.benchmark, context.seed, context.folder
     methods, conditions = parse_methods(config.methods), parse_conditions(config.conditions)
     inputs = MethodInputs(context.config, seed, context.upstream["train-act"] / "checkpoint")

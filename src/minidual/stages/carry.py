@@ -1,4 +1,4 @@
-"""`minidual carry`: two arms carry an object under object impedance, again and again from random starts."""
+"""`minidual carry`: two arms carry an object under object impedance from random starts."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from minidual.trials.tables import write_csv, write_json
 
 METHOD = "impedance"
 RECORDED_FAILURES_MAX = 20
-"""Recordings of failed trials that the stage keeps; trials.csv has all of them."""
+"""Most recorded failures; trials.csv has all."""
 
 
 def carry_checks(
@@ -35,16 +35,16 @@ def carry_checks(
     time_limit_s: float,
     saturated_max_s: float = 0.0,
 ) -> list[Check]:
-    """Return the checks of the stage for judged trials; extremes are over all trials, failed ones too.
+    """Return the stage's checks; extremes include failed trials.
 
-    np.max and np.min pass a NaN on, so that its check fails; the built-ins may lose it.
+    np.max and np.min propagate NaN, so its check fails; the built-ins may drop it.
 
     Args:
         trials: At least one.
-        limits: What they must reach together.
+        limits: Limits over all trials.
         force_limit_n: Least internal force of the success test.
-        time_limit_s: What a failed trial counts as.
-        saturated_max_s: Longest time that a motor stood at its limit, over all trials.
+        time_limit_s: Duration counted for a failed trial.
+        saturated_max_s: Longest time at a motor's limit in any trial.
     """
     return [
         Check(
@@ -105,7 +105,7 @@ def carry_checks(
 
 
 def run(context: StageContext) -> StageResult:
-    """Run the trials; plot, film and record the median and the worst, and record what failed."""
+    """Run the trials; plot, film and record the median and worst, and record failures."""
     config, task = context.config, make_task(context.config)
     asked, robot = task.scene.task, robot_from(config.robot)
     inputs = MethodInputs(config, context.seed)
@@ -170,7 +170,7 @@ def _record(
     results: Sequence[TrialResult],
     shown: Mapping[str, int],
 ) -> None:
-    """Write recordings for `minidual replay` of the median, the worst and the first trials that failed."""
+    """Record the median, the worst and the first failed trials for `minidual replay`."""
     failed = [i for i, result in enumerate(results) if not result.success]
     named = [(i, f"trial{i:03d}") for i in failed[:RECORDED_FAILURES_MAX] if i not in shown.values()]
     named += [(i, label) for label, i in shown.items()]  # one trial may be both

@@ -1,4 +1,4 @@
-"""What `minidual carry` does besides its stage: trials under disturbances, and the search for gains."""
+"""Tools of `minidual carry`: disturbed trials and tuning."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PERTURB_TRIALS_N = 20
 
 
 def perturb(context: ToolContext) -> ToolResult:
-    """Run the carry under every condition and compare its success with the clean one."""
+    """Run the carry under every condition and compare with clean."""
     trials_n = int(context.options.get("trials", PERTURB_TRIALS_N))
     inputs = MethodInputs(task_config(context.config), context.seed)
     asked = dict.fromkeys(touching("impedance"), trials_n)
@@ -54,7 +54,7 @@ def perturb(context: ToolContext) -> ToolResult:
 
 
 def tune(context: ToolContext) -> ToolResult:
-    """Search squeeze and stiffness by carrying; write them as a profile."""
+    """Tune squeeze and stiffness by carrying; write a profile."""
     config = task_config(context.config)
     with context.progress.task("tuning") as task:
         tuner = Tuner(
@@ -97,7 +97,7 @@ def tune(context: ToolContext) -> ToolResult:
 
 
 def _as_typed(config: Config) -> dict[str, Any]:
-    """Return what profile and command line have set of the object, its scene and the carry: the gains hold for that."""
+    """Return the scene and carry settings given, for which the gains hold."""
     sections = {name: getattr(config, name).model_dump(mode="json", exclude_unset=True) for name in ("scene", "carry")}
     return {"carry": {}, **{name: values for name, values in sections.items() if values}}
 

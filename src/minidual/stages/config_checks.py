@@ -1,4 +1,4 @@
-"""What is wrong with a configuration and no model can know, asked before a run begins."""
+"""Configuration errors that the models cannot detect, checked before a run."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from minidual.trials.methods import method_spec, parse_methods
 
 
 def check_plan(config: Config) -> None:
-    """Refuse a second query set that is the first one."""
+    """Refuse equal seeds of the query sets."""
     plan = config.plan
     if plan.second_queries_n and config.seed == plan.second_seed:
         raise ConfigError(
@@ -21,18 +21,18 @@ def check_plan(config: Config) -> None:
 
 
 def check_leader(config: Config) -> None:
-    """Refuse a leader that does not exist."""
+    """Refuse an unknown leader."""
     LEADERS[config.teleop.leader]
 
 
 def check_policy(config: Config) -> None:
-    """Refuse a policy that does not exist, without loading the libraries of one that does."""
+    """Refuse an unknown policy without loading policy libraries."""
     if config.train.policy not in POLICIES:
         raise unknown_name("policy", config.train.policy, POLICIES)
 
 
 def check_benchmark(config: Config) -> None:
-    """Refuse unknown and repeated methods and conditions, and limits for methods that do not exist."""
+    """Refuse invalid methods, conditions and limits."""
     parse_methods(config.benchmark.methods)
     for name in parse_conditions(config.benchmark.conditions):
         condition(name).config_under(config)

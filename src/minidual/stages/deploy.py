@@ -1,4 +1,4 @@
-"""`minidual deploy`: the trained policy drives both arms on starts it has never seen."""
+"""`minidual deploy`: the trained policy on held-out starts."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from minidual.trials.tables import write_csv, write_json
 
 METHOD = "act"
 HELD_OUT, TRAINING = "deploy", "demonstrations"
-"""Random streams: trials held out from training, and the very starts that the demonstrations had."""
+"""Random streams: held-out trials, and the demonstrations' starts."""
 
 
 def deploy_checks(
     successes: int, trials: int, inference_hz: float, *, success_rate_min: float | None, inference_hz_min: float
 ) -> list[Check]:
-    """Return the checks of the stage; without `success_rate_min` the rate is reported, not judged (smoke)."""
+    """Return the checks; without `success_rate_min` the rate is only reported (smoke)."""
     low, high = wilson_interval(successes, trials)
     op = None if success_rate_min is None else ">"
     return [
@@ -62,7 +62,7 @@ def deploy_checks(
 
 
 def run(context: StageContext) -> StageResult:
-    """Run held-out and training starts, then film a success and a failure."""
+    """Run held-out and training starts; film one success and one failure."""
     config, task = context.config, make_task(context.config)
     settings = config.deploy
     checkpoint = context.upstream["train-act"] / "checkpoint"
@@ -78,7 +78,7 @@ def run(context: StageContext) -> StageResult:
             for result, _ in run_trials(
                 METHOD, inputs, trials, workers=context.workers, watch=watch_trials(context.view)
             ):
-                # Nothing disturbs either; in the tables the two sets of starts stand as conditions.
+                # Neither set is disturbed; the tables list them as conditions.
                 results[name].append(replace(result, metrics=replace(result.metrics, condition=name)))
                 done = sum(r.success for r in results[name])
                 bar.advance(note=f"{name} {done}/{len(results[name])}")
@@ -123,12 +123,12 @@ def _film(context: StageContext, inputs: MethodInputs, trials: Sequence[Trial], 
 
 
 def _demonstrated(teleop_folder: Path, count: int) -> list[int]:
-    """Return the trial indices of the first demonstrations that were kept."""
+    """Return the trial indices of the first kept demonstrations."""
     return [read_meta(path).trial for path in episode_paths(teleop_folder / "episodes")[:count]]
 
 
 def measure_inference(checkpoint: Path, context: StageContext, inferences: int = 60) -> float:
-    """Return whole inferences per second, alone on the machine, as the closed loop runs them."""
+    """Return inferences per second of the closed-loop runtime, run alone."""
     robot = robot_from(context.config.robot)
     runtime = load_runtime(checkpoint, context.config.deploy, robot)
     rng = np.random.default_rng(0)

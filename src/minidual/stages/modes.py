@@ -1,4 +1,4 @@
-"""`minidual modes`: planner, leader and policy hand the arms to one another in one process, on film."""
+"""`minidual modes`: planner, leader and policy hand over the arms in one process, filmed."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ from minidual.trials.modes import DEFAULT_MODES, ModesDemo, ModesResult, SwitchE
 from minidual.trials.modes_drivers import Driver, MoveitDriver, PolicyDriver, TeleopDriver
 
 _INTERRUPT_SHARE = 0.55
-"""The planner's first motion is interrupted after this part of it: a switch of arms in motion."""
+"""Share of the planner's first motion before it is interrupted."""
 
 
 def modes(context: ToolContext) -> ToolResult:
-    """Run the demonstration, write film and log, and hold every switch to its bounds; exit 1 where it ends early."""
+    """Run the demonstration, write film and log, and check switches; exit 1 if a bound fails or it ends early."""
     named = context.options.get("modes")
     wanted = DEFAULT_MODES if named is None else parse_modes(named)
     checkpoint = find_checkpoint(context) if "policy" in wanted else None
@@ -52,10 +52,10 @@ def modes(context: ToolContext) -> ToolResult:
 
 
 def find_checkpoint(context: ToolContext) -> Path:
-    """Return the policy to use: the one named, or the run's own.
+    """Return the named policy or the run's own.
 
     Raises:
-        UsageError: The folder named does not exist.
+        UsageError: The named folder has no policy.
         GateClosedError: The run has no trained policy.
     """
     named = context.options.get("checkpoint")
@@ -132,7 +132,7 @@ def _turns(
     wanted: tuple[str, ...],
     picture: Callable[[str], Image],
 ) -> list[tuple[str, Callable[[], Driver]]]:
-    """Return who drives in each turn; what several turns share is loaded once."""
+    """Return (mode, driver factory) per turn, with shared resources."""
     config, seed, robot = context.config, context.seed, stack.plant.robot
     planner = Planner(config=config.plan.planner, robot=robot)
     operator = ScriptedOperator(config.scene, config.teleop.operator)
@@ -154,7 +154,7 @@ def _turns(
 
 
 def _counted(steps: Iterator[tuple[str, str]], task: Bar, stopped: list[str]) -> Iterator[tuple[str, str]]:
-    """Pass the steps on and count turns. Where the arms are stopped or a mode fails, end and add why to `stopped`."""
+    """Yield the steps and count turns; a stop or failed mode ends them, its reason appended to `stopped`."""
     before: tuple[str, str] | None = None
     try:
         for now in steps:

@@ -27,7 +27,7 @@ Outcomes = Mapping[str, Sequence[Outcome]]
 
 
 def run(context: StageContext) -> StageResult:
-    """Plan the queries, compare the engines, plan a few carries, draw the figures."""
+    """Plan queries and carries, compare the engines, draw figures."""
     config, folder, seed = context.config.plan, context.folder, context.seed
     robot = robot_from(context.config.robot)
     with context.progress.task("queries", 3 * (config.queries_n + config.second_queries_n)) as task:
@@ -69,7 +69,7 @@ def run(context: StageContext) -> StageResult:
 
 
 def group_checks(group: str, outcomes: Sequence[Outcome], config: PlanConfig, name: str | None = None) -> list[Check]:
-    """Return the checks of one planning group; their names begin with `name` (the group's by default)."""
+    """Return the checks of one planning group, prefixed by `name` (default: group)."""
     name = name or group
     times = np.array([o.total_s for o in outcomes])
     median, median_max, p99_max = np.median(times), getattr(config.time_median_max_s, group), config.time_p99_max_s
@@ -97,7 +97,7 @@ def group_checks(group: str, outcomes: Sequence[Outcome], config: PlanConfig, na
 
 
 def audit_checks(outcomes: Sequence[Outcome]) -> list[Check]:
-    """Return the checks of the proof itself: dense sampling of every query that was solved must find nothing."""
+    """Return the audit's checks: dense sampling of solved queries must find nothing."""
     audits = [o.audit for o in outcomes if o.audit is not None]
     solved_n, states_n = sum(o.ok for o in outcomes), sum(a.samples_n for a in audits)
     collisions_n, disagreements_n = sum(a.collisions_n for a in audits), sum(a.disagreements_n for a in audits)
@@ -114,7 +114,7 @@ def audit_checks(outcomes: Sequence[Outcome]) -> list[Check]:
 
 
 def common_checks(agreement: float, repeatable: bool, carries_failed_n: int, config: PlanConfig) -> list[Check]:
-    """Return the checks that belong to no single group."""
+    """Return the checks common to all groups."""
     why_agree = "two independent collision engines must see the same world"
     differ = "the geometry or the pairs of one engine differ; run the engine tests"
     why_same = "the same query and seed must give the same trajectory, bit for bit"
@@ -128,7 +128,7 @@ def common_checks(agreement: float, repeatable: bool, carries_failed_n: int, con
 
 
 def _counts(outcomes: Outcomes) -> dict[str, Any]:
-    """Return what the checks and queries.csv do not say at a glance, by group."""
+    """Return counts by group, beyond checks and queries.csv."""
     counts: dict[str, Any] = {}
     for group, done in outcomes.items():
         solved = [o.result for o in done if o.result is not None]
@@ -142,7 +142,7 @@ def _counts(outcomes: Outcomes) -> dict[str, Any]:
 
 
 def notes(**sets: Outcomes) -> list[str]:
-    """Return one line for every query that failed and every goal that was missed, of the sets by name."""
+    """Return one line per failed query and missed goal."""
     lines = []
     for name, outcomes in sets.items():
         for group, done in outcomes.items():

@@ -1,4 +1,4 @@
-"""`minidual plan --acm`: the pairs of links that are not checked for collision, and why."""
+"""`minidual plan --acm`: link pairs not checked for collision, and why."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _MEANINGS = {
 
 
 def plan_acm(context: ToolContext) -> ToolResult:
-    """Return the matrix of the robot, with the rules of --scene laid over it if one is given."""
+    """Return the robot's matrix, modified by --scene."""
     robot = robot_from(context.config.robot)
     report = acm_report(robot)
     scene = PlanningScene(robot=robot)

@@ -1,4 +1,4 @@
-"""The closed-chain part of `minidual plan`: moves of a held object, planned by two seeds, and some of them driven."""
+"""Held-object moves of `minidual plan`: planned for two seeds, some driven."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ _DRIVEN_SEED_OFFSET = 104_729
 
 @dataclass(frozen=True)
 class HeldResults:
-    """What the moves gave: outcomes of the two sets by name, the executions, and why others could not be driven."""
+    """Outcomes of both sets, executions, and why others were not driven."""
 
     outcomes: Mapping[str, Sequence[MoveOutcome]]
     executions: Sequence[Execution]
     undriven: Sequence[str] = ()
 
     def notes(self) -> list[str]:
-        """Return one line for every move that failed."""
+        """Return one line per failed or undriven move."""
         failed = [
             f"held move {o.move.index} of the {name} seed failed: {o.message}"
             for name, done in self.outcomes.items()
@@ -46,7 +46,7 @@ class HeldResults:
         return [*failed, *self.undriven]
 
     def data(self) -> dict[str, Any]:
-        """Return what the stage keeps of the moves beside its checks and held_moves.csv."""
+        """Return numbers beyond the checks and held_moves.csv."""
         data: dict[str, Any] = {"executions": [dataclasses.asdict(e) for e in self.executions]}
         for name, done in self.outcomes.items():
             data[f"{name}_seed"] = {
@@ -63,7 +63,7 @@ class HeldResults:
 
 
 def run_held(context: StageContext) -> HeldResults:
-    """Plan the moves of both seeds and drive some; writes held_moves.csv."""
+    """Plan the moves of both seeds, drive some, and write held_moves.csv."""
     plan, scene, seed = context.config.plan, context.config.scene, context.seed
     held, outcomes, executions, robot = plan.held, {}, [], robot_from(context.config.robot)
     with context.progress.task("held moves", 2 * held.moves_n + held.executed_n) as task:

@@ -1,4 +1,4 @@
-"""`minidual plan --to`: one goal, planned, proven and shown. It is no stage: it writes no verdict and opens no gate."""
+"""`minidual plan --to`: plan one goal, without verdict or gate."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _BUDGET_MAX_S = 600.0
 
 
 def plan_once(context: ToolContext) -> ToolResult:
-    """Plan from --from to --to for --group in --scene; exit 1 where no path was found, 2 where the query is bad."""
+    """Plan from --from to --to; exit 1 if no path, 2 if the query is invalid."""
     options = context.options
     targets = {name: target_file(name, options.get(name), end) for name, end in _ENDINGS.items()}
     group = options.get("group", "both_arms")
@@ -55,7 +55,7 @@ def plan_once(context: ToolContext) -> ToolResult:
 
 
 def _prepare(context: ToolContext, group: str) -> tuple[GoalPlanner, PlanningScene, Array, list[str]]:
-    """Return planner, scene, start (n,) and notes; whatever is typed wrongly is said before anything is planned."""
+    """Return planner, scene, start (n,) and notes; validates the input first."""
     group_arms(group)  # refuses an unknown name
     config, notes = context.config, list[str]()
     robot = robot_from(config.robot)
@@ -66,7 +66,7 @@ def _prepare(context: ToolContext, group: str) -> tuple[GoalPlanner, PlanningSce
     planner = GoalPlanner(Planner(scene, config.plan.planner), config.semantics)
     q_home = planner.states.joints("home", "both_arms", planner.robot.home)
     start = goal_of(context.options.get("from", "home"), planner.states)
-    # A start places both arms, whichever group moves afterwards; a start of one hand leaves the other at home.
+    # A start places both arms; a one-hand start leaves the other at home.
     values = start.values if isinstance(start, JointGoal) else ()
     of_group = isinstance(start, PoseGoal | RelativeGoal) or (
         isinstance(values, tuple) and len(values) not in (0, planner.robot.dof)
@@ -76,7 +76,7 @@ def _prepare(context: ToolContext, group: str) -> tuple[GoalPlanner, PlanningSce
 
 
 def target_file(name: str, text: str | None, ending: str) -> Path | None:
-    """Return where a file goes; refuse what could not be written before any work is done."""
+    """Return the output path; UsageError if it cannot be written."""
     if text is None:
         return None
     path = Path(text)
@@ -94,7 +94,7 @@ def target_file(name: str, text: str | None, ending: str) -> Path | None:
 
 @contextmanager
 def writing(path: Path) -> Generator[Path]:
-    """Turn what the disk says while a file is written into a message."""
+    """Turn OSError while writing into UsageError."""
     try:
         yield path
     except OSError as error:
@@ -125,7 +125,7 @@ def _write(
 
 
 def _play(context: ToolContext, scene: PlanningScene, result: PlanResult, title: str) -> None:
-    """Show the plan until the view is closed or Ctrl-C; once where nobody sits at the terminal."""
+    """Show the plan until closed or Ctrl-C; once without a terminal."""
     from minidual.show.planning import play
 
     rounds = None if sys.stdin is not None and sys.stdin.isatty() else 1
@@ -157,7 +157,7 @@ def _lines(title: str, result: PlanResult, clearance: str) -> list[str]:
 
 
 def _clearance(clearance_m: float, min_distance_m: float) -> str:
-    """Return the smallest distance along the plan in words; a few centimetres are measured at most."""
+    """Return the smallest distance along the plan as text; it is measured up to CLEARANCE_MAX_M."""
     far = clearance_m >= CLEARANCE_MAX_M
     text = f"{'at least ' if far else ''}{clearance_m * 1e3:.1f} mm"
     return text if min_distance_m == 0.0 else f"{text} beyond the {min_distance_m * 1e3:g} mm that the scene asks for"

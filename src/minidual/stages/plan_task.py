@@ -1,4 +1,4 @@
-"""`minidual plan --task NAME`: plan a whole task from one of its starts, drive it in the simulator, judge it. No stage."""
+"""`minidual plan --task NAME`: plan, simulate and judge one whole task."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from minidual.trials.runner import Bench
 
 
 def plan_task(context: ToolContext) -> ToolResult:
-    """Solve the task that --task names; exit 1 where it is not solved or not done, 2 where there is no such task."""
+    """Solve the --task; exit 1 if unsolved or failed, 2 if unknown."""
     name = context.options["task"]
     video = target_file("video", context.options.get("video"), ".mp4")
     config = TASKS[name](replaced(context.config, task=name)).config

@@ -1,8 +1,7 @@
-"""The table of stages.
+"""Tables of stages and tools.
 
-To add a stage, write a module with a function `run` (see minidual.gate.stage) and a row here, or publish a row as an
-entry point of the group "minidual.stages" (docs/howto-stage.md). An option with a `path` overrides that configuration
-value, as --set does.
+A stage is a module's function `run` (see minidual.gate.stage) and a row here, or an entry point of the group
+"minidual.stages" (docs/howto-stage.md). An option's `path` overrides that configuration value.
 """
 
 from __future__ import annotations
@@ -10,7 +9,7 @@ from __future__ import annotations
 from minidual.gate.table import Option, StageEntry, StageTable, ToolEntry
 
 LIBRARIES = ("numpy", "scipy", "mujoco", "pin", "coal", "ompl", "torch", "lerobot", "h5py", "av", "gymnasium")
-"""Distributions whose versions every verdict records."""
+"""Distributions whose versions verdicts record."""
 
 STAGES = StageTable(
     (
@@ -279,4 +278,4 @@ TOOLS: tuple[ToolEntry, ...] = (
         watchable=True,
     ),
 )
-"""Commands that write no verdict and open no gate: a function `(ToolContext) -> ToolResult` and a row."""
+"""Commands without verdict or gate."""

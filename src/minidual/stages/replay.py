@@ -1,4 +1,4 @@
-"""Tool `replay`: run a dumped state or a recorded trial again, and say what went wrong first."""
+"""`minidual replay`: run a dump or recorded trial again and report the first fault."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _FRAMES = 8
 
 
 def replay_tool(context: ToolContext) -> ToolResult:
-    """Replay the file; exit 1 if the physics does not repeat although all versions are the same."""
+    """Replay the file; exit 1 if equal versions do not reproduce it."""
     options = context.options
     camera = options.get("camera", "overview")
     if camera not in CAMERAS:
@@ -43,7 +43,7 @@ def replay_tool(context: ToolContext) -> ToolResult:
 
 
 def _target(text: str | None, ending: str) -> Path | None:
-    """Return where a picture goes; refuse what could not be written before any work is done."""
+    """Return the output path; UsageError if ending or folder is wrong."""
     if text is None:
         return None
     path = Path(text)

@@ -1,4 +1,4 @@
-"""`minidual report`: one offline page and its JSON, from the verdicts of the run alone."""
+"""`minidual report`: an offline page and JSON from the run's verdicts."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from minidual.trials.conditions import parse_conditions
 
 
 def run(context: StageContext) -> StageResult:
-    """Write report.html, report.json, the figures and the large films."""
+    """Write report.html, report.json, figures and large films."""
     benchmark = context.config.benchmark
     given = ReportInput(
         title=context.config.report.title,

@@ -1,4 +1,4 @@
-"""`minidual view`: the scene alone, in real time; the arms hold home and follow the sliders of the view."""
+"""`minidual view`: the scene in real time, driven by the view's sliders."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from minidual.show.view import Overlay, Slider
 from minidual.show.watch import watched
 
 SLIDER_SPEED_RAD_S = 0.8
-"""A joint follows its slider no faster than this."""
+"""Largest joint speed towards a slider."""
 _SLICE_S = 0.01
 _LOST_S = 0.1
-"""Further behind the clock than this, the lost time is not caught up."""
+"""Larger delays are not caught up."""
 
 
 def joint_sliders(robot: Robot) -> list[Slider]:
-    """Return one slider a joint and one a hand, at home and open."""
+    """Return one slider per joint, at home, and per hand, open."""
     sliders = [
         Slider(f"{side} arm", f"joint {i + 1} [rad]", *map(float, row))
         for side in robot.sides
@@ -41,7 +41,7 @@ def joint_sliders(robot: Robot) -> list[Slider]:
 
 @contextlib.contextmanager
 def interruptions() -> Generator[threading.Event]:
-    """Yield an event that Ctrl-C or SIGTERM sets, even where a library swallows the KeyboardInterrupt."""
+    """Yield an event set by Ctrl-C or SIGTERM; libraries may swallow KeyboardInterrupt."""
     stop = threading.Event()
 
     def note(number: int, frame: FrameType | None) -> None:
@@ -58,7 +58,7 @@ def interruptions() -> Generator[threading.Event]:
 
 
 def view_scene(context: ToolContext) -> ToolResult:
-    """Run the scene in real time until Ctrl-C (a normal end, exit code 0) or the end of --for-s.
+    """Run in real time until Ctrl-C (exit 0), --for-s or the view ends.
 
     Raises:
         UsageError: --view none, or --for-s not above 0.

@@ -1,4 +1,4 @@
-"""`minidual teleop-record`: a leader demonstrates, the follower is recorded, and a dataset is made of what succeeded."""
+"""`minidual teleop-record`: record demonstrations and convert them to a dataset."""
 
 from __future__ import annotations
 
@@ -58,11 +58,11 @@ _WORDS = {
     ),
     "dataset_episodes": ("", "every demonstration kept is an episode of the dataset", "record again with --force"),
 }
-"""Unit, reason and remedy of each check with a limit."""
+"""Unit, reason and remedy of each limited check."""
 
 
 def record_checks(numbers: RecordingNumbers, config: TeleopConfig) -> list[Check]:
-    """Return the checks of the stage."""
+    """Return the stage's checks."""
     n = numbers
     limits: tuple[tuple[str, Number, Op, Number], ...] = (
         ("episodes", n.episodes, ">=", config.episodes_n),
@@ -84,7 +84,7 @@ def record_checks(numbers: RecordingNumbers, config: TeleopConfig) -> list[Check
 
 
 def run(context: StageContext) -> StageResult:
-    """Record, convert, film, and write quality.csv and quality.png."""
+    """Record, convert and film; write quality.csv and quality.png."""
     from minidual.demos import lerobot_adapter, recording, rig
     from minidual.demos.leader import LEADERS
     from minidual.show.figures.teleop import draw_quality
@@ -121,7 +121,7 @@ def run(context: StageContext) -> StageResult:
 
 
 def write_quality(attempts: Sequence[Attempt], path: Path) -> None:
-    """Write one row an attempt, the rejected ones included."""
+    """Write one row per attempt, rejected ones included."""
     rows = [attempt.row() for attempt in attempts]
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, fieldnames=list(rows[0]))
@@ -130,7 +130,7 @@ def write_quality(attempts: Sequence[Attempt], path: Path) -> None:
 
 
 def _commonest(attempts: Sequence[Attempt]) -> str:
-    """Return the commonest reason with its count."""
+    """Return the most common reason with its count."""
     (reason, count) = Counter(a.reason for a in attempts).most_common(1)[0]
     return f"{count} x {reason}"
 

@@ -1,4 +1,4 @@
-"""`minidual train-act`: train a policy on the recorded demonstrations and check what its checkpoint emits."""
+"""`minidual train-act`: train a policy and check its checkpoint."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ _WORDS = {
         "raise train.time_limit_s or lower train.steps",
     ),
 }
-"""Unit, reason and remedy of each check with a limit."""
+"""Unit, reason and remedy of each limited check."""
 
 
 def train_checks(result: TrainResult, emitted: EmittedActions, config: TrainConfig, robot: Robot) -> list[Check]:
-    """Return the checks of the stage: acceptance limits, what guards them, and numbers without a limit."""
+    """Return the stage's checks."""
     limits: tuple[tuple[str, Number, Op, Number], ...] = (
         ("loss_ratio", result.loss_ratio, "<", config.loss_ratio_max),
         ("actions_in_limits", emitted.in_limits, ">=", config.actions_in_limits_min),
@@ -70,7 +70,7 @@ def train_checks(result: TrainResult, emitted: EmittedActions, config: TrainConf
 
 
 def run(context: StageContext) -> StageResult:
-    """Read the dataset, train, reload the checkpoint as deployment does, and write the records."""
+    """Train, reload the checkpoint as deployment does, and write records."""
     from minidual.policies import records
     from minidual.policies.acceptance import exercise_checkpoint
     from minidual.policies.demonstrations import load_demonstrations
@@ -82,8 +82,8 @@ def run(context: StageContext) -> StageResult:
     kind.require(config.device)  # before the dataset is read: this is quick to mend
     with context.progress.task("reading frames") as task:
         demos = load_demonstrations(context.upstream["teleop-record"] / "lerobot", config.cameras, task.advance)
-    # Beside the temporary folder, which the next attempt empties: an interrupted training goes on from here.
-    # The file carries a fingerprint of data, settings and seed, so it is never used for another training.
+    # Kept outside the temporary folder, so that an interrupted training resumes. A fingerprint of data, settings and
+    # seed prevents reuse by another training.
     resume = folder.parent / ".train-act.progress"
     with context.progress.task("training steps", config.steps) as task:
 

@@ -1,1 +1,1 @@
-"""Stage `env-check`: do the simulated arms exist, answer and see?"""
+"""Stage `env-check`."""

@@ -1,4 +1,4 @@
-"""The checks of `env-check`: what was measured against its limits."""
+"""Checks of `env-check`."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from minidual.stages.env_check.tracking import JointResponse, Tracking
 
 _Rows = dict[str, tuple[Number, Op | None, Number | None]]
 _REACHED_RAD = 0.005
-"""A joint driven alone has reached its target when the error norm of all joints is below this."""
+"""Error norm of all joints below which a single step has settled."""
 _REAL_TIME_US = 1000.0
 _CONTRAST_MIN, _OBJECT_SHARE_MIN, _FINGER_SHARE_MIN = 5.0, 0.001, 0.002
 
 
 @dataclass(frozen=True)
 class Measured:
-    """All that the stage measures of a robot whose motors are all there; each type says what its fields are."""
+    """All measurements of a fully actuated robot."""
 
     mapping: Mapping
     contacts: list[tuple[str, str, float]]
@@ -89,12 +89,12 @@ _REMEDY = {
     "cameras.fingers_min": "check the pose of the cameras 'left' and 'right'",
     "video.frames": "see the messages of the encoder (PyAV)",
 }
-"""What to do when a check fails."""
+"""Remedies of the checks."""
 _UNITS = ("rad", "us", "s")
 
 
 def _checks(rows: _Rows, names: dict[str, str]) -> list[Check]:
-    """Return the checks of {name: (observed, operator, limit)}; `names` fills the gaps of the texts."""
+    """Return checks of {name: (observed, operator, limit)}; `names` fills text placeholders."""
     checks = []
     for name, (observed, op, limit) in rows.items():
         unit = next((unit for unit in _UNITS if name.endswith(f"_{unit}")), "")
@@ -104,7 +104,7 @@ def _checks(rows: _Rows, names: dict[str, str]) -> list[Check]:
 
 
 def installation_checks(libraries: list[Library], packages: list[Package], joints_n: int, robot: Robot) -> list[Check]:
-    """Judge what is installed, and how many joints have a motor."""
+    """Return the checks of libraries and actuated joints."""
     unfit = [f"{lib.name} {lib.wanted} (found {lib.found or 'none'})" for lib in libraries if not lib.fits]
     rows: _Rows = {"libraries.unfit": (len(unfit), "==", 0), "libraries.count": (len(libraries), None, None)}
     if packages:
@@ -115,7 +115,7 @@ def installation_checks(libraries: list[Library], packages: list[Package], joint
 
 
 def measured_checks(m: Measured, limits: EnvCheckConfig, robot: Robot) -> list[Check]:
-    """Judge what the joints, the engines, the commands and the cameras do."""
+    """Return the checks of joints, engines, commands and cameras."""
     astray = [str(j + 1) for j, joint in enumerate(m.mapping.moved) if joint != j]
     late = [str(j + 1) for j, row in enumerate(m.responses) if not row.settled_rad < _REACHED_RAD]
     rise, overshoot = ([getattr(row, name) for row in m.responses] for name in ("rise_s", "overshoot_rad"))

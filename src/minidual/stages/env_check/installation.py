@@ -1,4 +1,4 @@
-"""Libraries, system packages and machine, without importing any library; `env-check --markdown` prints them."""
+"""Libraries, system packages and machine, without importing libraries."""
 
 from __future__ import annotations
 
@@ -24,12 +24,11 @@ from minidual.gate.verdict import read_verdict
 
 @dataclass(frozen=True)
 class Library:
-    """A distribution that the toolkit requires.
+    """A required distribution.
 
     Attributes:
-        name: As on the package index.
-        wanted: Version range, e.g. `>=4.0.0,<4.1`; empty if any will do.
-        found: Installed version, None if it is not installed.
+        wanted: Version range, e.g. `>=4.0.0,<4.1`; empty for any.
+        found: Installed version, or None.
     """
 
     name: str
@@ -38,23 +37,23 @@ class Library:
 
     @property
     def fits(self) -> bool:
-        """Whether it is installed in a version that the toolkit works with."""
+        """Whether the installed version is supported."""
         return self.found is not None and SpecifierSet(self.wanted).contains(self.found, prereleases=True)
 
 
 @dataclass(frozen=True)
 class Package:
-    """A Debian package that drawing without a screen needs; `version` is None if it is not installed."""
+    """A Debian package for off-screen rendering; `version` is None if missing."""
 
     name: str
     version: str | None
 
 
 def required_libraries(distribution: str = "minidual") -> list[Library]:
-    """Return what the installed distribution requires, with the versions found; extras are left out.
+    """Return requirements of `distribution` without extras, and installed versions.
 
     Raises:
-        importlib.metadata.PackageNotFoundError: The distribution itself is not installed.
+        importlib.metadata.PackageNotFoundError: The distribution is not installed.
     """
     libraries = []
     for requirement in map(Requirement, importlib.metadata.requires(distribution) or []):
@@ -69,7 +68,7 @@ def required_libraries(distribution: str = "minidual") -> list[Library]:
 
 
 def system_packages(names: Sequence[str] = ("libegl1", "libgl1-mesa-dri")) -> list[Package]:
-    """Return which of the Debian packages are installed; an empty list where there is no dpkg to ask."""
+    """Return the Debian packages' versions; empty without dpkg."""
     query = shutil.which("dpkg-query")
     if query is None:
         return []
@@ -83,7 +82,7 @@ def system_packages(names: Sequence[str] = ("libegl1", "libgl1-mesa-dri")) -> li
 
 
 def machine() -> dict[str, str]:
-    """Return the interpreter, operating system, processor and GL backend in words."""
+    """Return interpreter, system, processor and GL backend."""
     return {
         "python": platform.python_version(),
         "system": f"{platform.system()} {platform.release()}",
@@ -111,9 +110,9 @@ def _system_name() -> str:
 
 
 def print_bill(context: ToolContext) -> ToolResult:
-    """Collect versions for a bug report, the renderer's name and the last verdict; no paths, no names of people."""
+    """Return versions, renderer and last verdict for a bug report; no paths or personal names."""
     try:
-        # A bill must come out of a broken installation too.
+        # A broken installation must still print its versions.
         from minidual.stages.env_check.pictures import renderer_name
 
         renderer = renderer_name()
@@ -158,7 +157,7 @@ def markdown(
     packages: Sequence[Package],
     env_check: Mapping[str, Any] | None,
 ) -> list[str]:
-    """Return the bill as lines of Markdown."""
+    """Return the report as Markdown lines."""
     lines = ["### minidual environment", "", "| | |", "|---|---|"]
     lines += [f"| {name.replace('_', ' ')} | {_cell(value)} |" for name, value in about.items() if value]
     lines += ["", "| library | wanted | found | |", "|---|---|---|---|"]

@@ -1,4 +1,4 @@
-"""How soon a command reaches the motors, and how soon an emergency stop does: arbiter, controller, supervisor."""
+"""Latency of commands and emergency stops through arbiter, controller and supervisor."""
 
 from __future__ import annotations
 
@@ -22,8 +22,10 @@ from minidual.robot.pair import Array
 _SOURCE = "policy"
 _NUDGE_RAD = 0.02
 _CHANGED_SHARE = 0.5
-"""A torque has answered when it changes in a tick by this share of what the supervisor lets through (1 Nm). The nudge
-asks for twenty times that; what is left of the one before changes it by a hundredth."""
+"""Share of the supervisor's torque step (1 Nm) that counts as a response.
+
+The nudge asks for twenty times that; the previous one leaves a hundredth.
+"""
 _SETTLE_STEPS = 120
 _STILL_RAD_S = 0.01
 _SWING_RAD, _SWINGS_S, _REST_MAX_S = 0.3, 2.0, 2.0
@@ -31,13 +33,13 @@ _SWING_RAD, _SWINGS_S, _REST_MAX_S = 0.3, 2.0, 2.0
 
 @dataclass(frozen=True)
 class CommandLatency:
-    """What a command waits for.
+    """Latency of commands.
 
     Attributes:
-        ticks: Control steps from `propose` to the first torque that differs, for each instant of the arbiter's period at
-            which the command can come; 1 is the very next step.
-        period_ticks: Control steps between two ticks of the arbiter.
-        wall_us: Wall time from `propose` to the motors, for commands that come just before the arbiter's tick [us].
+        ticks: Control steps from `propose` to the first changed torque, per instant of the arbiter's period; 1 is the
+            next step.
+        period_ticks: Control steps per arbiter tick.
+        wall_us: Wall time from `propose` to the motors, just before an arbiter tick [us].
     """
 
     ticks: tuple[int, ...]
@@ -46,7 +48,7 @@ class CommandLatency:
 
 
 class LatencyRig:
-    """The whole control stack on a world, whose state is reset, with one source that drives it."""
+    """The control stack with one source, on a reset world."""
 
     def __init__(
         self, world: World, kinematics: Kinematics, arbiter: ArbiterConfig, supervisor: SupervisorConfig, rate_hz: float
@@ -65,24 +67,24 @@ class LatencyRig:
             raise MinidualError(f"'{_SOURCE}' did not get the arms: the arbiter is {self.stack.state}")
 
     def propose(self) -> None:
-        """Offer the present target, stamped now."""
+        """Propose the present target, stamped now."""
         self._sequence += 1
         command = JointCommand(self.target.copy(), np.ones(2), self.world.time, self._sequence)
         self.stack.propose(_SOURCE, command)
 
     def hold_step(self) -> None:
-        """Run one step; keep the source alive at every tick of the arbiter."""
+        """Run one step; keep the source alive."""
         if self.stack.tick_next:
             self.propose()
         self.stack.step()
 
     def nudge(self, sign: float) -> None:
-        """Move the target of joint 1 of the left arm to either side of home."""
+        """Move the target of the left joint 1 to one side of home."""
         self.target[0] = self.world.robot.home[0] + sign * 0.5 * _NUDGE_RAD
 
 
 def command_latency(rig: LatencyRig, *, repeats_n: int = 100) -> CommandLatency:
-    """Measure how long commands take to the motors, at every instant of the arbiter's period."""
+    """Measure command latency at each instant of the arbiter's period."""
     ticks, sign = [], 1.0
     for phase in range(rig.period):
         for _ in range(_SETTLE_STEPS):
@@ -106,7 +108,7 @@ def command_latency(rig: LatencyRig, *, repeats_n: int = 100) -> CommandLatency:
 
 
 def _steps_until_torque(rig: LatencyRig) -> int:
-    """Return the number of steps until the torque answers; a command that never does counts three periods."""
+    """Return the steps to a torque response; three periods if none."""
     changed_nm = _CHANGED_SHARE * rig.supervisor.bounds.tau_step
     for count in range(1, 3 * rig.period + 1):
         before = rig.stack.applied.copy()
@@ -117,7 +119,7 @@ def _steps_until_torque(rig: LatencyRig) -> int:
 
 
 def _wall_us(rig: LatencyRig) -> float:
-    """Return the wall time from propose to the call that hands the torques over [us]."""
+    """Return the wall time from propose to the torque command [us]."""
     reached: list[int] = []
     command = rig.world.command
 
@@ -134,12 +136,12 @@ def _wall_us(rig: LatencyRig) -> float:
 
 @dataclass(frozen=True)
 class StopResponse:
-    """What an emergency stop does to moving arms.
+    """Response of moving arms to an emergency stop.
 
     Attributes:
-        ticks: Control steps from the call to the reflex `emergency_stop`; 1 is the next, 0 if it did not come.
-        rest_s: Simulated time until no joint is faster than 0.01 rad/s; NaN if they do not come to rest in 2 s.
-        speed_rad_s: Fastest joint when it was called.
+        ticks: Control steps to the reflex `emergency_stop`; 1 is the next, 0 means none.
+        rest_s: Simulated time from the reflex until all joints are below 0.01 rad/s; NaN after 2 s.
+        speed_rad_s: Fastest joint at the call.
     """
 
     ticks: int
@@ -148,7 +150,7 @@ class StopResponse:
 
 
 def emergency_stop(rig: LatencyRig) -> StopResponse:
-    """Swing all joints about home, press the emergency stop where they are fastest, and watch them come to rest."""
+    """Swing all joints, stop at the fastest instant, and measure until rest."""
     world, supervisor, home = rig.world, rig.supervisor, rig.world.robot.home
     press = round(_SWINGS_S / world.dt)
     speed, ticks = 0.0, 0

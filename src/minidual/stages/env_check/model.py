@@ -1,7 +1,4 @@
-"""Whether the simulated robot is what the rest of the toolkit takes it for: motors, two engines, cost of a step.
-
-Each function measures a world through the interface that every controller uses and returns numbers.
-"""
+"""Measurements of motors, engine agreement and step cost."""
 
 from __future__ import annotations
 
@@ -22,7 +19,7 @@ from minidual.stages.env_check.tracking import sine_reference
 
 
 def drivable_joints(model: mujoco.MjModel, robot: Robot) -> list[str]:
-    """Return those arm joints that the model has as hinges with a torque motor on them."""
+    """Return the arm joints that are hinges with a torque motor."""
     found = []
     for name in robot.joint_names:
         with suppress(UsageError):  # no such joint, no actuator, or a servo
@@ -37,8 +34,8 @@ class Mapping:
     """Which joint each torque command moves.
 
     Attributes:
-        moved: (n,) index of the joint that command j moves, -1 if it moves none as the dynamics predict.
-        error: (n,) largest deviation of each column from the prediction, as a share of its largest entry.
+        moved: (n,) joint moved by command j, -1 if none as predicted.
+        error: (n,) largest column deviation, as a share of its largest entry.
     """
 
     moved: tuple[int, ...]
@@ -53,11 +50,10 @@ class Mapping:
 def torque_pulse_mapping(
     world: World, kinematics: Kinematics, *, pulse_share: float = 0.1, tolerance: float = 0.01
 ) -> Mapping:
-    """Give each torque command a pulse of one step, alone, and see which joint answers.
+    """Apply a one-step torque pulse to each command and find the joint that responds.
 
-    The answer to command j must be column j of the inverse inertia matrix. Coupling moves the neighbours too, and
-    from some postures more than the joint itself, so comparing columns says what comparing magnitudes cannot.
-    One step from rest at home: (M + dt D) dv = dt tau, with the damping D taken implicitly by the integrator.
+    The response must be column j of the inverse inertia matrix. Columns are compared because coupling can move a
+    neighbour more than the joint itself. One step from rest: (M + dt D) dv = dt tau, with implicit damping D.
     """
     robot, n = world.robot, world.robot.dof
     world.reset()
@@ -89,8 +85,8 @@ def model_agreement(world: World, kinematics: Kinematics, rng: np.random.Generat
     """Compare MuJoCo with Pinocchio at random states.
 
     Returns:
-        Largest absolute difference of `position_m` and `rotation` (of both tool centre points), `inertia_kg_m2`
-        (mass matrix) and `bias_nm` (Coriolis, centrifugal and gravity torques).
+        Largest absolute difference of `position_m` and `rotation` (tool centre points), `inertia_kg_m2` (mass matrix)
+            and `bias_nm` (Coriolis, centrifugal and gravity torques).
     """
     robot, rows = world.robot, world.joints.qvel
     largest: dict[str, float] = dict.fromkeys(("position_m", "rotation", "inertia_kg_m2", "bias_nm"), 0.0)
@@ -117,7 +113,7 @@ def model_agreement(world: World, kinematics: Kinematics, rng: np.random.Generat
 
 @dataclass(frozen=True)
 class StepCost:
-    """Wall time of one step of control and physics [us], and of bare physics in the same run."""
+    """Wall time of a control and physics step, and of bare physics [us]."""
 
     median_us: float
     p99_us: float
@@ -130,7 +126,7 @@ class StepCost:
 
 
 def control_step_cost(loop: JointLoop, steps_n: int, *, block: int = 50) -> StepCost:
-    """Time single steps of `loop` while the arms swing free, in turns with `mj_step` on a copy of the state."""
+    """Time steps of `loop` while the arms swing, alternating with `mj_step` on a copied state."""
     world, clock, fingers = loop.world, time.perf_counter_ns, np.ones(2)
     world.reset()
     loop.reset()

@@ -1,4 +1,4 @@
-"""What the cameras see, and the pictures of the environment check: film of the swing, cameras, tracking."""
+"""Camera checks and figures of `env-check`."""
 
 from __future__ import annotations
 
@@ -21,13 +21,12 @@ from minidual.stages.env_check.tracking import JointResponse, Tracking
 
 @dataclass(frozen=True)
 class CameraCheck:
-    """What the pictures hold, as shares of a picture (0..1) unless said otherwise.
+    """What the cameras see, as shares of a picture (0..1) unless noted.
 
     Attributes:
-        contrast_min: Least standard deviation of brightness (0..255) among the cameras; 0 is one flat colour.
-        object_share: Least share of an object of the task in `high`.
-        fingers_min: Least share of a fingertip in the camera of its own wrist, over four fingers.
-        gl_renderer: Name of the OpenGL renderer, for the bill of versions.
+        contrast_min: Least standard deviation of brightness (0..255); 0 is one flat colour.
+        object_share: Least share of a task object in `high`.
+        fingers_min: Least share of a fingertip in its wrist camera.
     """
 
     contrast_min: float
@@ -37,10 +36,10 @@ class CameraCheck:
 
 
 def check_cameras(world: World, *, width_px: int = 320, height_px: int = 240) -> CameraCheck:
-    """Render the recorded cameras of a world compiled with visuals, as it stands.
+    """Render the recorded cameras of a world with visuals.
 
     Raises:
-        EnvironmentMissingError: No off-screen OpenGL context can be made.
+        EnvironmentMissingError: No off-screen OpenGL context.
     """
     with Camera(world.model, width_px, height_px) as camera:
         pictures = {name: camera.picture(world.data, name) for name in CAMERAS}
@@ -56,10 +55,10 @@ def check_cameras(world: World, *, width_px: int = 320, height_px: int = 240) ->
 
 
 def renderer_name() -> str:
-    """Return the name of the OpenGL renderer that draws without a screen.
+    """Return the name of the off-screen OpenGL renderer.
 
     Raises:
-        EnvironmentMissingError: No off-screen OpenGL context can be made.
+        EnvironmentMissingError: No off-screen OpenGL context.
     """
     model = mujoco.MjModel.from_xml_string("<mujoco><worldbody><camera name='eye'/></worldbody></mujoco>")
     with Camera(model, 32, 32) as camera:
@@ -68,13 +67,13 @@ def renderer_name() -> str:
 
 
 def _gl_renderer() -> str:
-    """Return the name of the renderer behind the current OpenGL context."""
+    """Return the renderer of the current OpenGL context."""
     name = GL.glGetString(GL.GL_RENDERER)
     return name.decode() if isinstance(name, bytes) else "unknown"
 
 
 def film(world: World, tracking: Tracking, path: Path, *, fps: int, width_px: int, height_px: int) -> int:
-    """Draw the states of a tracking run, seen by the overview camera, as an mp4; return the number of frames."""
+    """Film a tracking run by the overview camera as mp4; return the number of frames."""
     data = mujoco.MjData(world.model)
     duration = tracking.t[-1]
     indices = np.searchsorted(tracking.t, np.arange(round(duration * fps)) / fps + tracking.t[0] - 1e-9)
@@ -90,7 +89,7 @@ def film(world: World, tracking: Tracking, path: Path, *, fps: int, width_px: in
 
 
 def save_cameras(world: World, path: Path) -> None:
-    """Save one figure of the three recorded cameras and the overview."""
+    """Save a figure of the recorded cameras and the overview."""
     with Camera(world.model, 480, 360, supersample=2) as camera:
         pictures = {name: camera.picture(world.data, name) for name in (*CAMERAS, "overview")}
     kinds = {"high": "recorded", "left": "wrist, recorded", "right": "wrist, recorded", "overview": "for people"}
@@ -109,17 +108,17 @@ def save_tracking(
     sine_limit_rad: float,
     rise_limit_s: float,
 ) -> None:
-    """Save one figure: the step of joint 1 of both arms, each joint's own step, the swing, and the error of each.
+    """Save a figure of joint 1's step, each joint's own step, the swing, and errors.
 
     Args:
         path: PNG to write.
-        robot: Its arms.
+        robot: The arms.
         step: Step of joint 1 of both arms.
-        steps: The step of each joint alone.
+        steps: Step of each joint alone.
         sine: Swing of all joints.
         rows: Numbers of `steps` and `sine`.
         step_limit_rad: Limit on the error after the step.
-        sine_limit_rad: Limit on the RMS of the swing.
+        sine_limit_rad: Limit on the swing's RMS.
         rise_limit_s: Limit on the rise time.
     """
     figure, ((both, norm, alone), (swing, errors, rise)) = new_figure(2, 3, 15.0, 7.2)

@@ -1,4 +1,4 @@
-"""Stage `env-check`: drive every joint and look through every camera before anything is built on them."""
+"""Stage `env-check`: test all joints and cameras."""
 
 from __future__ import annotations
 

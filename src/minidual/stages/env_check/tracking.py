@@ -1,4 +1,4 @@
-"""How well the joints follow: one after another, in a step, and all at once in a swing."""
+"""Tracking of single joints, a step and a swing."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from minidual.robot.pair import Array, Robot
 _OPEN = np.ones(2)
 _SETTLED_S = 0.2
 _CONTACTS_EVERY = 10
-"""Steps between two looks for contacts: a touch lasts longer, and names cost more than the step."""
+"""Steps between contact checks, whose names cost more than a step; contacts last longer."""
 
 
 @dataclass(frozen=True)
 class Tracking:
-    """A reference and what the n joints did in T steps.
+    """Reference and measurement of n joints over T steps.
 
     Attributes:
         t: (T,) [s].
         reference: (T, n) [rad].
         measured: (T, n) [rad].
-        qpos: (T, nq) state of the whole model, to draw it afterwards.
-        contacts: Number of looks, 100 a second, at which an arm touched something.
+        qpos: (T, nq) whole model, for drawing.
+        contacts: Number of checks, every tenth step, with an arm in contact.
         start: (n,) [rad] before the first step.
     """
 
@@ -39,45 +39,45 @@ class Tracking:
 
     @property
     def error_norm(self) -> Array:
-        """Norm of the error of all joints at each instant (T,) [rad]."""
+        """Error norm of all joints (T,) [rad]."""
         return np.linalg.norm(self.reference - self.measured, axis=1)
 
     @property
     def rms(self) -> float:
-        """Root mean square over time of the error norm [rad]."""
+        """RMS of the error norm [rad]."""
         return float(np.sqrt(np.mean(self.error_norm**2)))
 
     @property
     def joint_rms(self) -> Array:
-        """Root mean square over time of each joint's error (n,) [rad]."""
+        """RMS error per joint (n,) [rad]."""
         return np.sqrt(np.mean((self.reference - self.measured) ** 2, axis=0))
 
     @property
     def settled(self) -> float:
-        """Largest error norm in the last 0.2 s [rad]; a single instant may lie on a crossing."""
+        """Largest error norm in the last 0.2 s [rad]; one instant may be a zero crossing."""
         return float(self.error_norm[self.t > self.t[-1] - _SETTLED_S].max())
 
     @property
     def overshoot(self) -> float:
-        """How far any joint went beyond its final reference, coming from its first position [rad]."""
+        """Largest overshoot of any joint beyond its final reference [rad]."""
         way = self.reference[-1] - self.measured[0]
         beyond = (self.measured - self.reference[-1]) * np.sign(way)
         return float(max(0.0, beyond[:, np.abs(way) > 1e-9].max(initial=0.0)))
 
     def share(self, joint: int) -> Array:
-        """Return how much of its way a joint has gone (T,), 1 at the target."""
+        """Return a joint's share of its step (T,), 1 at the target."""
         way = self.reference[-1, joint] - self.start[joint]
         return (self.measured[:, joint] - self.start[joint]) / way
 
 
 def arm_contacts(world: World) -> list[tuple[str, str, float]]:
-    """Return the contacts (body, body, distance [m]) in which a link of an arm takes part."""
+    """Return contacts (body, body, distance [m]) of arm links."""
     prefixes = tuple(f"{side}_" for side in world.robot.sides)
     return [pair for pair in world.contact_pairs() if pair[0].startswith(prefixes) or pair[1].startswith(prefixes)]
 
 
 def track(loop: JointLoop, steps: int, drive: Callable[[float], Array], *, contacts: bool = False) -> Tracking:
-    """Run `steps` control steps; `drive(t)` commands the loop for time t and returns the desired q (n,)."""
+    """Run `steps` control steps; `drive(t)` commands the loop and returns the desired q (n,)."""
     world = loop.world
     n = world.robot.dof
     t, wanted, got, qpos = (np.empty((steps, *shape)) for shape in ((), (n,), (n,), (world.model.nq,)))
@@ -90,7 +90,7 @@ def track(loop: JointLoop, steps: int, drive: Callable[[float], Array], *, conta
 
 
 def step_response(loop: JointLoop, target: Array, duration_s: float) -> Tracking:
-    """Reset the arms to home, command posture target (n,) at once and hold it."""
+    """Reset to home, then command `target` (n,) as a step."""
     loop.world.reset()
     loop.reset()
 
@@ -102,7 +102,7 @@ def step_response(loop: JointLoop, target: Array, duration_s: float) -> Tracking
 
 
 def outward_step(robot: Robot, step_rad: float) -> Array:
-    """Return home with joint 1 of both arms turned outwards, with opposite signs (n,)."""
+    """Return home with joint 1 of both arms turned outwards (n,)."""
     q = robot.home.copy()
     q[0] += step_rad
     q[robot.dof_per_arm] -= step_rad
@@ -110,7 +110,7 @@ def outward_step(robot: Robot, step_rad: float) -> Array:
 
 
 def single_joint_steps(loop: JointLoop, step_rad: float, duration_s: float) -> list[Tracking]:
-    """Step each joint alone from home, towards its farther limit; return what all joints did, one entry a joint."""
+    """Step each joint alone from home, towards its farther limit; return one entry per joint."""
     robot, responses = loop.world.robot, []
     for j in range(robot.dof):
         target = robot.home.copy()
@@ -120,12 +120,12 @@ def single_joint_steps(loop: JointLoop, step_rad: float, duration_s: float) -> l
 
 
 def sine_reference(robot: Robot, amplitude_rad: float, frequency_hz: float, t: float) -> tuple[Array, Array, Array]:
-    """Return (q, v, a), each (n,), of all joints swinging about home at once.
+    """Return (q, v, a), each (n,), of all joints swinging about home.
 
-    q = home - A cos(w t) starts at rest. The arms swing alike, not mirrored: mirrored, the hands would meet.
+    q = home - A cos(w t) starts at rest. The arms are not mirrored, or the hands would meet.
 
     Raises:
-        ValueError: The swing leaves a joint's position or velocity limits.
+        ValueError: The swing exceeds position or velocity limits.
     """
     w, home = 2.0 * np.pi * frequency_hz, robot.home
     if (home + amplitude_rad > robot.q_upper).any() or (home - amplitude_rad < robot.q_lower).any():
@@ -137,7 +137,7 @@ def sine_reference(robot: Robot, amplitude_rad: float, frequency_hz: float, t: f
 
 
 def sine_response(loop: JointLoop, amplitude_rad: float, frequency_hz: float, duration_s: float) -> Tracking:
-    """Swing all joints at once about home and return what they did, contacts counted."""
+    """Swing all joints about home, counting contacts."""
     world = loop.world
 
     def reference(t: float) -> tuple[Array, Array, Array]:
@@ -154,16 +154,15 @@ def sine_response(loop: JointLoop, amplitude_rad: float, frequency_hz: float, du
 
 @dataclass(frozen=True)
 class JointResponse:
-    """One joint: a step of its own, and the swing of all.
+    """Response of one joint.
 
     Attributes:
-        joint: Name.
-        step_rad: Size of its step, with its sign.
-        rise_s: Time from 10 % to 90 % of the step; NaN if it never gets there.
-        overshoot_rad: How far it went beyond the target.
-        settled_rad: Largest error norm of all joints in the last 0.2 s: the others must stand still too.
-        sine_rms_rad: RMS error while all joints swing.
-        sine_peak_rad: Largest error meanwhile.
+        step_rad: Signed size of its step.
+        rise_s: 10 % to 90 % rise time, NaN if never reached.
+        overshoot_rad: Overshoot beyond the target.
+        settled_rad: Largest error norm of all joints in the last 0.2 s.
+        sine_rms_rad: RMS error in the swing.
+        sine_peak_rad: Largest error in the swing.
     """
 
     joint: str
@@ -176,7 +175,7 @@ class JointResponse:
 
 
 def joint_responses(robot: Robot, steps: Sequence[Tracking], sine: Tracking) -> list[JointResponse]:
-    """Return one row a joint, from the step of each joint alone (n of them) and the swing of all."""
+    """Return one row per joint."""
     peak = np.abs(sine.reference - sine.measured).max(axis=0)
     rows = []
     for j, step in enumerate(steps):
