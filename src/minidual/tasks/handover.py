@@ -74,7 +74,7 @@ def handover(config: Config) -> Task:
 
 
 def handed_over(task: Task, trial: Trial) -> tuple[SuccessCondition, ...]:
-    """Return the conditions of success."""
+    """Return the conditions."""
     asked, name = task.scene.task, task.carried
     x, y, _ = placement(trial.goal[name])
     return (

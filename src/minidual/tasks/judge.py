@@ -46,14 +46,14 @@ class Outcome:
         return "" if first is None else f"{first.name} at {first.at_s:.2f} s: {first.detail}"
 
     def __getattr__(self, name: str) -> float:
-        """Return a measured number, NaN if not measured."""
+        """Return a number, or NaN."""
         if name.startswith("_") or not name.endswith(("_m", "_n", "_rad")):
             raise AttributeError(name)
         return self.measured.get(name, math.nan)
 
 
 def begin(world: World, task: Task, trial: Trial, demanding: Collection[str] = ()) -> Judge:
-    """Reset the world to the trial's start."""
+    """Reset the world to the start."""
     world.reset(poses=trial.start)
     return Judge(task, trial, demanding)
 
@@ -95,11 +95,11 @@ class Judge:
 
     @property
     def faults(self) -> tuple[Fault, ...]:
-        """Violations so far."""
+        """Violations."""
         return tuple(self._faults.values())
 
     def observe(self, world: World) -> None:
-        """Evaluate the present state."""
+        """Evaluate the state."""
         truth, now = self._truth, world.time
         truth.refresh(world)
         for condition in self._observing:
@@ -116,7 +116,7 @@ class Judge:
             self._done_at = now
 
     def outcome(self, world: World) -> Outcome:
-        """Judge the trial so far."""
+        """Return the verdict."""
         truth, faults = self._truth, dict(self._faults)
         truth.refresh(world)
         truth.duration_s = truth.time if self._done_at is None else self._done_at

@@ -1,7 +1,6 @@
 """Table of objects to carry, with internal force and stiffness.
 
-Parallel grippers hold them from above: 80 mm opening, pads 3 mm over the axis. The pinch force follows from the
-internal force by friction (control/pinch.py).
+Parallel grippers hold them from above: 80 mm opening, pads 3 mm over the axis. Pinch force: control/pinch.py.
 """
 
 from __future__ import annotations

@@ -66,7 +66,7 @@ def rod_carry(config: Config) -> Task:
 def draw_on_table(
     task: Task, rng: np.random.Generator, widen: float = 1.0
 ) -> tuple[dict[str, ObjectPose], dict[str, ObjectPose]]:
-    """Draw start and goal, uniform about those of `scene.task`."""
+    """Draw start and goal uniformly."""
     asked, name = task.scene.task, task.carried
     dx, dy = widen * asked.start_range_m * rng.uniform(-1.0, 1.0, size=2)
     yaw = widen * asked.start_range_rad * rng.uniform(-1.0, 1.0)
@@ -77,7 +77,7 @@ def draw_on_table(
 
 
 def carried_by_both(task: Task, trial: Trial) -> tuple[SuccessCondition, ...]:
-    """Return the conditions of success."""
+    """Return the conditions."""
     asked, name, body = task.scene.task, task.carried, task.scene.object
     x, y, yaw = placement(trial.goal[name])
     conditions: list[SuccessCondition] = [
@@ -124,7 +124,7 @@ def held_at_ends(body: ObjectConfig) -> dict[str, Array]:
 
 
 def grasp_offsets(scene: SceneConfig) -> tuple[Array, Array]:
-    """Return (T_object_left_tcp, T_object_right_tcp)."""
+    """Return left and right T_object_tcp."""
     left, right = held_at_ends(scene.object).values()
     return left, right
 

@@ -59,7 +59,7 @@ class ObjectTruth:
 
     @property
     def speed_m_per_s(self) -> float:
-        """Linear speed."""
+        """Speed."""
         return float(np.linalg.norm(self._world.object_twist(self.name)[:3]))
 
     @property
@@ -107,14 +107,14 @@ class SuccessCondition:
     """Base class; demands nothing."""
 
     name: ClassVar[str]
-    """Unique within a task."""
+    """Unique name."""
     stage: ClassVar[bool] = False
     """Counts for `progress`."""
     optional: ClassVar[bool] = False
     """Only measured unless demanded."""
 
     def observe(self, truth: Truth) -> str:
-        """Return what is wrong now, or ""."""
+        """Return the violation, or ""."""
         return ""
 
     def holds(self, truth: Truth) -> bool:
@@ -126,7 +126,7 @@ class SuccessCondition:
         return self.holds(truth)
 
     def end(self, truth: Truth) -> str:
-        """Return what is wrong at the end, or ""."""
+        """Return the final violation, or ""."""
         return ""
 
     def measured(self, truth: Truth) -> dict[str, float]:
@@ -221,7 +221,7 @@ class Held(SuccessCondition):
 
 @dataclass
 class Exchanged(SuccessCondition):
-    """Both hands pinch the object at once off the table."""
+    """Both hands pinch the object off the table."""
 
     name = "exchanged"
     stage = True
@@ -342,7 +342,7 @@ class Turned(SuccessCondition):
 
 @dataclass
 class Released(SuccessCondition):
-    """No hand touches the object."""
+    """No hand touches it."""
 
     name = "released"
     stage = True
@@ -358,7 +358,7 @@ class Released(SuccessCondition):
 
 @dataclass
 class AtRest(SuccessCondition):
-    """The object rests on the table."""
+    """It rests on the table."""
 
     name = "at_rest"
     object: str

@@ -57,14 +57,13 @@ class Step:
 
 @dataclass(frozen=True)
 class Task:
-    """What to do and how it is judged.
+    """A task.
 
     Attributes:
         instruction: One sentence for people and language-conditioned policies.
-        objects: By name; the first is carried, disturbed and measured.
+        objects: The first is carried, disturbed and measured.
         success: (task, trial) -> new conditions.
         draw: (task, rng, widen) -> start and goal, each {object: pose}.
-        stream: Prefix of its random streams.
     """
 
     name: str
@@ -78,7 +77,7 @@ class Task:
 
     @property
     def scene(self) -> SceneConfig:
-        """The scene configuration."""
+        """The scene."""
         return self.config.scene
 
     @property
@@ -92,7 +91,7 @@ class Task:
         return self.scene.task.time_limit_s
 
     def trial(self, seed: int, purpose: str, index: int, *, widen: float = 1.0) -> Trial:
-        """Draw trial `index` of a purpose; `widen` scales the start's range."""
+        """Draw a trial; `widen` scales the start's range."""
         start, goal = self.draw(self, stream(seed, f"{self.stream}/{purpose}", index), widen)
         return Trial(purpose, index, start, goal)
 
@@ -108,7 +107,7 @@ def make_task(config: Config) -> Task:
     """Return the configured task.
 
     Raises:
-        UsageError: Unknown task, or it refuses a value.
+        UsageError: Unknown task or refused value.
     """
     return TASKS[config.task](config)
 

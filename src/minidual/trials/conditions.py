@@ -31,9 +31,9 @@ CLEAN = "clean"
 _HINGE = 3  # mujoco.mjtJoint.mjJNT_HINGE: arm joints; fingers slide
 ALL = "all"
 _RISEN_M = 0.05
-"""A push waits until the object has risen this far"""
+"""Rise of the object before a push."""
 _DELAY_S = (0.2, 1.2)
-"""and then for a random time in this range."""
+"""Range of the random time from rise to push."""
 _ALOFT_M = 0.01
 """Below this rise the table may take part of the push."""
 _MOVED_AT_S = 0.5

@@ -47,7 +47,8 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         images: {camera: (H, W, 3) uint8}, optional.
         object: (7,) float32, true position [m] and quaternion wxyz, optional.
 
-    Action: (n + 2,) float32, joint targets [rad], then gripper openings (below 0.4 closes, above 0.6 opens); held 20 ms.
+    Action: (n + 2,) float32, joint targets [rad], then gripper openings (below 0.4 closes, above 0.6 opens);
+    held 20 ms.
 
     Reward: gain of the potential -(mean distance of the hands from their grasps + distance of the object from its goal)
     [m], plus 1 on success. Such shaping keeps the optimal policy (Ng, Harada, Russell 1999, for a discount of 1).
@@ -108,7 +109,7 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
     @property
     def world(self) -> World:
-        """The simulated world."""
+        """The world."""
         return self._world
 
     def _make_observation_space(self) -> spaces.Dict:

@@ -62,7 +62,7 @@ type Factory = Callable[[World, Kinematics, Trial], Method]
 
 @dataclass(frozen=True)
 class MethodInputs:
-    """Inputs of a factory; `checkpoint` is the policy's folder."""
+    """Inputs of a factory."""
 
     config: Config
     seed: int

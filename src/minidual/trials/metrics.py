@@ -215,7 +215,7 @@ def summarise(trials: Sequence[TrialMetrics], rng: np.random.Generator) -> Metho
     counts = Counter(trial.failure for trial in trials if not trial.success)
 
     def spread(values: Sequence[float], *names: str) -> dict[str, float]:
-        """Return median and interval; NaN if undefined."""
+        """Return median and interval, or NaN."""
         middle = float(np.median(values)) if len(values) else math.nan
         known = len(values) > 0 and bool(np.all(np.isfinite(values)))
         ends = bootstrap_median_interval(values, rng) if known else (math.nan, math.nan)
@@ -247,5 +247,5 @@ def summarise(trials: Sequence[TrialMetrics], rng: np.random.Generator) -> Metho
 
 
 def _said(value: Cell, words: str) -> Cell:
-    """Return the value, or the words for a NaN."""
+    """Return words for NaN."""
     return words if isinstance(value, float) and not math.isfinite(value) else value

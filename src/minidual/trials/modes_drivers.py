@@ -69,8 +69,8 @@ class Driver:
 class MoveitDriver(Driver):
     """Plans when its turn begins and proposes the trajectories.
 
-    With `home`, it drives home with the single-arm controllers, otherwise to above the object. The turn ends after the
-    fraction `share` of the motion.
+    With `home` it drives home with the single-arm controllers, otherwise above the object. The turn ends after
+    `share` of the motion.
     """
 
     def __init__(
@@ -164,7 +164,7 @@ class TeleopDriver(Driver):
         self._k = 0
 
     def begin(self) -> None:
-        """Plan from the present state."""
+        """Plan the leader's motion."""
         world: World = self.stack.plant
         lies = level_part(world.object_pose())
         trial = Trial("modes", 0, {world.objects[0]: placement(lies)}, self._target)
@@ -186,7 +186,7 @@ class TeleopDriver(Driver):
         return a + blend[:, None] * (b - a)
 
     def tick(self) -> None:
-        """Propose the leader's posture."""
+        """Propose a posture."""
         k = min(self._k, len(self._q) - 1)
         self._k += 1
         command = JointCommand(self._q[k], self._opening[k], self.stack.plant.time, self._k)
@@ -206,7 +206,7 @@ class TeleopDriver(Driver):
 
 
 class PolicyDriver(Driver):
-    """The policy drives from images and joints, without the object's pose.
+    """The policy drives from images and joints.
 
     A flush of the stack drops its chunk. `picture` returns the (H, W, 3) image of a camera.
     """
@@ -233,7 +233,7 @@ class PolicyDriver(Driver):
         self._began_s = self.stack.plant.time
 
     def tick(self) -> None:
-        """Propose the policy's action."""
+        """Propose an action."""
         world: World = self.stack.plant
         state = np.concatenate([world.q, world.gripper])
         images = {name: partial(self._picture, name) for name in self._runtime.cameras}

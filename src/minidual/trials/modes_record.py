@@ -89,7 +89,7 @@ class _Sample:
 
 @dataclass
 class Recorder:
-    """Watches a stack; call `observe` after every control step."""
+    """Watches a stack; call `observe` every control step."""
 
     stack: ControlStack[World]
     switches: list[Switch] = field(default_factory=list)

@@ -75,8 +75,8 @@ class TrialResult:
     """Result of one trial.
 
     Attributes:
-        saturated_max_s: Longest time of one motor at its torque limit.
-        measured: Numbers of the conditions of success.
+        saturated_max_s: Longest time of one motor at its limit.
+        measured: Numbers of the conditions.
     """
 
     metrics: TrialMetrics
@@ -86,7 +86,7 @@ class TrialResult:
 
     @property
     def success(self) -> bool:
-        """Whether all conditions were met."""
+        """Whether all conditions hold."""
         return self.metrics.success
 
     @property
@@ -96,7 +96,7 @@ class TrialResult:
 
 
 class _Motors:
-    """Peak torque ratio and longest saturation."""
+    """Peak torque ratio, longest saturation."""
 
     def __init__(self, limit: Array) -> None:
         self._limit, self.peak = limit, np.zeros(len(limit))
@@ -249,6 +249,6 @@ def run_trials(
 
 
 def one_thread() -> None:
-    """Limit processes started later to one numeric thread, against oversubscription."""
+    """Limit processes started later to one numeric thread."""
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"

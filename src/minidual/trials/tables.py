@@ -75,7 +75,7 @@ def _with_failures(summary: MethodSummary) -> dict[str, Any]:
 
 
 def write_rows(path: Path, rows: Sequence[Mapping[str, Any]], *, missing: str = "") -> Path:
-    """Write rows as CSV; `missing` fills absent values."""
+    """Write CSV; `missing` fills absent values."""
     text = io.StringIO()
     names = list(dict.fromkeys(name for row in rows for name in row))
     writer = csv.DictWriter(text, fieldnames=names, restval=missing, lineterminator="\n")

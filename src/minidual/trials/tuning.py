@@ -91,7 +91,7 @@ class TuningStep:
         return float(take([getattr(c, name) for c in self.carries]))
 
     def row(self) -> dict[str, Any]:
-        """Return the row of tuning.csv."""
+        """Return the tuning.csv row."""
         failed = [c.text for c in self.carries if not c.success]
         return {
             "phase": self.phase,
@@ -109,7 +109,7 @@ class TuningStep:
 
 @dataclass
 class Tuning:
-    """The gains found, and every step."""
+    """The gains and every step."""
 
     force_n: float
     stiffness_n_per_m: float
@@ -175,7 +175,7 @@ class Tuner:
         return Tuning(force, stiffness, least, last, final, compared, self.steps)
 
     def step(self, phase: str, force_n: float, stiffness_n_per_m: float) -> TuningStep:
-        """Run the carries of one step."""
+        """Run one step."""
         one_thread()
         config = changed(self._config, gains(force_n, stiffness_n_per_m))
         inputs = MethodInputs(config, self._seed)
@@ -251,7 +251,7 @@ def _raise_until(value: Callable[[float], float], ladder: Sequence[float], toler
 
 
 def carry_once(inputs: MethodInputs, trial: Trial) -> Carried:
-    """Carry once and measure the true pose."""
+    """Carry once and measure."""
     bench = Bench("impedance", inputs)
     name, tau_max = bench.task.carried, bench.world.robot.tau_max
     seen = ObjectTruth(name, bench.task.scene.objects[name])

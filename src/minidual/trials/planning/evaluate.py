@@ -45,7 +45,7 @@ class Outcome:
         return self.result is not None
 
     def row(self) -> dict[str, object]:
-        """Return the row of queries.csv."""
+        """Return the queries.csv row."""
         query, result, audit = self.query, self.result, self.audit
         row: dict[str, object] = {
             "group": query.group,

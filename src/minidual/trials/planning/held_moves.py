@@ -209,7 +209,7 @@ class HeldMoveGenerator:
 
 
 def _random_goal(rng: np.random.Generator, T_world_start: Array) -> Array:
-    """Return a pose with uniform distance and angle; half turn about the vertical."""
+    """Return a pose with uniform distance and angle; half of them turn about the vertical."""
     direction = rng.normal(size=3)
     offset = rng.uniform(0.05, _MOVE_MAX_M) * direction / np.linalg.norm(direction)
     angle = rng.uniform(-_TURN_MAX_RAD, _TURN_MAX_RAD)

@@ -113,7 +113,7 @@ class QueryGenerator:
         )
 
     def attempt(self, group: str, index: int, attempt: int) -> Query | None:
-        """Return the query of one scene, or None without one of the required kind."""
+        """Return the query of one scene, or None."""
         arms = group_arms(group)
         kind = self.kind(group, index)
         scene = scene_of(self._seed, group, index, attempt, self._obstacles_n, self._robot)
@@ -147,7 +147,7 @@ class QueryGenerator:
         *,
         crossed: bool = False,
     ) -> Array | None:
-        """Return a free configuration with `arms` at random poses, or None."""
+        """Return a free configuration, or None."""
         for _ in range(_POSE_TRIES_N):
             q = np.array(q_base)
             for arm in arms:
