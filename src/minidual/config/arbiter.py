@@ -21,4 +21,3 @@ class ArbiterConfig(StrictModel):
     switch_step_max_rad: float = Field(default=0.1, gt=0.0, le=0.5)
     """A larger step of a joint target is aligned first."""
     align_speed_rad_s: float = Field(default=1.0, gt=0.0, le=2.0)
-    """Speed of the alignment."""

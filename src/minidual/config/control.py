@@ -16,7 +16,6 @@ class EnvCheckConfig(StrictModel):
     step_error_max_rad: float = Field(default=0.005, gt=0.0, le=0.05)
     """Limit on the error norm of all joints after the step."""
     single_step_rad: float = Field(default=0.1, gt=0.0, le=0.3)
-    """Step of one joint alone."""
     single_duration_s: float = Field(default=0.6, ge=0.3, le=5.0)
     sine_amplitude_rad: float = Field(default=0.3, gt=0.0, le=0.5)
     sine_frequency_hz: float = Field(default=0.5, gt=0.0, le=1.0)
@@ -28,7 +27,6 @@ class EnvCheckConfig(StrictModel):
     rise_max_s: float = Field(default=0.25, gt=0.0, le=1.0)
     """Limit on the 10 % to 90 % rise time of each joint."""
     overshoot_max_rad: float = Field(default=0.005, gt=0.0, le=0.02)
-    """Limit on each joint's overshoot."""
     latency_max_us: float = Field(default=1000.0, gt=0.0, le=10_000.0)
     """Limit on computing time from command to torques, without the wait for the arbiter."""
     stop_rest_max_s: float = Field(default=0.5, gt=0.0, le=2.0)
@@ -88,7 +86,6 @@ class SensingConfig(StrictModel):
     delay_s: float = Field(default=0.010, ge=0.0, le=0.5)
     """Delay of pose and force."""
     force_filter_s: float = Field(default=0.010, ge=0.0, le=0.5)
-    """Time constant of the first-order force filter."""
     grasp_memory_s: float = Field(default=0.15, ge=0.0, le=5.0)
     """Averaging time of the pose in the hands; 0 uses the last sample."""
 
@@ -110,7 +107,6 @@ class PaceConfig(StrictModel):
     """Limits for the carry's durations; see skills/pace.py."""
 
     joint_speed_share: float = Field(default=0.85, gt=0.0, le=1.0)
-    """Largest joint speed, as a share of its limit."""
     joint_acceleration_share: float = Field(default=0.5, gt=0.0, le=1.0)
     object_speed_m_per_s: float = Field(default=0.6, gt=0.0, le=2.0)
     object_acceleration_m_per_s2: float = Field(default=1.2, gt=0.0, le=10.0)
@@ -119,7 +115,6 @@ class PaceConfig(StrictModel):
     landing_m: float = Field(default=0.0, ge=0.0, le=0.05)
     """Slow last part of the lowering; 0 lands in one motion."""
     landing_s: float = Field(default=0.3, gt=0.0, le=5.0)
-    """Duration of the slow part."""
 
 
 class CarryFaultConfig(StrictModel):
@@ -141,7 +136,6 @@ class CarryFaultConfig(StrictModel):
     motor_torque_n_m: float = Field(default=2.0, gt=0.0, le=50.0)
     """Difference of commanded and measured torque that shows a dead drive."""
     persistence_s: float = Field(default=0.005, ge=0.0, le=0.05)
-    """Least duration of a force or torque fault."""
     deceleration_share: float = Field(default=0.5, gt=0.0, le=1.0)
     """Deceleration of the soft stop, as a share of joint limits."""
 

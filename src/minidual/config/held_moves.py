@@ -13,7 +13,6 @@ class HeldMovesConfig(StrictModel):
     moves_n: int = Field(default=100, ge=2, le=10_000)
     """Moves per generator seed."""
     executed_n: int = Field(default=6, ge=1, le=1000)
-    """Plans driven in simulation."""
     cpu_time_median_max_s: float | None = Field(default=0.05, gt=0.0, le=3600.0)
     """Median CPU time from query to proven trajectory; null sets no limit."""
     executed_error_max_m: float = Field(default=0.002, gt=0.0, le=0.002)

@@ -28,9 +28,7 @@ class PlannerConfig(StrictModel):
     """State checks per search; each further attempt gets half as many more."""
     shortcut_rounds_n: int = Field(default=10, ge=0, le=10_000)
     blend_radius_rad: float = Field(default=0.3, gt=0.001, le=2.0)
-    """Largest half length of a rounded corner."""
     velocity_scale: float = Field(default=0.95, gt=0.0, le=1.0)
-    """Fraction of the velocity limits."""
     acceleration_scale: float = Field(default=0.9, gt=0.0, le=1.0)
     torque_scale: float = Field(default=0.95, gt=0.0, le=1.0)
     jerk_scale: float = Field(default=0.95, gt=0.0, le=1.0)
@@ -43,7 +41,6 @@ class PlannerConfig(StrictModel):
     verify_step_rad: float = Field(default=0.002, gt=0.0, le=0.002)
     """Largest joint step between audit samples."""
     budget_s: float = Field(default=10.0, gt=0.0, le=3600.0)
-    """Wall time limit of a query."""
 
 
 class GroupTimes(StrictModel):
@@ -58,23 +55,16 @@ class PlanConfig(StrictModel):
     """Queries and limits of the stage."""
 
     queries_n: int = Field(default=20, ge=1, le=10000)
-    """Queries per planning group."""
     second_seed: int = Field(default=20261, ge=0, lt=2**63)
-    """Seed of the second query set."""
     second_queries_n: int = Field(default=0, ge=0, le=10000)
-    """Second-set queries per planning group."""
     obstacles_n: int = Field(default=5, ge=0, le=50)
-    """Boxes and cylinders per query."""
     blocked_fraction: float = Field(default=1.0, ge=0.0, le=1.0)
     """Share of queries whose straight line is blocked."""
     agreement_states_n: int = Field(default=2000, ge=100, le=1_000_000)
-    """Random states for comparing the collision engines."""
     success_rate_min: float = Field(default=1.0, ge=0.0, le=1.0)
     time_max_s: float = Field(default=10.0, gt=0.0, le=3600.0)
     time_median_max_s: GroupTimes = GroupTimes()
-    """Largest median time per group and set."""
     time_p99_max_s: float | None = Field(default=None, gt=0.0)
-    """Largest 99th percentile per group and set."""
     agreement_min: float = Field(default=0.999, ge=0.0, le=1.0)
     planner: PlannerConfig = PlannerConfig()
     held: HeldMovesConfig = HeldMovesConfig()

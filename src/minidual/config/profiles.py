@@ -20,8 +20,8 @@ def shipped_profiles() -> tuple[str, ...]:
 def find_profile(profile: str, relative_to: Path | None = None) -> tuple[str, Path]:
     """Return (name, file) of a shipped name or .yaml path.
 
-    Paths are relative to `relative_to` (default: working folder). UsageError for an unknown name; ConfigError for a
-    missing file, or one named like a shipped profile, as their verdicts could not be told apart.
+    UsageError for an unknown name; ConfigError for a missing file or a shipped profile's name, as verdicts could not be
+    told apart.
     """
     if not profile.endswith((".yaml", ".yml")):
         if profile not in shipped_profiles():

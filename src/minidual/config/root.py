@@ -30,7 +30,6 @@ class Config(StrictModel):
 
     robot: RobotConfig = RobotConfig()
     task: str = "rod_carry"
-    """Name in the table of tasks."""
 
     env_check: EnvCheckConfig = EnvCheckConfig()
     plan: PlanConfig = PlanConfig()

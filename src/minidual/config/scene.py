@@ -9,7 +9,6 @@ from pydantic import Field, model_validator
 from minidual.config.base import StrictModel
 
 OBSTACLE = "obstacle"
-"""Name of the obstacle geom."""
 
 
 class PhysicsConfig(StrictModel):
@@ -91,7 +90,6 @@ class ObstacleConfig(StrictModel):
     """A block on the table that nothing may touch."""
 
     size_m: tuple[float, float, float] = (0.30, 0.04, 0.10)
-    """Length along x, y, z."""
     xy_m: tuple[float, float] = (0.5, 0.0)
 
 
@@ -138,9 +136,7 @@ class SceneConfig(StrictModel):
 
     physics: PhysicsConfig = PhysicsConfig()
     object: ObjectConfig = ObjectConfig()
-    """The carried object."""
     more: tuple[ObjectConfig, ...] = ()
-    """Further objects."""
     task: TaskConfig = TaskConfig()
     camera: CameraConfig = CameraConfig()
 

@@ -13,7 +13,6 @@ class NamedStateConfig(StrictModel):
     left_rad: tuple[float, ...] | None = None
     """Joints of the left arm, base first."""
     right_rad: tuple[float, ...] | None = None
-    """Joints of the right arm, base first."""
     description: str = ""
 
 

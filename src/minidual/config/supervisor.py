@@ -26,7 +26,6 @@ class SupervisorConfig(StrictModel):
     torque_rate_patience_s: float = Field(default=0.05, gt=0.0, le=1.0)
     """Stop when ticks with jumps outnumber others by this time."""
     saturation_s: float = Field(default=0.02, gt=0.0, le=1.0)
-    """Longest time at a torque limit."""
     acceleration_scale: float = Field(default=1.0, gt=0.0, le=1.0)
     jerk_reflex: bool = False
     """Whether to stop when the commanded reference exceeds the jerk limit, as the real arm does. Off by default: the

@@ -38,7 +38,6 @@ class MirrorConfig(StrictModel):
     """When a leader may drive the follower."""
 
     start_error_max_rad: float = Field(default=0.1, gt=0.0, le=0.6)
-    """Largest initial joint difference between leader and follower."""
     calibration_max_rad: float = Field(default=0.5, gt=0.0, le=3.2)
     """Largest offset that calibration accepts."""
     workspace_margin_rad: float = Field(default=0.0, ge=0.0, le=0.3)
@@ -49,7 +48,6 @@ class TeleopConfig(StrictModel):
     """What is demonstrated and recorded, and by whom."""
 
     episodes_n: int = Field(default=120, ge=1, le=10000)
-    """Demonstrations to keep (--episodes)."""
     leader: str = Field(default="scripted", min_length=1)
     rate_hz: float = Field(default=50.0, ge=10.0, le=100.0)
     cameras: tuple[Literal["high", "left", "right"], ...] = ("high",)
@@ -64,7 +62,6 @@ class TeleopConfig(StrictModel):
     keep_rejected: bool = True
     """Whether to keep files of failed attempts in `rejected`."""
     person_time_limit_s: float = Field(default=120.0, ge=5.0, le=3600.0)
-    """Time limit of an episode led by a person."""
     operator: OperatorConfig = OperatorConfig()
     mirror: MirrorConfig = MirrorConfig()
 

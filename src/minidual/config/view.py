@@ -13,8 +13,6 @@ class ViewConfig(StrictModel):
     host: str = Field(default="127.0.0.1", min_length=1)
     """Interface of the web view; the default is local only (or ssh)."""
     port: int = Field(default=8080, ge=1, le=65535)
-    """First port to try."""
     rate_hz: float = Field(default=30.0, ge=1.0, le=120.0)
-    """Pictures per second of wall time."""
     speed_max: float = Field(default=0.0, ge=0.0, le=100.0)
     """Largest simulated seconds per wall second; 0 sets no limit."""

@@ -41,13 +41,12 @@ def jsonable_number(value: Number) -> Number | str:
 class Check:
     """A named observation with its limit.
 
-    Without `op` the value is only reported: it neither passes nor fails and is no evidence. A non-finite `observed`
-    fails every limit.
+    Without `op` it is only reported and is no evidence. A non-finite `observed` fails every limit.
 
     Attributes:
-        unit: Suffix such as "rad"; "" for a ratio or count.
-        why: What the limit protects, one line.
-        remedy: What to do when the check fails.
+        unit: Such as "rad"; "" for a ratio or count.
+        why: What the limit protects.
+        remedy: What to do on failure.
     """
 
     name: str

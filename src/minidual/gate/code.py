@@ -1,7 +1,6 @@
-"""Code that a stage reaches: one digest per module, ignoring comments, docstrings and line breaks.
+"""Code that a stage reaches: one digest per module, ignoring comments and docstrings.
 
-Follows imports, function-level ones included, and lazy targets ("module:attribute"), but not imports under
-TYPE_CHECKING. Only the target's own package and minidual count; the fingerprint records other libraries by version.
+Follows imports outside TYPE_CHECKING and lazy targets, within the target's package and minidual.
 """
 
 from __future__ import annotations
@@ -65,7 +64,6 @@ def _sources(modules: Iterable[str]) -> str:
 
 @cache
 def _reach(target: str) -> dict[str, str]:
-    """Return {module: digest}; modules without Python source are left out."""
     first = target.partition(":")[0]
     roots = {_PACKAGE, first.split(".")[0]}
     found: dict[str, str] = {}
@@ -99,7 +97,6 @@ def _top(name: str) -> ModuleSpec | None:
 
 
 def _source(name: str) -> Path | None:
-    """Return a module's file without importing it, or None."""
     top, *below = name.split(".")
     spec = _top(top)
     if spec is None or spec.origin is None:
@@ -115,7 +112,6 @@ def _source(name: str) -> Path | None:
 
 
 def _strip(tree: ast.Module) -> None:
-    """Remove docstrings, other standalone strings and TYPE_CHECKING blocks."""
     for node in ast.walk(tree):
         for part in ("body", "orelse"):
             body = getattr(node, part, None)

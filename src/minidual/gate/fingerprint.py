@@ -23,14 +23,12 @@ UNSEEN = "(absent)"
 class Fingerprint:
     """Everything that a verdict depends on.
 
-    `version`, `commit`, `machine`, `libraries` and `code` are circumstances: a difference only warns. A report over
-    results of other code is no acceptance.
+    The last five fields are circumstances: a difference only warns.
 
     Attributes:
-        parameters: Resolved configuration subtree, as JSON.
-        options: Command-line options outside the configuration.
-        inputs: sha256 of each input artefact by "stage/path".
-        upstream: sha256 of the verdict of each required stage, direct or not; None if missing.
+        options: Options outside the configuration.
+        inputs: sha256 of input artefacts by "stage/path".
+        upstream: sha256 of all required verdicts; None if missing.
         code: See `minidual.gate.code`.
     """
 

@@ -74,13 +74,13 @@ class Runner:
         """Run one stage; a passing, fresh one is returned unless `force`.
 
         Args:
-            name: Stage to run.
-            options: Command-line options of this stage.
-            force: Run even if fresh. Never opens a gate.
-            waiver: Reason that opens a closed gate; recorded in this and all downstream verdicts.
+            name: Stage.
+            options: Its command-line options.
+            force: Run even if fresh; never opens a gate.
+            waiver: Reason that opens a closed gate, recorded downstream.
 
         Raises:
-            GateClosedError: An upstream stage does not pass and there is no waiver.
+            GateClosedError: An upstream stage does not pass.
             DataError: An upstream verdict is corrupt.
             UsageError: Another process writes in this run.
             StageCrashedError: The stage raised an unforeseen exception.
@@ -115,7 +115,6 @@ class Runner:
                     return
 
     def _validate(self, gate: Gate, name: str) -> None:
-        """Raise errors in a stage's options and configuration."""
         _, loaded = gate.effective(name, None)
         self.table[name].checked(loaded.config)
 

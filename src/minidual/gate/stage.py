@@ -1,13 +1,7 @@
 """Input and output of a stage.
 
-A stage is a function and a row in `minidual/stages/registry.py` (see docs/howto-stage.md):
-
-    def run(context: StageContext) -> StageResult:
-        rate = measure(context.config.carry, context.seed)
-        return StageResult(checks=[Check("success_rate", rate, ">=", 0.8, why="...")])
-
-Write only under `context.folder`, read upstream artefacts through `context.upstream`, seed all randomness from
-`context.seed`, raise `minidual.errors` for what a user can fix, and return a limited check.
+A stage is a function from `StageContext` to `StageResult` and a row in `minidual/stages/registry.py`. It writes only
+under `context.folder`, seeds randomness from `context.seed` and returns a limited check.
 """
 
 from __future__ import annotations
@@ -30,15 +24,12 @@ class StageContext:
     """Input of a stage.
 
     Attributes:
-        folder: Temporary artefact folder; holds only `config.yaml` at first.
+        folder: Temporary artefact folder.
         config: Resolved configuration, options applied.
-        profile: Name of the profile.
-        upstream: {stage: finished folder} of all required stages, direct or not; passing and fresh unless waived.
-        verdicts: Their verdicts.
+        upstream: {stage: finished folder} of all required stages; passing and fresh unless waived.
         summaries: {stage: one line}, in table order.
-        code_changes: {stage: modules} for results of other code; closing stages only.
+        code_changes: {stage: modules} changed since; closing stages only.
         waivers: Own and inherited waivers.
-        options: Command-line options.
         workers: Processes allowed; must not affect results.
         view: Live view or None; must not affect results.
     """
@@ -60,13 +51,12 @@ class StageContext:
 
 @dataclass(frozen=True)
 class StageResult:
-    """Result of a stage; its status is derived from `checks`.
+    """Result of a stage; its status is derived.
 
     Attributes:
         checks: Unique names, at least one limit.
-        artefacts: Paths relative to the folder; default: all files.
-        data: JSON types for the report, under about 100 kB.
-        notes: Lines for people.
+        artefacts: Relative paths; default: all files.
+        data: JSON types, under about 100 kB.
     """
 
     checks: Sequence[Check]

@@ -25,17 +25,14 @@ CommandText = Callable[[str], str]
 
 @dataclass(frozen=True)
 class Option:
-    """Option or argument of a command.
+    """Option of a command.
 
     Attributes:
-        name: Without dashes.
-        help: One line.
         kind: Type of the value; `bool` is a flag.
-        path: Dotted configuration path that it overrides, or None.
-        split: Whether to split "a,b" into a list.
-        argument: Whether it is positional (`minidual replay FILE`).
-        many: Whether the argument may repeat; its value is a tuple.
-        required: Whether the argument is required.
+        path: Configuration path that it overrides, or None.
+        split: Split "a,b" into a list.
+        argument: Positional (`minidual replay FILE`).
+        many: The argument may repeat; its value is a tuple.
     """
 
     name: str
@@ -60,16 +57,13 @@ class Option:
 
 @dataclass(frozen=True)
 class ToolEntry:
-    """A command without verdict; with `triggers`, an alternative of a stage's command.
+    """A command without verdict; with `triggers`, an alternative of a stage.
 
     Attributes:
-        name: The command, or the output folder ("carry-tune").
+        name: The command, or an aside's output folder.
         target: "module:function", see `minidual.gate.tool`.
-        summary: One line.
-        options: Its options.
-        triggers: Options that select it instead of the stage; its others require one of these.
-        watchable: Whether the command takes --view.
-        view_default: View without --view.
+        triggers: Options that select it; its others require one.
+        watchable: Takes --view.
     """
 
     name: str
@@ -95,22 +89,17 @@ class StageEntry:
     """One stage.
 
     Attributes:
-        name: The command.
         target: "module:function", see `minidual.gate.stage`.
         requires: Stages that must pass, fresh.
-        summary: One line.
-        reads: Dotted configuration paths that the result depends on; changes make the verdict stale. Seed and profile
-            always count.
-        resolve: "module:function" from Config to Config that resolves names. `status` calls it too, so its module must
-            import quickly.
-        check: "module:function" that raises UsageError for values that the models cannot validate. Called for all
-            stages before a run begins.
-        at_least, at_most: Paths of counts and limits. Weaker values than the shipped profile's are no acceptance.
-        question: Its question on the debug ladder.
-        options: Its options.
-        asides: Tools that its triggers run instead.
-        watchable: Whether the command takes --view.
-        closing: Whether it ends the pipeline; a waiver or changed code upstream fails a check in it.
+        reads: Configuration paths that the result depends on; changes make the verdict stale. Seed and profile always
+            count.
+        resolve: "module:function" from Config to Config that resolves names; must import quickly, as `status` calls it.
+        check: "module:function" that raises UsageError for values that models cannot validate; called before a run.
+        at_least, at_most: Counts and limits; weaker values than the shipped profile's are no acceptance.
+        question: Question on the debug ladder.
+        asides: Tools that run instead when triggered.
+        watchable: Takes --view.
+        closing: Ends the pipeline and checks waivers and code changes.
     """
 
     name: str

@@ -1,8 +1,7 @@
-"""Tools: commands that write no verdict and open no gate.
+"""Tools: commands without verdict or gate.
 
-A tool is a function from `ToolContext` to `ToolResult`. Its row stands in `minidual/stages/registry.py`, as a command
-(`minidual view`) or as an aside of a stage (`minidual carry --tune`). `output` is a temporary folder, renamed to
-runs/<run>/<name> on success, so an interrupted tool leaves no result.
+A tool is a function from `ToolContext` to `ToolResult`, with a row in `minidual/stages/registry.py`. `output` is
+temporary until the tool succeeds.
 """
 
 from __future__ import annotations

@@ -108,7 +108,7 @@ def save_tracking(
     sine_limit_rad: float,
     rise_limit_s: float,
 ) -> None:
-    """Save a figure of joint 1's step, each joint's own step, the swing, and errors.
+    """Save a figure of the steps, the swing and their errors.
 
     Args:
         path: PNG to write.
@@ -117,8 +117,8 @@ def save_tracking(
         steps: Step of each joint alone.
         sine: Swing of all joints.
         rows: Numbers of `steps` and `sine`.
-        step_limit_rad: Limit on the error after the step.
-        sine_limit_rad: Limit on the swing's RMS.
+        step_limit_rad: Error limit after the step.
+        sine_limit_rad: RMS limit of the swing.
         rise_limit_s: Limit on the rise time.
     """
     figure, ((both, norm, alone), (swing, errors, rise)) = new_figure(2, 3, 15.0, 7.2)
