@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from minidual.collision.errors import IKUnreachableError, LinearMoveError, OutOfLimitsError
+from minidual.collision.errors import GoalInCollisionError, IKUnreachableError, LinearMoveError, OutOfLimitsError
 from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Box
@@ -16,6 +16,7 @@ from minidual.errors import ConfigError, DataError, MinidualError, UsageError
 from minidual.motion.api import Planner
 from minidual.motion.goal import JointGoal, PoseGoal, RelativeGoal, StateGoal, TipOffset, TipPose, goal_of, load_goal
 from minidual.motion.goal_plan import GoalPlanner, NamedStates
+from minidual.motion.goals import PoseGoals
 from minidual.motion.linear import Line, LinearPlanner
 from minidual.motion.timing import MotionLimits
 from minidual.robot.arms import ARM_MODELS, DUAL_PANDA
@@ -291,3 +292,31 @@ def test_poses_as_a_start(planner):
     assert (q[7:] == HOME[7:]).all()
     with pytest.raises(MinidualError):
         planner.start_joints("left_arm", HOME, PoseGoal({"left": TipPose((0.5, 0.3, -0.3))}))
+
+
+class _NeverProvenFree:
+    """Engines for which nothing is free, although no pair touches."""
+
+    min_distance_m = 0.0
+
+    def in_collision(self, q):
+        return True
+
+    def closest(self, q, within_m):
+        return []
+
+
+def test_a_goal_that_no_plane_separates_is_refused_and_not_searched_for_ever():
+    poses = PoseGoals()
+    home = DUAL_PANDA.home
+    target = Kinematics(DUAL_PANDA).tcp_poses(home)[0]
+    with pytest.raises(GoalInCollisionError, match="too close to contact"):
+        poses.candidates(
+            "left_arm",
+            home,
+            {"left": target},
+            _NeverProvenFree(),
+            np.random.default_rng(0),
+            restarts_n=2,
+            candidates_n=1,
+        )

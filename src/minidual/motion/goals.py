@@ -144,6 +144,10 @@ class PoseGoals:
                 return free
             if not any(new.values()):
                 require_free(engine, combined[0], "goal")
+                raise GoalInCollisionError(
+                    "the goal is too close to contact: no plane separates all pairs at any of its solutions",
+                    remedy="move it a little, or allow the pair in the scene",
+                )
 
     def _combinations(self, q_start: Array, found: Mapping[str, list[Array]]) -> list[Array]:
         combined = []
