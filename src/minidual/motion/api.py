@@ -136,6 +136,8 @@ class Planner:
             NoPathInTimeError: Nothing proven within `budget_s`.
             UsageError: Bad group or budget, or a goal that moves the other arm.
         """
+        if not _LOADED:
+            self.engines(scene)  # before the clock starts: no budget pays for loading machine code
         times = PhaseTimes()
         group_arms(group)
         q_start = check_joints(q_start, "start", self.robot)
@@ -160,6 +162,8 @@ class Planner:
             IKUnreachableError: A pose is out of reach.
             And what `plan_to_joints` raises.
         """
+        if not _LOADED:
+            self.engines(scene)  # before the clock starts: no budget pays for loading machine code
         times = PhaseTimes()
         group_arms(group)
         q_start = check_joints(q_start, "start", self.robot)
