@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from operator import attrgetter
-
 import pytest
 from pipeline_toys import KNOB, Bench
 
 from minidual.cli import run_command_line
+from minidual.config.base import limits
 from minidual.config.loader import load_config
+from minidual.errors import ConfigError
 from minidual.gate.table import StageEntry, StageTable
 from minidual.gate.verdict import Verdict
 from minidual.stages.registry import STAGES
@@ -29,7 +29,11 @@ def test_a_shipped_profile_asks_for_itself(profile):
         ("teleop-record", "teleop.episodes_n=3", "teleop.episodes_n is 3, the profile asks for 150"),
         ("carry", "carry.limits.tilt_max_rad=0.05", "carry.limits.tilt_max_rad is 0.05, the profile asks for 0.0349"),
         ("carry", "scene.task.goal_tolerance_m=0.025", "scene.task.goal_tolerance_m is 0.025"),
-        ("plan", "plan.time_median_max_s.left_arm=0.2", "'left_arm': 0.2"),
+        (
+            "plan",
+            "plan.time_median_max_s.left_arm=0.2",
+            "plan.time_median_max_s.left_arm is 0.2, the profile asks for 0.01",
+        ),
         ("plan", "plan.time_p99_max_s=null", "plan.time_p99_max_s is None, the profile asks for 0.5"),
         ("benchmark", "benchmark.success_rate_min.act=0.1", "'act': 0.1"),
         ("benchmark", "benchmark.methods=[moveit]", "benchmark.methods is moveit"),
@@ -59,19 +63,34 @@ def test_a_profile_of_ones_own_is_held_to_the_one_it_extends(tmp_path):
     assert STAGES["train-act"].weaker(loaded.config, loaded.reference()) == ()  # its day of training is the profile's
 
 
-def test_every_limit_of_the_rows_exists():
-    config = load_config().config
-    for entry in STAGES:
-        for path in (*entry.at_least, *entry.at_most):
-            attrgetter(path)(config)
-            assert any(path == read or path.startswith(f"{read}.") for read in entry.reads), path
+def test_every_limit_is_read_by_a_stage():
+    for path, _, _ in limits(load_config().config):
+        assert any(path == read or path.startswith(f"{read}.") for entry in STAGES for read in entry.reads), path
+
+
+@pytest.mark.parametrize("path", ["carry.limits.success_rate_min", "plan.success_rate_min", "deploy.success_rate_min"])
+@pytest.mark.parametrize("value", ["-1", "1.1"])
+def test_a_rate_out_of_0_to_1_is_refused(path, value):
+    with pytest.raises(ConfigError, match=path):
+        load_config("standard", [f"{path}={value}"])
+
+
+def test_a_rate_of_a_method_out_of_0_to_1_is_refused():
+    with pytest.raises(ConfigError, match=r"benchmark\.success_rate_min\.act"):
+        load_config("standard", ["benchmark.success_rate_min.act=-1"])
+
+
+@pytest.mark.parametrize("path", ["carry.trials_n", "deploy.trials", "benchmark.trials_n", "teleop.episodes_n"])
+def test_no_trials_are_refused(path):
+    with pytest.raises(ConfigError, match=path):
+        load_config("standard", [f"{path}=0"])
 
 
 @pytest.fixture
 def bench(tmp_path):
     bench = Bench(tmp_path)
     entries = [
-        StageEntry("first", bench.first, (), "One", (KNOB,), at_least=(KNOB,)),
+        StageEntry("first", bench.first, (), "One", (KNOB,)),
         StageEntry("second", bench.second, ("first",), "Two"),
     ]
     bench.table = StageTable(entries, libraries=("numpy",))

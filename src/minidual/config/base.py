@@ -1,11 +1,32 @@
-"""The strict base of every configuration model."""
+"""The strict base of every configuration model, and marks on fields that set how much acceptance asks for."""
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict
+from collections.abc import Iterator
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Value = TypeVar("Value")
+AtLeast = Annotated[Value, "at least"]
+"""A count or lower limit: less than the shipped profile's is no acceptance."""
+AtMost = Annotated[Value, "at most"]
+"""An upper limit: more than the shipped profile's is no acceptance."""
+Rate = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 class StrictModel(BaseModel):
     """Frozen; refuses unknown keys, NaN and infinity. `validate_document` adds strict types."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=False, validate_default=True)
+
+
+def limits(model: BaseModel, prefix: str = "") -> Iterator[tuple[str, Literal["at least", "at most"], Any]]:
+    """Yield (dotted path, mark, value) of each marked field."""
+    for name, field in type(model).model_fields.items():
+        value = getattr(model, name)
+        for mark in ("at least", "at most"):
+            if mark in field.metadata:
+                yield f"{prefix}{name}", mark, value
+        if isinstance(value, BaseModel):
+            yield from limits(value, f"{prefix}{name}.")

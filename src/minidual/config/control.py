@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from minidual.config.base import StrictModel
+from minidual.config.base import AtLeast, AtMost, StrictModel
 
 
 class EnvCheckConfig(StrictModel):
@@ -13,26 +13,26 @@ class EnvCheckConfig(StrictModel):
     step_rad: float = Field(default=0.3, gt=0.0, le=0.5)
     """Outward step of joint 1 of each arm."""
     step_duration_s: float = Field(default=2.0, ge=1.0, le=10.0)
-    step_error_max_rad: float = Field(default=0.005, gt=0.0, le=0.05)
+    step_error_max_rad: AtMost[float] = Field(default=0.005, gt=0.0, le=0.05)
     """Limit on the error norm of all joints after the step."""
     single_step_rad: float = Field(default=0.1, gt=0.0, le=0.3)
     single_duration_s: float = Field(default=0.6, ge=0.3, le=5.0)
     sine_amplitude_rad: float = Field(default=0.3, gt=0.0, le=0.5)
     sine_frequency_hz: float = Field(default=0.5, gt=0.0, le=1.0)
     sine_duration_s: float = Field(default=10.0, ge=1.0, le=60.0)
-    sine_rms_max_rad: float = Field(default=0.02, gt=0.0, le=0.05)
+    sine_rms_max_rad: AtMost[float] = Field(default=0.02, gt=0.0, le=0.05)
     """Limit on the RMS error norm while all joints swing."""
     pulse_share: float = Field(default=0.1, gt=0.0, le=0.5)
     """Torque pulse per joint, as a share of the motor's limit."""
-    rise_max_s: float = Field(default=0.25, gt=0.0, le=1.0)
+    rise_max_s: AtMost[float] = Field(default=0.25, gt=0.0, le=1.0)
     """Limit on the 10 % to 90 % rise time of each joint."""
-    overshoot_max_rad: float = Field(default=0.005, gt=0.0, le=0.02)
-    latency_max_us: float = Field(default=1000.0, gt=0.0, le=10_000.0)
+    overshoot_max_rad: AtMost[float] = Field(default=0.005, gt=0.0, le=0.02)
+    latency_max_us: AtMost[float] = Field(default=1000.0, gt=0.0, le=10_000.0)
     """Limit on computing time from command to torques, without the wait for the arbiter."""
-    stop_rest_max_s: float = Field(default=0.5, gt=0.0, le=2.0)
+    stop_rest_max_s: AtMost[float] = Field(default=0.5, gt=0.0, le=2.0)
     """Limit on the time to rest after an emergency stop."""
     agreement_states_n: int = Field(default=20, ge=1, le=1000)
-    agreement_max: float = Field(default=1e-10, gt=0.0, le=1e-6)
+    agreement_max: AtMost[float] = Field(default=1e-10, gt=0.0, le=1e-6)
     cost_steps_n: int = Field(default=2000, ge=100, le=100_000)
     video_fps: int = Field(default=25, ge=10, le=60)
     video_width_px: int = Field(default=800, ge=160, le=1920)
@@ -57,11 +57,11 @@ class ImpedanceConfig(StrictModel):
 class CarryLimits(StrictModel):
     """Limits over all trials of the stage."""
 
-    success_rate_min: float = Field(default=0.99, gt=0.8, le=1.0)
-    tilt_max_rad: float = Field(default=0.0349, gt=0.0, le=0.08727)
+    success_rate_min: AtLeast[float] = Field(default=0.99, gt=0.8, le=1.0)
+    tilt_max_rad: AtMost[float] = Field(default=0.0349, gt=0.0, le=0.08727)
     """Two degrees; one trial allows five."""
-    duration_max_s: float = Field(default=8.0, gt=0.0, le=10.0)
-    saturation_max_s: float = Field(default=0.02, gt=0.0, le=0.02)
+    duration_max_s: AtMost[float] = Field(default=8.0, gt=0.0, le=10.0)
+    saturation_max_s: AtMost[float] = Field(default=0.02, gt=0.0, le=0.02)
     """Longest time at a torque limit, failed trials included."""
 
 
@@ -143,7 +143,7 @@ class CarryFaultConfig(StrictModel):
 class CarryConfig(StrictModel):
     """Object, motion and limits of the carries."""
 
-    trials_n: int = Field(default=20, ge=1, le=10000)
+    trials_n: AtLeast[int] = Field(default=20, ge=1, le=10000)
     object: str = "rod"
     """Name from tasks/objects.py."""
     motion: str = "straight"

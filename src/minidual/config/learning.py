@@ -6,7 +6,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from minidual.config.base import StrictModel
+from minidual.config.base import AtLeast, AtMost, StrictModel
 
 
 class TrainConfig(StrictModel):
@@ -72,9 +72,9 @@ class TrainConfig(StrictModel):
     checkpoint_every_steps: int = Field(default=1000, ge=1, description="how much an interruption can cost")
 
     # Acceptance
-    loss_ratio_max: float = Field(default=0.5, gt=0.0, le=1.0)
-    actions_in_limits_min: float = Field(default=0.999, gt=0.0, le=1.0)
-    train_s_max: float = Field(default=1800.0, gt=0.0)
+    loss_ratio_max: AtMost[float] = Field(default=0.5, gt=0.0, le=1.0)
+    actions_in_limits_min: AtLeast[float] = Field(default=0.999, gt=0.0, le=1.0)
+    train_s_max: AtMost[float] = Field(default=1800.0, gt=0.0)
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -96,10 +96,12 @@ class DeployConfig(StrictModel):
     )
     threads: int = Field(default=1, ge=1, le=64, description="torch threads: more only costs on busy cores")
     device: Literal["cpu", "cuda"] = "cpu"
-    trials: int = Field(default=50, ge=1, le=10_000, description="closed-loop trials on seeds held out from training")
-    training_trials: int = Field(
+    trials: AtLeast[int] = Field(
+        default=50, ge=1, le=10_000, description="closed-loop trials on seeds held out from training"
+    )
+    training_trials: AtLeast[int] = Field(
         default=20, ge=0, le=10_000, description="trials on training seeds, reported beside them"
     )
-    success_rate_min: float = Field(default=0.5, ge=0.0, le=1.0)
+    success_rate_min: AtLeast[float] = Field(default=0.5, ge=0.0, le=1.0)
     judge_success: bool = Field(default=True, description="whether the success rate has a limit; smoke only reports it")
-    inference_hz_min: float = Field(default=30.0, gt=0.0)
+    inference_hz_min: AtLeast[float] = Field(default=30.0, gt=0.0)

@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from minidual.config.base import StrictModel
+from minidual.config.base import AtLeast, AtMost, StrictModel
 from minidual.config.held_moves import HeldMovesConfig
 
 PlannerName = Literal["rrtconnect", "rrt", "rrtstar", "bitstar", "kpiece"]
@@ -46,25 +46,25 @@ class PlannerConfig(StrictModel):
 class GroupTimes(StrictModel):
     """Times per planning group [s]; None sets no limit."""
 
-    left_arm: float | None = Field(default=None, gt=0.0)
-    right_arm: float | None = Field(default=None, gt=0.0)
-    both_arms: float | None = Field(default=None, gt=0.0)
+    left_arm: AtMost[float | None] = Field(default=None, gt=0.0)
+    right_arm: AtMost[float | None] = Field(default=None, gt=0.0)
+    both_arms: AtMost[float | None] = Field(default=None, gt=0.0)
 
 
 class PlanConfig(StrictModel):
     """Queries and limits of the stage."""
 
-    queries_n: int = Field(default=20, ge=1, le=10000)
+    queries_n: AtLeast[int] = Field(default=20, ge=1, le=10000)
     second_seed: int = Field(default=20261, ge=0, lt=2**63)
-    second_queries_n: int = Field(default=0, ge=0, le=10000)
-    obstacles_n: int = Field(default=5, ge=0, le=50)
+    second_queries_n: AtLeast[int] = Field(default=0, ge=0, le=10000)
+    obstacles_n: AtLeast[int] = Field(default=5, ge=0, le=50)
     blocked_fraction: float = Field(default=1.0, ge=0.0, le=1.0)
     """Share of queries whose straight line is blocked."""
-    agreement_states_n: int = Field(default=2000, ge=100, le=1_000_000)
-    success_rate_min: float = Field(default=1.0, ge=0.0, le=1.0)
-    time_max_s: float = Field(default=10.0, gt=0.0, le=3600.0)
+    agreement_states_n: AtLeast[int] = Field(default=2000, ge=100, le=1_000_000)
+    success_rate_min: AtLeast[float] = Field(default=1.0, ge=0.0, le=1.0)
+    time_max_s: AtMost[float] = Field(default=10.0, gt=0.0, le=3600.0)
     time_median_max_s: GroupTimes = GroupTimes()
-    time_p99_max_s: float | None = Field(default=None, gt=0.0)
-    agreement_min: float = Field(default=0.999, ge=0.0, le=1.0)
+    time_p99_max_s: AtMost[float | None] = Field(default=None, gt=0.0)
+    agreement_min: AtLeast[float] = Field(default=0.999, ge=0.0, le=1.0)
     planner: PlannerConfig = PlannerConfig()
     held: HeldMovesConfig = HeldMovesConfig()

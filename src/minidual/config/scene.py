@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from minidual.config.base import StrictModel
+from minidual.config.base import AtLeast, AtMost, StrictModel
 
 OBSTACLE = "obstacle"
 
@@ -108,18 +108,18 @@ class TaskConfig(StrictModel):
     obstacle: ObstacleConfig | None = None
     lift_height_m: float = Field(default=0.12, gt=0.03, le=0.4)
     """Rise of the object's centre during the lift."""
-    start_range_m: float = Field(default=0.05, ge=0.0, le=0.1)
-    start_range_rad: float = Field(default=0.2618, ge=0.0, le=0.6)
+    start_range_m: AtLeast[float] = Field(default=0.05, ge=0.0, le=0.1)
+    start_range_rad: AtLeast[float] = Field(default=0.2618, ge=0.0, le=0.6)
     """Half width of the uniform start range (15 degrees)."""
-    clear_height_m: float = Field(default=0.04, gt=0.0, le=0.3)
+    clear_height_m: AtLeast[float] = Field(default=0.04, gt=0.0, le=0.3)
     """Least rise of the object."""
-    tilt_max_rad: float = Field(default=0.08727, gt=0.0, le=0.3)
+    tilt_max_rad: AtMost[float] = Field(default=0.08727, gt=0.0, le=0.3)
     """Five degrees from the horizontal."""
-    goal_tolerance_m: float = Field(default=0.02, gt=0.0, le=0.1)
-    pinch_min_n: float = Field(default=20.0, gt=0.0)
-    internal_force_min_n: float = Field(default=20.0, gt=0.0)
-    rest_speed_m_per_s: float = Field(default=0.02, gt=0.0)
-    time_limit_s: float = Field(default=15.0, gt=1.0, le=60.0)
+    goal_tolerance_m: AtMost[float] = Field(default=0.02, gt=0.0, le=0.1)
+    pinch_min_n: AtLeast[float] = Field(default=20.0, gt=0.0)
+    internal_force_min_n: AtLeast[float] = Field(default=20.0, gt=0.0)
+    rest_speed_m_per_s: AtMost[float] = Field(default=0.02, gt=0.0)
+    time_limit_s: AtMost[float] = Field(default=15.0, gt=1.0, le=60.0)
 
 
 class CameraConfig(StrictModel):

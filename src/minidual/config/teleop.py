@@ -6,7 +6,7 @@ from typing import Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from minidual.config.base import StrictModel
+from minidual.config.base import AtLeast, AtMost, StrictModel
 
 
 class OperatorConfig(StrictModel):
@@ -47,7 +47,7 @@ class MirrorConfig(StrictModel):
 class TeleopConfig(StrictModel):
     """What is demonstrated and recorded, and by whom."""
 
-    episodes_n: int = Field(default=120, ge=1, le=10000)
+    episodes_n: AtLeast[int] = Field(default=120, ge=1, le=10000)
     leader: str = Field(default="scripted", min_length=1)
     rate_hz: float = Field(default=50.0, ge=10.0, le=100.0)
     cameras: tuple[Literal["high", "left", "right"], ...] = ("high",)
@@ -55,10 +55,10 @@ class TeleopConfig(StrictModel):
     """Range of the starts, as a multiple of the tests' range."""
     attempts_max_ratio: float = Field(default=1.5, ge=1.0, le=10.0)
     """Most attempts per demonstration asked for."""
-    jerk_max_rad_s3: float = Field(default=200.0, gt=0.0)
+    jerk_max_rad_s3: AtMost[float] = Field(default=200.0, gt=0.0)
     """Episodes with a larger RMS jerk are rejected."""
-    latency_max_s: float = Field(default=0.1, gt=0.0)
-    episodes_per_min: float = Field(default=3.0, ge=0.0)
+    latency_max_s: AtMost[float] = Field(default=0.1, gt=0.0)
+    episodes_per_min: AtLeast[float] = Field(default=3.0, ge=0.0)
     keep_rejected: bool = True
     """Whether to keep files of failed attempts in `rejected`."""
     person_time_limit_s: float = Field(default=120.0, ge=5.0, le=3600.0)

@@ -7,9 +7,9 @@ import importlib.metadata
 import keyword
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from operator import attrgetter
 from typing import TYPE_CHECKING, Any, cast
 
+from minidual.config.base import limits
 from minidual.errors import EnvironmentMissingError, MinidualError, UsageError
 from minidual.gate.code import Code, code_of
 from minidual.gate.stage import StageFunction
@@ -95,7 +95,6 @@ class StageEntry:
             count.
         resolve: "module:function" from Config to Config that resolves names; must import quickly, as `status` calls it.
         check: "module:function" that raises UsageError for values that models cannot validate; called before a run.
-        at_least, at_most: Counts and limits; weaker values than the shipped profile's are no acceptance.
         question: Question on the debug ladder.
         asides: Tools that run instead when triggered.
         watchable: Takes --view.
@@ -109,8 +108,6 @@ class StageEntry:
     reads: tuple[str, ...] = ()
     resolve: str | None = None
     check: str | None = None
-    at_least: tuple[str, ...] = ()
-    at_most: tuple[str, ...] = ()
     question: str = ""
     options: tuple[Option, ...] = ()
     asides: tuple[ToolEntry, ...] = ()
@@ -158,13 +155,14 @@ class StageEntry:
         return found
 
     def weaker(self, config: Config, reference: Config) -> tuple[str, ...]:
-        """Return one line per count or limit weaker than `reference`."""
-        lines: list[str] = []
-        for path in (*self.at_least, *self.at_most):
-            value, asked = (attrgetter(path)(source) for source in (config, reference))
-            if not _as_strict(value, asked, least=path in self.at_least):
-                lines.append(f"{path} is {_short(value)}, the profile asks for {_short(asked)}")
-        return tuple(lines)
+        """Return one line per count or limit weaker than `reference`, among the values that the stage reads."""
+        asked = {path: value for path, _, value in limits(reference)}
+        return tuple(
+            f"{path} is {_short(value)}, the profile asks for {_short(asked[path])}"
+            for path, mark, value in limits(config)
+            if any(path == read or path.startswith(f"{read}.") for read in self.reads)
+            and not _as_strict(value, asked[path], mark)
+        )
 
     def overrides(self, options: Mapping[str, Any]) -> list[tuple[str, Any, str]]:
         """Return (dotted path, value, option text) for `options` that override configuration."""
@@ -181,27 +179,20 @@ class StageEntry:
         return {name: value for name, value in options.items() if paths.get(name) is None}
 
 
-def _as_strict(value: Any, asked: Any, *, least: bool) -> bool:
-    """Return whether a number, mapping of numbers or set of names is at least as strict as the profile's."""
+def _as_strict(value: Any, asked: Any, mark: str) -> bool:
+    """Return whether a number, mapping of numbers or tuple of names is at least as strict as the profile's."""
     if asked is None:
         return True
     if value is None:
         return False
-    if hasattr(asked, "model_dump"):
-        value, asked = value.model_dump(), asked.model_dump()
-    if isinstance(asked, Mapping):
-        numbers = cast(Mapping[str, Any], value)
-        return all(
-            _as_strict(numbers.get(name), item, least=least) for name, item in cast(Mapping[str, Any], asked).items()
-        )
+    if isinstance(asked, dict):
+        return all(_as_strict(value.get(name), item, mark) for name, item in cast(dict[str, Any], asked).items())
     if isinstance(asked, tuple):
         return "all" in value or set(cast(tuple[str, ...], asked)) <= set(value)
-    return value >= asked if least else value <= asked
+    return value >= asked if mark == "at least" else value <= asked
 
 
 def _short(value: Any) -> str:
-    if hasattr(value, "model_dump"):
-        value = value.model_dump()
     return ", ".join(cast(tuple[str, ...], value)) if isinstance(value, tuple) else str(value)
 
 
