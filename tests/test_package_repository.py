@@ -123,6 +123,7 @@ def test_the_readme_opens_with_a_picture_and_the_commands() -> None:
     head = (ROOT / "README.md").read_text(encoding="utf-8").split("\n## ")[0]
     assert "docs/scene.jpg" in head
     assert re.findall(r"^make (\w+)", head, re.MULTILINE) == ["setup", "all", "all", "test"]
+    assert len(re.findall(r"^\.venv/bin/minidual (\w+)", head, re.MULTILINE)) == 2  # four commands to moving arms
     assert (ROOT / "docs" / "scene.jpg").stat().st_size < 150_000
 
 
