@@ -1,5 +1,6 @@
 """Shapes, scenes and the allowed-collision matrix."""
 
+import hashlib
 import itertools
 import json
 
@@ -10,13 +11,12 @@ from minidual.collision import acm as acm_module
 from minidual.collision.acm import acm_report, build_acm, default_acm
 from minidual.collision.allowed import AllowedCollisions
 from minidual.collision.engine import Pairs
-from minidual.collision.links import collision_links, links_of
 from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import TABLE, Attached, PlanningScene
 from minidual.collision.shapes import Box, Capsule, Cylinder, Sphere
 from minidual.errors import UsageError
 from minidual.robot.arms import DUAL_PANDA, PANDA
-from minidual.robot.description import never_touching
+from minidual.robot.description import collision_links, links_of, never_touching
 
 HOME, Q_LOWER, Q_UPPER = DUAL_PANDA.home, DUAL_PANDA.q_lower, DUAL_PANDA.q_upper
 LINKS = collision_links(DUAL_PANDA)
@@ -135,12 +135,16 @@ def test_cache_is_used_refreshed_and_never_needed(tmp_path, monkeypatch):
     (file,) = tmp_path.glob("acm-*.json")
     assert fresh(DUAL_PANDA) == matrix
     assert len(built) == 1  # the second call read the file
-    crossing = matrix.to_json() | {"pairs": [["left_panda_hand", "right_panda_hand", "never"]]}
-    for bad in ("{", "[]", json.dumps(crossing), '{"pairs": [[1]]}'):
+    whole = file.read_text()
+    digest, content = whole.split("\n")
+    pairs = [["left_panda_hand", "left_panda_link5", "never"], *matrix.pairs]
+    tampered = f"{digest}\n{json.dumps(json.loads(content) | {'pairs': pairs})}"
+    of_another_model = f"{hashlib.sha256(f'another\n{content}'.encode()).hexdigest()}\n{content}"
+    for bad in ("", content, tampered, of_another_model, whole[:-1]):
         file.write_text(bad)
-        assert fresh(DUAL_PANDA) == matrix  # a damaged cache is built anew, a cross-arm entry is not believed
-    assert len(built) == 5
-    assert json.loads(file.read_text())
+        assert fresh(DUAL_PANDA) == matrix
+        assert file.read_text() == whole
+    assert len(built) == 6  # each was built anew
     monkeypatch.setenv("MINIDUAL_CACHE", "/proc/nowhere")
     assert fresh(DUAL_PANDA) == matrix
 

@@ -15,25 +15,23 @@ doublings in a row. By the rule of three, a `never` pair touches in less than 3/
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import hashlib
 import itertools
 import json
 import os
 import re
-from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from minidual.collision.allowed import AllowedCollisions, allowed_pair
+from minidual.collision.allowed import AllowedCollisions
 from minidual.collision.engine import ENGINES, Pairs
-from minidual.collision.links import Link, links_of
 from minidual.durable import write_text
-from minidual.errors import UsageError
-from minidual.robot.description import pair_urdf
+from minidual.robot.description import links_of, pair_urdf
 from minidual.robot.pair import SIDES, Robot
 
 SAMPLES_MIN = 20_000
@@ -41,16 +39,8 @@ SAMPLES_MAX = 1_280_000
 QUIET_DOUBLINGS = 2
 """Consecutive unchanged doublings that end the sampling."""
 ALWAYS_FRACTION = 0.95
-_RULE_VERSION = "4"
+_RULE_VERSION = "5"
 _SEED = 7
-
-
-@dataclass(frozen=True)
-class Round:
-    """Samples so far, and pairs that changed class."""
-
-    samples_n: int
-    changed: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -58,44 +48,37 @@ class BuiltAcm:
     """The matrix and its history.
 
     Attributes:
+        pairs: Rows (link, link, reason).
+        rounds: `samples_n` so far and the pairs that `changed` class.
         converged: False if the sample limit was reached.
-        rarest: The touching pair with fewest contacts, and their number.
+        rarest: The touching pair with fewest contacts.
+        rarest_n: Their number.
     """
 
-    acm: AllowedCollisions
-    rounds: tuple[Round, ...]
+    pairs: list[list[str]]
+    rounds: list[dict[str, Any]]
     converged: bool
-    rarest: tuple[str, int]
+    rarest: str
+    rarest_n: int
+
+    @cached_property
+    def acm(self) -> AllowedCollisions:
+        """The matrix."""
+        return AllowedCollisions(frozenset((a, b, reason) for a, b, reason in self.pairs))
 
     @property
     def samples_n(self) -> int:
         """Samples drawn."""
-        return self.rounds[-1].samples_n
+        return self.rounds[-1]["samples_n"]
 
     def lines(self) -> list[str]:
         """Return the history as text."""
-        steps = ", ".join(f"{r.samples_n} ({len(r.changed)} changed)" for r in self.rounds[1:])
-        ended = "converged" if self.converged else "NOT converged"
-        pair, count = self.rarest
+        steps = ", ".join(f"{r['samples_n']} ({len(r['changed'])} changed)" for r in self.rounds)
+        never = f"a pair that never touched does so in less than {3.0 / self.samples_n:.1e} of all postures"
         return [
-            (
-                f"{ended}: first {self.rounds[0].samples_n} samples, then {steps}; no pair may change over "
-                f"{QUIET_DOUBLINGS} doublings"
-            ),
-            (
-                f"rarest contact: {pair}, {count} of {self.samples_n}; what is called never touches in less than "
-                f"{3.0 / self.samples_n:.1e} of all postures (95 % confidence)"
-            ),
+            f"{'converged' if self.converged else 'NOT converged'} over {QUIET_DOUBLINGS} doublings: samples {steps}",
+            f"rarest contact: {self.rarest}, {self.rarest_n} of {self.samples_n}; {never} (95 % confidence)",
         ]
-
-    def to_json(self) -> dict[str, Any]:
-        """Return plain data."""
-        return {
-            "pairs": [list(row) for row in self.acm.table()],
-            "rounds": [{"samples_n": r.samples_n, "changed": list(r.changed)} for r in self.rounds],
-            "converged": self.converged,
-            "rarest": list(self.rarest),
-        }
 
 
 def default_acm(robot: Robot) -> AllowedCollisions:
@@ -105,29 +88,42 @@ def default_acm(robot: Robot) -> AllowedCollisions:
 
 @cache
 def acm_report(robot: Robot) -> BuiltAcm:
-    """Return matrix and history from the user's cache, or build them (1 s)."""
-    path = _cache_file(robot)
-    cached = _read(path, robot)
-    if cached is not None:
-        return cached
+    """Return matrix and history from the user's cache, or build them (1 s).
+
+    The file starts with the digest of model and content; another digest means another model or a changed row, and the
+    matrix is built again.
+    """
+    model = model_hash(robot)
+    root = os.environ.get("MINIDUAL_CACHE") or Path.home() / ".cache" / "minidual"
+    path = Path(root) / f"acm-{model[:20]}.json"
+    with contextlib.suppress(OSError, ValueError):
+        digest, _, content = path.read_text(encoding="utf-8").partition("\n")
+        if digest == _digest(model, content):
+            return BuiltAcm(**json.loads(content))
     built = build_acm(robot)
-    _write(path, built)
+    content = json.dumps(dataclasses.asdict(built))
+    with contextlib.suppress(OSError):  # the folder may be read-only
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_text(path, f"{_digest(model, content)}\n{content}")
     return built
+
+
+def _digest(model: str, content: str) -> str:
+    return hashlib.sha256(f"{model}\n{content}".encode()).hexdigest()
 
 
 def build_acm(robot: Robot, samples_min: int = SAMPLES_MIN, samples_max: int = SAMPLES_MAX) -> BuiltAcm:
     """Build the matrix."""
-    side = SIDES[0]
-    reasons = dict(_structural_pairs(robot))
-    pairs = [p for p in itertools.combinations(_links(robot), 2) if p not in reasons]
-    by_set = {frozenset(p): p for p in pairs}
+    reasons = _structural_pairs(robot)
+    pairs = [pair for pair in itertools.combinations(_left_links(robot), 2) if pair not in reasons]
+    by_set = {frozenset(pair): pair for pair in pairs}
     engine: Any = ENGINES["mujoco"](Pairs(robot, tuple(pairs)))  # MuJoCo alone reports which pairs touch
     at_home = {by_set[pair] for pair in engine.touching_pairs(robot.home)}
-    own = robot.groups[f"{side}_arm"]
+    own = robot.groups[f"{SIDES[0]}_arm"]
     rng = np.random.default_rng(_SEED)
     counts = dict.fromkeys(pairs, 0)
-    rounds: list[Round] = []
-    before: dict[tuple[str, str], str] = {}
+    rounds: list[dict[str, Any]] = []
+    classes: dict[tuple[str, str], str] = {}
     total, quiet, batch = 0, 0, samples_min
     while quiet < QUIET_DOUBLINGS and total + batch <= max(samples_max, samples_min):
         Q = np.tile(robot.home, (batch, 1))
@@ -137,22 +133,20 @@ def build_acm(robot: Robot, samples_min: int = SAMPLES_MIN, samples_max: int = S
                 counts[by_set[pair]] += 1
         total += batch
         batch = total
-        classes = {p: _class(counts[p], total, p in at_home) for p in pairs}
-        changed = tuple(" + ".join(p) for p in pairs if before and classes[p] != before[p])
+        before, classes = classes, {pair: _class(counts[pair], total, pair in at_home) for pair in pairs}
+        changed = [" + ".join(pair) for pair in pairs if before and classes[pair] != before[pair]]
         quiet = quiet + 1 if before and not changed else 0
-        rounds.append(Round(total, changed))
-        before = classes
-    reasons |= {p: f"never in {total} samples" for p, kind in before.items() if kind == "never"}
-    reasons |= {p: "always" for p, kind in before.items() if kind == "always"}
-    entries = {allowed_pair(*_on_side(pair, other), reason) for other in SIDES for pair, reason in reasons.items()}
-    touched = {p: n for p, n in counts.items() if n > 0}
-    rarest = min(touched, key=lambda p: touched[p]) if touched else ("", "")
-    return BuiltAcm(
-        AllowedCollisions(frozenset(entries)),
-        tuple(rounds),
-        quiet >= QUIET_DOUBLINGS,
-        (" + ".join(rarest), touched.get(rarest, 0)),
-    )
+        rounds.append({"samples_n": total, "changed": changed})
+    labels = {"never": f"never in {total} samples", "always": "always"}
+    reasons |= {pair: labels[kind] for pair, kind in classes.items() if kind in labels}
+    rows = [
+        [*sorted(name.replace(SIDES[0], side, 1) for name in pair), reason]
+        for side in SIDES
+        for pair, reason in reasons.items()
+    ]
+    rarest = min((pair for pair in pairs if counts[pair]), key=counts.__getitem__, default=None)
+    rarest_n = counts[rarest] if rarest else 0
+    return BuiltAcm(sorted(rows), rounds, quiet >= QUIET_DOUBLINGS, " + ".join(rarest or ()), rarest_n)
 
 
 def _class(touched: int, total: int, at_home: bool) -> str:
@@ -161,26 +155,28 @@ def _class(touched: int, total: int, at_home: bool) -> str:
     return "always" if at_home and touched >= ALWAYS_FRACTION * total else "checked"
 
 
-def _links(robot: Robot) -> dict[str, Link]:
-    return {name: link for name, link in links_of(robot).items() if link.collides and link.side == SIDES[0]}
+def _left_links(robot: Robot) -> dict[str, int]:
+    """Return the number of joints before each link with collision geometry."""
+    return {n: link.joints_before for n, link in links_of(robot).items() if link.collides and link.side == SIDES[0]}
 
 
-def _structural_pairs(robot: Robot) -> Iterable[tuple[tuple[str, str], str]]:
-    links = _links(robot)
+def _structural_pairs(robot: Robot) -> dict[tuple[str, str], str]:
+    """Return reasons that need no samples; pairs are in the order of the links."""
+    links = _left_links(robot)
+    ruled_out = [{f"{SIDES[0]}_{link}" for link in pair} for pair in robot.arm.never_touch]
     first: dict[int, str] = {}  # by number of joints before it: the link that the last of them moves
-    for link in links.values():
-        first.setdefault(link.joints_before, link.name)
-    known = set(links)
-    for pair in robot.arm.never_touch:
-        a, b = (f"{SIDES[0]}_{link}" for link in pair)
-        if known.issuperset((a, b)):
-            yield (a, b), "model"
+    for name, joints in links.items():
+        first.setdefault(joints, name)
+    reasons: dict[tuple[str, str], str] = {}
     for a, b in itertools.combinations(links, 2):
-        gap = links[b].joints_before - links[a].joints_before
+        gap = links[b] - links[a]
         if gap == 0:
-            yield (a, b), "rigid"
-        elif gap == 1 and first[links[b].joints_before] == b:
-            yield (a, b), "adjacent"
+            reasons[a, b] = "rigid"
+        elif gap == 1 and first[links[b]] == b:
+            reasons[a, b] = "adjacent"
+        elif {a, b} in ruled_out:
+            reasons[a, b] = "model"
+    return reasons
 
 
 def model_hash(robot: Robot) -> str:
@@ -190,42 +186,6 @@ def model_hash(robot: Robot) -> str:
     digest.update(re.sub(r'filename="[^"]*/([^"/]+)"', r'filename="\1"', urdf).encode())
     for file in sorted(set(re.findall(r'filename="([^"]+)"', urdf))):
         digest.update(Path(file).read_bytes())
-    digest.update(
-        repr(
-            (robot.arm.home, robot.arm.q_lower, robot.arm.q_upper, robot.hand.travel_m, robot.arm.never_touch)
-        ).encode()
-    )
+    arm = robot.arm
+    digest.update(repr((arm.home, arm.q_lower, arm.q_upper, robot.hand.travel_m, arm.never_touch)).encode())
     return digest.hexdigest()
-
-
-def _cache_file(robot: Robot) -> Path:
-    root = os.environ.get("MINIDUAL_CACHE")
-    folder = Path(root) if root else Path.home() / ".cache" / "minidual"
-    return folder / f"acm-{model_hash(robot)[:20]}.json"
-
-
-def _read(path: Path, robot: Robot) -> BuiltAcm | None:
-    """Return None if missing or invalid."""
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        acm = AllowedCollisions(frozenset(allowed_pair(*(str(v) for v in row)) for row in content["pairs"]))
-        rounds = tuple(Round(int(r["samples_n"]), tuple(map(str, r["changed"]))) for r in content["rounds"])
-        pair, count = content["rarest"]
-        built = BuiltAcm(acm, rounds, bool(content["converged"]), (str(pair), int(count)))
-    except (OSError, ValueError, TypeError, KeyError, UsageError):
-        return None
-    known = links_of(robot)
-    sound = all({e.first, e.second} <= known.keys() and known[e.first].side == known[e.second].side for e in acm)
-    return built if sound and len(acm) > 0 and rounds else None
-
-
-def _write(path: Path, built: BuiltAcm) -> None:
-    """Ignore unwritable folders."""
-    with contextlib.suppress(OSError):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_text(path, json.dumps(built.to_json(), indent=0))
-
-
-def _on_side(pair: tuple[str, str], side: str) -> tuple[str, str]:
-    a, b = (name.replace(f"{SIDES[0]}_", f"{side}_", 1) for name in pair)
-    return a, b

@@ -8,9 +8,8 @@ import mujoco
 import numpy as np
 
 from minidual.collision.engine import Checked, PairDistance
-from minidual.collision.links import collision_links
 from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, Shape, Sphere
-from minidual.robot.description import pair_urdf
+from minidual.robot.description import collision_links, pair_urdf
 from minidual.robot.pair import Array
 
 # Without these options the URDF reader fuses fixed links (and the tcp) into their parents.

@@ -10,10 +10,10 @@ from functools import cached_property
 
 from minidual.collision.acm import default_acm
 from minidual.collision.allowed import AllowedCollisions
-from minidual.collision.links import collision_links, links_of
 from minidual.collision.shapes import Attached, Box, Shape, grown
 from minidual.errors import UsageError, unknown_name
 from minidual.robot.arms import DUAL_PANDA
+from minidual.robot.description import collision_links, links_of
 from minidual.robot.pair import Robot
 
 __all__ = ["MIN_DISTANCE_MAX_M", "TABLE", "Attached", "PlanningScene"]

@@ -21,16 +21,15 @@ _PREFIX = "cmeel.prefix/share"
 
 
 @dataclass(frozen=True)
-class ArmLink:
+class Link:
     """One link of an arm or hand.
 
     Attributes:
-        name: Without side prefix.
-        joints_before: Arm joints (not fingers) that move it.
+        joints_before: Joints of its arm (not fingers) that move it.
         collides: Has collision geometry.
     """
 
-    name: str
+    side: str
     joints_before: int
     collides: bool
 
@@ -130,29 +129,34 @@ def materials(address: str) -> dict[str, tuple[float, float, float, float]]:
 
 
 @functools.cache
-def arm_links(arm: ArmModel) -> tuple[ArmLink, ...]:
-    """Return links of arm and hand."""
-    elements = arm_elements(arm)
+def links_of(robot: Robot) -> dict[str, Link]:
+    """Return all links by name with side prefix, left arm first, base to tip."""
+    elements = arm_elements(robot.arm)
     above = {_ends(e)[1]: e for e in elements if e.tag == "joint"}
 
     def joints_before(link: str) -> int:
-        count = 0
-        while link in above:
-            count += above[link].attrib["name"] in arm.joints
-            link = _ends(above[link])[0]
-        return count
+        if link not in above:
+            return 0
+        return joints_before(_ends(above[link])[0]) + (above[link].attrib["name"] in robot.arm.joints)
 
-    return tuple(
-        ArmLink(e.attrib["name"], joints_before(e.attrib["name"]), e.find("collision") is not None)
+    return {
+        f"{side}_{name}": Link(side, joints_before(name), e.find("collision") is not None)
+        for side in SIDES
         for e in elements
-        if e.tag == "link"
-    )
+        if e.tag == "link" and (name := e.attrib["name"])
+    }
+
+
+@functools.cache
+def collision_links(robot: Robot) -> tuple[str, ...]:
+    """Return the names of links with collision geometry."""
+    return tuple(name for name, link in links_of(robot).items() if link.collides)
 
 
 @functools.cache
 def never_touching(arm: ArmModel) -> tuple[tuple[str, str], ...]:
     """Return link pairs that never touch, from SRDF files and arm model."""
-    known = {link.name for link in arm_links(arm)}
+    known = {e.attrib["name"] for e in arm_elements(arm) if e.tag == "link"}
     pairs: dict[tuple[str, str], None] = {}
     for address in filter(None, (arm.srdf, arm.hand.srdf)):
         for element in ET.parse(file_at(address)).getroot().iter("disable_collisions"):
