@@ -61,5 +61,7 @@ else
     "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation \
         --editable .
 fi
+echo "setup: compiling the numeric kernels (about half a minute)"
+"$venv/bin/python" scripts/compile_kernels.py || echo "setup: not compiled; the first plan does it" >&2
 touch "$venv/.ready"
 echo "setup: done"
