@@ -13,7 +13,7 @@ from minidual.config.root import Config
 from minidual.errors import UsageError
 from minidual.robot.poses import pose, rot_x, rot_z
 from minidual.tasks.judge import Judge
-from minidual.tasks.success import Exchanged, Held
+from minidual.tasks.success import Exchanged, Held, ObjectTruth, Turned
 from minidual.tasks.task import make_task
 
 RADIUS = 0.00887
@@ -102,7 +102,7 @@ def test_a_rod_pushed_along_the_table_did_not_rise(scene):
     referee, outcome = judge(pushed, scene)
     assert not outcome.success
     assert not referee.finished
-    assert faults(outcome) == {"rose"}
+    assert faults(outcome) == {"carried", "rose"}
 
 
 def test_one_that_rises_too_little_did_not_rise(scene):
@@ -127,8 +127,17 @@ def test_a_grip_lost_for_an_instant_in_the_air_counts(scene):
     assert outcome.faults[0].at_s == pytest.approx(3.0)
 
 
+@pytest.mark.parametrize("height", [0.004, 0.01, 0.02])
+def test_a_grip_lost_low_over_the_table_counts(scene, height):
+    low = [
+        replace(i, height=min(i.height, height), pinches=(60.0, 3.0)) if 250 < k < 300 else i
+        for k, i in enumerate(cycle())
+    ]
+    assert "held" in faults(judge(low, scene)[1])
+
+
 def test_tilt_over_five_degrees_is_refused_and_just_under_is_not(scene):
-    limit = scene.task.tilt_max_rad
+    limit = np.radians(5.0)
     assert judge(cycle(tilt=0.98 * limit), scene)[1].success
     _, outcome = judge(cycle(tilt=1.02 * limit), scene)
     assert faults(outcome) == {"level"}
@@ -142,11 +151,21 @@ def test_one_end_lifted_with_the_other_on_the_table_does_not_count_as_lifted(sce
     assert {"level", "rose"} <= faults(outcome)
 
 
-def test_three_centimetres_beside_the_goal_is_not_there(scene):
-    away = [replace(i, xy=(i.xy[0] + 0.03, i.xy[1])) for i in cycle()]
+@pytest.mark.parametrize(("off_m", "missed"), [(0.019, set()), (0.021, {"arrived"}), (0.03, {"arrived"})])
+def test_two_centimetres_beside_the_goal_is_not_there(scene, off_m, missed):
+    away = [replace(i, xy=(i.xy[0] + off_m, i.xy[1])) for i in cycle()]
     _, outcome = judge(away, scene)
-    assert faults(outcome) == {"arrived"}
-    assert outcome.goal_error_m == pytest.approx(0.03)
+    assert faults(outcome) == missed
+    assert outcome.goal_error_m == pytest.approx(off_m)
+
+
+def test_a_trial_is_finished_after_a_tenth_of_a_second_of_rest_and_no_earlier(scene):
+    instants = cycle()
+    let_go = instants[520].time
+    for k, finished in ((525, False), (529, False), (531, True)):
+        referee, outcome = judge(instants[: k + 1], scene)
+        assert (referee.finished, outcome.success) == (finished, finished)
+    assert outcome.duration_s == pytest.approx(let_go + 0.1, abs=1.1 * DT)
 
 
 def test_a_rod_still_held_is_not_released(scene):
@@ -211,15 +230,36 @@ def test_a_dropped_rod_is_named_by_the_hold_first(scene):
     assert {"held", "arrived", "at_rest"} <= faults(outcome)
 
 
-def test_a_rod_that_points_elsewhere_is_not_turned_where_the_task_asks_for_a_direction(scene):
-    task = scene.task.model_copy(update={"yaw_tolerance_rad": 0.1})
-    turned = scene.model_copy(update={"task": task})
-    askew = [replace(i, yaw=0.2) for i in cycle()]
-    assert judge(askew, scene)[1].success
-    referee, outcome = judge(askew, turned)
-    assert faults(outcome) == {"turned"}
-    assert not referee.finished
-    assert judge([replace(i, yaw=0.05) for i in cycle()], turned)[1].success
+@pytest.mark.parametrize(("yaw_deg", "missed"), [(14.0, set()), (16.0, {"turned"}), (86.0, {"turned"}), (178.0, set())])
+def test_a_rod_must_point_where_the_task_asks_and_its_ends_are_equal(scene, yaw_deg, missed):
+    referee, outcome = judge([replace(i, yaw=np.radians(yaw_deg)) for i in cycle()], scene)
+    assert faults(outcome) == missed
+    assert referee.finished == (not missed)
+
+
+def test_an_object_without_symmetry_turned_round_is_turned(scene):
+    instants = [replace(i, yaw=np.pi) for i in cycle()]
+    for symmetry, error in ((1, np.pi), (2, 0.0), (4, 0.0)):
+        outcome = judged(instants, scene, Turned("rod", 0.0, 0.1, symmetry)).outcome(instants[-1])
+        assert outcome.yaw_error_rad == pytest.approx(error, abs=1e-12)
+        assert outcome.success == (symmetry > 1)
+
+
+def _rolled(angle_deg: float):
+    """A rotation about the long axis, y."""
+    return rot_z(np.pi / 2) @ rot_x(np.radians(angle_deg)) @ rot_z(-np.pi / 2)
+
+
+def test_a_board_on_its_edge_is_as_low_as_its_edge(scene):
+    board = scene.object.model_copy(update={"shape": "box", "width_m": 0.05, "height_m": 0.03})
+    truth = ObjectTruth("rod", board)
+    rolled, upright = _rolled(90.0), rot_z(0.3)
+    for R, lowest in ((upright, 0.015), (rolled, 0.025), (_rolled(45.0), 0.04 / np.sqrt(2.0))):
+        world = Instant()
+        world.object_pose = lambda name=None, R=R, lowest=lowest: pose(R, (0.0, 0.0, lowest))
+        truth.refresh(world)
+        assert truth.clearance_m == pytest.approx(0.0, abs=1e-12)
+        assert not truth.airborne
 
 
 def test_the_error_of_a_direction_is_the_short_way_round(scene):

@@ -14,6 +14,7 @@ from minidual.tasks.objects import OBJECTS
 from minidual.tasks.success import (
     Arrived,
     AtRest,
+    Carried,
     Clear,
     Held,
     Level,
@@ -55,7 +56,7 @@ def rod_carry(config: Config) -> Task:
         name="rod_carry",
         instruction=f"Grasp the {body.name} with both hands, carry it to the green mark and put it down.",
         config=config,
-        objects={body.name: TaskObject(body, held_at_ends(body))},
+        objects={body.name: TaskObject(body, held_at_ends(body), symmetry=2)},
         steps=tuple(Step(phase) for phase in _PHASES),
         success=carried_by_both,
         draw=draw_on_table,
@@ -79,15 +80,16 @@ def draw_on_table(
 def carried_by_both(task: Task, trial: Trial) -> tuple[SuccessCondition, ...]:
     """Return the conditions."""
     asked, name, body = task.scene.task, task.carried, task.scene.object
-    x, y, yaw = placement(trial.goal[name])
+    start, (x, y, yaw) = placement(trial.start[name]), placement(trial.goal[name])
     conditions: list[SuccessCondition] = [
         Level(name, asked.tilt_max_rad),
         Whole(name, body.break_pinch_n, body.break_force_n),
         Held(name, asked.pinch_min_n),
+        Carried(name, start[:2], (x, y)),
         Squeezed(name, asked.internal_force_min_n),
         Rose(name, asked.clear_height_m),
         Arrived(name, (x, y), asked.goal_tolerance_m),
-        Turned(name, yaw, asked.yaw_tolerance_rad),
+        Turned(name, yaw, asked.yaw_tolerance_rad, task.objects[name].symmetry),
         Released(name),
         AtRest(name, asked.rest_speed_m_per_s),
         OnTime(asked.time_limit_s),

@@ -20,6 +20,8 @@ if TYPE_CHECKING:  # reading a configuration must not import MuJoCo
 
 AIRBORNE_M = 0.003
 """An object is off the table above this clearance."""
+NEAR_M = 0.05
+"""An object may be on the table this near to its start or goal."""
 TOUCH_N = 0.1
 """Smaller forces do not count as touch."""
 
@@ -30,27 +32,31 @@ class ObjectTruth:
     Attributes:
         T: Pose (4, 4) in the world.
         tilt_rad: Of its long axis from the horizontal, or from the vertical if upright.
-        clearance_m: Height of its lowest point above resting.
+        clearance_m: Height of its lowest point above the table.
         pinch: Normal force of each hand's weaker finger (2,) [N].
     """
 
     def __init__(self, name: str, body: ObjectConfig) -> None:
         self.name, self.body = name, body
-        self._rest_m, self._half_m = body.rest_height_m, 0.5 * body.length_m
+        self._half_m, self._axis = body.half_sizes_m, 2 if body.upright else 1
 
     def refresh(self, world: World) -> None:
         """Read the world."""
         self._world = world
         self.T = T = world.object_pose(self.name)
-        if self.body.upright:
-            self.tilt_rad = float(np.arccos(min(1.0, abs(T[2, 2]))))
-            down = self._half_m * abs(T[2, 2]) + self.body.half_width_m * math.sqrt(max(0.0, 1.0 - T[2, 2] ** 2))
-            self.clearance_m = T[2, 3] - down
+        along = min(1.0, abs(T[2, self._axis]))  # vertical share of the long axis
+        self.tilt_rad = float(np.arccos(along) if self.body.upright else np.arcsin(along))
+        if self.body.shape == "cylinder":
+            down = self._half_m[self._axis] * along + self._half_m[0] * math.sqrt(1.0 - along**2)
         else:
-            self.tilt_rad = float(np.arcsin(min(1.0, abs(T[2, 1]))))
-            self.clearance_m = T[2, 3] - self._half_m * abs(T[2, 1]) - self._rest_m
+            down = float(np.dot(np.abs(T[2, :3]), self._half_m))
+        self.clearance_m = float(T[2, 3] - down)
         self.airborne = self.clearance_m > AIRBORNE_M
         self.pinch = world.pinch(self.name)
+
+    def distance_m(self, xy: tuple[float, float]) -> float:
+        """Return the horizontal distance of its centre from a place."""
+        return math.hypot(self.T[0, 3] - xy[0], self.T[1, 3] - xy[1])
 
     @property
     def yaw_rad(self) -> float:
@@ -188,14 +194,19 @@ class Clear(SuccessCondition):
 
 @dataclass
 class Held(SuccessCondition):
-    """Off the table, both hands pinch the object (`both=False`: one)."""
+    """From the first lift on, both hands pinch the object (`both=False`: one) wherever it is off the table or moves.
+
+    On the table it may slip or roll by `slip_m` from where it was let go.
+    """
 
     name = "held"
     stage = True
     object: str
     limit_n: float
     both: bool = True
+    slip_m: float = 0.02
     _least: float = math.inf
+    _let_go: tuple[float, float] | None = None
 
     def _pinch(self, truth: Truth) -> tuple[int, float]:
         pinch = truth[self.object].pinch
@@ -203,20 +214,44 @@ class Held(SuccessCondition):
         return hand, float(pinch[hand])
 
     def observe(self, truth: Truth) -> str:
-        if not truth[self.object].airborne:
+        item = truth[self.object]
+        if not item.airborne and self._let_go is None:
             return ""
         hand, pinch = self._pinch(truth)
-        self._least = min(self._least, pinch)
-        if pinch > self.limit_n:
+        if item.airborne:
+            self._least = min(self._least, pinch)
+        if pinch > self.limit_n or self._let_go is None:
+            self._let_go = float(item.T[0, 3]), float(item.T[1, 3])
+        if pinch > self.limit_n or not (item.airborne or item.distance_m(self._let_go) > self.slip_m):
             return ""
         who = f"{SIDES[hand]} hand pinches" if self.both else "the firmer hand pinches"
-        return f"{who} {pinch:.1f} N, needs > {self.limit_n:.0f}"
+        moving = "" if item.airborne else f" while it moves {1e3 * item.distance_m(self._let_go):.0f} mm on the table"
+        return f"{who} {pinch:.1f} N{moving}, needs > {self.limit_n:.0f}"
 
     def reached(self, truth: Truth) -> bool:
         return self._pinch(truth)[1] > self.limit_n
 
     def measured(self, truth: Truth) -> dict[str, float]:
         return {"pinch_min_n": self._least if math.isfinite(self._least) else 0.0}
+
+
+@dataclass
+class Carried(SuccessCondition):
+    """The object is off the table all the way between start and goal, (x, y) [m] each."""
+
+    name = "carried"
+    object: str
+    start: tuple[float, float]
+    goal: tuple[float, float]
+
+    def observe(self, truth: Truth) -> str:
+        item = truth[self.object]
+        if item.airborne:
+            return ""
+        start, goal = item.distance_m(self.start), item.distance_m(self.goal)
+        if min(start, goal) < NEAR_M:
+            return ""
+        return f"on the table {1e3 * start:.0f} mm from its start and {1e3 * goal:.0f} mm from its goal"
 
 
 @dataclass
@@ -301,8 +336,7 @@ class Arrived(SuccessCondition):
     limit_m: float
 
     def _error(self, truth: Truth) -> float:
-        T = truth[self.object].T
-        return float(np.hypot(T[0, 3] - self.goal[0], T[1, 3] - self.goal[1]))
+        return truth[self.object].distance_m(self.goal)
 
     def holds(self, truth: Truth) -> bool:
         return self._error(truth) < self.limit_m
@@ -317,24 +351,23 @@ class Arrived(SuccessCondition):
 
 @dataclass
 class Turned(SuccessCondition):
-    """The yaw is near the goal; without a limit, only measured."""
+    """The yaw is near the goal; 1 / `symmetry` of a turn is equal."""
 
     name = "turned"
     object: str
     goal_rad: float
-    limit_rad: float | None
+    limit_rad: float
+    symmetry: int = 1
 
     def _error(self, truth: Truth) -> float:
-        return abs(math.remainder(truth[self.object].yaw_rad - self.goal_rad, math.tau))
+        return abs(math.remainder(truth[self.object].yaw_rad - self.goal_rad, math.tau / self.symmetry))
 
     def holds(self, truth: Truth) -> bool:
-        return self.limit_rad is None or self._error(truth) < self.limit_rad
+        return self._error(truth) < self.limit_rad
 
     def end(self, truth: Truth) -> str:
-        if self.holds(truth):
-            return ""
-        off, limit = np.degrees([self._error(truth), self.limit_rad or 0.0])
-        return f"{off:.1f} deg off its direction, limit {limit:.0f}"
+        off, limit = np.degrees([self._error(truth), self.limit_rad])
+        return "" if off < limit else f"{off:.1f} deg off its direction, limit {limit:.0f}"
 
     def measured(self, truth: Truth) -> dict[str, float]:
         return {"yaw_error_rad": self._error(truth)}

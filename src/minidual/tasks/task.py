@@ -33,10 +33,16 @@ class Trial:
 
 @dataclass(frozen=True)
 class TaskObject:
-    """An object and T_object_tcp (4, 4) of each grasping hand."""
+    """An object.
+
+    Attributes:
+        grasps: T_object_tcp (4, 4) by hand.
+        symmetry: Yaws that look alike in a whole turn: 2 for a rod whose ends are equal.
+    """
 
     body: ObjectConfig
     grasps: Mapping[str, Array] = field(default_factory=dict)
+    symmetry: int = 1
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ FAULTS: dict[str, str] = {
     "clear": "touched the obstacle",
     "turned": "wrong orientation at the goal",
     "exchanged": "not handed over",
+    "carried": "slid on the table",
 }
 """Words by failed success condition."""
 
