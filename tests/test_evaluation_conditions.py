@@ -8,9 +8,10 @@ from minidual.config.root import Config
 from minidual.errors import UsageError
 from minidual.plant.model import build_model
 from minidual.plant.world import World
+from minidual.robot.kinematics import Kinematics
 from minidual.tasks.task import make_task
 from minidual.trials import conditions
-from minidual.trials.conditions import CLEAN, CONDITIONS, SENSES, Push, condition, parse_conditions
+from minidual.trials.conditions import CLEAN, CONDITIONS, DRY_NM, SENSES, Push, condition, parse_conditions
 
 TASK = make_task(Config())
 FIELDS = (
@@ -72,7 +73,39 @@ def test_another_joint_each_trial(model):
         plain, before = float(model.joint(joint).damping[0]), np.array(model.dof_damping)
         with condition("joint friction x2").applied(model, TASK, index):
             assert model.joint(joint).damping[0] == pytest.approx(2.0 * plain)
-            assert np.sum(model.dof_damping != before) == 1
+            assert model.joint(joint).frictionloss[0] == 2.0 * DRY_NM
+            assert np.sum(model.dof_damping != before) == np.count_nonzero(model.dof_frictionloss) == 1
+
+
+@pytest.mark.parametrize(("torque_nm", "moves"), [(0.6, False), (0.9, True)])
+def test_an_arm_feels_the_dry_friction_of_its_joint(model, torque_nm, moves):
+    """Below twice the reference, 0.72 Nm, a torque beside gravity's moves the joint only without the condition."""
+    world, kinematics = World(Config().scene, model=model), Kinematics()
+    joint = 6
+
+    def turned() -> float:
+        world.reset()
+        home, extra = world.q, np.zeros(14)
+        extra[joint] = torque_nm
+        for _ in range(100):
+            world.command(kinematics.bias(world.q, world.v) + extra, np.full(2, 0.04))
+            world.step()
+        return float(world.q[joint] - home[joint])
+
+    assert turned() > 0.01
+    with condition("joint friction x2").applied(model, TASK, joint):
+        assert pytest.approx(0.72) == 2.0 * DRY_NM
+        assert (turned() > 1e-3) == moves
+    assert turned() > 0.01
+
+
+@pytest.mark.parametrize("axis", ["+x", "-x", "+y", "-y", "+z", "-z"])
+def test_a_push_of_the_table_is_twenty_newton_along_its_axis(axis):
+    pusher = condition(f"push {axis}").act(TASK, np.random.default_rng(1))
+    force = pusher.at(0.5 * pusher.length_s)
+    assert force["xyz".index(axis[1])] == (20.0 if axis[0] == "+" else -20.0)
+    assert np.linalg.norm(force) == 20.0
+    assert pusher.length_s == pytest.approx(0.24)
 
 
 def test_a_push_gives_the_object_its_impulse(model):

@@ -11,7 +11,10 @@ from carry_trials import carry_task, sample_trial
 from minidual.control.object_impedance import SingularPostureError
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.poses import pose, rot_z
+from minidual.tasks.judge import Judge, begin
 from minidual.tasks.task import Trial
+from minidual.trials import runner
 from minidual.trials.methods import METHODS
 from minidual.trials.runner import Bench
 
@@ -48,9 +51,9 @@ def trial(world: World) -> Trial:
     return sample_trial(world.scene, 5, "broken", 0)
 
 
-def _run(world: World, trial: Trial, **how: object):
+def _run(world: World, trial: Trial, method: str = "impedance", **how: object):
     bench = Bench.__new__(Bench)  # on the world of the other tests: none is compiled
-    bench.method, bench.seed, bench.spec, bench.task = "impedance", 5, METHODS["impedance"], carry_task(world.scene)
+    bench.method, bench.seed, bench.spec, bench.task = method, 5, METHODS[method], carry_task(world.scene)
     bench.world, bench.kinematics = world, Kinematics()
     bench.factory = lambda w, k, _trial: Stands(w, k, **how)
     return bench.run(trial)
@@ -93,3 +96,17 @@ def test_the_next_trial_is_the_same_as_without_a_broken_one(world: World, trial:
     assert after.metrics.to_row() == before.metrics.to_row()
     assert np.array_equal(after_log.tau, before_log.tau)
     assert before.metrics.failure != "diverged"  # the control: a trial that only ends has another name
+
+
+@pytest.mark.parametrize(("method", "faults"), [("impedance", {"held", "squeezed"}), ("moveit", {"held"})])
+def test_trials_of_object_impedance_must_squeeze_and_others_need_not(
+    world: World, trial: Trial, method: str, faults: set[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    judges: list[Judge] = []
+    monkeypatch.setattr(runner, "begin", lambda *given: judges.append(begin(*given)) or judges[-1])
+    _run(world, trial, method, steps=2)
+    assert judges[0].faults == ()
+    x, y, yaw = trial.start["rod"]
+    world.place("rod", pose(rot_z(yaw), (x, y, 0.1)))  # in the air, and no hand squeezes it
+    judges[0].observe(world)
+    assert {fault.name for fault in judges[0].faults} == faults

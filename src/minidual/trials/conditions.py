@@ -36,6 +36,9 @@ _DELAY_S = (0.2, 1.2)
 """Range of the random time from rise to push."""
 _ALOFT_M = 0.01
 """Below this rise the table may take part of the push."""
+DRY_NM = 0.36
+"""Coulomb friction of a Panda's joint, mean of seven: half of phi_1 (0.30 to 1.28 Nm) in Gaz et al., "Dynamic
+Identification of the Franka Emika Panda Robot", IEEE RA-L 4(4), 2019."""
 _MOVED_AT_S = 0.5
 """The hands have left and are not yet near."""
 
@@ -179,13 +182,13 @@ def friction(value: float) -> Change:
 
 
 def joint_friction(factor: float) -> Change:
-    """Scale the friction of one joint, in turn."""
+    """Scale the friction of one joint, in turn; the dry friction of a frictionless joint counts as `DRY_NM`."""
 
     def change(model: mujoco.MjModel, task: Task, index: int) -> None:
         hinges = np.flatnonzero(model.jnt_type == _HINGE)
         joint = model.joint(int(hinges[index % len(hinges)]))
         joint.damping[0] *= factor
-        joint.frictionloss[0] *= factor
+        joint.frictionloss[0] = factor * (joint.frictionloss[0] or DRY_NM)
 
     return change
 
@@ -311,7 +314,11 @@ for _row in (
         "delay 20 ms", "pose and forces arrive 20 ms late", settings={"carry.sensing.delay_s": 0.020}, sense="feedback"
     ),
     Condition("light -30 %", "the cameras look at a darker room", change=light(0.7), sense="picture"),
-    Condition("joint friction x2", "one joint, another each trial, with doubled friction", change=joint_friction(2.0)),
+    Condition(
+        "joint friction x2",
+        f"one joint, another each trial, with twice a real joint's dry friction ({2.0 * DRY_NM:.2f} Nm)",
+        change=joint_friction(2.0),
+    ),
 ):
     CONDITIONS.add(_row.name, _row)
 
