@@ -30,7 +30,7 @@ test: $(READY) egl ## run the fast tests
 		$(BIN)/python -m pytest -n $(TEST_WORKERS) $(ARGS)
 
 test-slow: $(READY) egl ## run the tests marked slow
-	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 HF_HUB_OFFLINE=1 $(BIN)/python -m pytest -m slow $(ARGS)
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 HF_HUB_OFFLINE=1 $(BIN)/python -m pytest -m slow --timeout 1800 $(ARGS)
 
 bench: $(READY) ## time control steps, planning, a new scene and a cold start
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m scripts.bench $(ARGS)

@@ -179,7 +179,7 @@ def run_command_line(arguments: Sequence[str], table: StageTable, tools: Sequenc
 
 
 def _on_termination(number: int, frame: FrameType | None) -> None:
-    """Treat SIGTERM like Ctrl-C."""
+    """Treat SIGTERM and SIGHUP (the terminal was closed) like Ctrl-C."""
     raise KeyboardInterrupt
 
 
@@ -187,7 +187,8 @@ def main() -> None:
     """Entry point of the `minidual` command."""
     from minidual.stages.registry import STAGES, TOOLS
 
-    signal.signal(signal.SIGTERM, _on_termination)
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, _on_termination)
     # Some libraries' docstrings hold invalid escapes, which warn when compiled.
     warnings.simplefilter("ignore", SyntaxWarning)
     try:

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import joblib
 import numpy as np
 
 from minidual import durable
@@ -21,6 +20,7 @@ from minidual.demos.checks import camera_references, check_swapped
 from minidual.demos.leader import LEADERS
 from minidual.demos.rig import REJECTED, Attempt, Job, Rig
 from minidual.demos.smoothness import JERK_FILTER
+from minidual.workers import in_workers
 
 Observe = Callable[[Rig, int], AbstractContextManager[object]]
 """Returns a context entered during the trial."""
@@ -51,15 +51,8 @@ def record_attempts(
     job: Job, indices: Sequence[int], *, workers: int, observe: Observe | None = None
 ) -> Iterator[Attempt]:
     """Yield attempts in order; `observe` requires `workers` 1."""
-    # One numeric thread per process: more of them wait for each other on a busy machine.
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[name] = "1"
     os.environ.setdefault("LP_NUM_THREADS", "0")  # the software renderer uses the calling thread
-    processes = min(workers, max(1, len(indices)))
-    parallel: Any = joblib.Parallel
-    yield from parallel(n_jobs=processes, return_as="generator", batch_size=1, pre_dispatch="2*n_jobs")(
-        joblib.delayed(_record_in_worker)(job, index, observe) for index in indices
-    )
+    yield from in_workers(lambda index: _record_in_worker(job, index, observe), indices, workers)
 
 
 @dataclass(frozen=True)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import joblib
 import mujoco
 import numpy as np
 
@@ -28,6 +26,7 @@ from minidual.trials.conditions import CLEAN
 from minidual.trials.conditions import condition as named_condition
 from minidual.trials.methods import Method, MethodInputs, MethodSpec, method_spec
 from minidual.trials.metrics import TrialMetrics, trial_metrics
+from minidual.workers import in_workers
 
 LOG_RATE_HZ = 250
 SETTLED_S = 0.5
@@ -242,13 +241,4 @@ def run_trials(
             title = f"{method}, trial {number} of {len(trials)}" + (f", {condition}" if condition != CLEAN else "")
             yield bench.run(trial, condition=condition, on_step=watch(bench, title))
         return
-    one_thread()
-    yield from joblib.Parallel(n_jobs=min(workers, max(1, len(trials))), return_as="generator", batch_size=1)(
-        joblib.delayed(_run_in_worker)(method, inputs, trial, condition, keep_logs) for trial in trials
-    )
-
-
-def one_thread() -> None:
-    """Limit processes started later to one numeric thread."""
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[name] = "1"
+    yield from in_workers(lambda trial: _run_in_worker(method, inputs, trial, condition, keep_logs), trials, workers)

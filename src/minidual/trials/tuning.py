@@ -15,7 +15,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import joblib
 import numpy as np
 from scipy.optimize import brentq
 from scipy.signal import butter, sosfiltfilt
@@ -28,7 +27,8 @@ from minidual.robot.pair import Array
 from minidual.tasks.success import ObjectTruth
 from minidual.tasks.task import Trial, make_task
 from minidual.trials.methods import Method, MethodInputs
-from minidual.trials.runner import LOG_RATE_HZ, Bench, one_thread
+from minidual.trials.runner import LOG_RATE_HZ, Bench
+from minidual.workers import in_workers
 
 PURPOSE = "tuning"
 """Random stream of the starts, not used for acceptance."""
@@ -176,14 +176,11 @@ class Tuner:
 
     def step(self, phase: str, force_n: float, stiffness_n_per_m: float) -> TuningStep:
         """Run one step."""
-        one_thread()
         config = changed(self._config, gains(force_n, stiffness_n_per_m))
         inputs = MethodInputs(config, self._seed)
         task = make_task(config)
         trials = [task.trial(self._seed, PURPOSE, i) for i in range(CARRIES_N)]
-        carried = joblib.Parallel(n_jobs=min(self._workers, CARRIES_N))(
-            joblib.delayed(carry_once)(inputs, trial) for trial in trials
-        )
+        carried = in_workers(lambda trial: carry_once(inputs, trial), trials, self._workers)
         step = TuningStep(phase, force_n, stiffness_n_per_m, tuple(carried))
         self.steps.append(step)
         if self._on_step is not None:
