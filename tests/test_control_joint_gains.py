@@ -16,7 +16,7 @@ from minidual.plant.model import build_spec
 from minidual.plant.world import World
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
-from minidual.stages.env_check.tracking import sine_response
+from minidual.stages.env_check.tracking import sine_reference
 
 ZERO = np.zeros(DOF)
 
@@ -88,7 +88,13 @@ class TestFriction:
         world = World(scene, model=model)
         loop = JointLoop(world, Kinematics())
         loop.controller = ComputedTorque(Kinematics(), friction=friction)
-        return sine_response(loop, 0.3, 0.5, 1.0).rms
+        world.reset(sine_reference(DUAL_PANDA, 0.3, 0.5, 0.0)[0])
+        loop.reset()
+        errors = []
+        for k in range(1000):
+            loop.follow(*sine_reference(DUAL_PANDA, 0.3, 0.5, k * world.dt), np.ones(2))
+            errors.append(world.q - sine_reference(DUAL_PANDA, 0.3, 0.5, (k + 1) * world.dt)[0])
+        return np.linalg.norm(errors)
 
     def test_dry_friction_is_cancelled_where_the_controller_knows_of_it(self, scene, stiff_model):
         unaware = self._rms(scene, stiff_model, None)

@@ -16,7 +16,7 @@ def test_an_arm_of_another_distribution_passes_env_check(tmp_path):
     environment = howto.distribution(site, "ur3", {"ur3": module}, toml)
 
     def env_check(arm):
-        quick = {"sine_duration_s": 2, "cost_steps_n": 200, "video_width_px": 160, "video_height_px": 120}
+        quick = {"sine_duration_s": 2}
         command = [sys.executable, "-m", "minidual.cli", "env-check", "--profile", "smoke", "--json"]
         command += ["--runs-dir", str(tmp_path), "--set", f"robot.arm={arm}"]
         for name, value in quick.items():

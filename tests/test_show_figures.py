@@ -8,6 +8,7 @@ import pytest
 from matplotlib.image import imread
 
 from minidual.config.root import Config
+from minidual.plant.model import build_model
 from minidual.plant.world import World
 from minidual.robot.arms import robot_from
 from minidual.show.figures import canvas
@@ -46,13 +47,14 @@ def test_a_sheet_and_a_film_show_the_postures_that_were_kept(tmp_path: Path) -> 
 
     scene = Config().scene
     world, keep = World(scene), Postures(0.001)
+    model = build_model(scene, visuals=True)
     for _ in range(3):
         world.step()
         keep(world)
     assert len(keep.times) == 3
-    assert sheet_of_postures(scene, keep, tmp_path / "sheet.png", frames=2) == 2
+    assert sheet_of_postures(model, keep, tmp_path / "sheet.png", frames=2) == 2
     picture = imread(tmp_path / "sheet.png")
     half = picture.shape[1] // 2
     assert picture[40:, :half].std() > 0.05
     assert picture[40:, half:].std() > 0.05
-    assert film_postures(scene, keep, tmp_path / "film.mp4") == 3
+    assert film_postures(model, keep.qpos, tmp_path / "film.mp4") == 3

@@ -8,6 +8,7 @@ import json
 import platform
 import subprocess
 from pathlib import Path
+from types import SimpleNamespace
 
 import av
 import numpy as np
@@ -20,30 +21,35 @@ from minidual.config.control import EnvCheckConfig
 from minidual.config.root import Config
 from minidual.config.scene import PhysicsConfig, SceneConfig
 from minidual.config.supervisor import SupervisorConfig
-from minidual.control.loop import JointLoop
+from minidual.control.arbiter import CommandArbiter
 from minidual.control.supervisor import Supervisor
-from minidual.errors import EnvironmentMissingError, MinidualError
+from minidual.errors import EnvironmentMissingError
 from minidual.gate.stage import StageContext
 from minidual.plant.model import build_spec
 from minidual.plant.world import World
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
+from minidual.show.figures.film import FILM_FPS
 from minidual.stages.env_check import checks as judge
 from minidual.stages.env_check import installation, tracking
 from minidual.stages.env_check import model as measure
-from minidual.stages.env_check.installation import Library, Package, markdown, required_libraries
-from minidual.stages.env_check.latency import CommandLatency, LatencyRig, StopResponse, command_latency, emergency_stop
-from minidual.stages.env_check.model import StepCost, control_step_cost
+from minidual.stages.env_check.installation import Library, required_libraries
 from minidual.stages.env_check.pictures import CameraCheck
 from minidual.stages.env_check.stage import run
-from minidual.stages.env_check.tracking import JointResponse, arm_contacts, joint_responses
+from minidual.stages.env_check.tracking import (
+    CommandLatency,
+    JointResponse,
+    StopResponse,
+    arm_contacts,
+    command_latency,
+    emergency_stop,
+    joint_responses,
+)
 from minidual.stages.registry import STAGES
 
 DOF, HOME, JOINT_NAMES = DUAL_PANDA.dof, DUAL_PANDA.home, DUAL_PANDA.joint_names
 
-QUICK = EnvCheckConfig(
-    sine_duration_s=2.0, cost_steps_n=300, video_width_px=160, video_height_px=120, agreement_states_n=4
-)
+QUICK = EnvCheckConfig(sine_duration_s=2.0, agreement_states_n=4)
 
 
 def run_stage(folder, **changes):
@@ -58,18 +64,30 @@ def failed(result):
 
 @pytest.fixture(scope="module")
 def passed(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("env-check")
-    return folder, run_stage(folder)
+    """Return the stage's folder, its result and what measured_checks was given."""
+    folder, given = tmp_path_factory.mktemp("env-check"), []
+
+    def judged(*arguments):
+        given.extend(arguments)
+        return judge.measured_checks(*arguments)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("minidual.stages.env_check.stage.measured_checks", judged)
+        return folder, run_stage(folder), given
+
+
+def rig_of(world, kinematics, **supervisor):
+    return tracking.Rig(world, kinematics, Config(supervisor=SupervisorConfig(**supervisor)))
 
 
 @pytest.fixture
-def loop(world, kinematics):
-    return JointLoop(world, kinematics)
+def rig(world, kinematics):
+    return rig_of(world, kinematics)
 
 
 class TestStage:
     def test_it_passes_on_the_real_scene(self, passed):
-        _, result = passed
+        result = passed[1]
         assert failed(result) == set()
         names = {check.name for check in result.checks}
         assert {
@@ -89,6 +107,7 @@ class TestStage:
             "latency.wall_median_us",
             "stop.ticks",
             "stop.rest_s",
+            "control.faults",
         } <= names
 
     def test_its_limits_are_the_goals_not_the_baselines(self, passed):
@@ -98,21 +117,13 @@ class TestStage:
         assert limits["control.step_median_us"] == 1000.0
 
     def test_its_artefacts_are_there_and_whole(self, passed):
-        folder, _ = passed
-        assert {p.name for p in folder.iterdir()} == {
-            "environment.json",
-            "sine.mp4",
-            "cameras.png",
-            "tracking.png",
-            "joints.csv",
-        }
+        folder, result, _ = passed
+        assert {p.name for p in folder.iterdir()} == {"sine.mp4", "cameras.png", "tracking.png", "joints.csv"}
         with av.open(str(folder / "sine.mp4")) as film:
             frames = [f.to_ndarray(format="rgb24") for f in film.decode(video=0)]
-        assert len(frames) == 2 * QUICK.video_fps
+        assert len(frames) == 2 * FILM_FPS
         assert np.abs(frames[0].astype(int) - frames[25]).mean() > 2.0  # half a period later the arms are elsewhere
-        data = json.loads((folder / "environment.json").read_text())
-        assert data["libraries"]["mujoco"]["found"].startswith("4.")
-        assert data["machine"]["python"].startswith("3.12")
+        assert result.data["libraries"]["mujoco"]["found"].startswith("4.")
         with (folder / "joints.csv").open(newline="") as stream:
             rows = list(csv.DictReader(stream))
         assert [row["joint"] for row in rows] == list(JOINT_NAMES)
@@ -152,17 +163,18 @@ class TestStage:
         with pytest.raises(EnvironmentMissingError, match="no EGL"):
             run_stage(tmp_path)
 
-    def test_limits_that_cannot_be_met_are_not_met(self, tmp_path):
-        result = run_stage(
-            tmp_path,
-            sine_rms_max_rad=1e-9,
-            step_error_max_rad=1e-17,
-            agreement_max=1e-18,
-            rise_max_s=0.01,
-            latency_max_us=0.1,
-            stop_rest_max_s=0.01,
-        )
-        assert failed(result) == {
+    def test_limits_that_cannot_be_met_are_not_met(self, passed):
+        tight = {
+            "sine_rms_max_rad": 1e-9,
+            "step_error_max_rad": 1e-17,
+            "agreement_max": 1e-18,
+            "rise_max_s": 0.01,
+            "latency_max_us": 0.1,
+            "stop_rest_max_s": 0.01,
+        }
+        found, _, *others = passed[2]
+        checks = judge.measured_checks(found, QUICK.model_copy(update=tight), *others)
+        assert {check.name for check in checks if check.passed is False} == {
             "tracking.sine_rms_rad",
             "tracking.step_error_rad",
             "model.agreement_max",
@@ -180,67 +192,64 @@ class TestStage:
 def measured(**changes):
     """Return measurements in which all is well, or with some fields changed."""
     still = np.zeros((300, DOF))
-    rest = tracking.Tracking(np.arange(300) * 1e-3, still, still, np.zeros((300, 1)), 0, HOME)
+    rest = tracking.Tracking(np.arange(300) * 1e-3, still, still, HOME)
     fields = {
-        "mapping": measure.Mapping(tuple(range(DOF)), np.zeros(DOF)),
+        "moved": tuple(range(DOF)),
+        "steps": [rest] * DOF,
         "contacts": [],
         "responses": [JointResponse(name, 0.1, 0.1, 0.0, 0.0, 0.0, 0.0) for name in JOINT_NAMES],
         "step": rest,
         "sine": rest,
         "agreement": {"position_m": 0.0},
-        "cost": StepCost(50.0, 90.0, 25.0),
-        "latency": CommandLatency(tuple(range(1, 21)), 20, np.full(10, 100.0)),
+        "latency": CommandLatency(tuple(range(1, 21)), 100.0),
         "stop": StopResponse(1, 0.3, 1.0),
         "cameras": CameraCheck(30.0, 0.1, 0.1, "none"),
-        "frames": round(QUICK.sine_duration_s * QUICK.video_fps),
+        "frames": round(QUICK.sine_duration_s * FILM_FPS),
     }
     return judge.Measured(**(fields | changes))
 
 
 def judged(**changes):
-    return {check.name: check for check in judge.measured_checks(measured(**changes), QUICK, DUAL_PANDA)}
+    return {check.name: check for check in judge.measured_checks(measured(**changes), QUICK, DUAL_PANDA, 20)}
 
 
 def all_failing_checks():
     """Return every check with a limit, made from measurements in which everything is broken."""
     nan = float("nan")
     wide = np.full((300, DOF), nan)
-    lost = tracking.Tracking(np.arange(300) * 1e-3, wide, np.zeros((300, DOF)), np.zeros((300, 1)), 3, HOME)
+    lost = tracking.Tracking(np.arange(300) * 1e-3, wide, np.zeros((300, DOF)), HOME, 3, nan, "joint_speed: too fast")
     checks = judged(
-        mapping=measure.Mapping((-1,) * DOF, np.ones(DOF)),
+        moved=(-1,) * DOF,
         contacts=[("left_panda_hand", "table", -0.01)],
         responses=[JointResponse(name, 0.1, nan, nan, nan, nan, nan) for name in JOINT_NAMES],
         step=lost,
         sine=lost,
         agreement={"position_m": nan},
-        cost=StepCost(nan, nan, nan),
-        latency=CommandLatency((60,) * 20, 20, np.full(10, nan)),
+        latency=CommandLatency((60,) * 20, nan),
         stop=StopResponse(0, nan, nan),
         cameras=CameraCheck(0.0, 0.0, 0.0, "none"),
         frames=0,
     )
-    installed = judge.installation_checks([Library("mujoco", ">=4", None)], [], DOF - 1, DUAL_PANDA)
+    installed = judge.installation_checks([Library("mujoco", ">=4", None)], DOF - 1, DUAL_PANDA)
     return [check for check in (*installed, *checks.values()) if check.limited]
 
 
 def test_measurements_in_which_all_is_well_pass():
-    assert {check.passed for check in judged().values()} == {True, None}
+    assert {check.passed for check in judged().values()} == {True}
 
 
 class TestMapping:
     def test_all_motors_move_their_own_joint(self, world, kinematics):
-        mapping = measure.torque_pulse_mapping(world, kinematics)
-        assert mapping.mapped == DOF
-        assert mapping.error.max() < 1e-3
+        assert measure.torque_pulse_mapping(world, kinematics, tolerance=1e-3) == tuple(range(DOF))
 
     @pytest.mark.parametrize(("a", "b"), [(0, 1), (4, 6), (2, 9), (0, 7)])
     def test_two_swapped_commands_are_found(self, world, kinematics, a, b):
         ctrl = world.joints.ctrl.copy()
         ctrl[[a, b]] = ctrl[[b, a]]
         world.joints = dataclasses.replace(world.joints, ctrl=ctrl)
-        mapping = measure.torque_pulse_mapping(world, kinematics)
-        assert mapping.mapped == DOF - 2
-        assert (mapping.moved[a], mapping.moved[b]) == (b, a)
+        expected = list(range(DOF))
+        expected[a], expected[b] = b, a
+        assert measure.torque_pulse_mapping(world, kinematics) == tuple(expected)
 
     def test_a_dead_motor_moves_nothing(self, scene, kinematics):
         spec = build_spec(scene, visuals=False)
@@ -248,9 +257,8 @@ class TestMapping:
         model = spec.compile()
         world = World(scene, model=model)
         model.actuator_forcerange[world.joints.ctrl[8]] = 0.0
-        mapping = measure.torque_pulse_mapping(world, kinematics)
-        assert mapping.moved[8] == -1
-        assert mapping.mapped == DOF - 1
+        moved = measure.torque_pulse_mapping(world, kinematics)
+        assert moved == (*range(8), -1, *range(9, DOF))
 
     def test_a_reversed_motor_is_found(self, scene, kinematics, compiled_model):
         world = World(scene, model=compiled_model)
@@ -258,7 +266,7 @@ class TestMapping:
         sign[3] = -1.0
         command = world.command
         world.command = lambda tau, fingers: command(sign * tau, fingers)
-        assert measure.torque_pulse_mapping(world, kinematics).mapped < DOF
+        assert measure.torque_pulse_mapping(world, kinematics)[3] == -1
 
     def test_motors_are_counted_through_the_transmission(self, scene, compiled_model):
         assert len(measure.drivable_joints(compiled_model, DUAL_PANDA)) == DOF
@@ -271,47 +279,66 @@ class TestMapping:
 
 
 class TestTracking:
-    def test_the_step_is_reached_to_rounding(self, loop):
-        step = tracking.step_response(loop, tracking.outward_step(DUAL_PANDA, 0.3), 2.0)
+    def test_the_step_is_reached_to_rounding(self, rig):
+        step = tracking.step_response(rig, tracking.outward_step(DUAL_PANDA, 0.3), 2.0)
         assert step.settled < 1e-6
-        assert step.overshoot < 1e-4
+        assert step.fault == ""
         assert step.error_norm[0] == pytest.approx(0.3 * np.sqrt(2), rel=1e-3)
         assert step.reference[-1][[0, 7]] == pytest.approx(HOME[[0, 7]] + [0.3, -0.3])
 
-    def test_with_the_motors_off_it_is_not(self, loop, monkeypatch):
-        monkeypatch.setattr(loop.controller, "torque", lambda *_: np.zeros(DOF))
-        assert tracking.step_response(loop, tracking.outward_step(DUAL_PANDA, 0.3), 1.0).settled > 0.3
+    def test_with_the_motors_off_it_is_not_and_the_supervisor_says_so(self, rig, monkeypatch):
+        command = rig.world.command
+        monkeypatch.setattr(rig.world, "command", lambda tau, fingers: command(0.0 * tau, fingers))
+        step = tracking.step_response(rig, tracking.outward_step(DUAL_PANDA, 0.3), 1.0)
+        assert step.settled > 0.3
+        assert step.fault
+        assert judged(step=step)["control.faults"].passed is False
 
     def test_an_error_that_crosses_zero_is_still_an_error(self):
         t = np.arange(1000) * 1e-3
         swinging = np.zeros((1000, DOF))
         swinging[:, 0] = 0.1 * np.sin(2 * np.pi * 5.0 * (t - t[-1]))  # zero at the last instant
-        found = tracking.Tracking(t, np.zeros((1000, DOF)), swinging, np.zeros((1000, 1)), 0, HOME)
+        found = tracking.Tracking(t, np.zeros((1000, DOF)), swinging, HOME)
         assert found.error_norm[-1] < 1e-9
         assert found.settled == pytest.approx(0.1, rel=0.01)
 
-    def test_each_joint_alone_arrives(self, loop):
-        assert np.array([step.settled for step in tracking.single_joint_steps(loop, 0.1, 0.6)]).max() < 0.001
+    def test_each_joint_alone_arrives(self, rig):
+        assert max(step.settled for step in tracking.single_joint_steps(rig, 0.1, 0.6)) < 0.001
 
     def test_a_blocked_joint_does_not_and_its_neighbours_do(self, scene, kinematics):
         spec = build_spec(scene, visuals=False)
         spec.joint("left_panda_joint5").frictionloss = 50.0  # more than its motor can
-        blocked = JointLoop(World(scene, model=spec.compile()), kinematics)
+        blocked = rig_of(World(scene, model=spec.compile()), kinematics)
         errors = np.array([step.settled for step in tracking.single_joint_steps(blocked, 0.1, 0.6)])
         assert errors[4] > 0.05
         assert np.delete(errors, 4).max() < 0.005
 
-    def test_the_swing_is_followed(self, loop):
-        sine = tracking.sine_response(loop, 0.3, 0.5, 2.0)
+    def test_the_swing_is_followed_in_real_time(self, rig):
+        sine = tracking.sine_response(rig, 0.3, 0.5, 2.0)
         assert sine.rms < 0.002
-        assert sine.contacts == 0
+        assert (sine.contacts, sine.fault) == (0, "")
         assert np.ptp(sine.measured, axis=0) == pytest.approx(np.full(DOF, 0.6), abs=0.01)
+        assert 0.0 < sine.step_us < 1000.0
 
-    def test_a_slack_controller_fails_the_swing(self, world, kinematics):
-        slack = JointLoop(world, kinematics, natural_frequency_rad_s=1.0)
-        slack.controller._model = kinematics.model.copy()
-        slack.controller._model.gravity.linear = np.array([0.0, 0.0, -9.0])
-        assert tracking.sine_response(slack, 0.3, 0.5, 2.0).rms > 0.02
+    def test_a_swing_may_end_between_two_rests(self, rig):
+        assert tracking.sine_response(rig, 0.3, 0.5, 0.7).rms < 0.002
+
+    def test_a_slack_and_slow_controller_fails_the_swing(self, rig, monkeypatch):
+        import time
+
+        update = rig.stack.manager.update
+
+        def weak(q, v):
+            time.sleep(0.0012)
+            return 0.7 * update(q, v)
+
+        motion = tracking.start_swing(rig, 0.3, 0.5, 0.3)
+        monkeypatch.setattr(rig.stack.manager, "update", weak)
+        sine = tracking.track(rig, motion.q[1:301])
+        assert sine.rms > 0.02
+        assert sine.step_us > 1000.0
+        refused = {name for name, check in judged(sine=sine).items() if check.passed is False}
+        assert {"tracking.sine_rms_rad", "control.step_median_us"} <= refused
 
     def test_the_swings_reference_is_consistent_and_starts_at_rest(self):
         h = 1e-6
@@ -336,7 +363,7 @@ class TestResponses:
         measured = np.tile(HOME, (1000, 1))
         measured[:, 3] += 0.1 * (1.0 - np.exp(-t / 0.05))  # rises in 0.05 ln 9
         target = HOME + 0.1 * np.eye(DOF)[3]
-        step = tracking.Tracking(t, np.tile(target, (1000, 1)), measured, np.zeros((1000, 1)), 0, HOME)
+        step = tracking.Tracking(t, np.tile(target, (1000, 1)), measured, HOME)
         assert joint_responses(DUAL_PANDA, [step] * DOF, step)[3].rise_s == pytest.approx(
             0.05 * np.log(9.0), abs=1.1e-3
         )
@@ -348,7 +375,7 @@ class TestResponses:
             measured = np.tile(HOME, (1000, 1))
             measured[:, 5] += sign * 0.1 * (1.0 - np.exp(-t / 0.05) * np.cos(40.0 * t))
             beyond = sign * (measured[:, 5] - target[5])
-            step = tracking.Tracking(t, np.tile(target, (1000, 1)), measured, np.zeros((1000, 1)), 0, HOME)
+            step = tracking.Tracking(t, np.tile(target, (1000, 1)), measured, HOME)
             still = dataclasses.replace(step, measured=np.tile(HOME, (1000, 1)))
             row = joint_responses(DUAL_PANDA, [step] * DOF, step)[5]
             assert row.overshoot_rad == pytest.approx(beyond.max(), rel=1e-9)
@@ -364,14 +391,10 @@ class TestResponses:
 
 
 class TestLatency:
-    @pytest.fixture
-    def rig(self, world, kinematics):
-        return LatencyRig(world, kinematics, ArbiterConfig(), SupervisorConfig(), 50.0)
-
     def test_a_command_waits_for_the_arbiter_and_for_nothing_else(self, rig):
         found = command_latency(rig, repeats_n=10)
         assert found.ticks == (1, *range(20, 1, -1))  # the later after a tick, the nearer the next one
-        assert 0.0 < np.median(found.wall_us) < 5000.0
+        assert 0.0 < found.wall_us < 5000.0
 
     def test_a_controller_that_lags_a_step_is_seen(self, rig):
         guard, late = rig.supervisor.guard, []
@@ -387,32 +410,31 @@ class TestLatency:
         assert checks["latency.ticks_max"].passed is checks["latency.ticks_min"].passed is False
 
     def test_a_command_that_never_arrives_counts_as_late(self, rig, monkeypatch):
-        monkeypatch.setattr(rig.stack.arbiter, "propose", lambda *_: None)
+        monkeypatch.setattr(CommandArbiter, "propose", lambda *_: None)
         assert set(command_latency(rig, repeats_n=1).ticks) == {60}
 
-    def test_a_source_that_does_not_get_the_arms_is_an_error(self, world, kinematics):
-        with pytest.raises(MinidualError, match="did not get the arms"):
-            LatencyRig(world, kinematics, ArbiterConfig(still_speed_rad_s=1e-30), SupervisorConfig(), 50.0)
+    def test_a_source_that_does_not_get_the_arms_is_a_fault(self, world, kinematics):
+        never = tracking.Rig(world, kinematics, Config(arbiter=ArbiterConfig(still_speed_rad_s=1e-30)))
+        step = tracking.step_response(never, HOME, 0.1)
+        check = judged(step=step)["control.faults"]
+        assert check.passed is False
+        assert "the arms were not given" in check.remedy
 
-    def test_an_emergency_stop_brings_swinging_arms_to_rest(self, world, kinematics):
-        stop = emergency_stop(LatencyRig(world, kinematics, ArbiterConfig(), SupervisorConfig(), 50.0))
+    def test_an_emergency_stop_brings_swinging_arms_to_rest(self, rig):
+        stop = emergency_stop(rig, 0.3, 0.5)
         assert stop.ticks == 1
         assert stop.speed_rad_s > 0.85
         assert 0.05 < stop.rest_s < 0.5
 
     def test_another_reflex_is_no_emergency_stop(self, world, kinematics, monkeypatch):
-        slow = SupervisorConfig(velocity_scale=0.2)
-        assert (
-            emergency_stop(LatencyRig(world, kinematics, ArbiterConfig(), slow, 50.0)).ticks == 0
-        )  # stopped before it was pressed
+        slow = rig_of(world, kinematics, velocity_scale=0.2)
+        assert emergency_stop(slow, 0.3, 0.5).ticks == 0  # stopped before it was pressed
         monkeypatch.setattr(Supervisor, "estop", lambda self, *_: setattr(self, "_deadline_s", -1.0))
-        assert (
-            emergency_stop(LatencyRig(world, kinematics, ArbiterConfig(), SupervisorConfig(), 50.0)).ticks == 0
-        )  # in the tick of the call
+        assert emergency_stop(rig_of(world, kinematics), 0.3, 0.5).ticks == 0  # in the tick of the call
 
-    def test_a_supervisor_that_ignores_the_button_is_seen(self, world, kinematics, monkeypatch):
+    def test_a_supervisor_that_ignores_the_button_is_seen(self, rig, monkeypatch):
         monkeypatch.setattr(Supervisor, "estop", lambda *_: None)
-        stop = emergency_stop(LatencyRig(world, kinematics, ArbiterConfig(), SupervisorConfig(), 50.0))
+        stop = emergency_stop(rig, 0.3, 0.5)
         assert np.isnan(stop.rest_s)
         assert {name for name, check in judged(stop=stop).items() if check.passed is False} == {
             "stop.ticks",
@@ -467,25 +489,6 @@ class TestAgreement:
         assert measure.model_agreement(world, other, np.random.default_rng(0), 2)["bias_nm"] > 1e-3
 
 
-class TestCost:
-    def test_a_step_fits_into_a_millisecond_and_costs_more_than_physics(self, loop):
-        cost = control_step_cost(loop, 300)
-        assert 0.0 < cost.bare_median_us < cost.median_us < 1000.0
-        assert cost.ratio > 1.0
-
-    def test_a_slow_controller_is_seen(self, loop, monkeypatch):
-        import time
-
-        torque = loop.controller.torque
-
-        def slow(*state):
-            time.sleep(0.0015)
-            return torque(*state)
-
-        monkeypatch.setattr(loop.controller, "torque", slow)
-        assert control_step_cost(loop, 100).median_us > 1000.0
-
-
 class TestLibraries:
     def test_everything_required_is_found(self):
         libraries = {library.name: library for library in required_libraries()}
@@ -528,7 +531,7 @@ class TestBill:
     def test_json_is_the_same_as_a_document(self, tmp_path, capsys):
         assert run_command_line(["env-check", "--markdown", "--json", "--runs-dir", str(tmp_path)], STAGES) == 0
         document = json.loads(capsys.readouterr().out)
-        assert document["libraries"]["mujoco"]["fits"] is True
+        assert "mujoco" in {row["name"] for row in document["libraries"]}
         assert document["about"]["minidual"] == minidual.__version__
 
     def test_it_comes_out_without_opengl_too(self, tmp_path, capsys, monkeypatch):
@@ -539,15 +542,18 @@ class TestBill:
         assert run_command_line(["env-check", "--markdown", "--runs-dir", str(tmp_path)], STAGES) == 0
         assert "| gl renderer | none: cannot create" in capsys.readouterr().out
 
-    def test_it_marks_what_is_unfit_and_what_failed(self):
-        failed_check = {"status": "fail", "finished_at": "now", "profile": "standard", "failed": ["x is 1, limit < 0"]}
-        lines = markdown(
-            {"python": "3|12"}, [Library("mujoco", ">=4", "3.9")], [Package("libegl1", None)], failed_check
-        )
+    def test_it_marks_what_is_unfit_and_what_failed(self, tmp_path, capsys, monkeypatch):
+        monkeypatch.setattr(installation, "required_libraries", lambda: [Library("mujoco", ">=4", "3.9")])
+        monkeypatch.setattr(installation, "system_packages", lambda: {"libegl1": None})
+        verdict = SimpleNamespace(status="fail", finished_at="now", profile="standard")
+        verdict.failed_checks = all_failing_checks
+        monkeypatch.setattr(installation, "read_verdict", lambda _path: (verdict, ""))
+        assert run_command_line(["env-check", "--markdown", "--runs-dir", str(tmp_path)], STAGES) == 0
+        lines = capsys.readouterr().out.splitlines()
         assert "| mujoco | >=4 | 3.9 | **unfit** |" in lines
         assert "| libegl1 | **none** |" in lines
-        assert "| python | 3\\|12 |" in lines
-        assert lines[-2:] == ["env-check: **fail** on now, profile standard", "- x is 1, limit < 0"]
+        assert "env-check: **fail** on now, profile standard" in lines
+        assert "- joints.count is 13, limit == 14" in lines
 
     def test_debian_packages_are_asked_of_dpkg(self, monkeypatch):
         def answer(words, **_kept):
@@ -557,12 +563,9 @@ class TestBill:
 
         monkeypatch.setattr(installation.shutil, "which", lambda _: "/usr/bin/dpkg-query")
         monkeypatch.setattr(installation.subprocess, "run", answer)
-        assert installation.system_packages() == [Package("libegl1", "1.6.0-1"), Package("libgl1-mesa-dri", None)]
-        missing = judge.installation_checks([], installation.system_packages(), DOF, DUAL_PANDA)[2]
-        assert (missing.observed, missing.passed) == (1, None)
+        assert installation.system_packages() == {"libegl1": "1.6.0-1", "libgl1-mesa-dri": None}
         monkeypatch.setattr(installation.shutil, "which", lambda _: None)
-        assert installation.system_packages() == []
-        assert "packages.missing" not in {c.name for c in judge.installation_checks([], [], DOF, DUAL_PANDA)}
+        assert installation.system_packages() == {}
 
 
 def test_the_scene_is_part_of_what_makes_the_verdict_stale():

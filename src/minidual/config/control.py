@@ -33,10 +33,6 @@ class EnvCheckConfig(StrictModel):
     """Limit on the time to rest after an emergency stop."""
     agreement_states_n: int = Field(default=20, ge=1, le=1000)
     agreement_max: AtMost[float] = Field(default=1e-10, gt=0.0, le=1e-6)
-    cost_steps_n: int = Field(default=2000, ge=100, le=100_000)
-    video_fps: int = Field(default=25, ge=10, le=60)
-    video_width_px: int = Field(default=800, ge=160, le=1920)
-    video_height_px: int = Field(default=600, ge=120, le=1080)
 
 
 class ImpedanceConfig(StrictModel):

@@ -7,6 +7,7 @@ from typing import cast
 from minidual.config.change import replaced
 from minidual.errors import ExitCode
 from minidual.gate.tool import ToolContext, ToolResult
+from minidual.plant.model import build_model
 from minidual.plant.world import World
 from minidual.robot.arms import robot_from
 from minidual.show.figures.film import FILM_FPS, Postures, film_postures
@@ -45,7 +46,7 @@ def plan_task(context: ToolContext) -> ToolResult:
     notes = []
     if video is not None and solution is not None:
         with writing(video):
-            film_postures(config.scene, postures, video, robot=robot_from(config.robot))
+            film_postures(build_model(config.scene, robot_from(config.robot), visuals=True), postures.qpos, video)
         notes.append(f"film: {video}")
     return ToolResult(
         lines,

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from minidual.errors import ExitCode, UsageError, unknown_name
 from minidual.gate.tool import ToolContext, ToolResult
+from minidual.plant.model import build_model
 from minidual.plant.recording import Recording, read_recording
 from minidual.plant.replay import Replayed, replay
 from minidual.show.figures.film import CAMERAS, FILM_FPS, Postures, film_postures, sheet_of_postures
@@ -57,14 +58,14 @@ def _target(text: str | None, ending: str) -> Path | None:
 def _draw(
     recording: Recording, postures: Postures | None, video: Path | None, picture: Path | None, camera: str, frames: int
 ) -> list[str]:
+    if postures is None:
+        return []
     notes: list[str] = []
-    if postures is not None and video is not None:
-        count = film_postures(recording.scene, postures, video, camera=camera, robot=recording.robot)
-        notes.append(f"film of {count} frames: {video}")
-    if postures is not None and picture is not None:
-        count = sheet_of_postures(
-            recording.scene, postures, picture, frames=frames, camera=camera, robot=recording.robot
-        )
+    model = build_model(recording.scene, recording.robot, visuals=True)
+    if video is not None:
+        notes.append(f"film of {film_postures(model, postures.qpos, video, camera=camera)} frames: {video}")
+    if picture is not None:
+        count = sheet_of_postures(model, postures, picture, frames=frames, camera=camera)
         notes.append(f"sheet of {count} frames: {picture}")
     return notes
 

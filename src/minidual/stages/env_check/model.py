@@ -1,21 +1,17 @@
-"""Measurements of motors, engine agreement and step cost."""
+"""Measurements of motors and engine agreement."""
 
 from __future__ import annotations
 
-import time
 from contextlib import suppress
-from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
-from minidual.control.loop import JointLoop
 from minidual.errors import UsageError
 from minidual.plant.addresses import map_joints
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot
-from minidual.stages.env_check.tracking import sine_reference
 
 
 def drivable_joints(model: mujoco.MjModel, robot: Robot) -> list[str]:
@@ -29,28 +25,10 @@ def drivable_joints(model: mujoco.MjModel, robot: Robot) -> list[str]:
     return found
 
 
-@dataclass(frozen=True)
-class Mapping:
-    """Which joint each torque command moves.
-
-    Attributes:
-        moved: (n,) joint moved by command j, -1 if none as predicted.
-        error: (n,) largest column deviation, as a share of its largest entry.
-    """
-
-    moved: tuple[int, ...]
-    error: Array
-
-    @property
-    def mapped(self) -> int:
-        """Number of commands that move their own joint."""
-        return sum(int(joint == j) for j, joint in enumerate(self.moved))
-
-
 def torque_pulse_mapping(
     world: World, kinematics: Kinematics, *, pulse_share: float = 0.1, tolerance: float = 0.01
-) -> Mapping:
-    """Apply a one-step torque pulse to each command and find the joint that responds.
+) -> tuple[int, ...]:
+    """Return the joint that a one-step torque pulse on each command moves, -1 if none as predicted.
 
     The response must be column j of the inverse inertia matrix. Columns are compared because coupling can move a
     neighbour more than the joint itself. One step from rest: (M + dt D) dv = dt tau, with implicit damping D.
@@ -76,9 +54,8 @@ def torque_pulse_mapping(
     scale = np.abs(predicted).max(axis=0)
     distance = np.abs(response[:, :, None] - predicted[:, None, :]).max(axis=0) / scale  # (command, joint)
     nearest = distance.argmin(axis=1)
-    moved = tuple(int(i) if distance[j, i] <= tolerance else -1 for j, i in enumerate(nearest))
     world.reset()
-    return Mapping(moved, np.diag(distance).copy())
+    return tuple(int(i) if distance[j, i] <= tolerance else -1 for j, i in enumerate(nearest))
 
 
 def model_agreement(world: World, kinematics: Kinematics, rng: np.random.Generator, states_n: int) -> dict[str, float]:
@@ -109,40 +86,3 @@ def model_agreement(world: World, kinematics: Kinematics, rng: np.random.Generat
         compare("bias_nm", world.data.qfrc_bias[rows], kinematics.bias(q, v))
     world.reset()
     return largest
-
-
-@dataclass(frozen=True)
-class StepCost:
-    """Wall time of a control and physics step, and of bare physics [us]."""
-
-    median_us: float
-    p99_us: float
-    bare_median_us: float
-
-    @property
-    def ratio(self) -> float:
-        """Whole step over bare physics."""
-        return self.median_us / self.bare_median_us
-
-
-def control_step_cost(loop: JointLoop, steps_n: int, *, block: int = 50) -> StepCost:
-    """Time steps of `loop` while the arms swing, alternating with `mj_step` on a copied state."""
-    world, clock, fingers = loop.world, time.perf_counter_ns, np.ones(2)
-    world.reset()
-    loop.reset()
-    copy = mujoco.MjData(world.model)
-    whole, bare = np.empty(steps_n), np.empty(steps_n)
-    for start in range(0, steps_n, block):
-        turn = range(start, min(start + block, steps_n))
-        mujoco.mj_copyData(copy, world.model, world.data)
-        for k in turn:
-            sample = sine_reference(world.robot, 0.1, 0.5, k * world.dt)
-            began = clock()
-            loop.follow(*sample, fingers)
-            whole[k] = clock() - began
-        for k in turn:
-            began = clock()
-            mujoco.mj_step(world.model, copy)
-            bare[k] = clock() - began
-    world.reset()
-    return StepCost(*(float(x) / 1e3 for x in (np.median(whole), np.percentile(whole, 99), np.median(bare))))

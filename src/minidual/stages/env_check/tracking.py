@@ -1,20 +1,107 @@
-"""Tracking of single joints, a step and a swing."""
+"""Tracking, latency and emergency stop of arms under the whole control stack."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
-from minidual.control.loop import JointLoop
+from minidual.config.root import Config
+from minidual.control.commands import JointCommand, TrajectoryCommand
+from minidual.control.reflexes import ReflexError
+from minidual.control.stack import ControlStack
+from minidual.control.supervisor import Supervisor
 from minidual.plant.world import World
+from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot
+from minidual.robot.trajectory import Trajectory
 
+_SOURCE = "policy"
 _OPEN = np.ones(2)
+_WAIT_STEPS = 240
+"""Steps within which a requested source gets the arms."""
+_STEP_MAX_RAD = 0.5
+"""The arbiter's bound on a step: a step response needs a step, not the arbiter's ramp."""
 _SETTLED_S = 0.2
 _CONTACTS_EVERY = 10
 """Steps between contact checks, whose names cost more than a step; contacts last longer."""
+_NUDGE_RAD = 0.02
+_CHANGED_SHARE = 0.5
+"""Share of the supervisor's torque step (1 Nm) that counts as a response.
+
+The nudge asks for twenty times that; the previous one leaves a hundredth.
+"""
+_SETTLE_STEPS = 120
+_STILL_RAD_S, _REST_MAX_S = 0.01, 2.0
+
+
+class Rig:
+    """One command source, arbiter, controller, supervisor and world.
+
+    Measuring goes on after a fault.
+
+    Attributes:
+        target: (n,) [rad], proposed at every arbiter tick.
+    """
+
+    def __init__(self, world: World, kinematics: Kinematics, config: Config) -> None:
+        self.world, rate_hz = world, config.teleop.rate_hz
+        self.supervisor = Supervisor(config.supervisor, dt_s=world.dt, kinematics=Kinematics(world.robot))
+        arbiter = config.arbiter.model_copy(update={"switch_step_max_rad": _STEP_MAX_RAD})
+        self.stack = ControlStack(world, kinematics, arbiter, rate_hz=rate_hz, supervisor=self.supervisor)
+        self.period = round(1.0 / (rate_hz * world.dt))
+        self._sequence = 0
+        self.reset()
+
+    def reset(self, q: Array | None = None) -> None:
+        """Start at rest at `q` (n,), by default home, and request the source."""
+        self.world.reset(q)
+        self.stack.reset()
+        self.target, self._swinging = self.world.q, False
+        self.stack.request(_SOURCE)
+        for _ in range(_WAIT_STEPS):
+            if self.stack.source != _SOURCE:
+                self.step()
+
+    @property
+    def fault(self) -> str:
+        """The supervisor's reflex, or why the source does not drive; "" if it does."""
+        if self.stack.reflex is not None:
+            return self.stack.reflex.message
+        return "" if self.stack.source == _SOURCE else f"the arms were not given: the arbiter is {self.stack.state}"
+
+    def propose(self) -> None:
+        """Propose the target, stamped now."""
+        self._sequence += 1
+        self.stack.propose(_SOURCE, JointCommand(self.target.copy(), _OPEN, self.world.time, self._sequence))
+
+    def swing(self, motion: Trajectory) -> None:
+        """Start a trajectory from the present posture."""
+        self._sequence += 1
+        self._swinging = True
+        self.stack.propose(_SOURCE, TrajectoryCommand(motion, _OPEN, self.world.time, self._sequence))
+
+    def step(self) -> None:
+        """Run one control step; keep the source alive."""
+        if self.stack.tick_next and self._swinging:
+            self.stack.affirm(_SOURCE)
+        elif self.stack.tick_next:
+            self.propose()
+        with suppress(ReflexError):
+            self.stack.step()
+
+    def run(self, steps: int) -> None:
+        """Run control steps."""
+        for _ in range(steps):
+            self.step()
+
+    def run_to_tick(self) -> None:
+        """Run until the next step has an arbiter tick."""
+        while not self.stack.tick_next:
+            self.step()
 
 
 @dataclass(frozen=True)
@@ -25,17 +112,19 @@ class Tracking:
         t: (T,) [s].
         reference: (T, n) [rad].
         measured: (T, n) [rad].
-        qpos: (T, nq) whole model, for drawing.
-        contacts: Number of checks, every tenth step, with an arm in contact.
         start: (n,) [rad] before the first step.
+        contacts: Number of checks, every tenth step, with an arm in contact.
+        step_us: Median wall time of control and physics of one step [us].
+        fault: See Rig.
     """
 
     t: Array
     reference: Array
     measured: Array
-    qpos: Array
-    contacts: int
     start: Array
+    contacts: int = 0
+    step_us: float = 0.0
+    fault: str = ""
 
     @property
     def error_norm(self) -> Array:
@@ -57,13 +146,6 @@ class Tracking:
         """Largest error norm in the last 0.2 s [rad]; one instant may be a zero crossing."""
         return float(self.error_norm[self.t > self.t[-1] - _SETTLED_S].max())
 
-    @property
-    def overshoot(self) -> float:
-        """Largest overshoot of any joint beyond its final reference [rad]."""
-        way = self.reference[-1] - self.measured[0]
-        beyond = (self.measured - self.reference[-1]) * np.sign(way)
-        return float(max(0.0, beyond[:, np.abs(way) > 1e-9].max(initial=0.0)))
-
     def share(self, joint: int) -> Array:
         """Return a joint's share of its step (T,), 1 at the target."""
         way = self.reference[-1, joint] - self.start[joint]
@@ -76,29 +158,29 @@ def arm_contacts(world: World) -> list[tuple[str, str, float]]:
     return [pair for pair in world.contact_pairs() if pair[0].startswith(prefixes) or pair[1].startswith(prefixes)]
 
 
-def track(loop: JointLoop, steps: int, drive: Callable[[float], Array], *, contacts: bool = False) -> Tracking:
-    """Run `steps` control steps; `drive(t)` commands the loop and returns the desired q (n,)."""
-    world = loop.world
-    n = world.robot.dof
-    t, wanted, got, qpos = (np.empty((steps, *shape)) for shape in ((), (n,), (n,), (world.model.nq,)))
-    touching, start, q_start = 0, world.time, world.q
-    for k in range(steps):
-        wanted[k] = drive(world.time - start + world.dt)
-        t[k], got[k], qpos[k] = world.time - start, world.q, world.data.qpos
-        touching += int(contacts and k % _CONTACTS_EVERY == 0 and bool(arm_contacts(world)))
-    return Tracking(t, wanted, got, qpos, touching, q_start)
+def track(rig: Rig, reference: Array, on_step: Callable[[World], None] | None = None) -> Tracking:
+    """Run a control step per row of `reference` (T, n), the postures wanted after them."""
+    world, start = rig.world, rig.world.q
+    measured, cost = np.empty_like(reference), np.empty(len(reference))
+    touching = 0
+    for k in range(len(reference)):
+        began = time.perf_counter_ns()
+        rig.step()
+        cost[k] = (time.perf_counter_ns() - began) / 1e3
+        measured[k] = world.q
+        touching += k % _CONTACTS_EVERY == 0 and bool(arm_contacts(world))
+        if on_step is not None:
+            on_step(world)
+    t = np.arange(1, len(reference) + 1) * np.float64(world.dt)
+    return Tracking(t, reference, measured, start, touching, float(np.median(cost)), rig.fault)
 
 
-def step_response(loop: JointLoop, target: Array, duration_s: float) -> Tracking:
+def step_response(rig: Rig, target: Array, duration_s: float) -> Tracking:
     """Reset to home, then command `target` (n,) as a step."""
-    loop.world.reset()
-    loop.reset()
-
-    def drive(_t: float) -> Array:
-        loop.step(target, _OPEN)
-        return target
-
-    return track(loop, round(duration_s / loop.world.dt), drive)
+    rig.reset()
+    rig.run_to_tick()
+    rig.target = target
+    return track(rig, np.tile(target, (round(duration_s / rig.world.dt), 1)))
 
 
 def outward_step(robot: Robot, step_rad: float) -> Array:
@@ -109,18 +191,20 @@ def outward_step(robot: Robot, step_rad: float) -> Array:
     return q
 
 
-def single_joint_steps(loop: JointLoop, step_rad: float, duration_s: float) -> list[Tracking]:
+def single_joint_steps(rig: Rig, step_rad: float, duration_s: float) -> list[Tracking]:
     """Step each joint alone from home, towards its farther limit; return one entry per joint."""
-    robot, responses = loop.world.robot, []
+    robot, responses = rig.world.robot, []
     for j in range(robot.dof):
         target = robot.home.copy()
         target[j] += step_rad if robot.q_upper[j] - target[j] > target[j] - robot.q_lower[j] else -step_rad
-        responses.append(step_response(loop, target, duration_s))
+        responses.append(step_response(rig, target, duration_s))
     return responses
 
 
-def sine_reference(robot: Robot, amplitude_rad: float, frequency_hz: float, t: float) -> tuple[Array, Array, Array]:
-    """Return (q, v, a), each (n,), of all joints swinging about home.
+def sine_reference(
+    robot: Robot, amplitude_rad: float, frequency_hz: float, t: float | Array
+) -> tuple[Array, Array, Array]:
+    """Return (q, v, a) of all joints swinging about home, each (n,), or (T, n) for `t` (T, 1).
 
     q = home - A cos(w t) starts at rest. The arms are not mirrored, or the hands would meet.
 
@@ -136,20 +220,27 @@ def sine_reference(robot: Robot, amplitude_rad: float, frequency_hz: float, t: f
     return home - swing * np.cos(w * t), swing * w * np.sin(w * t), swing * w**2 * np.cos(w * t)
 
 
-def sine_response(loop: JointLoop, amplitude_rad: float, frequency_hz: float, duration_s: float) -> Tracking:
-    """Swing all joints about home, counting contacts."""
-    world = loop.world
+def start_swing(rig: Rig, amplitude_rad: float, frequency_hz: float, duration_s: float) -> Trajectory:
+    """Let all joints swing about home for at least `duration_s`, from rest to rest; return the motion."""
+    halves = np.ceil(2.0 * frequency_hz * duration_s - 1e-9)  # the swing rests after each half period
+    times = np.arange(round(0.5 * halves / (frequency_hz * rig.world.dt)) + 1) * rig.world.dt
+    reference = sine_reference(rig.world.robot, amplitude_rad, frequency_hz, times[:, None])
+    rig.reset(reference[0][0])
+    motion = Trajectory(times, *reference, "both_arms")
+    rig.swing(motion)
+    return motion
 
-    def reference(t: float) -> tuple[Array, Array, Array]:
-        return sine_reference(world.robot, amplitude_rad, frequency_hz, t)
 
-    def drive(t: float) -> Array:
-        loop.follow(*reference(t - world.dt), _OPEN)
-        return reference(t)[0]
-
-    world.reset(reference(0.0)[0])
-    loop.reset()
-    return track(loop, round(duration_s / world.dt), drive, contacts=True)
+def sine_response(
+    rig: Rig,
+    amplitude_rad: float,
+    frequency_hz: float,
+    duration_s: float,
+    on_step: Callable[[World], None] | None = None,
+) -> Tracking:
+    """Swing all joints about home."""
+    motion = start_swing(rig, amplitude_rad, frequency_hz, duration_s)
+    return track(rig, motion.q[1 : 1 + round(duration_s / rig.world.dt)], on_step)
 
 
 @dataclass(frozen=True)
@@ -174,7 +265,7 @@ class JointResponse:
     sine_peak_rad: float
 
 
-def joint_responses(robot: Robot, steps: Sequence[Tracking], sine: Tracking) -> list[JointResponse]:
+def joint_responses(robot: Robot, steps: list[Tracking], sine: Tracking) -> list[JointResponse]:
     """Return one row per joint."""
     peak = np.abs(sine.reference - sine.measured).max(axis=0)
     rows = []
@@ -186,3 +277,81 @@ def joint_responses(robot: Robot, steps: Sequence[Tracking], sine: Tracking) -> 
         rms = float(sine.joint_rms[j])
         rows.append(JointResponse(robot.joint_names[j], way, rise, overshoot, step.settled, rms, float(peak[j])))
     return rows
+
+
+@dataclass(frozen=True)
+class CommandLatency:
+    """Latency of commands.
+
+    Attributes:
+        ticks: Control steps from `propose` to the first changed torque, per instant of the arbiter's period; 1 is the
+            next step.
+        wall_us: Median wall time from `propose` to the end of that step, just before an arbiter tick [us].
+    """
+
+    ticks: tuple[int, ...]
+    wall_us: float
+
+
+def command_latency(rig: Rig, *, repeats_n: int = 100) -> CommandLatency:
+    """Measure command latency at each instant of the arbiter's period, by nudging the left joint 1."""
+    rig.reset()
+    nudges = rig.world.robot.home[0] + 0.5 * _NUDGE_RAD * np.array([-1.0, 1.0])
+    ticks, wall = [], np.empty(repeats_n)
+    for phase in range(rig.period):
+        rig.run(_SETTLE_STEPS)
+        rig.run_to_tick()
+        rig.run(phase)
+        rig.target[0] = nudges[phase % 2]
+        rig.propose()
+        ticks.append(_steps_until_torque(rig))
+    for k in range(repeats_n):
+        rig.run_to_tick()
+        rig.target[0] = nudges[k % 2]
+        began = time.perf_counter_ns()
+        rig.step()
+        wall[k] = (time.perf_counter_ns() - began) / 1e3
+    return CommandLatency(tuple(ticks), float(np.median(wall)))
+
+
+def _steps_until_torque(rig: Rig) -> int:
+    """Return the steps to a torque response; three periods if none."""
+    changed_nm = _CHANGED_SHARE * rig.supervisor.bounds.tau_step
+    for count in range(1, 3 * rig.period + 1):
+        before = rig.stack.applied.copy()
+        rig.stack.step()
+        if np.max(np.abs(rig.stack.applied - before)) > changed_nm:
+            return count
+    return 3 * rig.period
+
+
+@dataclass(frozen=True)
+class StopResponse:
+    """Response of moving arms to an emergency stop.
+
+    Attributes:
+        ticks: Control steps to the reflex `emergency_stop`; 1 is the next, 0 means none.
+        rest_s: Simulated time from the reflex until all joints are below 0.01 rad/s; NaN after 2 s.
+        speed_rad_s: Fastest joint at the call.
+    """
+
+    ticks: int
+    rest_s: float
+    speed_rad_s: float
+
+
+def emergency_stop(rig: Rig, amplitude_rad: float, frequency_hz: float) -> StopResponse:
+    """Swing all joints, stop at the fastest instant, and measure until rest."""
+    world = rig.world
+    start_swing(rig, amplitude_rad, frequency_hz, 1.0 / frequency_hz)
+    rig.run(round(0.25 / (frequency_hz * world.dt)))
+    speed, ticks = float(np.max(np.abs(world.v))), 0
+    rig.supervisor.estop("environment check")
+    for k in range(1, round(_REST_MAX_S / world.dt) + 1):
+        rig.step()
+        reflex = rig.supervisor.reflex
+        if ticks == 0 and reflex is not None and reflex.name == "emergency_stop":
+            ticks = k
+        if reflex is not None and np.max(np.abs(world.v)) < _STILL_RAD_S:
+            return StopResponse(ticks, world.time - reflex.time_s, speed)
+    return StopResponse(ticks, float("nan"), speed)
