@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import shlex
 import subprocess
 import sys
 
@@ -12,7 +14,7 @@ from pipeline_toys import Bench
 import minidual
 from minidual.cli import run_command_line
 from minidual.gate.table import StageEntry
-from minidual.stages.registry import STAGES
+from minidual.stages.registry import STAGES, TOOLS
 
 
 class CommandLine:
@@ -264,6 +266,12 @@ def test_default_run_is_the_profile_under_the_runs_variable(tmp_path, capsys, mo
     bench = Bench(tmp_path)
     assert run_command_line(["first", "--profile", "smoke"], bench.table) == 0
     assert (tmp_path / "elsewhere" / "smoke" / "first" / "verdict.json").is_file()
+    assert run_command_line(["first", "--run", "mine", "--runs-dir", str(tmp_path / "x")], bench.table) == 0
+    assert (tmp_path / "x" / "mine" / "first" / "verdict.json").is_file()
+    monkeypatch.delenv("MINIDUAL_RUNS")
+    monkeypatch.chdir(tmp_path)
+    assert run_command_line(["first"], bench.table) == 0
+    assert (tmp_path / "runs" / "standard" / "first" / "verdict.json").is_file()
     capsys.readouterr()
 
 
@@ -282,11 +290,37 @@ def test_version(capsys):
 
 
 def test_help_lists_every_command_in_order(capsys):
-    assert run_command_line(["--help"], STAGES) == 0
+    assert run_command_line(["--help"], STAGES, TOOLS) == 0
     text = capsys.readouterr().out
-    commands = ["env-check", "plan", "carry", "teleop-record", "train-act", "deploy", "benchmark", "report"]
-    places = [text.index(f"\n  {name} ") for name in [*commands, "run", "status", "explain", "config"]]
+    commands = ["Stages, in order", *STAGES.names, "The run", "run", "status", "explain", "config"]
+    tools = ["Tools, without gate and verdict", *(tool.name for tool in TOOLS)]
+    places = [text.index(f" {name} ") for name in [*commands, *tools]]
     assert places == sorted(places)
+    words = " ".join(text.replace("│", " ").split())
+    for entry in (*STAGES, *TOOLS):
+        assert f"{entry.summary}." in words, "summaries are whole"
+
+
+@pytest.mark.parametrize("entry", [*STAGES, *TOOLS], ids=lambda entry: entry.name)
+def test_help_of_a_command_shows_two_examples_that_can_be_typed(entry, capsys, monkeypatch):
+    assert len(entry.examples) == 2
+    assert run_command_line([entry.name, "--help"], STAGES, TOOLS) == 0
+    words = " ".join(capsys.readouterr().out.split())
+    monkeypatch.setattr("minidual.cli.session.Session.end", lambda session, body: 0)  # parse, run nothing
+    for example in entry.examples:
+        assert f"minidual {example}" in words
+        assert run_command_line(shlex.split(example), STAGES, TOOLS) == 0
+
+
+def test_completion_can_be_installed():
+    """The shell is named where it cannot be detected."""
+    environment = {**os.environ, "_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"}
+    command = [sys.executable, "-m", "minidual.cli", "--show-completion", "bash"]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert "_MINIDUAL_COMPLETE=complete_bash" in done.stdout, done.stderr
+    environment |= {"_MINIDUAL_COMPLETE": "complete_bash", "COMP_WORDS": "minidual te", "COMP_CWORD": "1"}
+    done = subprocess.run(command[:3], env=environment, capture_output=True, text=True, check=False)
+    assert done.stdout.split() == ["teleop-record"]
 
 
 @pytest.mark.parametrize(

@@ -31,20 +31,21 @@ TOOLS = (
     ToolEntry("measure", f"{__name__}:measure", "Measure", OPTIONS),
     ToolEntry("refuse", f"{__name__}:refuse", "Refuse"),
 )
+QUERIES = Option("queries", "How many.", int, "plan.queries_n")
 ASIDE = ToolEntry(
     "number-tune",
     f"{__name__}:measure",
-    "Tune",
-    (Option("tune", "Tune.", bool), Option("how-fast", "Speed.", float)),
-    triggers=("tune",),
+    options=(Option("tune", "Tune.", bool), Option("how-fast", "Speed.", float), QUERIES),
+    trigger="tune",
 )
+OTHER = ToolEntry("number-other", f"{__name__}:measure", options=(Option("other", "Other.", bool),), trigger="other")
 
 
 @pytest.fixture
 def run(tmp_path, capsys):
     stage = Toy("first")
-    options = (Option("queries", "How many.", int, "plan.queries_n"),)
-    table = StageTable([StageEntry(stage.name, stage, stage.requires, "Toy", options=options, asides=(ASIDE,))])
+    options = (QUERIES, Option("mood", "No configuration."))
+    table = StageTable([StageEntry(stage.name, stage, stage.requires, "Toy", options=options, asides=(ASIDE, OTHER))])
 
     def call(*words):
         code = run_command_line([*words, "--runs-dir", str(tmp_path), "--run", "r"], table, TOOLS)
@@ -94,12 +95,34 @@ def test_an_aside_runs_instead_of_the_stage(run):
     assert list(run.folder.rglob("verdict.json"))
 
 
-def test_an_option_of_an_aside_alone_is_refused(run):
-    code, _, err = run(run.stage, "--how-fast", "2")
-    assert code == 2
-    assert "--how-fast goes with --tune" in err
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--how-fast", "2"], "--how-fast goes with --tune of first"),
+        (["--other", "--how-fast", "2"], "--how-fast goes with --tune of first, not with --other"),
+        (["--other", "--queries", "2"], "--queries goes with --tune of first, not with --other"),
+        (["--tune", "--mood", "good"], "--mood goes with the stage first itself, not with --tune"),
+        (["--tune", "--other"], "--other goes with --other of first, not with --tune"),
+        (["--tune", "--force"], "--force goes with the stage first itself, not with --tune"),
+        (["--tune", "--yes"], "--yes goes with the stage first itself, not with --tune"),
+    ],
+)
+def test_an_option_of_another_aside_is_refused(run, words, said):
+    code, out, err = run(run.stage, *words)
+    assert (code, out) == (2, "")
+    assert said in err
+    assert not run.folder.exists()
 
 
-def test_the_options_of_the_stage_hold_for_its_asides(run):
+def test_what_a_tool_made_before_is_set_aside(run):
+    run("measure", "--seed", "7")
+    code, _, err = run("measure", "--seed", "8")
+    assert code == 0
+    (kept,) = (run.folder / "set-aside").iterdir()
+    assert str(kept) in err
+    assert (kept / "number.txt").read_text() == "7"
+
+
+def test_an_option_of_the_stage_holds_for_the_asides_that_list_it(run):
     code, out, _ = run(run.stage, "--tune", "--queries", "33", "--seed", "1")
     assert (code, out) == (0, "seed 1 queries 33\n")

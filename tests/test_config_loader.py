@@ -11,7 +11,6 @@ from minidual.config.document import parse_document, parse_value
 from minidual.config.loader import Override, load_config, parse_override
 from minidual.config.profiles import SHIPPED_FOLDER, shipped_profiles
 from minidual.config.root import Config
-from minidual.config.run import locate_run
 from minidual.errors import ConfigError, UsageError
 from minidual.stages.registry import STAGES
 
@@ -244,9 +243,3 @@ def test_every_option_of_every_stage_overrides_a_value_that_exists():
             for part in option.path.split("."):
                 value = getattr(value, part)
             assert isinstance(value, tuple if option.split else option.kind), option
-
-
-def test_run_location(tmp_path):
-    assert locate_run("smoke", environment={}).folder.as_posix() == "runs/smoke"
-    assert locate_run("smoke", "mine", environment={"MINIDUAL_RUNS": str(tmp_path)}).folder == tmp_path / "mine"
-    assert locate_run("smoke", None, tmp_path / "x", {"MINIDUAL_RUNS": "/y"}).folder == tmp_path / "x" / "smoke"

@@ -66,7 +66,7 @@ def test_asking_every_stage_for_its_parameters_imports_nothing_heavy():
 class TestPlugIn:
     def point(self, monkeypatch, value):
         module = types.ModuleType("plugged_in_stage")
-        module.ENTRY = StageEntry("shout", f"{__name__}:unused", ("report",), "Shout", question="Is it loud?")
+        module.ENTRY = StageEntry("shout", f"{__name__}:unused", ("report",), "Shout")
         module.WRONG = 3
         monkeypatch.setitem(sys.modules, "plugged_in_stage", module)
         point = importlib.metadata.EntryPoint("shout", value, "minidual.stages")

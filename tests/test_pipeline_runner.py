@@ -228,7 +228,7 @@ def test_disk_full_before_the_verdict_leaves_the_old_result(bench, monkeypatch):
     bench.run_all()
     before = bench.store.verdict_path("first").read_bytes()
 
-    def full(*arguments):
+    def full(*arguments, **options):
         raise OSError(errno.ENOSPC, "No space left on device", "verdict.json")
 
     monkeypatch.setattr(type(bench.store), "publish", full)

@@ -105,7 +105,9 @@ def test_it_passes_and_does_not_count_nor_what_rests_on_it(bench, capsys):
         assert Verdict.from_json(verdict.to_json()).weakened == verdict.weakened
     words = ["status", "--run", "toys", "--runs-dir", str(bench.root), "--set", f"{KNOB}=3"]
     assert run_command_line(words, bench.table) == 0
-    assert "asks for less than the profile, no acceptance" in " ".join(capsys.readouterr().out.split())
+    assert "NO ACCEPTANCE, it asks for less than the profile: first: plan.queries_n is 3" in " ".join(
+        capsys.readouterr().out.split()
+    )
 
 
 def test_what_asks_for_as_much_counts(bench):

@@ -106,4 +106,4 @@ def test_the_scene_shows_itself_for_the_time_asked_for(tmp_path: Path, capsys: p
 def test_an_aside_that_shows_nothing_refuses_a_view(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["carry", "--tune", "--view", "web", "--runs-dir", str(tmp_path)]
     assert run_command_line(arguments, STAGES, TOOLS) == ExitCode.USAGE
-    assert "carry-tune shows nothing to a view" in capsys.readouterr().err
+    assert "--view goes with --perturb of carry, not with --tune" in capsys.readouterr().err

@@ -11,6 +11,7 @@ import os
 import re
 import shutil
 from collections.abc import Generator
+from datetime import UTC, datetime
 from pathlib import Path
 
 import psutil
@@ -96,6 +97,14 @@ def remove(path: Path) -> None:
     else:
         with contextlib.suppress(NotADirectoryError):  # a part of the path is a file: nothing to remove
             path.unlink(missing_ok=True)
+
+
+def set_aside(path: Path, name: str) -> Path:
+    """Move a file or folder into `set-aside` beside it, under `name` and the UTC time; return the new path."""
+    place = path.parent / "set-aside" / f"{name}-{datetime.now(UTC):%Y%m%d-%H%M%S-%f}"
+    make_folder(place.parent)
+    path.rename(place)
+    return place
 
 
 def make_folder(path: Path) -> None:

@@ -24,21 +24,20 @@ def stage_body(entry: StageEntry) -> Body:
     def body(session: Session, values: Mapping[str, Any]) -> ExitCode:
         from minidual.cli.tables import print_outcome
 
-        for aside in entry.asides:
-            if aside.is_asked_for(values):
-                return run_tool(aside, session, values, entry)
-        _refuse_loose_options(entry, values)
+        aside = next((aside for aside in entry.asides if aside.is_asked_for(values)), None)
+        _refuse_loose_options(entry, aside, values)
+        if aside is not None:
+            return run_tool(aside, session, values)
         options = {o.name: values[o.key] for o in entry.options if values[o.key] is not None}
+        if not values["yes"]:
+            session.spare_finished([entry.name], {entry.name: options}, values["force"])
         with live_view(session, values) as view:
             outcome = session.runner(view).run(entry.name, options, force=values["force"], waiver=values["waive_gate"])
         if view is not None and not outcome.ran:
-            session.people.print(f"nothing to watch: {entry.name} is passing and fresh; --force runs it again")
+            session.say(f"nothing to watch: {entry.name} is passing and fresh; --force runs it again")
         following = session.following()
         print_outcome(session.people, outcome, following)
-        if session.typed.json:
-            session.print_json({**_outcome_json(outcome), "next": following})
-        else:
-            print(session.store.verdict_path(entry.name))
+        session.finish({**_outcome_json(outcome), "next": following}, [session.store.verdict_path(entry.name)])
         return outcome.exit_code
 
     return body
@@ -49,19 +48,15 @@ def tool_body(tool: ToolEntry) -> Body:
     return lambda session, values: run_tool(tool, session, values)
 
 
-def run_tool(tool: ToolEntry, session: Session, values: Mapping[str, Any], stage: StageEntry | None = None) -> ExitCode:
-    """Run a tool and print its result; an aside takes its stage's options too."""
+def run_tool(tool: ToolEntry, session: Session, values: Mapping[str, Any]) -> ExitCode:
+    """Run a tool and print its result."""
     from minidual.cli.progress import progress_for
-    from minidual.config.loader import Override
     from minidual.gate.disk import disk_errors
+    from minidual.gate.table import overrides
     from minidual.gate.tool import ToolContext
 
-    known = (*tool.options, *(stage.options if stage else ()))
-    typed = {option.name: values[option.key] for option in known if _was_typed(values[option.key])}
-    overrides = [Override(*item) for item in stage.overrides(typed)] if stage else []
-    config = session.loaded.with_overrides(overrides).config
-    if values.get("view") not in (None, "none") and not tool.watchable:
-        raise UsageError(f"{tool.name} shows nothing to a view", remedy="leave out --view")
+    typed = {option.name: values[option.key] for option in tool.options if _was_typed(values[option.key])}
+    config = session.loaded.with_overrides(overrides(tool.options, typed)).config
     with live_view(session, values, tool.view_default) as view:
         context = ToolContext(
             config,
@@ -80,12 +75,8 @@ def run_tool(tool: ToolEntry, session: Session, values: Mapping[str, Any], stage
             result = tool.load()(context)
             context.publish()
     for note in result.notes:
-        session.people.print(note, markup=False, highlight=False, soft_wrap=True)
-    if session.typed.json:
-        session.print_json({"tool": tool.name, "exit_code": int(result.exit_code), **result.data})
-    else:
-        for line in result.lines:
-            print(line)
+        session.say(note)
+    session.finish({"tool": tool.name, "exit_code": int(result.exit_code), **result.data}, result.lines)
     return result.exit_code
 
 
@@ -94,18 +85,23 @@ def _was_typed(value: Any) -> bool:
     return not (value is None or value is False or value == ())
 
 
-def _refuse_loose_options(entry: StageEntry, values: Mapping[str, Any]) -> None:
-    """Refuse aside options without their trigger."""
-    own = {option.name for option in entry.options}
-    for aside in entry.asides:
-        for option in aside.options:
-            if option.name not in own and _was_typed(values[option.key]):
-                owners = [a for a in entry.asides if option.name in {o.name for o in a.options}]
-                triggers = " or ".join(f"--{name}" for a in owners for name in a.triggers)
-                raise UsageError(f"--{option.name} goes with {triggers} of {entry.name}")
-    if not entry.watchable and values.get("view") not in (None, "none"):
-        triggers = " or ".join(f"--{name}" for a in entry.asides if a.watchable for name in a.triggers)
-        raise UsageError(f"--view goes with {triggers} of {entry.name}")
+def _refuse_loose_options(entry: StageEntry, aside: ToolEntry | None, values: Mapping[str, Any]) -> None:
+    """Refuse options that what was asked for, the stage or an aside of it, does not take."""
+    chosen = aside or entry
+    takers: dict[str, list[StageEntry | ToolEntry]] = {}
+    for command in (entry, *entry.asides):
+        for option in command.options:
+            if _was_typed(values[option.key]):
+                takers.setdefault(f"--{option.name}", []).append(command)
+    if values.get("view") not in (None, "none"):
+        takers["--view"] = [command for command in (entry, *entry.asides) if command.watchable]
+    takers |= {f"--{name.replace('_', '-')}": [entry] for name in ("force", "waive_gate", "yes") if values[name]}
+    for flag, commands in takers.items():
+        if chosen not in commands:
+            triggers = " or ".join(f"--{aside.trigger}" for aside in entry.asides if aside in commands)
+            with_what = f"{triggers} of {entry.name}" if triggers else f"the stage {entry.name} itself"
+            without = f", not with --{aside.trigger}" if aside else ""
+            raise UsageError(f"{flag} goes with {with_what}{without}")
 
 
 def _outcome_json(outcome: Outcome) -> dict[str, Any]:
@@ -124,55 +120,56 @@ def run_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
     """Run all stages up to `until` that are not fresh."""
     from minidual.cli.tables import print_outcome, print_status
 
-    until = values["until"]
-    if until is not None:
-        session.table[until]  # an unknown stage is refused before anything runs
+    until, force = values["until"], values["force"]
+    names = session.table.until(until)
+    if not values["yes"]:
+        session.spare_finished(names, {}, force)
     outcomes: list[Outcome] = []
     with live_view(session, values) as view:
-        runner = session.runner(view)
-        for outcome in runner.run_until(until, force=values["force"], waiver=values["waive_gate"]):
+        for outcome in session.runner(view).run_until(until, force=force, waiver=values["waive_gate"]):
             outcomes.append(outcome)
             if outcome.ran:
                 print_outcome(session.people, outcome, "")
             else:
-                session.people.print(f"{outcome.state.name}: pass, fresh")
+                session.say(f"{outcome.state.name}: pass, fresh")
     code = next((o.exit_code for o in outcomes if o.exit_code != ExitCode.PASS), ExitCode.PASS)
-    gate = session.gate()
-    states = [gate.state(name) for name in session.table.names]
-    print_status(session.people, states, f"run {session.store.run}", session.following(gate))
-    if session.typed.json:
-        session.print_json(
-            {"run": session.store.run, "exit_code": int(code), "stages": [_outcome_json(o) for o in outcomes]}
-        )
-    else:
-        for outcome in outcomes:
-            print(session.store.verdict_path(outcome.state.name))
+    gate, store = session.gate(), session.store
+    print_status(session.people, gate, f"run {store.run}", session.following(gate))
+    session.finish(
+        {"run": store.run, "exit_code": int(code), "stages": [_outcome_json(o) for o in outcomes]},
+        [store.verdict_path(outcome.state.name) for outcome in outcomes],
+    )
     return code
 
 
 def status_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
     """Show the state of every stage."""
-    from minidual.cli.tables import print_status
+    return _show_status(session, explained=False)
 
-    gate = session.gate()
-    states = [gate.state(name) for name in session.table.names]
-    writer = session.store.writer()
-    if session.typed.json:
-        session.print_json(
-            {
-                "run": session.store.run,
-                "folder": session.store.folder,
-                "profile": session.loaded.profile,
-                "writer": writer,
-                "stages": [_state_json(state) for state in states],
-                "next": session.following(gate),
-            }
-        )
-    else:
-        title = f"run {session.store.run} (profile {session.loaded.profile}, {session.store.folder})"
-        print_status(session.data, states, title, session.following(gate))
+
+def _show_status(session: Session, *, explained: bool) -> ExitCode:
+    from minidual.cli.tables import print_lowest, print_status
+
+    gate, store = session.gate(), session.store
+    following, writer, lowest = session.following(gate, explained=explained), store.writer(), gate.lowest()
+    if not session.typed.json:
+        title = f"run {store.run} (profile {session.loaded.profile}, {store.folder})"
+        print_status(session.data, gate, title, "" if explained else following)
+        if explained:
+            print_lowest(session.data, lowest, following)
         if writer is not None:
-            session.people.print(f"being written by {writer}")
+            session.say(f"being written by {writer}")
+    document = {
+        "run": store.run,
+        "folder": store.folder,
+        "profile": session.loaded.profile,
+        "writer": writer,
+        "stages": [_state_json(gate.state(name)) for name in session.table.names],
+        "lowest": lowest and lowest.name,
+        "because": lowest.because() if lowest else (),
+        "next": following,
+    }
+    session.finish(document, ())
     return ExitCode.PASS
 
 
@@ -192,53 +189,47 @@ def _state_json(state: StageState) -> dict[str, Any]:
 
 
 def explain_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
-    """Explain one stage, or the debug ladder."""
-    from minidual.cli.ladder import explain_ladder, ladder_json, print_lowest
-    from minidual.cli.tables import print_explanation
+    """Explain one stage, or else all stages and the lowest that does not pass."""
+    from minidual.cli.tables import print_explanation, print_lowest
 
     if values["stage"] is None:
-        return explain_ladder(session)
+        return _show_status(session, explained=True)
     entry = session.table[values["stage"]]
     gate = session.gate()
     state = gate.state(entry.name)
-    upstream = [gate.state(name) for name in entry.requires]
-    if session.typed.json:
-        session.print_json(
-            {
-                **_state_json(state),
-                "summary": entry.summary,
-                "requires": {item.name: item.state for item in upstream},
-                "folder": state.folder,
-                "verdict": state.verdict.to_json() if state.verdict else None,
-                "ladder": ladder_json(session, gate),
-            }
-        )
-        return ExitCode.PASS
-    if gate.closed_by(entry.name):
-        error = gate.closed_error(entry.name, session.typed.command)
-        following = f"{error.message}\nnext: {error.remedy}"
-    elif state.state == "pass":
-        following = f"to run it again: {session.typed.command(f'{entry.name} --force')}"
-    else:
-        following = f"next: {session.typed.command(entry.name)}"
-    print_explanation(session.data, entry, state, upstream, following)
-    if state.state != "pass":
-        print_lowest(session, gate)
+    upstream = {name: gate.state(name).state for name in entry.requires}
+    lowest = gate.lowest()
+    if not session.typed.json:
+        if gate.closed_by(entry.name):
+            error = gate.closed_error(entry.name, session.typed.command)
+            following = f"{error.message}\nnext: {error.remedy}"
+        elif state.state == "pass":
+            following = f"to run it again: {session.typed.command(f'{entry.name} --force')}"
+        else:
+            following = f"next: {session.typed.command(entry.name)}"
+        print_explanation(session.data, entry, state, upstream, following)
+        if state.state != "pass":
+            print_lowest(session.data, lowest, session.following(gate, explained=True))
+    document = {
+        **_state_json(state),
+        "summary": entry.summary,
+        "requires": upstream,
+        "folder": state.folder,
+        "verdict": state.verdict.to_json() if state.verdict else None,
+        "lowest": lowest and lowest.name,
+    }
+    session.finish(document, ())
     return ExitCode.PASS
 
 
 def config_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
     """Print the resolved configuration."""
     loaded = session.loaded
-    if session.typed.json:
-        session.print_json(
-            {
-                "profile": loaded.profile,
-                "sources": list(loaded.sources),
-                "overrides": [item.text for item in loaded.overrides],
-                "config": loaded.config,
-            }
-        )
-    else:
-        print(loaded.to_yaml(), end="")
+    document = {
+        "profile": loaded.profile,
+        "sources": list(loaded.sources),
+        "overrides": [item.text for item in loaded.overrides],
+        "config": loaded.config,
+    }
+    session.finish(document, loaded.to_yaml().splitlines())
     return ExitCode.PASS

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-import json
 import os
+import re
 import shlex
 import sys
 import tempfile
 import traceback
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from minidual.errors import ExitCode, MinidualError
 
@@ -27,33 +29,46 @@ if TYPE_CHECKING:
     from minidual.show.view import View
 
 
+_every = partial(typer.Option, rich_help_panel="Every command")
+
+
 @dataclass(frozen=True)
 class Typed:
-    """Options common to all commands."""
+    """Options of every command."""
 
-    profile: str = "standard"
-    settings: Sequence[str] = ()
-    run: str | None = None
-    runs_dir: Path | None = None
-    seed: int | None = None
-    workers: int | None = None
-    json: bool = False
-    debug: bool = False
+    profile: Annotated[str, _every(help="smoke, standard, gpu, or a profile file ending in .yaml.")] = "standard"
+    settings: Annotated[
+        list[str] | None,
+        _every("--set", metavar="KEY=VALUE", help="Override a configuration value, e.g. plan.queries_n=30."),
+    ] = None
+    run: Annotated[str | None, _every(help="Name of the run (default: the profile's name).")] = None
+    runs_dir: Annotated[Path | None, _every(help="Folder of all runs (default: $MINIDUAL_RUNS or ./runs).")] = None
+    seed: Annotated[int | None, _every(help="The one seed of the run.")] = None
+    workers: Annotated[int | None, _every(help="Processes to use; results do not depend on it.")] = None
+    json: Annotated[bool, _every("--json", help="Print one JSON document to stdout.")] = False
+    debug: Annotated[bool, _every("--debug", help="Show tracebacks.")] = False
 
     def command(self, words: str) -> str:
         """Return "minidual <words>" with the options that select run and result."""
-        flags: list[str] = []
-        if self.profile != "standard":
-            flags += ["--profile", self.profile]
-        if self.run is not None:
-            flags += ["--run", self.run]
-        if self.runs_dir is not None:
-            flags += ["--runs-dir", str(self.runs_dir)]
-        if self.seed is not None:
-            flags += ["--seed", str(self.seed)]
-        for setting in self.settings:
-            flags += ["--set", setting]
-        return " ".join(["minidual", words, *([shlex.join(flags)] if flags else [])])
+        profile = None if self.profile == "standard" else self.profile
+        given = [("--profile", profile), ("--run", self.run), ("--runs-dir", self.runs_dir), ("--seed", self.seed)]
+        given += [("--set", setting) for setting in self.settings or ()]
+        flags = shlex.join(word for flag, value in given if value is not None for word in (flag, str(value)))
+        return f"minidual {words} {flags}".rstrip()
+
+
+@dataclass(frozen=True)
+class Running:
+    """Options of the commands that run stages."""
+
+    force: Annotated[bool, typer.Option("--force", help="Run even if fresh. Never opens a gate.")] = False
+    waive_gate: Annotated[
+        str | None,
+        typer.Option(metavar="REASON", help="Open a closed gate; written down, taints everything downstream."),
+    ] = None
+    yes: Annotated[bool, typer.Option("--yes", help="Replace finished stages that were run with other options.")] = (
+        False
+    )
 
 
 class Session:
@@ -78,26 +93,25 @@ class Session:
         """Resolved configuration."""
         from minidual.config.loader import Override, load_config
 
-        overrides: list[Override | str] = list(self.typed.settings)
+        overrides: list[Override | str] = list(self.typed.settings or ())
         for name, value in (("seed", self.typed.seed), ("workers", self.typed.workers)):
             if value is not None:
                 overrides.append(Override(name, value, f"--{name} {value}"))
         return load_config(self.typed.profile, overrides)
 
-    @cached_property
+    @property
     def store(self) -> RunStore:
         """The run's folder."""
-        from minidual.config.run import locate_run
         from minidual.gate.store import RunStore
 
-        location = locate_run(self.loaded.profile, self.typed.run, self.typed.runs_dir)
-        return RunStore(location.root, location.name)
+        root = self.typed.runs_dir or Path(os.environ.get("MINIDUAL_RUNS") or "runs").expanduser()
+        return RunStore(root, self.loaded.profile if self.typed.run is None else self.typed.run)
 
-    def gate(self) -> Gate:
+    def gate(self, options: Mapping[str, Mapping[str, Any]] | None = None) -> Gate:
         """Return a gate for the present run."""
         from minidual.gate.gate import Gate
 
-        return Gate(self.table, self.store, self.loaded)
+        return Gate(self.table, self.store, self.loaded, options or {})
 
     def runner(self, view: View | None = None) -> Runner:
         """Return a runner with progress and `view`."""
@@ -109,22 +123,55 @@ class Session:
             progress.note("what is watched runs in this process: one worker for this run")
         return Runner(self.table, self.store, self.loaded, progress, self.typed.command, view)
 
-    def following(self, gate: Gate | None = None) -> str:
-        """Return the next command to type."""
-        gate = gate or self.gate()
-        for name in self.table.names:
-            state = gate.state(name).state
-            if state in ("fail", "error"):
-                return f"next: {self.typed.command(f'explain {name}')}"
-            if state != "pass":
-                return f"next: {self.typed.command(name)}"
-        return "every stage passes and is fresh"
+    def spare_finished(self, names: Sequence[str], options: Mapping[str, Mapping[str, Any]], force: bool) -> None:
+        """Go to a run of its own if the command would replace stages that were finished with other options.
 
-    def print_json(self, document: Any) -> None:
-        """Print a JSON document to stdout."""
-        from minidual.gate.canonical import canonical
+        Stages that stay as they are come along, as hard links.
+        """
+        while replaced := (gate := self.gate(options)).replaced(names, force):
+            base, first = self.store, next(iter(replaced))
+            self.typed = replace(self.typed, run=self._own_run(base.run, *options.values()))
+            more = f" (and of {', '.join(list(replaced)[1:])})" if len(replaced) > 1 else ""
+            self.say(
+                f"run '{base.run}' keeps its finished {first}{more}: {replaced[first]}\n"
+                f"working in run '{self.store.run}' instead; --yes would replace it in '{base.run}'"
+            )
+            kept = {up for name in names for up in (*self.table.upstream(name), name)} - gate.rerun(names, force)
+            for name in self.table.names:
+                if name in kept and gate.state(name).state == "pass":
+                    self.store.link(name, base)
 
-        print(json.dumps(canonical(document), indent=2, allow_nan=False, ensure_ascii=False))
+    def _own_run(self, run: str, *options: Mapping[str, Any]) -> str:
+        """Return the run's name for what was typed, such as "standard-glass-over"."""
+        from minidual.gate.canonical import digest
+
+        typed = self.typed
+        words = [] if typed.profile == "standard" or typed.run is None else [Path(typed.profile).stem]
+        for name, value in (pair for given in options for pair in given.items()):
+            words.append(value if isinstance(value, str) else f"{name}-{value}")
+        words += [setting.replace("=", "-") for setting in typed.settings or ()]
+        words += [] if typed.seed is None else [f"seed-{typed.seed}"]
+        name = re.sub(r"[^A-Za-z0-9._]+", "-", "-".join([run, *(words or ["defaults"])])).strip("-")
+        return name if len(name) <= 80 else f"{name[:71]}-{digest(words)[:8]}"
+
+    def following(self, gate: Gate | None = None, *, explained: bool = False) -> str:
+        """Return the next command to type: a failed stage is explained first."""
+        state = (gate or self.gate()).lowest()
+        if state is None:
+            return "every stage passes and is fresh"
+        explain = state.state in ("fail", "error") and not explained
+        return f"next: {self.typed.command(f'explain {state.name}' if explain else state.name)}"
+
+    def say(self, text: str, style: str = "") -> None:
+        """Print a line for people."""
+        self.people.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
+
+    def finish(self, document: Mapping[str, Any], lines: Iterable[object]) -> None:
+        """Print the document with --json, the lines without, to stdout."""
+        from minidual.gate.canonical import dumps
+
+        for line in [dumps(document).rstrip("\n")] if self.typed.json else lines:
+            print(line)
 
     def end(self, body: Callable[[Session], ExitCode]) -> int:
         """Run `body`; turn exceptions into a message and an exit code."""
@@ -148,12 +195,9 @@ class Session:
     def _fail(self, error: BaseException, message: str, remedy: str | None, code: ExitCode) -> int:
         if self.typed.debug:
             traceback.print_exception(error, file=sys.stderr)
-        if self.typed.json:
-            kind = type(error).__name__
-            self.print_json({"error": {"kind": kind, "message": message, "remedy": remedy}, "exit_code": int(code)})
-        print(f"minidual: {message}", file=sys.stderr)
-        if remedy:
-            print(f"  remedy: {remedy}", file=sys.stderr)
+        kind = {"kind": type(error).__name__, "message": message, "remedy": remedy}
+        self.finish({"error": kind, "exit_code": int(code)}, ())
+        print(f"minidual: {message}", *([f"  remedy: {remedy}"] if remedy else []), sep="\n", file=sys.stderr)
         return int(code)
 
     def _write_trace(self, error: BaseException) -> str:

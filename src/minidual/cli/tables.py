@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from minidual.gate.check import Check, format_number
-from minidual.gate.gate import StageState
+from minidual.gate.gate import Gate, StageState
 from minidual.gate.runner import Outcome
 from minidual.gate.table import StageEntry
 from minidual.gate.verdict import Verdict
@@ -47,103 +47,98 @@ def checks_table(checks: Sequence[Check], title: str, *, explained: bool = False
         table.add_column(header, justify="left" if header in ("check", "result") else "right", overflow="fold")
     if explained:
         table.add_column("why, and what to do", overflow="fold", ratio=1)
+    result = {True: Text("pass", "green"), False: Text("FAIL", "bold red"), None: Text("reported", "dim")}
     for check in checks:
         unit = f" {check.unit}" if check.unit else ""
-        result = {True: Text("pass", "green"), False: Text("FAIL", "bold red"), None: Text("reported", "dim")}
-        row: list[str | Text] = [
-            check.name,
-            f"{format_number(check.observed)}{unit}",
-            f"{check.op} {format_number(check.limit)}{unit}" if check.op else "",
-            margin_text(check),
-            result[check.passed],
-        ]
-        if explained:
-            row.append(check.why + (f"\n{check.remedy}" if check.passed is False and check.remedy else ""))
-        table.add_row(*row)
+        limit = f"{check.op} {format_number(check.limit)}{unit}" if check.op else ""
+        why = check.why + (f"\n{check.remedy}" if check.passed is False and check.remedy else "")
+        row = [check.name, f"{format_number(check.observed)}{unit}", limit, margin_text(check), result[check.passed]]
+        table.add_row(*row, *([why] if explained else []))
     return table
 
 
 def label(verdict: Verdict) -> str:
     """Return why a verdict is no acceptance, if so."""
     words = [] if verdict.acceptance_profile else [f"profile '{verdict.profile}': wiring only, never acceptance"]
-    words += [f"asks for less than the profile, no acceptance: {line}" for line in verdict.weakened]
+    if verdict.weakened:
+        words.append(f"NO ACCEPTANCE, it asks for less than the profile: {'; '.join(verdict.weakened)}")
     words += [f"GATE WAIVED at {waiver.stage}: {waiver.reason}" for waiver in verdict.waivers]
     return "; ".join(words)
 
 
 def print_outcome(console: Console, outcome: Outcome, following: str) -> None:
     """Print checks, notes, artefacts and next command."""
-    verdict, state = outcome.verdict, outcome.state
-    title = f"{state.name}: {verdict.status}, {'fresh' if not outcome.ran else f'{verdict.duration_s:.1f} s'}"
-    console.print(checks_table(verdict.checks, title))
-    _line(console, label(verdict), "yellow")
-    for note in verdict.notes:
-        _line(console, note)
-    for warning in state.warnings:
-        _line(console, f"note: {warning}", "dim")
-    print_artefacts(console, state)
-    _line(console, following)
+    verdict = outcome.verdict
+    took = f"{verdict.duration_s:.1f} s" if outcome.ran else "fresh"
+    _print_verdict(console, outcome.state, verdict, f"{verdict.stage}: {verdict.status}, {took}")
+    _lines(console, [following])
 
 
-def print_artefacts(console: Console, state: StageState) -> None:
-    """Print artefact paths."""
-    if state.verdict is None or state.folder is None:
-        return
-    names = list(state.verdict.artefacts)
-    for name in names[:_SHOWN_ARTEFACTS]:
-        _line(console, f"  {state.folder / name}")
-    if len(names) > _SHOWN_ARTEFACTS:
-        _line(console, f"  and {len(names) - _SHOWN_ARTEFACTS} more under {state.folder}")
+def print_explanation(
+    console: Console, entry: StageEntry, state: StageState, upstream: Mapping[str, str], following: str
+) -> None:
+    """Print all about one stage; `upstream` is {required stage: state}."""
+    console.print(Text.assemble((entry.name, "bold"), " is ", state_text(state.state), f". {entry.summary}."))
+    for name, its in upstream.items():
+        console.print(Text.assemble("  requires ", name, ": ", state_text(its)))
+    if not upstream:
+        _lines(console, ["  requires no other stage"])
+    _lines(console, [f"  {reason}" for reason in state.reasons], "yellow")
+    if state.verdict is not None:
+        verdict = state.verdict
+        made = f"verdict: {verdict.status}, {verdict.finished_at}, profile '{verdict.profile}'"
+        title = f"{made}, seed {verdict.fingerprint.seed}"
+        _print_verdict(console, state, verdict, title, explained=True)
+        _lines(console, [f"made with {text}" for text in verdict.overrides])
+    _lines(console, [following])
 
 
-def print_status(console: Console, states: Sequence[StageState], title: str, following: str) -> None:
-    """Print one line per stage."""
+def _print_verdict(
+    console: Console, state: StageState, verdict: Verdict, title: str, *, explained: bool = False
+) -> None:
+    console.print(checks_table(verdict.checks, title, explained=explained))
+    _lines(console, [label(verdict)], "bold yellow")
+    _lines(console, verdict.notes)
+    _lines(console, [f"note: {warning}" for warning in state.warnings], "dim")
+    names, folder = list(verdict.artefacts), state.folder
+    if folder is not None:
+        _lines(console, [f"  {folder / name}" for name in names[:_SHOWN_ARTEFACTS]])
+        if len(names) > _SHOWN_ARTEFACTS:
+            _lines(console, [f"  and {len(names) - _SHOWN_ARTEFACTS} more under {folder}"])
+
+
+def print_status(console: Console, gate: Gate, title: str, following: str) -> None:
+    """Print one row per stage."""
     table = Table(title=title, title_justify="left")
     table.add_column("stage", no_wrap=True)
     table.add_column("state", no_wrap=True)
     table.add_column("checks", justify="right")
     table.add_column("took", justify="right")
     table.add_column("remarks", overflow="fold")
-    for state in states:
+    for state in map(gate.state, gate.table.names):
         verdict = state.verdict
         checks = took = ""
-        remarks = [state.why()] if state.why() else []
+        remarks = [state.why()]
         if verdict is not None:
             limited = [check for check in verdict.checks if check.limited]
             checks = f"{sum(check.passed is True for check in limited)}/{len(limited)}"
             took = f"{verdict.duration_s:.1f} s"
-            remarks += [text for text in (label(verdict), *state.warnings) if text]
-        table.add_row(state.name, state_text(state.state), checks, took, Text("\n".join(remarks)))
+            remarks += [label(verdict), *state.warnings]
+        text = Text("\n".join(filter(None, remarks)))
+        table.add_row(state.name, state_text(state.state), checks, took, text)
     console.print(table)
-    _line(console, following)
+    _lines(console, [following])
 
 
-def print_explanation(
-    console: Console, entry: StageEntry, state: StageState, upstream: Sequence[StageState], following: str
-) -> None:
-    """Print all about one stage."""
-    console.print(Text.assemble((entry.name, "bold"), " is ", state_text(state.state), f". {entry.summary}."))
-    for item in upstream:
-        console.print(Text.assemble("  requires ", item.name, ": ", state_text(item.state)))
-    if not upstream:
-        _line(console, "  requires no other stage")
-    for reason in state.reasons:
-        _line(console, f"  {reason}", "yellow")
-    for warning in state.warnings:
-        _line(console, f"  note: {warning}", "dim")
-    if state.verdict is not None:
-        verdict = state.verdict
-        made = f"verdict: {verdict.status}, {verdict.finished_at}, profile '{verdict.profile}'"
-        console.print(checks_table(verdict.checks, f"{made}, seed {verdict.fingerprint.seed}", explained=True))
-        _line(console, label(verdict), "yellow")
-        for text in verdict.overrides:
-            _line(console, f"  made with {text}")
-        for note in verdict.notes:
-            _line(console, f"  {note}")
-        print_artefacts(console, state)
-    _line(console, following)
+def print_lowest(console: Console, lowest: StageState | None, following: str) -> None:
+    """Print the lowest stage that does not pass, why, and the command: a fault propagates upwards."""
+    if lowest is not None:
+        _lines(console, [f"look at {lowest.name} first: the lowest stage that does not pass"], "bold")
+        _lines(console, [f"  {line}" for line in lowest.because()])
+    _lines(console, [following])
 
 
-def _line(console: Console, text: str, style: str = "") -> None:
-    if text:
-        console.print(Text(text, style=style), soft_wrap=True)
+def _lines(console: Console, lines: Sequence[str], style: str = "") -> None:
+    for line in lines:
+        if line:
+            console.print(Text(line, style=style), soft_wrap=True)

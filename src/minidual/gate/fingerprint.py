@@ -54,8 +54,8 @@ class Fingerprint:
         values: dict[str, Any] = {**record, "code": Code(**record["code"])}
         return cls(**values)
 
-    def differences(self, now: Fingerprint) -> list[str]:
-        """Return the reasons why a result of `self` is stale."""
+    def choices(self, now: Fingerprint) -> list[str]:
+        """Return how parameters, options, seed and profile differ."""
         reasons = [
             f"{label} {name} was {_short(then)}, is {_short(current)}"
             for label, before, after in (
@@ -68,6 +68,11 @@ class Fingerprint:
             reasons.append(f"the seed was {self.seed}, is {now.seed}")
         if self.profile != now.profile:
             reasons.append(f"the profile was '{self.profile}', is '{now.profile}'")
+        return reasons
+
+    def differences(self, now: Fingerprint) -> list[str]:
+        """Return the reasons why a result of `self` is stale."""
+        reasons = self.choices(now)
         for name, then, _current in changes(dict(self.inputs), dict(now.inputs), flat=True):
             reasons.append(f"input {name} {'is new' if then == UNSEEN else 'changed or is gone'}")
         for name, then, current in changes(dict(self.upstream), dict(now.upstream), flat=True):

@@ -7,7 +7,7 @@ pass), missing (not run).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -18,7 +18,7 @@ from minidual.gate.code import Code
 from minidual.gate.fingerprint import Fingerprint, circumstances_now
 from minidual.gate.manifest import CONFIG_FILE, manifest_changes
 from minidual.gate.store import RunStore
-from minidual.gate.table import CommandText, StageTable
+from minidual.gate.table import CommandText, StageTable, overrides
 from minidual.gate.verdict import Verdict
 
 if TYPE_CHECKING:
@@ -44,6 +44,16 @@ class StageState:
     verdict_sha256: str | None = None
     folder: Path | None = None
     corrupt: bool = False
+
+    def because(self) -> list[str]:
+        """Return failed checks with why and remedy, or why the stage is not fresh."""
+        if self.state != "fail" or self.verdict is None:
+            return [f"{self.name} is {self.state}", *(f"  {reason}" for reason in self.reasons)]
+        lines: list[str] = []
+        for check in self.verdict.failed_checks():
+            lines.append(f"{self.name}: {check.sentence()}")
+            lines += [f"  {label}: {text}" for label, text in (("why", check.why), ("remedy", check.remedy)) if text]
+        return lines
 
     def why(self) -> str:
         """Return the first failed check, or the first two reasons."""
@@ -84,6 +94,44 @@ class Gate:
         """Return the directly required stages that do not pass."""
         return [state for required in self.table[name].requires if (state := self.state(required)).state != "pass"]
 
+    def lowest(self) -> StageState | None:
+        """Return the first stage that does not pass. Faults propagate upwards, so it is the one to look at."""
+        return next((state for state in map(self.state, self.table.names) if state.state != "pass"), None)
+
+    def rerun(self, names: Sequence[str], force: bool) -> set[str]:
+        """Return which of `names`, in table order, are not passing and fresh, or would not be after the others ran."""
+        found: set[str] = set()
+        for name in names:
+            if force or self.state(name).state != "pass" or found & {*self.table[name].requires}:
+                found.add(name)
+        return found
+
+    def replaced(self, names: Sequence[str], force: bool) -> dict[str, str]:
+        """Return {stage: how it was made and what was typed} of finished stages that other options would replace.
+
+        A change of code, of a profile file or upstream alone is none: those stages run again on purpose.
+        """
+        typed = Gate(
+            self.table, self.store, self.loaded, {name: self.options.get(name, {}) for name in names}, self._known
+        )
+        found: dict[str, str] = {}
+        for name in (name for name in names if name in self.rerun(names, force)):
+            verdict = self.state(name).verdict
+            if verdict is None:
+                continue
+            options, loaded = typed.effective(name, verdict)
+            extras = self.table[name].extras
+            texts = [
+                [f"--profile {profile}", *overrides, *(f"--{key} {value}" for key, value in extras(given).items())]
+                for profile, overrides, given in (
+                    (verdict.profile, verdict.overrides, verdict.options),
+                    (loaded.profile, [item.text for item in loaded.overrides], options),
+                )
+            ]
+            if set(texts[0]) != set(texts[1]) and verdict.fingerprint.choices(typed.fingerprint(name, verdict)):
+                found[name] = f"made with {' '.join(texts[0])}, typed was {' '.join(texts[1])}"
+        return found
+
     def root_cause(self, name: str) -> StageState | None:
         """Return the first non-passing stage above `name` whose own gate is open."""
         for upstream in self.table.upstream(name):
@@ -121,13 +169,10 @@ class Gate:
 
     def effective(self, name: str, verdict: Verdict | None) -> tuple[dict[str, Any], LoadedConfig]:
         """Return (options, configuration) that `name` is judged or run with."""
-        from minidual.config.loader import Override
-
         entry = self.table[name]
         typed = self.options.get(name)
         options = dict(typed if typed is not None else verdict.options if verdict is not None else {})
-        overrides = [Override(path, value, text) for path, value, text in entry.overrides(options)]
-        return options, self.loaded.with_overrides(overrides)
+        return options, self.loaded.with_overrides(overrides(entry.options, options))
 
     def fingerprint(self, name: str, verdict: Verdict | None = None) -> Fingerprint:
         """Return the fingerprint that a new verdict of `name` would have."""

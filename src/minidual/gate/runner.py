@@ -97,7 +97,7 @@ class Runner:
 
         Stops at the first stage that does not pass, unless waived. Holds the run's lock throughout.
         """
-        names = self.table.names if last is None else (*self.table.upstream(last), last)
+        names = self.table.until(last)
         command = "run" if last is None else f"run --until {last}"
         with disk_errors(self.store.folder), self.store.writing(self.command(command)):
             gate = Gate(self.table, self.store, self.loaded)
@@ -192,7 +192,9 @@ class Runner:
                     data=canonical(result.data, f"{name}.data"),
                     notes=tuple(result.notes),
                 )
-                self.store.publish(name, verdict)
+                kept = self.store.publish(name, verdict, keep_old=entry.recording)
+                if kept is not None:
+                    self.progress.note(f"the earlier {name} is kept in {kept}")
         except KeyboardInterrupt:
             self.store.abandon(name, "interrupted", "interrupted at the keyboard")
             raise

@@ -4,6 +4,7 @@ runs/<run>/config.yaml      configuration of the latest command
 runs/<run>/<stage>/         finished stage: artefacts, config.yaml, verdict.json
 runs/<run>/.<stage>.tmp/    unfinished stage
 runs/<run>/.<stage>.old/    previous result during replacement
+runs/<run>/set-aside/       replaced recordings and tool outputs
 runs/<run>/crash-*.txt      tracebacks
 """
 
@@ -19,7 +20,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
 
-from minidual.durable import sync, write_text
+from minidual.durable import remove, replacing, set_aside, sync, write_text
 from minidual.errors import DataError, UsageError
 from minidual.gate.canonical import dumps, parse_json
 from minidual.gate.clock import now_stamp, now_text
@@ -124,10 +125,9 @@ class RunStore:
     def _mend(self, stage: str) -> None:
         old, folder = self._old(stage), self.folder / stage
         if (folder / VERDICT_FILE).is_file() or not (old / VERDICT_FILE).is_file():
-            shutil.rmtree(old)
+            set_aside(old, stage)
             return
-        if folder.exists():
-            shutil.rmtree(folder)
+        remove(folder)
         old.rename(folder)
 
     def begin(self, stage: str, config_text: str) -> Path:
@@ -152,20 +152,29 @@ class RunStore:
             # On a full disk the old mark stays: "running" without a lock reads as killed, so still unfinished.
             return
 
-    def publish(self, stage: str, verdict: Verdict) -> Path:
-        """Write the verdict last, then replace the previous folder."""
+    def publish(self, stage: str, verdict: Verdict, *, keep_old: bool = False) -> Path | None:
+        """Write the verdict last, then replace the previous folder; return where that is kept, if it is."""
         temporary, folder, old = self._temporary(stage), self.folder / stage, self._old(stage)
         (temporary / ATTEMPT_FILE).unlink(missing_ok=True)
         write_text(temporary / VERDICT_FILE, verdict.text())
         if folder.exists():
             if old.exists():
-                shutil.rmtree(old)
+                set_aside(old, stage)
             folder.rename(old)
         temporary.rename(folder)
         sync(self.folder)
-        if old.exists():
-            shutil.rmtree(old)
-        return folder
+        if keep_old and old.exists():
+            return set_aside(old, stage)
+        remove(old)
+        return None
+
+    def link(self, stage: str, other: RunStore) -> None:
+        """Take over a finished stage of another run by hard links, unless one stands here."""
+        folder = self.folder / stage
+        with self.writing(f"run {self.run}"):
+            if not folder.exists():
+                with replacing(folder) as partial:
+                    shutil.copytree(other.stage_folder(stage), partial, copy_function=os.link)
 
     def write_crash(self, name: str, error: BaseException) -> Path:
         """Write the traceback into the run folder and return its path."""

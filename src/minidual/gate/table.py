@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
 from minidual.config.base import limits
+from minidual.config.loader import Override
 from minidual.errors import EnvironmentMissingError, MinidualError, UsageError
 from minidual.gate.code import Code, code_of
 from minidual.gate.stage import StageFunction
@@ -55,33 +56,44 @@ class Option:
         return [word.strip() for word in str(typed).split(",") if word.strip()] if self.split else typed
 
 
+def overrides(options: Sequence[Option], values: Mapping[str, Any]) -> list[Override]:
+    """Return the overrides of the configuration that the options' values stand for."""
+    known = {option.name: option for option in options}
+    return [
+        Override(path, known[name].value(value), f"--{name} {value}")
+        for name, value in values.items()
+        if name in known and (path := known[name].path) is not None
+    ]
+
+
 @dataclass(frozen=True)
 class ToolEntry:
-    """A command without verdict; with `triggers`, an alternative of a stage.
+    """A command without verdict; with a `trigger`, an aside: it runs instead of its stage.
 
     Attributes:
         name: The command, or an aside's output folder.
         target: "module:function", see `minidual.gate.tool`.
-        triggers: Options that select it; its others require one.
+        trigger: Option that selects it.
         watchable: Takes --view.
+        examples: For --help, such as "replay worst.npz".
     """
 
     name: str
     target: str | ToolFunction
-    summary: str
+    summary: str = ""
     options: tuple[Option, ...] = ()
-    triggers: tuple[str, ...] = ()
+    trigger: str = ""
     watchable: bool = False
     view_default: str = "none"
+    examples: tuple[str, ...] = ()
 
     def load(self) -> ToolFunction:
         """Return the function."""
         return cast(ToolFunction, _loaded(self.name, self.target))
 
     def is_asked_for(self, values: Mapping[str, Any]) -> bool:
-        """Return whether a trigger was given."""
-        keys = [option.key for option in self.options if option.name in self.triggers]
-        return any(values.get(key) not in (None, False) for key in keys)
+        """Return whether the trigger was given."""
+        return any(values[o.key] not in (None, False) for o in self.options if o.name == self.trigger)
 
 
 @dataclass(frozen=True)
@@ -95,9 +107,10 @@ class StageEntry:
             count.
         resolve: "module:function" from Config to Config that resolves names; must import quickly, as `status` calls it.
         check: "module:function" that raises UsageError for values that models cannot validate; called before a run.
-        question: Question on the debug ladder.
         asides: Tools that run instead when triggered.
         watchable: Takes --view.
+        recording: What a new result replaces is set aside, never deleted.
+        examples: For --help, such as "carry --trials 50".
         closing: Ends the pipeline and checks waivers and code changes.
     """
 
@@ -108,11 +121,12 @@ class StageEntry:
     reads: tuple[str, ...] = ()
     resolve: str | None = None
     check: str | None = None
-    question: str = ""
     options: tuple[Option, ...] = ()
     asides: tuple[ToolEntry, ...] = ()
     watchable: bool = False
+    recording: bool = False
     closing: bool = False
+    examples: tuple[str, ...] = ()
 
     def load(self) -> StageFunction:
         """Return the function; EnvironmentMissingError names a missing library."""
@@ -164,15 +178,6 @@ class StageEntry:
             and not _as_strict(value, asked[path], mark)
         )
 
-    def overrides(self, options: Mapping[str, Any]) -> list[tuple[str, Any, str]]:
-        """Return (dotted path, value, option text) for `options` that override configuration."""
-        known = {option.name: option for option in self.options}
-        return [
-            (path, known[name].value(value), f"--{name} {value}")
-            for name, value in options.items()
-            if name in known and (path := known[name].path) is not None
-        ]
-
     def extras(self, options: Mapping[str, Any]) -> dict[str, Any]:
         """Return `options` outside the configuration."""
         paths = {option.name: option.path for option in self.options}
@@ -203,7 +208,7 @@ def _loaded(name: str, target: str | Callable[..., Any]) -> Callable[..., Any]:
         if (error.name or "").startswith("minidual"):
             raise
         raise EnvironmentMissingError(
-            f"stage {name} needs the library '{error.name}', which is not installed",
+            f"{name} needs the library '{error.name}', which is not installed",
             remedy="install minidual with its dependencies again (`make setup` in a checkout)",
         ) from error
 
@@ -257,6 +262,10 @@ class StageTable:
 
     def __getitem__(self, name: str) -> StageEntry:
         return self._entries[name]
+
+    def until(self, last: str | None) -> tuple[str, ...]:
+        """Return `last` and all that it requires, or every stage, in order."""
+        return self.names if last is None else (*self.upstream(last), last)
 
     def upstream(self, name: str) -> tuple[str, ...]:
         """Return all stages that `name` requires, directly or not, in order."""

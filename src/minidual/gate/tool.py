@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from minidual.durable import set_aside
 from minidual.errors import ExitCode
 from minidual.gate.progress import Progress, SilentProgress
 
@@ -61,7 +62,8 @@ class ToolContext:
         """Move the output to its final folder, if there is any."""
         temporary = self.run_folder / f".{self._name}.tmp"
         if temporary.is_dir():
-            shutil.rmtree(self.folder, ignore_errors=True)
+            if self.folder.exists():
+                self.progress.note(f"the earlier output is in {set_aside(self.folder, self._name)}")
             temporary.rename(self.folder)
 
 

@@ -11,6 +11,11 @@ from minidual.gate.table import Option, StageEntry, StageTable, ToolEntry
 LIBRARIES = ("numpy", "scipy", "mujoco", "pin", "coal", "ompl", "torch", "lerobot", "h5py", "av", "gymnasium")
 """Distributions whose versions verdicts record."""
 
+_SCENE = Option("scene", "With --to or --acm: planning scene in YAML.")
+_OBJECT = Option("object", "What is carried: rod, board, box, glass.", str, "carry.object")
+_MOTION = Option("motion", "How it travels: straight, rotate, over.", str, "carry.motion")
+_CARRIES = Option("trials", "Randomised carries to try.", int, "carry.trials_n")
+
 STAGES = StageTable(
     (
         StageEntry(
@@ -19,17 +24,16 @@ STAGES = StageTable(
             (),
             "Simulation and joints: every joint read, mapped and driven, tracking, contacts, libraries",
             reads=("robot", "env_check", "scene", "arbiter", "supervisor", "teleop.rate_hz"),
-            question="Does every joint move as the model says, and do the cameras see?",
             asides=(
                 ToolEntry(
                     "env-check-bill",
                     "minidual.stages.env_check.installation:print_bill",
-                    "Print versions, libraries and machine for a bug report",
-                    (Option("markdown", "Print a bill of versions for a bug report instead.", bool),),
-                    triggers=("markdown",),
+                    options=(Option("markdown", "Print a bill of versions for a bug report instead.", bool),),
+                    trigger="markdown",
                 ),
             ),
             watchable=True,
+            examples=("env-check", "env-check --markdown"),
         ),
         StageEntry(
             "plan",
@@ -38,49 +42,43 @@ STAGES = StageTable(
             "Plan collision-free motions for left_arm, right_arm and both_arms",
             reads=("robot", "plan", "scene.object", "scene.task"),
             check="minidual.stages.config_checks:check_plan",
-            question="Do one arm and both arms find their way?",
             options=(Option("queries", "Queries per planning group.", int, "plan.queries_n"),),
             asides=(
                 ToolEntry(
                     "plan-acm",
                     "minidual.stages.plan_acm:plan_acm",
-                    "Print the pairs of links that are not checked, and why",
-                    (
-                        Option("acm", "Print the pairs that are not checked, and why, instead.", bool),
-                        Option("scene", "With --to or --acm: planning scene in YAML."),
-                    ),
-                    triggers=("acm",),
+                    options=(Option("acm", "Print the pairs that are not checked, and why, instead.", bool), _SCENE),
+                    trigger="acm",
                 ),
                 ToolEntry(
                     "plan-once",
                     "minidual.stages.plan_once:plan_once",
-                    "Plan one motion, without the gate",
-                    (
+                    options=(
                         Option("to", "Plan once to this state (home, ready, carry ...) or goal file instead."),
                         Option("from", "With --to: start at this state or file (default: home)."),
                         Option("group", "With --to: left_arm, right_arm or both_arms (default)."),
-                        Option("scene", "With --to or --acm: planning scene in YAML."),
+                        _SCENE,
                         Option("out", "With --to: write the trajectory here (.json)."),
                         Option("csv", "With --to: write the trajectory here (.csv)."),
                         Option("picture", "With --to: draw the path here (.png)."),
                         Option("budget-s", "With --to: give up after this wall time.", float),
                     ),
-                    triggers=("to",),
+                    trigger="to",
                     watchable=True,
                 ),
                 ToolEntry(
                     "plan-task",
                     "minidual.stages.plan_task:plan_task",
-                    "Plan a whole task from one of its starts and drive it, without the gate",
-                    (
+                    options=(
                         Option("task", "Plan this task (rod_carry, handover ...) as a whole and drive it instead."),
                         Option("video", "With --task: film it (.mp4)."),
                     ),
-                    triggers=("task",),
+                    trigger="task",
                     watchable=True,
                 ),
             ),
             watchable=True,
+            examples=("plan", "plan --to ready --scene examples/bench-scene.yaml --view web"),
         ),
         StageEntry(
             "carry",
@@ -89,30 +87,30 @@ STAGES = StageTable(
             "Carry the rod with both arms under object impedance control",
             reads=("robot", "task", "carry", "scene", "arbiter", "supervisor"),
             resolve="minidual.tasks.task:task_config",
-            question="Do both arms carry an object between them?",
-            options=(
-                Option("trials", "Randomised carries to try.", int, "carry.trials_n"),
-                Option("object", "What is carried: rod, board, box, glass.", str, "carry.object"),
-                Option("motion", "How it travels: straight, rotate, over.", str, "carry.motion"),
-            ),
+            options=(_CARRIES, _OBJECT, _MOTION),
             asides=(
                 ToolEntry(
                     "carry-perturb",
                     "minidual.stages.carry_tools:perturb",
-                    "Carry under pushes, other masses and frictions, and worse sensing",
-                    (Option("perturb", "Carry under every disturbance (20 trials each) instead.", bool),),
-                    triggers=("perturb",),
+                    options=(
+                        Option("perturb", "Carry under every disturbance (20 trials each) instead.", bool),
+                        *(_CARRIES, _OBJECT, _MOTION),
+                    ),
+                    trigger="perturb",
                     watchable=True,
                 ),
                 ToolEntry(
                     "carry-tune",
                     "minidual.stages.carry_tools:tune",
-                    "Search squeeze and stiffness by carrying",
-                    (Option("tune", "Search squeeze and stiffness by carrying, and write a profile.", bool),),
-                    triggers=("tune",),
+                    options=(
+                        Option("tune", "Search squeeze and stiffness by carrying, and write a profile.", bool),
+                        *(_OBJECT, _MOTION),
+                    ),
+                    trigger="tune",
                 ),
             ),
             watchable=True,
+            examples=("carry --trials 20", "carry --object glass --motion over"),
         ),
         StageEntry(
             "teleop-record",
@@ -122,9 +120,10 @@ STAGES = StageTable(
             reads=("robot", "task", "teleop", "scene", "arbiter", "supervisor"),
             resolve="minidual.tasks.task:task_config",
             check="minidual.stages.config_checks:check_leader",
-            question="Does the follower follow its leader, and is what was recorded whole and smooth?",
             options=(Option("episodes", "Demonstrations to record.", int, "teleop.episodes_n"),),
             watchable=True,
+            examples=("teleop-record --episodes 50", "teleop-record --view web"),
+            recording=True,
         ),
         StageEntry(
             "train-act",
@@ -133,7 +132,7 @@ STAGES = StageTable(
             "Train the ACT policy on the recorded dataset",
             reads=("robot", "train"),
             check="minidual.stages.config_checks:check_policy",
-            question="Does the policy learn from the data?",
+            examples=("train-act", "train-act --set train.steps=2000"),
         ),
         StageEntry(
             "deploy",
@@ -142,9 +141,9 @@ STAGES = StageTable(
             "Let the policy drive the arms on seeds it never saw",
             reads=("robot", "task", "deploy", "scene", "arbiter", "supervisor", "teleop.rate_hz"),
             resolve="minidual.tasks.task:task_config",
-            question="Does what it learned work on starts it never saw?",
             options=(Option("trials", "Held-out trials.", int, "deploy.trials"),),
             watchable=True,
+            examples=("deploy", "deploy --trials 20 --view web"),
         ),
         StageEntry(
             "benchmark",
@@ -154,7 +153,6 @@ STAGES = StageTable(
             reads=("robot", "task", "benchmark", "carry", "plan.planner", "deploy", "scene", "arbiter", "supervisor"),
             resolve="minidual.tasks.task:task_config",
             check="minidual.stages.config_checks:check_benchmark",
-            question="How do the methods compare?",
             options=(
                 Option(
                     "methods",
@@ -172,6 +170,7 @@ STAGES = StageTable(
                 ),
             ),
             watchable=True,
+            examples=("benchmark --methods moveit,impedance,act", "benchmark --conditions clean,push_+y,friction_0.3"),
         ),
         StageEntry(
             "report",
@@ -179,8 +178,8 @@ STAGES = StageTable(
             ("benchmark",),
             "Build the report from the verdicts: one offline HTML and report.json",
             reads=("report", "benchmark.methods", "benchmark.conditions"),
-            question="Does the report hold every number?",
             closing=True,
+            examples=("report", "report --run standard --json"),
         ),
     ),
     libraries=LIBRARIES,
@@ -194,6 +193,7 @@ TOOLS: tuple[ToolEntry, ...] = (
         (Option("for-s", "End by itself after this many seconds (default: Ctrl-C ends it).", float),),
         watchable=True,
         view_default="web",
+        examples=("view", "view --set robot.arm=xarm7 --for-s 60"),
     ),
     ToolEntry(
         "replay",
@@ -209,6 +209,10 @@ TOOLS: tuple[ToolEntry, ...] = (
             Option("frames", "Frames on the sheet.", int),
             Option("camera", "overview, high, left or right."),
         ),
+        examples=(
+            "replay runs/standard/carry/worst.npz --video worst.mp4 --slowdown 4",
+            "replay runs/standard/carry/worst.npz --picture worst.png --frames 12",
+        ),
     ),
     ToolEntry(
         "modes",
@@ -219,6 +223,7 @@ TOOLS: tuple[ToolEntry, ...] = (
             Option("checkpoint", "Folder of the policy (default: the run's train-act)."),
         ),
         watchable=True,
+        examples=("modes", "modes --modes moveit,teleop,moveit --view web"),
     ),
 )
 """Commands without verdict or gate."""
