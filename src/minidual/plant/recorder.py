@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
+from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -32,99 +33,60 @@ class Recorder:
         self._world, self._model, self._data = world, world.model, world.data
         self._seed, self._folder = seed, folder
         self._every = max(1, round((_KEYFRAME_TRIAL_S if window_s is None else _KEYFRAME_S) / world.dt))
-        window = None if window_s is None else max(1, round(window_s / world.dt / self._every)) * self._every
-        self._window = window
-        capacity = 2 * window if window is not None else 128 * self._every
-        self._controls = np.empty((capacity, world.model.nu))
+        kept = None if window_s is None else max(1, round(window_s / world.dt / self._every))
+        self._stretches: deque[tuple[int, Array, list[Array]]] = deque(maxlen=kept)  # step, keyframe, controls
+        self._pushes: list[tuple[int, Array]] = []
         self._ctrl, self._xfrc = world.data.ctrl, world.data.xfrc_applied  # views
-        self._still = bytes(self._xfrc.nbytes)
-        self._state_size = mujoco.mj_stateSize(world.model, STATE)
-        self._time_tolerance_s = 1.5 * world.dt
+        self._fields: dict[str, Array] = {}
+        self._count, self._last_s = 0, -1.0
         self.write_error: OSError | None = None
         """Last failed dump's error."""
-        self.clear()
 
-    def clear(self) -> None:
-        """Start over."""
-        self._count = 0
-        self._last_s = -1.0
-        self._keyframes: list[tuple[int, Array]] = []
-        self._pushes: list[tuple[int, Array]] = []
-        self._pushed = self._still
-        self._fields: dict[str, Array] | None = None
-
-    @property
-    def steps(self) -> int:
-        """Steps kept."""
-        return self._count
+    def _continues(self) -> bool:
+        """Return whether one step lies between the last record and now: no reset, no divergence."""
+        return 0.0 < self._data.time - self._last_s < 1.5 * self._world.dt
 
     def before_step(self) -> None:
         """Keep the next step's controls; `World.step` calls it."""
-        now = self._data.time
-        if not 0.0 < now - self._last_s < self._time_tolerance_s:
-            self.clear()
+        if not self._continues():
+            self._stretches.clear()
+            self._pushes.clear()
+            self._count, self._pushed = 0, bytes(self._xfrc.nbytes)
             self._fields = physical_fields(self._model)
-        self._last_s = now
-        if self._count == len(self._controls):
-            self._make_room()
-        count = self._count
-        self._controls[count] = self._ctrl
-        if not count % self._every:
-            self._keyframes.append((count, self._state()))
+        self._last_s = self._data.time
+        if not self._count % self._every:
+            self._stretches.append((self._count, self._state(), []))
+        self._stretches[-1][2].append(self._ctrl.copy())
         push = self._xfrc.tobytes()
         if push != self._pushed:
             self._pushed = push
-            self._pushes.append((count, self._xfrc.copy()))
-        self._count = count + 1
+            self._pushes.append((self._count, self._xfrc.copy()))
+        self._count += 1
 
     def _state(self) -> Array:
-        state = np.empty(self._state_size)
+        state = np.empty(mujoco.mj_stateSize(self._model, STATE))
         mujoco.mj_getState(self._model, self._data, state, STATE)
         return state
 
-    def _ended_whole(self) -> bool:
-        """Return whether no reset or divergence followed the last step."""
-        return self._count > 0 and 0.0 < self._data.time - self._last_s < self._time_tolerance_s
-
-    def _make_room(self) -> None:
-        """Drop old steps, or double the capacity."""
-        if self._window is None:
-            self._controls = np.concatenate([self._controls, np.empty_like(self._controls)])
-            return
-        drop = self._count - self._window  # a multiple of the distance of keyframes
-        self._controls[: self._window] = self._controls[drop : self._count]
-        self._count = self._window
-        self._keyframes = [(step - drop, state) for step, state in self._keyframes if step >= drop]
-        before = [push for step, push in self._pushes if step <= drop]
-        self._pushes = [(step - drop, push) for step, push in self._pushes if step > drop]
-        if before:
-            self._pushes.insert(0, (0, before[-1]))
-
     def recording(self, reason: str, *, kind: str = "trial", details: Mapping[str, Any] | None = None) -> Recording:
-        """Return what was kept, from the window's first keyframe."""
-        first = 0
-        if self._window is not None and self._count > self._window:
-            first = self._count - self._window
-            first += -first % self._every  # the next keyframe
-        pushes = [(max(0, step - first), push) for step, push in self._pushes if step > first]
-        before = [push for step, push in self._pushes if step <= first]
-        if before:
-            pushes.insert(0, (0, before[-1]))
-        frames = [(step - first, state) for step, state in self._keyframes if step >= first]
-        if self._ended_whole():
+        """Return what was kept."""
+        first = self._stretches[0][0]
+        frames = [(step - first, state) for step, state, _ in self._stretches]
+        if self._continues():
             frames.append((self._count - first, self._state()))
-        none = np.zeros((0, *self._xfrc.shape))
+        before = [(0, push) for step, push in self._pushes if step <= first][-1:]
+        pushes = before + [(step - first, push) for step, push in self._pushes if step > first]
         return Recording(
             kind=kind,
             reason=reason,
             arm=self._world.robot.arm.name,
             scene=self._world.scene,
-            controls=self._controls[first : self._count].copy(),
-            keyframe_steps=np.array([step for step, _ in frames], dtype=np.int64),
+            controls=np.array([row for _, _, rows in self._stretches for row in rows]),
+            keyframe_steps=np.array([step for step, _ in frames]),
             keyframes=np.array([state for _, state in frames]),
             push_steps=np.array([step for step, _ in pushes], dtype=np.int64),
-            pushes=np.array([push for _, push in pushes]) if pushes else none,
-            model=dict(self._fields or {}),
+            pushes=np.array([push for _, push in pushes]).reshape(-1, *self._xfrc.shape),
+            model=self._fields,
             libraries=versions(),
             seed=self._seed,
             details=dict(details or {}),

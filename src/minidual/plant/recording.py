@@ -37,7 +37,6 @@ VERSION = 2
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 """Everything the next step depends on, including the solver's warm start."""
 
-_SIZE_MAX = 256 * 2**20
 _LIBRARIES = ("mujoco", "numpy", "pin", "example-robot-data")
 _BODY = ("body_mass", "body_inertia", "body_ipos", "body_iquat", "body_subtreemass", "body_invweight0")
 _JOINT = ("dof_armature", "dof_damping", "dof_frictionloss", "dof_invweight0", "dof_M0", "jnt_range", "jnt_stiffness")
@@ -98,13 +97,8 @@ class Recording:
 
 def versions() -> dict[str, str]:
     """Return versions that affect bit-exactness."""
-    found = {"minidual": minidual.__version__, "python": platform.python_version(), "machine": platform.machine()}
-    for name in _LIBRARIES:
-        try:
-            found[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            found[name] = "none"
-    return found
+    own = {"minidual": minidual.__version__, "python": platform.python_version(), "machine": platform.machine()}
+    return own | {name: importlib.metadata.version(name) for name in _LIBRARIES}
 
 
 def physical_fields(model: mujoco.MjModel) -> dict[str, Array]:
@@ -168,63 +162,28 @@ def read_recording(path: Path) -> Recording:
     Raises:
         DataError: Missing, damaged, or of another version.
     """
-    again = "record it again, or check that the copy is complete"
     if not path.is_file():
         raise DataError(f"there is no file {path}", remedy="dumps lie in the folder that the error message named")
+    remedy = "record it again, or check that the copy is complete"
     try:
-        with zipfile.ZipFile(path) as archive:
-            names = {Path(name).stem if name.endswith(".npy") else name for name in archive.namelist()}
-            size = sum(item.file_size for item in archive.infolist())
-        if size > _SIZE_MAX:
-            raise DataError(f"{path} would unpack to {size / 2**20:.0f} MiB; recordings are far smaller")
-        if "header" not in names:
-            raise DataError(f"{path} is no recording: it holds {', '.join(sorted(names)[:6]) or 'nothing'}")
         with np.load(path, allow_pickle=False) as stored:
             arrays = dict(stored)
-    except zlib.error as error:
-        raise DataError(f"{path} is damaged: {error}", remedy=again) from error
-    except (zipfile.BadZipFile, EOFError, OSError, ValueError, KeyError, NotImplementedError) as error:
-        cut = "" if zipfile.is_zipfile(path) else " (not a whole npz file: cut off, or of another kind)"
-        raise DataError(f"{path} cannot be read{cut}: {error}", remedy=again) from error
-    return _assemble(path, arrays)
-
-
-def _assemble(path: Path, arrays: dict[str, npt.NDArray[Any]]) -> Recording:
-    try:
         header = json.loads(arrays["header"].tobytes())
-        kind, version = header["format"], header["version"]
-    except (ValueError, KeyError, TypeError) as error:
-        raise DataError(f"{path} is no recording: its header is not readable ({error})") from error
-    if kind != FORMAT:
-        raise DataError(f"{path} is no recording: its format is {kind!r}, not {FORMAT!r}")
-    made_by = f"replay it with minidual {header.get('libraries', {}).get('minidual', 'of its time')}"
-    if version != VERSION:
-        raise DataError(
-            f"{path} has version {version} of the format; this minidual reads version {VERSION}", remedy=made_by
-        )
-    try:
-        fields: dict[str, Any] = {name: header[name] for name in _HEADER} | {name: arrays[name] for name in _ARRAYS}
-        recording = Recording(
+        if header["format"] != FORMAT:
+            raise ValueError(f"its format is '{header['format']}', not '{FORMAT}'")
+        remedy = f"replay it with minidual {header['libraries']['minidual']}, which made it"
+        if header["version"] != VERSION:
+            raise ValueError(f"it has version {header['version']} of the format; this minidual reads version {VERSION}")
+        return Recording(
             scene=SceneConfig.model_validate(header["scene"]),
             model={name[6:]: values for name, values in arrays.items() if name.startswith("model.")},
-            **fields,
+            **{name: header[name] for name in _HEADER},
+            **{name: arrays[name] for name in _ARRAYS},
         )
     except ValidationError as error:
-        raise DataError(
-            f"{path} was recorded in a scene that this version does not know: {error.error_count()} settings differ",
-            remedy=made_by,
-        ) from error
+        settings = ", ".join(".".join(map(str, item["loc"])) for item in error.errors())
+        raise DataError(f"{path} has a scene that this version does not know: {settings}", remedy=remedy) from error
     except KeyError as error:
-        raise DataError(f"{path} is damaged: {error} is missing") from error
-    steps = recording.keyframe_steps
-    whole = (
-        recording.keyframes.ndim == recording.controls.ndim == 2
-        and len(steps) == len(recording.keyframes) > 0
-        and steps[0] == 0
-        and bool((np.diff(steps) > 0).all())
-        and len(recording.push_steps) == len(recording.pushes)
-        and recording.steps > 0
-    )
-    if not whole:
-        raise DataError(f"{path} is damaged: its keyframes, pushes and controls do not fit together")
-    return recording
+        raise DataError(f"{path} is no recording: it lacks {error}", remedy=remedy) from error
+    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, TypeError, ValueError, NotImplementedError) as error:
+        raise DataError(f"{path} is no whole recording: {error}", remedy=remedy) from error

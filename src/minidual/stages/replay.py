@@ -11,8 +11,7 @@ from minidual.plant.model import build_model
 from minidual.plant.recording import Recording, read_recording
 from minidual.plant.replay import Replayed, replay
 from minidual.show.figures.film import CAMERAS, FILM_FPS, Postures, film_postures, sheet_of_postures
-
-_FRAMES = 8
+from minidual.stages.plan_once import target_file
 
 
 def replay_tool(context: ToolContext) -> ToolResult:
@@ -21,60 +20,43 @@ def replay_tool(context: ToolContext) -> ToolResult:
     camera = options.get("camera", "overview")
     if camera not in CAMERAS:
         raise unknown_name("camera", camera, CAMERAS)
-    slowdown, frames = options.get("slowdown", 1.0), options.get("frames", _FRAMES)
+    slowdown, frames = options.get("slowdown", 1.0), options.get("frames", 8)
     if not 0.1 <= slowdown <= 100.0:
         raise UsageError(f"--slowdown is {slowdown:g}; 0.1 <= value <= 100")
     if not 1 <= frames <= 48:
         raise UsageError(f"--frames is {frames}; 1 <= value <= 48")
-    video, picture = (_target(options.get(name), ending) for name, ending in (("video", ".mp4"), ("picture", ".png")))
+    video = target_file("video", options.get("video"), ".mp4")
+    picture = target_file("picture", options.get("picture"), ".png")
     path = Path(options["file"])
     recording = read_recording(path)
     begin, end = options.get("from-s", recording.start_s), options.get("to-s", recording.end_s)
     step_s = (end - begin) / (4 * frames) if video is None else 1.0 / (FILM_FPS * slowdown)
-    postures = Postures(max(recording.dt_s, step_s)) if video or picture else None
-    found = replay(recording, from_s=options.get("from-s"), to_s=options.get("to-s"), on_step=postures)
-    notes = _draw(recording, postures, video, picture, camera, frames)
+    postures = Postures(max(recording.dt_s, step_s))
+    found = replay(recording, from_s=begin, to_s=end, on_step=postures if video or picture else None)
+    notes: list[str] = []
+    if video or picture:
+        model = build_model(recording.scene, recording.robot, visuals=True)
+        if video is not None:
+            notes.append(f"film of {film_postures(model, postures.qpos, video, camera=camera)} frames: {video}")
+        if picture is not None:
+            count = sheet_of_postures(model, postures, picture, frames=frames, camera=camera)
+            notes.append(f"sheet of {count} frames: {picture}")
     broken = found.deviates is not None and not found.versions_differ
+    told = {name: getattr(recording, name) for name in ("kind", "reason", "seed", "details")}
     return ToolResult(
         lines=_lines(path, recording, found),
         notes=notes,
-        data=_document(path, recording, found),
+        data={"file": str(path), **told, "made_by": recording.libraries, "exact": found.exact, **asdict(found)},
         exit_code=ExitCode.ACCEPTANCE_FAILED if broken else ExitCode.PASS,
     )
-
-
-def _target(text: str | None, ending: str) -> Path | None:
-    """Return the output path; UsageError if ending or folder is wrong."""
-    if text is None:
-        return None
-    path = Path(text)
-    if path.suffix != ending:
-        raise UsageError(f"{path} must end in {ending}")
-    if not path.absolute().parent.is_dir():
-        raise UsageError(f"there is no folder {path.parent}", remedy="make it first")
-    return path
-
-
-def _draw(
-    recording: Recording, postures: Postures | None, video: Path | None, picture: Path | None, camera: str, frames: int
-) -> list[str]:
-    if postures is None:
-        return []
-    notes: list[str] = []
-    model = build_model(recording.scene, recording.robot, visuals=True)
-    if video is not None:
-        notes.append(f"film of {film_postures(model, postures.qpos, video, camera=camera)} frames: {video}")
-    if picture is not None:
-        count = sheet_of_postures(model, postures, picture, frames=frames, camera=camera)
-        notes.append(f"sheet of {count} frames: {picture}")
-    return notes
 
 
 def _lines(path: Path, recording: Recording, found: Replayed) -> list[str]:
     made = ", ".join(f"{name} {version}" for name, version in recording.libraries.items())
     extent = f"{recording.start_s:.3f} s to {recording.end_s:.3f} s"
+    seed = "unknown" if recording.seed is None else recording.seed
     lines = [
-        f"{path}: {recording.kind}, seed {'unknown' if recording.seed is None else recording.seed}",
+        f"{path}: {recording.kind}, seed {seed}",
         f"  why       {recording.reason}",
         f"  made by   {made}",
         f"  replayed  {found.from_s:.3f} s to {found.to_s:.3f} s ({found.steps} steps) of {extent}",
@@ -111,16 +93,3 @@ def _repeats(found: Replayed) -> str:
     return (
         f"no: {off.what} is off by {off.size:.3g} at {off.time_s:.3f} s, {found.largest_deviation:.3g} at most; {why}"
     )
-
-
-def _document(path: Path, recording: Recording, found: Replayed) -> dict[str, object]:
-    return {
-        "file": str(path),
-        "kind": recording.kind,
-        "reason": recording.reason,
-        "seed": recording.seed,
-        "details": dict(recording.details),
-        "made_by": dict(recording.libraries),
-        "exact": found.exact,
-        **asdict(found),
-    }
