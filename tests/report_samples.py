@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from minidual.durable import write_csv
 from minidual.gate.check import Check
 from minidual.gate.fingerprint import Fingerprint
 from minidual.gate.manifest import build_manifest
@@ -17,7 +18,6 @@ from minidual.show.report.model import ReportInput
 from minidual.trials.benchmark import BenchmarkCell, conditions_data
 from minidual.trials.comparisons import compare_all, compare_with_clean
 from minidual.trials.metrics import TrialMetrics, summarise
-from minidual.trials.tables import write_csv
 
 METHODS = ("moveit", "impedance", "act")
 STAGES = (
@@ -101,35 +101,7 @@ def methods_data(trials: Sequence[TrialMetrics]) -> dict[str, dict[str, Any]]:
     table = {}
     for method in METHODS:
         summary = summarise([trial for trial in trials if trial.method == method], np.random.default_rng(0))
-        table[method] = {
-            "trials": summary.trials_n,
-            **{
-                name: getattr(summary, name)
-                for name in (
-                    "success_rate",
-                    "success_low",
-                    "success_high",
-                    "duration_median_s",
-                    "duration_low_s",
-                    "duration_high_s",
-                    "torque_ratio_max",
-                    "torque_ratio_median",
-                    "torque_ratio_low",
-                    "torque_ratio_high",
-                    "jerk_rms_median",
-                    "jerk_rms_low",
-                    "jerk_rms_high",
-                    "tilt_max_rad",
-                    "tilt_median_rad",
-                    "tilt_low_rad",
-                    "tilt_high_rad",
-                    "path_length_m",
-                    "path_length_low_m",
-                    "path_length_high_m",
-                )
-            },
-            "failures": dict(summary.failures),
-        }
+        table[method] = summary.record()
     return table
 
 
@@ -220,7 +192,7 @@ def make_run(root: Path, trials: Sequence[TrialMetrics] | None = None) -> Report
         folder.mkdir(parents=True)
         checks, data = _CHECKS.get(stage, []), {}
         if stage == "benchmark":
-            write_csv(folder / "benchmark.csv", trials)
+            write_csv(folder / "benchmark.csv", [t.to_row() for t in trials])
             data = benchmark_data(trials)
             checks = [
                 Check(f"{method}.success_rate", row["success_rate"], ">", 0.5, why="it works")

@@ -60,7 +60,11 @@ def test_a_camera_is_trusted_as_far_as_it_scatters():
 
 
 def test_worse_sensing_raises_no_false_alarm(bench):
-    name = "pose noise x3"
-    worse = Bench("impedance", MethodInputs(changed(Config(), condition(name).settings), 11))
-    result, _ = carry(worse, name)
+    noise = condition("pose noise x3")
+    config = noise.config_under(Config())
+    for name in ("pose_noise_m", "pose_noise_rad"):
+        assert getattr(config.carry.sensing, name) == 3.0 * getattr(Config().carry.sensing, name) > 0.0
+    result, _ = carry(Bench("impedance", MethodInputs(config, 11)), noise.name)
     assert result.success, result.text
+    plain, _ = carry(bench, "clean")
+    assert result.metrics.to_row() != {**plain.metrics.to_row(), "condition": noise.name}, "the noise was not sensed"

@@ -16,19 +16,13 @@ from carry_trials import sample_trial
 from minidual.config.change import changed
 from minidual.config.evaluation import BenchmarkConfig
 from minidual.config.root import Config
+from minidual.durable import write_csv
 from minidual.errors import UsageError
 from minidual.stages.benchmark import benchmark_checks, condition_checks
 from minidual.stages.config_checks import check_benchmark
 from minidual.stages.registry import STAGES
 from minidual.trials import benchmark, runner
-from minidual.trials.benchmark import (
-    BenchmarkCell,
-    conditions_data,
-    count_trials,
-    run_benchmark,
-    summaries,
-    write_cells,
-)
+from minidual.trials.benchmark import BenchmarkCell, conditions_data, count_trials, run_benchmark
 from minidual.trials.conditions import CLEAN, CONDITIONS
 from minidual.trials.methods import METHODS, MethodInputs
 from minidual.trials.metrics import TrialMetrics
@@ -118,7 +112,7 @@ def test_what_does_not_apply_is_not_run_and_says_why(asked: list[Any]) -> None:
 @pytest.mark.parametrize(
     ("settings", "name", "says"),
     [
-        ({"scene.object.friction": 0.3}, "friction 0.3", "the friction is 0.3 without it"),
+        ({"scene.object.friction": 0.3}, "friction 0.3", "without it too, scene.object.friction is 0.3"),
         ({"carry.sensing.delay_s": 0.02}, "delay 20 ms", "without it too, carry.sensing.delay_s is 0.02"),
         ({"carry.sensing.pose_noise_m": 0.0, "carry.sensing.pose_noise_rad": 0.0}, "pose noise x3", "without it too"),
     ],
@@ -189,7 +183,9 @@ def test_a_success_that_nothing_pushed_leaves_its_cell_open(
 def test_a_number_that_is_none_fails(asked: list[Any], name: str) -> None:
     cells = table()
     key = ("impedance", "push +x")
-    bad = dataclasses.replace(cells[key].summary, **{name: math.nan})  # type: ignore[type-var]
+    summary = cells[key].summary
+    assert summary is not None
+    bad = dataclasses.replace(summary, numbers={**summary.numbers, name: math.nan})
     broken = {**cells, key: dataclasses.replace(cells[key], summary=bad)}
     assert failing(broken.values()) == {"cells_not_finite"}
     (check,) = [
@@ -201,19 +197,17 @@ def test_a_number_that_is_none_fails(asked: list[Any], name: str) -> None:
 def test_who_never_succeeds_has_no_time_and_that_is_no_hole(asked: list[Any]) -> None:
     cells = table()
     key = ("act", "push +x")
-    none: dict[str, Any] = {
-        f.name: math.nan
-        for f in dataclasses.fields(cells[key].summary)  # type: ignore[arg-type]
-        if f.name.startswith(("duration", "path", "internal", "pinch"))
-    }
-    lost = dataclasses.replace(cells[key].summary, successes_n=0, success_rate=0.0, **none)  # type: ignore[type-var]
+    summary = cells[key].summary
+    assert summary is not None
+    none = {n: math.nan for n in summary.numbers if n.startswith(("duration", "path", "internal", "pinch"))}
+    lost = dataclasses.replace(summary, successes_n=0, numbers={**summary.numbers, "success_rate": 0.0, **none})
     cell = dataclasses.replace(cells[key], summary=lost)
     assert failing({**cells, key: cell}.values()) == set()
     assert cell.record()["duration_median_s"] == "nan"
 
 
 def test_limits_hold_on_clean_trials_alone(asked: list[Any]) -> None:
-    clean = summaries(list(table().values()))
+    clean = [c.summary for c in table().values() if c.condition == CLEAN and c.summary is not None]
     assert [(s.method, s.condition, s.trials_n) for s in clean] == [(m, CLEAN, 6) for m in METHODS]
     checks = benchmark_checks(clean, BenchmarkConfig(trials_n=6))
     assert {c.name for c in checks if c.limited} == {*(f"{m}.success_rate" for m in METHODS), "trials_per_method"}
@@ -221,7 +215,8 @@ def test_limits_hold_on_clean_trials_alone(asked: list[Any]) -> None:
 
 def test_the_files_hold_every_cell(asked: list[Any], tmp_path: Path) -> None:
     cells = list(table().values())
-    with write_cells(tmp_path / "conditions.csv", cells).open(newline="") as stream:
+    path = write_csv(tmp_path / "conditions.csv", [c.row() for c in cells], missing="does not apply")
+    with path.open(newline="") as stream:
         rows = {(r["method"], r["condition"]): r for r in csv.DictReader(stream)}
     assert set(rows) == {(m, c) for m in METHODS for c in ASKED}
     assert rows["moveit", "light -30 %"]["applies"] == "no: moveit reads no picture"

@@ -196,17 +196,16 @@ def test_the_first_condition_is_clean_and_names_are_checked():
 
 
 def test_a_list_of_conditions_begins_with_the_clean_one():
-    assert parse_conditions("push_+x, clean,friction0.3") == (CLEAN, "push +x", "friction 0.3")
+    assert parse_conditions(["push_+x", "clean", "friction0.3"]) == (CLEAN, "push +x", "friction 0.3")
     assert parse_conditions(["all"]) == tuple(CONDITIONS)
     for typed, says in (
         ("push +x", "lack 'clean'"),
-        ("", "lack 'clean'"),
         ("clean,push +x,push_+x", "named twice"),
         ("all,clean", "stands for every condition"),
         ("clean,pusch +x", "no condition"),
     ):
         with pytest.raises(UsageError, match=says):
-            parse_conditions(typed)
+            parse_conditions(typed.split(","))
 
 
 def test_what_changes_a_sense_alone_does_not_touch_who_lacks_it():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -12,10 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from minidual.demos.smoothness import JERK_FILTER
+from minidual.durable import write_csv
 from minidual.errors import DataError, NothingEvaluatedError, UsageError
 from minidual.tasks.judge import Fault, Outcome
-from minidual.trials import tables
 from minidual.trials.metrics import TrialMetrics, summarise, trial_metrics
 
 
@@ -100,49 +98,43 @@ def test_a_trial_too_short_for_a_jerk_says_so() -> None:
     assert made.to_row()["jerk_rms"] == "not measured"
 
 
-@pytest.mark.parametrize("name", ["q", "tcp_positions"])
-def test_broken_logs_are_refused(name: str) -> None:
+def test_a_log_that_is_not_finite_is_refused() -> None:
     bad = logs()
-    bad[name] = bad[name].copy()
-    bad[name][3] = np.nan
-    with pytest.raises(DataError, match=f"log of {name} of act, trial 1"):
+    bad["q"][3] = np.nan
+    with pytest.raises(DataError, match="NaN or infinity"):
         trial_metrics("act", 1, outcome(), **bad)
-    for shape in ((4001,), (17, *logs()[name].shape[1:])):
-        bad[name] = np.zeros(shape)
-        with pytest.raises(DataError, match="has shape"):
-            trial_metrics("act", 1, outcome(), **bad)
 
 
 def test_a_summary_says_over_which_trials_it_speaks() -> None:
     trials = [trial(0), trial(1), trial(2), trial(3, success=False), trial(4, success=False, failure="arrived")]
     row = summarise(trials, np.random.default_rng(0))
-    assert (row.trials_n, row.successes_n, row.success_rate) == (5, 3, 0.6)
-    assert (row.success_low, row.success_high) == pytest.approx((0.2307, 0.8824), abs=1e-4)
-    assert row.duration_median_s == 9.0
-    assert row.duration_low_s <= 9.0 <= row.duration_high_s
-    assert row.torque_ratio_max == pytest.approx(0.54)
-    assert row.jerk_rms_median == 22.0
-    assert row.tilt_max_rad == 1.5  # the dropped object counts
-    assert row.tilt_median_rad == 0.02
-    assert row.failures == (("arrived", 1), ("held", 1))
+    assert (row.trials_n, row.successes_n, row["success_rate"]) == (5, 3, 0.6)
+    assert (row["success_low"], row["success_high"]) == pytest.approx((0.2307, 0.8824), abs=1e-4)
+    assert row["duration_median_s"] == 9.0
+    assert row["duration_low_s"] <= 9.0 <= row["duration_high_s"]
+    assert row["torque_ratio_max"] == pytest.approx(0.54)
+    assert row["jerk_rms_median"] == 22.0
+    assert row["tilt_max_rad"] == 1.5  # the dropped object counts
+    assert row["tilt_median_rad"] == 0.02
+    assert row.failures == {"arrived": 1, "held": 1}
     assert row.to_row()["failures"] == "arrived 1; held 1"
 
 
 def test_no_successful_trial_is_said_in_words_and_stays_nan_for_checks() -> None:
     row = summarise([trial(s, success=False) for s in range(4)], np.random.default_rng(0))
-    assert (row.success_rate, row.success_low) == (0.0, 0.0)
-    assert math.isnan(row.duration_median_s)
+    assert (row["success_rate"], row["success_low"]) == (0.0, 0.0)
+    assert math.isnan(row["duration_median_s"])
     cells = row.to_row()
     for name in ("duration_median_s", "duration_low_s", "duration_high_s", "path_length_m", "pinch_force_min_n"):
         assert cells[name] == "no successful trial"
     assert cells["tilt_max_rad"] == 1.5
     for at in range(3):
         hole = [trial(i, internal_force_min_n=math.nan if i == at else 30.0) for i in range(3)]
-        assert math.isnan(summarise(hole, np.random.default_rng(0)).internal_force_min_n), "NaN in any place"
+        assert math.isnan(summarise(hole, np.random.default_rng(0))["internal_force_min_n"]), "NaN in any place"
         hole = [trial(i, pinch_force_min_n=math.nan if i == at else 30.0) for i in range(3)]
-        assert math.isnan(summarise(hole, np.random.default_rng(0)).pinch_force_min_n)
+        assert math.isnan(summarise(hole, np.random.default_rng(0))["pinch_force_min_n"])
     unmeasured = summarise([trial(0, jerk_rms=math.nan)], np.random.default_rng(0))
-    assert math.isnan(unmeasured.jerk_rms_median)
+    assert math.isnan(unmeasured["jerk_rms_median"])
     assert unmeasured.to_row()["jerk_rms_median"] == "not measured"
 
 
@@ -158,60 +150,26 @@ def test_summaries_refuse_mixtures_doubles_and_nothing() -> None:
         summarise([trial(0), trial(0)], rng)
 
 
-def test_tables_hold_the_names_of_the_verdict_and_the_definitions(tmp_path: Path) -> None:
+def test_a_table_holds_the_names_and_numbers_of_the_verdict(tmp_path: Path) -> None:
     trials = [trial(s, method=m, success=(s + k) % 3 > 0) for k, m in enumerate(("moveit", "act")) for s in range(6)]
     rng = np.random.default_rng(0)
-    rows = [summarise([t for t in trials if t.method == m], rng) for m in ("moveit", "act")]
-    with tables.write_csv(tmp_path / "new" / "methods.csv", rows).open() as file:
+    summaries = [summarise([t for t in trials if t.method == m], rng) for m in ("moveit", "act")]
+    with write_csv(tmp_path / "new" / "methods.csv", [s.to_row() for s in summaries]).open() as file:
         read = list(csv.DictReader(file))
     assert [line["method"] for line in read] == ["moveit", "act"]
-    for name in (
-        "success_rate",
-        "success_low",
-        "success_high",
-        "duration_median_s",
-        "torque_ratio_max",
-        "jerk_rms_median",
-        "tilt_max_rad",
-        "path_length_m",
-    ):
-        assert float(read[0][name]) == getattr(rows[0], name)
-    with tables.write_csv(tmp_path / "trials.csv", trials).open() as file:
+    for line, summary in zip(read, summaries, strict=True):
+        assert {name: float(line[name]) for name in summary.numbers} == summary.numbers
+        assert summary.record().items() >= summary.numbers.items()
+    assert summaries[1].record()["failures"] == {"held": 2}
+    with write_csv(tmp_path / "trials.csv", [t.to_row() for t in trials]).open() as file:
         assert len(list(csv.DictReader(file))) == 12
-    document = json.loads(tables.write_json(tmp_path / "b.json", rows, trials, {"seed": 3}).read_text())
-    assert document["definitions"]["jerk_filter"] == JERK_FILTER
-    assert document["seed"] == 3
-    assert document["methods"][1]["failures"] == {"held": 2}
-    (paired,) = document["comparisons"]
-    assert (paired["first"], paired["second"], paired["trials_n"]) == ("moveit", "act", 6)
-    assert (paired["only_first_n"], paired["only_second_n"]) == (2, 2)
-    assert len(document["trials"]) == 12
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["b.json", "new", "trials.csv"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["new", "trials.csv"]
 
 
-def test_comparisons_pair_shared_trials_of_one_condition_only() -> None:
-    trials = [
-        trial(0),
-        trial(1),
-        trial(2, condition="pushed"),
-        trial(1, method="moveit", success=False),
-        trial(2, method="moveit"),
-    ]
-    (paired,) = tables.compare_all(trials)
-    assert (paired["trials_n"], paired["only_first_n"]) == (1, 1)
-
-
-def test_empty_tables_and_nan_extras_are_refused(tmp_path: Path) -> None:
-    rows = [summarise([trial(0)], np.random.default_rng(0))]
+def test_an_empty_table_and_a_folder_that_is_a_file_are_refused(tmp_path: Path) -> None:
     with pytest.raises(NothingEvaluatedError):
-        tables.write_csv(tmp_path / "a.csv", [])
-    with pytest.raises(NothingEvaluatedError):
-        tables.write_json(tmp_path / "a.json", rows, [])
-    with pytest.raises(DataError):
-        tables.write_json(tmp_path / "a.json", rows, [trial(0)], {"x": math.nan})
-    with pytest.raises(UsageError, match="trials"):
-        tables.write_json(tmp_path / "a.json", rows, [trial(0)], {"trials": 1})
+        write_csv(tmp_path / "a.csv", [])
     (tmp_path / "file").touch()
     with pytest.raises(UsageError, match="cannot make the folder"):
-        tables.write_csv(tmp_path / "file" / "a.csv", rows)
+        write_csv(tmp_path / "file" / "a.csv", [{"a": 1}])
     assert [path.name for path in tmp_path.iterdir()] == ["file"]

@@ -3,13 +3,16 @@
 import numpy as np
 import pytest
 
+from minidual.config.change import changed
 from minidual.config.loader import load_config
 from minidual.config.root import Config
 from minidual.gate.tool import ToolContext
 from minidual.stages.carry_tools import tune
 from minidual.trials import tuning
+from minidual.trials.metrics import TrialMetrics
 from minidual.trials.tuning import (
     FORCE_FACTOR,
+    FORCES_N,
     OSCILLATION_MAX_M,
     STIFFNESSES_N_PER_M,
     Carried,
@@ -25,7 +28,7 @@ NEEDED_N = Config().scene.task.internal_force_min_n
 @pytest.fixture
 def plant(monkeypatch):
     """A plant that loses 2 N of squeeze, slips over 60 N and oscillates from a stiffness that the test sets."""
-    law = {"loss_n": 2.0, "slips_n": 60.0, "oscillates": 1e9, "torque": 0.7}
+    law = {"loss_n": 2.0, "slips_n": 60.0, "oscillates": 1e9, "torque": 0.7, "failure": "squeezed", "tracking_m": 0.001}
     starts = []
 
     def carry_once(inputs, trial):
@@ -35,16 +38,25 @@ def plant(monkeypatch):
         holds = least > NEEDED_N and impedance.internal_force_n < law["slips_n"]
         oscillation = OSCILLATION_MAX_M * impedance.stiffness_n_per_m / law["oscillates"]
         t = np.linspace(0.0, 1.0, 50)
-        return Carried(
-            holds,
-            "success" if holds else "squeezed",
-            least,
-            0.001,
-            oscillation,
-            0.001,
-            law["torque"],
-            np.array([t, 0.001 + 0 * t, least + 0 * t, 0.5 + 0 * t, 0 * t]),
+        metrics = TrialMetrics(
+            method="impedance",
+            index=trial.index,
+            condition="clean",
+            success=holds,
+            failure="" if holds else law["failure"],
+            reason="" if holds else "too weak",
+            failed_at_s=float("nan") if holds else 1.0,
+            duration_s=6.0 if holds else float("nan"),
+            torque_ratio_max=law["torque"],
+            jerk_rms=20.0,
+            tilt_max_rad=0.001,
+            path_length_m=1.4,
+            internal_force_min_n=least,
+            pinch_force_min_n=60.0,
+            goal_error_m=0.001,
         )
+        series = np.array([t, 0.001 + 0 * t, least + 0 * t, 0.5 + 0 * t, 0 * t])
+        return Carried(metrics, law["tracking_m"], oscillation, series)
 
     monkeypatch.setattr(tuning, "carry_once", carry_once)
     law["starts"] = starts
@@ -77,6 +89,9 @@ def test_forces_that_do_not_hold_are_shown_as_such(plant):
     [
         ({"loss_n": 30.0}, "no squeeze up to 40 N holds"),
         ({"torque": 0.99}, "already takes 99 %"),
+        ({"torque": float("nan")}, "already takes nan %"),
+        ({"failure": "held"}, "is not safe: trial 0, held at 1.00 s"),
+        ({"tracking_m": 0.011}, "tracking 11.0 mm"),
         ({"oscillates": 100.0}, "oscillates even at 150"),
     ],
 )
@@ -136,4 +151,10 @@ def test_oscillation_is_what_is_fast_alone():
 
 
 def test_gains_stay_inside_the_configuration():
-    assert gains(40.0, 500.0)["carry.impedance.stiffness_nm_per_rad"] == pytest.approx(20.0)
+    assert gains(40.0, 500.0)["stiffness_nm_per_rad"] == pytest.approx(20.0)
+    ceiling = changed(Config(), {"carry.impedance.internal_force_n": FORCE_FACTOR * FORCES_N[-1]})
+    assert ceiling.carry.impedance.internal_force_n < 80.0, "the factor may not lead past the safety ceiling"
+    for n in (*FORCES_N, *tuning.COMPARED_N):
+        changed(Config(), {"carry.impedance.internal_force_n": n})
+    with pytest.raises(ValueError, match="less than or equal to 80"):
+        changed(Config(), {"carry.impedance.internal_force_n": 80.1})

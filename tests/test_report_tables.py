@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 import report_samples as samples
 
+from minidual.durable import write_csv
 from minidual.errors import DataError
 from minidual.gate.check import Check
 from minidual.show.report import model
@@ -20,7 +21,6 @@ from minidual.show.report.indicators import INDICATORS, three_digits
 from minidual.show.report.tables import Tables, tabulate
 from minidual.show.report.wording import FAULTS, duration, joined, percent, points
 from minidual.tasks.success import SuccessCondition
-from minidual.trials.tables import write_csv
 
 KEYS = [indicator.key for indicator in INDICATORS]
 
@@ -131,7 +131,7 @@ def test_a_tilt_that_is_rounding_is_shown_as_none() -> None:
 
 def test_trials_survive_the_way_through_the_file(tmp_path: Path) -> None:
     trials = samples.make_trials(6)
-    read = read_trials(write_csv(tmp_path / "benchmark.csv", trials))
+    read = read_trials(write_csv(tmp_path / "benchmark.csv", [t.to_row() for t in trials]))
     assert [(t.method, t.condition, t.success, t.failure) for t in read] == [
         (t.method, t.condition, t.success, t.failure) for t in trials
     ]
@@ -145,7 +145,7 @@ def test_trials_survive_the_way_through_the_file(tmp_path: Path) -> None:
     [("jerk_rms", "jerk", "lacks column 'jerk_rms'"), ("True", "maybe", "line 2: success is 'maybe'")],
 )
 def test_a_damaged_table_of_trials_is_named(tmp_path: Path, before: str, after: str, says: str) -> None:
-    path = write_csv(tmp_path / "benchmark.csv", samples.make_trials(2))
+    path = write_csv(tmp_path / "benchmark.csv", [t.to_row() for t in samples.make_trials(2)])
     path.write_text(path.read_text(encoding="utf-8").replace(before, after, 1), encoding="utf-8")
     with pytest.raises(DataError, match=says):
         read_trials(path)

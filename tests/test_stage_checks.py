@@ -10,11 +10,20 @@ import pytest
 
 from minidual.config.control import CarryLimits
 from minidual.config.evaluation import BenchmarkConfig
+from minidual.config.learning import DeployConfig
+from minidual.config.loader import load_config
+from minidual.config.root import Config
+from minidual.demos.rig import PURPOSE
 from minidual.gate.check import Check
+from minidual.stages import deploy as deploy_stage
 from minidual.stages.benchmark import benchmark_checks
 from minidual.stages.carry import carry_checks
-from minidual.stages.deploy import deploy_checks
+from minidual.stages.deploy import deploy_checks, deploy_starts
+from minidual.tasks.task import make_task
 from minidual.trials.metrics import TrialMetrics, summarise
+from minidual.trials.runner import TrialResult
+
+TASK = Config().scene.task
 
 GOOD: dict[str, Any] = {
     "method": "impedance",
@@ -48,7 +57,7 @@ def failing(checks: list[Check]) -> set[str]:
 
 
 def carry(rows: list[TrialMetrics]) -> list[Check]:
-    return carry_checks(rows, CarryLimits(), force_limit_n=20.0, time_limit_s=15.0)
+    return carry_checks([TrialResult(row) for row in rows], CarryLimits(), TASK)
 
 
 def test_good_carries_pass_every_check() -> None:
@@ -82,29 +91,56 @@ def test_two_lost_rods_of_two_hundred_are_allowed_and_three_are_not() -> None:
 
 def test_a_motor_that_stands_at_its_limit_fails_the_stage() -> None:
     def saturated(seconds: float) -> set[str]:
-        return failing(
-            carry_checks(trials(), CarryLimits(), force_limit_n=20.0, time_limit_s=15.0, saturated_max_s=seconds)
-        )
+        results = [TrialResult(row, saturated_max_s=seconds if row.index == 3 else 0.0) for row in trials()]
+        return failing(carry_checks(results, CarryLimits(), TASK))
 
     assert saturated(0.02) == set()
     assert saturated(0.021) == {"saturated_max_s"}
     assert saturated(math.nan) == {"saturated_max_s"}
 
 
-def test_deploy_fails_below_half_and_when_slow() -> None:
-    good = deploy_checks(30, 50, 200.0, success_rate_min=0.5, inference_hz_min=30.0)
-    assert failing(good) == set()
-    assert failing(deploy_checks(25, 50, 200.0, success_rate_min=0.5, inference_hz_min=30.0)) == {"success_rate"}
-    assert failing(deploy_checks(30, 50, 29.0, success_rate_min=0.5, inference_hz_min=30.0)) == {"inference_hz"}
-    assert failing(deploy_checks(30, 50, math.nan, success_rate_min=0.5, inference_hz_min=30.0)) == {"inference_hz"}
+def deploy(rows: list[TrialMetrics], hz: float = 200.0, *, seen_n: int = 0, judged: bool = True) -> list[Check]:
+    settings = DeployConfig(trials=10, judge_success=judged)
+    return deploy_checks(summarise(rows, np.random.default_rng(0)), seen_n, hz, settings)
+
+
+def missed(count: int) -> list[TrialMetrics]:
+    return [TrialMetrics(**{**GOOD, **(BAD if i < count else {}), "index": i}) for i in range(10)]
+
+
+@pytest.mark.parametrize(
+    ("checks", "names"),
+    [
+        (deploy(missed(4)), set()),
+        (deploy(missed(5)), {"success_rate"}),
+        (deploy(missed(0), 29.0), {"inference_hz"}),
+        (deploy(missed(0), math.nan), {"inference_hz"}),
+        (deploy(missed(0)[:9]), {"trials"}),
+        (deploy(missed(0), seen_n=1), {"held_out_starts_seen"}),
+    ],
+)
+def test_deploy_fails_below_half_when_slow_and_on_demonstrated_starts(checks: list[Check], names: set[str]) -> None:
+    assert failing(checks) == names
 
 
 def test_deploy_without_a_limit_reports_the_rate_and_does_not_pass_on_it() -> None:
-    (rate,) = [
-        c for c in deploy_checks(0, 2, 90.0, success_rate_min=None, inference_hz_min=30.0) if c.name == "success_rate"
-    ]
+    (rate,) = [c for c in deploy(missed(10), judged=False) if c.name == "success_rate"]
     assert rate.passed is None
     assert rate.observed == 0.0
+
+
+def test_held_out_starts_are_none_of_the_demonstrations(monkeypatch: pytest.MonkeyPatch) -> None:
+    config = load_config("smoke").config
+    starts, seen_n = deploy_starts(config, 7, [4, 0, 2])
+    assert seen_n == 0
+    assert [t.index for t in starts["held_out"]] == list(range(config.deploy.trials))
+    assert [t.index for t in starts["training"]] == [4, 0, 2][: config.deploy.training_trials]
+    # The demonstrations' starts are those that teleop-record draws.
+    assert {t.purpose for t in starts["training"]} == {PURPOSE}
+    assert starts["training"][0].start == make_task(config).trial(7, PURPOSE, 4, widen=config.teleop.widen).start
+    # The control: drawn from the demonstrations' stream, the starts 0 and 1 were seen, whatever their width.
+    monkeypatch.setattr(deploy_stage, "HELD_OUT", PURPOSE)
+    assert deploy_starts(config, 7, [4, 0, 1])[1] == 2
 
 
 def summaries(rows: list[TrialMetrics]) -> list[Any]:

@@ -7,16 +7,18 @@ process id, which identifies stale files.
 from __future__ import annotations
 
 import contextlib
+import csv
+import io
 import os
 import re
 import shutil
-from collections.abc import Generator
+from collections.abc import Generator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
 import psutil
 
-from minidual.errors import UsageError
+from minidual.errors import NothingEvaluatedError, UsageError
 
 _PARTIAL = re.compile(r"^\..+\.(?P<pid>\d+)\.partial$")
 
@@ -41,6 +43,24 @@ def write_text(path: Path, text: str) -> None:
     """Replace `path` by `text` (UTF-8) atomically."""
     with replacing(path) as partial:
         partial.write_text(text, encoding="utf-8")
+
+
+def write_csv(path: Path, rows: Sequence[Mapping[str, object]], *, missing: str = "") -> Path:
+    """Replace `path` by a table of `rows` atomically; `missing` fills absent values.
+
+    Raises:
+        NothingEvaluatedError: No rows.
+    """
+    if not rows:
+        raise NothingEvaluatedError(f"no rows for {path}: nothing was evaluated")
+    text = io.StringIO()
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    writer = csv.DictWriter(text, fieldnames=names, restval=missing, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    make_folder(path.parent)
+    write_text(path, text.getvalue())
+    return path
 
 
 def publish(partial: Path, path: Path) -> None:

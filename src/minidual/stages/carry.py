@@ -7,8 +7,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from minidual.config.control import CarryLimits
+from minidual.config.scene import TaskConfig
 from minidual.config.seeds import stream
 from minidual.demos.smoothness import JERK_FILTER
+from minidual.durable import write_csv
 from minidual.errors import DataError
 from minidual.gate.check import Check
 from minidual.gate.stage import StageContext, StageResult
@@ -18,34 +20,21 @@ from minidual.show.figures.trial import draw_trial
 from minidual.show.watch import watch_trials
 from minidual.tasks.task import Trial, make_task
 from minidual.trials.methods import MethodInputs
-from minidual.trials.metrics import TrialMetrics, summarise
+from minidual.trials.metrics import summarise
 from minidual.trials.runner import Bench, TrialResult, run_trials
-from minidual.trials.tables import write_csv, write_json
 
 METHOD = "impedance"
 RECORDED_FAILURES_MAX = 20
 """Most recorded failures; trials.csv has all."""
 
 
-def carry_checks(
-    trials: Sequence[TrialMetrics],
-    limits: CarryLimits,
-    *,
-    force_limit_n: float,
-    time_limit_s: float,
-    saturated_max_s: float = 0.0,
-) -> list[Check]:
-    """Return the stage's checks; extremes include failed trials.
+def carry_checks(results: Sequence[TrialResult], limits: CarryLimits, task: TaskConfig) -> list[Check]:
+    """Return the stage's checks of at least one trial; extremes include failed trials.
 
-    np.max and np.min propagate NaN, so its check fails; the built-ins may drop it.
-
-    Args:
-        trials: At least one.
-        limits: Limits over all trials.
-        force_limit_n: Least internal force of the success test.
-        time_limit_s: Duration counted for a failed trial.
-        saturated_max_s: Longest time at a motor's limit in any trial.
+    np.max and np.min propagate NaN, so its check fails; the built-ins may drop it. A failed trial's duration counts as
+    the time limit.
     """
+    trials = [r.metrics for r in results]
     return [
         Check(
             "success_rate",
@@ -69,14 +58,14 @@ def carry_checks(
             "internal_force_min_n",
             float(np.min([t.internal_force_min_n for t in trials])),
             ">",
-            force_limit_n,
+            task.internal_force_min_n,
             "N",
             "squeeze between the hands while the object is off the table; below it the object may slip",
             "raise carry.impedance.internal_force_n (at most 80)",
         ),
         Check(
             "duration_max_s",
-            float(np.max([t.duration_s if t.success else time_limit_s for t in trials])),
+            float(np.max([t.duration_s if t.success else task.time_limit_s for t in trials])),
             "<",
             limits.duration_max_s,
             "s",
@@ -94,7 +83,7 @@ def carry_checks(
         ),
         Check(
             "saturated_max_s",
-            saturated_max_s,
+            float(np.max([r.saturated_max_s for r in results])),
             "<=",
             limits.saturation_max_s,
             "s",
@@ -107,60 +96,44 @@ def carry_checks(
 def run(context: StageContext) -> StageResult:
     """Run the trials; plot, film and record the median and worst, and record failures."""
     config, task = context.config, make_task(context.config)
-    asked, robot = task.scene.task, robot_from(config.robot)
-    inputs = MethodInputs(config, context.seed)
+    inputs, watch = MethodInputs(config, context.seed), watch_trials(context.view)
     trials = [task.trial(context.seed, "carry", i) for i in range(config.carry.trials_n)]
     results, logs = [], []
     with context.progress.task("carries", len(trials)) as bar:
-        for result, log in run_trials(
-            METHOD, inputs, trials, workers=context.workers, keep_logs=True, watch=watch_trials(context.view)
-        ):
+        for result, log in run_trials(METHOD, inputs, trials, workers=context.workers, keep_logs=True, watch=watch):
             results.append(result)
             logs.append(log)
             bar.advance(note="" if result.success else f"trial {result.metrics.index}: {result.text}")
     metrics = [r.metrics for r in results]
     summary = summarise(metrics, stream(context.seed, "bootstrap/carry"))
-    write_csv(context.folder / "trials.csv", metrics)
-    write_json(context.folder / "trials.json", [summary], metrics)
+    write_csv(context.folder / "trials.csv", [m.to_row() for m in metrics])
 
     order = np.argsort([-m.tilt_max_rad if m.success else -np.inf for m in metrics], kind="stable")
     shown = {"median": int(order[len(order) // 2]), "worst": int(order[0])}
-    films = {"median": "carry.mp4", "worst": "worst.mp4"}
     with context.progress.task("films", len(shown)) as bar:
-        for label, i in shown.items():
+        for (label, i), film in zip(shown.items(), ("carry.mp4", "worst.mp4"), strict=True):
             title = f"{config.carry.object}, {config.carry.motion}: {label} trial ({i}): {results[i].text}"
-            draw_trial(logs[i], task.scene, robot, context.folder / f"{label}.png", title=title)
-            film_trial(METHOD, inputs, trials[i], context.folder / films[label])
+            draw_trial(logs[i], task.scene, robot_from(config.robot), context.folder / f"{label}.png", title=title)
+            film_trial(METHOD, inputs, trials[i], context.folder / film)
             bar.advance()
     _record(context, Bench(METHOD, inputs), trials, results, shown)
 
-    saturated = float(np.max([r.saturated_max_s for r in results]))
-    checks = carry_checks(
-        metrics,
-        config.carry.limits,
-        force_limit_n=asked.internal_force_min_n,
-        time_limit_s=asked.time_limit_s,
-        saturated_max_s=saturated,
-    )
     worst_goal, least_pinch = np.max([m.goal_error_m for m in metrics]), np.min([m.pinch_force_min_n for m in metrics])
-    checks += [
-        Check("success_low", summary.success_low, unit="", why="lower end of the 95 % Wilson interval"),
+    reported = [
+        Check("success_low", summary["success_low"], why="lower end of the 95 % Wilson interval"),
         Check("goal_error_max_m", float(worst_goal), unit="m", why="largest distance from the goal"),
         Check("pinch_force_min_n", float(least_pinch), unit="N", why="least grip in the air"),
-        Check("duration_median_s", summary.duration_median_s, unit="s", why="median of the successful trials"),
-        Check("jerk_rms_median", summary.jerk_rms_median, unit="rad/s^3", why=JERK_FILTER),
+        Check("duration_median_s", summary["duration_median_s"], unit="s", why="median of the successful trials"),
+        Check("jerk_rms_median", summary["jerk_rms_median"], unit="rad/s^3", why=JERK_FILTER),
     ]
     data = {
         "object": config.carry.object,
         "motion": config.carry.motion,
-        "trials": len(metrics),
-        "success_low": summary.success_low,
-        "success_high": summary.success_high,
-        "failures": dict(summary.failures),
+        **summary.record(),
         "stopped": {str(m.index): m.aborted for m in metrics if m.aborted},
         "shown": shown,
     }
-    return StageResult(checks=checks, data=data)
+    return StageResult(checks=carry_checks(results, config.carry.limits, task.scene.task) + reported, data=data)
 
 
 def _record(

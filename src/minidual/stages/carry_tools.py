@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import yaml
 
-from minidual.config.root import Config
+from minidual.config.profiles import DEFAULT_PROFILE, shipped_profiles
+from minidual.durable import write_csv, write_text
 from minidual.errors import ExitCode
 from minidual.gate.tool import ToolContext, ToolResult
 from minidual.show.figures.tuning import draw_tuning
@@ -14,9 +16,8 @@ from minidual.show.watch import watch_trials
 from minidual.tasks.task import task_config
 from minidual.trials.benchmark import count_trials
 from minidual.trials.methods import MethodInputs
-from minidual.trials.perturbation import DROP_MAX, run_perturbations, touching
-from minidual.trials.tables import markdown, write_csv, write_rows, write_text
-from minidual.trials.tuning import CARRIES_N, Tuner, TuningError
+from minidual.trials.perturbation import DROP_MAX, promised, run_perturbations
+from minidual.trials.tuning import CARRIES_N, Tuner, TuningError, gains
 
 PERTURB_TRIALS_N = 20
 
@@ -25,8 +26,8 @@ def perturb(context: ToolContext) -> ToolResult:
     """Run the carry under every condition and compare with clean."""
     trials_n = int(context.options.get("trials", PERTURB_TRIALS_N))
     inputs = MethodInputs(task_config(context.config), context.seed)
-    asked = dict.fromkeys(touching("impedance"), trials_n)
-    with context.progress.task("disturbed carries", count_trials(["impedance"], asked, inputs.config)) as task:
+    count = count_trials(["impedance"], promised(trials_n), inputs.config)
+    with context.progress.task("disturbed carries", count) as task:
         found, trials = run_perturbations(
             "impedance",
             inputs,
@@ -36,17 +37,16 @@ def perturb(context: ToolContext) -> ToolResult:
             watch=watch_trials(context.view),
         )
     rows = [r.row() for r in found]
-    write_rows(context.output / "conditions.csv", rows)
-    write_csv(context.output / "trials.csv", trials)
-    failed = [r for r in found if r.fails]
+    write_csv(context.output / "conditions.csv", rows)
+    write_csv(context.output / "trials.csv", [t.to_row() for t in trials])
+    failed = [r for r in found if not r.holds]
     notes = [
-        f"{r.name}: {s.successes_n} of {s.trials_n}, {100 * r.drop:.0f} points fewer than clean (limit "
+        f"{r.cell.condition}: {r.row()['successes']}, {100 * r.drop:.0f} points fewer than clean (limit "
         f"{100 * DROP_MAX:.0f}): {r.example}"
         for r in failed
-        if (s := r.cell.summary) is not None
     ]
     return ToolResult(
-        lines=markdown(rows),
+        lines=_markdown(rows),
         notes=[*notes, f"written to {context.folder}"],
         data={"trials_n": trials_n, "drop_max": DROP_MAX, "conditions": rows},
         exit_code=ExitCode.ACCEPTANCE_FAILED if failed else ExitCode.PASS,
@@ -66,42 +66,42 @@ def tune(context: ToolContext) -> ToolResult:
         try:
             tuning = tuner.run()
         except TuningError:
-            write_rows(context.output / "tuning.csv", [s.row() for s in tuner.steps])
+            write_csv(context.output / "tuning.csv", [s.row() for s in tuner.steps])
             context.publish()  # what was tried is what tells why nothing was found
             raise
-    profile = {"extends": _base(context.profile), **_as_typed(context.config)}
-    profile["carry"] |= {"object": config.carry.object, "motion": config.carry.motion}
-    impedance = {path.rsplit(".", 1)[1]: value for path, value in tuning.settings.items()}
-    profile["carry"]["impedance"] = {**profile["carry"].get("impedance", {}), **impedance}
+    # With the settings given, for which the gains hold.
+    extends = context.profile if context.profile in shipped_profiles() else DEFAULT_PROFILE
+    given = context.config.model_dump(mode="json", include={"scene", "carry"}, exclude_unset=True)
+    carry = {**given.get("carry", {}), "object": config.carry.object, "motion": config.carry.motion}
+    found = gains(tuning.force_n, tuning.stiffness_n_per_m)
+    carry["impedance"] = {**carry.get("impedance", {}), **found}
+    profile = {"extends": extends, **given, "carry": carry}
     head = (
         f"# Found by `minidual carry --tune`, seed {context.seed}: {tuning.least_force_n:.1f} N is the least squeeze that\n"
         f"# held {CARRIES_N} of {CARRIES_N} carries; see tuning.csv and tuning.png beside this file.\n"
     )
     write_text(context.output / "tuned.yaml", head + yaml.safe_dump(profile, sort_keys=False))
-    write_rows(context.output / "tuning.csv", [s.row() for s in tuning.steps])
+    steps = [s.row() for s in tuning.steps]
+    write_csv(context.output / "tuning.csv", steps)
     draw_tuning(tuning, config.scene.task.internal_force_min_n, context.output / "tuning.png")
     rows = [s.row() for s in (tuning.final, *tuning.compared)]
     return ToolResult(
-        lines=markdown(rows),
+        lines=_markdown(rows),
         notes=[
             f"least squeeze that holds: {tuning.least_force_n:.1f} N",
             f"chosen: {tuning.force_n:.1f} N and {tuning.stiffness_n_per_m:.0f} N/m",
             f"use it: {context.command('carry')} --profile {context.folder / 'tuned.yaml'}",
         ],
         data={
-            "settings": tuning.settings,
+            "settings": {f"carry.impedance.{name}": value for name, value in found.items()},
             "least_force_n": tuning.least_force_n,
-            "steps": [s.row() for s in tuning.steps],
+            "steps": steps,
         },
     )
 
 
-def _as_typed(config: Config) -> dict[str, Any]:
-    """Return the scene and carry settings given, for which the gains hold."""
-    sections = {name: getattr(config, name).model_dump(mode="json", exclude_unset=True) for name in ("scene", "carry")}
-    return {"carry": {}, **{name: values for name, values in sections.items() if values}}
-
-
-def _base(profile: str) -> str:
-    """Return the shipped profile that a tuned one extends."""
-    return profile if profile in ("smoke", "standard", "gpu") else "standard"
+def _markdown(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return rows of equal keys as a Markdown table."""
+    heads = [head.replace("_", " ") for head in rows[0]]
+    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+    return lines + ["| " + " | ".join(str(v) for v in row.values()) + " |" for row in rows]

@@ -7,7 +7,7 @@ from minidual.demos.leader import LEADERS
 from minidual.errors import ConfigError, unknown_name
 from minidual.policies.kinds import POLICIES
 from minidual.trials.conditions import condition, parse_conditions
-from minidual.trials.methods import method_spec, parse_methods
+from minidual.trials.methods import METHODS
 
 
 def check_plan(config: Config) -> None:
@@ -16,7 +16,7 @@ def check_plan(config: Config) -> None:
     if plan.second_queries_n and config.seed == plan.second_seed:
         raise ConfigError(
             f"seed and plan.second_seed are both {config.seed}: the second query set would be the first one",
-            remedy=f"choose another --seed, or --set plan.second_seed={config.seed + 1}",
+            remedy="choose another --seed, or --set plan.second_seed=...",
         )
 
 
@@ -33,8 +33,8 @@ def check_policy(config: Config) -> None:
 
 def check_benchmark(config: Config) -> None:
     """Refuse invalid methods, conditions and limits."""
-    parse_methods(config.benchmark.methods)
+    METHODS.names(config.benchmark.methods)
+    for name in config.benchmark.success_rate_min:
+        METHODS[name]
     for name in parse_conditions(config.benchmark.conditions):
         condition(name).config_under(config)
-    for name in config.benchmark.success_rate_min:
-        method_spec(name)

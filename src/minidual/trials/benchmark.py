@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 from typing import Any
 
 from minidual.config.root import Config
@@ -15,13 +13,9 @@ from minidual.trials.conditions import CLEAN, condition
 from minidual.trials.methods import MethodInputs
 from minidual.trials.metrics import MethodSummary, TrialMetrics, summarise
 from minidual.trials.runner import TrialResult, Watch, run_trials
-from minidual.trials.tables import write_rows
 
 PURPOSE = "benchmark"
 """Random stream of the starts, used by no earlier stage."""
-
-OVER_SUCCESSES = ("duration_", "path_", "internal_", "pinch_")
-"""Prefixes of numbers that need a success."""
 
 
 @dataclass(frozen=True)
@@ -48,23 +42,17 @@ class BenchmarkCell:
             return bool(self.why_not)
         return not self.why_not and not self.undisturbed and self.summary.trials_n >= self.asked_n
 
-    def not_finite(self) -> list[str]:
-        """Return names of numbers that should be finite and are not."""
-        s = self.summary
-        if s is None:
-            return []
-        names = [f.name for f in fields(s) if isinstance(getattr(s, f.name), float)]
-        due = [n for n in names if s.successes_n > 0 or not n.startswith(OVER_SUCCESSES)]
-        return [n for n in due if not math.isfinite(getattr(s, n))]
-
     def record(self) -> dict[str, Any]:
-        """Return JSON types; NaN becomes "nan"."""
+        """Return the cell for a verdict."""
         if self.summary is None:
             return {"applies": False, "why": self.why_not}
-        kept = ("method", "condition", "trials_n", "failures")
-        values = {k: v for k, v in self.summary.__dict__.items() if k not in kept}
-        plain = {k: "nan" if isinstance(v, float) and not math.isfinite(v) else v for k, v in values.items()}
-        return {"applies": True, "trials": self.summary.trials_n, **plain, "failures": dict(self.summary.failures)}
+        return {"applies": True, **self.summary.record()}
+
+    def row(self) -> dict[str, Any]:
+        """Return the cell for CSV."""
+        applies = "yes" if self.summary is not None else f"no: {self.why_not}"
+        values = {} if self.summary is None else self.summary.to_row()
+        return {"method": self.method, "condition": self.condition, "applies": applies, **values}
 
 
 def count_trials(methods: Sequence[str], trials_n: Mapping[str, int], config: Config) -> int:
@@ -79,13 +67,17 @@ def run_benchmark(
     *,
     workers: int,
     purpose: str = PURPOSE,
-    on_trial: Callable[[TrialResult], None] | None = None,
+    on_trial: Callable[[TrialResult], None] = lambda result: None,
     watch: Watch | None = None,
 ) -> tuple[list[BenchmarkCell], list[TrialMetrics]]:
     """Run every method under every condition, `trials_n` trials each.
 
     A cell depends only on seed, method, condition and number of trials: each random stream has its own name.
+
+    Raises:
+        UsageError: A condition sets a value out of bounds; raised before the first trial.
     """
+    configs = {name: condition(name).config_under(inputs.config) for name in trials_n}
     cells: list[BenchmarkCell] = []
     everything: list[TrialMetrics] = []
     for method in methods:
@@ -96,36 +88,17 @@ def run_benchmark(
                 cells.append(BenchmarkCell(method, name, n, None, reason))
                 continue
             rows: list[TrialMetrics] = []
-            config = under.config_under(inputs.config)
-            task = make_task(config)
+            given, task = replace(inputs, config=configs[name]), make_task(configs[name])
             trials = [task.trial(inputs.seed, purpose, i) for i in range(n)]
-            for result, _ in run_trials(
-                method, replace(inputs, config=config), trials, workers=workers, condition=name, watch=watch
-            ):
+            for result, _ in run_trials(method, given, trials, workers=workers, condition=name, watch=watch):
                 rows.append(result.metrics)
-                if on_trial is not None:
-                    on_trial(result)
+                on_trial(result)
             rng = stream(inputs.seed, f"bootstrap/{purpose}/{method}/{name}")
             # Without its push or move, a success is an undisturbed trial.
             missed = tuple(t.index for t in rows if under.act is not None and t.success and t.disturbed is not True)
             cells.append(BenchmarkCell(method, name, n, summarise(rows, rng), undisturbed=missed))
             everything += rows
     return cells, everything
-
-
-def summaries(cells: Sequence[BenchmarkCell], name: str = CLEAN) -> list[MethodSummary]:
-    """Return the summaries under one condition."""
-    return [c.summary for c in cells if c.condition == name and c.summary is not None]
-
-
-def write_cells(path: Path, cells: Sequence[BenchmarkCell]) -> Path:
-    """Write a CSV row for each cell."""
-    rows: list[dict[str, Any]] = []
-    for cell in cells:
-        applies = "yes" if cell.summary is not None else f"no: {cell.why_not}"
-        values = {} if cell.summary is None else cell.summary.to_row()
-        rows.append({"method": cell.method, "condition": cell.condition, "applies": applies, **values})
-    return write_rows(path, rows, missing="does not apply")
 
 
 def conditions_data(cells: Sequence[BenchmarkCell]) -> dict[str, Any]:

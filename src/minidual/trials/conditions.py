@@ -20,7 +20,7 @@ from minidual.errors import UsageError, unknown_name
 from minidual.registry import Registry
 from minidual.robot.pair import Array
 from minidual.tasks.task import Task
-from minidual.trials.methods import SENSES, method_spec
+from minidual.trials.methods import METHODS, SENSES
 
 if TYPE_CHECKING:  # the table must be readable without importing MuJoCo
     import mujoco
@@ -83,18 +83,11 @@ class Condition:
     sense: str = ""
     promised: bool = True
 
-    @property
-    def key(self) -> str:
-        """The name without blanks."""
-        return self.name.replace(" ", "_")
-
     def why_not(self, method: str, config: Config) -> str:
         """Return why it does not apply, or an empty string."""
-        if self.sense and self.sense not in method_spec(method).senses:
+        if self.sense and self.sense not in METHODS[method].senses:
             return f"{method} reads no {SENSES[self.sense]}"
-        if any(value == _configured(config, path) for path, value in self.instead_of.items()):
-            return ", ".join(f"the {p.rsplit('.', 1)[1]} is {v:g} without it" for p, v in self.instead_of.items())
-        values = self.settings_under(config)
+        values = {**self.instead_of, **self.settings_under(config)}
         if values and all(value == _configured(config, path) for path, value in values.items()):
             return "without it too, " + ", ".join(f"{path} is {value:g}" for path, value in values.items())
         return ""
@@ -332,27 +325,20 @@ def condition(name: str) -> Condition:
     return CONDITIONS[known]
 
 
-def parse_conditions(text: str | Sequence[str]) -> tuple[str, ...]:
-    """Return the conditions named in `clean,push +x,friction 0.3`, `clean` first; or `all`.
+def parse_conditions(given: Sequence[str]) -> tuple[str, ...]:
+    """Return the full names of conditions, `clean` first; `all` stands for every condition.
 
     Raises:
         UsageError: Unknown or repeated name, or no `clean`.
     """
-    typed = [n.strip() for n in (text.split(",") if isinstance(text, str) else text)]
-    typed = [n for n in typed if n]
-    if ALL in typed:
-        if len(typed) > 1:
-            others = ", ".join(n for n in typed if n != ALL)
-            raise UsageError(f"'{ALL}' stands for every condition, beside it stands {others}")
+    if list(given) == [ALL]:
         return tuple(CONDITIONS)
-    names = [condition(n).name for n in typed]
-    for name in names:
-        if names.count(name) > 1:
-            raise UsageError(f"condition '{name}' is named twice in {', '.join(typed)}")
+    if ALL in given:
+        raise UsageError(f"'{ALL}' stands for every condition; leave out the others of {', '.join(given)}")
+    names = CONDITIONS.names([condition(name).name for name in given])
     if CLEAN not in names:
         raise UsageError(
-            f"the conditions {', '.join(typed) or '(none)'} lack '{CLEAN}': the limits hold there, and every loss is "
-            "counted from it",
-            remedy="--conditions " + ",".join([CLEAN, *(CONDITIONS[n].key for n in names)]),
+            f"the conditions {', '.join(names)} lack '{CLEAN}': the limits hold there, and every loss is counted from it",
+            remedy="--conditions " + ",".join(name.replace(" ", "_") for name in (CLEAN, *names)),
         )
     return (CLEAN, *(n for n in names if n != CLEAN))

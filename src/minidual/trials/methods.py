@@ -7,13 +7,12 @@ add rows through the entry point group `minidual.methods` (docs/howto-method.md)
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from minidual.config.root import Config
-from minidual.errors import UsageError
 from minidual.registry import Registry
 from minidual.tasks.task import Trial
 
@@ -118,25 +117,3 @@ METHODS: Registry[MethodSpec] = Registry(
     },
     group="minidual.methods",
 )
-
-
-def method_spec(name: str) -> MethodSpec:
-    """Return the row of a method."""
-    return METHODS[name]
-
-
-def parse_methods(text: str | Sequence[str]) -> tuple[str, ...]:
-    """Return the methods named in `moveit,impedance,act`.
-
-    Raises:
-        UsageError: Unknown, repeated or no name.
-    """
-    names = [n.strip() for n in (text.split(",") if isinstance(text, str) else text)]
-    names = [n for n in names if n]
-    if not names:
-        raise UsageError("no method named", remedy=f"--methods {','.join(METHODS)}")
-    for name in names:
-        method_spec(name)
-        if names.count(name) > 1:
-            raise UsageError(f"method '{name}' is named twice in {','.join(names)}")
-    return tuple(names)

@@ -24,7 +24,7 @@ from minidual.tasks.success import ObjectTruth
 from minidual.tasks.task import Task, Trial, make_task
 from minidual.trials.conditions import CLEAN
 from minidual.trials.conditions import condition as named_condition
-from minidual.trials.methods import Method, MethodInputs, MethodSpec, method_spec
+from minidual.trials.methods import METHODS, Method, MethodInputs, MethodSpec
 from minidual.trials.metrics import TrialMetrics, trial_metrics
 from minidual.workers import in_workers
 
@@ -116,7 +116,7 @@ class Bench:
 
     def __init__(self, method: str, inputs: MethodInputs, *, visuals: bool = False) -> None:
         self.method, self.seed = method, inputs.seed
-        self.spec: MethodSpec = method_spec(method)
+        self.spec: MethodSpec = METHODS[method]
         self.task: Task = make_task(inputs.config)
         robot = robot_from(inputs.config.robot)
         model = build_model(self.task.scene, robot, visuals=visuals or self.spec.needs_images)

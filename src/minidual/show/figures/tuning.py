@@ -17,13 +17,13 @@ def draw_tuning(tuning: Tuning, needed_n: float, path: Path) -> None:
     """Draw both searches and the compared forces."""
     figure, ((force, stiffness, track), (squeeze, torque, tilt)) = new_figure(2, 3, 14, 7.2)
     steps = [s for s in tuning.steps if s.phase == "force"]
-    _scatter(force, steps, lambda s: s.force_n, lambda s: s.worst("internal_force_min_n", np.min))
+    _scatter(force, steps, lambda s: s.force_n, lambda s: s.internal_force_min_n)
     limit_line(force, needed_n, "needed")
     force.axvline(tuning.force_n, color=INK, lw=1, label=f"chosen: {tuning.force_n:.1f} N")
     force.set(title="Phase 2: least squeeze that holds", xlabel="commanded squeeze (N)", ylabel="least measured (N)")
 
     steps = [s for s in tuning.steps if s.phase == "stiffness"]
-    _scatter(stiffness, steps, lambda s: s.stiffness_n_per_m, lambda s: 1e3 * s.worst("oscillation_m"))
+    _scatter(stiffness, steps, lambda s: s.stiffness_n_per_m, lambda s: 1e3 * s.oscillation_m)
     limit_line(stiffness, 1e3 * OSCILLATION_MAX_M, "counts as oscillation")
     stiffness.axvline(tuning.stiffness_n_per_m, color=INK, lw=1, label=f"chosen: {tuning.stiffness_n_per_m:.0f} N/m")
     title = "Phase 3: stiffness before oscillation"

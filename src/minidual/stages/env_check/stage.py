@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 
 from minidual.config.seeds import stream
+from minidual.durable import write_csv
 from minidual.gate.stage import StageContext, StageResult
 from minidual.plant.model import build_model
 from minidual.plant.world import World
@@ -17,7 +18,6 @@ from minidual.stages.env_check import model as measure
 from minidual.stages.env_check import pictures, tracking
 from minidual.stages.env_check.checks import Measured, installation_checks, measured_checks
 from minidual.stages.env_check.installation import required_libraries, system_packages
-from minidual.trials.tables import write_rows
 
 
 def run(context: StageContext) -> StageResult:
@@ -60,7 +60,7 @@ def run(context: StageContext) -> StageResult:
         task.advance(note="latency")
         frames = film_postures(model, postures.qpos, folder / "sine.mp4", shadows=False)
         responses = tracking.joint_responses(robot, steps, sine)
-        write_rows(folder / "joints.csv", [asdict(row) for row in responses])
+        write_csv(folder / "joints.csv", [asdict(row) for row in responses])
         pictures.save_tracking(folder / "tracking.png", robot, config, step, steps, sine, responses)
         task.advance(note="film")
 
