@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
-
 import yaml
 
 from minidual.config.profiles import DEFAULT_PROFILE, shipped_profiles
@@ -12,6 +9,7 @@ from minidual.durable import write_csv, write_text
 from minidual.errors import ExitCode
 from minidual.gate.tool import ToolContext, ToolResult
 from minidual.show.figures.tuning import draw_tuning
+from minidual.show.markdown import markdown
 from minidual.show.watch import watch_trials
 from minidual.tasks.task import task_config
 from minidual.trials.benchmark import count_trials
@@ -46,7 +44,7 @@ def perturb(context: ToolContext) -> ToolResult:
         for r in failed
     ]
     return ToolResult(
-        lines=_markdown(rows),
+        lines=markdown(rows),
         notes=[*notes, f"written to {context.folder}"],
         data={"trials_n": trials_n, "drop_max": DROP_MAX, "conditions": rows},
         exit_code=ExitCode.ACCEPTANCE_FAILED if failed else ExitCode.PASS,
@@ -86,7 +84,7 @@ def tune(context: ToolContext) -> ToolResult:
     draw_tuning(tuning, config.scene.task.internal_force_min_n, context.output / "tuning.png")
     rows = [s.row() for s in (tuning.final, *tuning.compared)]
     return ToolResult(
-        lines=_markdown(rows),
+        lines=markdown(rows),
         notes=[
             f"least squeeze that holds: {tuning.least_force_n:.1f} N",
             f"chosen: {tuning.force_n:.1f} N and {tuning.stiffness_n_per_m:.0f} N/m",
@@ -98,10 +96,3 @@ def tune(context: ToolContext) -> ToolResult:
             "steps": steps,
         },
     )
-
-
-def _markdown(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return rows of equal keys as a Markdown table."""
-    heads = [head.replace("_", " ") for head in rows[0]]
-    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
-    return lines + ["| " + " | ".join(str(v) for v in row.values()) + " |" for row in rows]

@@ -16,7 +16,7 @@ from minidual.errors import DataError, EnvironmentMissingError
 from minidual.gate.fingerprint import circumstances_now
 from minidual.gate.tool import ToolContext, ToolResult
 from minidual.gate.verdict import read_verdict
-from minidual.trials.tables import markdown
+from minidual.show.markdown import markdown
 
 
 @dataclass(frozen=True)
