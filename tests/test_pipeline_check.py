@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from minidual.errors import DataError
 from minidual.gate.check import Check, format_number
 
 OPERATORS = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge, "==": operator.eq}
@@ -31,12 +30,9 @@ def test_non_finite_observation_fails_every_limit(op, observed):
 
 
 @pytest.mark.parametrize(("value", "text"), [(math.nan, "nan"), (math.inf, "inf"), (-math.inf, "-inf")])
-def test_non_finite_observation_is_written_as_text_and_read_back(value, text):
+def test_non_finite_observation_is_written_as_text(value, text):
     record = json.loads(json.dumps(Check("x", value, "<", 1.0).to_json(), allow_nan=False))
-    assert record["observed"] == text
-    again = Check.from_json(record)
-    assert again.passed is False
-    assert str(again.observed) == str(value)
+    assert (record["observed"], record["passed"]) == (text, False)
 
 
 def test_check_without_limit_neither_passes_nor_fails():
@@ -97,20 +93,6 @@ def test_only_numbers_are_observed(value):
 def test_limit_is_required_with_an_operator():
     with pytest.raises(TypeError, match="limit"):
         Check("x", 1.0, "<")
-
-
-@settings(deadline=None, max_examples=60)
-@given(st.floats(width=32) | st.booleans() | st.integers(-9, 9), st.sampled_from(sorted(OPERATORS)), finite)
-def test_json_round_trip(observed, op, limit):
-    check = Check("x", observed, op, limit, "m", "why", "remedy")
-    again = Check.from_json(json.loads(json.dumps(check.to_json(), allow_nan=False)))
-    assert again.to_json() == check.to_json()
-
-
-def test_edited_result_is_refused():
-    record = Check("tilt", 2.0, "<", 1.0).to_json() | {"passed": True}
-    with pytest.raises(DataError, match="tilt is written as passed=True, but tilt is 2, limit < 1"):
-        Check.from_json(record)
 
 
 def test_sentence_names_value_limit_and_unit():

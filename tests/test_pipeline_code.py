@@ -51,11 +51,11 @@ def package(tmp_path, monkeypatch):
     write("stranger", "import toycode.stage\n")
     monkeypatch.syspath_prepend(str(folder.parent))
     importlib.invalidate_caches()
-    gate_code._top.cache_clear()
+    gate_code._spec.cache_clear()
     yield write
     for name in [name for name in sys.modules if name.startswith("toycode")]:
         del sys.modules[name]
-    gate_code._top.cache_clear()
+    gate_code._spec.cache_clear()
 
 
 def reach():

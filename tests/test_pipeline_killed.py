@@ -79,34 +79,3 @@ def test_ctrl_c_exits_130_with_one_line(bench, sleeper):
     attempt = json.loads((bench.store.folder / ".first.tmp" / "attempt.json").read_text())
     assert attempt["state"] == "interrupted"
     assert bench.states()[0] == "incomplete"
-
-
-def test_lock_is_not_inherited_by_forked_children(bench, tmp_path):
-    """A worker that outlives its killed parent must not keep the run locked."""
-    script = (
-        "import os, sys, time\n"
-        "from pathlib import Path\n"
-        "from minidual.gate.lock import run_lock\n"
-        "ready, tell = os.pipe()\n"
-        "with run_lock(Path(sys.argv[1]), 'parent'):\n"
-        "    child = os.fork()\n"
-        "    if child == 0:\n"
-        "        os.write(tell, b'.')\n"
-        "        time.sleep(60)\n"
-        "    os.read(ready, 1)\n"  # the child has been scheduled, and with it what runs after a fork
-        "    print(child, flush=True)\n"
-        "    time.sleep(60)\n"
-    )
-    parent = subprocess.Popen(
-        [sys.executable, "-c", script, str(bench.store.folder)], stdout=subprocess.PIPE, text=True
-    )
-    assert parent.stdout is not None
-    child = int(parent.stdout.readline())
-    try:
-        assert bench.store.writer() is not None
-        parent.kill()
-        parent.wait()
-        assert bench.store.writer() is None
-    finally:
-        os.kill(child, signal.SIGKILL)
-        parent.stdout.close()

@@ -10,7 +10,7 @@ from minidual.config.base import limits
 from minidual.config.loader import load_config
 from minidual.errors import ConfigError
 from minidual.gate.table import StageEntry, StageTable
-from minidual.gate.verdict import Verdict
+from minidual.gate.verdict import verdict_from_json
 from minidual.stages.registry import STAGES
 
 PROFILES = ("standard", "gpu")
@@ -102,7 +102,7 @@ def test_it_passes_and_does_not_count_nor_what_rests_on_it(bench, capsys):
         verdict = outcome.verdict
         assert (verdict.status, verdict.acceptance) == ("pass", False)
         assert verdict.weakened == (f"first: {KNOB} is 3, the profile asks for 100",)
-        assert Verdict.from_json(verdict.to_json()).weakened == verdict.weakened
+        assert verdict_from_json(verdict.to_json()).weakened == verdict.weakened
     words = ["status", "--run", "toys", "--runs-dir", str(bench.root), "--set", f"{KNOB}=3"]
     assert run_command_line(words, bench.table) == 0
     assert "NO ACCEPTANCE, it asks for less than the profile: first: plan.queries_n is 3" in " ".join(

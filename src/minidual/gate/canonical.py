@@ -7,6 +7,7 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
@@ -55,12 +56,12 @@ def dumps(value: Any) -> str:
     return json.dumps(canonical(value), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
 
-def parse_json(content: bytes, path: Path) -> Any:
+def parse_json(content: bytes) -> Any:
     """Parse strict JSON; DataError for invalid text, NaN literals and duplicate keys."""
     try:
-        return json.loads(content.decode("utf-8"), parse_constant=_refuse_constant, object_pairs_hook=_unique)
+        return json.loads(content, parse_constant=_refuse_constant, object_pairs_hook=_unique)
     except (ValueError, RecursionError) as error:
-        raise DataError(f"{path} is corrupt: {error}") from error
+        raise DataError(str(error)) from error
 
 
 def _refuse_constant(text: str) -> Any:
@@ -68,21 +69,21 @@ def _refuse_constant(text: str) -> Any:
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    record = dict(pairs)
-    if len(record) != len(pairs):
-        keys = [key for key, _ in pairs]
-        raise ValueError(f"duplicate key '{next(key for key in keys if keys.count(key) > 1)}'")
+    record: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in record:
+            raise ValueError(f"duplicate key '{key}'")
+        record[key] = value
     return record
-
-
-_HASHES: dict[tuple[str, int, int, int, int], str] = {}
 
 
 def file_sha256(path: Path) -> str:
     """Return the sha256 of a file, cached in the process by inode, size, mtime and ctime."""
     stat = path.stat()
-    key = (str(path), stat.st_ino, stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns)
-    if key not in _HASHES:
-        with path.open("rb") as stream:
-            _HASHES[key] = hashlib.file_digest(stream, "sha256").hexdigest()
-    return _HASHES[key]
+    return _sha256(path, stat.st_ino, stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns)
+
+
+@cache
+def _sha256(path: Path, *identity: int) -> str:
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from typing import Any, Literal, get_args
 
-from minidual.errors import DataError
+from minidual.gate.canonical import canonical
 
 Op = Literal["<", "<=", ">", ">=", "=="]
 Number = float | int | bool
@@ -20,21 +20,14 @@ _COMPARE: dict[str, Callable[[Any, Any], bool]] = {
     ">=": operator.ge,
     "==": operator.eq,
 }
-_NON_FINITE = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 
 
-def plain_number(value: Any, what: str) -> Number:
-    """Return `value` as a Python bool, int or float, unpacking numpy scalars; TypeError otherwise."""
+def _plain_number(value: Any, what: str) -> Number:
     if not isinstance(value, bool | int | float) and hasattr(value, "item") and getattr(value, "ndim", 0) == 0:
         value = value.item()
     if not isinstance(value, bool | int | float):
         raise TypeError(f"{what} must be a number or a bool, not {type(value).__name__} ({value!r})")
     return value
-
-
-def jsonable_number(value: Number) -> Number | str:
-    """Return `value` for JSON; non-finite floats become "nan", "inf" or "-inf"."""
-    return str(float(value)) if isinstance(value, float) and not math.isfinite(value) else value
 
 
 @dataclass(frozen=True)
@@ -60,14 +53,14 @@ class Check:
     def __post_init__(self) -> None:
         if not self.name or any(c.isspace() for c in self.name):
             raise ValueError(f"a check needs a name without blanks, not {self.name!r}")
-        object.__setattr__(self, "observed", plain_number(self.observed, f"check {self.name}: observed"))
+        object.__setattr__(self, "observed", _plain_number(self.observed, f"check {self.name}: observed"))
         if self.op is None:
             if self.limit is not None:
                 raise ValueError(f"check {self.name}: limit {self.limit} without an operator")
             return
         if self.op not in _COMPARE:
             raise ValueError(f"check {self.name}: no operator {self.op!r}; there are {', '.join(get_args(Op))}")
-        limit = plain_number(self.limit, f"check {self.name}: limit")
+        limit = _plain_number(self.limit, f"check {self.name}: limit")
         if not math.isfinite(limit):
             raise ValueError(f"check {self.name}: the limit must be finite, is {limit}")
         object.__setattr__(self, "limit", limit)
@@ -107,34 +100,7 @@ class Check:
 
     def to_json(self) -> dict[str, Any]:
         """Return the check, its result and its margin as strict JSON types."""
-        margin = self.margin
-        return {
-            "name": self.name,
-            "observed": jsonable_number(self.observed),
-            "op": self.op,
-            "limit": self.limit,
-            "unit": self.unit,
-            "passed": self.passed,
-            "margin": None if margin is None else jsonable_number(margin),
-            "why": self.why,
-            "remedy": self.remedy,
-        }
-
-    @classmethod
-    def from_json(cls, record: Mapping[str, Any]) -> Check:
-        """Rebuild a check; DataError if the record is malformed or contradicts its values."""
-        try:
-            observed = record["observed"]
-            if isinstance(observed, str):
-                observed = _NON_FINITE[observed]
-            check = cls(
-                record["name"], observed, record["op"], record["limit"], record["unit"], record["why"], record["remedy"]
-            )
-        except (KeyError, TypeError, ValueError) as error:
-            raise DataError(f"malformed check: {error}") from error
-        if record.get("passed") != check.passed:
-            raise DataError(f"check {check.name} is written as passed={record.get('passed')}, but {check.sentence()}")
-        return check
+        return canonical({**asdict(self), "passed": self.passed, "margin": self.margin})
 
 
 def format_number(value: Number | None) -> str:

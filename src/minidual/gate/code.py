@@ -12,7 +12,8 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cache
-from importlib.machinery import ModuleSpec
+from importlib.machinery import ModuleSpec, PathFinder
+from itertools import accumulate
 from pathlib import Path
 
 _TARGET = re.compile(r"(\w+(?:\.\w+)*):\w+")
@@ -70,13 +71,9 @@ def _reach(target: str) -> dict[str, str]:
     wanted = [first]
     while wanted:
         name = wanted.pop()
-        if name in found or name.split(".")[0] not in roots:
-            continue
-        module = _module(name)
-        if module is None:
-            continue
-        found[name], reached = module
-        wanted += [*reached, *_parents(name)]
+        if name not in found and name.split(".")[0] in roots and (module := _module(name)):
+            found[name], reached = module
+            wanted += [*reached, *accumulate(name.split("."), "{}.{}".format)]
     return found
 
 
@@ -86,43 +83,35 @@ def _module(name: str) -> tuple[str, tuple[str, ...]] | None:
     path = _source(name)
     if path is None:
         return None
-    tree = ast.parse(path.read_bytes())
-    _strip(tree)
+    tree = _Strip().visit(ast.parse(path.read_bytes()))
     return hashlib.sha256(ast.dump(tree).encode()).hexdigest()[:16], tuple(sorted(set(_reached(tree))))
 
 
 @cache
-def _top(name: str) -> ModuleSpec | None:
-    return importlib.util.find_spec(name)
+def _spec(name: str) -> ModuleSpec | None:
+    """Find a module without importing its parents."""
+    parent = name.rpartition(".")[0]
+    if not parent:
+        return importlib.util.find_spec(name)
+    above = _spec(parent)
+    folders = above.submodule_search_locations if above else None
+    return PathFinder.find_spec(name, folders) if folders else None
 
 
 def _source(name: str) -> Path | None:
-    top, *below = name.split(".")
-    spec = _top(top)
-    if spec is None or spec.origin is None:
-        return None
-    if not below and not spec.submodule_search_locations:
-        return Path(spec.origin) if spec.origin.endswith(".py") else None
-    for location in spec.submodule_search_locations or ():
-        stem = Path(location, *below)
-        for path in (stem / "__init__.py", stem.with_suffix(".py")):
-            if path.is_file():
-                return path
-    return None
+    origin = spec.origin if (spec := _spec(name)) else None
+    return Path(origin) if origin and origin.endswith(".py") else None
 
 
-def _strip(tree: ast.Module) -> None:
-    for node in ast.walk(tree):
-        for part in ("body", "orelse"):
-            body = getattr(node, part, None)
-            if isinstance(body, list):
-                setattr(node, part, [item for item in body if not _is_silent(item)])  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
+class _Strip(ast.NodeTransformer):
+    """Removes docstrings and blocks under TYPE_CHECKING."""
 
+    def visit_Expr(self, node: ast.Expr) -> ast.AST | None:
+        return None if isinstance(node.value, ast.Constant) and isinstance(node.value.value, str) else node
 
-def _is_silent(node: object) -> bool:
-    if isinstance(node, ast.Expr):
-        return isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
-    return isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
+    def visit_If(self, node: ast.If) -> ast.AST | None:
+        silent = isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
+        return None if silent else self.generic_visit(node)
 
 
 def _reached(tree: ast.Module) -> Iterator[str]:
@@ -136,8 +125,3 @@ def _reached(tree: ast.Module) -> Iterator[str]:
             match = _TARGET.fullmatch(node.value)
             if match:
                 yield match[1]
-
-
-def _parents(name: str) -> list[str]:
-    parts = name.split(".")
-    return [".".join(parts[:length]) for length in range(1, len(parts))]

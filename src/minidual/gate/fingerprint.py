@@ -6,7 +6,7 @@ import os
 import platform
 import subprocess
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -43,16 +43,6 @@ class Fingerprint:
     machine: dict[str, Any]
     libraries: dict[str, str]
     code: Code = field(default_factory=Code)
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the fingerprint as JSON types."""
-        return canonical(asdict(self))
-
-    @classmethod
-    def from_json(cls, record: Mapping[str, Any]) -> Fingerprint:
-        """Rebuild a fingerprint; TypeError or KeyError if malformed."""
-        values: dict[str, Any] = {**record, "code": Code(**record["code"])}
-        return cls(**values)
 
     def choices(self, now: Fingerprint) -> list[str]:
         """Return how parameters, options, seed and profile differ."""

@@ -1,4 +1,8 @@
-"""One writer at a time in a run folder. The kernel releases the lock when its process dies."""
+"""One writer at a time in a run folder.
+
+The kernel releases the lock when its process dies. Workers are started with exec, which closes the file: a fork would
+keep the lock.
+"""
 
 from __future__ import annotations
 
@@ -28,26 +32,14 @@ def run_lock(folder: Path, command: str) -> Generator[None]:
             f"run '{folder.name}' is being written by {holder}",
             remedy=f"wait for it to end, or work in another run with --run NAME (this one is {folder})",
         )
-    # A forked worker inherits the descriptor and would keep the lock after this process was killed, so children close
-    # it.
-    mine = os.getpid()
-    held = True
-
-    def release_in_child() -> None:
-        if held and os.getpid() != mine:
-            os.close(descriptor)
-
-    os.register_at_fork(after_in_child=release_in_child)
     try:
-        text = json.dumps({"pid": mine, "command": command, "since": now_text()})
+        text = json.dumps({"pid": os.getpid(), "command": command, "since": now_text()})
         os.ftruncate(descriptor, 0)
         os.pwrite(descriptor, text.encode(), 0)
         yield
     finally:
-        if os.getpid() == mine:
-            held = False
-            os.ftruncate(descriptor, 0)
-            os.close(descriptor)
+        os.ftruncate(descriptor, 0)
+        os.close(descriptor)
 
 
 def _acquired(descriptor: int) -> bool:

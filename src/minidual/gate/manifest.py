@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any
 
 from minidual.errors import DataError
 from minidual.gate.canonical import file_sha256
@@ -64,13 +63,3 @@ def manifest_changes(folder: Path, manifest: Mapping[str, Artefact]) -> list[str
         elif file_sha256(path) != artefact.sha256:
             reasons.append(f"artefact {name} changed (same size, other content)")
     return reasons
-
-
-def manifest_to_json(manifest: Mapping[str, Artefact]) -> dict[str, Any]:
-    """Return the manifest as JSON types."""
-    return {name: {"sha256": item.sha256, "size_bytes": item.size_bytes} for name, item in manifest.items()}
-
-
-def manifest_from_json(record: Mapping[str, Any]) -> dict[str, Artefact]:
-    """Rebuild a manifest; KeyError or TypeError if malformed."""
-    return {name: Artefact(str(item["sha256"]), int(item["size_bytes"])) for name, item in record.items()}

@@ -91,7 +91,7 @@ class RunStore:
             return None
         path = folder / ATTEMPT_FILE
         try:
-            attempt = Attempt(**parse_json(path.read_bytes(), path))
+            attempt = Attempt(**parse_json(path.read_bytes()))
         except (OSError, DataError, TypeError):
             return Attempt(stage, "interrupted", 0, "", "killed as it began")
         if attempt.state == "running" and not lock_is_held(self.folder):

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, cast
 
+from pydantic import TypeAdapter
+
 from minidual.errors import DataError
 from minidual.gate.canonical import canonical, digest, dumps, parse_json
 from minidual.gate.check import Check
-from minidual.gate.fingerprint import Fingerprint
-from minidual.gate.manifest import Artefact, manifest_from_json, manifest_to_json
+from minidual.gate.fingerprint import Fingerprint, changes
+from minidual.gate.manifest import Artefact
 
 Status = Literal["pass", "fail", "error"]
 SCHEMA = 2
@@ -96,78 +98,49 @@ class Verdict:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Return JSON types, with derived status and digest."""
-        body = canonical(
-            {
-                "schema": SCHEMA,
-                "stage": self.stage,
-                "run": self.run,
-                "profile": self.profile,
-                "status": self.status,
-                "acceptance": self.acceptance,
-                "acceptance_profile": self.acceptance_profile,
-                "started_at": self.started_at,
-                "finished_at": self.finished_at,
-                "duration_s": self.duration_s,
-                "seed": self.fingerprint.seed,
-                "checks": [check.to_json() for check in self.checks],
-                "waivers": [asdict(waiver) for waiver in self.waivers],
-                "weakened": list(self.weakened),
-                "options": self.options,
-                "overrides": list(self.overrides),
-                "notes": list(self.notes),
-                "data": self.data,
-                "artefacts": manifest_to_json(self.artefacts),
-                "fingerprint": self.fingerprint.to_json(),
-            }
-        )
-        body["digest"] = digest(body)
-        return body
+        """Return JSON types, with what is derived and a digest."""
+        derived = {
+            "schema": SCHEMA,
+            "profile": self.profile,
+            "seed": self.fingerprint.seed,
+            "status": self.status,
+            "acceptance": self.acceptance,
+            "checks": [check.to_json() for check in self.checks],
+        }
+        body = canonical({**asdict(self), **derived})
+        return {**body, "digest": digest(body)}
 
     def text(self) -> str:
         """Return the text of the verdict file."""
         return dumps(self.to_json())
 
-    @classmethod
-    def from_json(cls, record: Mapping[str, Any]) -> Verdict:
-        """Rebuild a verdict; DataError if malformed, edited or inconsistent."""
-        try:
-            if record["schema"] != SCHEMA:
-                raise DataError(f"schema {record['schema']} is not {SCHEMA}")
-            if record["digest"] != digest({key: record[key] for key in record if key != "digest"}):
-                raise DataError("its content does not match its digest: it was edited after it was written")
-            verdict = cls(
-                stage=record["stage"],
-                run=record["run"],
-                fingerprint=Fingerprint.from_json(record["fingerprint"]),
-                checks=tuple(Check.from_json(check) for check in record["checks"]),
-                artefacts=manifest_from_json(record["artefacts"]),
-                acceptance_profile=record["acceptance_profile"],
-                started_at=record["started_at"],
-                finished_at=record["finished_at"],
-                duration_s=record["duration_s"],
-                options=record["options"],
-                overrides=tuple(record["overrides"]),
-                waivers=tuple(Waiver(**waiver) for waiver in record["waivers"]),
-                weakened=tuple(record["weakened"]),
-                data=record["data"],
-                notes=tuple(record["notes"]),
-            )
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise DataError(f"malformed verdict ({type(error).__name__}: {error})") from error
-        for key in ("status", "acceptance", "profile"):
-            if record.get(key) != getattr(verdict, key):
-                raise DataError(f"it says {key} {record.get(key)!r}, its content says {getattr(verdict, key)!r}")
-        return verdict
+
+def verdict_from_json(record: dict[str, Any]) -> Verdict:
+    """Rebuild a verdict; DataError if malformed, edited or inconsistent."""
+    if record.get("schema") != SCHEMA:
+        raise DataError(f"schema {record.get('schema')} is not {SCHEMA}")
+    if record.get("digest") != digest({key: record[key] for key in record if key != "digest"}):
+        raise DataError("its content does not match its digest: it was edited after it was written")
+    try:
+        verdict = TypeAdapter(Verdict).validate_python(record)
+    except (ValueError, TypeError) as error:
+        raise DataError(f"malformed verdict ({type(error).__name__}: {error})") from error
+    for key, says, derived in changes(_by_name(record), _by_name(verdict.to_json())):
+        raise DataError(f"it says {key} {says!r}, its content says {derived!r}")
+    return verdict
+
+
+def _by_name(record: dict[str, Any]) -> dict[str, Any]:
+    return {**record, "checks": {check["name"]: check for check in record["checks"]}, "digest": ""}
 
 
 def read_verdict(path: Path) -> tuple[Verdict, str]:
     """Return the verdict in `path` and the file's sha256; DataError if corrupt."""
     content = path.read_bytes()
-    record = parse_json(content, path)
-    if not isinstance(record, dict):
-        raise DataError(f"{path} is corrupt: not a JSON object")
     try:
-        return Verdict.from_json(cast(dict[str, Any], record)), hashlib.sha256(content).hexdigest()
+        record = parse_json(content)
+        if not isinstance(record, dict):
+            raise DataError("not a JSON object")
+        return verdict_from_json(cast(dict[str, Any], record)), hashlib.sha256(content).hexdigest()
     except DataError as error:
         raise DataError(f"{path} is corrupt: {error.message}") from error

@@ -62,7 +62,7 @@ def build_report(given: model.ReportInput, folder: Path) -> Report:
 def document(report: Report) -> dict[str, Any]:
     """Return the report as JSON, without pictures."""
     given, facts = report.given, report.facts
-    made = given.newest.fingerprint.to_json() if given.newest else {}
+    made = asdict(given.newest.fingerprint) if given.newest else {}
     clean, *disturbed = report.tables.rows
     margins = [{"stage": m.stage, "check": m.check.name, "share_of_limit": m.relative} for m in facts.margins]
     return {
