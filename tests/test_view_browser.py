@@ -28,7 +28,7 @@ Picture = npt.NDArray[np.uint8]
 
 def shows_scene(picture: Picture) -> bool:
     """Return whether a picture has the rod's orange, the goal's green, a grey-blue table and white arms."""
-    p = picture[160:, :650].astype(int)  # below the browser's notice, beside the panel
+    p = picture[60:, :370].astype(int)  # below the browser's notice, beside the panel
     r, g, b = p[..., 0], p[..., 1], p[..., 2]
     orange = ((r > 190) & (g > 70) & (g < 190) & (b < 110) & (r - b > 100)).mean()
     green = ((g - r > 50) & (g - b > 30)).mean()
@@ -39,13 +39,13 @@ def shows_scene(picture: Picture) -> bool:
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    with Browser(BROWSER, tmp_path_factory.mktemp("browser")) as made:
+    with Browser(BROWSER, tmp_path_factory.mktemp("browser"), size=(720, 420)) as made:  # drawn in software
         yield made
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """Run `minidual view` and yield its process and the address that it printed."""
+def process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[subprocess.Popen[str]]:
+    """Run `minidual view`; it loads while the first test runs."""
     folder = tmp_path_factory.mktemp("runs")
     command = [
         sys.executable,
@@ -59,6 +59,8 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[subprocess
         "--json",
         "--view-port",
         "8500",
+        "--set",
+        "view.rate_hz=4",
         "--runs-dir",
         str(folder),
     ]
@@ -69,18 +71,22 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[subprocess
         text=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored under a background job
     )
-    assert process.stderr is not None
-    found = None
-    for line in process.stderr:
-        if found := re.match(r"view: (\S+)", line):
-            break
-    assert found, "the command printed no address"
-    yield process, found[1]
+    yield process
     if process.poll() is None:
         process.kill()
     process.communicate()
 
 
+@pytest.fixture(scope="module")
+def address(process: subprocess.Popen[str]) -> str:
+    """Return the address that `minidual view` printed."""
+    assert process.stderr is not None
+    found = next((found for line in process.stderr if (found := re.match(r"view: (\S+)", line))), None)
+    assert found, "the command printed no address"
+    return found[1]
+
+
+@pytest.mark.usefixtures("process")
 def test_pages_without_the_scene_do_not_pass(browser: Browser) -> None:
     """Negative controls: a blank page, a page that nobody serves, and the server without a scene."""
     assert not shows_scene(browser.picture())
@@ -91,7 +97,7 @@ def test_pages_without_the_scene_do_not_pass(browser: Browser) -> None:
     try:
         browser.go(str(empty.url))
         browser.wait(lambda picture: bool(np.ptp(picture) > 50), limit_s=20.0)
-        time.sleep(1.0)
+        time.sleep(0.5)
         assert "minidual" in browser.text()  # the page is there; what it should show is not
         assert not shows_scene(browser.picture())
     finally:
@@ -99,10 +105,7 @@ def test_pages_without_the_scene_do_not_pass(browser: Browser) -> None:
 
 
 @pytest.mark.timeout(400)  # drawn in software, on a busy machine, a picture can take half a minute
-def test_the_scene_is_in_the_picture_and_nothing_comes_from_the_net(
-    browser: Browser, scene: tuple[subprocess.Popen[str], str]
-) -> None:
-    _, address = scene
+def test_the_scene_is_in_the_picture_and_nothing_comes_from_the_net(browser: Browser, address: str) -> None:
     browser.requests.clear()
     browser.go(address)
     picture = browser.wait(shows_scene, limit_s=60.0)
@@ -112,7 +115,7 @@ def test_the_scene_is_in_the_picture_and_nothing_comes_from_the_net(
         assert text in words
     seconds = re.compile(r"simulated time\s+([\d.]+) s")
     before = seconds.search(browser.text())
-    time.sleep(1.0)
+    time.sleep(0.6)
     after = seconds.search(browser.text())
     assert before
     assert after
@@ -127,9 +130,8 @@ def test_the_scene_is_in_the_picture_and_nothing_comes_from_the_net(
 
 
 def test_a_closed_page_stops_nothing_and_ctrl_c_is_a_clean_end(
-    browser: Browser, scene: tuple[subprocess.Popen[str], str]
+    browser: Browser, process: subprocess.Popen[str]
 ) -> None:
-    process, _ = scene
     browser.go("about:blank")
     time.sleep(0.5)
     assert process.poll() is None

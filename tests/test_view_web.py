@@ -17,7 +17,6 @@ from minidual.config.root import Config
 from minidual.config.view import ViewConfig
 from minidual.plant.world import World
 from minidual.show.view import Arrow, Overlay, PathLine, Preview, Slider, make_view
-from minidual.show.view.pace import Metronome
 from minidual.show.view.web import WebView
 from minidual.show.watch import Watcher, overlay, visual_model, watch_trials, watched
 from minidual.trials.methods import MethodInputs
@@ -41,12 +40,7 @@ def view(lines: list[str]) -> Iterator[WebView]:
 
 
 def _show(view: WebView, world: World, **words: object) -> None:
-    """Show one picture and wait until the thread has taken it."""
     view.update(world.data, Overlay(world.time, **words))  # type: ignore[arg-type]
-    end = time.monotonic() + 5.0
-    while (view._slot is not None or view._lock.locked()) and time.monotonic() < end:
-        time.sleep(0.005)
-    time.sleep(0.02)
 
 
 def _connects(host: str, port: int) -> bool:
@@ -158,7 +152,6 @@ def test_what_breaks_in_the_view_is_said_once_and_stays_there(
 
     monkeypatch.setattr(view._scene, "move", broken)
     view.update(world.data, Overlay(0.0))
-    view._thread.join(timeout=5.0)
     assert not view.alive
     assert not view.due()
     view.update(world.data, Overlay(0.0))  # a caller that does not look is not punished
@@ -203,13 +196,13 @@ def test_no_one_can_open_a_public_tunnel(view: WebView) -> None:
 
 
 def test_a_watched_trial_ends_as_an_unwatched_one_to_the_last_bit(view: WebView) -> None:
-    scene = CONFIG.scene.model_copy(update={"task": CONFIG.scene.task.model_copy(update={"time_limit_s": 2.5})})
+    scene = CONFIG.scene.model_copy(update={"task": CONFIG.scene.task.model_copy(update={"time_limit_s": 1.5})})
     config = CONFIG.model_copy(update={"scene": scene})
     inputs = MethodInputs(config, 5)
     trials = [sample_trial(scene, 5, "view-test", 0)]
     shown: list[Overlay] = []
     plain, log = next(run_trials("impedance", inputs, trials, workers=1, keep_logs=True))
-    view._metronome = Metronome(1000.0)  # nobody is connected: a tenth of it is what is shown
+    view._period_s = 0.001  # nobody is connected: a tenth of it is what is shown
     update = view.update
     view.update = lambda data, words: (shown.append(words), update(data, words))[1]  # type: ignore[method-assign]
     seen, seen_log = next(run_trials("impedance", inputs, trials, workers=1, keep_logs=True, watch=watch_trials(view)))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import functools
+import math
+import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
@@ -22,13 +24,12 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot
 from minidual.show.view import NO_PREVIEW, Arrow, Overlay, PathLine, Preview, View
 from minidual.show.view.overlay import ARM_RGB
-from minidual.show.view.pace import Brake
 from minidual.trials.methods import Method
 from minidual.trials.runner import Bench, StepHook, Watch
 
 _ASIDE_M = np.array([0.05, 0.0, 0.0])
 """Force arrows start this far from the hands; the object would hide them."""
-_BRAKE_EVERY_S = 0.01
+_BRAKE_EVERY_S, _LOST_S = 0.01, 0.1
 _PATH_POINTS = 60
 _STATIC_M = 1e-3
 
@@ -57,6 +58,26 @@ def overlay(world: World, words: Overlay) -> Overlay:
         internal_n=world.internal_force(),
         arrows=tuple(Arrow(world.data.body(name).xpos + _ASIDE_M, np.array(f), rgb) for name, f, rgb in hands),
     )
+
+
+class Brake:
+    """Limits simulated time to `speed` times wall time."""
+
+    def __init__(
+        self, speed: float, clock: Callable[[], float] = time.monotonic, sleep: Callable[[float], None] = time.sleep
+    ) -> None:
+        self._speed, self._clock, self._sleep = speed, clock, sleep
+        self._start, self._last_s = (0.0, 0.0), math.inf
+
+    def hold(self, time_s: float) -> None:
+        """Sleep until `time_s` is allowed; lags over 0.1 s are not caught up."""
+        now = self._clock()
+        ahead = (time_s - self._start[1]) / self._speed - (now - self._start[0])
+        if time_s < self._last_s or ahead < -_LOST_S:
+            self._start = (now, time_s)
+        elif ahead > 0.0:
+            self._sleep(ahead)
+        self._last_s = time_s
 
 
 class Watcher:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
 import signal
 import threading
@@ -12,21 +13,20 @@ from types import FrameType
 
 import numpy as np
 
-from minidual.control.loop import JointLoop
+from minidual.control.commands import JointCommand
+from minidual.control.stack import ControlStack
 from minidual.errors import UsageError
 from minidual.gate.tool import ToolContext, ToolResult
 from minidual.plant.world import World
 from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Robot
-from minidual.show.view import Overlay, Slider
-from minidual.show.watch import watched
+from minidual.show.view import Slider
+from minidual.show.watch import Brake, StackNarrator, watched
 
-SLIDER_SPEED_RAD_S = 0.8
-"""Largest joint speed towards a slider."""
-_SLICE_S = 0.01
-_LOST_S = 0.1
-"""Larger delays are not caught up."""
+_SOURCE = "teleop"
+_SLICE_S = 0.02
+"""Between two targets from the sliders: one tick of the arbiter, which limits the speed towards them."""
 
 
 def joint_sliders(robot: Robot) -> list[Slider]:
@@ -70,26 +70,23 @@ def view_scene(context: ToolContext) -> ToolResult:
     if not for_s > 0.0:
         raise UsageError(f"--for-s is {for_s:g}; it must be above 0")
     robot = robot_from(context.config.robot)
-    world = World(context.config.scene, robot)
-    loop = JointLoop(world, Kinematics(robot))
+    world, kinematics = World(context.config.scene, robot), Kinematics(robot)
+    stack, brake = ControlStack(world, kinematics, context.config.arbiter), Brake(1.0)
+    stack.request(_SOURCE)
     view.offer(joint_sliders(robot))
-    target, step = robot.home.copy(), SLIDER_SPEED_RAD_S * world.dt
-    words = Overlay(title="the scene", mode="joint", source="sliders", state="following joint targets")
+    narrate = StackNarrator(stack, kinematics, "the scene, moved by the sliders")
     began = time.monotonic()
-    with interruptions() as stop, contextlib.suppress(KeyboardInterrupt), watched(view, world, lambda: words):
-        began = due = time.monotonic()
-        while view.alive and not stop.is_set() and time.monotonic() - began < for_s:
+    with interruptions() as stop, contextlib.suppress(KeyboardInterrupt), watched(view, world, narrate):
+        began = time.monotonic()
+        for sequence in itertools.count(1):
+            if not view.alive or stop.is_set() or time.monotonic() - began >= for_s:
+                break
             *joints, left, right = view.slider_values()
-            wanted = np.clip(joints, robot.q_lower, robot.q_upper)
+            target = np.clip(joints, robot.q_lower, robot.q_upper)
+            stack.propose(_SOURCE, JointCommand(target, np.array([left, right]), world.time, sequence))
             for _ in range(round(_SLICE_S / world.dt)):
-                target = target + np.clip(wanted - target, -step, step)
-                loop.step(target, np.array([left, right]))
-            due += _SLICE_S
-            ahead = due - time.monotonic()
-            if ahead > 0.0:
-                time.sleep(ahead)
-            elif ahead < -_LOST_S:
-                due = time.monotonic()
+                stack.step()
+            brake.hold(world.time)
     spent = time.monotonic() - began
     return ToolResult(
         notes=[f"showed {world.time:.1f} s of simulated time in {spent:.1f} s"],

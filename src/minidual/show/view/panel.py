@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import html
 import math
-from collections import deque
+import time
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from viser import uplot
 
 from minidual.show.view.overlay import ARM_RGB, OBJECT_RGB, Array, Overlay, Slider
 
-_FORCE_FULL_N = 80.0
-"""Top of the plot: ceiling of the internal force."""
-_HISTORY = 200
 _FORCES = (
     ("pinch, left hand", ARM_RGB[0]),
     ("pinch, right hand", ARM_RGB[1]),
@@ -34,26 +30,17 @@ def table_html(overlay: Overlay, speed: float | None) -> str:
         ("speed", "" if speed is None else f"{speed:.2f} x real time"),
     ]
     cells = "".join(_row(name, text) for name, text in rows if text)
-    for (name, rgb), force in zip(_FORCES, _forces(overlay) or (), strict=False):
-        cells += _row(name, f"{round(force, 1) + 0.0:.1f} N", rgb)  # adding zero removes the sign of -0.0
+    if overlay.pinch_n is not None and overlay.internal_n is not None:
+        for (name, rgb), force in zip(_FORCES, (*overlay.pinch_n, overlay.internal_n), strict=True):
+            cells += _row(name, f"{round(force, 1) + 0.0:.1f} N", rgb)  # adding zero removes the sign of -0.0
     title = f"<b>{html.escape(overlay.title)}</b>" if overlay.title else ""
     return f"<div style='padding:4px 12px;font-size:13px'>{title}<table style='width:100%'>{cells}</table></div>"
 
 
 def _row(name: str, text: str, rgb: tuple[int, int, int] | None = None) -> str:
-    mark = "" if rgb is None else f"<span style='color:{_css(rgb)}'>&#9632;</span> "
+    mark = "" if rgb is None else f"<span style='color:rgb{rgb}'>&#9632;</span> "
     value = f"<td style='text-align:right'>{mark}{html.escape(text)}</td>"
     return f"<tr><td style='opacity:.6;padding-right:1em'>{name}</td>{value}</tr>"
-
-
-def _css(rgb: tuple[int, int, int]) -> str:
-    return "rgb({},{},{})".format(*rgb)
-
-
-def _forces(overlay: Overlay) -> tuple[float, float, float] | None:
-    if overlay.pinch_n is None or overlay.internal_n is None:
-        return None
-    return (*overlay.pinch_n, overlay.internal_n)
 
 
 class Panel:
@@ -64,35 +51,17 @@ class Panel:
         self._gui.configure_theme(show_logo=False, show_share_button=False)
         self._gui.set_panel_label("minidual")
         self._table = self._gui.add_html("starting ...")
-        lines = [
-            uplot.Series(label=f"{name} [N]", stroke=_css(rgb), width=1.5, points={"show": False})
-            for name, rgb in _FORCES
-        ]
-        self._plot = self._gui.add_uplot(
-            data=(np.array([0.0, 1.0]), *np.zeros((3, 2))),
-            series=(uplot.Series(label="t [s]"), *lines),
-            scales={"x": uplot.Scale(time=False), "y": uplot.Scale(range=(0.0, _FORCE_FULL_N))},
-            legend=uplot.Legend(show=False),
-            aspect=2.2,
-            visible=False,
-        )
-        self._history: deque[tuple[float, ...]] = deque(maxlen=_HISTORY)
+        self._seen = (0.0, math.inf)
         self._sliders: list[Any] = []
         self._offered: list[Slider] = []
         self._values: list[float] = []
 
-    def show(self, overlay: Overlay, speed: float | None) -> None:
-        """Show one instant."""
+    def show(self, overlay: Overlay) -> None:
+        """Show one instant, and the speed since the last one shown."""
+        (then, before_s), now = self._seen, time.monotonic()
+        speed = (overlay.time_s - before_s) / (now - then) if overlay.time_s > before_s else None
+        self._seen = (now, overlay.time_s)
         self._table.content = table_html(overlay, speed)
-        forces = _forces(overlay)
-        self._plot.visible = forces is not None
-        if forces is None:
-            return
-        if self._history and overlay.time_s <= self._history[-1][0]:
-            self._history.clear()
-        self._history.append((overlay.time_s, *forces))
-        if len(self._history) > 1:
-            self._plot.data = tuple(np.ascontiguousarray(column) for column in np.array(self._history).T)
 
     def offer(self, sliders: Sequence[Slider]) -> None:
         """Add sliders, a folder per group."""

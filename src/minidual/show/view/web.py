@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import contextlib
-import threading
+import errno
+import getpass
+import ipaddress
+import socket
+import time
 from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import mujoco
-import numpy as np
 import viser
 
 from minidual.config.view import ViewConfig
-from minidual.show.view.network import free_port, is_loopback, tunnel_command, url
+from minidual.errors import UsageError
 from minidual.show.view.overlay import Array, Overlay, Slider
-from minidual.show.view.pace import Metronome, SpeedMeter
 from minidual.show.view.panel import Panel
 from minidual.show.view.scene import Scene
 
-_PANEL_HZ = 6.0
+_PORTS_TRIED = 50
+_PANEL_PERIOD_S = 1.0 / 6.0
 _UNWATCHED = 10.0
 """Factor on the frame period without a connected browser."""
 _FAREWELL_S = 0.3
@@ -32,17 +35,10 @@ class _Server(viser.ViserServer):
         del verbose
 
 
-@dataclass(frozen=True)
-class _Frame:
-    positions: Array
-    quaternions: Array
-    overlay: Overlay
-
-
 class WebView:
     """See minidual.show.view.protocol.View.
 
-    A thread sends the newest state, so slow clients do not delay the simulation. An error in it ends the view and is
+    The server's own thread sends, so slow clients do not delay the simulation. An error in drawing ends the view and is
     reported once.
 
     Raises:
@@ -54,24 +50,19 @@ class WebView:
     def __init__(self, config: ViewConfig, say: Callable[[str], None]) -> None:
         self._say = say
         self.speed_max = config.speed_max
-        port = free_port(config.host, config.port)
+        self.port = free_port(config.host, config.port)
         with _quiet():
-            self._server = _Server(host=config.host, port=port, label="minidual", verbose=False)
-        self.port = self._server.get_port()
+            self._server = _Server(host=config.host, port=self.port, label="minidual", verbose=False)
         self.url: str | None = url(config.host, self.port)
+        self.alive = True
+        """Whether it is visible."""
+        self._closed = False
         self._panel = Panel(self._server)
         self._scene: Scene | None = None
         self._model: mujoco.MjModel | None = None
-        self._metronome = Metronome(config.rate_hz)
-        self._panel_metronome = Metronome(_PANEL_HZ)
-        self._speed = SpeedMeter()
-        self._slot: _Frame | None = None
-        self._lock = threading.Lock()  # held while the scene is drawn or replaced
-        self._wake = threading.Event()
-        self._ending = False
-        self._broken = False
-        self._thread = threading.Thread(target=self._publish, name="minidual-view", daemon=True)
-        self._thread.start()
+        self._overlay = Overlay()
+        self._period_s = 1.0 / config.rate_hz
+        self._frame_due_s = self._panel_due_s = 0.0
         self._introduce(config)
 
     def _introduce(self, config: ViewConfig) -> None:
@@ -88,34 +79,32 @@ class WebView:
                 "it and can move its sliders; there is no password"
             )
 
-    @property
-    def alive(self) -> bool:
-        """Whether it is visible."""
-        return not (self._ending or self._broken)
-
-    @property
-    def clients_n(self) -> int:
-        """Number of connected browsers."""
-        return len(self._server.get_clients())
-
     def open(self, model: mujoco.MjModel) -> None:
         """Show `model`."""
-        if model is self._model or not self.alive:
-            return
-        with self._lock:
-            self._slot = None
-            self._scene = Scene(self._server, model)
-            self._model = model
+        if model is not self._model and self.alive:
+            self._scene, self._model = Scene(self._server, model), model
 
     def due(self) -> bool:
         """Return whether a new frame is due."""
-        return self._metronome.due() and self._model is not None and self.alive
+        return time.monotonic() >= self._frame_due_s and self._scene is not None and self.alive
 
     def update(self, data: mujoco.MjData, overlay: Overlay) -> None:
-        """Store a copy for the thread."""
-        self._slot = _Frame(data.xpos.copy(), data.xquat.copy(), overlay)
-        self._metronome.done(1.0 if self.clients_n else _UNWATCHED)
-        self._wake.set()
+        """Draw one instant."""
+        if self._scene is None or not self.alive:
+            return
+        try:
+            with self._server.atomic():
+                self._scene.move(data.xpos, data.xquat)
+                self._scene.draw_forces(overlay.arrows)
+            self._scene.draw_preview(overlay.preview)
+            self._overlay, now = overlay, time.monotonic()
+            if now >= self._panel_due_s:
+                self._panel.show(overlay)
+                self._panel_due_s = now + _PANEL_PERIOD_S
+            self._frame_due_s = now + self._period_s * (1.0 if self._server.get_clients() else _UNWATCHED)
+        except Exception as error:  # no error may reach the simulation
+            self.alive = False
+            self._say(f"the view ended early ({type(error).__name__}: {error}); what it showed goes on")
 
     def offer(self, sliders: Sequence[Slider]) -> None:
         """Add sliders."""
@@ -125,45 +114,64 @@ class WebView:
         """Return the slider values (n,)."""
         return self._panel.values()
 
-    def _publish(self) -> None:
-        try:
-            while not self._ending:
-                self._wake.wait()
-                self._wake.clear()
-                with self._lock:
-                    frame, self._slot = self._slot, None
-                    if frame is not None and self._scene is not None and not self._ending:
-                        self._draw(self._scene, frame)
-        except Exception as error:  # no error may reach the simulation
-            self._broken = True
-            self._say(f"the view ended early ({type(error).__name__}: {error}); what it showed goes on")
-
-    def _draw(self, scene: Scene, frame: _Frame) -> None:
-        speed = self._speed.add(frame.overlay.time_s)
-        with self._server.atomic():
-            scene.move(frame.positions, frame.quaternions)
-            scene.draw_forces(frame.overlay.arrows)
-        scene.draw_preview(frame.overlay.preview)
-        if self._panel_metronome.due():
-            self._panel.show(frame.overlay, speed)
-            self._panel_metronome.done()
-
     def close(self) -> None:
         """Mark the page as ended; stop the server."""
-        if self._ending:
+        if self._closed:
             return
-        last = self._slot
-        self._ending = True
-        self._wake.set()
-        self._thread.join(timeout=2.0)
+        self._closed, self.alive = True, False
         with contextlib.suppress(Exception):  # the page also notices the closed connection
-            overlay = last.overlay if last is not None else Overlay(np.nan)
-            self._panel.show(replace(overlay, status="ended: the command has finished"), None)
+            self._panel.show(replace(self._overlay, status="ended: the command has finished"))
             self._server.flush()
-            if self.clients_n:
-                threading.Event().wait(_FAREWELL_S)
+            if self._server.get_clients():
+                time.sleep(_FAREWELL_S)
         with _quiet():
             self._server.stop()
+
+
+def free_port(host: str, first: int, tries: int = _PORTS_TRIED) -> int:
+    """Return the first bindable port.
+
+    Raises:
+        UsageError: Unusable interface, or no free port.
+    """
+    last = min(first + tries, 65536) - 1
+    for port in range(first, last + 1):
+        try:
+            family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
+            socket.create_server((host, port), family=family).close()
+            return port
+        except OSError as error:
+            if error.errno != errno.EADDRINUSE:
+                raise UsageError(
+                    f"the view cannot bind interface '{host}', port {port}: {error.strerror or error}",
+                    remedy="--view-host 127.0.0.1 for this machine only, and a --view-port from 1024 up",
+                ) from error
+    raise UsageError(
+        f"no free port for the view among {first} to {last}", remedy="end the program that holds them, or --view-port N"
+    )
+
+
+def is_loopback(host: str) -> bool:
+    """Return whether only this machine reaches `host`."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def url(host: str, port: int) -> str:
+    """Return the address to open on this machine."""
+    shown = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(host, f"[{host}]" if ":" in host else host)
+    return f"http://{shown}:{port}"
+
+
+def tunnel_command(port: int) -> str:
+    """Return the ssh command for access from another machine."""
+    try:
+        user = getpass.getuser()
+    except (KeyError, OSError):  # a container without a passwd entry for this user
+        user = "user"
+    return f"ssh -L {port}:127.0.0.1:{port} {user}@{socket.gethostname()}"
 
 
 @contextlib.contextmanager
