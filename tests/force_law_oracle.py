@@ -9,7 +9,14 @@ from __future__ import annotations
 import numpy as np
 from panda import DOF, GROUPS, JOINT_DAMPING, TAU_MAX
 
-from minidual.control.object_impedance import HeldObject, ImpedanceGains, ObjectState
+from minidual.config.control import ImpedanceConfig
+from minidual.control.object_impedance import (
+    POSTURE_DAMPING_PER_S,
+    POSTURE_STIFFNESS_PER_S2,
+    SQUEEZE_CEILING_N,
+    HeldObject,
+    ObjectState,
+)
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 from minidual.robot.poses import rotation_log
@@ -46,21 +53,26 @@ def drift(kinematics: Kinematics, q: Array, v: Array) -> Array:
     return (ahead - behind) @ v / (2.0 * h)
 
 
-def damping(kinematics: Kinematics, held: HeldObject, gains: ImpedanceGains, q: Array) -> Array:
+def stiffness(gains: ImpedanceConfig) -> Array:
+    """Return the diagonal of K (6,)."""
+    return np.array([gains.stiffness_n_per_m] * 3 + [gains.stiffness_nm_per_rad] * 3)
+
+
+def damping(kinematics: Kinematics, held: HeldObject, gains: ImpedanceConfig, q: Array) -> Array:
     """Return D (6,) at the posture where the law takes over."""
     M = kinematics.mass_matrix(q)
     moving = np.concatenate([np.full(3, held.mass_kg), np.diag(held.inertia_kg_m2)])
     lever = max(np.linalg.norm(T[:3, 3]) for T in held.T_object_tcps)
     for J in kinematics.tcp_jacobians(q):
-        mass = np.linalg.inv(J[:3] @ np.linalg.inv(M) @ J[:3].T)
-        moving += np.concatenate([np.diag(mass), np.full(3, lever**2 * np.trace(mass) / 3.0)])
-    return 2.0 * gains.damping_ratio * np.sqrt(np.array(gains.stiffness) * moving)
+        mass, inertia = (np.linalg.inv(part @ np.linalg.inv(M) @ part.T) for part in (J[:3], J[3:]))
+        moving += np.concatenate([np.diag(mass), lever**2 * np.trace(mass) / 3.0 + np.diag(inertia)])
+    return 2.0 * gains.damping_ratio * np.sqrt(stiffness(gains) * moving)
 
 
 def torque(
     kinematics: Kinematics,
     held: HeldObject,
-    gains: ImpedanceGains,
+    gains: ImpedanceConfig,
     q_engaged: Array,
     q: Array,
     v: Array,
@@ -75,9 +87,9 @@ def torque(
     a_d, alpha_d, omega_d = desired.acceleration[:3], desired.acceleration[3:], desired.twist[3:]
 
     # What the object should feel.
-    e = np.concatenate([p_d - p, rotation_log(R_d @ R.T)])
-    spring = np.array(gains.stiffness) * e
-    damper = damping(kinematics, held, gains, q_engaged) * (desired.twist - measured.twist)
+    K, D = stiffness(gains), damping(kinematics, held, gains, q_engaged)
+    spring = np.concatenate([K[:3] * (p_d - p), np.zeros(3)])
+    damper = np.concatenate([D[:3] * (desired.twist - measured.twist)[:3], np.zeros(3)])
     I_w = R @ held.inertia_kg_m2 @ R.T
     inertia = np.concatenate([held.mass_kg * (a_d - GRAVITY), I_w @ alpha_d + np.cross(omega_d, I_w @ omega_d)])
     w = spring + damper + inertia
@@ -88,7 +100,7 @@ def torque(
         -gains.force_correction_max_n,
         gains.force_correction_max_n,
     )
-    F = np.clip(internal_force_n + correction, 0.0, gains.force_ceiling_n)
+    F = np.clip(internal_force_n + correction, 0.0, SQUEEZE_CEILING_N)
     axis, none = R @ held.axis, np.zeros(3)
     f_int = np.concatenate([-F * axis, none, F * axis, none])
     tcps = kinematics.tcp_poses(q)
@@ -105,14 +117,14 @@ def torque(
     for i, (J, arm) in enumerate(((J_left, GROUPS["left_arm"]), (J_right, GROUPS["right_arm"]))):
         J = J[:, arm]
         a_hand = np.concatenate([a_d + np.cross(alpha_d, r[i]) + np.cross(omega_d, np.cross(omega_d, r[i])), alpha_d])
-        posture = (gains.posture_stiffness_per_s2 * (q_engaged - q) - gains.posture_damping_per_s * v)[arm]
+        posture = (POSTURE_STIFFNESS_PER_S2 * (q_engaged - q) - POSTURE_DAMPING_PER_S * v)[arm]
         J_inverse = np.linalg.pinv(J)
         null = np.eye(7) - J_inverse @ J
         qdd[arm] = J_inverse @ (a_hand - drifts[6 * i : 6 * i + 6]) + null @ posture
         hand_error = rotation_log(R_d @ held.T_object_tcps[i][:3, :3] @ tcps[i][:3, :3].T)
         hand_rate = omega_d - J[3:] @ v[arm]
-        pivot = gains.hand_stiffness_nm_per_rad * hand_error + gains.hand_damping_nms_per_rad * hand_rate
-        external[arm] = J.T @ (f[6 * i : 6 * i + 6] + np.concatenate([none, pivot]))
+        half = 0.5 * (K[3:] * hand_error + D[3:] * hand_rate)
+        external[arm] = J.T @ (f[6 * i : 6 * i + 6] + np.concatenate([none, half]))
     friction = JOINT_DAMPING * v
     tau = kinematics.mass_matrix(q) @ qdd + kinematics.bias(q, v) + external + friction
     return np.clip(tau, -TAU_MAX, TAU_MAX)

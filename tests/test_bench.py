@@ -7,9 +7,9 @@ import time
 import numpy as np
 import pytest
 
+from minidual.config.control import ImpedanceConfig
 from minidual.config.root import Config
 from minidual.config.scene import SceneConfig
-from minidual.control.object_impedance import ImpedanceGains
 from minidual.errors import UsageError
 from minidual.registry import Registry
 from minidual.tasks.rod_carry import tilt_rad
@@ -23,12 +23,12 @@ from scripts.bench.tables import BenchInputs, BenchRow, BenchTable
 
 @pytest.fixture(scope="module")
 def held() -> BenchScene:
-    return held_scene(SceneConfig(), ImpedanceGains())
+    return held_scene(SceneConfig(), ImpedanceConfig())
 
 
 @pytest.fixture(scope="module")
 def free() -> BenchScene:
-    return free_scene(SceneConfig(), ImpedanceGains())
+    return free_scene(SceneConfig(), ImpedanceConfig())
 
 
 class TestScenes:

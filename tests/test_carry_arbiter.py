@@ -12,7 +12,7 @@ import pytest
 from carry_trials import sample_trial
 from panda import HOME, TAU_RATE_MAX
 
-from minidual.config.control import CarryConfig
+from minidual.config.control import CarryConfig, PaceConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.arbiter import CommandArbiter
 from minidual.control.commands import ArbiterState, JointCommand
@@ -27,7 +27,7 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 from minidual.show.view.overlay import Overlay
 from minidual.show.watch import trial_hook
-from minidual.skills.carry_motions import JointMove, carrying, plan_path, releasing, squeezing
+from minidual.skills.carry_motions import held_motion, joint_move, plan_path
 from minidual.skills.impedance_carry import SOURCE, ImpedanceCarry
 from minidual.skills.reach import grasp_posture
 from minidual.tasks.rod_carry import level_pose, tilt_rad
@@ -133,6 +133,7 @@ def test_a_torque_past_the_stack_is_noticed(world: World, monkeypatch: pytest.Mo
 def test_in_the_air_the_motors_are_told_the_law_of_the_path_to_the_bit(world: World) -> None:
     """Sensed state and planned path, put into a law of its own: what the motors were told, without a difference."""
     q_hold: list[Array] = []
+    motion: Any = None
     given: list[tuple[Array, Array, ObjectState, float]] = []
     told: list[Array] = []
     trial = sample_trial(world.scene, 5, "arbiter", 1)
@@ -144,20 +145,20 @@ def test_in_the_air_the_motors_are_told_the_law_of_the_path_to_the_bit(world: Wo
         if before == "close" and carry.phase == "squeeze":
             q_hold.append(q)
         if carry.phase == "carry":
+            motion = carry.stack.output.executions[0].command.motion
             state, felt_n = carry._watch.read()
             given.append((q, v, ObjectState(state.T_world_object.copy(), state.twist.copy()), felt_n))
             told.append(world.data.ctrl[world.joints.ctrl].copy())
     assert carry.fault is None
     law = carry.stack.impedance._law
     assert law is not None
-    path, roll = carry._planned, carry._T_level_object
     again = ObjectImpedance(Kinematics(), law.held, law.gains)
     again.engage(q_hold[0])
     assert len(told) > 2000
     for k, (q, v, state, felt_n) in enumerate(given):
-        wanted = path.at(k * world.dt)
-        desired = ObjectState(wanted.T_world_object @ roll, wanted.twist, wanted.acceleration)
-        tau = again.torque(q, v, state, desired, internal_force_n=40.0, measured_internal_force_n=felt_n)
+        tau = again.torque(
+            q, v, state, motion.at(k * world.dt), internal_force_n=40.0, measured_internal_force_n=felt_n
+        )
         assert np.array_equal(tau, told[k]), f"step {k} of the path"
 
 
@@ -340,12 +341,11 @@ def test_an_object_command_that_comes_late_is_refused_and_ends_the_carry(
 ) -> None:
     propose = ImpedanceCarry._propose
 
-    def late(self: ImpedanceCarry, command: Any) -> None:
-        if self.phase == "squeeze":  # that of the phase to come
-            command = type(command)(
-                command.motion, command.squeeze_n, command.gripper, command.stamp_s - 0.2, command.sequence
-            )
-        propose(self, command)
+    def late(self: ImpedanceCarry, phase: str, kind: Any, *what: Any) -> None:
+        def old(*what: Any) -> Any:
+            return kind(*what[:-2], what[-2] - 0.2, what[-1])
+
+        propose(self, phase, old if phase == "carry" else kind, *what)
 
     monkeypatch.setattr(ImpedanceCarry, "_propose", late)
     seen = ride(world)
@@ -364,11 +364,11 @@ def test_a_command_that_is_refused_as_it_is_proposed_ends_the_carry_in_that_step
     propose = ImpedanceCarry._propose
     offered_s: list[float] = []
 
-    def too_wide(self: ImpedanceCarry, command: Any) -> None:
-        if self.phase == phase:
-            command = replace(command, gripper=np.full(2, 1.5))
+    def too_wide(self: ImpedanceCarry, to: str, kind: Any, *what: Any) -> None:
+        if to == phase:
+            what = (*what[:-1], np.full(2, 1.5))
             offered_s.append(self.world.time)
-        propose(self, command)
+        propose(self, to, kind, *what)
 
     monkeypatch.setattr(ImpedanceCarry, "_propose", too_wide)
     seen = ride(world)
@@ -410,13 +410,13 @@ def test_an_emergency_stop_stops_every_phase_and_leaves_the_hands(world: World, 
 def test_a_joint_move_is_its_quintic_and_its_derivatives_are() -> None:
     rng = np.random.default_rng(3)
     q0, q1 = HOME, HOME + rng.uniform(-0.3, 0.3, 14)
-    move = JointMove(q0, q1, 0.8124, 1e-3)
+    move = joint_move(q0, q1, DUAL_PANDA, PaceConfig(), 1e-3, 0.8124)
     assert move.q.shape == (814, 14)
     assert np.allclose(move.q[[0, -1]], [q0, q1], rtol=0.0, atol=1e-15)
     assert np.array_equal(move.v[[0, -1]], np.zeros((2, 14)))
     for k in (0, 1, 137, 400, 813):
-        blend, rate, curvature = minimum_jerk(min(k * 1e-3 / 0.8124, 1.0))
-        wanted = q0 + blend * (q1 - q0), rate * (q1 - q0) / 0.8124, curvature * (q1 - q0) / 0.8124**2
+        blend, rate, curvature = minimum_jerk(k / 813)
+        wanted = q0 + blend * (q1 - q0), rate * (q1 - q0) / 0.813, curvature * (q1 - q0) / 0.813**2
         for seen, value in zip((move.q, move.v, move.a), wanted, strict=True):
             assert np.allclose(seen[k], value, rtol=1e-13, atol=1e-13)
     assert np.allclose(np.gradient(move.q[:-1], 1e-3, axis=0)[1:-1], move.v[1:-2], atol=1e-5)
@@ -426,20 +426,20 @@ def test_a_joint_move_is_its_quintic_and_its_derivatives_are() -> None:
 def test_the_squeeze_is_asked_for_no_faster_than_controller_c_gives_it(scene: SceneConfig, squeeze_n: float) -> None:
     T = level_pose(*scene.task.start_xy_m, scene.object.rest_height_m, 0.0)
     path = plan_path(
-        scene, DUAL_PANDA, CarryConfig(), (*scene.task.goal_xy_m, 0.0), T, grasp_posture(scene, DUAL_PANDA, T, HOME)
+        scene, DUAL_PANDA, PaceConfig(), (*scene.task.goal_xy_m, 0.0), T, grasp_posture(scene, DUAL_PANDA, T, HOME)
     )
     ends = {}
-    for name, make in (("squeeze", squeezing), ("carry", carrying), ("release", releasing)):
-        motion, squeeze = make(path, np.eye(4), squeeze_n)
+    for name in ("squeeze", "carry", "unload"):
+        motion, squeeze = held_motion(name, path, np.eye(4), squeeze_n)
         times = np.arange(0.0, motion.duration_s + 1e-9, 1e-3)
         values = np.array([squeeze(float(t)) for t in times])
         assert np.abs(np.diff(values)).max() / 1e-3 <= 200.0 * (1.0 + 1e-9)
         ends[name] = (values[0], squeeze(motion.duration_s))
         for t in (0.0, motion.duration_s):  # what the arbiter demands of a path
             assert np.abs(motion.at(t).twist).max() < 1e-12
-    assert ends == {"squeeze": (0.0, squeeze_n), "carry": (squeeze_n, squeeze_n), "release": (squeeze_n, 0.0)}
+    assert ends == {"squeeze": (0.0, squeeze_n), "carry": (squeeze_n, squeeze_n), "unload": (squeeze_n, 0.0)}
     # Each begins where the one before it ends.
-    held = [make(path, np.eye(4), squeeze_n)[0] for make in (squeezing, carrying, releasing)]
+    held = [held_motion(name, path, np.eye(4), squeeze_n)[0] for name in ends]
     for before, after in itertools.pairwise(held):
         end, start = before.at(before.duration_s).T_world_object, after.at(0.0).T_world_object
         assert np.allclose(end, start, rtol=0.0, atol=1e-15)

@@ -17,7 +17,7 @@ from minidual.control.object_impedance import ObjectImpedance, SingularPostureEr
 from minidual.control.soft_stop import SoftStop, TorqueRate
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.skills.faults import FAULTS, FaultMonitor
+from minidual.skills.faults import FAULTS, Fault, FaultMonitor
 from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.skills.reach import GraspUnreachableError
 
@@ -249,11 +249,11 @@ def monitor() -> FaultMonitor:
     return made
 
 
-def _until_told(look: Callable[[], tuple[str, str] | None], *, calls: int = 50) -> tuple[str, int]:
+def _until_told(look: Callable[[], Fault | None], *, calls: int = 50) -> tuple[str, int]:
     for k in range(1, calls + 1):
-        finding = look()
-        if finding is not None:
-            return finding[0], k
+        fault = look()
+        if fault is not None:
+            return fault.name, k
     raise AssertionError("nothing was told")
 
 

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import force_law_oracle as oracle
 import numpy as np
+import pytest
 from carry_trials import rod_judge, rod_trial, sample_trial
 from hypothesis import given
 from hypothesis import strategies as st
 from panda import HOME, JOINT_DAMPING
 
-from minidual.config.control import CarryConfig, SensingConfig
+from minidual.config.control import CarryConfig, ImpedanceConfig, SensingConfig
 from minidual.config.scene import SceneConfig
-from minidual.control.object_impedance import GRAVITY, HeldObject, ImpedanceGains, ObjectImpedance, ObjectState
+from minidual.control import object_impedance
+from minidual.control.object_impedance import HeldObject, ObjectImpedance, ObjectState
 from minidual.control.object_path import ObjectPath, Waypoint, minimum_jerk
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
@@ -20,7 +22,7 @@ from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.tasks.rod_carry import grasp_offsets
 
 
-def _law(gains: ImpedanceGains | None = None, yaw: float = 0.0) -> tuple[ObjectImpedance, np.ndarray, np.ndarray]:
+def _law(yaw: float = 0.0) -> tuple[ObjectImpedance, np.ndarray, np.ndarray]:
     """A law at the home posture, holding an object midway between the hands, turned by yaw."""
     kinematics = Kinematics()
     left, right = kinematics.tcp_poses(HOME)
@@ -28,7 +30,7 @@ def _law(gains: ImpedanceGains | None = None, yaw: float = 0.0) -> tuple[ObjectI
     grasps = (inverse(centre) @ left, inverse(centre) @ right)
     axis = grasps[0][:3, 3] - grasps[1][:3, 3]
     held = HeldObject(0.2, np.diag([1.5e-3, 1e-5, 1.5e-3]), grasps, axis / np.linalg.norm(axis))
-    law = ObjectImpedance(kinematics, held, gains or ImpedanceGains())
+    law = ObjectImpedance(kinematics, held, ImpedanceConfig())
     law.engage(HOME)
     return law, centre, HOME.copy()
 
@@ -42,13 +44,14 @@ def test_at_rest_at_the_goal_the_hands_carry_weight_and_squeeze_alone() -> None:
     external = tau - kinematics.gravity(q)
     f, *_ = np.linalg.lstsq(np.vstack([J_left, J_right]).T, external, rcond=None)
     total = f[:3] + f[6:9]
-    assert np.allclose(total, -0.2 * GRAVITY, atol=1e-6)
+    assert np.allclose(total, -0.2 * oracle.GRAVITY, atol=1e-6)
     assert np.isclose(f[1], -40.0, atol=1e-6)
     assert np.isclose(f[7], 40.0, atol=1e-6)
 
 
-def test_force_feedback_is_bounded_and_the_ceiling_holds() -> None:
-    law, centre, q = _law(ImpedanceGains(force_ceiling_n=38.0))  # low enough that no motor saturates
+def test_force_feedback_is_bounded_and_the_ceiling_holds(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(object_impedance, "SQUEEZE_CEILING_N", 38.0)  # low enough that no motor saturates
+    law, centre, q = _law()
     kinematics = Kinematics()
     J = np.vstack(kinematics.tcp_jacobians(q)).T
     state = ObjectState(centre)
@@ -77,10 +80,10 @@ def test_the_spring_pushes_back_towards_the_wanted_pose() -> None:
     assert np.isclose(f[0] + f[6], 500.0 * 0.01, atol=1e-6)
 
 
-def test_motion_feedforward_asks_for_the_acceleration_of_the_object() -> None:
+def test_motion_feedforward_asks_for_the_acceleration_of_the_object(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without feedback errors the torques must be those of inverse dynamics for the wanted hand acceleration."""
-    gains = ImpedanceGains(posture_stiffness_per_s2=0.0, posture_damping_per_s=0.0)
-    law, centre, q = _law(gains)
+    monkeypatch.setattr(object_impedance, "POSTURE_STIFFNESS_PER_S2", 0.0)
+    law, centre, q = _law()
     acceleration = np.array([0.5, -0.3, 0.2, 0.0, 0.0, 0.4])
     tau = law.torque(
         q,
@@ -95,7 +98,7 @@ def test_motion_feedforward_asks_for_the_acceleration_of_the_object() -> None:
     M, J = kinematics.mass_matrix(q), np.vstack([J_left, J_right])
     # What the object needs from the hands acts back on the arms as an external load.
     inertia = centre[:3, :3] @ law.held.inertia_kg_m2 @ centre[:3, :3].T
-    w = np.concatenate([0.2 * (acceleration[:3] - GRAVITY), inertia @ acceleration[3:]])
+    w = np.concatenate([0.2 * (acceleration[:3] - oracle.GRAVITY), inertia @ acceleration[3:]])
     left, right = kinematics.tcp_poses(q)
     p = centre[:3, 3]
     load = J.T @ np.linalg.pinv(oracle.grasp_matrix(left[:3, 3] - p, right[:3, 3] - p)) @ w
@@ -110,7 +113,7 @@ def test_motion_feedforward_asks_for_the_acceleration_of_the_object() -> None:
 def test_energy_does_not_grow_when_a_held_rod_is_let_swing(scene: SceneConfig) -> None:
     """Grasp, squeeze, then hold: kinetic energy dies out and stays out."""
     world, kinematics = World(scene), Kinematics()
-    config = CarryConfig(lift_s=0.6, transport_s=2.2, sensing=SensingConfig.perfect())
+    config = CarryConfig(sensing=SensingConfig.perfect())
     trial = rod_trial("test", 0, (*scene.task.start_xy_m, 0.0), (*scene.task.start_xy_m, 0.0))
     world.reset(poses=trial.start)
     carry = ImpedanceCarry(world, kinematics, config, trial)
@@ -118,7 +121,7 @@ def test_energy_does_not_grow_when_a_held_rod_is_let_swing(scene: SceneConfig) -
         carry.step()
     began = world.time
     energy = []
-    while world.time < began + 1.9:  # lift of 0.6 s, then a transport over no distance
+    while world.time < began + 1.9:  # lift, and lower where it stood
         carry.step()
         v = world.v
         energy.append(0.5 * float(v @ kinematics.mass_matrix(world.q) @ v))
@@ -159,7 +162,7 @@ def test_one_real_carry_passes_and_is_the_same_twice(scene: SceneConfig) -> None
         world = World(scene)
         trial = sample_trial(scene, 5, "test", 0)
         world.reset(poses=trial.start)
-        carry = ImpedanceCarry(world, Kinematics(), CarryConfig(transport_s=1.8), trial)
+        carry = ImpedanceCarry(world, Kinematics(), CarryConfig(), trial)
         judge = rod_judge(scene, trial, demand_internal_force=True)
         while not carry.done and world.time < 14.0:
             carry.step()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -9,8 +10,7 @@ import numpy as np
 import pytest
 from panda import A_MAX, DOF, HOME, JOINT_ARMATURE, JOINT_DAMPING, JOINT_NAMES
 
-from minidual.control.joint_control import ComputedTorque, JointFriction
-from minidual.control.kernels import add_friction
+from minidual.control.joint_control import ComputedTorque, Motors
 from minidual.control.loop import JointLoop
 from minidual.plant.model import build_spec
 from minidual.plant.world import World
@@ -84,10 +84,14 @@ class TestFriction:
             spec.joint(name).frictionloss = 0.5
         return spec.compile()
 
-    def _rms(self, scene, model, friction):
+    @staticmethod
+    def _knowing(dry_nm):
+        return replace(DUAL_PANDA, arm=replace(DUAL_PANDA.arm, friction=dry_nm))
+
+    def _rms(self, scene, model, dry_nm):
         world = World(scene, model=model)
         loop = JointLoop(world, Kinematics())
-        loop.controller = ComputedTorque(Kinematics(), friction=friction)
+        loop.controller = ComputedTorque(Kinematics(self._knowing(dry_nm)))
         world.reset(sine_reference(DUAL_PANDA, 0.3, 0.5, 0.0)[0])
         loop.reset()
         errors = []
@@ -97,24 +101,21 @@ class TestFriction:
         return np.linalg.norm(errors)
 
     def test_dry_friction_is_cancelled_where_the_controller_knows_of_it(self, scene, stiff_model):
-        unaware = self._rms(scene, stiff_model, None)
-        aware = self._rms(scene, stiff_model, JointFriction(JOINT_DAMPING, np.full(DOF, 0.5)))
-        assert aware < 0.3 * unaware
+        assert self._rms(scene, stiff_model, 0.5) < 0.3 * self._rms(scene, stiff_model, 0.0)
 
-    def test_the_default_is_the_models_own(self, world):
-        friction = JointFriction.of(DUAL_PANDA)
+    def test_the_model_has_the_simulated_friction(self, world):
         dofs = world.joints.qvel
-        assert np.all(world.model.dof_damping[dofs] == friction.viscous)
-        assert np.all(world.model.dof_frictionloss[dofs] == friction.dry)
-        assert friction.viscous == JOINT_DAMPING
+        assert np.all(world.model.dof_damping[dofs] == DUAL_PANDA.arm.damping)
+        assert np.all(world.model.dof_frictionloss[dofs] == DUAL_PANDA.arm.friction)
+        assert DUAL_PANDA.arm.damping == JOINT_DAMPING
 
     def test_it_is_odd_bounded_and_gentle_at_rest(self):
-        def torque(v):
-            tau = np.zeros(DOF)
-            add_friction(tau, v, np.vstack([np.zeros(DOF), np.full(DOF, 0.5), np.full(DOF, 87.0)]), 0.02)
-            return tau
+        with_friction, without = Kinematics(self._knowing(0.5)), Kinematics()
+
+        def friction(v):
+            return Motors(with_friction).torque(HOME, v, ZERO) - Motors(without).torque(HOME, v, ZERO)
 
         v = np.linspace(-1.0, 1.0, DOF)
-        assert np.allclose(torque(v), -torque(-v))
-        assert np.abs(torque(100.0 * v)).max() <= 0.5
-        assert not torque(ZERO).any()
+        assert np.allclose(friction(v), -friction(-v))
+        assert np.abs(friction(v)).max() == pytest.approx(0.5)
+        assert not friction(ZERO).any()

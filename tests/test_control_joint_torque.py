@@ -17,10 +17,10 @@ ZERO = np.zeros(DOF)
 
 
 def test_the_torque_is_the_law(kinematics):
-    controller = ComputedTorque(kinematics, natural_frequency_rad_s=15.0, damping_ratio=0.8)
+    controller = ComputedTorque(kinematics, natural_frequency_rad_s=15.0)
     q, v = HOME + 0.05 * RNG.normal(size=DOF), 0.1 * RNG.normal(size=DOF)
     q_ref, v_ref, a_ref = HOME, 0.1 * RNG.normal(size=DOF), RNG.normal(size=DOF)
-    a = a_ref + 2 * 0.8 * 15.0 * (v_ref - v) + 15.0**2 * (q_ref - q)
+    a = a_ref + 2 * 15.0 * (v_ref - v) + 15.0**2 * (q_ref - q)
     law = kinematics.mass_matrix(q) @ a + kinematics.bias(q, v) + JOINT_DAMPING * v
     assert (np.abs(law) < TAU_MAX).all()
     assert controller.torque(q, v, q_ref, v_ref, a_ref) == pytest.approx(law, abs=1e-10)

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from minidual.config.root import Config
 from minidual.control.loop import JointLoop
-from minidual.control.object_impedance import ImpedanceGains, ObjectState
+from minidual.control.object_impedance import ObjectState
 from minidual.robot.kinematics import HandMotion
 from scripts.bench.scenes import BenchScene, JointSample, free_scene, held_scene
 from scripts.bench.step import Step, StepCost, step_cost
@@ -117,7 +116,7 @@ CASES: tuple[MakeCase, ...] = (trajectory_14, trajectory_7, targets_14, object_i
 
 def measure(inputs: BenchInputs) -> BenchTable:
     """Time all cases in both situations."""
-    gains = gains_of(inputs.config)
+    gains = inputs.config.carry.impedance
     rows: list[BenchRow] = []
     for make_scene in (held_scene, free_scene):
         scene = make_scene(inputs.config.scene, gains)
@@ -146,18 +145,6 @@ def measure_case(scene: BenchScene, make: MakeCase, steps_n: int) -> BenchRow:
     # Beside free physics even a perfect law fails: nobody impedes an object that is not there.
     limited = not (scene.virtual and case.ratio_max == OBJECT_RATIO_MAX)
     return BenchRow(f"{case.name}, {scene.name}", _numbers(cost), {"ratio": case.ratio_max} if limited else {})
-
-
-def gains_of(config: Config) -> ImpedanceGains:
-    """Return the configured gains of the object impedance."""
-    impedance = config.carry.impedance
-    return ImpedanceGains(
-        stiffness=(impedance.stiffness_n_per_m,) * 3 + (impedance.stiffness_nm_per_rad,) * 3,
-        damping_ratio=impedance.damping_ratio,
-        internal_force_n=impedance.internal_force_n,
-        force_gain=impedance.force_gain,
-        force_correction_max_n=impedance.force_correction_max_n,
-    )
 
 
 class _Latest[T]:

@@ -12,16 +12,18 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 
+from minidual.config.control import ImpedanceConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.gripper import Grippers
 from minidual.control.loop import JointLoop
-from minidual.control.object_impedance import HeldObject, ImpedanceGains, ObjectImpedance, ObjectState
+from minidual.control.object_impedance import ObjectImpedance, ObjectState
 from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.errors import MinidualError
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 from minidual.robot.poses import inverse, pose
+from minidual.skills.carry_motions import held_object
 from minidual.skills.reach import grasp_posture
 from minidual.stages.env_check.tracking import sine_reference
 from minidual.tasks.rod_carry import level_part
@@ -128,18 +130,18 @@ class BenchScene:
         return 0.0 if self.virtual else self.law.gains.internal_force_n
 
 
-def free_scene(scene: SceneConfig, gains: ImpedanceGains) -> BenchScene:
+def free_scene(scene: SceneConfig, gains: ImpedanceConfig) -> BenchScene:
     """Return arms near home with open hands, nothing touched."""
     world, kinematics = World(scene), Kinematics()
     world.reset(sine_reference(world.robot, _SWING_RAD, _SWING_HZ, 0.0)[0])
     left, right = kinematics.tcp_poses(world.q)
     rest = pose(np.eye(3), 0.5 * (left[:3, 3] + right[:3, 3]))
-    law = ObjectImpedance(kinematics, held_rod(scene, rest, (left, right)), gains)
+    law = ObjectImpedance(kinematics, held_object(scene, rest, (left, right)), gains)
     law.engage(world.q)
     return BenchScene("free", world, kinematics, _OPEN, law, rest, virtual=True)
 
 
-def held_scene(scene: SceneConfig, gains: ImpedanceGains) -> BenchScene:
+def held_scene(scene: SceneConfig, gains: ImpedanceConfig) -> BenchScene:
     """Return both hands holding the rod in the air under object impedance.
 
     Raises:
@@ -153,7 +155,7 @@ def held_scene(scene: SceneConfig, gains: ImpedanceGains) -> BenchScene:
         loop.step(q_grasp, _CLOSED)
 
     T_world_rod, level = world.object_pose(), level_part(world.object_pose())
-    law = ObjectImpedance(kinematics, held_rod(scene, T_world_rod, kinematics.tcp_poses(world.q)), gains)
+    law = ObjectImpedance(kinematics, held_object(scene, T_world_rod, kinematics.tcp_poses(world.q)), gains)
     law.engage(world.q)
     x, y, z = T_world_rod[:3, 3]
     yaw = float(np.arctan2(level[1, 0], level[0, 0]))
@@ -183,10 +185,3 @@ def held_scene(scene: SceneConfig, gains: ImpedanceGains) -> BenchScene:
             remedy="see `minidual carry`: pinch, friction and squeeze decide whether the hands hold it",
         )
     return BenchScene("held", world, kinematics, _CLOSED, law, rest, virtual=False)
-
-
-def held_rod(scene: SceneConfig, T_world_rod: Array, tcps: tuple[Array, Array]) -> HeldObject:
-    """Return the rod as the law must know it, in the hands at the poses `tcps`."""
-    to_rod = inverse(T_world_rod)
-    grasps = (to_rod @ tcps[0], to_rod @ tcps[1])
-    return HeldObject(scene.object.mass_kg, np.diag(scene.object.inertia_kg_m2), grasps, np.array([0.0, 1.0, 0.0]))

@@ -144,10 +144,6 @@ class CarryConfig(StrictModel):
     """Name from tasks/objects.py."""
     motion: str = "straight"
     """Name from tasks/motions.py."""
-    lift_s: float | None = Field(default=None, gt=0.2, le=5.0)
-    """None plans the duration to `pace`."""
-    transport_s: float | None = Field(default=None, gt=0.5, le=10.0)
-    lower_s: float | None = Field(default=None, gt=0.2, le=5.0)
     impedance: ImpedanceConfig = ImpedanceConfig()
     sensing: SensingConfig = SensingConfig()
     pace: PaceConfig = PaceConfig()

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from minidual.control.commands import Command, ObjectCommand, TrajectoryCommand
+from minidual.control.object_impedance import SQUEEZE_CEILING_N
 from minidual.robot.pair import Array, Robot
 
-SQUEEZE_CEILING_N = 80.0
-"""Highest accepted internal force."""
 OBJECT_SPEED_MAX_M_PER_S = 1.0
 """Just below the arms' own limits."""
 

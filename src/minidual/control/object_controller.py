@@ -7,11 +7,12 @@ from typing import Protocol
 
 import numpy as np
 
+from minidual.config.control import ImpedanceConfig
 from minidual.control.command_checks import Fault
 from minidual.control.commands import Command, ObjectCommand
 from minidual.control.controllers import Controller
 from minidual.control.execution import ArbiterOutput, ObjectExecution
-from minidual.control.object_impedance import HeldObject, ImpedanceGains, ObjectImpedance, ObjectState, bounded
+from minidual.control.object_impedance import SQUEEZE_CEILING_N, HeldObject, ObjectImpedance, ObjectState, bounded
 from minidual.errors import UsageError
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
@@ -64,7 +65,7 @@ class ObjectImpedanceController(Controller):
         self._squeeze = self._squeeze_wanted = 0.0
         self._reference = np.zeros(self._kinematics.robot.dof)
 
-    def configure(self, held: HeldObject, gains: ImpedanceGains | None = None) -> None:
+    def configure(self, held: HeldObject, gains: ImpedanceConfig) -> None:
         """Set object and gains.
 
         Raises:
@@ -75,7 +76,7 @@ class ObjectImpedanceController(Controller):
                 f"what is held cannot change while controller {self.name} drives",
                 remedy="switch to other controllers first",
             )
-        self._law = ObjectImpedance(self._kinematics, held, ImpedanceGains() if gains is None else gains)
+        self._law = ObjectImpedance(self._kinematics, held, gains)
 
     def find_fault(self, command: Command) -> Fault | None:
         """Refuse all but object paths starting at the object."""
@@ -105,8 +106,7 @@ class ObjectImpedanceController(Controller):
         law.engage(q)
         measured, internal_force = self._ready_sensor().read()
         self._desired = ObjectState(measured.T_world_object)
-        ceiling = law.gains.force_ceiling_n
-        self._squeeze = self._squeeze_wanted = float(np.clip(internal_force, 0.0, ceiling))
+        self._squeeze = self._squeeze_wanted = float(np.clip(internal_force, 0.0, SQUEEZE_CEILING_N))
         self._execution = None
         self._reference = np.array(q, dtype=float)
 

@@ -1,4 +1,4 @@
-"""Motions of a carry, internal-force ramps, and the parameters of controller C."""
+"""Motions of a carry, internal-force ramps, and the object model of controller C."""
 
 from __future__ import annotations
 
@@ -6,14 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from minidual.config.control import CarryConfig, ImpedanceConfig
+from minidual.config.control import PaceConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.object_controller import SQUEEZE_RATE_N_PER_S
-from minidual.control.object_impedance import HeldObject, ImpedanceGains, ObjectState
+from minidual.control.object_impedance import HeldObject, ObjectState
 from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.robot.pair import Array, Robot
 from minidual.robot.poses import inverse
-from minidual.skills.pace import object_duration_s
+from minidual.robot.trajectory import Trajectory
+from minidual.skills.pace import joint_duration_s, object_duration_s
 from minidual.skills.phases import PHASES
 from minidual.tasks.rod_carry import level_part
 
@@ -21,26 +22,17 @@ LANDED_S = 0.1
 """Rest time before release."""
 
 
-class JointMove:
-    """A minimum-jerk motion of both arms (`control.commands.TimedMotion`).
-
-    Attributes:
-        q, v, a: (k, n) on the grid.
-    """
-
-    def __init__(self, q0: Array, q1: Array, duration_s: float, dt_s: float) -> None:
-        self._q0, self._way, self.dt_s, self.duration_s = q0, q1 - q0, dt_s, duration_s
-        steps = int(np.ceil(duration_s / dt_s - 1e-6))
-        self.q, self.v, self.a = self.sample_many(np.minimum(np.arange(steps + 1) * dt_s, duration_s))
-
-    def sample_many(self, times: Array) -> tuple[Array, Array, Array]:
-        """Return (q, v, a), each (m, n), at times (m,) [s]; at rest outside."""
-        duration, way = self.duration_s, self._way
-        s = np.clip(np.asarray(times, dtype=float) / duration, 0.0, 1.0)[:, None]
-        blend = s**3 * (10.0 + s * (6.0 * s - 15.0))
-        rate = 30.0 * s**2 * (1.0 - s) ** 2
-        curvature = 60.0 * s * (1.0 + s * (2.0 * s - 3.0))
-        return self._q0 + blend * way, rate / duration * way, curvature / duration**2 * way
+def joint_move(
+    q0: Array, q1: Array, robot: Robot, pace: PaceConfig, dt_s: float, duration_s: float | None = None
+) -> Trajectory:
+    """Return a minimum-jerk motion of both arms, by default as fast as `pace` allows."""
+    steps = int(np.ceil((joint_duration_s(q0, q1, pace, robot) if duration_s is None else duration_s) / dt_s))
+    s, way, whole_s = (np.arange(steps + 1) / steps)[:, None], q1 - q0, steps * dt_s
+    q = q0 + s**3 * (10.0 + s * (6.0 * s - 15.0)) * way
+    v = 30.0 * s**2 * (1.0 - s) ** 2 / whole_s * way
+    a = 60.0 * s * (1.0 + s * (2.0 * s - 3.0)) / whole_s**2 * way
+    times: Array = np.arange(steps + 1, dtype=float) * dt_s
+    return Trajectory(times, q, v, a, "both_arms")
 
 
 @dataclass(frozen=True)
@@ -63,49 +55,41 @@ class HeldMotion:
 
 @dataclass(frozen=True)
 class Squeeze:
-    """Linear ramp of the internal force [N], then constant; zero `ramp_s` gives `end_n`."""
+    """Linear ramp of the internal force [N], then constant."""
 
     start_n: float
     end_n: float
-    ramp_s: float = 0.0
+    ramp_s: float
 
     def __call__(self, t_s: float) -> float:
         """Return the internal force [N] at a time [s]."""
-        share = min(1.0, t_s / self.ramp_s) if self.ramp_s > 0.0 else 1.0
-        return self.start_n + share * (self.end_n - self.start_n)
+        return self.start_n + min(1.0, t_s / self.ramp_s) * (self.end_n - self.start_n)
 
 
-def squeezing(path: ObjectPath, T_level_object: Array, squeeze_n: float) -> tuple[HeldMotion, Squeeze]:
-    """Return the internal-force ramp-up at the path's start, within controller C's rate."""
-    ramp_s = max(PHASES["squeeze"].force_s, squeeze_n / SQUEEZE_RATE_N_PER_S)
-    return (
-        HeldMotion(path, T_level_object, ramp_s + PHASES["settle"].force_s, rests_at_s=0.0),
-        Squeeze(0.0, squeeze_n, ramp_s),
-    )
+def held_motion(phase: str, path: ObjectPath, T_level_object: Array, squeeze_n: float) -> tuple[HeldMotion, Squeeze]:
+    """Return a phase's object motion and internal force.
 
-
-def carrying(path: ObjectPath, T_level_object: Array, squeeze_n: float) -> tuple[HeldMotion, Squeeze]:
-    """Return the motion along the path, plus landing."""
-    return HeldMotion(path, T_level_object, path.duration_s + LANDED_S), Squeeze(squeeze_n, squeeze_n)
-
-
-def releasing(path: ObjectPath, T_level_object: Array, squeeze_n: float) -> tuple[HeldMotion, Squeeze]:
-    """Return the internal-force ramp to zero at the path's end, within controller C's rate."""
-    ramp_s = max(PHASES["unload"].force_s, squeeze_n / SQUEEZE_RATE_N_PER_S)
-    return (HeldMotion(path, T_level_object, ramp_s, rests_at_s=path.duration_s), Squeeze(squeeze_n, 0.0, ramp_s))
+    squeeze: ramp up at the path's start; carry: the path, plus landing; unload: ramp down at its end. The ramps keep
+    controller C's rate.
+    """
+    ramp_s = max(PHASES[phase].force_s, squeeze_n / SQUEEZE_RATE_N_PER_S)
+    if phase == "squeeze":
+        motion = HeldMotion(path, T_level_object, ramp_s + PHASES["settle"].force_s, rests_at_s=0.0)
+        return motion, Squeeze(0.0, squeeze_n, ramp_s)
+    if phase == "carry":
+        return HeldMotion(path, T_level_object, path.duration_s + LANDED_S), Squeeze(squeeze_n, squeeze_n, ramp_s)
+    return HeldMotion(path, T_level_object, ramp_s, rests_at_s=path.duration_s), Squeeze(squeeze_n, 0.0, ramp_s)
 
 
 def plan_path(
     scene: SceneConfig,
     robot: Robot,
-    config: CarryConfig,
+    pace: PaceConfig,
     goal: tuple[float, float, float],
     T_world_object: Array,
     q: Array,
 ) -> ObjectPath:
     """Return the path to `goal` (x [m], y [m], yaw [rad]), as fast as limits allow.
-
-    Durations fixed in `config` override the limits.
 
     Raises:
         GraspUnreachableError: A hand cannot follow.
@@ -114,22 +98,17 @@ def plan_path(
     level = level_part(T_world_object)
     yaw = float(np.arctan2(level[1, 0], level[0, 0]))
     gx, gy, goal_yaw = goal
-    high = z + scene.task.lift_height_m
-    rest, landing = scene.object.rest_height_m, config.pace.landing_m
-    ends = [
-        ((x, y, high), yaw, config.lift_s),
-        ((gx, gy, high), goal_yaw, config.transport_s),
-        ((gx, gy, rest + landing), goal_yaw, config.lower_s),
-    ]
-    if landing > 0.0:
-        ends.append(((gx, gy, rest), goal_yaw, config.pace.landing_s))
+    high, rest = z + scene.task.lift_height_m, scene.object.rest_height_m
     start = place = Waypoint((x, y, z), yaw, 0.0)
-    waypoints = []
-    for xyz, direction, fixed_s in ends:
+    waypoints: list[Waypoint] = []
+    ends = [((x, y, high), yaw), ((gx, gy, high), goal_yaw), ((gx, gy, rest + pace.landing_m), goal_yaw)]
+    for xyz, direction in ends:
         end = Waypoint(xyz, direction, 0.0)
-        planned_s, q = object_duration_s(scene, robot, place, end, q, config.pace)
-        waypoints.append(Waypoint(xyz, direction, planned_s if fixed_s is None else fixed_s))
+        duration_s, q = object_duration_s(scene, robot, place, end, q, pace)
+        waypoints.append(Waypoint(xyz, direction, duration_s))
         place = end
+    if pace.landing_m > 0.0:
+        waypoints.append(Waypoint((gx, gy, rest), goal_yaw, pace.landing_s))
     return ObjectPath(start, waypoints)
 
 
@@ -138,14 +117,3 @@ def held_object(scene: SceneConfig, T_world_object: Array, T_world_tcps: tuple[A
     rod = scene.object
     left, right = (inverse(T_world_object) @ T for T in T_world_tcps)
     return HeldObject(rod.mass_kg, np.diag(rod.inertia_kg_m2), (left, right), np.array([0.0, 1.0, 0.0]))
-
-
-def gains(impedance: ImpedanceConfig) -> ImpedanceGains:
-    """Return the configured gains."""
-    return ImpedanceGains(
-        stiffness=(impedance.stiffness_n_per_m,) * 3 + (impedance.stiffness_nm_per_rad,) * 3,
-        damping_ratio=impedance.damping_ratio,
-        internal_force_n=impedance.internal_force_n,
-        force_gain=impedance.force_gain,
-        force_correction_max_n=impedance.force_correction_max_n,
-    )

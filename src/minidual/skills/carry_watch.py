@@ -16,7 +16,7 @@ from minidual.plant.protocol import ObjectSensors, Reading
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
-from minidual.skills.faults import FaultMonitor, Finding
+from minidual.skills.faults import Fault, FaultMonitor
 from minidual.tasks.rod_carry import tilt_rad
 
 _GRIPPED = 0.9
@@ -65,11 +65,6 @@ class CarryWatch:
     def estimate(self) -> ObjectState:
         """Estimated object motion."""
         return ObjectState(self._resting.T_world_object) if self._held is None else self._held.state
-
-    @property
-    def held(self) -> bool:
-        """Whether the object is assumed to follow the hands."""
-        return self._held is not None
 
     @property
     def gripped(self) -> bool:
@@ -128,18 +123,18 @@ class CarryWatch:
 
     # Faults ------------------------------------------------------------------------------------------------
 
-    def resting(self) -> Finding:
+    def resting(self) -> Fault | None:
         """Average a pose of the untouched object and check it."""
         if self._reading.pose is None:
             return None
         self._resting.add(self._reading.pose.T_world_object)
         return self._monitor.resting(self._resting.innovation)
 
-    def closing(self, t_s: float) -> Finding:
+    def closing(self, t_s: float) -> Fault | None:
         """Check closing hands."""
         return self._monitor.closing(self._gaps_m(), self._pinch, t_s)
 
-    def holding(self, *, steady: bool) -> Finding:
+    def holding(self, *, steady: bool) -> Fault | None:
         """Check a held object and ease its grip on slip; `steady` includes the force."""
         estimate, monitor = self._held, self._monitor
         if estimate is None:
@@ -151,11 +146,11 @@ class CarryWatch:
             found.append(monitor.held_pose(estimate.innovation))
         if steady:
             found.append(monitor.squeezing(self.squeeze_n, self._felt_n))
-        return next((finding for finding in found if finding is not None), None)
+        return next((fault for fault in found if fault is not None), None)
 
-    def motors(self, told: Array, applied: Array) -> Finding:
-        """Compare commanded and applied torques (n,) [Nm]."""
-        return self._monitor.motors(told, applied)
+    def motors(self, told: Array) -> Fault | None:
+        """Compare commanded torques (n,) [Nm] with the applied ones."""
+        return self._monitor.motors(told, self._world.tau)
 
     def _gaps_m(self) -> Array:
         return 2.0 * self._world.robot.hand.travel_m * self._world.gripper

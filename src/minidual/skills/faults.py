@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -37,22 +39,17 @@ FAULTS: dict[str, FaultKind] = {
 }
 
 
-@dataclass(frozen=True)
-class CarryFault:
-    """A detected fault; `name` is a key of FAULTS."""
+class Fault(NamedTuple):
+    """A detected fault; `name` is a key of FAULTS, `at_s` the time of its stop."""
 
     name: str
-    at_s: float
     detail: str
+    at_s: float = math.nan
 
     @property
     def text(self) -> str:
         """One line for people."""
         return f"{self.name} at {self.at_s:.2f} s: {self.detail}"
-
-
-Finding = tuple[str, str] | None
-"""(name, detail) of a fault, or None."""
 
 
 _SCATTERS = 2.9
@@ -109,7 +106,7 @@ class FaultMonitor:
         count = self._counts[key] = self._counts.get(key, 0) + 1
         return count >= (self._needed if needed is None else needed)
 
-    def motors(self, commanded: Array, applied: Array) -> Finding:
+    def motors(self, commanded: Array, applied: Array) -> Fault | None:
         """Compare commanded and applied torques (n,); updates `lost`."""
         difference = commanded - applied
         np.abs(difference, difference)
@@ -122,59 +119,61 @@ class FaultMonitor:
             if self._lasts(f"motor {name}", not missing[arm] <= self._config.motor_torque_n_m):
                 self.lost[arm] = True
                 found.append(f"{name} arm: a motor gives {missing[arm]:.1f} Nm less than it was told")
-        return ("lost_arm", "; ".join(found)) if found else None
+        return Fault("lost_arm", "; ".join(found)) if found else None
 
-    def resting(self, innovation: tuple[float, float]) -> Finding:
+    def resting(self, innovation: tuple[float, float]) -> Fault | None:
         """Check a pose sample of an untouched object."""
         away_m, away_rad = innovation
         away = self._is_away(innovation)
         self._away_m.learn(away_m)
         self._away_rad.learn(away_rad)
         if self._lasts("resting", away, 2):
-            return "knocked_away", f"the object is {1e3 * away_m:.0f} mm from where it lay"
+            return Fault("knocked_away", f"the object is {1e3 * away_m:.0f} mm from where it lay")
         return None
 
-    def closing(self, gap_m: Array, pinch_n: Array, t_s: float) -> Finding:
+    def closing(self, gap_m: Array, pinch_n: Array, t_s: float) -> Fault | None:
         """Check closing hands by gaps (2,), pinch (2,) and time."""
         for arm, name in enumerate(SIDES):
             through = not float(gap_m[arm]) >= self._width - self._config.gap_margin_m
             if self._lasts(f"gap {name}", through, 3):
-                return "missed_grasp", (
-                    f"the {name} hand has closed to {1e3 * float(gap_m[arm]):.0f} mm, the object is "
-                    f"{1e3 * self._width:.0f} mm wide"
+                gap, width = 1e3 * float(gap_m[arm]), 1e3 * self._width
+                return Fault(
+                    "missed_grasp", f"the {name} hand has closed to {gap:.0f} mm, the object is {width:.0f} mm wide"
                 )
         if t_s > self._config.grasp_timeout_s:
             felt = ", ".join(f"{f:.1f}" for f in pinch_n)
-            return "missed_grasp", f"pinch {felt} N after {self._config.grasp_timeout_s} s"
+            return Fault("missed_grasp", f"pinch {felt} N after {self._config.grasp_timeout_s} s")
         return None
 
-    def holding(self, pinch_n: Array, gap_m: Array, spread_m: float, tilt_rad: float) -> Finding:
+    def holding(self, pinch_n: Array, gap_m: Array, spread_m: float, tilt_rad: float) -> Fault | None:
         """Check a held object by pinch (2,), gaps (2,), hand distance and tilt."""
         config = self._config
         least_n, least_m = config.lost_pinch_share * self._pinch, self._width - config.gap_margin_m
         for name, pinch, gap in zip(SIDES, pinch_n.tolist(), gap_m.tolist(), strict=True):
             if self._lasts(f"pinch {name}", not pinch >= least_n):
-                return "object_lost", f"the {name} hand pinches {pinch:.1f} of {self._pinch:.0f} N"
+                return Fault("object_lost", f"the {name} hand pinches {pinch:.1f} of {self._pinch:.0f} N")
             if self._lasts(f"held gap {name}", not gap >= least_m, 3):
-                return "object_lost", f"the {name} hand has closed to {1e3 * gap:.0f} mm"
+                return Fault("object_lost", f"the {name} hand has closed to {1e3 * gap:.0f} mm")
         if self._spread_m is None:
             self._spread_m = spread_m
         crept = abs(spread_m - self._spread_m)
         if self._lasts("spread", not crept <= config.displaced_m, 1):  # encoders: one reading suffices
-            return "slip", f"the hands have moved {1e3 * crept:.1f} mm along the object"
+            return Fault("slip", f"the hands have moved {1e3 * crept:.1f} mm along the object")
         if self._lasts("tilt", not tilt_rad <= config.tilt_rad):
-            return "tilted", f"the object is tilted by {np.degrees(tilt_rad):.0f} deg"
+            return Fault("tilted", f"the object is tilted by {np.degrees(tilt_rad):.0f} deg")
         return None
 
-    def held_pose(self, innovation: tuple[float, float]) -> Finding:
+    def held_pose(self, innovation: tuple[float, float]) -> Fault | None:
         """Check a pose sample against the hands."""
         away_m, away_rad = innovation
         if self._lasts("held", self._is_away(innovation), 2):
-            return ("slip", f"the object is {1e3 * away_m:.1f} mm, {np.degrees(away_rad):.1f} deg off in the hands")
+            return Fault(
+                "slip", f"the object is {1e3 * away_m:.1f} mm, {np.degrees(away_rad):.1f} deg off in the hands"
+            )
         return None
 
-    def squeezing(self, wanted_n: float, felt_n: float) -> Finding:
+    def squeezing(self, wanted_n: float, felt_n: float) -> Fault | None:
         """Compare requested and felt internal force."""
         if self._lasts("squeeze", not felt_n >= self._config.squeeze_share * wanted_n):
-            return "slip", f"internal force {felt_n:.1f} of {wanted_n:.0f} N"
+            return Fault("slip", f"internal force {felt_n:.1f} of {wanted_n:.0f} N")
         return None

@@ -6,14 +6,17 @@ switched after closing and after the internal force is gone. See docs/carry.md.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+
 import numpy as np
 
 from minidual.config.arbiter import ArbiterConfig
 from minidual.config.control import CarryConfig
 from minidual.config.seeds import stream
-from minidual.control.commands import Command, JointCommand, ObjectCommand, TrajectoryCommand
+from minidual.control.commands import ArbiterState, Command, JointCommand, ObjectCommand, TrajectoryCommand
 from minidual.control.object_impedance import ObjectState, SingularPostureError
-from minidual.control.object_path import ObjectPath
+from minidual.control.reflexes import ReflexError
+from minidual.control.soft_stop import SoftStop
 from minidual.control.stack import DEFAULT_CONTROLLERS, OBJECT_CONTROLLERS, ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.plant.protocol import ObjectSensors
@@ -22,21 +25,9 @@ from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 from minidual.robot.poses import inverse
-from minidual.skills.carry_motions import (
-    HeldMotion,
-    JointMove,
-    Squeeze,
-    carrying,
-    gains,
-    held_object,
-    plan_path,
-    releasing,
-    squeezing,
-)
-from minidual.skills.carry_stop import CarryStop
+from minidual.skills.carry_motions import held_motion, held_object, joint_move, plan_path
 from minidual.skills.carry_watch import CarryWatch
-from minidual.skills.faults import CarryFault
-from minidual.skills.pace import joint_duration_s
+from minidual.skills.faults import FAULTS, Fault
 from minidual.skills.phases import PHASES
 from minidual.skills.pipeline.drive import SOURCE
 from minidual.skills.reach import GraspUnreachableError, grasp_posture
@@ -44,13 +35,26 @@ from minidual.tasks.rod_carry import level_part, placement
 from minidual.tasks.task import Trial
 
 _OPEN, _CLOSED = np.ones(2), np.zeros(2)
+_BRAKED_S = 0.6
+"""Time within which the arbiter has braked along the path."""
 _STOPPED_S = 0.5
+
+
+class _RefusedError(Exception):
+    """A proposed command was refused."""
 
 
 class ImpedanceCarry:
     """One trial; call `step` until `done`.
 
     Object and start are sensed. The default supervisor has standard bounds and ignores the arm distance.
+
+    A sensed fault halts the arms on the spot, lost motors also lose their torque. A reflex is the supervisor's own stop.
+    Another mode, a halt by another source, a refusal or silence is the fault `interrupted`: the arbiter stops the arms.
+
+    Attributes:
+        phase: Present phase; `stop` after a fault, then `done`.
+        fault: The fault that stopped it, or None.
     """
 
     name = "impedance"
@@ -67,8 +71,7 @@ class ImpedanceCarry:
         supervisor: Supervisor | None = None,
         arbiter: ArbiterConfig | None = None,
     ) -> None:
-        self.world, self._config, self._trial = world, config, trial
-        self._kinematics, self._scene = kinematics, world.scene
+        self.world, self._kinematics, self._config, self._trial = world, kinematics, config, trial
         if sensors is None:
             sensors = Sensors(world, config.sensing, stream(seed, f"sensing/{trial.purpose}", trial.index))
         self._watch = CarryWatch(world, kinematics, config, sensors)
@@ -78,43 +81,23 @@ class ImpedanceCarry:
             arbiter,
             pinch_force_n=config.impedance.pinch_n,
             sensor=self._watch,
-            supervisor=Supervisor(dt_s=world.dt, kinematics=Kinematics(world.robot))
-            if supervisor is None
-            else supervisor,
+            supervisor=supervisor or Supervisor(dt_s=world.dt, kinematics=Kinematics(world.robot)),
             stop_share=config.faults.deceleration_share,
         )
-        self._stop_by = CarryStop(self.stack, SOURCE, self._watch, deceleration_share=config.faults.deceleration_share)
-        self._phase, self._began_s = "approach", world.time
-        self._driving = False
-        self._sequence = 0
-        self._q_over = self._q_last = world.q
-        self._path: ObjectPath | None = None
-        self._T_level_object = np.eye(4)
-        try:
-            level = level_part(self._watch.T_world_object)
-            over_m = PHASES["approach"].rise_m
-            self._q_over = grasp_posture(world.scene, world.robot, level, world.robot.home, above_m=over_m)
-            # Check the grasp before anything moves.
-            grasp_posture(world.scene, world.robot, level, self._q_over)
-        except GraspUnreachableError as error:
-            self._stop_by.heed(("unreachable", error.message))
-        else:
-            self.stack.request(SOURCE)
-
-    @property
-    def phase(self) -> str:
-        """Present phase."""
-        return self._phase
-
-    @property
-    def fault(self) -> CarryFault | None:
-        """Fault that stopped it, or None."""
-        return self._stop_by.fault
+        self.stack.on_flush(self._flushed)
+        self.phase, self._began_s, self._sequence = "approach", world.time, 0
+        self.fault: Fault | None = None
+        self._halted, self._stop_s = False, 0.0
+        self._told: Array | None = None
+        self._asked_for: str | None = None
+        self._refusals_seen = 0
+        self._cycle = self._phases()
+        self._advance()
 
     @property
     def done(self) -> bool:
         """Whether the trial is over, aborted or not."""
-        return self._phase == "done"
+        return self.phase == "done"
 
     @property
     def aborted(self) -> str | None:
@@ -138,157 +121,171 @@ class ImpedanceCarry:
 
     def step(self) -> None:
         """Run one control step."""
-        watch, stops = self._watch, self._stop_by
-        watch.sense()
-        if self._phase in ("approach", "descend"):
-            stops.heed(watch.resting())
-        stops.heed_motors()
-        self._stop_if_due()
-        getattr(self, f"_{self._phase}")(self.world.time - self._began_s)
-        if stops.fault is None:
+        self._watch.sense()
+        lost = None if self._told is None else self._watch.motors(self._told)
+        if lost is not None:
+            self._halt(lost)
+            self.stack.switch_off(self._watch.lost_arms)
+        self._halt(self._sensed())
+        self._advance()
+        if self.fault is None:
             self.stack.affirm(SOURCE)
-        stops.step()
+        try:
+            self.stack.step()
+        except ReflexError as error:
+            self._halted, cause = True, error.__cause__
+            singular = isinstance(cause, SingularPostureError)
+            self._note("singular" if singular else "reflex", cause.message if singular else error.reflex.text)
+        else:
+            self._heed_arbiter()
+        self._told = self.stack.applied
         self._stop_if_due()
 
-    # Common to all phases -------------------------------------------------------------------------------
+    # Phases ---------------------------------------------------------------------------------------------
+
+    def _advance(self) -> None:
+        """Go on with the cycle, or wait for the arms to stop."""
+        self._stop_if_due()
+        if self.phase == "stop":
+            if self.world.time - self._began_s > self._stop_s + _STOPPED_S:
+                self._enter("done")
+        elif not self.done:
+            try:
+                next(self._cycle)
+            except StopIteration:
+                self._enter("done")
+            except GraspUnreachableError as error:
+                self._halt(Fault("unreachable", error.message))
+            except SingularPostureError as error:
+                self._halt(Fault("singular", error.message))
+            except _RefusedError as error:
+                self._note("interrupted", str(error), _BRAKED_S)
+
+    def _phases(self) -> Iterator[None]:
+        """Propose phase after phase; yields once a control step."""
+        world, watch, stack = self.world, self._watch, self.stack
+        q_over = self._grasp(world.robot.home, above_m=PHASES["approach"].rise_m)
+        self._grasp(q_over)  # before anything moves
+        stack.request(SOURCE)
+        q = world.q
+        while stack.source != SOURCE:
+            yield
+        yield from self._move("approach", q, q_over)
+        q = self._grasp(q_over)  # of the mean of all poses so far, about a hundred
+        yield from self._move("descend", q_over, q)
+
+        # Closing ends on felt pinch, not on time, so the posture is streamed.
+        self._propose("close", JointCommand, q, _CLOSED)
+        while not watch.gripped:
+            yield
+            if stack.tick_next:
+                self._propose("close", JointCommand, q, _CLOSED)
+
+        T_object, scene = watch.T_world_object, world.scene
+        goal = placement(self._trial.goal[scene.object.name])
+        path = plan_path(scene, world.robot, self._config.pace, goal, T_object, world.q)
+        T_level_object = inverse(level_part(T_object)) @ T_object
+        held = held_object(scene, T_object, self._kinematics.tcp_poses(world.q))
+        stack.impedance.configure(held, self._config.impedance)
+        watch.take_hold()
+        stack.switch_controllers(OBJECT_CONTROLLERS)
+        for phase in ("squeeze", "carry", "unload"):
+            self._propose(phase, ObjectCommand, *held_motion(phase, path, T_level_object, self.squeeze_n), _CLOSED)
+            yield from self._executing()
+        watch.let_go()
+        stack.switch_controllers(DEFAULT_CONTROLLERS)
+
+        q = world.q
+        yield from self._move("open", q, q, PHASES["open"].force_s)
+        yield from self._move("retreat", q, self._grasp(q, above_m=PHASES["retreat"].rise_m))
+
+    def _grasp(self, q_near: Array, *, above_m: float = 0.0) -> Array:
+        """Return the posture (n,) at or over the grasps."""
+        level = level_part(self._watch.T_world_object)
+        return grasp_posture(self.world.scene, self.world.robot, level, q_near, above_m=above_m)
+
+    def _move(self, phase: str, q: Array, q_goal: Array, duration_s: float | None = None) -> Iterator[None]:
+        """Move the open hands."""
+        world = self.world
+        motion = joint_move(q, q_goal, world.robot, self._config.pace, world.dt, duration_s)
+        self._propose(phase, TrajectoryCommand, motion, _OPEN)
+        yield from self._executing()
+
+    def _executing(self) -> Iterator[None]:
+        yield
+        while self.stack.executing:
+            yield
+
+    def _propose(self, phase: str, kind: Callable[..., Command], *what: object) -> None:
+        """Propose a command and enter its phase."""
+        self._sequence += 1
+        refusal = self.stack.propose(SOURCE, kind(*what, self.world.time, self._sequence))
+        if refusal is not None:
+            raise _RefusedError(f"{refusal.name}: {refusal.detail}")
+        if phase != self.phase:
+            self._enter(phase)
+
+    def _enter(self, phase: str) -> None:
+        self.phase, self._began_s = phase, self.world.time
+
+    # Faults ---------------------------------------------------------------------------------------------
 
     @property
     def _law_drives(self) -> bool:
         return self.stack.manager.active == OBJECT_CONTROLLERS
 
-    def _stop_if_due(self) -> None:
-        if self._stop_by.fault is not None and self._phase not in ("stop", "done"):
-            self._enter("stop")
+    def _sensed(self) -> Fault | None:
+        """Return the fault that the sensors show in this phase."""
+        watch, phase = self._watch, self.phase
+        if phase in ("approach", "descend"):
+            return watch.resting()
+        if phase == "close":
+            return None if watch.gripped else watch.closing(self.world.time - self._began_s)
+        if phase in ("squeeze", "carry"):
+            return watch.holding(steady=phase == "carry")
+        if phase in ("stop", "done") and self._law_drives:  # the arbiter's stop leaves the object squeezed
+            return watch.holding(steady=False)
+        return None
 
-    def _enter(self, phase: str) -> None:
-        self._phase, self._began_s = phase, self.world.time
-        self._stop_by.over = phase == "done"
+    def _halt(self, fault: Fault | None) -> None:
+        """Halt on the spot if there is a fault."""
+        if fault is None or self._halted:
+            return
+        self._halted = True
+        opens = FAULTS[fault.name].opens_hands and self.stack.source == SOURCE
+        self.stack.halt(SOURCE, _OPEN if opens else None)
+        self._note(fault.name, fault.detail)
 
-    def _propose(self, command: Command) -> None:
-        """Propose a command; an immediate refusal ends the carry."""
-        refusal = self.stack.propose(SOURCE, command)
-        if refusal is not None:
-            self._stop_by.heed_refusal(refusal)
+    def _heed_arbiter(self) -> None:
+        """Note why the arbiter lets the carry go no further."""
+        stack = self.stack
+        news, self._refusals_seen = stack.refusals[self._refusals_seen :], len(stack.refusals)
+        refused = next((r for r in news if r.source == SOURCE), None)
+        if self.done:
+            return
+        if stack.output.halted:  # first: sources see a halt as a hold request
+            self._note("interrupted", "the arms were halted")
+        elif refused is not None:
+            self._note("interrupted", f"{refused.name}: {refused.detail}", _BRAKED_S)
+        elif self._asked_for is not None:
+            self._note("interrupted", f"'{self._asked_for}' was asked for", _BRAKED_S)
+        elif stack.state in (ArbiterState.STALE, ArbiterState.STOPPED):
+            self._note("interrupted", f"the arbiter is {stack.state}: it has not heard of the carry", _BRAKED_S)
 
-    def _number(self) -> int:
-        self._sequence += 1
-        return self._sequence
-
-    def _move(self, phase: str, q_goal: Array, *, duration_s: float | None = None) -> None:
-        """Enter a phase that moves the open hands from the last target."""
-        if duration_s is None:
-            duration_s = joint_duration_s(self._q_last, q_goal, self._config.pace, self.world.robot)
-        motion = JointMove(self._q_last, q_goal, duration_s, self.world.dt)
-        self._q_last = q_goal
-        self._propose(TrajectoryCommand(motion, _OPEN, self.world.time, self._number()))
-        self._enter(phase)
-
-    def _hold(self, phase: str, what: tuple[HeldMotion, Squeeze]) -> None:
-        self._propose(ObjectCommand(*what, _CLOSED, self.world.time, self._number()))
-        self._enter(phase)
-
-    def _grasp(self, q_near: Array, *, above_m: float = 0.0) -> Array | None:
-        """Return the posture (n,) at or over the grasps, or halt and return None."""
-        level = level_part(self._watch.T_world_object)
-        try:
-            return grasp_posture(self._scene, self.world.robot, level, q_near, above_m=above_m)
-        except GraspUnreachableError as error:
-            self._stop_by.heed(("unreachable", error.message))
-            return None
-
-    # Phases ---------------------------------------------------------------------------------------------
-
-    def _approach(self, t: float) -> None:
-        if not self._driving:
-            if self.stack.source == SOURCE:
-                self._driving = True
-                self._move("approach", self._q_over)
-        elif not self.stack.executing:
-            # The grasp uses the mean of all poses so far, about a hundred.
-            q_grasp = self._grasp(self._q_over)
-            if q_grasp is not None:
-                self._move("descend", q_grasp)
-
-    def _descend(self, t: float) -> None:
-        if not self.stack.executing:
-            self._enter("close")
-            self._close(0.0)
-
-    def _close(self, t: float) -> None:
-        # Closing ends on felt pinch, not on time, so the posture is streamed.
-        if t == 0.0 or self.stack.tick_next:
-            self._propose(JointCommand(self._q_last, _CLOSED, self.world.time, self._number()))
+    def _note(self, name: str, detail: str, stop_s: float | None = None) -> None:
+        """Record the first fault and the time to rest."""
         if self.fault is not None:
             return
-        if self._watch.gripped:
-            self._engage()
-        else:
-            self._stop_by.heed(self._watch.closing(t))
+        world = self.world
+        self.fault = Fault(name, detail, world.time)
+        if stop_s is None:
+            stop_s = SoftStop(world.q, world.v, self._config.faults.deceleration_share * world.robot.a_max).duration_s
+        self._stop_s = stop_s
 
-    def _engage(self) -> None:
-        """Plan the path, switch to controller C and begin to squeeze."""
-        world, watch = self.world, self._watch
-        T_object = watch.T_world_object
-        try:
-            goal = placement(self._trial.goal[self._scene.object.name])
-            self._path = plan_path(self._scene, world.robot, self._config, goal, T_object, world.q)
-        except GraspUnreachableError as error:
-            self._stop_by.heed(("unreachable", error.message))
-            return
-        self._T_level_object = inverse(level_part(T_object)) @ T_object
-        held = held_object(self._scene, T_object, self._kinematics.tcp_poses(world.q))
-        self.stack.impedance.configure(held, gains(self._config.impedance))
-        watch.take_hold()
-        try:
-            self.stack.switch_controllers(OBJECT_CONTROLLERS)
-        except SingularPostureError as error:
-            self._stop_by.heed(("singular", error.message))
-            return
-        self._hold("squeeze", squeezing(self._path, self._T_level_object, self.squeeze_n))
+    def _stop_if_due(self) -> None:
+        if self.fault is not None and self.phase not in ("stop", "done"):
+            self._enter("stop")
 
-    @property
-    def _planned(self) -> ObjectPath:
-        if self._path is None:
-            raise RuntimeError(f"phase '{self.phase}' needs the object in both hands")
-        return self._path
-
-    def _squeeze(self, t: float) -> None:
-        self._stop_by.heed(self._watch.holding(steady=False))
-        if self.fault is None and not self.stack.executing:
-            self._hold("carry", carrying(self._planned, self._T_level_object, self.squeeze_n))
-
-    def _carry(self, t: float) -> None:
-        self._stop_by.heed(self._watch.holding(steady=True))
-        if self.fault is None and not self.stack.executing:
-            self._hold("unload", releasing(self._planned, self._T_level_object, self.squeeze_n))
-
-    def _unload(self, t: float) -> None:
-        if not self.stack.executing:
-            self._watch.let_go()
-            self.stack.switch_controllers(DEFAULT_CONTROLLERS)
-            self._q_last = self.world.q
-            self._move("open", self._q_last, duration_s=PHASES["open"].force_s)
-
-    def _open(self, t: float) -> None:
-        if not self.stack.executing:
-            q_above = self._grasp(self._q_last, above_m=PHASES["retreat"].rise_m)
-            if q_above is not None:
-                self._move("retreat", q_above)
-
-    def _retreat(self, t: float) -> None:
-        if not self.stack.executing:
-            self._enter("done")
-
-    def _stop(self, t: float) -> None:
-        self._mind_the_object()
-        if t > self._stop_by.duration_s + _STOPPED_S:
-            self._enter("done")
-
-    def _done(self, t: float) -> None:
-        """Hold, under controller C if interrupted with the object."""
-        self._mind_the_object()
-
-    def _mind_the_object(self) -> None:
-        """Halt if the object gets lost: the arbiter's stop leaves it squeezed."""
-        if self._law_drives and not self._stop_by.halted:
-            self._stop_by.heed(self._watch.holding(steady=False))
+    def _flushed(self, mode: str) -> None:
+        if mode != SOURCE:
+            self._asked_for = mode
