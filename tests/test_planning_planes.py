@@ -9,6 +9,7 @@ from planning_oracles import CoalDistances, farthest_in_mujoco, states
 from minidual.collision.scene import Attached, PlanningScene
 from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, Sphere
 from minidual.proof import planes
+from minidual.proof.certificate import first_stretches
 from minidual.proof.scene_engines import SceneEngines
 from minidual.robot.arms import ARM_MODELS, DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
@@ -77,8 +78,8 @@ def free(solids, q, *args):
 def prove(solids, trajectory, reach=None, length=0.5, chosen=None):
     chosen = np.arange(len(solids.pairs)) if chosen is None else chosen
     geometry = solids.geometry if reach is None else (*solids.geometry[:5], reach)
-    directions = solids.workspace()[0]
-    return planes.prove(geometry, trajectory.q, trajectory.v, trajectory.dt_s, length, chosen, 2e-5, directions)
+    stretches, work = first_stretches(trajectory.q, length), solids.workspace(len(trajectory.q))
+    return planes.prove(geometry, trajectory.q, trajectory.v, trajectory.dt_s, stretches, chosen, 2e-5, work)
 
 
 def wave(q, amplitude, seed, samples_n=201):
@@ -130,7 +131,7 @@ def test_the_solids_are_what_mujoco_compiled(scene, arm):
                     max(
                         (vertices[s["first"] : s["end"]] @ own).max()
                         + s["ball"]
-                        + s["disc"] * np.linalg.norm(np.cross(own, [s["x"], s["y"], s["z"]]))
+                        + s["disc"] * np.linalg.norm(np.cross(own, s["axis"]))
                         for s in solids[part["first"] : part["end"]]
                     )
                     + n @ p[part["frame"]]
@@ -227,8 +228,8 @@ def test_no_vertex_leaves_its_chord_by_more_than_the_bound(scene, engines):
 def test_the_motion_leaves_the_straight_line_by_no_more_than_is_said():
     trajectory = wave(HOME, 0.5, seed=7)
     n = len(trajectory.q)
-    bend, step, off = np.empty((n - 1, DOF)), np.empty(DOF), np.empty(DOF)
-    planes._bends(trajectory.q, trajectory.v, trajectory.dt_s, bend)
+    step, off = np.empty(DOF), np.empty(DOF)
+    bend = planes.bends(trajectory.q, trajectory.v, trajectory.dt_s)
     for i, j in [(0, n - 1), (3, 60), (100, 101), (150, 152)]:
         planes._off_chord(trajectory.q, bend, i, j, step, off)
         assert np.array_equal(step, trajectory.q[j] - trajectory.q[i])
@@ -320,7 +321,8 @@ def test_nothing_is_proven_from_numbers_that_are_none(engines, spoil):
             points[np.setdiff1d(np.arange(len(points)), shapes["first"])] = np.nan
     every = np.arange(len(pairs))
     spoiled = (joints, points, shapes, parts, pairs, reach)
-    _, failed, _ = planes.prove(spoiled, q, v, trajectory.dt_s, 0.5, every, 2e-5, solids.workspace()[0])
+    stretches, work = first_stretches(trajectory.q, 0.5), solids.workspace(len(q))
+    _, failed, _ = planes.prove(spoiled, q, v, trajectory.dt_s, stretches, every, 2e-5, work)
     assert failed >= 0
     if "vert" in spoil:
         said = planes.clearance(spoiled, q[:1], every, 0.04, solids.workspace())

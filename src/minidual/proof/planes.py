@@ -25,11 +25,9 @@ from minidual.robot.pair import Array
 
 JOINT = np.dtype([("parent", "i8"), ("R", "f8", (3, 3)), ("p", "f8", 3)])
 """Parent frame (0: world, k + 1: joint k) and placement; the joint turns about z."""
-SOLID = np.dtype([("first", "i8"), ("end", "i8")] + [(name, "f8") for name in ("ball", "disc", "x", "y", "z")])
+SOLID = np.dtype([("first", "i8"), ("end", "i8"), ("ball", "f8"), ("disc", "f8"), ("axis", "f8", 3)])
 """Vertex rows, radii [m], disc axis."""
-PART = np.dtype(
-    [(name, "i8") for name in ("first", "end", "frame")] + [(name, "f8") for name in ("x", "y", "z", "radius")]
-)
+PART = np.dtype([("first", "i8"), ("end", "i8"), ("frame", "i8"), ("centre", "f8", 3), ("radius", "f8")])
 """Solid rows, frame, bounding ball [m]."""
 PAIR = np.dtype([(name, "i8") for name in ("a", "b", "frame", "row", "moves_a", "moves_b")])
 """Two parts, their planes' frame, first direction row, both parts' indices in `_deviate`'s flattened table."""
@@ -43,8 +41,7 @@ Work = tuple[Array, Array, Array, Array, Array, Array, Array]
 Keep = tuple[float, Array, Array, float]
 """Padding [m], tight states (t, dof), their clearances (t,) [m], joint distance [rad] over which clearance grows to
 padding."""
-Point = tuple[float, float, float, float]
-"""A distance and a point."""
+Vector = tuple[float, float, float]
 
 _TRIES = 40
 """Most directions per plane."""
@@ -52,129 +49,136 @@ _EXACT_M = 1e-4
 
 
 @inlined
+def _vector(a: Array) -> Vector:
+    return a[0], a[1], a[2]
+
+
+@inlined
+def _store(a: Array, x: Vector) -> None:
+    a[0], a[1], a[2] = x
+
+
+@inlined
+def _dot(a: Any, b: Any) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@inlined
+def _plus(a: Any, b: Any) -> Vector:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+@inlined
+def _minus(a: Any, b: Any) -> Vector:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@inlined
+def _times(s: float, a: Any) -> Vector:
+    return s * a[0], s * a[1], s * a[2]
+
+
+@inlined
+def _turned(R: Array, a: Any) -> Vector:
+    return _dot(R[0], a), _dot(R[1], a), _dot(R[2], a)
+
+
+@inlined
+def _turned_back(R: Array, a: Any) -> Vector:
+    return (
+        R[0, 0] * a[0] + R[1, 0] * a[1] + R[2, 0] * a[2],
+        R[0, 1] * a[0] + R[1, 1] * a[1] + R[2, 1] * a[2],
+        R[0, 2] * a[0] + R[1, 2] * a[1] + R[2, 2] * a[2],
+    )
+
+
+@inlined
 def _place(geometry: Geometry, q: Array, n: int, work: Work) -> None:
-    """Write poses and centres into row n."""
+    """Write poses and centres into row n; the world's pose stands there already."""
     joints, parts = geometry[0], geometry[3]
-    R, p, C = work[1], work[2], work[3]
-    for r in range(3):
-        for c in range(3):
-            R[n, 0, r, c] = 1.0 if r == c else 0.0
-        p[n, 0, r] = 0.0
+    R, p, C = work[1][n], work[2][n], work[3][n]
     for j in range(len(joints)):
-        f = joints[j].parent
-        own_R, own_p = joints[j].R, joints[j].p
+        f, shift = joints[j].parent, joints[j].p
         c, s = math.cos(q[j]), math.sin(q[j])
         for r in range(3):
-            x, y, z = R[n, f, r, 0], R[n, f, r, 1], R[n, f, r, 2]
-            m0 = x * own_R[0, 0] + y * own_R[1, 0] + z * own_R[2, 0]
-            m1 = x * own_R[0, 1] + y * own_R[1, 1] + z * own_R[2, 1]
-            R[n, j + 1, r, 0] = c * m0 + s * m1
-            R[n, j + 1, r, 1] = c * m1 - s * m0
-            R[n, j + 1, r, 2] = x * own_R[0, 2] + y * own_R[1, 2] + z * own_R[2, 2]
-            p[n, j + 1, r] = p[n, f, r] + x * own_p[0] + y * own_p[1] + z * own_p[2]
+            row = _vector(R[f, r])
+            x, y, z = _turned_back(joints[j].R, row)
+            _store(R[j + 1, r], (c * x + s * y, c * y - s * x, z))
+            p[j + 1, r] = p[f, r] + row[0] * shift[0] + row[1] * shift[1] + row[2] * shift[2]
     for k in range(len(parts)):
         f = parts[k].frame
-        x, y, z = parts[k].x, parts[k].y, parts[k].z
-        for r in range(3):
-            C[n, k, r] = R[n, f, r, 0] * x + R[n, f, r, 1] * y + R[n, f, r, 2] * z + p[n, f, r]
+        _store(C[k], _plus(_turned(R[f], parts[k].centre), p[f]))
 
 
 @inlined
 def _seen_from(work: Work, n: int, f: int, a: int, to: int) -> None:
     """Write frame a's pose, seen from f, into row `to`."""
-    R, p, seen_R, seen_p = work[1], work[2], work[4], work[5]
-    if f == 0:
-        for r in range(3):
-            for c in range(3):
-                seen_R[to, r, c] = R[n, a, r, c]
-            seen_p[to, r] = p[n, a, r]
-        return
-    x, y, z = p[n, a, 0] - p[n, f, 0], p[n, a, 1] - p[n, f, 1], p[n, a, 2] - p[n, f, 2]
+    R, p, seen_R, seen_p = work[1][n], work[2][n], work[4], work[5]
     for r in range(3):
-        u, v, w = R[n, f, 0, r], R[n, f, 1, r], R[n, f, 2, r]
-        for c in range(3):
-            seen_R[to, r, c] = u * R[n, a, 0, c] + v * R[n, a, 1, c] + w * R[n, a, 2, c]
-        seen_p[to, r] = u * x + v * y + w * z
+        _store(seen_R[to, r], _turned_back(R[a], (R[f, 0, r], R[f, 1, r], R[f, 2, r])))
+    _store(seen_p[to], _turned_back(R[f], _minus(p[a], p[f])))
 
 
 @inlined
-def _farthest(geometry: Geometry, k: int, R: Array, p: Array, n: int, x: float, y: float, z: float) -> Point:
-    """Return solid k's extent along (x, y, z), without ball, and extreme point."""
+def _farthest(geometry: Geometry, k: int, R: Array, p: Array, way: Vector) -> tuple[float, Vector]:
+    """Return solid k's extent along `way`, without ball, and extreme point."""
     vertices, solids = geometry[1], geometry[2]
-    mx = R[n, 0, 0] * x + R[n, 1, 0] * y + R[n, 2, 0] * z
-    my = R[n, 0, 1] * x + R[n, 1, 1] * y + R[n, 2, 1] * z
-    mz = R[n, 0, 2] * x + R[n, 1, 2] * y + R[n, 2, 2] * z
+    own = _turned_back(R, way)
     at = solids[k].first
-    far, all_of_them = -np.inf, 0.0
+    far, total = -np.inf, 0.0
     for i in range(at, solids[k].end):
-        d = vertices[i, 0] * mx + vertices[i, 1] * my + vertices[i, 2] * mz
-        all_of_them += d
+        d = _dot(vertices[i], own)
+        total += d
         if d > far:
             far = d
             at = i
-    if not abs(all_of_them) < np.inf:
+    if not abs(total) < np.inf:
         far = np.nan  # the comparison drops NaN, the sum does not
-    u, v, w = vertices[at, 0], vertices[at, 1], vertices[at, 2]
-    disc = solids[k].disc
+    point = _vector(vertices[at])
+    disc, axis = solids[k].disc, solids[k].axis
     if disc > 0.0:
-        ax, ay, az = solids[k].x, solids[k].y, solids[k].z
-        along = mx * ax + my * ay + mz * az
-        sx, sy, sz = mx - along * ax, my - along * ay, mz - along * az
-        across = math.sqrt(sx * sx + sy * sy + sz * sz)
-        far += disc * across
-        if across > 0.0:
-            u += disc / across * sx
-            v += disc / across * sy
-            w += disc / across * sz
-    far += x * p[n, 0] + y * p[n, 1] + z * p[n, 2]
-    return (
-        far,
-        R[n, 0, 0] * u + R[n, 0, 1] * v + R[n, 0, 2] * w + p[n, 0],
-        R[n, 1, 0] * u + R[n, 1, 1] * v + R[n, 1, 2] * w + p[n, 1],
-        R[n, 2, 0] * u + R[n, 2, 1] * v + R[n, 2, 2] * w + p[n, 2],
-    )
+        across = _minus(own, _times(_dot(own, axis), axis))
+        length = math.sqrt(_dot(across, across))
+        far += disc * length
+        if length > 0.0:
+            point = _plus(point, _times(disc / length, across))
+    return far + _dot(way, p), _plus(_turned(R, point), p)
 
 
 @inlined
-def _difference(geometry: Geometry, a: int, b: int, ends: int, x: float, y: float, z: float, work: Work) -> Point:
-    """Return solid a's smallest distance beyond b along (x, y, z) over the ends, and the difference vector.
+def _difference(geometry: Geometry, a: int, b: int, ends: int, way: Vector, work: Work) -> tuple[float, Vector]:
+    """Return solid a's smallest distance beyond b along `way` over the ends, and the difference vector.
 
     Even pose rows hold a, odd rows b.
     """
     R, p = work[4], work[5]
-    gap = np.inf
-    sx, sy, sz = 0.0, 0.0, 0.0
+    gap, apart = np.inf, (0.0, 0.0, 0.0)
     for end in range(ends):
-        back, ax, ay, az = _farthest(geometry, a, R, p, 2 * end, -x, -y, -z)
-        front, bx, by, bz = _farthest(geometry, b, R, p, 2 * end + 1, x, y, z)
+        back, on_a = _farthest(geometry, a, R[2 * end], p[2 * end], _times(-1.0, way))
+        front, on_b = _farthest(geometry, b, R[2 * end + 1], p[2 * end + 1], way)
         here = -back - front
         if here != here:
-            return np.nan, ax - bx, ay - by, az - bz
+            return np.nan, apart
         if not here >= gap:
-            gap = here
-            sx, sy, sz = ax - bx, ay - by, az - bz
-    return gap, sx, sy, sz
+            gap, apart = here, _minus(on_a, on_b)
+    return gap, apart
 
 
 @inlined
-def _on_triangle(S: Array, i: int, j: int, k: int) -> tuple[float, float, float]:
+def _on_triangle(a: Vector, b: Vector, c: Vector) -> Vector:
     """Return weights of the triangle's nearest point to the origin (Ericson, Real-Time Collision Detection, 5.1.5)."""
-    ax, ay, az = S[i, 0], S[i, 1], S[i, 2]
-    bx, by, bz = S[j, 0], S[j, 1], S[j, 2]
-    cx, cy, cz = S[k, 0], S[k, 1], S[k, 2]
-    ux, uy, uz = bx - ax, by - ay, bz - az
-    vx, vy, vz = cx - ax, cy - ay, cz - az
-    d1, d2 = -(ux * ax + uy * ay + uz * az), -(vx * ax + vy * ay + vz * az)
+    ab, ac = _minus(b, a), _minus(c, a)
+    d1, d2 = -_dot(ab, a), -_dot(ac, a)
     if d1 <= 0.0 and d2 <= 0.0:
         return 1.0, 0.0, 0.0
-    d3, d4 = -(ux * bx + uy * by + uz * bz), -(vx * bx + vy * by + vz * bz)
+    d3, d4 = -_dot(ab, b), -_dot(ac, b)
     if d3 >= 0.0 and d4 <= d3:
         return 0.0, 1.0, 0.0
     of_c = d1 * d4 - d3 * d2
     if of_c <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
         t = d1 / (d1 - d3)
         return 1.0 - t, t, 0.0
-    d5, d6 = -(ux * cx + uy * cy + uz * cz), -(vx * cx + vy * cy + vz * cz)
+    d5, d6 = -_dot(ab, c), -_dot(ac, c)
     if d6 >= 0.0 and d5 <= d6:
         return 0.0, 0.0, 1.0
     of_b = d5 * d2 - d1 * d6
@@ -190,53 +194,53 @@ def _on_triangle(S: Array, i: int, j: int, k: int) -> tuple[float, float, float]
 
 
 @inlined
-def _outside(S: Array, i: int, j: int, k: int, m: int) -> bool:
-    """Return whether the triangle does not have origin and row m on one side."""
-    ux, uy, uz = S[j, 0] - S[i, 0], S[j, 1] - S[i, 1], S[j, 2] - S[i, 2]
-    vx, vy, vz = S[k, 0] - S[i, 0], S[k, 1] - S[i, 1], S[k, 2] - S[i, 2]
-    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    here = -(nx * S[i, 0] + ny * S[i, 1] + nz * S[i, 2])
-    there = nx * (S[m, 0] - S[i, 0]) + ny * (S[m, 1] - S[i, 1]) + nz * (S[m, 2] - S[i, 2])
-    return not here * there > 0.0
+def _outside(a: Vector, b: Vector, c: Vector, inner: Vector) -> bool:
+    """Return whether the origin is not strictly on the triangle's inner side."""
+    ux, uy, uz = _minus(b, a)
+    vx, vy, vz = _minus(c, a)
+    normal = (uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx)
+    return not -_dot(normal, a) * _dot(normal, _minus(inner, a)) > 0.0
 
 
 @inlined
-def _nearest(S: Array, count: int) -> tuple[int, float, float, float]:
-    """Return (count, x, y, z), the simplex's nearest point to the origin, and drop unneeded rows."""
+def _mix(weights: Vector, a: Vector, b: Vector, c: Vector) -> Vector:
+    return _plus(_plus(_times(weights[0], a), _times(weights[1], b)), _times(weights[2], c))
+
+
+@inlined
+def _nearest(S: Array, count: int) -> tuple[int, Vector]:
+    """Return (count, point), the simplex's nearest point to the origin, and drop unneeded rows."""
     weights = (1.0, 0.0, 0.0)
     i, j, k = 0, 1, 2
     if count == 2:
-        ux, uy, uz = S[1, 0] - S[0, 0], S[1, 1] - S[0, 1], S[1, 2] - S[0, 2]
-        square = ux * ux + uy * uy + uz * uz
-        t = -(ux * S[0, 0] + uy * S[0, 1] + uz * S[0, 2])
-        t = min(1.0, max(0.0, t / square)) if square > 0.0 else 0.0
+        edge = _minus(S[1], S[0])
+        square = _dot(edge, edge)
+        t = min(1.0, max(0.0, -_dot(edge, S[0]) / square)) if square > 0.0 else 0.0
         weights = (1.0 - t, t, 0.0)
     elif count == 3:
-        weights = _on_triangle(S, 0, 1, 2)
+        weights = _on_triangle(_vector(S[0]), _vector(S[1]), _vector(S[2]))
     elif count == 4:
         least = np.inf
         for face in range(4):
-            a, b, c = (1 if face == 0 else 0), (2 if face <= 1 else 1), (3 if face <= 2 else 2)
-            if _outside(S, a, b, c, face):
-                u, v, w = _on_triangle(S, a, b, c)
-                x = u * S[a, 0] + v * S[b, 0] + w * S[c, 0]
-                y = u * S[a, 1] + v * S[b, 1] + w * S[c, 1]
-                z = u * S[a, 2] + v * S[b, 2] + w * S[c, 2]
-                square = x * x + y * y + z * z
+            r, s, t = (1 if face == 0 else 0), (2 if face <= 1 else 1), (3 if face <= 2 else 2)
+            a, b, c = _vector(S[r]), _vector(S[s]), _vector(S[t])
+            if _outside(a, b, c, _vector(S[face])):
+                here = _on_triangle(a, b, c)
+                point = _mix(here, a, b, c)
+                square = _dot(point, point)
                 if square < least:
-                    least, weights, i, j, k = square, (u, v, w), a, b, c
+                    least, weights, i, j, k = square, here, r, s, t
         if least == np.inf:
-            return 4, 0.0, 0.0, 0.0
-    x, y, z = 0.0, 0.0, 0.0
+            return 4, (0.0, 0.0, 0.0)
+    point = (0.0, 0.0, 0.0)
     kept = 0
     for row, weight in ((i, weights[0]), (j, weights[1]), (k, weights[2])):
         if weight > 0.0:
-            x += weight * S[row, 0]
-            y += weight * S[row, 1]
-            z += weight * S[row, 2]
-            S[kept, 0], S[kept, 1], S[kept, 2] = S[row, 0], S[row, 1], S[row, 2]
+            corner = _vector(S[row])
+            point = _plus(point, _times(weight, corner))
+            _store(S[kept], corner)
             kept += 1
-    return kept, x, y, z
+    return kept, point
 
 
 @inlined
@@ -247,28 +251,28 @@ def _separate(geometry: Geometry, a: int, b: int, ends: int, need: float, exact:
     """
     solids, directions, S = geometry[2], work[0], work[6]
     thick = solids[a].ball + solids[b].ball
-    x, y, z = directions[row, 0], directions[row, 1], directions[row, 2]
+    way = _vector(directions[row])
+    if way[0] == 0.0 and way[1] == 0.0 and way[2] == 0.0:
+        way = (0.0, 0.0, 1.0)  # arbitrary first direction
     size, count = np.inf, 0
-    if x == 0.0 and y == 0.0 and z == 0.0:
-        z = 1.0  # arbitrary first direction
-    best, bx, by, bz = -np.inf, x, y, z
+    best, best_way = -np.inf, way
     for _ in range(_TRIES):
-        gap, sx, sy, sz = _difference(geometry, a, b, ends, x, y, z, work)
+        gap, apart = _difference(geometry, a, b, ends, way, work)
         if gap - thick > best:
-            best, bx, by, bz = gap - thick, x, y, z
+            best, best_way = gap - thick, way
         if best > need:
             break
-        S[count, 0], S[count, 1], S[count, 2] = sx, sy, sz
-        count, wx, wy, wz = _nearest(S, count + 1)
-        length = math.sqrt(wx * wx + wy * wy + wz * wz)
+        _store(S[count], apart)
+        count, nearest = _nearest(S, count + 1)
+        length = math.sqrt(_dot(nearest, nearest))
         if not length < size:
             break  # converged
         size = length
         # The length of the nearest difference is an upper bound for every direction.
         if count == 4 or not size - thick > (best + _EXACT_M if exact else need) or size == 0.0:
             break
-        x, y, z = wx / size, wy / size, wz / size
-    directions[row, 0], directions[row, 1], directions[row, 2] = bx, by, bz
+        way = (nearest[0] / size, nearest[1] / size, nearest[2] / size)
+    _store(directions[row], best_way)
     return best
 
 
@@ -277,40 +281,29 @@ def _between_balls(geometry: Geometry, pair: Any, i: int, j: int, work: Work) ->
     """Return the bounding balls' smallest distance between states i and j."""
     parts, R, C = geometry[3], work[1], work[3]
     a, b, f = pair.a, pair.b, pair.frame
-    x, y, z = C[i, a, 0] - C[i, b, 0], C[i, a, 1] - C[i, b, 1], C[i, a, 2] - C[i, b, 2]
+    x = _minus(C[i, a], C[i, b])
     if i != j:
-        u, v, w = C[j, a, 0] - C[j, b, 0], C[j, a, 1] - C[j, b, 1], C[j, a, 2] - C[j, b, 2]
+        y = _minus(C[j, a], C[j, b])
         if f != 0:
-            x, y, z = (
-                R[i, f, 0, 0] * x + R[i, f, 1, 0] * y + R[i, f, 2, 0] * z,
-                R[i, f, 0, 1] * x + R[i, f, 1, 1] * y + R[i, f, 2, 1] * z,
-                R[i, f, 0, 2] * x + R[i, f, 1, 2] * y + R[i, f, 2, 2] * z,
-            )
-            u, v, w = (
-                R[j, f, 0, 0] * u + R[j, f, 1, 0] * v + R[j, f, 2, 0] * w,
-                R[j, f, 0, 1] * u + R[j, f, 1, 1] * v + R[j, f, 2, 1] * w,
-                R[j, f, 0, 2] * u + R[j, f, 1, 2] * v + R[j, f, 2, 2] * w,
-            )
-        dx, dy, dz = u - x, v - y, w - z
-        square = dx * dx + dy * dy + dz * dz
+            x, y = _turned_back(R[i, f], x), _turned_back(R[j, f], y)
+        d = _minus(y, x)
+        square = _dot(d, d)
         if square > 0.0:
-            t = min(1.0, max(0.0, -(x * dx + y * dy + z * dz) / square))
-            x, y, z = x + t * dx, y + t * dy, z + t * dz
-    return math.sqrt(x * x + y * y + z * z) - parts[a].radius - parts[b].radius
+            x = _plus(x, _times(min(1.0, max(0.0, -_dot(x, d) / square)), d))
+    return math.sqrt(_dot(x, x)) - parts[a].radius - parts[b].radius
 
 
 @inlined
 def _beside(geometry: Geometry, pair: Any, i: int, j: int, work: Work) -> float:
     """Return how far a's ball lies beyond b along their last direction; -inf unless b is one fixed solid."""
     solids, parts = geometry[2], geometry[3]
-    directions, R, p, C = work[0], work[1], work[2], work[3]
+    R, p, C = work[1], work[2], work[3]
     a, b = pair.a, pair.b
-    x, y, z = directions[pair.row, 0], directions[pair.row, 1], directions[pair.row, 2]
-    if parts[b].frame != 0 or parts[b].end - parts[b].first != 1 or (x == 0.0 and y == 0.0 and z == 0.0):
+    way = _vector(work[0][pair.row])
+    if parts[b].frame != 0 or parts[b].end - parts[b].first != 1 or _dot(way, way) == 0.0:
         return -np.inf
-    front, _, _, _ = _farthest(geometry, parts[b].first, R[i], p[i], 0, x, y, z)
-    back = min(C[i, a, 0] * x + C[i, a, 1] * y + C[i, a, 2] * z, C[j, a, 0] * x + C[j, a, 1] * y + C[j, a, 2] * z)
-    return back - parts[a].radius - front - solids[parts[b].first].ball
+    front, _ = _farthest(geometry, parts[b].first, R[i, 0], p[i, 0], way)
+    return min(_dot(C[i, a], way), _dot(C[j, a], way)) - parts[a].radius - front - solids[parts[b].first].ball
 
 
 @inlined
@@ -389,47 +382,18 @@ def _off_chord(q: Array, bend: Array, i: int, j: int, step: Array, off: Array) -
             off[c] = np.inf
 
 
-@inlined
-def _bends(q: Array, v: Array, dt: float, bend: Array) -> None:
-    """Write the cubics' departures (n - 1, dof) [rad] from their chords."""
-    for k in range(len(q) - 1):
-        for c in range(q.shape[1]):
-            # A cubic's second derivative is largest at an end; an eighth of it bounds the departure.
-            rise, before, after = q[k + 1, c] - q[k, c], v[k, c] * dt, v[k + 1, c] * dt
-            first = 6.0 * rise - 4.0 * before - 2.0 * after
-            last = -6.0 * rise + 2.0 * before + 4.0 * after
-            bend[k, c] = 0.125 * max(abs(first), abs(last))
-
-
-@inlined
-def _first_stretches(q: Array, length: float, stack: Array) -> int:
-    """Stack stretches of about `length`, first on top; return their number."""
-    last = len(q) - 1
-    whole = 0.0
-    for k in range(last):
-        for c in range(q.shape[1]):
-            whole += abs(q[k + 1, c] - q[k, c])
-    count = max(1, min(len(stack) // 2, math.ceil(whole / length))) if whole < np.inf else 1
-    begin, gone, done = 0, 0.0, 0
-    for k in range(last):
-        for c in range(q.shape[1]):
-            gone += abs(q[k + 1, c] - q[k, c])
-        if gone >= (done + 1) * whole / count or k + 1 == last:
-            stack[done, 0], stack[done, 1] = begin, k + 1
-            begin = k + 1
-            done += 1
-            if done == count:
-                stack[done - 1, 1] = last
-                break
-    for k in range(done // 2):
-        for end in range(2):
-            stack[k, end], stack[done - 1 - k, end] = stack[done - 1 - k, end], stack[k, end]
-    return done
+@kernel()
+def bends(q: Array, v: Array, dt: float) -> Array:
+    """Return the cubics' departures (n - 1, dof) [rad] from their chords."""
+    # A cubic's second derivative is largest at an end; an eighth of it bounds the departure.
+    rise, before, after = q[1:] - q[:-1], v[:-1] * dt, v[1:] * dt
+    first, last = 6.0 * rise - 4.0 * before - 2.0 * after, -6.0 * rise + 2.0 * before + 4.0 * after
+    return 0.125 * np.maximum(np.abs(first), np.abs(last))
 
 
 @kernel()
 def prove(
-    geometry: Geometry, q: Array, v: Array, dt: float, length: float, chosen: Rows, need: float, directions: Array
+    geometry: Geometry, q: Array, v: Array, dt: float, stretches: Rows, chosen: Rows, need: float, work: Work
 ) -> tuple[np.ndarray, int, int]:
     """Prove that pairs stay farther apart than `need` throughout a motion.
 
@@ -438,26 +402,25 @@ def prove(
         q: Samples (n, dof) [rad], n >= 2, joined by cubics.
         v: Velocities [rad/s].
         dt: Step [s].
-        length: First stretches' [rad], summed over joints.
+        stretches: First and last samples (s, 2) of the first stretches, which cover the motion.
         chosen: (c,) rows of `pairs`.
         need: [m], including rounding.
-        directions: (r, 3), updated.
+        work: For n states.
 
     Returns:
         Ends of stretches (n,) bool; the unproven step's first sample and pair, or -1, -1.
     """
-    parts, pairs = geometry[3], geometry[4]
+    pairs = geometry[4]
     n, dof = q.shape
-    R, p, C = np.empty((n, dof + 1, 3, 3)), np.empty((n, dof + 1, 3)), np.empty((n, len(parts), 3))
-    work = (directions, R, p, C, np.empty((4, 3, 3)), np.empty((4, 3)), np.empty((4, 3)))
     asked = np.zeros(n, dtype=np.bool_)
-    bend, step, off = np.empty((n - 1, dof)), np.empty(dof), np.empty(dof)
-    table = np.empty((len(parts) + 1, geometry[5].shape[1] + 1))
+    step, off = np.empty(dof), np.empty(dof)
+    bend = bends(q, v, dt)
+    table = np.empty((len(geometry[3]) + 1, geometry[5].shape[1] + 1))
     moved = table.reshape(-1)
     order = chosen.copy()
-    stack = np.empty((512, 2), dtype=np.int64)
-    _bends(q, v, dt, bend)
-    top = _first_stretches(q, length, stack)
+    top = len(stretches)
+    stack = np.empty((top + 64, 2), dtype=np.int64)
+    stack[:top] = stretches[::-1]
     while top > 0:
         top -= 1
         i, j = stack[top, 0], stack[top, 1]

@@ -18,23 +18,22 @@ import pinocchio as pin
 from minidual.collision.coal_engine import convex_solids, robot_geometry
 from minidual.collision.scene import PlanningScene
 from minidual.proof import planes
-from minidual.proof.planes import JOINT, PAIR, PART, SOLID
 from minidual.robot.compiled import floats
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array, Robot
+from minidual.robot.pair import SIDES, Array, Robot
 
 _BOX_CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 _ENDS = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
 
 
 @dataclass(frozen=True)
-class _Solid:
-    """Vertices (n, 3) [m] in a joint's frame, thickening radii, disc axis."""
+class _Part:
+    """Vertices (n, 3) [m] on a joint's frame; rows of `planes.SOLID` that count from 0, of `planes.PART` and reach."""
 
-    points: Array
-    ball: float
-    disc: float
-    axis: tuple[float, float, float]
+    vertices: Array
+    solids: tuple[tuple[Any, ...], ...]
+    ball: tuple[Any, ...]
+    reach: Array
 
 
 class Solids:
@@ -42,48 +41,32 @@ class Solids:
 
     def __init__(self, scene: PlanningScene) -> None:
         self.robot, self.pairs = scene.robot, scene.checked_pairs
-        model, chain = Kinematics(self.robot).model, _chain(self.robot)
-        solids = dict(_robot_solids(self.robot))
+        model, (joints, turns) = Kinematics(self.robot).model, _chain(self.robot)
+        parts = dict(_robot_parts(self.robot))
         for shape in scene.solid_obstacles:
-            solids[shape.name] = 0, _placed(shape, pin.SE3(shape.T_parent_shape))
+            place = pin.SE3(shape.T_parent_shape)
+            parts[shape.name] = _part(self.robot, 0, [(solid, place) for solid in convex_solids(shape)])
         for held in scene.attached:
             frame = model.frames[model.getFrameId(held.link)]
-            on_frame = chain.turns[frame.parentJoint] * frame.placement
-            solids[held.name] = frame.parentJoint, _placed(held.shape, on_frame * pin.SE3(held.shape.T_parent_shape))
-        vertices: list[Array] = []
+            place = turns[frame.parentJoint] * frame.placement * pin.SE3(held.shape.T_parent_shape)
+            solids = [(solid, place) for solid in convex_solids(held.shape)]
+            parts[held.name] = _part(self.robot, frame.parentJoint, solids)
         rows: list[tuple[Any, ...]] = []
-        parts: list[tuple[Any, ...]] = []
-        reaches: list[Array] = []
+        balls: list[tuple[Any, ...]] = []
         end = 0
-        for name in scene.names:
-            frame, own = solids[name]
-            first = len(rows)
-            for solid in own:
-                begin, end = end, end + len(solid.points)
-                rows.append((begin, end, solid.ball, solid.disc, *solid.axis))
-                vertices.append(solid.points)
-            # The mean of the vertices lies inside their hull, so it is no farther from any axis than the part reaches.
-            centre = np.vstack([solid.points for solid in own]).mean(axis=0)
-            parts.append((first, len(rows), frame, *centre, _radius(own, centre)))
-            reaches.append(self._reach(chain.joints, frame, _radius(own, np.zeros(3))))
-        self._parts = np.array(parts, dtype=PART)
+        for part in (parts[name] for name in scene.names):
+            balls.append((len(rows), len(rows) + len(part.solids), *part.ball))
+            rows += [(end + first, end + last, *shape) for first, last, *shape in part.solids]
+            end += len(part.vertices)
+        self._parts = np.array(balls, dtype=planes.PART)
         self.geometry = (
-            chain.joints,
-            np.vstack(vertices),
-            np.array(rows, dtype=SOLID),
+            joints,
+            np.vstack([parts[name].vertices for name in scene.names]),
+            np.array(rows, dtype=planes.SOLID),
             self._parts,
             self._pairs({name: k for k, name in enumerate(scene.names)}),
-            np.array(reaches),
+            np.array([parts[name].reach for name in scene.names]),
         )
-
-    def _reach(self, joints: np.ndarray, frame: int, radius: float) -> Array:
-        """Return (dof / 2,) [m], largest distances from the arm's joints; 0 if not moved."""
-        n = self.robot.dof_per_arm
-        reach = np.zeros(n)
-        for k in range(frame, 0 if frame <= n else n, -1):
-            reach[(k - 1) % n] = radius
-            radius += float(np.linalg.norm(joints[k - 1]["p"]))
-        return reach
 
     def _pairs(self, rows: dict[str, int]) -> np.ndarray:
         n = self.robot.dof_per_arm
@@ -91,7 +74,7 @@ class Solids:
         frames = self._parts["frame"].tolist()
         still, width = len(frames) * (n + 1), n + 1
         pairs: list[tuple[int, ...]] = []
-        directions_n = 0
+        self._directions_n = 0
         for name_a, name_b in self.pairs:
             a, b = rows[name_a], rows[name_b]
             f, g = frames[a], frames[b]
@@ -102,34 +85,24 @@ class Solids:
                 moves = (a * width + seen, still) if f >= g else (still, b * width + seen)
             else:
                 inner, moves = 0, (a * width if f else still, b * width if g else still)
-            pairs.append((a, b, inner, directions_n, *moves))
-            directions_n += counts[a] * counts[b]
-        self._directions_n = directions_n
-        return np.array(pairs, dtype=PAIR)
+            pairs.append((a, b, inner, self._directions_n, *moves))
+            self._directions_n += counts[a] * counts[b]
+        return np.array(pairs, dtype=planes.PAIR)
 
     def of_arms(self, arms: Sequence[str]) -> np.ndarray:
         """Return pairs moved by these arms."""
-        frames, n = self._parts["frame"], self.robot.dof_per_arm
-        moves = np.zeros(len(frames), dtype=bool)
-        if "left" in arms:
-            moves |= (frames > 0) & (frames <= n)
-        if "right" in arms:
-            moves |= frames > n
-        pairs = self.geometry[4]
+        n, pairs = self.robot.dof_per_arm, self.geometry[4]
+        arm = (self._parts["frame"] + n - 1) // n  # 0 for fixed parts
+        moves = np.isin(arm, [1 + SIDES.index(side) for side in arms])
         return np.flatnonzero(moves[pairs["a"]] | moves[pairs["b"]])
 
-    def workspace(self) -> planes.Work:
-        """Allocate the kernels' memory for one state."""
-        one = self.robot.dof + 1
-        return (
-            np.zeros((self._directions_n, 3)),
-            np.empty((1, one, 3, 3)),
-            np.empty((1, one, 3)),
-            np.empty((1, len(self._parts), 3)),
-            np.empty((4, 3, 3)),
-            np.empty((4, 3)),
-            np.empty((4, 3)),
-        )
+    def workspace(self, states_n: int = 1) -> planes.Work:
+        """Allocate the kernels' memory."""
+        frames_n = self.robot.dof + 1
+        R, p = np.empty((states_n, frames_n, 3, 3)), np.zeros((states_n, frames_n, 3))
+        R[:, 0] = np.eye(3)
+        centres = np.empty((states_n, len(self._parts), 3))
+        return np.zeros((self._directions_n, 3)), R, p, centres, np.empty((4, 3, 3)), np.empty((4, 3)), np.empty((4, 3))
 
     def keep(self, padding_m: float) -> planes.Keep:
         """Return the same distance for every state."""
@@ -146,24 +119,19 @@ class Solids:
         `rows` selects pairs.
         """
         rows = np.arange(len(self.pairs)) if rows is None else rows
-        found = planes.clearance(self.geometry, floats(Q), rows, most_m, self.workspace())
-        return float(found)
-
-
-@dataclass(frozen=True)
-class _Chain:
-    """Joints, frames turned to have axis z; `turns` maps original frames into them."""
-
-    joints: np.ndarray
-    turns: tuple[pin.SE3, ...]
+        return float(planes.clearance(self.geometry, floats(Q), rows, most_m, self.workspace()))
 
 
 @functools.cache
-def _chain(robot: Robot) -> _Chain:
-    """Raise ValueError for joints that are not revolute."""
+def _chain(robot: Robot) -> tuple[np.ndarray, tuple[pin.SE3, ...]]:
+    """Return joints, their frames turned to have axis z, and the maps of original frames into turned ones.
+
+    Raises:
+        ValueError: A joint is not revolute.
+    """
     model = Kinematics(robot).model
     turned = [pin.SE3.Identity()]
-    joints = np.zeros(robot.dof, dtype=JOINT)
+    joints = np.zeros(robot.dof, dtype=planes.JOINT)
     for k in range(1, robot.dof + 1):
         data = model.joints[k].createData()
         model.joints[k].calc(data, np.ones(model.nq))
@@ -174,43 +142,62 @@ def _chain(robot: Robot) -> _Chain:
         turned.append(pin.SE3(to_axis, np.zeros(3)))
         placement = turned[model.parents[k]].inverse() * model.jointPlacements[k] * turned[k]
         joints[k - 1] = (model.parents[k], placement.rotation, placement.translation)
-    return _Chain(joints, tuple(turn.inverse() for turn in turned))
+    return joints, tuple(turn.inverse() for turn in turned)
 
 
 @functools.cache
-def _robot_solids(robot: Robot) -> dict[str, tuple[int, tuple[_Solid, ...]]]:
-    model, turns = Kinematics(robot).model, _chain(robot).turns
-    found: dict[str, tuple[int, tuple[_Solid, ...]]] = {}
+def _robot_parts(robot: Robot) -> dict[str, _Part]:
+    """Return the links' parts."""
+    model, (_, turns) = Kinematics(robot).model, _chain(robot)
+    pieces: dict[str, list[Any]] = {}
     for item in robot_geometry(robot).geometryObjects:
-        name = model.frames[item.parentFrame].name
-        _, before = found.get(name, (0, ()))
-        found[name] = item.parentJoint, (*before, _solid(item.geometry, turns[item.parentJoint] * item.placement))
-    return found
+        pieces.setdefault(model.frames[item.parentFrame].name, []).append(item)
+    return {
+        name: _part(robot, own[0].parentJoint, [(i.geometry, turns[i.parentJoint] * i.placement) for i in own])
+        for name, own in pieces.items()
+    }
 
 
-def _placed(shape: Any, placement: pin.SE3) -> tuple[_Solid, ...]:
-    return tuple(_solid(solid, placement) for solid in convex_solids(shape))
+def _part(robot: Robot, frame: int, solids: Sequence[tuple[Any, pin.SE3]]) -> _Part:
+    """Return one part; solids are coal shapes with their poses in the frame."""
+    points: list[Array] = []
+    rows: list[tuple[Any, ...]] = []
+    end = 0
+    for shape, place in solids:
+        corners, ball, disc = _corners(shape)
+        points.append(corners @ place.rotation.T + place.translation)
+        rows.append((end, end + len(corners), ball, disc, place.rotation[:, 2].tolist()))
+        end += len(corners)
+
+    def radius(centre: Array) -> float:
+        return max(
+            float(np.linalg.norm(own - centre, axis=1).max()) + ball + disc
+            for own, (_, _, ball, disc, _) in zip(points, rows, strict=True)
+        )
+
+    vertices = np.vstack(points)
+    # The mean of the vertices lies inside their hull, so it is no farther from any axis than the part reaches.
+    centre = vertices.mean(axis=0)
+    joints, n, far = _chain(robot)[0], robot.dof_per_arm, radius(np.zeros(3))
+    reach = np.zeros(n)  # largest distances [m] from the arm's joints; 0 if not moved
+    for k in range(frame, 0 if frame <= n else n, -1):
+        reach[(k - 1) % n] = far
+        far += float(np.linalg.norm(joints[k - 1]["p"]))
+    return _Part(vertices, tuple(rows), (frame, centre.tolist(), radius(centre)), reach)
 
 
-def _solid(shape: Any, placement: pin.SE3) -> _Solid:
-    ball = disc = 0.0
+def _corners(shape: Any) -> tuple[Array, float, float]:
+    """Return vertices (n, 3) [m] and the radii of the ball and the disc that thicken them."""
     match shape:
         case coal.Sphere():
-            points, ball = np.zeros((1, 3)), shape.radius
+            return np.zeros((1, 3)), shape.radius, 0.0
         case coal.Capsule():
-            points, ball = _ENDS * shape.halfLength, shape.radius
+            return _ENDS * shape.halfLength, shape.radius, 0.0
         case coal.Cylinder():
-            points, disc = _ENDS * shape.halfLength, shape.radius
+            return _ENDS * shape.halfLength, 0.0, shape.radius
         case coal.Box():
-            points = _BOX_CORNERS * shape.halfSide
+            return _BOX_CORNERS * shape.halfSide, 0.0, 0.0
         case coal.ConvexBase():
-            points = np.array(shape.points())
+            return np.array(shape.points()), 0.0, 0.0
         case _:
             raise TypeError(f"no solid for a {type(shape).__name__}")
-    x, y, z = placement.rotation[:, 2].tolist()
-    return _Solid(points @ placement.rotation.T + placement.translation, ball, disc, (x, y, z))
-
-
-def _radius(solids: Sequence[_Solid], centre: Array) -> float:
-    """Radius [m] of a bounding ball about `centre`."""
-    return max(float(np.linalg.norm(s.points - centre, axis=1).max()) + s.ball + s.disc for s in solids)
