@@ -29,9 +29,9 @@ from minidual.show.figures.modes_film import captioned
 from minidual.skills.operator import ScriptedOperator
 from minidual.stages.modes import find_checkpoint, modes
 from minidual.tasks.task import Trial
-from minidual.trials.modes import DEFAULT_MODES, ModesDemo, ModesResult, SwitchError, parse_modes
-from minidual.trials.modes_drivers import Driver, MoveitDriver, PolicyDriver, TeleopDriver
-from minidual.trials.modes_record import Switch
+from minidual.trials import modes_turns
+from minidual.trials.modes import DEFAULT_MODES, ModesDemo, Switch, parse_modes
+from minidual.trials.modes_turns import SwitchError, Turn
 
 SEED = 11
 
@@ -66,67 +66,51 @@ class Stage:
         self.stack = ControlStack(world, Kinematics(), supervisor=guard)
         self.runtime: Any = Mimic()
 
-    def moveit(self, *, home: bool, share: float = 1.0) -> Callable[[], Driver]:
-        return lambda: MoveitDriver(self.stack, Planner(), SEED, home=home, share=share)
+    def moveit(self, *, home: bool, share: float = 1.0) -> Turn:
+        return modes_turns.moveit(self.stack, Planner(), SEED, home=home, share=share)
 
-    def teleop(self) -> Driver:
-        return TeleopDriver(self.stack, ScriptedOperator(self.world.scene), self.trial, SEED, 50.0)
+    def teleop(self) -> Turn:
+        return modes_turns.teleop(self.stack, ScriptedOperator(self.world.scene), self.trial, SEED, 50.0)
 
-    def policy(self) -> Driver:
-        return PolicyDriver(
-            self.stack,
-            self.runtime,
-            lambda name: np.zeros((1, 1, 3), np.uint8),
-            carry_task(self.world.scene),
-            self.trial,
-        )
-
-    def run(self, *turns: tuple[str, Callable[[], Driver]]) -> tuple[ModesDemo, ModesResult, list[tuple[str, str]]]:
-        demo = ModesDemo(self.stack, turns)
-        steps = list(demo.steps())
-        return demo, demo.result(ArbiterConfig()), steps
+    def policy(self) -> Turn:
+        picture = lambda name: np.zeros((1, 1, 3), np.uint8)  # noqa: E731
+        return modes_turns.policy(self.stack, self.runtime, picture, carry_task(self.world.scene), self.trial)
 
 
 def test_planner_leader_and_planner_again_carry_the_rod_within_every_bound(world: World, tmp_path: Path) -> None:
     stage = Stage(world)
-    demo, result, steps = stage.run(
-        ("moveit", stage.moveit(home=False, share=0.5)), ("teleop", stage.teleop), ("moveit", stage.moveit(home=True))
-    )
-    assert result.faults == ()
-    first, second, third = result.switches
+    demo = ModesDemo(stage.stack, [stage.moveit(home=False, share=0.5), stage.teleop(), stage.moveit(home=True)])
+    steps = [turn.mode for turn in demo.steps()]
+    assert demo.faults(ArbiterConfig()) == []
+    first, second, third = demo.switches
     assert first.speed_at_request_rad_s == 0.0
     assert second.speed_at_request_rad_s > 0.5, "the leader is to interrupt arms in motion"
     assert 0.05 < second.confirmed_s - second.requested_s < 0.5
     assert third.controllers == ("left_arm", "right_arm")
-    for switch in result.switches:
+    for switch in demo.switches:
         assert 0.0 < switch.reference_step_ratio <= 1.0
         assert 0.0 < switch.torque_step_nm <= 1.0 + 1e-9
         assert switch.first_step_rad < 0.1
         assert switch.first_command_s >= switch.confirmed_s
-    assert result.outcomes[1]["goal_error_m"] < 0.005
+    assert demo.outcomes[1]["goal_error_m"] < 0.005
     np.testing.assert_allclose(world.q, HOME, atol=5e-3)
-    assert len(steps) == round(result.duration_s / world.dt)
-    assert [mode for mode, _ in steps[:1]] == ["moveit"]
-
-    demo.recorder.write_csv(tmp_path / "modes.csv")
-    with (tmp_path / "modes.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert len(rows) == -(-len(steps) // 4)
-    assert {r["active_source"] for r in rows} == {"", "moveit", "teleop"}
-    assert {"settling", "active"} <= {r["state"] for r in rows}
-    json.dumps(result.to_json(), allow_nan=False)
+    assert len(steps) == round(world.time / world.dt)
+    assert steps[0] == "moveit"
+    assert len(demo.rows) == -(-len(steps) // 4)
+    assert {r["active_source"] for r in demo.rows} == {"", "moveit", "teleop"}
+    assert {"settling", "active"} <= {r["state"] for r in demo.rows}
+    json.dumps(demo.record(ArbiterConfig()), allow_nan=False)
 
 
 def test_without_a_supervisor_the_torque_steps_are_over_their_bound_and_named(world: World) -> None:
     stage = Stage(world, supervised=False)
     stage.runtime = Mimic(step_rad=0.05)
-    demo = ModesDemo(stage.stack, [("policy", stage.policy)])
+    demo = ModesDemo(stage.stack, [stage.policy()])
     steps = demo.steps()
     for _ in range(800):
         next(steps)
-    result = demo.result(ArbiterConfig())
-    assert any("torque_step_nm" in fault and "policy" in fault for fault in result.faults)
-    assert result.switches[0].torque_step_nm == result.switches[0].torque_step_asked_nm
+    assert any("torque_step_nm" in fault and "policy" in fault for fault in demo.faults(ArbiterConfig()))
+    assert demo.switches[0].torque_step_nm == demo.switches[0].torque_step_asked_nm
 
 
 @pytest.mark.parametrize(
@@ -150,40 +134,37 @@ def test_every_bound_can_fail(name: str, changes: dict[str, float]) -> None:
 
 def test_the_policy_gets_its_turn_and_its_queue_is_dropped_at_every_switch(world: World) -> None:
     stage = Stage(world)
-    demo = ModesDemo(stage.stack, [("policy", stage.policy), ("moveit", stage.moveit(home=True))])
-    steps = demo.steps()
-    for mode, _ in steps:
-        if mode == "moveit":
+    demo = ModesDemo(stage.stack, [stage.policy(), stage.moveit(home=True)])
+    for turn in demo.steps():
+        if turn.mode == "moveit":
             break
     limit = world.scene.task.time_limit_s
     assert world.time == pytest.approx(limit + 0.02, abs=0.05), "a policy that does nothing is ended by the clock"
     assert stage.runtime.flushes == 3  # at two switches, and when its turn begins
-    assert demo._outcomes[0]["put_down_at_goal"] is False
+    assert demo.outcomes[0]["put_down_at_goal"] is False
 
 
 def test_a_mode_that_falls_silent_ends_the_demonstration(world: World) -> None:
     stage = Stage(world)
 
-    class Silent(TeleopDriver):
-        def tick(self) -> None: ...
+    def silent() -> modes_turns.Steps:
+        while True:
+            yield
 
-    make = lambda: Silent(stage.stack, ScriptedOperator(world.scene), stage.trial, SEED, 50.0)  # noqa: E731
     with pytest.raises(SwitchError, match=r"mode 'teleop' lost its turn at 1\.\d+ s: no command came"):
-        stage.run(("teleop", make))
+        list(ModesDemo(stage.stack, [Turn("teleop", "", silent)]).steps())
 
 
 def test_the_caption_changes_with_who_drives(world: World) -> None:
     stage = Stage(world)
-    picture = np.zeros((90, 160, 3), np.uint8)
-    held = captioned(picture, stage.stack, "teleop", "something")
+    picture, turn = np.zeros((90, 160, 3), np.uint8), stage.teleop()
+    held = captioned(picture, stage.stack, turn)
     assert held.shape[0] > 90
     assert held.shape[1] == 160
-    stage.stack.request("teleop")
-    demo = ModesDemo(stage.stack, [("teleop", stage.teleop)])
-    steps = demo.steps()
+    steps = ModesDemo(stage.stack, [turn]).steps()
     for _ in range(60):
         next(steps)
-    driven = captioned(picture, stage.stack, "teleop", "something")
+    driven = captioned(picture, stage.stack, turn)
     assert stage.stack.output.active_source == "teleop"
     assert not np.array_equal(held[95:], driven[95:])
 
@@ -193,7 +174,7 @@ def test_modes_are_parsed_or_refused() -> None:
     assert DEFAULT_MODES == ("moveit", "teleop", "policy", "moveit")
     with pytest.raises(UsageError, match=r"(?s)no mode 'polcy'.*did you mean 'policy'"):
         parse_modes("moveit,polcy")
-    with pytest.raises(UsageError, match="twice running"):
+    with pytest.raises(UsageError, match="twice in sequence"):
         parse_modes("moveit,moveit")
     with pytest.raises(UsageError, match="no mode named"):
         parse_modes(" , ")
@@ -245,7 +226,7 @@ def test_a_refused_second_motion_of_the_planner_is_no_success(
     stage = Stage(world)
     _refuse(monkeypatch, sequence=2, change=change)
     with pytest.raises(SwitchError, match=r"trajectory 2 of mode 'moveit' was refused at \d+\.\d+ s") as caught:
-        stage.run(("moveit", stage.moveit(home=True)))
+        list(ModesDemo(stage.stack, [stage.moveit(home=True)]).steps())
     assert caught.value.exit_code == ExitCode.ACCEPTANCE_FAILED
 
 

@@ -41,6 +41,17 @@ def load_runtime(checkpoint: Path, config: DeployConfig, robot: Robot) -> Policy
     )
 
 
+def next_command(runtime: PolicyRuntime, world: World, picture: Callable[[str], Image], sequence: int) -> JointCommand:
+    """Return the policy's command for what is seen and measured now.
+
+    Raises:
+        DataError: An image or state does not fit the policy.
+    """
+    images = {name: partial(picture, name) for name in runtime.cameras}
+    action, n = runtime.act(images, np.concatenate([world.q, world.gripper])), runtime.joints_n
+    return JointCommand(action[:n], np.clip(action[n:], 0.0, 1.0), world.time, sequence)
+
+
 class PolicyPilot:
     """One trial of a policy.
 
@@ -100,19 +111,14 @@ class PolicyPilot:
             self.aborted = error.message
 
     def _tick(self) -> None:
-        world = self.world
         if self.stack.state is not ArbiterState.SETTLING and self.aborted is None:
-            state = np.concatenate([world.q, world.gripper])
-            images = {name: partial(self._picture, name) for name in self._runtime.cameras}
             try:
-                action = self._runtime.act(images, state)
+                command = next_command(self._runtime, self.world, self._picture, self._sequence + 1)
             except DataError as error:
                 self.aborted = error.message
                 self.stack.request("hold")
             else:
                 self._sequence += 1
-                n = self._runtime.joints_n
-                command = JointCommand(action[:n], np.clip(action[n:], 0.0, 1.0), world.time, self._sequence)
                 if self.stack.propose(SOURCE, command) is not None:
                     self.refusals += 1
         self.stack.arbitrate()

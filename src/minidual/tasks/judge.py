@@ -52,9 +52,10 @@ class Outcome:
         return self.measured.get(name, math.nan)
 
 
-def begin(world: World, task: Task, trial: Trial, demanding: Collection[str] = ()) -> Judge:
-    """Reset the world to the start."""
-    world.reset(poses=trial.start)
+def begin(world: World, task: Task, trial: Trial, demanding: Collection[str] = (), *, reset: bool = True) -> Judge:
+    """Return the judge of a trial that begins now, with the world reset to its start."""
+    if reset:
+        world.reset(poses=trial.start)
     return Judge(task, trial, demanding)
 
 

@@ -1,20 +1,26 @@
-"""Demonstration: moveit, teleop and policy drive one plant in turn."""
+"""Demonstration: planner, leader and policy drive one plant in turn, measured at every control step."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
+
+import numpy as np
 
 from minidual.config.arbiter import ArbiterConfig
 from minidual.control.commands import SOURCES, ArbiterState
 from minidual.control.stack import ControlStack
 from minidual.errors import UsageError, unknown_name
 from minidual.plant.world import World
-from minidual.trials.modes_drivers import Driver, SwitchError
-from minidual.trials.modes_record import Recorder, Switch
+from minidual.robot.pair import Array
+from minidual.trials.modes_turns import SwitchError, Turn
 
 DEFAULT_MODES: tuple[str, ...] = ("moveit", "teleop", "policy", "moveit")
+WINDOW_S = 0.5
+"""Measurement of a switch continues this long after the first command."""
+_LOG_EVERY = 4
+_DRIVEN = (ArbiterState.ALIGNING, ArbiterState.ACTIVE)
 
 
 def parse_modes(text: str) -> tuple[str, ...]:
@@ -30,93 +36,160 @@ def parse_modes(text: str) -> tuple[str, ...]:
         if mode not in SOURCES:
             raise unknown_name("mode", mode, SOURCES)
         if mode == before:
-            raise UsageError(f"mode '{mode}' is named twice running: that is no switch")
+            raise UsageError(f"mode '{mode}' is named twice in sequence: that is no switch")
     return modes
 
 
-@dataclass(frozen=True)
-class ModesResult:
-    """Result of the demonstration.
+@dataclass
+class Switch:
+    """One measured switch.
 
     Attributes:
-        faults: Exceeded bounds.
-        refusals: (source, name, detail) of each refused command.
-        ended: Why it ended early.
+        confirmed_s: When the arms were at rest.
+        first_command_s: When its first command was accepted.
+        first_step_rad: Measured posture to first target, worst joint.
+        target_step_rad: Largest target step while the source drove.
+        reference_step_ratio: Largest reference step over the velocity limit.
+        torque_step_nm: Largest commanded torque step.
+        torque_step_asked_nm: Before the supervisor's limits.
+        torque_step_max_nm: Its bound.
     """
 
-    switches: tuple[Switch, ...]
-    outcomes: tuple[dict[str, object], ...]
-    faults: tuple[str, ...]
-    refusals: tuple[tuple[str, str, str], ...]
-    duration_s: float
-    ended: str = ""
+    mode: str
+    requested_s: float
+    confirmed_s: float = float("nan")
+    first_command_s: float = float("nan")
+    speed_at_request_rad_s: float = 0.0
+    first_step_rad: float = float("nan")
+    target_step_rad: float = 0.0
+    reference_step_ratio: float = 0.0
+    torque_step_nm: float = 0.0
+    torque_step_asked_nm: float = 0.0
+    torque_step_max_nm: float = 1.0
+    controllers: tuple[str, ...] = ()
 
-    @property
-    def passed(self) -> bool:
-        """Whether all turns ended and all bounds held."""
-        return not self.faults and not self.ended
+    def bounds(self, arbiter: ArbiterConfig) -> dict[str, tuple[float, float]]:
+        """Return {name: (value, bound)}."""
+        return {
+            "first_step_rad": (self.first_step_rad, arbiter.switch_step_max_rad),
+            "target_step_rad": (self.target_step_rad, arbiter.switch_step_max_rad),
+            "reference_step_ratio": (self.reference_step_ratio, 1.0),
+            "torque_step_nm": (self.torque_step_nm, self.torque_step_max_nm),
+        }
 
-    def to_json(self) -> dict[str, Any]:
-        """Return it as plain data."""
-        return {**asdict(self), "ended": self.ended or None}
+    def faults(self, arbiter: ArbiterConfig) -> list[str]:
+        """Return the exceeded bounds; NaN exceeds all."""
+        return [
+            f"switch to {self.mode} at {self.requested_s:.2f} s: {name} {value:.4g}, bound {bound:g}"
+            for name, (value, bound) in self.bounds(arbiter).items()
+            if not value <= bound + 1e-9
+        ]
 
 
 class ModesDemo:
-    """Runs the modes in turn; iterate `steps`, then call `result`.
+    """Runs the turns of one stack; iterate `steps`, then read the measurements.
 
-    `turns` are (mode, maker of its driver).
+    Attributes:
+        turn: The present turn, None before the first.
+        switches: Every switch so far.
+        outcomes: Results of the completed turns.
+        rows: Log of every fourth control step.
     """
 
-    def __init__(self, stack: ControlStack[World], turns: Sequence[tuple[str, Callable[[], Driver]]]) -> None:
-        self.stack = stack
-        self.recorder = Recorder(stack)
-        self.mode = self.doing = ""
-        """The requested mode and its caption."""
-        self._turns = tuple(turns)
-        self._outcomes: list[dict[str, object]] = []
+    def __init__(self, stack: ControlStack[World], turns: Sequence[Turn]) -> None:
+        self.stack, self._turns = stack, tuple(turns)
+        self.turn: Turn | None = None
+        self.switches: list[Switch] = []
+        self.outcomes: list[dict[str, Any]] = []
+        self.rows: list[Mapping[str, object]] = []
+        self._last: Array | None = None
+        self._steps = 0
 
-    def steps(self) -> Iterator[tuple[str, str]]:
-        """Run; yield (mode, caption) after every control step.
+    def steps(self) -> Iterator[Turn]:
+        """Run; yield the present turn after every control step.
 
         Raises:
             SwitchError: A mode got no turn, lost it, or a trajectory was refused.
             ReflexError: The supervisor stopped the arms.
         """
-        stack = self.stack
-        for mode, make in self._turns:
-            driver = make()
-            self.mode, self.doing = mode, driver.caption
-            self.recorder.requested(mode)
-            stack.request(mode, driver.controllers)
-            while stack.source != mode:
-                self._step(mode)
-                yield mode, driver.caption
-            self.recorder.confirmed()
-            driver.begin()
-            while not driver.done:
-                if stack.tick_next:
-                    driver.tick()
-                self._step(mode)
-                driver.watch()
-                yield mode, driver.caption
-            self._outcomes.append({"mode": mode, **driver.result()})
+        stack, world = self.stack, self.stack.plant
+        for turn in self._turns:
+            self.turn = turn
+            switch = Switch(turn.mode, world.time, speed_at_request_rad_s=float(np.abs(world.v).max()))
+            switch.torque_step_max_nm = world.robot.arm.tau_rate_max * world.dt
+            self.switches.append(switch)
+            stack.request(turn.mode, turn.controllers)
+            while stack.source != turn.mode:
+                self._step()
+                yield turn
+            switch.confirmed_s, switch.controllers = world.time, stack.manager.active
+            driving = turn.drive()
+            while True:
+                try:
+                    next(driving)
+                except StopIteration as end:
+                    self.outcomes.append({"mode": turn.mode, **end.value})
+                    break
+                self._step()
+                yield turn
 
-    def _step(self, mode: str) -> None:
-        stack = self.stack
+    def faults(self, arbiter: ArbiterConfig) -> list[str]:
+        """Return the exceeded bounds of all switches."""
+        return [text for switch in self.switches for text in switch.faults(arbiter)]
+
+    def record(self, arbiter: ArbiterConfig) -> dict[str, Any]:
+        """Return the measurements as plain data."""
+        bounds = [{n: {"value": v, "bound": b} for n, (v, b) in s.bounds(arbiter).items()} for s in self.switches]
+        return {
+            "switches": [asdict(s) for s in self.switches],
+            "bounds": [{"mode": s.mode, **b} for s, b in zip(self.switches, bounds, strict=True)],
+            "outcomes": self.outcomes,
+            "faults": self.faults(arbiter),
+            "refusals": [asdict(r) for r in self.stack.refusals],
+            "duration_s": self.stack.plant.time,
+        }
+
+    def _step(self) -> None:
+        stack, switch = self.stack, self.switches[-1]
         stack.step()
-        self.recorder.observe()
+        now = np.array([stack.output.q_target, stack.reference, stack.applied, stack.tau])
+        steps = np.abs(now - (now if self._last is None else self._last))
+        self._last = now
+        self._measure(switch, *steps)
+        if self._steps % _LOG_EVERY == 0:
+            names = ("reference_step_max_rad", "torque_step_max_nm", "torque_step_asked_max_nm")
+            self.rows.append(
+                {
+                    "time_s": f"{stack.plant.time:.3f}",
+                    "mode": switch.mode,
+                    "active_source": stack.output.active_source or "",
+                    "state": str(stack.state),
+                    "controllers": " ".join(stack.manager.active),
+                    **{name: f"{x:.6g}" for name, x in zip(names, steps[1:].max(axis=1), strict=True)},
+                }
+            )
+        self._steps += 1
         if stack.state == ArbiterState.STOPPED:
             last = stack.refusals[-1].detail if stack.refusals else "no command came"
-            raise SwitchError(f"mode '{mode}' lost its turn at {stack.plant.time:.2f} s: {last}")
+            raise SwitchError(f"mode '{switch.mode}' lost its turn at {stack.plant.time:.2f} s: {last}")
 
-    def result(self, arbiter: ArbiterConfig, *, ended: str = "") -> ModesResult:
-        """Return the measurements checked against their bounds."""
-        stack, switches = self.stack, tuple(self.recorder.switches)
-        return ModesResult(
-            switches,
-            tuple(self._outcomes),
-            tuple(text for s in switches for text in s.faults(arbiter)),
-            tuple((r.source, r.name, r.detail) for r in stack.refusals),
-            stack.plant.time,
-            ended,
-        )
+    def _measure(self, switch: Switch, target: Array, reference: Array, applied: Array, asked: Array) -> None:
+        """Add the steps (n,) of the last control step to the present switch."""
+        stack, plant = self.stack, self.stack.plant
+        driven = stack.output.active_source == switch.mode
+        if driven and np.isnan(switch.first_command_s):
+            switch.first_command_s = plant.time
+            switch.first_step_rad = float(np.max(np.abs(stack.output.q_target - plant.q)))
+        if plant.time > switch.first_command_s + WINDOW_S:  # false while first_command_s is NaN
+            return
+        if driven and stack.state in _DRIVEN:
+            switch.target_step_rad = _larger(switch.target_step_rad, target)
+        ratio = reference / (plant.robot.v_max * plant.dt)
+        switch.reference_step_ratio = _larger(switch.reference_step_ratio, ratio)
+        switch.torque_step_nm = _larger(switch.torque_step_nm, applied)
+        switch.torque_step_asked_nm = _larger(switch.torque_step_asked_nm, asked)
+
+
+def _larger(so_far: float, steps: Array) -> float:
+    """Return the larger value; NaN stays NaN, so that its bound fails."""
+    return float(np.maximum(so_far, np.max(steps)))
