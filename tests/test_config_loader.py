@@ -71,6 +71,10 @@ def test_mapping_that_is_one_value_is_replaced_by_a_profile_and_edited_by_set(pr
     assert edited.config.benchmark.success_rate_min == {**default, "act": 0.25}
 
 
+def test_a_power_of_ten_is_a_number_as_in_yaml_1_2(profile):
+    assert load_config(profile("scene:\n  physics:\n    timestep_s: 1e-3\n")).config.scene.physics.timestep_s == 1e-3
+
+
 def test_circle_of_profiles_is_refused(profile):
     profile("extends: b.yaml\n", "a.yaml")
     assert "circle: a.yaml -> b.yaml -> a.yaml" in refusal(profile("extends: a.yaml\n", "b.yaml").replace("b.y", "a.y"))
@@ -86,10 +90,9 @@ def test_circle_of_profiles_is_refused(profile):
         ("plan:\n  queries_n: .nan\n", "mine.yaml:2: plan.queries_n: .nan is not a finite number"),
         ("plan:\n  queries_n: nan\n", "mine.yaml:2: plan.queries_n: nan is not a finite number"),
         ("scene:\n  object:\n    mass_kg: .inf\n", "mine.yaml:3: scene.object.mass_kg: .inf is not a finite number"),
-        ("scene:\n  object:\n    mass_kg: 1.0e+999\n", "mine.yaml:3: scene.object.mass_kg: inf is not a finite number"),
         (
-            "scene:\n  physics:\n    timestep_s: 1e-3\n",
-            "mine.yaml:3: scene.physics.timestep_s: must be a valid number, is the text '1e-3'",
+            "scene:\n  object:\n    mass_kg: 1.0e+999\n",
+            "mine.yaml:3: scene.object.mass_kg: 1.0e+999 is not a finite number",
         ),
         ("seed: '3'\n", "mine.yaml:1: seed: must be a valid integer, is the text '3'"),
         ("seed: true\n", "mine.yaml:1: seed: must be a valid integer, is true"),
@@ -123,7 +126,7 @@ def test_all_problems_come_in_one_message(profile):
 
 def test_remedies_say_what_to_write(profile):
     assert "did you mean 'queries_n'?" in refusal(profile("plan:\n  querys_n: 3\n"))
-    assert "write 0.001 without quotes" in refusal(profile("scene:\n  physics:\n    timestep_s: 1e-3\n"))
+    assert "write a number without quotes" in refusal(profile("scene:\n  physics:\n    timestep_s: '0.001'\n"))
     assert "write true or false" in refusal(profile("acceptance: yes\n"))
 
 
@@ -165,7 +168,7 @@ def test_overrides_apply_in_order_and_are_remembered():
         ("plan.queries_n=many", "must be a valid integer, is the text 'many'"),
         ("plan.querys_n=3", "--set plan.querys_n=3: plan.querys_n: no such key"),
         ("scene.object.mass_kg=nan", "nan is not a finite number"),
-        ("scene.object.mass_kg=1e999", "inf is not a finite number"),
+        ("scene.object.mass_kg=1e999", "1e999 is not a finite number"),
         ("seed.deeper=1", "seed is a single value and has no keys"),
         ("plan=3", "--set plan=3: plan: must be a section, is 3"),
         ("plan.queries_n=[1", "not YAML"),
@@ -190,16 +193,12 @@ def test_bad_overrides_are_refused(override, message):
         ("abc", "abc"),
         ("'3'", "3"),
         ("on", "on"),
-        ("a: b", None),
+        ("a: b", {"a": "b"}),
     ],
 )
 def test_values_typed_on_the_command_line(text, value):
-    if text == "a: b":
-        with pytest.raises(ConfigError):
-            parse_value(text, "--set")
-        return
-    assert parse_value(text, "--set") == value
-    assert type(parse_value(text, "--set")) is type(value)
+    assert parse_value(text, "--set", "a") == value
+    assert type(parse_value(text, "--set", "a")) is type(value)
 
 
 @settings(deadline=None, max_examples=60)

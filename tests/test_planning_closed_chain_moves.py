@@ -18,8 +18,7 @@ from minidual.collision.errors import (
 )
 from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Box
-from minidual.config.held_moves import HeldMovesConfig
-from minidual.config.planning import PlanConfig
+from minidual.config.planning import HeldMovesConfig, PlanConfig
 from minidual.config.scene import SceneConfig
 from minidual.errors import UsageError
 from minidual.motion.edges import EdgeChecker

@@ -11,7 +11,7 @@ from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Box
 from minidual.config.planning import PlannerConfig
-from minidual.config.semantics import NamedStateConfig, SemanticsConfig
+from minidual.config.robot import NamedStateConfig, SemanticsConfig
 from minidual.errors import ConfigError, DataError, MinidualError, UsageError
 from minidual.motion.api import Planner
 from minidual.motion.goal import JointGoal, PoseGoal, RelativeGoal, StateGoal, TipOffset, TipPose, goal_of, load_goal

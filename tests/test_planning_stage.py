@@ -12,8 +12,7 @@ from minidual.collision.coal_engine import CoalEngine
 from minidual.collision.errors import PlanningError
 from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import PlanningScene
-from minidual.config.held_moves import HeldMovesConfig
-from minidual.config.planning import GroupTimes, PlanConfig, PlannerConfig
+from minidual.config.planning import GroupTimes, HeldMovesConfig, PlanConfig, PlannerConfig
 from minidual.config.root import Config
 from minidual.errors import ConfigError, DataError
 from minidual.gate.stage import StageContext

@@ -13,7 +13,7 @@ from minidual.config.loader import load_config
 from minidual.config.root import Config
 from minidual.errors import UsageError
 from minidual.gate.canonical import digest
-from minidual.gate.progress import SilentProgress
+from minidual.gate.progress import Progress
 from minidual.stages.carry import _record
 from minidual.stages.registry import STAGES
 from minidual.trials.methods import MethodInputs
@@ -73,7 +73,7 @@ def test_a_trial_that_is_both_median_and_worst_is_recorded_as_both(tmp_path: Pat
             written.append((trial, path.name))
             return results[trial]
 
-    context: Any = SimpleNamespace(folder=tmp_path, progress=SilentProgress())
+    context: Any = SimpleNamespace(folder=tmp_path, progress=Progress())
     trials: list[Any] = [0, 1, 2]
     _record(context, Records(), trials, results, {"median": 0, "worst": 0})  # type: ignore[arg-type]
     assert written == [(1, "trial001.npz"), (2, "trial002.npz"), (0, "median.npz"), (0, "worst.npz")]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 from pydantic import BaseModel
 
@@ -21,13 +21,10 @@ def changed(config: Config, settings: Mapping[str, Any]) -> Config:
     document = config.model_dump()
     for path, value in settings.items():
         *sections, name = path.split(".")
-        section = document
+        section: dict[str, Any] = document
         for step in sections:
-            if not isinstance(section.get(step), dict):
-                raise unknown_name(
-                    "configuration section", step, [k for k, v in section.items() if isinstance(v, dict)]
-                )
-            section = section[step]
+            inner = section.get(step)
+            section = cast(dict[str, Any], inner) if isinstance(inner, dict) else {}
         if name not in section:
             raise unknown_name("configuration value", path, section)
         section[name] = value

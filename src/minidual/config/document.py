@@ -1,7 +1,7 @@
 """Strict YAML with the line of every value.
 
-Unlike PyYAML, scalars follow YAML 1.2: `on`, `yes`, `no`, `010` and `1:30` are text. The models later refuse text where
-a number is expected.
+Scalars follow YAML 1.2, unlike PyYAML's: `1e-3` is a number; `on`, `yes`, `010` and `1:30` are text, which the models
+refuse where a number is expected.
 """
 
 from __future__ import annotations
@@ -18,9 +18,8 @@ import yaml
 from minidual.errors import ConfigError
 
 _INT = re.compile(r"[-+]?(0|[1-9][0-9_]*)")
-_FLOAT = re.compile(r"[-+]?([0-9][0-9_]*\.[0-9_]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
-_NOT_FINITE = re.compile(r"[-+]?\.(inf|Inf|INF|nan|NaN|NAN)")
-_LOOKS_NUMERIC = re.compile(r"[-+]?(inf|nan|infinity|[0-9.][0-9_.]*([eE][-+]?[0-9]+)?)", re.IGNORECASE)
+_NUMBER = re.compile(r"[-+]?((0|[1-9][0-9_]*)(\.[0-9_]*)?|\.[0-9]+)([eE][-+]?[0-9]+)?")
+_WORDS = {"": None, "~": None, "null": None, "true": True, "false": False}
 
 
 class _Loader(yaml.SafeLoader):
@@ -30,7 +29,7 @@ class _Loader(yaml.SafeLoader):
 
 
 # The type stubs of yaml.compose leave its result open.
-_compose = cast(Callable[..., yaml.Node | None], yaml.compose)  # pyright: ignore[reportUnknownMemberType]
+_yaml_compose = cast(Callable[..., yaml.Node | None], yaml.compose)  # pyright: ignore[reportUnknownMemberType]
 
 
 @dataclass
@@ -53,41 +52,30 @@ def read_document(path: Path) -> Document:
 
 def parse_document(text: str, source: str) -> Document:
     """Parse YAML text; messages call it `source`."""
+    document = Document(source, {})
+    node = _compose(text, source)
+    if isinstance(node, yaml.MappingNode):
+        document.tree = _build(node, "", document, ())
+    elif node is not None:
+        kind = "a list" if isinstance(node, yaml.SequenceNode) else "a single value"
+        raise ConfigError(f"{source}:1: a profile is a mapping of sections, not {kind}")
+    return document
+
+
+def parse_value(text: str, source: str, path: str) -> Any:
+    """Parse a value typed for `path`."""
+    node = _compose(text, source)
+    return "" if node is None else _build(node, path, Document(source, {}), ())
+
+
+def _compose(text: str, source: str) -> yaml.Node | None:
     try:
-        node = _compose(text, Loader=_Loader)
+        return _yaml_compose(text, Loader=_Loader)
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
         raise ConfigError(f"{source}:{line}: not YAML: {error.problem or error.context}") from error
     except yaml.YAMLError as error:
         raise ConfigError(f"{source}: not YAML: {error}") from error
-    document = Document(source, {})
-    if node is None:
-        return document
-    if not isinstance(node, yaml.MappingNode):
-        raise ConfigError(f"{source}:1: a profile is a mapping of sections, not {_kind(node)}")
-    document.tree = _build(node, "", document, ())
-    return document
-
-
-def parse_value(text: str, source: str) -> Any:
-    """Parse a command-line value: Python numbers (1e-3 too), else YAML."""
-    if _LOOKS_NUMERIC.fullmatch(text.strip()):
-        try:
-            return _finite(float(text), source) if not _INT.fullmatch(text.strip()) else int(text)
-        except ValueError:
-            return text
-    return parse_document(f"value: {text}" if text.strip() else "value: ''", source).tree["value"]
-
-
-def looks_numeric(text: str) -> bool:
-    """Return whether `text` looks like a number."""
-    return _LOOKS_NUMERIC.fullmatch(text.strip()) is not None
-
-
-def _finite(value: float, source: str) -> float:
-    if not math.isfinite(value):
-        raise ConfigError(f"{source}: {value} is not a finite number")
-    return value
 
 
 def _build(node: yaml.Node, path: str, document: Document, above: tuple[int, ...]) -> Any:
@@ -96,25 +84,23 @@ def _build(node: yaml.Node, path: str, document: Document, above: tuple[int, ...
     if id(node) in above:
         raise ConfigError(f"{where}: {path}: an alias that contains itself")
     above = (*above, id(node))
-    if isinstance(node, yaml.MappingNode):
-        mapping: dict[str, Any] = {}
-        for key_node, value_node in node.value:
-            line = key_node.start_mark.line + 1
-            if not isinstance(key_node, yaml.ScalarNode):
-                raise ConfigError(f"{document.source}:{line}: {path or 'the file'}: a key must be a word")
-            key = str(key_node.value)
-            inner = f"{path}.{key}" if path else key
-            if key in mapping:
-                raise ConfigError(
-                    f"{document.source}:{line}: {inner}: stands twice (first at "
-                    f"{document.origins[inner]}); a second value would silently win"
-                )
-            document.origins[inner] = f"{document.source}:{line}"
-            mapping[key] = _build(value_node, inner, document, above)
-        return mapping
     if isinstance(node, yaml.SequenceNode):
         return [_build(item, f"{path}.{i}", document, above) for i, item in enumerate(node.value)]
-    return _scalar(node, path, where)
+    if not isinstance(node, yaml.MappingNode):
+        return _scalar(node, path, where)
+    mapping: dict[str, Any] = {}
+    for key_node, value_node in node.value:
+        where = f"{document.source}:{key_node.start_mark.line + 1}"
+        if not isinstance(key_node, yaml.ScalarNode):
+            raise ConfigError(f"{where}: {path or 'the file'}: a key must be a word")
+        key = str(key_node.value)
+        inner = f"{path}.{key}" if path else key
+        if key in mapping:
+            first = document.origins[inner]
+            raise ConfigError(f"{where}: {inner}: stands twice (first at {first}); a second value would silently win")
+        document.origins[inner] = where
+        mapping[key] = _build(value_node, inner, document, above)
+    return mapping
 
 
 def _scalar(node: yaml.Node, path: str, where: str) -> Any:
@@ -123,20 +109,11 @@ def _scalar(node: yaml.Node, path: str, where: str) -> Any:
         raise ConfigError(f"{where}: {path}: tags such as '{node.tag}' are not read here")
     if getattr(node, "style", None) is not None:
         return text
-    if text in ("", "~", "null", "Null", "NULL"):
-        return None
-    if text in ("true", "True", "TRUE"):
-        return True
-    if text in ("false", "False", "FALSE"):
-        return False
-    if _NOT_FINITE.fullmatch(text) or text.lower() in ("nan", "inf", "-inf", "+inf"):
-        raise ConfigError(f"{where}: {path}: {text} is not a finite number")
+    if text in _WORDS or text in ("Null", "NULL", "True", "TRUE", "False", "FALSE"):
+        return _WORDS[text.lower()]
     if _INT.fullmatch(text):
         return int(text)
-    if _FLOAT.fullmatch(text):
-        return _finite(float(text), f"{where}: {path}")
-    return text
-
-
-def _kind(node: yaml.Node) -> str:
-    return "a list" if isinstance(node, yaml.SequenceNode) else "a single value"
+    number = float(text) if _NUMBER.fullmatch(text) else 0.0
+    if not math.isfinite(number) or text.lower().lstrip("+-.") in ("nan", "inf"):
+        raise ConfigError(f"{where}: {path}: {text} is not a finite number")
+    return number if _NUMBER.fullmatch(text) else text

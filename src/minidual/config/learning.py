@@ -13,63 +13,60 @@ class TrainConfig(StrictModel):
     """Policy and training. Defaults are the CPU recipe; the gpu profile is full-size ACT."""
 
     # Architecture
-    policy: str = Field(
-        default="spatial_act",
-        min_length=1,
-        description="row of the table of policies: spatial_act (keypoints, then ACT), act (LeRobot's stock ACT)",
-    )
-    chunk_size: int = Field(default=50, ge=1, le=500, description="actions predicted per inference, in ticks")
-    dim_model: int = Field(default=128, ge=16, le=1024, multiple_of=16, description="transformer width")
+    policy: str = Field(default="spatial_act", min_length=1)
+    """Row of the table of policies: spatial_act (keypoints, then ACT), act (LeRobot's stock ACT)."""
+    chunk_size: int = Field(default=50, ge=1, le=500)
+    """Actions per inference, in ticks."""
+    dim_model: int = Field(default=128, ge=16, le=1024, multiple_of=16)
     dim_feedforward: int = Field(default=512, ge=16, le=8192)
     encoder_layers: int = Field(default=2, ge=1, le=12)
     decoder_layers: int = Field(default=1, ge=1, le=12)
     heads: int = Field(default=8, ge=1, le=16)
     dropout: float = Field(default=0.0, ge=0.0, lt=1.0)
-    use_vae: bool = Field(default=False, description="variational objective of the original ACT")
+    use_vae: bool = False
     kl_weight: float = Field(default=10.0, ge=0.0)
-    keypoints: int = Field(default=32, ge=4, le=256, description="spatial-softmax keypoints per camera")
-    keyframe_weight: float = Field(
-        default=1.0,
-        ge=0.0,
-        le=100.0,
-        description="weight of the grasp-posture loss (spatial_act only); 0 leaves it out",
-    )
+    keypoints: int = Field(default=32, ge=4, le=256)
+    """Spatial-softmax keypoints per camera."""
+    keyframe_weight: float = Field(default=1.0, ge=0.0, le=100.0)
+    """Weight of the grasp-posture loss (spatial_act only)."""
 
     # Optimisation
-    steps: int = Field(default=12000, ge=1, le=10_000_000, description="optimiser steps; training stops by steps")
-    time_limit_s: float = Field(
-        default=1800.0, gt=0.0, description="training beyond this is cut short and fails its check"
-    )
+    steps: int = Field(default=12000, ge=1, le=10_000_000)
+    time_limit_s: float = Field(default=1800.0, gt=0.0)
+    """Training beyond this is cut short and fails its check."""
     batch_size: int = Field(default=32, ge=1, le=4096)
     learning_rate: float = Field(default=1e-3, gt=0.0, le=1.0)
     weight_decay: float = Field(default=1e-4, ge=0.0, le=1.0)
     warmup_fraction: float = Field(default=0.03, ge=0.0, le=0.5)
     gradient_clip: float = Field(default=1.0, gt=0.0)
-    ema_decay: float = Field(
-        default=0.999, ge=0.0, lt=1.0, description="moving average of the weights; 0 switches it off"
-    )
-    precision: Literal["auto", "fp32", "bf16"] = Field(
-        default="auto", description="of the convolutions; auto is bf16 where the processor computes it natively"
-    )
+    ema_decay: float = Field(default=0.999, ge=0.0, lt=1.0)
+    """Moving average of the weights; 0 switches it off."""
+    precision: Literal["auto", "fp32", "bf16"] = "auto"
+    """Of the convolutions; auto is bf16 where the processor computes it natively."""
     device: Literal["cpu", "cuda"] = "cpu"
-    threads: int = Field(default=2, ge=1, le=256, description="torch threads while training on the CPU")
+    threads: int = Field(default=2, ge=1, le=256)
+    """Torch threads on the CPU."""
 
     # Data
-    cameras: tuple[str, ...] = Field(default=("high",), description="cameras the policy looks through; empty means all")
-    validation_fraction: float = Field(default=0.08, ge=0.0, le=0.5, description="share of the episodes held out")
-    approach_weight: float = Field(
-        default=3.0, gt=0.0, le=100.0, description="sampling weight of ticks before the grasp"
-    )
+    cameras: tuple[str, ...] = ("high",)
+    """Empty means all."""
+    validation_fraction: float = Field(default=0.08, ge=0.0, le=0.5)
+    approach_weight: float = Field(default=3.0, gt=0.0, le=100.0)
+    """Sampling weight of ticks before the grasp."""
     state_noise_approach_rad: float = Field(default=0.06, ge=0.0, le=0.5)
-    state_noise_rad: float = Field(default=0.01, ge=0.0, le=0.5, description="state noise after the grasp")
-    brightness_jitter: float = Field(default=0.08, ge=0.0, le=1.0, description="additive, in units of full scale")
-    contrast_jitter: float = Field(default=0.15, ge=0.0, lt=1.0, description="multiplicative, 0.15 is 0.85 to 1.15")
-    std_floor: float = Field(default=1e-2, gt=0.0, description="smallest normalisation std: some joints hardly move")
+    state_noise_rad: float = Field(default=0.01, ge=0.0, le=0.5)
+    """After the grasp."""
+    brightness_jitter: float = Field(default=0.08, ge=0.0, le=1.0)
+    """Additive, in units of full scale."""
+    contrast_jitter: float = Field(default=0.15, ge=0.0, lt=1.0)
+    """Multiplicative: 0.15 is 0.85 to 1.15."""
+    std_floor: float = Field(default=1e-2, gt=0.0)
+    """Smallest normalisation std: some joints hardly move."""
 
     # Bookkeeping
     log_every_steps: int = Field(default=20, ge=1)
     validate_every_steps: int = Field(default=500, ge=1)
-    checkpoint_every_steps: int = Field(default=1000, ge=1, description="how much an interruption can cost")
+    checkpoint_every_steps: int = Field(default=1000, ge=1)
 
     # Acceptance
     loss_ratio_max: AtMost[float] = Field(default=0.5, gt=0.0, le=1.0)
@@ -88,20 +85,18 @@ class TrainConfig(StrictModel):
 class DeployConfig(StrictModel):
     """Policy runtime, and limits of the closed-loop trials."""
 
-    n_action_steps: int = Field(
-        default=25, ge=1, le=500, description="ticks of a chunk that run before the next inference"
-    )
-    blend_ticks: int = Field(
-        default=8, ge=0, le=50, description="ticks over which a new chunk takes over from the old one"
-    )
-    threads: int = Field(default=1, ge=1, le=64, description="torch threads: more only costs on busy cores")
+    n_action_steps: int = Field(default=25, ge=1, le=500)
+    """Ticks of a chunk that run before the next inference."""
+    blend_ticks: int = Field(default=8, ge=0, le=50)
+    """Ticks over which a new chunk replaces the old one."""
+    threads: int = Field(default=1, ge=1, le=64)
+    """Torch threads: more only costs on busy cores."""
     device: Literal["cpu", "cuda"] = "cpu"
-    trials: AtLeast[int] = Field(
-        default=50, ge=1, le=10_000, description="closed-loop trials on seeds held out from training"
-    )
-    training_trials: AtLeast[int] = Field(
-        default=20, ge=0, le=10_000, description="trials on training seeds, reported beside them"
-    )
+    trials: AtLeast[int] = Field(default=50, ge=1, le=10_000)
+    """Closed-loop trials on seeds held out from training."""
+    training_trials: AtLeast[int] = Field(default=20, ge=0, le=10_000)
+    """Trials on training seeds."""
     success_rate_min: AtLeast[float] = Field(default=0.5, ge=0.0, le=1.0)
-    judge_success: bool = Field(default=True, description="whether the success rate has a limit; smoke only reports it")
+    judge_success: bool = True
+    """Whether the success rate has a limit; smoke only reports it."""
     inference_hz_min: AtLeast[float] = Field(default=30.0, gt=0.0)

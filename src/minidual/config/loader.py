@@ -13,7 +13,7 @@ from typing import Any, cast, get_args
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from minidual.config.document import Document, looks_numeric, parse_value, read_document
+from minidual.config.document import Document, parse_value, read_document
 from minidual.config.profiles import DEFAULT_PROFILE, SHIPPED_FOLDER, find_profile
 from minidual.config.root import Config
 from minidual.errors import ConfigError, UsageError
@@ -34,8 +34,7 @@ def parse_override(text: str) -> Override:
     path = path.strip()
     if not equals or not all(path.split(".")):
         raise ConfigError(f"--set {text}: not of the form section.key=value", remedy="--set plan.queries_n=30")
-    source = f"--set {text}"
-    return Override(path, parse_value(value, source), source)
+    return Override(path, parse_value(value, f"--set {text}", path), f"--set {text}")
 
 
 @dataclass(frozen=True)
@@ -56,7 +55,9 @@ class LoadedConfig:
         resolved = self.config.model_dump(mode="json")
         for override in overrides:
             _apply(document, override, resolved)
-        return LoadedConfig(_validate(document), self.profile, self.sources, (*self.overrides, *overrides), document)
+        return LoadedConfig(
+            validate_document(document, Config), self.profile, self.sources, (*self.overrides, *overrides), document
+        )
 
     def reference(self) -> Config:
         """Return the unchanged shipped profile that this one extends."""
@@ -79,7 +80,7 @@ def load_config(profile: str = DEFAULT_PROFILE, overrides: Sequence[Override | s
     name, path = find_profile(profile)
     document, sources = _read_chain(path, ())
     document.source = path.name
-    loaded = LoadedConfig(_validate(document), name, sources, (), document)
+    loaded = LoadedConfig(validate_document(document, Config), name, sources, (), document)
     return loaded.with_overrides([parse_override(item) if isinstance(item, str) else item for item in overrides])
 
 
@@ -160,51 +161,28 @@ def validate_document[Model: BaseModel](document: Document, model: type[Model]) 
         ) from None
 
 
-def _validate(document: Document) -> Config:
-    return validate_document(document, Config)
-
-
 def _sentence(problem: Any, document: Document, model: type[BaseModel]) -> tuple[str, str | None]:
     """Return (message, remedy or None) for a pydantic error."""
-    location = _typed_location(
-        [str(part) for part in problem["loc"]], document.tree, missing=problem["type"] == "missing"
-    )
-    dotted = ".".join(location)
-    where = _origin(location, document)
-    value = problem.get("input")
-    if problem["type"] == "extra_forbidden":
-        parent = ".".join(location[:-1])
-        known = sorted(_allowed_here(problem["loc"][:-1], model))
+    kind, value = problem["type"], problem.get("input")
+    location = _typed_location([str(part) for part in problem["loc"]], document.tree, missing=kind == "missing")
+    dotted, where = ".".join(location), _origin(location, document)
+    if kind == "extra_forbidden":
+        known = sorted(_keys_at(problem["loc"][:-1], model))
         close = difflib.get_close_matches(location[-1], known, n=1, cutoff=0.5)
         remedy = f"did you mean '{close[0]}'?" if close else None
-        return f"{where}: {dotted}: no such key; {parent or 'the root'} has {', '.join(known)}", remedy
-    if problem["type"] == "value_error":
+        parent = ".".join(location[:-1]) or "the root"
+        return f"{where}: {dotted}: no such key; {parent} has {', '.join(known)}", remedy
+    if kind == "value_error":
         return f"{where}: {dotted or 'configuration'}: {problem['ctx']['error']}", None
     text = f"{where}: {dotted}: {problem['msg'][:1].lower()}{problem['msg'][1:]}"
     text = text.replace("input should", "must").replace("a valid list", "a list").replace("an object", "a section")
     if isinstance(value, str):
-        text += f", is the text '{value}'"
-        number = _as_yaml_number(value) if looks_numeric(value) else None
-        wants_int = problem["type"].startswith("int")
-        if number and (_whole(number) if wants_int else problem["type"].startswith("float")):
-            return text, f"write {number} without quotes: YAML reads '{value}' as text"
-        if problem["type"].startswith("bool"):
-            return text, "write true or false"
-    elif isinstance(value, bool | int | float) or value is None:
-        text += f", is {json.dumps(value)}"
-    return text, None
-
-
-def _as_yaml_number(text: str) -> str | None:
-    try:
-        number = float(text)
-    except ValueError:
-        return None
-    return repr(int(number)) if _whole(text) else yaml.safe_dump(number).split("\n")[0]
-
-
-def _whole(text: str | None) -> bool:
-    return text is not None and float(text).is_integer() and abs(float(text)) < 1e15
+        number = kind.startswith(("int", "float"))
+        remedy = (
+            "write true or false" if kind.startswith("bool") else "write a number without quotes" if number else None
+        )
+        return f"{text}, is the text '{value}'", remedy
+    return text + (f", is {json.dumps(value)}" if isinstance(value, bool | int | float | None) else ""), None
 
 
 def _origin(location: Sequence[str], document: Document) -> str:
@@ -215,14 +193,16 @@ def _origin(location: Sequence[str], document: Document) -> str:
     return document.source
 
 
-def _keys_at(location: Sequence[str]) -> set[str]:
-    """Return the keys of the model at `location`; empty if none."""
-    models: list[type[BaseModel]] = [Config]
+def _keys_at(location: Sequence[str | int], root: type[BaseModel] = Config) -> set[str]:
+    """Return the keys of the models at `location`, as typed or as pydantic gives it; empty if it is one value."""
+    models: list[type[BaseModel]] = [root]
     for part in location:
-        annotations = [model.model_fields[part].annotation for model in models if part in model.model_fields]
-        models = [found for annotation in annotations for found in _models_in(annotation)] or (
-            models if part.isdigit() else []
-        )
+        fields = [model.model_fields[part] for model in models if part in model.model_fields]
+        if fields:
+            models = [found for field in fields for found in _models_in(field.annotation)]
+        else:  # a member of a union by its tag, or an entry of a list or mapping
+            tagged = [m for m in models if any(f.default == part for f in m.model_fields.values())]
+            models = tagged or models
     return {name for model in models for name in model.model_fields}
 
 
@@ -238,24 +218,10 @@ def _typed_location(location: Sequence[str], tree: Any, *, missing: bool) -> lis
             if part not in place and not (missing and index + 1 == len(location)):
                 continue
             place = cast(dict[str, Any], place).get(part)
-        elif isinstance(place, list):
-            items = cast(list[Any], place)
-            place = items[int(part)] if part.isdigit() and int(part) < len(items) else None
+        elif isinstance(place, list) and part.isdigit():
+            place = dict(enumerate(cast(list[Any], place))).get(int(part))
         typed.append(part)
     return typed
-
-
-def _allowed_here(location: Sequence[str | int], root: type[BaseModel]) -> set[str]:
-    """Return the keys allowed at pydantic's `location`."""
-    models: list[type[BaseModel]] = [root]
-    for part in location:
-        fields = [model.model_fields[part] for model in models if part in model.model_fields]
-        if fields:
-            models = [found for field in fields for found in _models_in(field.annotation)]
-        else:  # a member of a union by its tag, or an entry of a list or mapping
-            tagged = [m for m in models if any(f.default == part for f in m.model_fields.values())]
-            models = tagged or models
-    return {name for model in models for name in model.model_fields}
 
 
 def _models_in(annotation: Any) -> list[type[BaseModel]]:

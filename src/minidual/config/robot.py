@@ -1,4 +1,4 @@
-"""Configuration of the arms."""
+"""Configuration of the arms and of named postures."""
 
 from __future__ import annotations
 
@@ -12,3 +12,19 @@ class RobotConfig(StrictModel):
 
     arm: str = Field(default="panda", min_length=1)
     """Name in the table of arms (minidual.robot.arms)."""
+
+
+class NamedStateConfig(StrictModel):
+    """A posture of one or both arms."""
+
+    left_rad: tuple[float, ...] | None = None
+    """Joints of the left arm, base first."""
+    right_rad: tuple[float, ...] | None = None
+    description: str = ""
+
+
+class SemanticsConfig(StrictModel):
+    """Named states."""
+
+    states: dict[str, NamedStateConfig] = Field(default={})
+    """Added to the arm model's states (`home` and others), replacing same names."""

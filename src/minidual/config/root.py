@@ -10,9 +10,8 @@ from minidual.config.control import CarryConfig, EnvCheckConfig
 from minidual.config.evaluation import BenchmarkConfig, ReportConfig
 from minidual.config.learning import DeployConfig, TrainConfig
 from minidual.config.planning import PlanConfig
-from minidual.config.robot import RobotConfig
+from minidual.config.robot import RobotConfig, SemanticsConfig
 from minidual.config.scene import SceneConfig
-from minidual.config.semantics import SemanticsConfig
 from minidual.config.supervisor import SupervisorConfig
 from minidual.config.teleop import TeleopConfig
 from minidual.config.view import ViewConfig

@@ -1,51 +1,23 @@
-"""Progress of a stage, shown as a bar, plain lines or nothing."""
+"""Progress of a stage: plain lines, or nothing. `minidual.cli.progress` draws bars."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Self
 
 
-class Task(Protocol):
-    """Counted work; as a context manager it always ends."""
-
-    def advance(self, steps: float = 1, note: str = "") -> None:
-        """Count `steps` as done; `note` is shown beside the bar ("loss 0.12")."""
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
-
-
-class Progress(Protocol):
-    """Progress of a stage."""
-
-    def task(self, description: str, total: float | None = None) -> Task:
-        """Begin a task: `with progress.task("trials", 20) as task: ... task.advance()`."""
-        ...
-
-    def note(self, message: str) -> None:
-        """Show one line."""
-
-
-class PlainTask:
-    """Prints a line at most every `every_s` seconds, and one at the end."""
+class Task:
+    """Counted work, as a context manager; prints a line at most every `every_s` seconds, and one at the end."""
 
     def __init__(self, description: str, total: float | None, say: Callable[[str], None], every_s: float) -> None:
-        self._description = description
-        self._total = total
-        self._say = say
-        self._every_s = every_s
-        self._done = 0.0
-        self._note = ""
+        self._description, self._total, self._say, self._every_s = description, total, say, every_s
+        self._done, self._note = 0.0, ""
         self._started = self._last = time.monotonic()
 
     def advance(self, steps: float = 1, note: str = "") -> None:
-        """Count `steps` as done; print if due."""
+        """Count `steps` as done; `note` is shown beside the count ("loss 0.12")."""
         self._done += steps
         self._note = note or self._note
         now = time.monotonic()
@@ -70,24 +42,14 @@ class PlainTask:
         self._say(self._line(time.monotonic()) + (" (stopped)" if kind is not None else ""))
 
 
-class PlainProgress:
-    """Plain lines through `say`, for logs and pipes."""
+class Progress:
+    """Plain lines through `say`; silent by default."""
 
-    def __init__(self, say: Callable[[str], None], every_s: float = 10.0) -> None:
-        self._say = say
+    def __init__(self, say: Callable[[str], None] = lambda line: None, every_s: float = 10.0) -> None:
+        self.note = say
+        """Shows one line."""
         self._every_s = every_s
 
-    def task(self, description: str, total: float | None = None) -> PlainTask:
-        """Begin a task."""
-        return PlainTask(description, total, self._say, self._every_s)
-
-    def note(self, message: str) -> None:
-        """Print one line."""
-        self._say(message)
-
-
-class SilentProgress(PlainProgress):
-    """No output, for tests and library use."""
-
-    def __init__(self) -> None:
-        super().__init__(lambda _line: None, every_s=float("inf"))
+    def task(self, description: str, total: float | None = None) -> Task:
+        """Begin a task: `with progress.task("trials", 20) as task: ... task.advance()`."""
+        return Task(description, total, self.note, self._every_s)

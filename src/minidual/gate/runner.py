@@ -14,7 +14,7 @@ from minidual.gate.clock import now_text
 from minidual.gate.disk import disk_errors
 from minidual.gate.gate import Gate, StageState
 from minidual.gate.manifest import build_manifest
-from minidual.gate.progress import Progress, SilentProgress
+from minidual.gate.progress import Progress
 from minidual.gate.stage import StageContext
 from minidual.gate.store import RunStore
 from minidual.gate.table import StageEntry, StageTable
@@ -64,7 +64,7 @@ class Runner:
     table: StageTable
     store: RunStore
     loaded: LoadedConfig
-    progress: Progress = field(default_factory=SilentProgress)
+    progress: Progress = field(default_factory=Progress)
     command: Callable[[str], str] = "minidual {}".format
     view: Any = None
 

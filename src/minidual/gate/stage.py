@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from minidual.gate.check import Check
-from minidual.gate.progress import Progress, SilentProgress
+from minidual.gate.progress import Progress
 
 if TYPE_CHECKING:
     from minidual.config.root import Config
@@ -43,7 +43,7 @@ class StageContext:
     summaries: Mapping[str, str] = field(default_factory=dict[str, str])
     code_changes: Mapping[str, Sequence[str]] = field(default_factory=dict[str, Sequence[str]])
     waivers: tuple[Waiver, ...] = ()
-    progress: Progress = field(default_factory=SilentProgress)
+    progress: Progress = field(default_factory=Progress)
     options: Mapping[str, Any] = field(default_factory=dict[str, Any])
     workers: int = 1
     view: Any = None

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from minidual.durable import set_aside
 from minidual.errors import ExitCode
-from minidual.gate.progress import Progress, SilentProgress
+from minidual.gate.progress import Progress
 
 if TYPE_CHECKING:
     from minidual.config.root import Config
@@ -37,7 +37,7 @@ class ToolContext:
     profile: str
     run_folder: Path
     options: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    progress: Progress = field(default_factory=SilentProgress)
+    progress: Progress = field(default_factory=Progress)
     command: Callable[[str], str] = "minidual {}".format
     _name: str = ""
     view: Any = None

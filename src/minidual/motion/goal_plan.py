@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from minidual.collision.errors import OutOfLimitsError
 from minidual.collision.scene import PlanningScene
-from minidual.config.semantics import SemanticsConfig
+from minidual.config.robot import SemanticsConfig
 from minidual.errors import ConfigError, UsageError, unknown_name
 from minidual.motion.api import Planner
 from minidual.motion.goal import Goal, JointGoal, PoseGoal, RelativeGoal, StateGoal, TipOffset, TipPose

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from minidual.config.held_moves import HeldMovesConfig
-from minidual.config.planning import PlanConfig
+from minidual.config.planning import HeldMovesConfig, PlanConfig
 from minidual.gate.check import Check
 from minidual.gate.stage import StageContext
 from minidual.motion.held.path import RESIDUAL_MAX_M, RESIDUAL_MAX_RAD
