@@ -17,6 +17,8 @@ class Observation:
     """One instant.
 
     Attributes:
+        time_s: Time of the joint measurement.
+        image_time_s: Time of the images, same clock.
         q: (n,) joint positions [rad].
         v: (n,) velocities [rad/s].
         gripper: (2,) openings, 0 closed to 1 open.
@@ -24,6 +26,7 @@ class Observation:
     """
 
     time_s: float
+    image_time_s: float
     q: Array
     v: Array
     gripper: Array
@@ -41,10 +44,11 @@ class Observer:
     def read(self) -> Observation:
         """Return the present observation."""
         world = self.world
+        stamp_s, q, v, gripper = world.stamp_s, world.q, world.v, world.gripper
         images: dict[str, Image] = {}
         if self._camera is not None:
             images = {name: self._camera.picture(world.data, name).copy() for name in self.cameras}
-        return Observation(world.time, world.q, world.v, world.gripper, images)
+        return Observation(stamp_s, world.time, q, v, gripper, images)
 
     def close(self) -> None:
         """Free the renderer."""

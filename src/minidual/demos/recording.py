@@ -1,13 +1,15 @@
-"""Record trials over processes.
+"""Record trials over processes, or go on with an interrupted recording.
 
-Results do not depend on the workers: each trial has its own random draw and simulated time, and rounds have known size.
+Results do not depend on the workers or on interruptions: each trial has its own random draw and simulated time, and
+rounds have known size.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,14 +20,46 @@ import numpy as np
 from minidual import durable
 from minidual.demos.checks import camera_references, check_swapped
 from minidual.demos.leader import LEADERS
-from minidual.demos.rig import REJECTED, Attempt, Job, Rig
+from minidual.demos.rig import ATTEMPTS, KEPT, MEASURES, REJECTED, Attempt, Job, Rig
 from minidual.demos.smoothness import JERK_FILTER
 from minidual.workers import in_workers
 
+INPUTS_FILE = "inputs.json"
+PARTS = (KEPT, REJECTED, ATTEMPTS, INPUTS_FILE)
+"""Names of a recording in its folder, kept when it is interrupted."""
 Observe = Callable[[Rig, int], AbstractContextManager[object]]
 """Returns a context entered during the trial."""
 
 _rigs: dict[str, Rig] = {}
+
+
+def claim(folder: Path, inputs: Mapping[str, Any], name: str) -> str:
+    """Prepare `folder` for a recording made from `inputs` (JSON types); return a note on an earlier one, or "".
+
+    An interrupted recording with equal inputs stays and is continued. Another one is set aside under `name`, beside
+    `folder`. Temporary files of killed writers are removed.
+    """
+    path = folder / INPUTS_FILE
+    left = [folder / name for name in PARTS if (folder / name).exists()]
+    before = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    note = ""
+    if left and before != inputs:
+        gathered = folder.with_name(f".{name}.aside")
+        gathered.mkdir(exist_ok=True)
+        for part in left:
+            part.rename(gathered / part.name)
+        target = durable.set_aside(gathered, name)
+        changed = sorted(key for key in before.keys() | inputs.keys() if before.get(key) != inputs.get(key))
+        note = f"an interrupted recording with other inputs ({', '.join(changed)}) was moved to {target}"
+    elif left:
+        halves = [half for half in folder.glob("*/.*.partial") if durable.is_stale(half)]
+        for half in halves:
+            durable.remove(half)
+        done = len(list((folder / KEPT).glob("*.hdf5")))
+        note = f"an interrupted recording is continued: {done} demonstrations are there"
+        note += "".join(f"; removed {half.name}, which is half-written" for half in halves)
+    durable.write_text(path, json.dumps(inputs, indent=1, sort_keys=True) + "\n")
+    return note
 
 
 def _record_in_worker(job: Job, index: int, observe: Observe | None = None) -> Attempt:
@@ -36,10 +70,8 @@ def _record_in_worker(job: Job, index: int, observe: Observe | None = None) -> A
         _rigs.clear()
         _rigs[key] = Rig(job, job.teleop.cameras)
     rig = _rigs[key]
-    began = time.perf_counter()
     with nullcontext() if observe is None else observe(rig, index):
-        attempt = rig.record(index)
-    return replace(attempt, wall_s=time.perf_counter() - began)
+        return rig.record(index)
 
 
 def usable_workers(job: Job, workers: int) -> int:
@@ -56,35 +88,12 @@ def record_attempts(
 
 
 @dataclass(frozen=True)
-class RecordingNumbers:
-    """Judged numbers; extremes over kept demonstrations."""
-
-    episodes: int
-    attempts: int
-    successes: int
-    files_at_fault: int
-    jerk_rms_max: float
-    sync_error_max_s: float
-    latency_p50_s: float
-    latency_p99_s: float
-    episodes_per_min: float
-    recorded_ticks: int
-    dataset_rows: int
-    dataset_episodes: int
-
-
-@dataclass(frozen=True)
 class Recording:
     """All attempts in order; `wall_s` includes process start."""
 
     attempts: tuple[Attempt, ...]
     wall_s: float
     workers: int
-
-    @property
-    def episodes_per_min(self) -> float:
-        """Demonstrations per minute, without process start."""
-        return 60.0 * len(self.kept) * self.workers / sum(a.wall_s for a in self.attempts)
 
     @property
     def kept(self) -> tuple[Attempt, ...]:
@@ -96,49 +105,56 @@ class Recording:
         """Demonstration files."""
         return [a.path for a in self.kept if a.path is not None]
 
-    def numbers(self, dataset_rows: int, dataset_episodes: int) -> RecordingNumbers:
-        """Return the judged numbers; NaN propagates and fails its check."""
-        latencies = np.concatenate([a.latencies_s for a in self.attempts if a.latencies_s is not None])
-        qualities = [a.quality for a in self.kept if a.quality is not None]
-        return RecordingNumbers(
-            episodes=len(self.kept),
-            attempts=len(self.attempts),
-            successes=sum(a.success for a in self.attempts),
-            files_at_fault=sum(bool(a.problems) for a in self.kept),
-            jerk_rms_max=float(np.max([q.rms_jerk_rad_s3 for q in qualities])),
-            sync_error_max_s=float(np.max([a.sync_error_max_s for a in self.kept])),
-            latency_p50_s=float(np.percentile(latencies, 50)),
-            latency_p99_s=float(np.percentile(latencies, 99)),
-            episodes_per_min=self.episodes_per_min,
-            recorded_ticks=sum(q.ticks for q in qualities),
-            dataset_rows=dataset_rows,
-            dataset_episodes=dataset_episodes,
-        )
+    def numbers(self, conversion_s: float = 0.0) -> dict[str, float]:
+        """Return the judged numbers; NaN propagates and fails its check.
+
+        Rates are demonstrations per minute without process start; `episodes_per_min` includes `conversion_s`.
+        """
+        latencies = np.concatenate([a.latencies_s for a in self.attempts])
+        recording_s = sum(a.wall_s for a in self.attempts) / self.workers
+        synchronised = [a.sync_error_max_s for a in self.attempts if a.kept or np.isfinite(a.sync_error_max_s)]
+        return {
+            "episodes": len(self.kept),
+            "attempts": len(self.attempts),
+            "success_rate": float(np.mean([a.success for a in self.attempts])),
+            "files_at_fault": sum(bool(a.faults) for a in self.kept),
+            "jerk_rms_max": max(self._qualities("rms_jerk_rad_s3")),
+            "sync_error_max_s": float(np.max(synchronised)),
+            "latency_p50_s": float(np.percentile(latencies, 50)),
+            "latency_p99_s": float(np.percentile(latencies, 99)),
+            "episodes_per_min": 60.0 * len(self.kept) / (recording_s + conversion_s),
+            "recorded_per_min": 60.0 * len(self.kept) / recording_s,
+            "recorded_ticks": sum(self._qualities("ticks")),
+        }
 
     def facts(self) -> dict[str, Any]:
         """Return the numbers for the report."""
-        qualities = [a.quality for a in self.kept if a.quality is not None]
-        outcomes = [a.outcome for a in self.kept if a.outcome is not None]
+        worst = {name: float(np.max([a.measures.get(name, np.nan) for a in self.kept])) for name in MEASURES}
         return {
             "attempts": len(self.attempts),
             "kept": len(self.kept),
             "rejected": {str(a.trial.index): a.reason for a in self.attempts if not a.kept},
-            "faults": {str(a.trial.index): list(a.problems) for a in self.attempts if a.problems},
+            "faults": {str(a.trial.index): list(a.faults) for a in self.attempts if a.faults},
             "trials": [a.trial.index for a in self.kept],
             "jerk_filter": JERK_FILTER,
-            "jerk_rms_median": float(np.median([q.rms_jerk_rad_s3 for q in qualities])),
-            "path_efficiency_median": float(np.median([q.path_efficiency for q in qualities])),
-            "duration_median_s": float(np.median([q.duration_s for q in qualities])),
-            "goal_error_max_m": float(np.max([o.goal_error_m for o in outcomes])),
-            "tilt_max_rad": float(np.max([o.tilt_max_rad for o in outcomes])),
+            "jerk_rms_median": float(np.median(self._qualities("rms_jerk_rad_s3"))),
+            "path_efficiency_median": float(np.median(self._qualities("path_efficiency"))),
+            "duration_median_s": float(np.median(self._qualities("duration_s"))),
+            "goal_error_max_m": worst["goal_error_m"],
+            "tilt_max_rad": worst["tilt_max_rad"],
             "recording_s": self.wall_s,
         }
+
+    def _qualities(self, name: str) -> list[Any]:
+        return [getattr(a.quality, name) for a in self.kept]
 
 
 def record(
     job: Job, *, workers: int, on_attempt: Callable[[Attempt], None] | None = None, observe: Observe | None = None
 ) -> Recording:
     """Record rounds until there are `episodes_n` demonstrations or attempts run out.
+
+    Attempts that an interrupted recording left in `job.folder` are adopted (see `claim`).
 
     Raises:
         UsageError: Unknown or displaced leader.
@@ -156,10 +172,8 @@ def record(
             attempts.append(attempt)
             if on_attempt is not None:
                 on_attempt(attempt)
-    if all(a.path is None or a.kept for a in attempts):
-        durable.remove(job.folder / REJECTED)
     references = camera_references([a.views for a in attempts if a.kept])
     for k, a in enumerate(attempts):
         swapped = tuple(map(str, check_swapped(a.views, references)))
-        attempts[k] = replace(a, problems=a.problems + swapped)
+        attempts[k] = replace(a, faults=a.faults + swapped)
     return Recording(tuple(attempts), time.perf_counter() - began, min(used, wanted))

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import json
+import os
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -22,25 +25,31 @@ from minidual.demos.schema import EpisodeMeta
 from minidual.demos.session import SessionResult, TeleopSession, Tick
 from minidual.demos.smoothness import rms_jerk
 from minidual.demos.writer import EpisodeWriter
+from minidual.errors import MinidualError
 from minidual.plant.render import Camera, Image, write_video
 from minidual.plant.world import SimulationDivergedError, World
 from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array, Robot
+from minidual.robot.pair import Robot
 from minidual.skills.supervised import trial_supervisor
-from minidual.tasks.judge import Outcome
 from minidual.tasks.rod_carry import placement
 from minidual.tasks.task import Task, Trial
 
 PURPOSE = "demonstrations"
 """Random stream, not used by tests."""
-KEPT, REJECTED = "episodes", "rejected"
+KEPT, REJECTED, ATTEMPTS = "episodes", "rejected", "attempts"
+"""Folders of a recording: demonstrations, other episodes, and one JSON file for each attempt."""
+MEASURES = ("completion_s", "goal_error_m", "tilt_max_rad")
 FILM_SIZE = (640, 480)
+
+
+class OrphanedError(MinidualError):
+    """The process that asked for the recording has ended."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """Inputs shared by all trials."""
+    """Inputs shared by all trials; `owner` is the process that records."""
 
     folder: Path
     task: Task
@@ -48,6 +57,7 @@ class Job:
     arbiter: ArbiterConfig
     seed: int
     supervisor: SupervisorConfig = field(default_factory=SupervisorConfig)
+    owner: int = field(default_factory=os.getpid)
 
     @property
     def robot(self) -> Robot:
@@ -64,49 +74,41 @@ class Attempt:
     """One trial that was run.
 
     Attributes:
-        kept: Whether it is a demonstration.
-        reason: Why not, or "".
+        reason: Why it is no demonstration, or "".
         path: File, if written.
-        sync_error_max_s: As read back.
-        problems: Faults read back.
-        views: Start images.
+        measures: Numbers of the outcome.
         latencies_s: Wall time per tick from reading the leader to its torque.
         wall_s: Wall time to plan, run, write and read back.
+        adopted: Whether an earlier process ran it.
+        quality, sync_error_max_s, faults, views: As read back from the file; `views` are the start images.
     """
 
     trial: Trial
     success: bool
-    kept: bool
     reason: str
     path: Path | None = None
-    outcome: Outcome | None = None
+    measures: Mapping[str, float] = field(default_factory=dict)
+    latencies_s: Sequence[float] = ()
+    wall_s: float = 0.0
+    adopted: bool = False
     quality: EpisodeQuality | None = None
     sync_error_max_s: float = float("nan")
-    problems: tuple[str, ...] = ()
+    faults: tuple[str, ...] = ()
     views: Thumbnails = field(default_factory=dict)
-    latencies_s: Array | None = None
-    wall_s: float = 0.0
+
+    @property
+    def kept(self) -> bool:
+        """Whether it is a demonstration."""
+        return not self.reason
 
     def row(self) -> dict[str, Any]:
         """Return a flat CSV row."""
         x, y, yaw = placement(next(iter(self.trial.start.values())))
         row: dict[str, Any] = {"trial": self.trial.index, "start_x_m": x, "start_y_m": y, "start_yaw_rad": yaw}
         row |= {"success": self.success, "kept": self.kept, "reason": self.reason}
-        row |= measures(self.outcome)
-        names = EpisodeQuality.__dataclass_fields__
-        row |= dict.fromkeys(names, "") if self.quality is None else asdict(self.quality)
+        row |= dict.fromkeys(MEASURES, float("nan")) | dict(self.measures)
+        row |= dict.fromkeys(EpisodeQuality.__dataclass_fields__, "") if self.quality is None else asdict(self.quality)
         return {key: round(value, 6) if isinstance(value, float) else value for key, value in row.items()}
-
-
-def measures(outcome: Outcome | None) -> dict[str, float]:
-    """Return the recorded numbers; NaN without outcome."""
-    if outcome is None:
-        return dict.fromkeys(("completion_s", "goal_error_m", "tilt_max_rad"), float("nan"))
-    return {
-        "completion_s": outcome.duration_s,
-        "goal_error_m": outcome.goal_error_m,
-        "tilt_max_rad": outcome.tilt_max_rad,
-    }
 
 
 class Rig:
@@ -123,7 +125,7 @@ class Rig:
         )
         self._setup = LeaderSetup(job.robot, job.task, job.teleop, job.seed)
 
-    def lead(self, trial: Trial, *, on_tick: Callable[[int, Tick], None] | None = None) -> SessionResult:
+    def lead(self, trial: Trial, on_tick: Callable[[int, Tick], None]) -> SessionResult:
         """Run one episode."""
         leader = LEADERS[self.job.teleop.leader].for_trial(self._setup, trial)
         try:
@@ -132,38 +134,96 @@ class Rig:
             leader.close()
 
     def record(self, index: int) -> Attempt:
-        """Run trial `index`, write its file, and read it back.
+        """Return trial `index` as an interrupted recording left it, or else run it.
 
-        Files are written to `rejected` and moved if accepted, so demonstrations are always complete.
+        An episode is read back before its file gets its name, and the attempt's JSON file is written first: a named
+        file is always whole and judged.
         """
-        job, trial = self.job, self.job.trial(index)
+        trial = self.job.trial(index)
+        return self._adopted(trial) or self._recorded(trial)
+
+    def _adopted(self, trial: Trial) -> Attempt | None:
+        try:
+            said = json.loads(self._attempt_path(trial).read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            return None
+        path = said.pop("path")
+        attempt = Attempt(trial, **said, path=path and self.job.folder / path, adopted=True)
+        if attempt.path is None:
+            return attempt
+        if not attempt.path.exists():  # killed before the file got its name
+            return None
+        judged = self._read_back(attempt, attempt.path)
+        if judged.kept == attempt.kept:
+            return judged
+        durable.set_aside(attempt.path, attempt.path.name)  # damaged since
+        return None
+
+    def _recorded(self, trial: Trial) -> Attempt:
+        job, began = self.job, time.perf_counter()
         name = f"episode_{trial.index:06d}.hdf5"
         with EpisodeWriter(job.folder / REJECTED / name, self._meta(trial)) as writer:
+
+            def append(k: int, tick: Tick) -> None:
+                self._check_owner()
+                seen = tick.observation
+                writer.append(
+                    qpos=seen.q,
+                    qvel=seen.v,
+                    gripper=seen.gripper,
+                    action=tick.action,
+                    action_gripper=tick.action_gripper,
+                    timestamp=seen.time_s,
+                    images=seen.images,
+                    image_timestamp=seen.image_time_s,
+                )
+
             try:
-                result = self.lead(trial, on_tick=lambda k, tick: _append(writer, tick))
+                result = self.lead(trial, append)
             except SimulationDivergedError as error:
-                return Attempt(trial, False, False, error.message)
+                return self._concluded(Attempt(trial, False, error.message), began)
             success = result.outcome.success and result.ended_by == "leader"
-            reason = self._reason(result, success=success)
-            if reason and (not job.teleop.keep_rejected or _is_empty(result, job.teleop.rate_hz)):
-                return Attempt(trial, success, False, reason, latencies_s=result.latencies_s)
-            path = writer.commit(success=success, extra={"reason": reason, **measures(result.outcome)})
-        if not reason:
-            target = job.folder / KEPT / name
-            target.parent.mkdir(exist_ok=True)
-            path = path.rename(target)
-            durable.sync(target.parent)
-        # Judge what is on disk.
-        episode, problems = inspect_episode(path, cameras=job.teleop.cameras, robot=job.robot)
-        faults = tuple(map(str, problems))
-        attempt = Attempt(
-            trial, success, not reason, reason, path, result.outcome, problems=faults, latencies_s=result.latencies_s
-        )
+            said = {"completion_s": result.outcome.duration_s}
+            said |= {name: value for name in MEASURES[1:] if np.isfinite(value := getattr(result.outcome, name))}
+            attempt = Attempt(trial, success, self._reason(result, success=success), None, said, result.latencies_s)
+            if attempt.reason and (not job.teleop.keep_rejected or _is_empty(result, job.teleop.rate_hz)):
+                return self._concluded(attempt, began)
+            partial = writer.finish(success=success, extra={"reason": attempt.reason, **said})
+            attempt = self._read_back(attempt, partial)
+            path = job.folder / (KEPT if attempt.kept else REJECTED) / name
+            quality = attempt.quality and replace(attempt.quality, file=name)
+            attempt = self._concluded(replace(attempt, path=path, quality=quality), began)
+            writer.publish(path)
+            return attempt
+
+    def _read_back(self, attempt: Attempt, path: Path) -> Attempt:
+        """Judge what is on disk; an episode with faults is no demonstration."""
+        episode, found = inspect_episode(path, cameras=self.job.teleop.cameras, robot=self.job.robot)
+        faults = tuple(map(str, found))
+        attempt = replace(attempt, faults=faults, reason=attempt.reason or next(iter(faults), ""))
         if episode is None:
             return attempt
-        quality = episode_quality(episode, self.kinematics)
-        views = thumbnails(episode.images)
-        return replace(attempt, quality=quality, sync_error_max_s=episode.sync_error_max_s, views=views)
+        attempt = replace(attempt, sync_error_max_s=episode.sync_error_max_s)
+        if faults:
+            return attempt
+        return replace(attempt, quality=episode_quality(episode, self.kinematics), views=thumbnails(episode.images))
+
+    def _concluded(self, attempt: Attempt, began: float) -> Attempt:
+        self._check_owner()
+        attempt = replace(attempt, wall_s=time.perf_counter() - began)
+        record = {key: getattr(attempt, key) for key in ("success", "reason", "measures", "latencies_s", "wall_s")}
+        record["path"] = attempt.path and f"{attempt.path.parent.name}/{attempt.path.name}"
+        durable.make_folder(self.job.folder / ATTEMPTS)
+        durable.write_text(self._attempt_path(attempt.trial), json.dumps(record) + "\n")
+        return attempt
+
+    def _attempt_path(self, trial: Trial) -> Path:
+        return self.job.folder / ATTEMPTS / f"{trial.index:06d}.json"
+
+    def _check_owner(self) -> None:
+        # A worker that outlives a killed recording must not write into the next one.
+        if self.job.owner not in (os.getpid(), os.getppid()):
+            raise OrphanedError("the recording was ended while this worker ran")
 
     def _meta(self, trial: Trial) -> EpisodeMeta:
         teleop, task = self.job.teleop, self.job.task
@@ -191,20 +251,6 @@ def _is_empty(result: SessionResult, rate_hz: float) -> bool:
     return len(result.q) / rate_hz < 1.0 or float(np.ptp(result.q, axis=0).max()) < 1e-3
 
 
-def _append(writer: EpisodeWriter, tick: Tick) -> None:
-    seen = tick.observation
-    writer.append(
-        qpos=seen.q,
-        qvel=seen.v,
-        gripper=seen.gripper,
-        action=tick.action,
-        action_gripper=tick.action_gripper,
-        timestamp=seen.time_s,
-        images=seen.images,
-        image_timestamp=seen.time_s,
-    )
-
-
 def film(job: Job, index: int, path: Path) -> None:
     """Run trial `index` again and film it."""
     rig = Rig(job, ())
@@ -216,6 +262,6 @@ def film(job: Job, index: int, path: Path) -> None:
             if k % every == 0:
                 frames.append(camera.picture(rig.world.data, "overview").copy())
 
-        rig.lead(job.trial(index), on_tick=shoot)
+        rig.lead(job.trial(index), shoot)
     rig.close()
     write_video(path, frames, fps=round(job.teleop.rate_hz / every))

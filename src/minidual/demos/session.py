@@ -21,7 +21,7 @@ from minidual.control.supervisor import Supervisor
 from minidual.demos.leader import Leader
 from minidual.demos.mirror import Mirror
 from minidual.demos.observation import Observation, Observer
-from minidual.errors import MinidualError, UsageError
+from minidual.errors import MinidualError
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
@@ -50,14 +50,14 @@ class SessionResult:
 
     Attributes:
         q: (T, n) joints [rad]; images may exceed memory and only go to `on_tick`.
-        latencies_s: (T,) wall time from reading the leader to the first physics step.
+        latencies_s: T wall times from reading the leader to the first physics step.
         ended_by: "leader", "time_limit", "stopped" (the leader fell silent) or "reflex".
         reflex: Message, or "".
     """
 
     q: Array
     outcome: Outcome
-    latencies_s: Array
+    latencies_s: list[float]
     refusals: list[Refusal] = field(default_factory=list)
     ended_by: str = "leader"
     reflex: str = ""
@@ -94,13 +94,7 @@ class TeleopSession:
     ) -> None:
         self.world, self.observer, self.config = world, observer, config
         self.mirror = Mirror(world.robot, config.mirror)
-        steps = 1.0 / (config.rate_hz * world.dt)
-        self._steps = round(steps)
-        if abs(steps - self._steps) > 1e-6:
-            raise UsageError(
-                f"teleop.rate_hz {config.rate_hz} does not divide the control rate of {1.0 / world.dt:g} Hz",
-                remedy="take a divisor of it, such as 50 or 100",
-            )
+        self._steps = round(1.0 / (config.rate_hz * world.dt))
         self.stack = ControlStack(world, kinematics, arbiter, rate_hz=config.rate_hz, supervisor=supervisor)
 
     def run(
@@ -164,7 +158,7 @@ class TeleopSession:
             if reflex:
                 ended_by = "reflex"
                 break
-        return SessionResult(np.array(measured), judge.outcome(world), np.array(latencies), refusals, ended_by, reflex)
+        return SessionResult(np.array(measured), judge.outcome(world), latencies, refusals, ended_by, reflex)
 
     def _ask(self, leader: Leader, k: int, elapsed_s: float, now: Observation) -> ArbiterOutput:
         reading = leader.read(elapsed_s)

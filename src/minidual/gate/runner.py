@@ -155,7 +155,7 @@ class Runner:
         options, loaded = gate.effective(name, None)
         fingerprint = gate.fingerprint(name)
         upstream = {up: gate.state(up) for up in self.table.upstream(name)}
-        folder = self.store.begin(name, loaded.to_yaml())
+        folder = self.store.begin(name, loaded.to_yaml(), entry.keeps)
         context = StageContext(
             folder=folder,
             config=entry.resolved(loaded.config),

@@ -14,7 +14,7 @@ import os
 import re
 import shutil
 import traceback
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -130,12 +130,13 @@ class RunStore:
         remove(folder)
         old.rename(folder)
 
-    def begin(self, stage: str, config_text: str) -> Path:
-        """Clear and return the temporary folder of `stage`, marked as running."""
+    def begin(self, stage: str, config_text: str, keeps: Sequence[str] = ()) -> Path:
+        """Clear the temporary folder of `stage` but for `keeps`, mark it as running and return it."""
         folder = self._temporary(stage)
-        if folder.exists():
-            shutil.rmtree(folder)
-        folder.mkdir(parents=True)
+        folder.mkdir(parents=True, exist_ok=True)
+        for left in folder.iterdir():
+            if left.name not in keeps:
+                remove(left)
         self._mark(Attempt(stage, "running", os.getpid(), now_text()))
         write_text(folder / CONFIG_FILE, config_text)
         write_text(self.folder / CONFIG_FILE, config_text)

@@ -124,6 +124,7 @@ STAGES = StageTable(
             watchable=True,
             examples=("teleop-record --episodes 50", "teleop-record --view web"),
             recording=True,
+            keeps=("episodes", "rejected", "attempts", "inputs.json"),
         ),
         StageEntry(
             "train-act",

@@ -2,98 +2,125 @@
 
 from __future__ import annotations
 
-import csv
+import time
 from collections import Counter
-from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
+from minidual.demos.schema import MAX_SYNC_S
 from minidual.errors import NothingEvaluatedError
-from minidual.gate.check import Check, Number, Op
+from minidual.gate.check import Check
+from minidual.gate.code import code_of
 from minidual.gate.stage import StageContext, StageResult
 
 if TYPE_CHECKING:
+    from minidual.config.root import Config
     from minidual.config.teleop import TeleopConfig
-    from minidual.demos.recording import Recording, RecordingNumbers
     from minidual.demos.rig import Attempt
 
-SYNC_LIMIT_S = 0.02
+READS = ("robot", "task", "teleop", "scene", "arbiter", "supervisor")
+"""Sections that the recording depends on."""
 
 
-_WORDS = {
-    "episodes": (
-        "",
-        "demonstrations kept, each of which achieved the task",
-        "read quality.csv: `reason` names what failed; raise teleop.attempts_max_ratio",
-    ),
-    "schema_ok": (
-        "",
-        "every file, opened again, holds all fields in the right shapes, finite, in order and inside the limits",
-        "read `faults` in the verdict's data; record again with --force",
-    ),
-    "jerk_rms_max": (
-        "rad/s^3",
-        "roughest demonstration kept; a policy copies the shaking of its teacher",
-        "lengthen the phases under teleop.operator, or look for contacts during the motion",
-    ),
-    "latency_p99_s": (
-        "s",
-        "wall-clock time from reading the leader to the follower's torque, 99th percentile of all ticks",
-        "free the machine of other load, or use fewer workers",
-    ),
-    "episodes_per_min": (
-        "1/min",
-        "demonstrations kept a minute, once the processes have started",
-        "use more workers, or smaller or fewer cameras",
-    ),
-    "sync_error_max_s": (
-        "s",
-        "joints, images and action of a tick belong to one instant",
-        "stamp all of them in the same tick",
-    ),
-    "dataset_rows": (
-        "",
-        "every recorded tick is a row of the dataset and a frame of its videos",
-        "record again with --force; check the free space on the disk",
-    ),
-    "dataset_episodes": ("", "every demonstration kept is an episode of the dataset", "record again with --force"),
-}
-"""Unit, reason and remedy of each limited check."""
-
-
-def record_checks(numbers: RecordingNumbers, config: TeleopConfig) -> list[Check]:
-    """Return the stage's checks."""
+def record_checks(numbers: Mapping[str, float], config: TeleopConfig) -> list[Check]:
+    """Return the stage's checks from `Recording.numbers` and the sizes of the dataset."""
     n = numbers
-    limits: tuple[tuple[str, Number, Op, Number], ...] = (
-        ("episodes", n.episodes, ">=", config.episodes_n),
-        ("schema_ok", n.files_at_fault == 0 and n.episodes > 0, "==", True),
-        ("jerk_rms_max", n.jerk_rms_max, "<", config.jerk_max_rad_s3),
-        ("latency_p99_s", n.latency_p99_s, "<", config.latency_max_s),
-        ("episodes_per_min", n.episodes_per_min, ">", config.episodes_per_min),
-        ("sync_error_max_s", n.sync_error_max_s, "<=", SYNC_LIMIT_S),
-        ("dataset_rows", n.dataset_rows, "==", n.recorded_ticks),
-        ("dataset_episodes", n.dataset_episodes, "==", n.episodes),
-    )
-    rate = n.successes / n.attempts if n.attempts else float("nan")
     return [
-        *(Check(name, observed, op, limit, *_WORDS[name]) for name, observed, op, limit in limits),
-        Check("success_rate", rate, why="share of attempts that achieved the task; the others are left out"),
-        Check("attempts", n.attempts, why="trials that were led"),
-        Check("latency_p50_s", n.latency_p50_s, unit="s", why="median of the same"),
+        Check(
+            "episodes",
+            n["episodes"],
+            ">=",
+            config.episodes_n,
+            why="demonstrations kept, each of which achieved the task",
+            remedy="read quality.csv: `reason` names what failed; raise teleop.attempts_max_ratio",
+        ),
+        Check(
+            "schema_ok",
+            n["files_at_fault"] == 0 and n["episodes"] > 0,
+            "==",
+            True,
+            why="every file, opened again, holds all fields in the right shapes, finite, in order and inside the limits",
+            remedy="read `faults` in the verdict's data; record again with --force",
+        ),
+        Check(
+            "jerk_rms_max",
+            n["jerk_rms_max"],
+            "<",
+            config.jerk_max_rad_s3,
+            "rad/s^3",
+            "roughest demonstration kept; a policy copies the shaking of its teacher",
+            "lengthen the phases under teleop.operator, or look for contacts during the motion",
+        ),
+        Check(
+            "latency_p99_s",
+            n["latency_p99_s"],
+            "<",
+            config.latency_max_s,
+            "s",
+            "wall-clock time from reading the leader to the follower's torque, 99th percentile of all ticks",
+            "free the machine of other load, or use fewer workers",
+        ),
+        Check(
+            "episodes_per_min",
+            n["episodes_per_min"],
+            ">",
+            config.episodes_per_min,
+            "1/min",
+            "demonstrations kept a minute, conversion to a dataset included, once the processes have started",
+            "use more workers, or smaller or fewer cameras",
+        ),
+        Check(
+            "sync_error_max_s",
+            n["sync_error_max_s"],
+            "<=",
+            MAX_SYNC_S,
+            "s",
+            "largest time between the joints and the images of a tick, as stamped when each was read",
+            "take the images in the tick that reads the joints",
+        ),
+        Check(
+            "dataset_rows",
+            n["dataset_rows"],
+            "==",
+            n["recorded_ticks"],
+            why="every recorded tick is a row of the dataset and a frame of its videos",
+            remedy="record again with --force; check the free space on the disk",
+        ),
+        Check(
+            "dataset_episodes",
+            n["dataset_episodes"],
+            "==",
+            n["episodes"],
+            why="every demonstration kept is an episode of the dataset",
+            remedy="record again with --force",
+        ),
+        Check("success_rate", n["success_rate"], why="share of attempts that achieved the task; others are left out"),
+        Check("attempts", n["attempts"], why="trials that were led"),
+        Check("latency_p50_s", n["latency_p50_s"], unit="s", why="median of the same"),
+        Check("recorded_per_min", n["recorded_per_min"], unit="1/min", why="the rate of recording alone"),
     ]
+
+
+def recording_inputs(config: Config) -> dict[str, Any]:
+    """Return what determines the episodes, as JSON types."""
+    code = code_of(["minidual.demos.recording:record"])
+    return {"seed": config.seed, "code": code.modules, **config.model_dump(mode="json", include=set(READS))}
 
 
 def run(context: StageContext) -> StageResult:
     """Record, convert and film; write quality.csv and quality.png."""
-    from minidual.demos import lerobot_adapter, recording, rig
+    from minidual.demos import recording, rig
     from minidual.demos.leader import LEADERS
     from minidual.show.figures.teleop import draw_quality
     from minidual.show.watch import watch_recording
     from minidual.tasks.task import make_task
+    from minidual.trials.tables import write_rows
 
     config, folder = context.config, context.folder
     teleop, leader = config.teleop, LEADERS[config.teleop.leader]
     job = rig.Job(folder, make_task(config), teleop, config.arbiter, context.seed, config.supervisor)
+    if earlier := recording.claim(folder, recording_inputs(config), "teleop-record"):
+        context.progress.note(earlier)
     if leader.usage:
         context.progress.note(leader.usage)
     with context.progress.task("demonstrations", teleop.episodes_n) as task:
@@ -103,40 +130,33 @@ def run(context: StageContext) -> StageResult:
 
         watch = watch_recording(context.view)
         recorded = recording.record(job, workers=context.workers, on_attempt=tell, observe=watch)
-    write_quality(recorded.attempts, folder / "quality.csv")
+    write_rows(folder / "quality.csv", [attempt.row() for attempt in recorded.attempts])
     if not recorded.kept:
         raise NothingEvaluatedError(
             f"none of {len(recorded.attempts)} attempts became a demonstration; {_commonest(recorded.attempts)}",
             remedy="read `reason` above; try --set teleop.leader=scripted, or the defaults of teleop.operator",
         )
+    from minidual.demos import lerobot_adapter  # takes seconds to load
+
+    began = time.perf_counter()
     with context.progress.task("dataset", len(recorded.kept)) as task:
         dataset = lerobot_adapter.convert(recorded.paths, folder / "lerobot", job.robot, progress=task.advance)
+    numbers = recorded.numbers(time.perf_counter() - began)
+    numbers |= {"dataset_rows": dataset.frames, "dataset_episodes": dataset.episodes}
     if not leader.realtime:  # a person does not do the same thing twice
         with context.progress.task("film", 1) as task:
             rig.film(job, recorded.kept[0].trial.index, folder / "demonstration.mp4")
             task.advance()
     draw_quality(recorded.attempts, config.scene.task, teleop.jerk_max_rad_s3, folder / "quality.png")
-    numbers = recorded.numbers(dataset.frames, dataset.episodes)
-    return StageResult(checks=record_checks(numbers, teleop), data=recorded.facts(), notes=_notes(recorded))
-
-
-def write_quality(attempts: Sequence[Attempt], path: Path) -> None:
-    """Write one row per attempt, rejected ones included."""
-    rows = [attempt.row() for attempt in attempts]
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, fieldnames=list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
+    rejected = [a for a in recorded.attempts if not a.kept]
+    notes = [f"{len(rejected)} of {len(recorded.attempts)} attempts were left out"]
+    notes[0] += f"; {_commonest(rejected)}" if rejected else ""
+    if adopted := sum(a.adopted for a in recorded.attempts):
+        notes.append(f"{adopted} attempts were recorded before an interruption")
+    return StageResult(checks=record_checks(numbers, teleop), data=recorded.facts(), notes=notes)
 
 
 def _commonest(attempts: Sequence[Attempt]) -> str:
     """Return the most common reason with its count."""
     (reason, count) = Counter(a.reason for a in attempts).most_common(1)[0]
     return f"{count} x {reason}"
-
-
-def _notes(recording: Recording) -> list[str]:
-    rejected = [a for a in recording.attempts if not a.kept]
-    if not rejected:
-        return [f"all {len(recording.attempts)} attempts were kept"]
-    return [f"{len(rejected)} of {len(recording.attempts)} attempts were left out; {_commonest(rejected)}"]
