@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from minidual.demos.schema import MAX_SYNC_S
+from minidual.durable import write_csv
 from minidual.errors import NothingEvaluatedError
 from minidual.gate.check import Check
 from minidual.gate.code import code_of
@@ -114,7 +115,6 @@ def run(context: StageContext) -> StageResult:
     from minidual.show.figures.teleop import draw_quality
     from minidual.show.watch import watch_recording
     from minidual.tasks.task import make_task
-    from minidual.trials.tables import write_rows
 
     config, folder = context.config, context.folder
     teleop, leader = config.teleop, LEADERS[config.teleop.leader]
@@ -130,7 +130,7 @@ def run(context: StageContext) -> StageResult:
 
         watch = watch_recording(context.view)
         recorded = recording.record(job, workers=context.workers, on_attempt=tell, observe=watch)
-    write_rows(folder / "quality.csv", [attempt.row() for attempt in recorded.attempts])
+    write_csv(folder / "quality.csv", [attempt.row() for attempt in recorded.attempts])
     if not recorded.kept:
         raise NothingEvaluatedError(
             f"none of {len(recorded.attempts)} attempts became a demonstration; {_commonest(recorded.attempts)}",
