@@ -19,7 +19,7 @@ from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Box, Sphere
 from minidual.config.planning import PlannerConfig, PlannerName
 from minidual.errors import UsageError
-from minidual.motion.api import Planner, _Effort
+from minidual.motion.api import Effort, Planner
 from minidual.motion.search import PLANNERS
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import pose, rot_x, rot_z
@@ -179,7 +179,7 @@ def test_a_failed_proof_is_planned_again(post_planner, monkeypatch):
     monkeypatch.setattr(verifier, "verify", refuse_first)
     result = post_planner.plan_to_joints("left_arm", beside_the_post(1), beside_the_post(-1), seed=3)
     assert result.attempts_n == 2
-    assert result.rejections == ("proof failed: made up",)
+    assert result.notes == ("proof failed: made up",)
     monkeypatch.setattr(
         verifier, "verify", lambda t: type(r := verify(t))(**{**r.to_json(), "ok": False, "reason": "no"})
     )
@@ -256,7 +256,7 @@ def test_the_example_of_the_documentation_runs():
 
 def test_patience_grows_up_to_a_bound():
     """A budget of hours means thousands of fruitless attempts; the next one must still be a number of checks."""
-    effort = _Effort(0.008, 0.05, 2500)
+    effort = Effort(0.008, 0.05, 2500)
     sizes = []
     for _ in range(5000):
         effort = effort.after_no_path()
@@ -264,4 +264,10 @@ def test_patience_grows_up_to_a_bound():
     assert sizes[:3] == [3750, 5625, 8437]
     assert sizes == sorted(sizes)
     assert sizes[-1] == 10_000_000
-    assert _Effort(0.008, 0.05, 50_000_000).after_no_path().checks_n == 50_000_000  # never less than was asked for
+    assert Effort(0.008, 0.05, 50_000_000).after_no_path().checks_n == 50_000_000  # never less than was asked for
+
+
+def test_padding_never_shrinks_after_a_failed_proof():
+    assert Effort(0.008, 0.05, 2500).after_no_proof().padding_m == pytest.approx(0.012)
+    assert Effort(0.018, 0.05, 2500).after_no_proof().padding_m == 0.02
+    assert Effort(0.05, 0.05, 2500).after_no_proof().padding_m == 0.05

@@ -10,14 +10,16 @@ from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Box, Capsule
 from minidual.errors import UsageError
 from minidual.motion.api import Planner
-from minidual.motion.held.path import ObjectLimits, ObjectPath
+from minidual.motion.held.path import ObjectPath
 from minidual.motion.held.planner import HeldPlanner, grasp_of, scene_holding
+from minidual.motion.timing import PathLimits
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse, pose, rot_x, rot_z
 
 RADIUS = 0.00887
 DOWN = rot_z(np.pi / 2) @ rot_x(np.pi)
 GRASPS = (pose(DOWN, (0.0, 0.12, 0.003)), pose(DOWN, (0.0, -0.12, 0.003)))
+HELD = {"left": GRASPS[0], "right": GRASPS[1]}
 ROD = Capsule("rod", (0, 0, 0), (np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0), radius_m=RADIUS, length_m=0.28)
 
 
@@ -44,7 +46,7 @@ def waypoints():
 
 @pytest.fixture(scope="module")
 def carried(q_start, waypoints):
-    return HeldPlanner().follow(q_start, waypoints, *GRASPS, scene=scene_holding(PlanningScene(), ROD, GRASPS[0]))
+    return HeldPlanner().follow(q_start, waypoints, *GRASPS, scene=scene_holding(PlanningScene(), ROD, HELD))
 
 
 def test_grasps_hold_on_a_much_finer_grid_than_was_solved(carried):
@@ -93,15 +95,15 @@ def test_the_proof_covers_the_rod(carried, q_start, waypoints):
     # A block that only the rod would hit, under its way between the hands:
     blocked = PlanningScene().with_obstacles(Box("block", (0.5, 0.0, 0.06), size_m=(0.02, 0.02, 0.13)))
     with pytest.raises(ClosedChainError, match=r"not free: .*block"):
-        HeldPlanner().follow(q_start, waypoints, *GRASPS, scene=scene_holding(blocked, ROD, GRASPS[0]))
+        HeldPlanner().follow(q_start, waypoints, *GRASPS, scene=scene_holding(blocked, ROD, HELD))
 
 
 def test_slower_object_takes_longer(carried, q_start, waypoints):
-    slow = HeldPlanner().follow(q_start, waypoints, *GRASPS, object_limits=ObjectLimits(0.1, 0.5))
+    slow = HeldPlanner().follow(q_start, waypoints, *GRASPS, along=PathLimits(0.1, 0.5))
     assert slow.duration_s > 1.8 * carried.duration_s
     assert slow.verification is None
-    with pytest.raises(UsageError, match="speed limit is 0"):
-        HeldPlanner().follow(q_start, waypoints, *GRASPS, object_limits=ObjectLimits(0.0, 0.5))
+    with pytest.raises(UsageError, match="speed limit along the path is 0"):
+        HeldPlanner().follow(q_start, waypoints, *GRASPS, along=PathLimits(0.0, 0.5))
 
 
 def test_same_query_same_bytes(carried, q_start, waypoints):
@@ -131,9 +133,7 @@ def test_start_off_the_grasp_is_refused(q_start, waypoints):
 
 def test_out_of_reach_names_the_hand_and_the_place(q_start, waypoints):
     far = [waypoints[0], rod_at(1.4, 0.25, 0.3, 0.2)]
-    with pytest.raises(
-        ClosedChainError, match=r"the \w+ (hand cannot follow|arm would jump).*\(0\.\d+, 0\.\d+, 0\.\d+\) m"
-    ):
+    with pytest.raises(ClosedChainError, match=r"the \w+ hand cannot follow.*\(0\.\d+, 0\.\d+, 0\.\d+\) m"):
         HeldPlanner().follow(q_start, far, *GRASPS)
 
 
@@ -152,7 +152,7 @@ def test_bad_input_is_named(q_start, waypoints):
 
 
 def test_object_path_is_smooth_and_passes_near_its_corners(waypoints):
-    path = ObjectPath(waypoints, corner_m=0.04)
+    path = ObjectPath.through(waypoints, corner_m=0.04)
     s = np.linspace(0.0, path.length, 3000)
     numeric = np.gradient(path.coordinates(s), s, axis=0)
     assert np.abs(numeric - path.coordinates(s, 1))[1:-1].max() < 1e-3
@@ -162,4 +162,4 @@ def test_object_path_is_smooth_and_passes_near_its_corners(waypoints):
     for T in path.poses(s[::300]):
         assert np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max() < 1e-12
     with pytest.raises(UsageError, match="turns the object by"):
-        ObjectPath([rod_at(0, 0, 0), rod_at(0, 0, 0, 3.1)])
+        ObjectPath.through([rod_at(0, 0, 0), rod_at(0, 0, 0, 3.1)])

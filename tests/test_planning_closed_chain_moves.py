@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -22,10 +23,10 @@ from minidual.config.planning import HeldMovesConfig, PlanConfig
 from minidual.config.scene import SceneConfig
 from minidual.errors import UsageError
 from minidual.motion.edges import EdgeChecker
-from minidual.motion.held.constraint import GraspConstraint, search_manifold
+from minidual.motion.held.constraint import GraspConstraint
 from minidual.motion.held.hands import HandsIK
 from minidual.motion.held.path import ObjectChart, ObjectPath
-from minidual.motion.held.planner import HeldPlanner, HeldQuery, HeldWork, scene_holding
+from minidual.motion.held.planner import HeldPlanner, HeldQuery, HeldWork, _Effort, scene_holding
 from minidual.motion.held.search import HeldSpace, Q, X, search_object, shorten
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
@@ -39,6 +40,7 @@ from minidual.trials.planning.held_moves import HeldMoveGenerator
 
 GRASPS = grasp_offsets(SceneConfig())
 ROD = thing_of(SceneConfig().object).shape
+HELD = {"left": GRASPS[0], "right": GRASPS[1]}
 START = pose(np.eye(3), (0.5, 0.2, 0.25))
 GOAL = pose(rot_z(0.3), (0.5, -0.2, 0.25))
 WALL = Box("wall", (0.5, 0.0, 0.16), size_m=(0.3, 0.04, 0.32))
@@ -50,19 +52,14 @@ def planner():
 
 
 @pytest.fixture(scope="module")
-def q_start():
-    hands = HandsIK(*GRASPS, Kinematics())
-    kinematics = Kinematics()
-    q = GraspConstraint.from_grasps(*GRASPS).project(HOME)
-    here = kinematics.tcp_poses(q)[0] @ inverse(GRASPS[0])
-    path = ObjectPath([here, START])
-    Q_path, stuck = hands.follow(path.poses(np.linspace(0.0, path.length, 100)), q)
-    assert stuck is None
-    return Q_path[-1]
+def q_start(planner):
+    targets = {arm: START @ grasp for arm, grasp in HELD.items()}
+    q = planner.planner.plan_to_poses("both_arms", HOME, targets).q_goal
+    return HandsIK(*GRASPS, Kinematics()).solve(START, q)
 
 
 def query(q_start, goal=GOAL, obstacles=(), **change):
-    scene = scene_holding(PlanningScene().with_obstacles(*obstacles), ROD, GRASPS[0], rests_on=())
+    scene = scene_holding(PlanningScene().with_obstacles(*obstacles), ROD, HELD, rests_on=())
     return dataclasses.replace(HeldQuery(q_start, goal, *GRASPS, scene, seed=3), **change)
 
 
@@ -91,7 +88,7 @@ def test_a_wall_is_passed_and_the_proof_covers_the_rod(planner, over_the_wall):
     assert plan.verification.ok
     assert np.abs(plan.Ts_world_object[-1] - GOAL).max() < 1e-9
     # Oracle: dense samples, both engines, the rod attached.
-    scene = scene_holding(PlanningScene().with_obstacles(WALL), ROD, GRASPS[0], rests_on=())
+    scene = scene_holding(PlanningScene().with_obstacles(WALL), ROD, HELD, rests_on=())
     audit = planner.engines(scene).verifier.audit(plan)
     assert audit.collisions_n == 0
     assert audit.samples_n > 300
@@ -107,11 +104,11 @@ def test_hands_keep_their_grasps_at_1_khz_and_between(over_the_wall, q_start):
     assert worst[0] < 1e-4
     assert worst[1] < np.deg2rad(0.05)
     # Oracle: forward kinematics at random times against the constraint.
-    constraint = GraspConstraint.from_grasps(*GRASPS)
+    constraint = GraspConstraint(inverse(GRASPS[0]) @ GRASPS[1])
     times = np.random.default_rng(0).uniform(0.0, over_the_wall.duration_s, 400)
-    residuals = np.array([constraint.residual(q) for q in over_the_wall.sample_many(times)[0]])
-    assert residuals[:, 0].max() < 1e-4
-    assert residuals[:, 1].max() < np.deg2rad(0.05)
+    off = np.array([constraint.value_and_jacobian(q)[0] for q in over_the_wall.sample_many(times)[0]])
+    assert np.linalg.norm(off[:, :3], axis=1).max() < 1e-4
+    assert np.linalg.norm(off[:, 3:], axis=1).max() < np.deg2rad(0.05)
     # Negative control: a hand that turns by 2 mrad is seen.
     bent = over_the_wall.q.copy()
     bent[len(bent) // 2, 13] += 2e-3
@@ -124,10 +121,10 @@ def test_same_query_same_bytes(planner, over_the_wall, q_start):
 
 def test_continuation_and_projection_agree_with_the_grasps(q_start):
     hands = HandsIK(*GRASPS, Kinematics())
-    path = ObjectPath([START, pose(rot_z(0.5) @ rot_x(0.3), (0.45, 0.0, 0.35))])
+    path = ObjectPath.through([START, pose(rot_z(0.5) @ rot_x(0.3), (0.45, 0.0, 0.35))])
     Ts = path.poses(np.linspace(0.0, path.length, 40))
-    followed, stuck = hands.follow(Ts, q_start)
-    assert stuck is None
+    followed, ended = hands.follow(Ts, q_start)
+    assert ended is None
     assert max(hands.strays(followed, Ts)) < 1e-7
     q = hands.solve(Ts[20], followed[15])
     assert max(hands.strays(q[None], Ts[20][None])) < 1e-8
@@ -227,7 +224,7 @@ def test_moves_are_what_they_say(outcomes):
 def test_a_witness_that_passes_through_things_is_refused(planner, q_start):
     """Negative control of the rule that a move counts only with a proven witness."""
     hands = HandsIK(*GRASPS, Kinematics())
-    path = ObjectPath([START, GOAL])
+    path = ObjectPath.through([START, GOAL])
     followed, _ = hands.follow(path.poses(np.linspace(0.0, path.length, 60)), q_start)
     chart = ObjectChart(START[:3, :3])
     points = np.array([np.concatenate([chart.coordinates(T), q]) for T, q in ((START, q_start), (GOAL, followed[-1]))])
@@ -327,28 +324,33 @@ def test_moves_that_cannot_be_made_are_told_and_do_not_end_the_stage(monkeypatch
     assert [o.ok for o in run_moves(config, SceneConfig(), 5)] == [True, True]
 
 
-def test_one_bad_goal_does_not_stop_the_search_of_the_others(planner, q_start, monkeypatch):
-    """A goal that cannot be put on the manifold is left out; a look for more goals that fails keeps the known ones."""
-    constraint = GraspConstraint.from_grasps(*GRASPS)
+@pytest.mark.parametrize("method", ["projected", "atlas"])
+def test_the_manifold_search_keeps_the_grasps(planner, q_start, method):
+    """A goal off the manifold finds nothing; the way to one on it holds the object and joins free edges."""
     asked = query(q_start)
     end = planner.plan(asked).q[-1]
-    checker = EdgeChecker(planner.engines(asked.scene), 0.0, (q_start, end), 0.05)
-    given = {"space": "projected", "box_rad": 0.7, "seed": 1, "checks_max": 4000, "deadline": time.perf_counter() + 20}
-    draws = np.random.default_rng(0).uniform(Q_LOWER, Q_UPPER, (500, 14))
-    bad = next(q for q in draws if constraint.project(q) is None)
-    assert search_manifold(constraint, checker, q_start, [bad], **given) is None
-    path = search_manifold(constraint, checker, q_start, [bad, end], **given)
-    assert np.abs(path[-1] - end).max() < 1e-3
+    work = HeldWork(planner, asked)
+    effort = _Effort(0.0, checks_n=1500)
+    assert work.search(method, [end + 0.3], replace(effort, checks_n=50), 1) is None
+    points = work.search(method, [end + 0.3, end], effort, 1)
+    assert np.abs(points[-1, Q] - end).max() < 1e-3
+    hands, chart = HandsIK(*GRASPS, Kinematics()), ObjectChart(START[:3, :3])
+    assert max(hands.strays(points[:, Q], chart.poses(points[:, X]))) < 1e-6
+
+
+def test_a_search_that_fails_keeps_the_known_goals(planner, q_start, monkeypatch):
+    asked = query(q_start)
+    end = planner.plan(asked).q[-1]
 
     def nothing(*_):
         raise GoalInCollisionError("none of them is free")
 
-    work = HeldWork(planner, asked, time.perf_counter() + 1.0)
+    work = HeldWork(planner, asked, 1.0)
     monkeypatch.setattr(work, "goal_postures", nothing)
     assert work.more_goals([end], None, 1)[0] is end
-    assert "none of them is free" in work.rejections[-1]
+    assert "none of them is free" in work.notes[-1]
     monkeypatch.undo()
-    work = HeldWork(planner, query(q_start, obstacles=(WALL,)), time.perf_counter() + 2.0)
+    work = HeldWork(planner, query(q_start, obstacles=(WALL,)), 2.0)
 
     def off(*_):
         time.sleep(0.01)

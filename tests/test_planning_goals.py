@@ -5,20 +5,20 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from pydantic import ValidationError
 
 from minidual.collision.errors import GoalInCollisionError, IKUnreachableError, LinearMoveError, OutOfLimitsError
 from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Box
-from minidual.config.planning import PlannerConfig
+from minidual.config.planning import MotionLimits, PlannerConfig
 from minidual.config.robot import NamedStateConfig, SemanticsConfig
 from minidual.errors import ConfigError, DataError, MinidualError, UsageError
 from minidual.motion.api import Planner
-from minidual.motion.goal import JointGoal, PoseGoal, RelativeGoal, StateGoal, TipOffset, TipPose, goal_of, load_goal
+from minidual.motion.goal import Goal, Move, Poses, TipOffset, TipPose, goal_of, load_goal
 from minidual.motion.goal_plan import GoalPlanner, NamedStates
 from minidual.motion.goals import PoseGoals
 from minidual.motion.linear import Line, LinearPlanner
-from minidual.motion.timing import MotionLimits
 from minidual.robot.arms import ARM_MODELS, DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Robot
@@ -36,6 +36,14 @@ def planner():
 @pytest.fixture(scope="module")
 def ready():
     return NamedStates().joints("ready", "both_arms", HOME)
+
+
+def to_pose(position_m, quat_wxyz=None, frame="world", arm="left"):
+    return Goal(poses=Poses(**{arm: TipPose(position_m=position_m, quat_wxyz=quat_wxyz, frame=frame)}))
+
+
+def by(offset_m=(0.0, 0.0, 0.0), rotation_rad=(0.0, 0.0, 0.0), frame="world", arm="left", **how):
+    return Goal(move=Move(frame=frame, **{arm: TipOffset(offset_m=offset_m, rotation_rad=rotation_rad)}), **how)
 
 
 def tips(q):
@@ -85,11 +93,11 @@ def test_states_that_do_not_fit_the_robot_are_refused(state, says):
 
 
 def test_one_hand_moves_to_a_pose_and_the_other_stays(planner, ready):
-    goal = PoseGoal({"left": TipPose((0.5, 0.3, 0.3))})
+    goal = to_pose((0.5, 0.3, 0.3))
     resolved = planner.resolve("both_arms", ready, goal)
     before = tips(ready)
-    assert np.abs(resolved.targets["right"] - before["right"]).max() < 1e-12
-    assert np.abs(resolved.targets["left"][:3, :3] - before["left"][:3, :3]).max() < 1e-12
+    assert np.abs(resolved["right"] - before["right"]).max() < 1e-12
+    assert np.abs(resolved["left"][:3, :3] - before["left"][:3, :3]).max() < 1e-12
     plan = planner.plan("both_arms", ready, goal, seed=1)
     after = tips(plan.trajectory.q[-1])
     assert np.abs(after["left"][:3, 3] - (0.5, 0.3, 0.3)).max() < 1e-6
@@ -103,22 +111,22 @@ def test_frames_are_the_world_links_obstacles_and_held_objects(planner):
         Box("shelf", (0.5, 0.2, 0.3), (quat.w, quat.x, quat.y, quat.z), size_m=(0.1, 0.1, 0.1))
     )
     point = (0.1, 0.02, -0.03)
-    goal = PoseGoal({"left": TipPose(point, (1.0, 0.0, 0.0, 0.0), "shelf")})
-    target = planner.resolve("left_arm", HOME, goal, scene).targets["left"]
+    goal = to_pose(point, (1.0, 0.0, 0.0, 0.0), "shelf")
+    target = planner.resolve("left_arm", HOME, goal, scene)["left"]
     assert np.abs(target - T @ pose(np.eye(3), point)).max() < 1e-12
-    own = PoseGoal({"left": TipPose((0.0, 0.0, 0.05), (1.0, 0.0, 0.0, 0.0), "left_panda_hand_tcp")})
-    ahead = planner.resolve("left_arm", HOME, own).targets["left"]
+    own = to_pose((0.0, 0.0, 0.05), (1.0, 0.0, 0.0, 0.0), "left_panda_hand_tcp")
+    ahead = planner.resolve("left_arm", HOME, own)["left"]
     assert np.abs(ahead - tips(HOME)["left"] @ pose(np.eye(3), (0, 0, 0.05))).max() < 1e-12
     with pytest.raises(UsageError, match=r"no frame 'shelv'.*shelf") as caught:
-        planner.resolve("left_arm", HOME, PoseGoal({"left": TipPose(point, None, "shelv")}), scene)
+        planner.resolve("left_arm", HOME, to_pose(point, None, "shelv"), scene)
     assert caught.value.remedy == "did you mean 'shelf'?"
 
 
 @pytest.mark.parametrize("frame", ["world", "tcp"])
 def test_relative_goals_in_both_frames(planner, ready, frame):
-    offset = TipOffset((0.02, -0.03, 0.05), (0.1, 0.0, 0.4))
+    offset = TipOffset(offset_m=(0.02, -0.03, 0.05), rotation_rad=(0.1, 0.0, 0.4))
     before = tips(ready)["right"]
-    target = planner.resolve("right_arm", ready, RelativeGoal({"right": offset}, frame)).targets["right"]
+    target = planner.resolve("right_arm", ready, Goal(move=Move(right=offset, frame=frame)))["right"]
     turn = pin.exp3(np.array(offset.rotation_rad))
     if frame == "tcp":
         wanted = before @ pose(turn, offset.offset_m)
@@ -128,28 +136,27 @@ def test_relative_goals_in_both_frames(planner, ready, frame):
 
 
 def test_some_joints_by_name(planner):
-    resolved = planner.resolve("left_arm", HOME, JointGoal({"left_panda_joint1": 0.4}))
-    assert resolved.q[0] == 0.4
-    assert (resolved.q[1:] == HOME[1:]).all()
+    resolved = planner.resolve("left_arm", HOME, Goal(joints_by_name_rad={"left_panda_joint1": 0.4}))
+    assert resolved[0] == 0.4
+    assert (resolved[1:] == HOME[1:]).all()
 
 
 @pytest.mark.parametrize(
     ("group", "goal", "kind", "says"),
     [
-        ("left_arm", StateGoal("redy"), UsageError, "no named state 'redy'; there are carry, folded"),
-        ("left_arms", StateGoal("ready"), UsageError, "no group 'left_arms'"),
-        ("left_arm", JointGoal({"left_panda_joint9": 0.1}), UsageError, "no joint 'left_panda_joint9'"),
-        ("left_arm", JointGoal({"right_panda_joint1": 0.1}), UsageError, "moves joints outside left_arm"),
-        ("left_arm", JointGoal({"left_panda_joint4": 0.5}), OutOfLimitsError, "left_panda_joint4 = 0.5000 rad"),
-        ("left_arm", JointGoal((float("nan"),) * 7), OutOfLimitsError, "left_panda_joint1 = nan"),
-        ("left_arm", JointGoal((0.0,) * 5), OutOfLimitsError, r"shape \(5,\)"),
-        ("left_arm", PoseGoal({"left": TipPose((0.5, float("nan"), 0.3))}), UsageError, "not finite"),
-        ("left_arm", PoseGoal({"right": TipPose((0.5, 0.0, 0.3))}), UsageError, "left_arm moves left only"),
-        ("left_arm", PoseGoal({"middle": TipPose((0.5, 0.0, 0.3))}), UsageError, "no arm 'middle'"),
-        ("left_arm", PoseGoal({}), UsageError, "names no hand; left_arm has left"),
-        ("left_arm", PoseGoal({"left": TipPose((1.5, 0.0, 0.3))}), IKUnreachableError, r"cannot reach \(1.500"),
-        ("left_arm", RelativeGoal({"left": TipOffset((float("inf"), 0, 0))}), UsageError, "not finite"),
-        ("left_arm", RelativeGoal({"left": TipOffset()}, "tool"), UsageError, "no frame for offsets 'tool'"),
+        ("left_arm", Goal(state="redy"), UsageError, "no named state 'redy'; there are carry, folded"),
+        ("left_arms", Goal(state="ready"), UsageError, "no group 'left_arms'"),
+        ("left_arm", Goal(joints_by_name_rad={"left_panda_joint9": 0.1}), UsageError, "no joint 'left_panda_joint9'"),
+        ("left_arm", Goal(joints_by_name_rad={"right_panda_joint1": 0.1}), UsageError, "moves joints outside left_arm"),
+        (
+            "left_arm",
+            Goal(joints_by_name_rad={"left_panda_joint4": 0.5}),
+            OutOfLimitsError,
+            "left_panda_joint4 = 0.5000",
+        ),
+        ("left_arm", Goal(joints_rad=(0.0,) * 5), OutOfLimitsError, r"shape \(5,\)"),
+        ("left_arm", to_pose((0.5, 0.0, 0.3), arm="right"), UsageError, "left_arm moves left only"),
+        ("left_arm", to_pose((1.5, 0.0, 0.3)), IKUnreachableError, r"cannot reach \(1.500"),
     ],
 )
 def test_bad_goals_are_named(planner, group, goal, kind, says):
@@ -158,16 +165,35 @@ def test_bad_goals_are_named(planner, group, goal, kind, says):
     assert caught.value.exit_code == 2
 
 
+@pytest.mark.parametrize(
+    ("goal", "says"),
+    [
+        ({"poses": {"left": {"position_m": (0.5, float("nan"), 0.3)}}}, "finite number"),
+        ({"joints_rad": (float("nan"),) * 7}, "finite number"),
+        ({"poses": {"middle": {"position_m": (0.5, 0.0, 0.3)}}}, "middle"),
+        ({"poses": {}}, "neither left nor right"),
+        ({"move": {"left": {"offset_m": (float("inf"), 0, 0)}}}, "finite number"),
+        ({"move": {"left": {}, "frame": "tool"}}, "'world' or 'tcp'"),
+        ({"move": {"left": {}}, "linear": True, "fraction_min": 0.0}, "greater than 0"),
+        ({"move": {"left": {}}, "linear": True, "fraction_min": 1.1}, "less than or equal to 1"),
+    ],
+)
+def test_goals_that_mean_nothing_cannot_be_made(goal, says):
+    with pytest.raises(ValidationError, match=says):
+        Goal.model_validate(goal)
+
+
 def test_a_straight_move_is_straight(planner, ready):
     """Oracle: forward kinematics at random times against the line and the turn about one axis."""
-    goal = RelativeGoal(
-        {"left": TipOffset((0.1, 0.05, -0.12), (0.0, 0.3, 0.5)), "right": TipOffset((0, 0, -0.1))}, linear=True
+    left = TipOffset(offset_m=(0.1, 0.05, -0.12), rotation_rad=(0.0, 0.3, 0.5))
+    goal = Goal(move=Move(left=left, right=TipOffset(offset_m=(0, 0, -0.1))), linear=True)
+    move = LinearPlanner().plan(
+        "both_arms", ready, planner.resolve("both_arms", ready, goal), planner.planner.engines()
     )
-    move = planner.linear_move("both_arms", ready, planner.resolve("both_arms", ready, goal))
     assert move.fraction == 1.0
     assert move.reason == ""
     assert move.verification.ok
-    before, targets = tips(ready), planner.resolve("both_arms", ready, goal).targets
+    before, targets = tips(ready), planner.resolve("both_arms", ready, goal)
     Q, _, _ = move.trajectory.sample_many(np.random.default_rng(0).uniform(0, move.trajectory.duration_s, 300))
     for arm in ("left", "right"):
         line = Line(before[arm], targets[arm])
@@ -184,27 +210,28 @@ def test_a_straight_move_is_straight(planner, ready):
 
 
 def test_a_straight_move_tells_how_far_it_goes_and_why(planner, ready):
-    into_table = RelativeGoal({"left": TipOffset((0, 0, -0.5))}, linear=True)
-    with pytest.raises(LinearMoveError, match=r"ends at 4\d.\d% of the way .*collision: .*finger and table") as caught:
+    into_table = by((0, 0, -0.5), linear=True)
+    with pytest.raises(LinearMoveError, match=r"ends at 4\d.\d% of the way: collision: .*finger and table") as caught:
         planner.plan("left_arm", ready, into_table)
     assert caught.value.reason == "linear_blocked"
-    part = RelativeGoal({"left": TipOffset((0, 0, -0.5))}, linear=True, fraction_min=0.3)
+    part = by((0, 0, -0.5), linear=True, fraction_min=0.3)
     plan = planner.plan("left_arm", ready, part)
     fell = tips(ready)["left"][2, 3] - tips(plan.trajectory.q[-1])["left"][2, 3]
-    move = planner.linear_move("left_arm", ready, planner.resolve("left_arm", ready, part))
+    targets = planner.resolve("left_arm", ready, part)
+    move = LinearPlanner().plan("left_arm", ready, targets, planner.planner.engines(), fraction_min=0.3)
     assert 0.3 < move.fraction < 0.5
     assert fell == pytest.approx(0.5 * move.fraction, abs=1e-4)
     assert plan.verification.ok
-    assert "the line covers" in plan.rejections[0]
+    assert "the line covers" in plan.notes[0]
     with pytest.raises(LinearMoveError, match=r"would jump by|cannot go on"):
-        planner.plan("left_arm", ready, RelativeGoal({"left": TipOffset((1.0, 0, 0))}, linear=True))
-    stay = planner.plan("left_arm", ready, RelativeGoal({"left": TipOffset()}, linear=True))
+        planner.plan("left_arm", ready, by((1.0, 0, 0), linear=True))
+    stay = planner.plan("left_arm", ready, by(linear=True))
     assert len(stay.trajectory.times) == 2
 
 
 def test_a_straight_move_keeps_the_jerk_of_the_configuration(ready):
     """The share of the jerk limit is used where it binds, and a smaller one takes longer."""
-    turn = RelativeGoal({"left": TipOffset((0, 0, -0.02), (0, 0, 1.2))}, linear=True)
+    turn = by((0, 0, -0.02), (0, 0, 1.2), linear=True)
     found = {}
     for scale in (0.95, 0.004):
         planner = GoalPlanner(Planner(config=PlannerConfig(jerk_scale=scale)))
@@ -236,12 +263,11 @@ def test_a_straight_move_of_no_length_is_proven_too(planner, ready):
 
 def test_example_goal_files(planner, ready):
     down = load_goal(EXAMPLES / "straight-down.yaml")
-    assert down == RelativeGoal(
-        {"left": TipOffset((0, 0, -0.1), (0, 0, 0.5)), "right": TipOffset((0, 0, -0.1))}, linear=True
-    )
+    left = TipOffset(offset_m=(0, 0, -0.1), rotation_rad=(0, 0, 0.5))
+    assert down == Goal(move=Move(left=left, right=TipOffset(offset_m=(0, 0, -0.1))), linear=True)
     assert planner.plan("both_arms", ready, down).verification.ok
     over = load_goal(EXAMPLES / "over-the-bracket.yaml")
-    assert over.poses["right"].frame == "bracket"
+    assert over.poses.right.frame == "bracket"
 
 
 @pytest.mark.parametrize(
@@ -268,15 +294,15 @@ def test_bad_goal_files_are_named(tmp_path, text, says):
 
 def test_words_and_files(tmp_path, planner, ready):
     names = planner.states
-    assert goal_of("carry", names) == StateGoal("carry")
+    assert goal_of("carry", names) == Goal(state="carry")
     with pytest.raises(UsageError, match=r"no named state 'cary'.*a file ends in .yaml or .json"):
         goal_of("cary", names)
     with pytest.raises(UsageError, match="there is no file"):
         goal_of("nowhere.yaml", names)
-    plan = planner.plan("left_arm", HOME, JointGoal({"left_panda_joint1": 0.2}))
+    plan = planner.plan("left_arm", HOME, Goal(joints_by_name_rad={"left_panda_joint1": 0.2}))
     plan.trajectory.write_json(tmp_path / "t.json", DUAL_PANDA.joint_names)
     again = goal_of(str(tmp_path / "t.json"), names)
-    assert np.abs(np.array(list(again.values.values())) - plan.trajectory.q[-1]).max() < 1e-8
+    assert np.abs(np.array(list(again.joints_by_name_rad.values())) - plan.trajectory.q[-1]).max() < 1e-8
     (tmp_path / "t.json").write_text('{"joint_names": ["left_join1"], "q_rad": [[0]]}')
     with pytest.raises(UsageError, match="no joint 'left_join1'; there are left_panda_joint1"):
         planner.plan("left_arm", HOME, goal_of(str(tmp_path / "t.json"), names))
@@ -287,11 +313,11 @@ def test_words_and_files(tmp_path, planner, ready):
 
 
 def test_poses_as_a_start(planner):
-    q = planner.start_joints("left_arm", HOME, PoseGoal({"left": TipPose((0.5, 0.3, 0.3))}))
+    q = planner.start_joints("left_arm", HOME, to_pose((0.5, 0.3, 0.3)))
     assert np.abs(tips(q)["left"][:3, 3] - (0.5, 0.3, 0.3)).max() < 1e-6
     assert (q[7:] == HOME[7:]).all()
     with pytest.raises(MinidualError):
-        planner.start_joints("left_arm", HOME, PoseGoal({"left": TipPose((0.5, 0.3, -0.3))}))
+        planner.start_joints("left_arm", HOME, to_pose((0.5, 0.3, -0.3)))
 
 
 class _NeverProvenFree:

@@ -11,12 +11,13 @@ from panda import A_MAX, HOME, JERK_MAX, TAU_MAX, V_MAX
 from minidual.collision.errors import TimingError
 from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Box
+from minidual.config.planning import MotionLimits
 from minidual.errors import DataError, UsageError
 from minidual.motion.blend import blended_path, rounded
 from minidual.motion.edges import EdgeChecker
 from minidual.motion.search import search
 from minidual.motion.shortcut import path_length, shortcut
-from minidual.motion.timing import MotionLimits, sample_parameters, time_path, torque_ratio
+from minidual.motion.timing import sample_parameters, time_path, torque_ratio
 from minidual.proof.scene_engines import SceneEngines
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
@@ -112,7 +113,7 @@ def test_a_blocked_corner_is_rounded_less():
 def timed(engine, kinematics):
     path = zigzag(np.random.default_rng(5))
     curve = blended_path(path, free_checker(engine), 0.3, 0.01)
-    return path, time_path(curve, "both_arms", MotionLimits(), kinematics)
+    return path, time_path(curve, "both_arms", MotionLimits(), kinematics)[0]
 
 
 def test_timing_keeps_limits_on_a_finer_grid_than_it_solved(timed, kinematics):
@@ -146,8 +147,8 @@ def test_timing_starts_and_ends_where_the_path_does(timed):
 
 def test_smoothing_keeps_the_path_and_adds_its_window(engine, kinematics):
     curve = blended_path(zigzag(np.random.default_rng(6)), free_checker(engine), 0.3, 0.01)
-    plain = time_path(curve, "both_arms", MotionLimits(smoothing_s=0.0, jerk_scale=1e6), kinematics)
-    smooth = time_path(curve, "both_arms", MotionLimits(smoothing_s=0.1), kinematics)
+    plain = time_path(curve, "both_arms", MotionLimits.model_construct(smoothing_s=0.0, jerk_scale=1e6), kinematics)[0]
+    smooth = time_path(curve, "both_arms", MotionLimits(smoothing_s=0.1), kinematics)[0]
     assert 0.05 < smooth.duration_s - plain.duration_s < 0.4
     s = np.linspace(0.0, curve.length, 4000)
     on_path = curve.at(s)
@@ -159,8 +160,8 @@ def test_smoothing_keeps_the_path_and_adds_its_window(engine, kinematics):
 def test_jerk_limit_slows_a_path_down(engine, kinematics):
     """The same path under a tenth of the jerk: the limit is kept on the 1 kHz samples, and it costs time."""
     curve = blended_path(zigzag(np.random.default_rng(8)), free_checker(engine), 0.3, 0.01)
-    fast = time_path(curve, "both_arms", MotionLimits(), kinematics)
-    slow = time_path(curve, "both_arms", MotionLimits(jerk_scale=0.05), kinematics)
+    fast = time_path(curve, "both_arms", MotionLimits(), kinematics)[0]
+    slow = time_path(curve, "both_arms", MotionLimits(jerk_scale=0.05), kinematics)[0]
     for trajectory, scale in ((fast, 0.95), (slow, 0.05)):
         jerk = np.abs(np.diff(trajectory.a, axis=0)) / trajectory.dt_s
         assert np.max(jerk / JERK_MAX) <= scale * (1 + 1e-6)
@@ -172,15 +173,15 @@ def test_torque_limit_slows_a_path_down(engine, kinematics):
         return torque_ratio(t.q, t.v, t.a, kinematics, every=1)
 
     curve = blended_path(zigzag(np.random.default_rng(7)), free_checker(engine), 0.3, 0.01)
-    fast = time_path(curve, "both_arms", MotionLimits(), kinematics)
+    fast = time_path(curve, "both_arms", MotionLimits(), kinematics)[0]
     used = used_by(fast)
     held = max(float(np.max(np.abs(kinematics.gravity(q)) / TAU_MAX)) for q in fast.q[::50])  # what gravity alone needs
     limit = 0.5 * (used + held)
-    slow = time_path(curve, "both_arms", MotionLimits(torque_scale=limit), kinematics)
+    slow = time_path(curve, "both_arms", MotionLimits(torque_scale=limit), kinematics)[0]
     assert used_by(slow) <= limit * 1.01
     assert slow.duration_s > fast.duration_s
     with pytest.raises(TimingError, match="slower"):
-        time_path(curve, "both_arms", MotionLimits(torque_scale=0.5 * held), kinematics)
+        time_path(curve, "both_arms", MotionLimits(torque_scale=0.5 * held), kinematics)[0]
 
 
 def test_sample_parameters_end_on_the_grid_at_rest():

@@ -19,7 +19,7 @@ from minidual.collision.scene_file import load_scene
 from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, Sphere, grown
 from minidual.errors import ConfigError, DataError, MinidualError, UsageError
 from minidual.motion.api import Planner
-from minidual.motion.goal import StateGoal, load_goal
+from minidual.motion.goal import Goal, load_goal
 from minidual.motion.goal_plan import GoalPlanner
 from minidual.robot.kinematics import Kinematics
 
@@ -114,10 +114,10 @@ def test_the_example_scene_is_planned_in():
     assert {"post", "pipe", "bracket", "cup"} < set(scene.names)
     planner = GoalPlanner(Planner(scene))
     start = planner.start_joints("both_arms", HOME, load_goal(EXAMPLES / "beside-post.yaml"))
-    plan = planner.plan("left_arm", start, StateGoal("ready"), seed=1)
+    plan = planner.plan("left_arm", start, Goal(state="ready"), seed=1)
     assert plan.verification.ok
     assert not plan.direct  # the post stands in the way
-    assert planner.plan("left_arm", start, StateGoal("ready"), scene=PlanningScene(), seed=1).direct
+    assert planner.plan("left_arm", start, Goal(state="ready"), scene=PlanningScene(), seed=1).direct
 
 
 def test_both_engines_agree_on_meshes_and_grown_shapes():
@@ -263,7 +263,7 @@ obstacles:
     ready = planner.states.joints("ready", "left_arm", HOME)
     # The stick hangs 41 cm under a hand that is 25 cm over the table.
     with pytest.raises(GoalInCollisionError, match=r"stick and table|table and stick"):
-        planner.plan("left_arm", HOME, StateGoal("ready"))
+        planner.plan("left_arm", HOME, Goal(state="ready"))
     assert MujocoEngine(PlanningScene()).touching_pairs(ready) == set()
     with pytest.raises(UsageError, match=r"bench.yaml:2: obstacles.0: no link 'left_hand'"):
         load(folder, text.replace("left_panda_hand_tcp", "left_hand"))

@@ -21,7 +21,7 @@ from minidual.motion.api import Planner
 from minidual.motion.blend import blended_path
 from minidual.motion.edges import EdgeChecker
 from minidual.motion.search import search
-from minidual.motion.timing import MotionLimits, time_path
+from minidual.motion.timing import time_path
 from minidual.proof.scene_engines import SceneEngines
 from minidual.trials.planning.evaluate import plan_query, query_source
 from minidual.trials.planning.queries import Query
@@ -110,7 +110,7 @@ def _planner_row(
 
 def _bare_row(group: str, plan: PlanConfig, queries: Sequence[Query]) -> BenchRow:
     """Return the row of RRTConnect as it is often used; goals are joints."""
-    config, limits, planner = plan.planner, MotionLimits(), Planner()
+    config, planner = plan.planner, Planner()
     times: list[float] = []
     free: list[bool] = []
     for query in queries:
@@ -131,7 +131,7 @@ def _bare_row(group: str, plan: PlanConfig, queries: Sequence[Query]) -> BenchRo
         if path is not None:
             curve = blended_path(path, checker, config.blend_radius_rad, config.edge_step_rad)
             try:
-                trajectory = curve and time_path(curve, group, limits, planner.kinematics)
+                trajectory = curve and time_path(curve, group, config, planner.kinematics)[0]
             except TimingError:
                 trajectory = None
         times.append(time.perf_counter() - began)

@@ -11,7 +11,19 @@ from minidual.config.base import AtLeast, AtMost, StrictModel
 PlannerName = Literal["rrtconnect", "rrt", "rrtstar", "bitstar", "kpiece"]
 
 
-class PlannerConfig(StrictModel):
+class MotionLimits(StrictModel):
+    """Limits of a timed motion, as fractions of the robot's."""
+
+    velocity_scale: float = Field(default=0.95, gt=0.0, le=1.0)
+    acceleration_scale: float = Field(default=0.9, gt=0.0, le=1.0)
+    torque_scale: float = Field(default=0.95, gt=0.0, le=1.0)
+    jerk_scale: float = Field(default=0.95, gt=0.0, le=1.0)
+    """Fraction of libfranka's jerk limits."""
+    smoothing_s: float = Field(default=0.04, ge=0.0, le=1.0)
+    """Averaging window of the path position, for continuous acceleration."""
+
+
+class PlannerConfig(MotionLimits):
     """Settings of one plan. None weakens the final proof."""
 
     planner: PlannerName = "rrtconnect"
@@ -27,13 +39,6 @@ class PlannerConfig(StrictModel):
     """State checks per search; each further attempt gets half as many more."""
     shortcut_rounds_n: int = Field(default=10, ge=0, le=10_000)
     blend_radius_rad: float = Field(default=0.3, gt=0.001, le=2.0)
-    velocity_scale: float = Field(default=0.95, gt=0.0, le=1.0)
-    acceleration_scale: float = Field(default=0.9, gt=0.0, le=1.0)
-    torque_scale: float = Field(default=0.95, gt=0.0, le=1.0)
-    jerk_scale: float = Field(default=0.95, gt=0.0, le=1.0)
-    """Fraction of libfranka's jerk limits."""
-    smoothing_s: float = Field(default=0.04, ge=0.0, le=1.0)
-    """Averaging window of the path position, for continuous acceleration."""
     ik_restarts_n: int = Field(default=30, ge=1, le=10_000)
     goal_candidates_n: int = Field(default=2, ge=1, le=100)
     """Joint solutions of a pose goal to try, nearest first."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from minidual.collision.errors import NoPathInTimeError, PlanningError, TimingError
+from minidual.collision.errors import NoPathInTimeError, TimingError
 from minidual.collision.scene import PlanningScene
 from minidual.config.planning import PlannerConfig
 from minidual.errors import UsageError
@@ -18,7 +18,7 @@ from minidual.motion.goals import PoseGoals, check_joints, goal_joints, group_ar
 from minidual.motion.result import PhaseTimes, PlanResult
 from minidual.motion.search import search
 from minidual.motion.shortcut import shortcut
-from minidual.motion.timing import DT_S, MotionLimits, time_path
+from minidual.motion.timing import DT_S, resting, time_path
 from minidual.proof.certificate import certify
 from minidual.proof.scene_engines import SceneEngines
 from minidual.robot.arms import DUAL_PANDA
@@ -30,18 +30,21 @@ _SCENES_KEPT = 8
 _SAME_RAD = 1e-9
 _TRIES_OF_FIRST = 4
 _CHECKS_MAX = 10_000_000
+_PADDING_MAX_M = 0.02
 _PATIENCE = 1.5
 """Search times are heavy-tailed: several short searches beat one long one."""
 
 
 @dataclass(frozen=True)
-class _Effort:
+class Effort:
+    """How the next attempt searches: padding, steps between checks, checks until it gives up."""
+
     padding_m: float
     step_rad: float
     checks_n: int
     fruitless_n: int = 0
 
-    def after_no_path(self) -> _Effort:
+    def after_no_path(self) -> Effort:
         """Return less padding (narrow passages) and more state checks."""
         return replace(
             self,
@@ -50,26 +53,19 @@ class _Effort:
             fruitless_n=self.fruitless_n + 1,
         )
 
+    def after_no_proof(self) -> Effort:
+        """Return more padding (up to 0.02 m, if it is less) and finer steps."""
+        return replace(self, padding_m=more_padding(self.padding_m), step_rad=max(0.5 * self.step_rad, 0.004))
+
     def planner(self, first: str, fallbacks: Sequence[str]) -> str:
         """Return the first planner for four failed searches, then the fallbacks in turn."""
         turn = self.fruitless_n - _TRIES_OF_FIRST
         return fallbacks[turn % len(fallbacks)] if turn >= 0 and fallbacks else first
 
-    def after_refusal(self) -> _Effort:
-        """Return more padding (up to 0.02 m) and finer steps."""
-        return replace(self, padding_m=min(1.5 * self.padding_m, 0.02), step_rad=max(0.5 * self.step_rad, 0.004))
 
-
-_LOADED: list[bool] = []
-
-
-def _load_kernels(engines: SceneEngines) -> None:
-    """Load the planes' machine code (0.3 s; 30 s if compiled) outside planning budgets."""
-    home = engines.solids.robot.home
-    still = np.zeros((2, len(home)))
-    EdgeChecker(engines, 0.0, [home], 0.1).edge_free(home, home + 0.1)
-    certify(engines.solids, Trajectory(np.array([0.0, DT_S]), still + home, still, still, "both_arms"))
-    _LOADED.append(True)
+def more_padding(padding_m: float) -> float:
+    """Return half as much padding again, up to 0.02 m; more than that stays."""
+    return max(padding_m, min(1.5 * padding_m, _PADDING_MAX_M))
 
 
 class Planner:
@@ -83,6 +79,8 @@ class Planner:
         q, v, a = result.trajectory.sample(0.5)
     """
 
+    _kernels_loaded = False
+
     def __init__(
         self, scene: PlanningScene | None = None, config: PlannerConfig | None = None, *, robot: Robot = DUAL_PANDA
     ) -> None:
@@ -92,14 +90,6 @@ class Planner:
         self.kinematics = Kinematics(self.robot)
         self.goals = PoseGoals(self.kinematics)
         self._engines: OrderedDict[PlanningScene, SceneEngines] = OrderedDict()
-        config = self.config
-        self.limits = MotionLimits(
-            velocity_scale=config.velocity_scale,
-            acceleration_scale=config.acceleration_scale,
-            torque_scale=config.torque_scale,
-            jerk_scale=config.jerk_scale,
-            smoothing_s=config.smoothing_s,
-        )
 
     def engines(self, scene: PlanningScene | None = None) -> SceneEngines:
         """Return a scene's engines; the last eight scenes are cached.
@@ -112,12 +102,30 @@ class Planner:
             raise UsageError(f"the planner is for two {self.robot.arm.name}, the scene for two {scene.robot.arm.name}")
         if scene not in self._engines:
             engines = self._engines[scene] = SceneEngines(scene, self.config.verify_step_rad)
-            if not _LOADED:
-                _load_kernels(engines)
+            if not Planner._kernels_loaded:
+                self._load_kernels(engines)
             while len(self._engines) > _SCENES_KEPT:
                 self._engines.popitem(last=False)
         self._engines.move_to_end(scene)
         return self._engines[scene]
+
+    def _load_kernels(self, engines: SceneEngines) -> None:
+        """Load the planes' machine code (0.3 s; 30 s if compiled) outside planning budgets."""
+        home = self.robot.home
+        EdgeChecker(engines, 0.0, [home], 0.1).edge_free(home, home + 0.1)
+        certify(engines.solids, resting(home, DT_S, "both_arms"))
+        Planner._kernels_loaded = True
+
+    def budget(self, budget_s: float | None) -> float:
+        """Return a checked time budget [s], by default the configuration's.
+
+        Raises:
+            UsageError: Not finite and > 0.
+        """
+        budget = self.config.budget_s if budget_s is None else budget_s
+        if not (np.isfinite(budget) and budget > 0.0):
+            raise UsageError(f"budget_s = {budget}; it must be a finite number > 0")
+        return budget
 
     def plan_to_joints(
         self,
@@ -136,15 +144,10 @@ class Planner:
             NoPathInTimeError: Nothing proven within `budget_s`.
             UsageError: Bad group or budget, or a goal that moves the other arm.
         """
-        if not _LOADED:
-            self.engines(scene)  # before the clock starts: no budget pays for loading machine code
-        times = PhaseTimes()
-        group_arms(group)
-        q_start = check_joints(q_start, "start", self.robot)
-        goal = goal_joints(group, q_start, q_goal, self.robot)
-        engines = self._ready(scene, times, q_start)
-        require_free(engines, goal, "goal")
-        return self._plan(group, q_start, [goal], engines, seed, self._budget(budget_s), times)
+        work = _Work(self, group, q_start, scene, seed, budget_s)
+        goal = goal_joints(group, work.q_start, q_goal, self.robot)
+        require_free(work.engines, goal, "goal")
+        return work.run([goal])
 
     def plan_to_poses(
         self,
@@ -162,137 +165,109 @@ class Planner:
             IKUnreachableError: A pose is out of reach.
             And what `plan_to_joints` raises.
         """
-        if not _LOADED:
-            self.engines(scene)  # before the clock starts: no budget pays for loading machine code
-        times = PhaseTimes()
-        group_arms(group)
-        q_start = check_joints(q_start, "start", self.robot)
-        engines = self._ready(scene, times, q_start)
-        with times.phase("ik"):
+        work = _Work(self, group, q_start, scene, seed, budget_s)
+        with work.times.phase("ik"):
             goals = self.goals.candidates(
                 group,
-                q_start,
+                work.q_start,
                 targets,
-                engines,
+                work.engines,
                 np.random.default_rng([seed, 1]),
                 restarts_n=self.config.ik_restarts_n,
                 candidates_n=self.config.goal_candidates_n,
             )
-        return self._plan(group, q_start, goals, engines, seed, self._budget(budget_s), times)
+        return work.run(goals)
 
-    def _ready(self, scene: PlanningScene | None, times: PhaseTimes, q_start: Array) -> SceneEngines:
-        with times.phase("scene"):
-            engines = self.engines(scene)
-        require_free(engines, q_start, "start")
-        return engines
 
-    def _budget(self, budget_s: float | None) -> float:
-        budget = self.config.budget_s if budget_s is None else budget_s
-        if not (np.isfinite(budget) and budget > 0.0):
-            raise UsageError(f"budget_s = {budget}; it must be a finite number > 0")
-        return budget
+class _Work:
+    """One query in progress."""
 
-    def _plan(
+    def __init__(
         self,
+        planner: Planner,
         group: str,
         q_start: Array,
-        goals: Sequence[Array],
-        engines: SceneEngines,
+        scene: PlanningScene | None,
         seed: int,
-        budget_s: float,
-        times: PhaseTimes,
-    ) -> PlanResult:
-        config = self.config
-        effort = _Effort(config.padding_m, config.edge_step_rad, config.search_checks_n)
-        rejections: list[str] = []
+        budget_s: float | None,
+    ) -> None:
+        if not Planner._kernels_loaded:
+            planner.engines(scene)  # before the clock starts: no budget pays for loading machine code
+        self.times = PhaseTimes()
+        self.arms = group_arms(group)
+        self.planner, self.config, self.group, self.seed = planner, planner.config, group, seed
+        self.budget_s = planner.budget(budget_s)
+        self.q_start = check_joints(q_start, "start", planner.robot)
+        with self.times.phase("scene"):
+            self.engines = planner.engines(scene)
+        require_free(self.engines, self.q_start, "start")
+
+    def run(self, goals: Sequence[Array]) -> PlanResult:
+        """Return the first proven plan to one of the goals (n,), or raise NoPathInTimeError."""
+        config, times = self.config, self.times
+        effort = Effort(config.padding_m, config.edge_step_rad, config.search_checks_n)
+        notes: list[str] = []
         attempt = 0
-        while times.elapsed_s < budget_s:
+        while times.elapsed_s < self.budget_s:
             goal = goals[attempt % len(goals)]
-            key = np.random.SeedSequence([seed, 2, attempt])
+            key = np.random.SeedSequence([self.seed, 2, attempt])
             attempt += 1
+            # All pairs were checked at start and goal; only pairs with a moving part can change.
+            with times.phase("search"):
+                checker = EdgeChecker(self.engines, effort.padding_m, (self.q_start, goal), effort.step_rad, self.arms)
+                path = self._search(goal, checker, effort, key)
+            if path is None:
+                name = effort.planner(config.planner, config.fallback_planners)
+                notes.append(f"{name} found no path in {checker.checks_n} state checks")
+                effort = effort.after_no_path()
+                continue
             try:
-                path, checker = self._search(group, q_start, goal, engines, effort, key, times, budget_s)
-                if path is None:
-                    name = effort.planner(config.planner, config.fallback_planners)
-                    rejections.append(f"{name} found no path in {checker.checks_n} state checks")
-                    effort = effort.after_no_path()
-                    continue
-                trajectory, path = self._finish(group, path, checker, key, times)
+                trajectory, path = self._finish(path, checker, key)
             except TimingError as error:
-                rejections.append(error.message)
-                effort = effort.after_refusal()
+                notes.append(error.message)
+                effort = effort.after_no_proof()
                 continue
             with times.phase("verify"):
-                verification = engines.verifier.verify(trajectory)
-            if verification.ok:
+                proof = self.engines.verifier.verify(trajectory)
+            if proof.ok:
+                direct, seconds = len(path) == 2, dict(times.seconds)
                 return PlanResult(
-                    trajectory,
-                    path,
-                    goal,
-                    verification,
-                    dict(times.seconds),
-                    times.elapsed_s,
-                    attempt,
-                    direct=len(path) == 2,
-                    rejections=tuple(rejections),
+                    trajectory, path, goal, proof, seconds, times.elapsed_s, attempt, direct=direct, notes=tuple(notes)
                 )
-            rejections.append(f"proof failed: {verification.reason}")
-            effort = effort.after_refusal()
-        last = rejections[-1] if rejections else "the budget ended before the first attempt"
+            notes.append(f"proof failed: {proof.reason}")
+            effort = effort.after_no_proof()
+        last = notes[-1] if notes else "the budget ended before the first attempt"
         raise NoPathInTimeError(
-            f"no proven path for {group} in {budget_s:.2f} s: {attempt} attempts, the last one: {last}",
+            f"no proven path for {self.group} in {self.budget_s:.2f} s: {attempt} attempts, the last one: {last}",
             remedy="raise the budget, make room in the scene, or choose another goal",
         )
 
-    def _search(
-        self,
-        group: str,
-        q_start: Array,
-        goal: Array,
-        engines: SceneEngines,
-        effort: _Effort,
-        key: np.random.SeedSequence,
-        times: PhaseTimes,
-        budget_s: float,
-    ) -> tuple[Array | None, EdgeChecker]:
-        """Return a free polyline (k, n) or None, and its checker."""
-        with times.phase("search"):
-            # All pairs were checked at start and goal; only pairs with a moving part can change.
-            checker = EdgeChecker(engines, effort.padding_m, (q_start, goal), effort.step_rad, group_arms(group))
-            if checker.edge_free(q_start, goal):
-                return np.array([q_start, goal]), checker
-            path = search(
-                checker,
-                q_start,
-                goal,
-                self.robot.groups[group],
-                planner=effort.planner(self.config.planner, self.config.fallback_planners),
-                range_rad=self.config.range_rad,
-                seed=int(key.generate_state(1)[0]),
-                checks_max=effort.checks_n,
-                deadline=times.started + budget_s,
-            )
-        return path, checker
+    def _search(self, goal: Array, checker: EdgeChecker, effort: Effort, key: np.random.SeedSequence) -> Array | None:
+        """Return a free polyline (k, n) or None."""
+        if checker.edge_free(self.q_start, goal):
+            return np.array([self.q_start, goal])
+        return search(
+            checker,
+            self.q_start,
+            goal,
+            self.planner.robot.groups[self.group],
+            planner=effort.planner(self.config.planner, self.config.fallback_planners),
+            range_rad=self.config.range_rad,
+            seed=int(key.generate_state(1)[0]),
+            checks_max=effort.checks_n,
+            deadline=self.times.started + self.budget_s,
+        )
 
-    def _finish(
-        self, group: str, path: Array, checker: EdgeChecker, key: np.random.SeedSequence, times: PhaseTimes
-    ) -> tuple[Trajectory, Array]:
+    def _finish(self, path: Array, checker: EdgeChecker, key: np.random.SeedSequence) -> tuple[Trajectory, Array]:
         """Return the trajectory and the shortened polyline, or raise TimingError."""
         if np.abs(path[-1] - path[0]).max() < _SAME_RAD and len(path) == 2:
-            return _rest(path[0], group), path
-        with times.phase("shortcut"):
-            path = shortcut(path, checker, np.random.default_rng(key), self.config.shortcut_rounds_n)
-        with times.phase("blend"):
-            curve = blended_path(path, checker, self.config.blend_radius_rad, checker.step_rad / 3.0)
+            return resting(path[0], DT_S, self.group), path
+        config = self.config
+        with self.times.phase("shortcut"):
+            path = shortcut(path, checker, np.random.default_rng(key), config.shortcut_rounds_n)
+        with self.times.phase("blend"):
+            curve = blended_path(path, checker, config.blend_radius_rad, checker.step_rad / 3.0)
         if curve is None:
             raise TimingError("a corner of the path stays blocked however small it is rounded")
-        with times.phase("timing"):
-            return time_path(curve, group, self.limits, self.kinematics), path
-
-
-def _rest(q: Array, group: str) -> Trajectory:
-    still = np.zeros((2, len(q)))
-    return Trajectory(np.array([0.0, DT_S]), np.array([q, q]), still, still.copy(), group)
-
-
-__all__ = ["PlanResult", "Planner", "PlanningError"]
+        with self.times.phase("timing"):
+            return time_path(curve, self.group, config, self.planner.kinematics)[0], path

@@ -1,4 +1,4 @@
-"""Goals as data classes and YAML; see docs/planning-scenes.md.
+"""Goals as models, which are also the schema of goal files; see docs/planning-scenes.md.
 
 poses:
   left: {position_m: [0.5, 0.25, 0.3], rpy_rad: [3.1416, 0, 0]}
@@ -8,81 +8,33 @@ linear: true
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Literal
 
 from pydantic import Field, model_validator
 
 from minidual.collision.places import Finite3, PlaceFields
-from minidual.collision.shapes import Quat, Vec3
 from minidual.config.base import StrictModel
 from minidual.config.document import read_document
 from minidual.config.loader import validate_document
 from minidual.errors import ConfigError, DataError, UsageError, unknown_name
 
-OffsetFrame = Literal["world", "tcp"]
 _KINDS = ("state", "joints_rad", "joints_by_name_rad", "poses", "move")
 
 
-@dataclass(frozen=True)
-class StateGoal:
-    """A named state, for example "home"."""
+class TipPose(PlaceFields):
+    """Tcp pose; without an orientation that of the start is kept."""
 
-    name: str
-
-
-@dataclass(frozen=True)
-class JointGoal:
-    """Joints [rad] of the group or robot, or {joint name: value}; unnamed joints stay."""
-
-    values: tuple[float, ...] | Mapping[str, float]
-
-
-@dataclass(frozen=True)
-class TipPose:
-    """Tcp pose in `frame`: "world", a link (at the start), an obstacle or a held object.
-
-    Without `quat_wxyz` the start orientation is kept.
-    """
-
-    position_m: Vec3
-    quat_wxyz: Quat | None = None
     frame: str = "world"
+    """"world", a link (where it is at the start), an obstacle or a held object."""
 
 
-@dataclass(frozen=True)
-class PoseGoal:
-    """Tcp poses by arm; with both_arms a missing arm keeps its pose.
+class TipOffset(StrictModel):
+    """Shift and rotation vector about the tcp's origin."""
 
-    `linear` asks for straight lines; `fraction_min` is the smallest acceptable part of them.
-    """
-
-    poses: Mapping[str, TipPose]
-    linear: bool = False
-    fraction_min: float = 1.0
-
-
-@dataclass(frozen=True)
-class TipOffset:
-    """Shift [m] and rotation vector [rad] about the tcp's origin."""
-
-    offset_m: Vec3 = (0.0, 0.0, 0.0)
-    rotation_rad: Vec3 = (0.0, 0.0, 0.0)
-
-
-@dataclass(frozen=True)
-class RelativeGoal:
-    """Tcp offsets by arm, in world or own axes; otherwise like `PoseGoal`."""
-
-    offsets: Mapping[str, TipOffset] = field(default_factory=dict)
-    frame: OffsetFrame = "world"
-    linear: bool = False
-    fraction_min: float = 1.0
-
-
-Goal = StateGoal | JointGoal | PoseGoal | RelativeGoal
+    offset_m: Finite3 = (0.0, 0.0, 0.0)
+    rotation_rad: Finite3 = (0.0, 0.0, 0.0)
 
 
 class _Hands[T](StrictModel):
@@ -90,70 +42,48 @@ class _Hands[T](StrictModel):
     right: T | None = None
 
     def named(self) -> dict[str, T]:
-        return {side: entry for side in ("left", "right") if (entry := getattr(self, side)) is not None}
+        return {side: tip for side, tip in (("left", self.left), ("right", self.right)) if tip is not None}
 
 
-class PoseEntry(PlaceFields):
-    """See `TipPose`."""
-
-    frame: str = "world"
+class Poses(_Hands[TipPose]):
+    """Tcp poses; with both_arms a missing hand keeps its pose."""
 
 
-class OffsetEntry(StrictModel):
-    """See `TipOffset`."""
+class Move(_Hands[TipOffset]):
+    """Tcp offsets, in the axes of the world or of each tcp."""
 
-    offset_m: Finite3 = (0.0, 0.0, 0.0)
-    rotation_rad: Finite3 = (0.0, 0.0, 0.0)
-    """Rotation vector."""
+    frame: Literal["world", "tcp"] = "world"
 
 
-class MoveEntry(_Hands[OffsetEntry]):
-    """Tcp offsets."""
-
-    frame: OffsetFrame = "world"
-
-
-class GoalFile(StrictModel):
-    """Exactly one kind of goal."""
+class Goal(StrictModel):
+    """What to plan to: exactly one of the first five fields."""
 
     state: str | None = None
+    """A named state."""
     joints_rad: tuple[float, ...] | None = None
+    """Joints of the group or of the robot."""
     joints_by_name_rad: dict[str, float] | None = None
-    poses: _Hands[PoseEntry] | None = None
-    move: MoveEntry | None = None
+    """Unnamed joints stay."""
+    poses: Poses | None = None
+    move: Move | None = None
     linear: bool = False
-    """Only with poses or move."""
+    """Straight lines; only with poses or move."""
     fraction_min: float = Field(default=1.0, gt=0.0, le=1.0)
-    """See `PoseGoal`."""
+    """Smallest acceptable part of the lines."""
 
     @model_validator(mode="after")
-    def _one_kind(self) -> GoalFile:
+    def _one_kind(self) -> Goal:
         kinds = [kind for kind in _KINDS if getattr(self, kind) is not None]
         if len(kinds) != 1:
             raise ValueError(f"it holds {' and '.join(kinds) or 'no goal'}; give one of {', '.join(_KINDS)}")
-        hands = getattr(self, kinds[0])
-        if isinstance(hands, _Hands):
-            if not hands.named():
-                raise ValueError(f"{kinds[0]} names neither left nor right")
-        elif self.linear:
+        hands = self.poses or self.move
+        if hands is not None and not hands.named():
+            raise ValueError(f"{kinds[0]} names neither left nor right")
+        if self.linear and hands is None:
             raise ValueError(f"linear goes with poses or move, not with {kinds[0]}")
         if self.fraction_min < 1.0 and not self.linear:
             raise ValueError("fraction_min goes with linear: true")
         return self
-
-    def goal(self) -> Goal:
-        """Return the goal as a data class."""
-        if self.poses is not None:
-            tips = {arm: TipPose(e.position_m, e.quaternion(), e.frame) for arm, e in self.poses.named().items()}
-            return PoseGoal(tips, self.linear, self.fraction_min)
-        if self.move is not None:
-            offsets = {arm: TipOffset(e.offset_m, e.rotation_rad) for arm, e in self.move.named().items()}
-            return RelativeGoal(offsets, self.move.frame, self.linear, self.fraction_min)
-        if self.state is not None:
-            return StateGoal(self.state)
-        values = self.joints_by_name_rad if self.joints_rad is None else self.joints_rad
-        assert values is not None
-        return JointGoal(values)
 
 
 def load_goal(path: Path) -> Goal:
@@ -168,7 +98,7 @@ def load_goal(path: Path) -> Goal:
     document = read_document(path)
     if not document.tree:
         raise ConfigError(f"{path.name}: the goal file is empty", remedy=f"give one of {', '.join(_KINDS)}")
-    return validate_document(document, GoalFile).goal()
+    return validate_document(document, Goal)
 
 
 def goal_of(word: str, state_names: Iterable[str]) -> Goal:
@@ -179,7 +109,7 @@ def goal_of(word: str, state_names: Iterable[str]) -> Goal:
     """
     names = tuple(state_names)
     if word in names:
-        return StateGoal(word)
+        return Goal(state=word)
     path = Path(word)
     if path.suffix.lower() in (".yaml", ".yml", ".json"):
         if not path.is_file():
@@ -189,9 +119,9 @@ def goal_of(word: str, state_names: Iterable[str]) -> Goal:
     raise UsageError(f"{error.message}; a file ends in .yaml or .json", remedy=error.remedy)
 
 
-def _end_of_trajectory(path: Path) -> JointGoal:
+def _end_of_trajectory(path: Path) -> Goal:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        return JointGoal({str(n): float(v) for n, v in zip(content["joint_names"], content["q_rad"][-1], strict=True)})
+        return Goal(joints_by_name_rad=dict(zip(content["joint_names"], content["q_rad"][-1], strict=True)))
     except (OSError, ValueError, TypeError, KeyError, IndexError) as error:
         raise DataError(f"{path} is no trajectory of `minidual plan --out`: {type(error).__name__}: {error}") from error

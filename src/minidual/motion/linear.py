@@ -13,10 +13,11 @@ import pinocchio as pin
 from scipy.interpolate import CubicSpline
 
 from minidual.collision.errors import LinearMoveError
+from minidual.config.planning import MotionLimits
 from minidual.motion.goals import check_joints, check_targets, require_free
 from minidual.motion.held.path import ROTATION_WEIGHT_M
 from minidual.motion.ik import ArmIK
-from minidual.motion.timing import DT_S, MotionLimits, drive, fastest_profile
+from minidual.motion.timing import DT_S, PathLimits, resting, time_path
 from minidual.proof.scene_engines import SceneEngines
 from minidual.proof.verify import Verification
 from minidual.robot.kinematics import Kinematics
@@ -33,31 +34,25 @@ _BACK_OFFS = 6
 _STILL_M = 1e-9
 
 
-@dataclass(frozen=True)
-class TipLimits:
-    """Tcp limits; one radian counts as 0.2 m."""
-
-    speed_m_per_s: float = 0.25
-    acceleration_m_per_s2: float = 0.8
+TIP_LIMITS = PathLimits(speed_m_per_s=0.25, acceleration_m_per_s2=0.8)
 
 
 @dataclass(frozen=True, eq=False)
 class LinearMove:
-    """A straight move, possibly partial.
+    """A proven straight move, possibly partial.
 
     Attributes:
-        trajectory: Proven; None if the move cannot begin.
         fraction: Part covered, 0 to 1.
         reason: Why it ends early.
         deviation_m, deviation_rad: Largest tcp deviations.
     """
 
-    trajectory: Trajectory | None
-    fraction: float
-    reason: str
+    trajectory: Trajectory
+    verification: Verification
+    fraction: float = 1.0
+    reason: str = ""
     deviation_m: float = 0.0
     deviation_rad: float = 0.0
-    verification: Verification | None = None
 
 
 class Line:
@@ -113,13 +108,13 @@ class LinearPlanner:
         targets: Mapping[str, Array],
         engines: SceneEngines,
         *,
-        tip_limits: TipLimits | None = None,
-        fraction_min: float = 0.0,
+        limits: PathLimits | None = None,
+        fraction_min: float = 1.0,
     ) -> LinearMove:
         """Return the straight move from q_start (n,) to {arm: T_world_tcp (4, 4)}; tcps end together.
 
         Raises:
-            LinearMoveError: It covers less than `fraction_min`, deviates, or has zero length and no proof.
+            LinearMoveError: It covers less than `fraction_min`, deviates, or cannot be proven.
             UsageError, OutOfLimitsError, StartInCollisionError: Bad query.
         """
         checked = check_targets(group, targets)
@@ -127,22 +122,9 @@ class LinearPlanner:
         require_free(engines, q_start, "start")
         tips = dict(zip(SIDES, self._kinematics.tcp_poses(q_start), strict=True))
         lines = {arm: Line(tips[arm], T) for arm, T in checked.items()}
-        move = self._move(group, q_start, lines, engines, tip_limits or TipLimits())
-        if move.fraction < fraction_min or (move.trajectory is None and fraction_min > 0.0):
-            raise LinearMoveError(
-                f"the straight move of {group} ends at {move.fraction:.1%} of the way ({fraction_min:.1%} were asked "
-                f"for): {move.reason}",
-                remedy="ask for a shorter move, start from another posture, or plan without `linear`",
-            )
-        return move
-
-    def _move(
-        self, group: str, q_start: Array, lines: Mapping[str, Line], engines: SceneEngines, tips: TipLimits
-    ) -> LinearMove:
         length = max(line.length_m for line in lines.values())
         if length < _STILL_M:
-            rest = np.zeros((2, len(q_start)))
-            still = Trajectory(np.array([0.0, DT_S]), np.tile(q_start, (2, 1)), rest, rest.copy(), group)
+            still = resting(q_start, DT_S, group)
             proof = engines.verifier.verify(still)
             if not proof.ok:
                 raise LinearMoveError(
@@ -150,13 +132,15 @@ class LinearPlanner:
                     f"{proof.reason}",
                     remedy="start from another posture",
                 )
-            return LinearMove(still, 1.0, "", verification=proof)
+            return LinearMove(still, proof)
         for refinement in range(_REFINEMENTS):
             count = max(8, int(np.ceil(length / (_STEP_M * 0.5**refinement))))
             marks = np.linspace(0.0, length, count + 1, dtype=np.float64)
             Q, reason = self._follow(q_start, lines, engines, marks)
-            move = self._timed(group, marks, Q, reason, lines, engines, tips)
+            move = self._timed(group, marks, Q, reason, lines, engines, limits or TIP_LIMITS)
             if move.deviation_m < DEVIATION_MAX_M and move.deviation_rad < DEVIATION_MAX_RAD:
+                if move.fraction < fraction_min:
+                    raise _cut_short(group, move.fraction, move.reason)
                 return move
         raise LinearMoveError(
             f"between its points the straight move strays {move.deviation_m * 1e3:.3f} mm and "
@@ -200,26 +184,22 @@ class LinearPlanner:
         reason: str,
         lines: Mapping[str, Line],
         engines: SceneEngines,
-        tips: TipLimits,
+        limits: PathLimits,
     ) -> LinearMove:
-        """Return the proven move, shortened after failed proofs."""
-        robot, scale, length = self._robot, self._limits, float(marks[-1])
-        joints = np.arange(robot.dof)[robot.groups[group]]
-        v_max = np.append(scale.velocity_scale * robot.v_max[joints], tips.speed_m_per_s)
-        a_max = np.append(scale.acceleration_scale * robot.a_max[joints], tips.acceleration_m_per_s2)
+        """Return the proven move, shortened after failed proofs, or raise LinearMoveError."""
+        length = float(marks[-1])
         for back_off in range(_BACK_OFFS):
             keep = len(Q) - 2**back_off + 1
             if keep < 4:
                 break
             curve = _Curve(marks[:keep], Q[:keep])
-            s, sd = fastest_profile(curve, np.append(joints, robot.dof), v_max, a_max)
-            trajectory, way = drive(curve, s, sd, group, scale, self._kinematics)
-            deviation = self._deviation(trajectory, way / length, lines)
+            trajectory, way = time_path(curve, group, self._limits, self._kinematics, limits)
             proof = engines.verifier.verify(trajectory)
             if proof.ok:
-                return LinearMove(trajectory, float(marks[keep - 1] / length), reason, *deviation, verification=proof)
+                deviation = self._deviation(trajectory, way / length, lines)
+                return LinearMove(trajectory, proof, float(marks[keep - 1] / length), reason, *deviation)
             reason = reason or f"the proof refuses the rest: {proof.reason}"
-        return LinearMove(None, 0.0, reason or "there is no room to begin")
+        raise _cut_short(group, 0.0, reason or "there is no room to begin")
 
     def _deviation(self, trajectory: Trajectory, way: Array, lines: Mapping[str, Line]) -> tuple[float, float]:
         """Return the largest deviation ([m], [rad])."""
@@ -231,3 +211,10 @@ class LinearPlanner:
         ]
         worst_m, worst_rad = np.max(off, axis=0).tolist()
         return worst_m, worst_rad
+
+
+def _cut_short(group: str, fraction: float, reason: str) -> LinearMoveError:
+    return LinearMoveError(
+        f"the straight move of {group} ends at {fraction:.1%} of the way: {reason}",
+        remedy="ask for a shorter move or a smaller fraction_min, start from another posture, or plan without `linear`",
+    )

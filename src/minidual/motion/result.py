@@ -45,7 +45,7 @@ class PlanResult:
         q_goal: Goal reached (dof,).
         attempts_n: Including the successful one.
         direct: Whether `path` is one segment.
-        rejections: Of earlier attempts.
+        notes: Why earlier attempts failed, or where a straight move ends.
     """
 
     trajectory: Trajectory
@@ -56,4 +56,4 @@ class PlanResult:
     total_s: float
     attempts_n: int
     direct: bool
-    rejections: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()

@@ -13,6 +13,8 @@ from typing import Protocol
 import numpy as np
 
 from minidual.collision.errors import TimingError
+from minidual.config.planning import MotionLimits
+from minidual.errors import UsageError
 from minidual.motion.speed_profile import squared_speeds
 from minidual.robot.compiled import floats
 from minidual.robot.kinematics import Kinematics
@@ -26,16 +28,21 @@ _STEPS_MAX = 1e8
 _TORQUE_EVERY = 8
 
 
-@dataclass(frozen=True, kw_only=True)
-class MotionLimits:
-    """Limits as fractions of the robot's."""
+@dataclass(frozen=True)
+class PathLimits:
+    """Limits along a path in space, and of each of its coordinates; one radian counts as 0.2 m.
 
-    velocity_scale: float = 0.95
-    acceleration_scale: float = 0.9
-    torque_scale: float = 0.95
-    jerk_scale: float = 0.95
-    smoothing_s: float = 0.04
-    """Averaging window of s(t), which lengthens the trajectory."""
+    Raises:
+        UsageError: Not finite and > 0.
+    """
+
+    speed_m_per_s: float = 0.3
+    acceleration_m_per_s2: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name, value in (("speed", self.speed_m_per_s), ("acceleration", self.acceleration_m_per_s2)):
+            if not (math.isfinite(value) and value > 0.0):
+                raise UsageError(f"the {name} limit along the path is {value}; it must be a finite number > 0")
 
 
 class Curve(Protocol):
@@ -56,8 +63,10 @@ class Curve(Protocol):
         ...
 
 
-def time_path(path: Curve, group: str, limits: MotionLimits, kinematics: Kinematics) -> Trajectory:
-    """Return the trajectory of a curve.
+def time_path(
+    path: Curve, group: str, limits: MotionLimits, kinematics: Kinematics, along: PathLimits | None = None
+) -> tuple[Trajectory, Array]:
+    """Return the trajectory of a curve and s at its samples; `along` limits the columns after the joints.
 
     Raises:
         TimingError: The limits cannot be kept.
@@ -65,8 +74,19 @@ def time_path(path: Curve, group: str, limits: MotionLimits, kinematics: Kinemat
     robot = kinematics.robot
     columns = np.arange(robot.dof)[robot.groups[group]]
     v_max, a_max = limits.velocity_scale * robot.v_max[columns], limits.acceleration_scale * robot.a_max[columns]
+    if along is not None:
+        others = np.arange(robot.dof, path.at(path.knots[:1]).shape[1])
+        columns = np.append(columns, others)
+        v_max = np.append(v_max, np.full(len(others), along.speed_m_per_s))
+        a_max = np.append(a_max, np.full(len(others), along.acceleration_m_per_s2))
     s, sd = fastest_profile(path, columns, v_max, a_max)
-    return drive(path, s, sd, group, limits, kinematics)[0]
+    return drive(path, s, sd, group, limits, kinematics)
+
+
+def resting(q: Array, duration_s: float, group: str) -> Trajectory:
+    """Return the trajectory that stays at q (n,)."""
+    still = np.zeros((2, len(q)))
+    return Trajectory(np.array([0.0, duration_s]), np.array([q, q]), still, still.copy(), group)
 
 
 def drive(

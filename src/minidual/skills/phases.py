@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from minidual.motion.held.path import ObjectLimits
+from minidual.motion.timing import PathLimits
 
 
 @dataclass(frozen=True)
@@ -27,10 +27,10 @@ class Phase:
     rise_m: float = 0.0
     hold_s: float = 0.0
     force_s: float = 0.0
-    limits: ObjectLimits | None = None
+    limits: PathLimits | None = None
 
 
-_SLOW = ObjectLimits(speed_m_per_s=0.15, acceleration_m_per_s2=0.6)
+_SLOW = PathLimits(speed_m_per_s=0.15, acceleration_m_per_s2=0.6)
 
 PHASES: dict[str, Phase] = {
     phase.name: phase
@@ -40,7 +40,7 @@ PHASES: dict[str, Phase] = {
         Phase("close", open=False, hold_s=0.7),
         Phase("squeeze", open=False, force_s=0.3),
         Phase("lift", open=False, limits=_SLOW),
-        Phase("carry", open=False, limits=ObjectLimits(speed_m_per_s=0.35, acceleration_m_per_s2=1.0)),
+        Phase("carry", open=False, limits=PathLimits(speed_m_per_s=0.35, acceleration_m_per_s2=1.0)),
         Phase("lower", open=False, limits=_SLOW),
         Phase("settle", open=False, hold_s=0.2, force_s=0.1),
         Phase("unload", open=False, force_s=0.2),

@@ -13,7 +13,7 @@ import numpy as np
 from minidual.config.planning import HeldMovesConfig, PlanConfig
 from minidual.gate.check import Check
 from minidual.gate.stage import StageContext
-from minidual.motion.held.path import RESIDUAL_MAX_M, RESIDUAL_MAX_RAD
+from minidual.motion.held.hands import RESIDUAL_MAX_M, RESIDUAL_MAX_RAD
 from minidual.plant.world import World
 from minidual.robot.arms import robot_from
 from minidual.show.view import Overlay

@@ -15,7 +15,7 @@ from minidual.collision.scene_file import load_scene
 from minidual.errors import ExitCode, UsageError
 from minidual.gate.tool import ToolContext, ToolResult
 from minidual.motion.api import Planner
-from minidual.motion.goal import JointGoal, PoseGoal, RelativeGoal, goal_of
+from minidual.motion.goal import goal_of
 from minidual.motion.goal_plan import GoalPlanner
 from minidual.motion.goals import group_arms
 from minidual.motion.result import PlanResult
@@ -67,10 +67,7 @@ def _prepare(context: ToolContext, group: str) -> tuple[GoalPlanner, PlanningSce
     q_home = planner.states.joints("home", "both_arms", planner.robot.home)
     start = goal_of(context.options.get("from", "home"), planner.states)
     # A start places both arms; a one-hand start leaves the other at home.
-    values = start.values if isinstance(start, JointGoal) else ()
-    of_group = isinstance(start, PoseGoal | RelativeGoal) or (
-        isinstance(values, tuple) and len(values) not in (0, planner.robot.dof)
-    )
+    of_group = start.poses or start.move or len(start.joints_rad or q_home) != planner.robot.dof
     q_start = planner.start_joints(group if of_group else "both_arms", q_home, start, scene, seed=context.seed)
     return planner, scene, q_start, notes
 
@@ -106,7 +103,7 @@ def writing(path: Path) -> Generator[Path]:
 def _write(
     targets: dict[str, Path | None], context: ToolContext, scene: PlanningScene, result: PlanResult, title: str
 ) -> list[str]:
-    notes = [*result.rejections]
+    notes = [*result.notes]
     if targets["out"] is not None:
         with writing(targets["out"]) as path:
             result.trajectory.write_json(path, scene.robot.joint_names)
@@ -172,7 +169,7 @@ def _document(group: str, result: PlanResult, targets: dict[str, Path | None]) -
         "times_s": result.times_s,
         "attempts_n": result.attempts_n,
         "direct": result.direct,
-        "rejections": list(result.rejections),
+        "notes": list(result.notes),
         "q_goal_rad": result.q_goal.tolist(),
         "proof": result.verification.to_json(),
         "digest": result.trajectory.digest(),

@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 from minidual.collision.errors import ClosedChainError
-from minidual.motion.ik import ArmIK
+from minidual.motion.ik import ArmIK, check_pose
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 from minidual.robot.poses import inverse
@@ -18,23 +18,28 @@ _RELAX_STEP_M = 0.05
 _ARM_M = 0.2
 JUMP_MAX_RAD = 0.15
 """Larger joint steps between path points count as jumps."""
+RESIDUAL_MAX_M = 1e-4
+RESIDUAL_MAX_RAD = float(np.deg2rad(0.05))
 
 
 class HandsIK:
     """Solves both arms for a held object, given the grasps (4, 4).
 
-    Solutions are projections without limits, hence smooth; those outside the limits are rejected.
+    Solutions are projections without limits, hence smooth; those outside the limits are discarded.
+
+    Raises:
+        UsageError: A grasp is no rigid pose.
     """
 
     def __init__(self, T_object_tcp_left: Array, T_object_tcp_right: Array, kinematics: Kinematics) -> None:
-        self._grasps = (np.array(T_object_tcp_left), np.array(T_object_tcp_right))
+        self.grasps = check_pose(T_object_tcp_left, "the left grasp"), check_pose(T_object_tcp_right, "the right grasp")
         self.robot = kinematics.robot
         self.arms = tuple(ArmIK(side, kinematics) for side in self.robot.sides)
 
     def _nearest(self, T_world_object: Array, q_near: Array, wish: Array | None = None) -> Array:
         """Return q (n,) at the grasps; failed arms are NaN."""
         q = np.full(len(q_near), np.nan)
-        for arm, grasp in zip(self.arms, self._grasps, strict=True):
+        for arm, grasp in zip(self.arms, self.grasps, strict=True):
             part = None if wish is None else wish[arm.joints]
             solved = arm.nearest(T_world_object @ grasp, q_near[arm.joints], part)
             if solved is not None:
@@ -95,15 +100,16 @@ class HandsIK:
             Q[k] = self._nearest(T, Q[k - 1], way * self.off_limits(Q[k - 1]))
             step = float(np.abs(Q[k] - Q[k - 1]).max())
             if not (step <= JUMP_MAX_RAD and self._inside(Q[k])):
-                return Q[:k], self._stuck(T, Q[k - 1], Q[k])
+                return Q[:k], self._ended(T, Q[k - 1], Q[k])
         return Q, None
 
-    def _stuck(self, T_world_object: Array, before: Array, q: Array) -> ClosedChainError:
+    def _ended(self, T_world_object: Array, before: Array, q: Array) -> ClosedChainError:
+        """Return why the hands cannot follow from `before` to q (n,); arms that failed are NaN."""
         robot = self.robot
         x, y, z = T_world_object[:3, 3]
         where = f"({x:.3f}, {y:.3f}, {z:.3f}) m"
-        remedy = "choose waypoints within reach of both arms, or another grasp"
-        for arm, grasp in zip(self.arms, self._grasps, strict=True):
+        remedy = "choose waypoints within reach of both arms, or another grasp or posture to start from"
+        for arm, grasp in zip(self.arms, self.grasps, strict=True):
             if not np.isfinite(q[arm.joints]).all():
                 away = arm.solve(T_world_object @ grasp, before[arm.joints])
                 if not away.reached:
@@ -113,36 +119,40 @@ class HandsIK:
                         remedy=remedy,
                     )
                 q[arm.joints] = away.q
-        steps = np.abs(q - before)
-        joint = int(np.argmax(steps))
-        if steps[joint] > JUMP_MAX_RAD:
-            return ClosedChainError(
-                f"the {robot.sides[joint // robot.dof_per_arm]} arm would jump by {steps[joint]:.2f} rad between "
-                f"neighbouring points of the object's path at {where} (a joint limit or a singular posture)",
-                remedy="start from another posture of the arm",
-            )
-        joint = int(np.argmax(np.maximum(robot.q_lower - q, q - robot.q_upper)))
+        steps, outside = np.abs(q - before), np.maximum(robot.q_lower - q, q - robot.q_upper)
+        jumps = float(steps.max()) > JUMP_MAX_RAD
+        joint = int(np.argmax(steps if jumps else outside))
+        if jumps:
+            why = f"would jump by {steps[joint]:.2f} rad within a step (a joint limit or a singular posture)"
+        else:
+            low, high = robot.q_lower[joint], robot.q_upper[joint]
+            why = f"would go to {q[joint]:.3f} rad, its limits are {low:.3f} to {high:.3f} rad"
+        side = robot.sides[joint // robot.dof_per_arm]
         return ClosedChainError(
-            f"the {robot.sides[joint // robot.dof_per_arm]} hand cannot follow the object to {where}: "
-            f"{robot.joint_names[joint]} would go to {q[joint]:.3f} rad, its limits are "
-            f"{robot.q_lower[joint]:.3f} to {robot.q_upper[joint]:.3f} rad",
-            remedy=remedy,
+            f"the {side} hand cannot follow the object to {where}: {robot.joint_names[joint]} {why}", remedy=remedy
         )
 
-    def off_grasp(self, q: Array, T_world_object: Array) -> tuple[tuple[float, float], ...]:
-        """Return the error of each grasp ([m], [rad])."""
-        return tuple(
-            _apart(arm.tcp_pose(q[arm.joints])[None], (T_world_object @ grasp)[None])
-            for arm, grasp in zip(self.arms, self._grasps, strict=True)
-        )
+    def require_held(self, q: Array, T_world_object: Array) -> None:
+        """Check that q (n,) holds the object at a pose (4, 4) to 0.1 mm and 0.05 degrees.
+
+        Raises:
+            ClosedChainError: A hand is off its grasp.
+        """
+        for arm, grasp in zip(self.arms, self.grasps, strict=True):
+            distance, angle = _apart(arm.tcp_pose(q[arm.joints])[None], (T_world_object @ grasp)[None])
+            if not (distance <= RESIDUAL_MAX_M and angle <= RESIDUAL_MAX_RAD):
+                raise ClosedChainError(
+                    f"at the start the {arm.arm} hand is {distance * 1e3:.2f} mm and {angle:.4f} rad off its grasp",
+                    remedy="take the grasps from the hands as they are (grasp_of), or solve the start first",
+                )
 
     def strays(self, Q: Array, Ts_world_object: Array) -> tuple[float, float]:
         """Return the largest error of grasps and between hands ([m], [rad]); Q is (m, n)."""
         left, right = (np.array([arm.tcp_pose(q) for q in Q[:, arm.joints]]) for arm in self.arms)
-        T_left_right = inverse(self._grasps[0]) @ self._grasps[1]
+        T_left_right = inverse(self.grasps[0]) @ self.grasps[1]
         pairs = (
-            (left, Ts_world_object @ self._grasps[0]),
-            (right, Ts_world_object @ self._grasps[1]),
+            (left, Ts_world_object @ self.grasps[0]),
+            (right, Ts_world_object @ self.grasps[1]),
             (right, left @ T_left_right),
         )
         return tuple(np.max([_apart(a, b) for a, b in pairs], axis=0).tolist())

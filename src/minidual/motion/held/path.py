@@ -13,18 +13,18 @@ import pinocchio as pin
 from scipy.interpolate import CubicSpline
 
 from minidual.collision.errors import ClosedChainError
+from minidual.config.planning import MotionLimits
 from minidual.errors import UsageError
 from minidual.motion.blend import rounded
-from minidual.motion.held.hands import HandsIK
+from minidual.motion.held.hands import RESIDUAL_MAX_M, RESIDUAL_MAX_RAD, HandsIK
 from minidual.motion.ik import check_pose
-from minidual.motion.timing import MotionLimits, drive, fastest_profile
+from minidual.motion.smooth_path import SmoothPath
+from minidual.motion.timing import PathLimits, time_path
 from minidual.proof.verify import Verification
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 from minidual.robot.trajectory import Trajectory
 
-RESIDUAL_MAX_M = 1e-4
-RESIDUAL_MAX_RAD = float(np.deg2rad(0.05))
 ROTATION_WEIGHT_M = 0.2
 """Path length per radian of rotation [m/rad]."""
 _SAME = 1e-6
@@ -71,49 +71,37 @@ class ObjectChart:
 
 
 class ObjectPath:
-    """Curve T_world_object(s), s in [0, length] [m]: straight in the chart, with rounded corners.
+    """Curve T_world_object(s), s in [0, length] [m]; the first six columns of `curve` are chart coordinates."""
 
-    Raises:
-        UsageError: Fewer than two distinct poses, invalid pose, or rotation over 3 rad.
-    """
+    def __init__(self, chart: ObjectChart, curve: SmoothPath) -> None:
+        self.chart, self.curve, self.length = chart, curve, curve.length
 
-    def __init__(self, Ts_world_object: Sequence[Array], corner_m: float = 0.04) -> None:
+    @classmethod
+    def through(cls, Ts_world_object: Sequence[Array], corner_m: float = 0.04) -> ObjectPath:
+        """Return the path through poses (4, 4), straight in the chart, with rounded corners.
+
+        Raises:
+            UsageError: Fewer than two distinct poses, invalid pose, or rotation over 3 rad.
+        """
         poses = [check_pose(T, f"waypoint {i} of the object") for i, T in enumerate(Ts_world_object)]
         if len(poses) < 2:
             raise UsageError(f"an object path needs two or more waypoints; there are {len(poses)}")
-        self.chart = ObjectChart(poses[0][:3, :3])
+        chart = ObjectChart(poses[0][:3, :3])
         kept: list[Array] = []
-        for point in map(self.chart.coordinates, poses):
+        for point in map(chart.coordinates, poses):
             if not kept or np.abs(point - kept[-1]).max() > _SAME:
                 kept.append(point)
         if len(kept) < 2:
             raise UsageError("all waypoints of the object are the same pose; there is nothing to carry")
-        curve = rounded(np.array(kept), corner_m)
-        self.length, self.knots = curve.length, curve.knots
-        self.coordinates: Callable[..., Array] = curve.at
-        """Coordinates (m, 6) [m] or a derivative."""
+        return cls(chart, rounded(np.array(kept), corner_m))
+
+    def coordinates(self, s: Array, order: int = 0) -> Array:
+        """Return coordinates (m, 6) [m] or a derivative."""
+        return self.curve.at(s, order)[:, :6]
 
     def poses(self, s: Array) -> Array:
         """Return poses (m, 4, 4)."""
         return self.chart.poses(self.coordinates(s))
-
-
-@dataclass(frozen=True)
-class ObjectLimits:
-    """Limits along the weighted object path and of each coordinate."""
-
-    speed_m_per_s: float = 0.3
-    acceleration_m_per_s2: float = 1.0
-
-    def check(self) -> None:
-        """Check both limits.
-
-        Raises:
-            UsageError: Not finite and > 0.
-        """
-        for name, value in (("speed", self.speed_m_per_s), ("acceleration", self.acceleration_m_per_s2)):
-            if not (np.isfinite(value) and value > 0.0):
-                raise UsageError(f"the object's {name} limit is {value}; it must be a finite number > 0")
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,47 +124,46 @@ class CarriedTrajectory(Trajectory):
 class HeldCurve:
     """Columns over s: joints, 6 object coordinates, path length.
 
-    Joints `Q` (k, n) are solved at `marks` (k,), first 0. `coordinates` maps parameters (m,) and derivative order to
-    (m, 6) and is smooth between `knots`.
+    Joints `Q` (k, n) are solved at `marks` (k,), first 0.
     """
 
-    def __init__(
-        self, chart: ObjectChart, marks: Array, Q: Array, coordinates: Callable[[Array, int], Array], knots: Array
-    ) -> None:
-        self.chart = chart
-        self.marks = marks
+    def __init__(self, path: ObjectPath, marks: Array, Q: Array) -> None:
+        self.path, self.marks, self.knots = path, marks, path.curve.knots
         self.spline = CubicSpline(marks, Q)
-        self.coordinates = coordinates
-        self.knots = knots
+        self.length = float(marks[-1])
         self.residual = (np.inf, np.inf)
         """Largest error between solved points ([m], [rad])."""
-
-    @property
-    def length(self) -> float:
-        """End of the interval."""
-        return float(self.marks[-1])
 
     def at(self, s: Array, order: int = 0) -> Array:
         """Return the columns or a derivative, (m, n + 7)."""
         s = np.asarray(s, dtype=float)
-        return np.column_stack([self.spline(s, order), self.coordinates(s, order), self._way(s, order)])
+        return np.column_stack([self.spline(s, order), self.path.coordinates(s, order), self._way(s, order)])
 
     def _way(self, s: Array, order: int) -> Array:
         if order == 0:
             return s  # unused: only derivatives are limited
-        first = self.coordinates(s, 1)
+        first = self.path.coordinates(s, 1)
         speed = np.sqrt(np.sum(first**2, axis=1) + _STILL)
-        return speed if order == 1 else np.sum(first * self.coordinates(s, 2), axis=1) / speed
+        return speed if order == 1 else np.sum(first * self.path.coordinates(s, 2), axis=1) / speed
+
+    def timed(
+        self, along: PathLimits, limits: MotionLimits, kinematics: Kinematics, found_by: str
+    ) -> CarriedTrajectory:
+        """Return the fastest trajectory within the limits, unproven, or raise TimingError."""
+        motion, s = time_path(self, "both_arms", limits, kinematics, along)
+        return CarriedTrajectory(
+            motion.times,
+            motion.q,
+            motion.v,
+            motion.a,
+            motion.group,
+            self.path.poses(s),
+            *self.residual,
+            found_by=found_by,
+        )
 
 
-def fine_curve(
-    hands: HandsIK,
-    chart: ObjectChart,
-    length: float,
-    knots: Array,
-    coordinates: Callable[[Array, int], Array],
-    solve: Callable[[Array, Array], Array],
-) -> HeldCurve:
+def fine_curve(hands: HandsIK, path: ObjectPath, solve: Callable[[Array, Array], Array]) -> HeldCurve:
     """Return a curve with errors below half the limits.
 
     `solve` maps marks (k,) and object poses to joints (k, n).
@@ -184,15 +171,15 @@ def fine_curve(
     Raises:
         ClosedChainError: `solve` failed, or refining did.
     """
-    count = max(_POINTS_MIN, int(np.ceil(length / _STEP_M)))
+    count = max(_POINTS_MIN, int(np.ceil(path.length / _STEP_M)))
     strays = before = (np.inf, np.inf)
-    step = length
+    step = path.length
     for _ in range(_REFINEMENTS):
-        marks = np.linspace(0.0, length, count + 1, dtype=np.float64)
-        curve = HeldCurve(chart, marks, solve(marks, chart.poses(coordinates(marks, 0))), coordinates, knots)
+        marks = np.linspace(0.0, path.length, count + 1, dtype=np.float64)
+        curve = HeldCurve(path, marks, solve(marks, path.poses(marks)))
         step = float(marks[1])
         between = np.concatenate([marks[:-1] + share * step for share in _BETWEEN])
-        strays = curve.residual = hands.strays(curve.spline(between), chart.poses(coordinates(between, 0)))
+        strays = curve.residual = hands.strays(curve.spline(between), path.poses(between))
         if strays[0] < 0.5 * RESIDUAL_MAX_M and strays[1] < 0.5 * RESIDUAL_MAX_RAD:
             return curve
         if strays[0] > _HOPELESS * before[0]:
@@ -203,25 +190,4 @@ def fine_curve(
         f"the hands stray {strays[0] * 1e3:.3f} mm and {strays[1]:.5f} rad from their grasps between points "
         f"{step * 1e3:.2f} mm apart; allowed are {RESIDUAL_MAX_M * 1e3} mm and {RESIDUAL_MAX_RAD:.5f} rad",
         remedy="the arms pass near a singular posture; choose another path or posture",
-    )
-
-
-def timed(
-    curve: HeldCurve, object_limits: ObjectLimits, scale: MotionLimits, kinematics: Kinematics, found_by: str
-) -> CarriedTrajectory:
-    """Return the fastest trajectory within joint and object limits, unproven.
-
-    Raises:
-        TimingError: The limits cannot be kept.
-        UsageError: Invalid object limit.
-    """
-    object_limits.check()
-    robot = kinematics.robot
-    v_max = np.append(scale.velocity_scale * robot.v_max, np.full(7, object_limits.speed_m_per_s))
-    a_max = np.append(scale.acceleration_scale * robot.a_max, np.full(7, object_limits.acceleration_m_per_s2))
-    s, sd = fastest_profile(curve, np.arange(robot.dof + 7), v_max, a_max)
-    motion, at = drive(curve, s, sd, "both_arms", scale, kinematics)
-    poses = curve.chart.poses(curve.coordinates(at, 0))
-    return CarriedTrajectory(
-        motion.times, motion.q, motion.v, motion.a, motion.group, poses, *curve.residual, found_by=found_by
     )

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,42 +16,31 @@ import pinocchio as pin
 from minidual.collision.errors import ClosedChainError, NoPathInTimeError, PlanningError, TimingError
 from minidual.collision.scene import Attached, PlanningScene
 from minidual.collision.shapes import Shape
-from minidual.errors import UsageError
-from minidual.motion.api import Planner
+from minidual.config.planning import MotionLimits
+from minidual.motion.api import Planner, more_padding
 from minidual.motion.blend import rounded
 from minidual.motion.edges import EdgeChecker
 from minidual.motion.goals import check_joints, require_free
 from minidual.motion.held.constraint import GraspConstraint, search_manifold
 from minidual.motion.held.hands import HandsIK
-from minidual.motion.held.path import (
-    RESIDUAL_MAX_M,
-    RESIDUAL_MAX_RAD,
-    CarriedTrajectory,
-    HeldCurve,
-    ObjectLimits,
-    ObjectPath,
-    fine_curve,
-    timed,
-)
-from minidual.motion.held.search import JOINT_WEIGHT_M, HeldSpace, Q, X, search_object, shorten
+from minidual.motion.held.path import CarriedTrajectory, HeldCurve, ObjectPath, fine_curve
+from minidual.motion.held.search import JOINT_WEIGHT_M, HeldSpace, Q, search_object, shorten
 from minidual.motion.ik import check_pose
-from minidual.motion.timing import MotionLimits
+from minidual.motion.timing import PathLimits
 from minidual.proof.scene_engines import SceneEngines
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import SIDES, Array, Robot
+from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import inverse
 
-CARRY_LIMITS = MotionLimits(smoothing_s=0.1)
+_LIMITS = MotionLimits(smoothing_s=0.1)
 """Gentler starts and stops than with empty hands."""
 METHODS = ("object_rrt", "object_rrt", "object_rrt", "projected", "object_rrt", "object_rrt", "atlas")
 """Methods by attempt, cyclic."""
-_CORNER_M = 0.04
 _CORNERS_M = (0.06, 0.02, 0.006)
 _SHORTEN_ROUNDS_N = 10
 _GOALS_N = 16
 _LIMIT_ROOM_RAD = 1e-4
 _MANIFOLD_GOALS_N = 4
-_BOX_RAD = 0.7
 _MORE_GOALS = {1: 1, 2: 10}
 """{attempt: multiple of usual IK restarts} for more goal postures, which cost more than the search."""
 _CANDIDATES_N = 400
@@ -66,26 +55,37 @@ def grasp_of(q: Array, T_world_object: Array, kinematics: Kinematics | None = No
     return T_object_world @ left, T_object_world @ right
 
 
-def scene_holding(
-    scene: PlanningScene, shape: Shape, T_object_tcp_left: Array, *, rests_on: Sequence[str] = ("table",)
-) -> PlanningScene:
-    """Return the scene with `shape` (placed in the object frame) attached to the left tcp.
+def placed(shape: Shape, T: Array) -> Shape:
+    """Return a shape transformed by T (4, 4)."""
+    T_shape = T @ shape.T_parent_shape
+    x, y, z, w = pin.Quaternion(T_shape[:3, :3]).normalized().coeffs().tolist()
+    return replace(shape, position_m=tuple(T_shape[:3, 3].tolist()), quat_wxyz=(w, x, y, z))
 
-    The object may touch the hands and `rests_on`.
+
+def scene_holding(
+    scene: PlanningScene,
+    shape: Shape,
+    grasps: Mapping[str, Array],
+    *,
+    rests_on: Iterable[str] = ("table",),
+    touching: Iterable[str] = (),
+) -> PlanningScene:
+    """Return the scene with `shape` (placed in the object frame) attached to the first hand of `grasps`.
+
+    `grasps` is {arm: T_object_tcp (4, 4)}. The object may touch these hands, those `touching` and what it `rests_on`.
     """
-    T_tcp_shape = inverse(T_object_tcp_left) @ shape.T_parent_shape
-    x, y, z, w = pin.Quaternion(T_tcp_shape[:3, :3]).coeffs().tolist()
-    held = replace(shape, position_m=tuple(T_tcp_shape[:3, 3].tolist()), quat_wxyz=(w, x, y, z))
-    hands = tuple(link for side in SIDES for link in scene.robot.hand_links(side))
-    scene = scene.with_attached(Attached(held, scene.robot.tcp_names[0], hands))
+    robot, first = scene.robot, next(iter(grasps))
+    hands = tuple(link for arm in (*grasps, *touching) for link in robot.hand_links(arm))
+    held = Attached(placed(shape, inverse(grasps[first])), robot.tcp_names[SIDES.index(first)], hands)
+    scene = scene.with_attached(held)
     for obstacle in rests_on:
-        scene = scene.allowing(shape.name, obstacle, "the object is lifted off it and put down on it")
+        scene = scene.allowing(shape.name, obstacle, "the object is lifted off it or put down on it")
     return scene
 
 
 @dataclass(frozen=True, eq=False)
 class HeldQuery:
-    """One planning problem.
+    """What to plan for a held object.
 
     Attributes:
         q_start: All joints (n,), hands at their grasps.
@@ -101,38 +101,19 @@ class HeldQuery:
     scene: PlanningScene
     seed: int = 0
 
-    def checked(self, robot: Robot) -> HeldQuery:
-        """Return the checked query.
 
-        Raises:
-            OutOfLimitsError, UsageError: Bad query.
-        """
-        return replace(
-            self,
-            q_start=check_joints(self.q_start, "start", robot),
-            T_world_goal=check_pose(self.T_world_goal, "the goal of the object"),
-            T_object_tcp_left=check_pose(self.T_object_tcp_left, "the left grasp"),
-            T_object_tcp_right=check_pose(self.T_object_tcp_right, "the right grasp"),
-        )
+class NotFreeError(ClosedChainError):
+    """The proof failed."""
+
+    reason = "not_free"
 
 
 class HeldPlanner:
     """Plans moves of held objects. One instance per process; it holds workspaces."""
 
-    def __init__(
-        self,
-        planner: Planner | None = None,
-        *,
-        limits: MotionLimits | None = None,
-        object_limits: ObjectLimits | None = None,
-    ) -> None:
+    def __init__(self, planner: Planner | None = None) -> None:
         self.planner = planner or Planner()
-        self.config = self.planner.config
-        self.engines = self.planner.engines
-        self.limits = limits or CARRY_LIMITS
-        self.object_limits = object_limits or ObjectLimits()
-        self.kinematics = self.planner.kinematics
-        self.goals = self.planner.goals
+        self.engines, self.kinematics = self.planner.engines, self.planner.kinematics
 
     def plan(self, query: HeldQuery, budget_s: float | None = None) -> CarriedTrajectory:
         """Return a proven trajectory to the goal. Equal queries give equal trajectories.
@@ -144,12 +125,7 @@ class HeldPlanner:
             NoPathInTimeError: Nothing proven within `budget_s`.
             OutOfLimitsError, UsageError: Bad query.
         """
-        budget = self.config.budget_s if budget_s is None else budget_s
-        if not (np.isfinite(budget) and budget > 0.0):
-            raise UsageError(f"budget_s = {budget}; it must be a finite number > 0")
-        query = query.checked(self.planner.robot)
-        self.planner.engines(query.scene)  # built before the budget runs
-        return HeldWork(self, query, time.perf_counter() + budget).run()
+        return HeldWork(self, query, budget_s).run()
 
     def prove(self, query: HeldQuery, points: Array) -> CarriedTrajectory:
         """Return the proven trajectory along points (m, 6 + n) in the chart of the start orientation.
@@ -158,9 +134,7 @@ class HeldPlanner:
             ClosedChainError, TimingError: It cannot be followed, timed or proven.
             StartInCollisionError, OutOfLimitsError, UsageError: Bad query.
         """
-        return HeldWork(self, query.checked(self.planner.robot), time.perf_counter() + self.config.budget_s).rounded(
-            points, "given"
-        )
+        return HeldWork(self, query).rounded(points, "given")
 
     def follow(
         self,
@@ -169,65 +143,46 @@ class HeldPlanner:
         T_object_tcp_left: Array,
         T_object_tcp_right: Array,
         *,
-        object_limits: ObjectLimits | None = None,
+        along: PathLimits | None = None,
         scene: PlanningScene | None = None,
-        corner_m: float = _CORNER_M,
     ) -> CarriedTrajectory:
         """Return the trajectory along object waypoints (4, 4), at rest at both ends.
 
-        Collisions are checked only with a `scene` (see `scene_holding`).
+        Collisions are checked only with a `scene` (see `scene_holding`); `along` limits the object.
 
         Raises:
-            ClosedChainError: Bad start, hand out of reach, jump, error over 0.05 mm or 0.025 degrees, or no proof.
+            NotFreeError: No proof.
+            ClosedChainError: Bad start, hand out of reach, jump, or error over 0.05 mm or 0.025 degrees.
             TimingError: The limits cannot be kept.
             OutOfLimitsError, UsageError: Bad arguments.
         """
         q_start = check_joints(q_start, "start", self.planner.robot)
-        grasps = (check_pose(T_object_tcp_left, "the left grasp"), check_pose(T_object_tcp_right, "the right grasp"))
-        hands = HandsIK(*grasps, self.kinematics)
-        path = ObjectPath(Ts_world_object, corner_m)
-        _require_held(hands, q_start, path.poses(np.zeros(1))[0])
+        hands = HandsIK(T_object_tcp_left, T_object_tcp_right, self.kinematics)
+        path = ObjectPath.through(Ts_world_object)
+        hands.require_held(q_start, path.poses(np.zeros(1))[0])
         curve = _continued(hands, path, q_start)
-        motion = timed(curve, object_limits or self.object_limits, self.limits, self.kinematics, "continuation")
-        return motion if scene is None else proven(motion, self.engines(scene))
+        motion = curve.timed(along or PathLimits(), _LIMITS, self.kinematics, "continuation")
+        return motion if scene is None else _proven(motion, self.engines(scene))
 
 
-class _NotFreeError(ClosedChainError):
-    """The proof failed."""
-
-
-def proven(motion: CarriedTrajectory, engines: SceneEngines) -> CarriedTrajectory:
-    """Return the trajectory with its proof.
-
-    Raises:
-        ClosedChainError: The proof failed.
-    """
-    report = engines.verifier.verify(motion)
-    if not report.ok:
-        raise _NotFreeError(f"the carried path is not free: {report.reason}")
-    return replace(motion, verification=report)
-
-
-def _require_held(hands: HandsIK, q: Array, T_world_object: Array) -> None:
-    """Raise ClosedChainError if a hand is off its grasp."""
-    for arm, (distance, angle) in zip(SIDES, hands.off_grasp(q, T_world_object), strict=True):
-        if not (distance <= RESIDUAL_MAX_M and angle <= RESIDUAL_MAX_RAD):
-            raise ClosedChainError(
-                f"at the start the {arm} hand is {distance * 1e3:.2f} mm and {angle:.4f} rad off its grasp",
-                remedy="take the grasps from the hands as they are (grasp_of), or solve the start first",
-            )
+def _proven(motion: CarriedTrajectory, engines: SceneEngines) -> CarriedTrajectory:
+    """Return the trajectory with its proof, or raise NotFreeError."""
+    proof = engines.verifier.verify(motion)
+    if not proof.ok:
+        raise NotFreeError(f"the carried path is not free: {proof.reason}")
+    return replace(motion, verification=proof)
 
 
 def _continued(hands: HandsIK, path: ObjectPath, q_start: Array) -> HeldCurve:
     """Return the curve along an object path from q_start (n,), or raise ClosedChainError."""
 
     def solve(_marks: Array, Ts_world_object: Array) -> Array:
-        joints, stuck = hands.follow(Ts_world_object, q_start)
-        if stuck is not None:
-            raise stuck
+        joints, ended = hands.follow(Ts_world_object, q_start)
+        if ended is not None:
+            raise ended
         return joints
 
-    return fine_curve(hands, path.chart, path.length, path.knots, path.coordinates, solve)
+    return fine_curve(hands, path, solve)
 
 
 @dataclass(frozen=True)
@@ -240,13 +195,12 @@ class _Effort:
         """Return less padding and more state checks."""
         return replace(self, padding_m=max(0.6 * self.padding_m, 0.001), checks_n=min(2 * self.checks_n, 100_000))
 
-    def closer(self) -> _Effort:
-        """Return finer steps: the path could not be followed."""
-        return replace(self, step_scale=max(0.5 * self.step_scale, 0.125))
-
-    def after_refusal(self) -> _Effort:
-        """Return more padding (up to 0.02 m) and finer steps."""
-        return replace(self.closer(), padding_m=min(1.5 * self.padding_m, 0.02))
+    def after(self, error: PlanningError) -> _Effort:
+        """Return finer steps for a path that cannot be followed, and more padding for one that is not proven."""
+        step_scale, unproven = max(0.5 * self.step_scale, 0.125), isinstance(error, NotFreeError | TimingError)
+        return replace(
+            self, step_scale=step_scale, padding_m=more_padding(self.padding_m) if unproven else self.padding_m
+        )
 
 
 class HeldWork:
@@ -255,31 +209,33 @@ class HeldWork:
     Raises:
         ClosedChainError: Hands off their grasps.
         StartInCollisionError: The start collides.
+        OutOfLimitsError, UsageError: Bad query.
     """
 
-    def __init__(self, tools: HeldPlanner, query: HeldQuery, deadline: float) -> None:
-        self._tools = tools
-        self._query = query
-        self._deadline = deadline
+    def __init__(self, tools: HeldPlanner, query: HeldQuery, budget_s: float | None = None) -> None:
+        budget_s = tools.planner.budget(budget_s)
+        self._tools, self._config, self._query = tools, tools.planner.config, query
+        self._q_start = check_joints(query.q_start, "start", tools.planner.robot)
+        self._hands = HandsIK(query.T_object_tcp_left, query.T_object_tcp_right, tools.kinematics)
+        T_goal = check_pose(query.T_world_goal, "the goal of the object")
         self._engines = tools.engines(query.scene)
-        self._grasps = (query.T_object_tcp_left, query.T_object_tcp_right)
-        self._hands = HandsIK(*self._grasps, tools.kinematics)
-        self._T_start = self._object_at(query.q_start)
-        _require_held(self._hands, query.q_start, self._T_start)
-        require_free(self._engines, query.q_start, "start")
-        self._path = ObjectPath([self._T_start, query.T_world_goal])
-        self.rejections: list[str] = []
+        self._deadline = time.perf_counter() + budget_s
+        self._T_start = self._object_at(self._q_start)
+        self._hands.require_held(self._q_start, self._T_start)
+        require_free(self._engines, self._q_start, "start")
+        self._path = ObjectPath.through([self._T_start, T_goal])
+        self.notes: list[str] = []
 
     def _object_at(self, q: Array) -> Array:
         """Return the object pose in the left hand."""
-        return self._tools.kinematics.tcp_poses(q)[0] @ inverse(self._grasps[0])
+        return self._tools.kinematics.tcp_poses(q)[0] @ inverse(self._hands.grasps[0])
 
     def run(self) -> CarriedTrajectory:
         """See `HeldPlanner.plan`."""
         straight = self._straight()
         if isinstance(straight, CarriedTrajectory):
             return straight
-        effort = _Effort(self._tools.config.padding_m)
+        effort = _Effort(self._config.padding_m)
         goals = self.goal_postures(straight, 1)
         for attempt, method in enumerate(itertools.cycle(METHODS)):
             if time.perf_counter() > self._deadline:
@@ -292,15 +248,14 @@ class HeldWork:
                     rng = np.random.default_rng([self._query.seed, 3, attempt])
                     space = self._space([points[-1, Q]], effort)
                     return self.rounded(shorten(space, points, rng, _SHORTEN_ROUNDS_N), method)
-                self.rejections.append(f"{method} found no path")
+                self.notes.append(f"{method} found no path")
                 effort = effort.after_no_path()
             except (ClosedChainError, TimingError) as error:
-                self.rejections.append(f"{method}: {error.message}")
-                refused = isinstance(error, _NotFreeError | TimingError)
-                effort = effort.after_refusal() if refused else effort.closer()
+                self.notes.append(f"{method}: {error.message}")
+                effort = effort.after(error)
         raise NoPathInTimeError(
-            f"no proven path for the held object within the budget; the straight way: {self.rejections[0]}; "
-            f"{len(self.rejections)} attempts, the last one: {self.rejections[-1]}",
+            f"no proven path for the held object within the budget; the straight way: {self.notes[0]}; "
+            f"{len(self.notes)} attempts, the last one: {self.notes[-1]}",
             remedy="raise the budget, make room in the scene, or choose another goal or grasp",
         )
 
@@ -308,26 +263,25 @@ class HeldWork:
         """Return the proven straight move, else its end posture (n,), else None."""
         end = None
         try:
-            curve = _continued(self._hands, self._path, self._query.q_start)
+            curve = _continued(self._hands, self._path, self._q_start)
             joints = curve.spline(np.linspace(0.0, curve.length, len(curve.marks)))
             end = joints[-1]
-            if self._checker(end, self._tools.config.padding_m).all_free(joints):
+            if self._checker(end, self._config.padding_m).all_free(joints):
                 return self._finished(curve, "continuation")
-            self.rejections.append(f"it is blocked: {self._touching(joints)}")
+            self.notes.append(f"it is blocked: {self._touching(joints)}")
         except (ClosedChainError, TimingError) as error:
-            self.rejections.append(error.message)
+            self.notes.append(error.message)
         return end
 
     def _checker(self, q_goal: Array, padding_m: float) -> EdgeChecker:
-        ends = (self._query.q_start, q_goal)
-        return EdgeChecker(self._engines, padding_m, ends, self._tools.config.edge_step_rad)
+        return EdgeChecker(self._engines, padding_m, (self._q_start, q_goal), self._config.edge_step_rad)
 
     def _touching(self, joints: Array) -> str:
         """Return which parts come nearest along joints (m, n)."""
         found = [
             (near[0].distance_m, str(near[0]), k)
             for k, q in enumerate(joints)
-            if (near := self._engines.closest(q, self._tools.config.padding_m))
+            if (near := self._engines.closest(q, self._config.padding_m))
         ]
         if not found:
             return "parts come nearer than the padding"
@@ -341,17 +295,17 @@ class HeldWork:
             IKUnreachableError, GoalInCollisionError: None exists.
             ClosedChainError: All lie at limits.
         """
-        query, config, engines, robot = self._query, self._tools.config, self._engines, self._hands.robot
+        config, engines, robot, T_goal = self._config, self._engines, self._hands.robot, self._query.T_world_goal
         goals = [end] if end is not None and not engines.in_collision(end) else []
         roomy = bool(goals) and not engines.closest(goals[0], config.padding_m)
         if not (roomy and wanted_n == 1):
             try:
-                goals += self._tools.goals.candidates(
+                goals += self._tools.planner.goals.candidates(
                     "both_arms",
-                    query.q_start,
-                    {arm: query.T_world_goal @ grasp for arm, grasp in zip(SIDES, self._grasps, strict=True)},
+                    self._q_start,
+                    {arm: T_goal @ grasp for arm, grasp in zip(SIDES, self._hands.grasps, strict=True)},
                     engines,
-                    np.random.default_rng([query.seed, 1]),
+                    np.random.default_rng([self._query.seed, 1]),
                     restarts_n=restarts_scale * config.ik_restarts_n,
                     candidates_n=1 if wanted_n == 1 else _CANDIDATES_N,
                 )
@@ -363,15 +317,15 @@ class HeldWork:
             if len(found) >= wanted_n:
                 break
             inside = np.clip(goal, robot.q_lower + _LIMIT_ROOM_RAD, robot.q_upper - _LIMIT_ROOM_RAD)
-            q = self._hands.solve(query.T_world_goal, inside)
+            q = self._hands.solve(T_goal, inside)
             if q is None:
                 continue
-            relaxed = self._hands.relaxed(query.T_world_goal, q)
+            relaxed = self._hands.relaxed(T_goal, q)
             q = q if engines.in_collision(relaxed) else relaxed
             if all(np.abs(q - other).max() > _SAME_RAD for other in found):
                 found.append(q)
         if not found:
-            x, y, z = query.T_world_goal[:3, 3]
+            x, y, z = T_goal[:3, 3]
             raise ClosedChainError(
                 f"every posture found for the goal at ({x:.3f}, {y:.3f}, {z:.3f}) m lies at a joint limit",
                 remedy="move the goal nearer to the middle, or choose another grasp",
@@ -383,7 +337,7 @@ class HeldWork:
         try:
             return self.goal_postures(end, _GOALS_N, restarts_scale)
         except PlanningError as error:
-            self.rejections.append(f"no more postures at the goal: {error.message}")
+            self.notes.append(f"no more postures at the goal: {error.message}")
             return known
 
     def _space(self, goals: Sequence[Array], effort: _Effort) -> HeldSpace:
@@ -392,28 +346,36 @@ class HeldWork:
 
     def search(self, method: str, goals: Sequence[Array], effort: _Effort, attempt: int) -> Array | None:
         """Return points (m, 6 + n) to a goal, or None."""
-        query = self._query
-        space = self._space(goals, effort)
+        query, space = self._query, self._space(goals, effort)
         if method == "object_rrt":
-            start = space.point(self._T_start, query.q_start)
+            start = space.point(self._T_start, self._q_start)
             ends = [space.point(query.T_world_goal, q) for q in goals]
             rng = np.random.default_rng([query.seed, 2, attempt])
             return search_object(space, start, ends, rng, checks_max=effort.checks_n, deadline=self._deadline)
-        configurations = search_manifold(
-            GraspConstraint.from_grasps(*self._grasps, self._tools.kinematics),
-            space.checker,
-            query.q_start,
-            goals[:_MANIFOLD_GOALS_N],
-            space=method,
-            box_rad=_BOX_RAD,
-            seed=query.seed + attempt,
-            checks_max=effort.checks_n,
-            deadline=self._deadline,
-        )
-        if configurations is None:
-            return None
-        points = np.array([space.point(self._object_at(q), q) for q in configurations])
-        return points if all(space.edge_free(a, b) for a, b in itertools.pairwise(points)) else None
+        left, right = self._hands.grasps
+        constraint = GraspConstraint(inverse(left) @ right, self._tools.kinematics)
+        start = self._hands.solve(self._T_start, self._q_start)
+        for goal in goals[:_MANIFOLD_GOALS_N]:
+            if start is None or time.perf_counter() > self._deadline:
+                break
+            found = search_manifold(
+                constraint,
+                space.checker,
+                start,
+                goal,
+                space=method,
+                seed=query.seed + attempt,
+                checks_max=effort.checks_n,
+                deadline=self._deadline,
+            )
+            if found is not None:
+                points = [space.solved_free(space.point(self._object_at(q), q)) for q in found]
+                kept = [z for z in points if z is not None]
+                connected = len(kept) == len(points) and all(
+                    space.edge_free(*ends) for ends in itertools.pairwise(kept)
+                )
+                return np.array(kept) if connected else None
+        return None
 
     def rounded(self, points: Array, method: str) -> CarriedTrajectory:
         """Return the proven trajectory along points (m, 6 + n), with the largest feasible corners."""
@@ -430,9 +392,6 @@ class HeldWork:
         scale[Q] = JOINT_WEIGHT_M
         smooth = rounded(points * scale, corner_m)
 
-        def coordinates(s: Array, order: int) -> Array:
-            return smooth.at(s, order)[:, X]
-
         def solve(marks: Array, Ts_world_object: Array) -> Array:
             solved = smooth.at(marks)[:, Q] / JOINT_WEIGHT_M
             for k, T in enumerate(Ts_world_object):
@@ -443,8 +402,7 @@ class HeldWork:
                 solved[k] = q
             return solved
 
-        return fine_curve(self._hands, self._path.chart, smooth.length, smooth.knots, coordinates, solve)
+        return fine_curve(self._hands, ObjectPath(self._path.chart, smooth), solve)
 
     def _finished(self, curve: HeldCurve, method: str) -> CarriedTrajectory:
-        tools = self._tools
-        return proven(timed(curve, tools.object_limits, tools.limits, tools.kinematics, method), self._engines)
+        return _proven(curve.timed(PathLimits(), _LIMITS, self._tools.kinematics, method), self._engines)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from minidual.collision.errors import PlanningError
 from minidual.motion.held.planner import HeldQuery
 from minidual.robot.pair import SIDES, Array
@@ -42,32 +44,29 @@ class Carry(Stage):
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
         """Yield ways to every place."""
         if not start.held_by:
-            yield Failure("not_held", "no hand holds the object")
-            return
+            raise Failure("not_held", "no hand holds the object")
+        both = len(start.held_by) == len(SIDES)
+        ways = [(0.2, self._freely)] if both else [(0.0, self._straight_across), (1.0, self._freely)]
         for index, place in enumerate(self._places):
             try:
                 self._check(place, index, start, tools)
             except PlanningError as error:
                 yield failure(error, place.label)
                 continue
-            both = len(start.held_by) == len(SIDES)
             if both and start.rests and place.rests:
                 yield self._at_once(place, start, tools)
-            ways = [(0.2, self._freely)] if both else [(0.0, self._straight_across), (1.0, self._freely)]
             for extra, across in ways:
                 for rank, height in enumerate(self._heights):
                     yield self._in_parts(place, height, 0.2 * rank + extra, across, start, tools)
 
     def _check(self, place: Place, index: int, start: State, tools: Tools) -> None:
         """Raise PlanningError for places out of reach or in collision."""
-        engines = tools.planner.engines(tools.scene(start, resting=place.rests))
-        targets = {arm: place.T_world_object @ T for arm, T in start.held_by.items()}
         tools.planner.goals.candidates(
             group_of(start.held_by),
             start.q,
-            targets,
-            engines,
-            tools.rng(2, index),
+            _hands_at(place.T_world_object, start),
+            tools.planner.engines(tools.scene(start, resting=place.rests)),
+            np.random.default_rng([tools.seed, 2, index]),
             restarts_n=tools.planner.config.ik_restarts_n,
             candidates_n=1,
         )
@@ -118,28 +117,29 @@ class Carry(Stage):
     def _line(self, phase: str, T_world_goal: Array, state: State, tools: Tools, *, resting: bool) -> Segment:
         if len(state.held_by) == len(SIDES):
             return self._in_both_hands([state.T_world_object, T_world_goal], state, tools, phase)
-        targets = {arm: T_world_goal @ T for arm, T in state.held_by.items()}
-        return straight(tools, phase, state, targets, tools.scene(state, resting=resting))
+        return straight(tools, phase, state, _hands_at(T_world_goal, state), tools.scene(state, resting=resting))
 
     def _in_both_hands(self, way: list[Array], state: State, tools: Tools, phase: str = "carry") -> Segment:
-        left, right = (state.held_by[arm] for arm in SIDES)
-        motion = tools.holder.follow(state.q, way, left, right, object_limits=PHASES[phase].limits)
-        scene = tools.scene(state, resting=True)
-        return tools.proven(phase, motion, state, scene, Ts_world_object=motion.Ts_world_object)
+        grasps, scene = (state.held_by[arm] for arm in SIDES), tools.scene(state, resting=True)
+        motion = tools.holder.follow(state.q, way, *grasps, along=PHASES[phase].limits, scene=scene)
+        return Segment(phase, motion, state.openings, scene, motion.verification)
 
     def _freely(self, T_world_goal: Array, state: State, tools: Tools) -> Segment:
         """Return a collision-free motion to a pose in the air."""
-        scene = tools.scene(state)
+        scene, budget_s = tools.scene(state), self._budget_s
         if len(state.held_by) == len(SIDES):
             left, right = (state.held_by[arm] for arm in SIDES)
             query = HeldQuery(state.q, T_world_goal, left, right, scene, tools.seed)
-            moved = tools.holder.plan(query, self._budget_s)
-            return Segment("carry", moved, state.openings, scene, moved.verification, moved.Ts_world_object)
-        targets = {arm: T_world_goal @ T for arm, T in state.held_by.items()}
-        plan = tools.planner.plan_to_poses(
-            group_of(state.held_by), state.q, targets, scene=scene, seed=tools.seed, budget_s=self._budget_s
-        )
+            moved = tools.holder.plan(query, budget_s)
+            return Segment("carry", moved, state.openings, scene, moved.verification)
+        group, targets = group_of(state.held_by), _hands_at(T_world_goal, state)
+        plan = tools.planner.plan_to_poses(group, state.q, targets, scene=scene, seed=tools.seed, budget_s=budget_s)
         return Segment("carry", plan.trajectory, state.openings, scene, plan.verification)
+
+
+def _hands_at(T_world_object: Array, state: State) -> dict[str, Array]:
+    """Return {arm: T_world_tcp (4, 4)} of the hands that hold the object."""
+    return {arm: T_world_object @ T for arm, T in state.held_by.items()}
 
 
 def _at(place: Place, state: State, last: Segment) -> State:

@@ -9,9 +9,7 @@ import numpy as np
 
 from minidual.collision.errors import PlanningError
 from minidual.collision.scene import PlanningScene
-from minidual.motion.goals import check_joints
-from minidual.motion.linear import TipLimits
-from minidual.robot.pair import Array
+from minidual.robot.pair import SIDES, Array
 from minidual.skills.phases import PHASES
 from minidual.skills.pipeline.stage import Candidate, Failure, Offer, Stage, Tools, failure, group_of
 from minidual.skills.pipeline.state import CLOSED, OPEN, Segment, State, moved, still
@@ -48,12 +46,11 @@ class Reach(OfArms):
 
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
         """Yield motions to every grip."""
-        if len(start.held_by) == 2:
-            yield Failure("closed_chain", "both hands hold the object; a free motion would tear it from them")
-            return
+        _require_open_chain(start)
         scene = tools.scene(start)
         for grip in self._grips:
-            at = {arm: start.T_world_object @ grip.grasps[arm] for arm in self.arms}
+            grasps = {arm: grip.grasps[arm] for arm in self.arms}
+            at = {arm: start.T_world_object @ T for arm, T in grasps.items()}
             shift = off(at, PHASES["approach"].rise_m)
             over = {arm: moved(T, shift) for arm, T in at.items()}
             for attempt in range(_ATTEMPTS):
@@ -63,7 +60,8 @@ class Reach(OfArms):
                 except PlanningError as error:
                     yield failure(error, grip.label)
                     break  # further postures would fail too
-                end = replace(start.opened(self.arms, OPEN), q=plan.trajectory.q[-1], reached=dict(grip.grasps))
+                opened = start.opened(self.arms, OPEN)
+                end = replace(opened, q=plan.trajectory.q[-1], reached={**start.reached, **grasps})
                 segment = Segment("approach", plan.trajectory, end.openings, scene, plan.verification)
                 label = grip.label if attempt == 0 else f"{grip.label}, posture {attempt + 1}"
                 yield Candidate(label, grip.cost + 0.5 * attempt, end, (segment,))
@@ -75,11 +73,7 @@ class Descend(OfArms):
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
         """Yield the motion."""
         targets = {arm: start.T_world_object @ start.reached[arm] for arm in self.arms}
-        try:
-            segment = straight(tools, "descend", start, targets, tools.scene(start, touching=self.arms))
-        except PlanningError as error:
-            yield failure(error)
-            return
+        segment = straight(tools, "descend", start, targets, tools.scene(start, touching=self.arms))
         yield Candidate("", 0.0, replace(start, q=segment.trajectory.q[-1]), (segment,))
 
 
@@ -101,12 +95,10 @@ class Open(OfArms):
         """Yield the only candidate."""
         missing = [arm for arm in self.arms if arm not in start.held_by]
         if missing:
-            yield Failure("not_held", f"the {missing[0]} hand holds nothing to let go")
-            return
+            raise Failure("not_held", f"the {missing[0]} hand holds nothing to let go")
         held = {arm: T for arm, T in start.held_by.items() if arm not in self.arms}
         if not held and not start.rests:
-            yield Failure("would_fall", "the object is in the air and no other hand holds it")
-            return
+            raise Failure("would_fall", "the object is in the air and no other hand holds it")
         end = replace(start.opened(self.arms, OPEN), held_by=held)
         segments = (
             still("settle", start.q, PHASES["settle"].hold_s, start.openings),
@@ -121,7 +113,8 @@ class Retreat(OfArms):
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
         """Yield straight retreats."""
         scene = tools.scene(start, touching=self.arms)
-        tips = {arm: T for arm, T in tools.tips(start.q).items() if arm in self.arms}
+        poses = zip(SIDES, tools.planner.kinematics.tcp_poses(start.q), strict=True)
+        tips = {arm: T for arm, T in poses if arm in self.arms}
         for share in _SHORTER:
             height = share * PHASES["retreat"].rise_m
             label = f"by {100 * height:.0f} cm"
@@ -135,43 +128,30 @@ class Retreat(OfArms):
 
 
 class Home(OfArms):
-    """Free motion of some arms and what they hold to `q` (n,), by default home."""
-
-    def __init__(self, name: str, arms: Sequence[str], q: Array | None = None) -> None:
-        super().__init__(name, arms)
-        self._q = None if q is None else check_joints(q, f"the configuration of stage '{name}'")
+    """Free motion of some arms, and what they hold, to their home."""
 
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
         """Yield the planned motion."""
-        if len(start.held_by) == 2:
-            yield Failure("closed_chain", "both hands hold the object; a free motion would tear it from them")
-            return
-        q, goal = start.q.copy(), tools.robot.home if self._q is None else self._q
+        _require_open_chain(start)
+        q = start.q.copy()
         for arm in self.arms:
             joints = tools.robot.groups[f"{arm}_arm"]
-            q[joints] = goal[joints]
+            q[joints] = tools.robot.home[joints]
         scene = tools.scene(start)
-        try:
-            plan = tools.planner.plan_to_joints(group_of(self.arms), start.q, q, scene=scene, seed=tools.seed)
-        except PlanningError as error:
-            yield failure(error)
-            return
+        plan = tools.planner.plan_to_joints(group_of(self.arms), start.q, q, scene=scene, seed=tools.seed)
         segment = Segment("home", plan.trajectory, start.openings, scene, plan.verification)
         yield Candidate("", 0.0, replace(start, q=plan.trajectory.q[-1]), (segment,))
 
 
-def straight(tools: Tools, phase: str, state: State, targets: Mapping[str, Array], scene: PlanningScene) -> Segment:
-    """Return the proven straight motion of hands to {arm: T_world_tcp (4, 4)}.
+def _require_open_chain(start: State) -> None:
+    if len(start.held_by) == len(SIDES):
+        raise Failure("closed_chain", "both hands hold the object; a free motion would tear it from them")
 
-    Raises:
-        PlanningError: It is blocked.
-    """
-    limits = PHASES[phase].limits
-    tips = None if limits is None else TipLimits(limits.speed_m_per_s, limits.acceleration_m_per_s2)
-    engines = tools.planner.engines(scene)
-    move = tools.linear.plan(group_of(targets), state.q, targets, engines, fraction_min=1.0, tip_limits=tips)
-    if move.trajectory is None:
-        raise PlanningError("there is no straight move")
+
+def straight(tools: Tools, phase: str, state: State, targets: Mapping[str, Array], scene: PlanningScene) -> Segment:
+    """Return the proven straight motion of hands to {arm: T_world_tcp (4, 4)}, or raise PlanningError."""
+    engines, limits = tools.planner.engines(scene), PHASES[phase].limits
+    move = tools.linear.plan(group_of(targets), state.q, targets, engines, limits=limits)
     return Segment(phase, move.trajectory, state.openings, scene, move.verification)
 
 

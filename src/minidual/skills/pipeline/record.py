@@ -2,47 +2,35 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
-
-from minidual.skills.pipeline.stage import Failure
 
 _WIDTH = 220
 
 
 @dataclass
 class StageRecord:
-    """Counts of one stage; `failures` and `messages` (the first) are by reason."""
+    """Counts of one stage; `failures` holds the messages by reason."""
 
     name: str
-    tried_n: int = 0
     solved_n: int = 0
-    failures: Counter[str] = field(default_factory=Counter)
-    messages: dict[str, str] = field(default_factory=dict)
+    failures: dict[str, list[str]] = field(default_factory=dict)
     chosen: str | None = None
 
-    def failed(self, failure: Failure) -> None:
-        """Count a failure."""
-        self.tried_n += 1
-        self.failures[failure.reason] += 1
-        self.messages.setdefault(failure.reason, failure.message)
+    @property
+    def failed_n(self) -> int:
+        """Number of failed candidates."""
+        return sum(map(len, self.failures.values()))
 
-    def solved(self) -> None:
-        """Count a success."""
-        self.tried_n += 1
-        self.solved_n += 1
+    @property
+    def tried_n(self) -> int:
+        """Number of candidates."""
+        return self.solved_n + self.failed_n
 
-    def to_json(self) -> dict[str, Any]:
-        """Return JSON data."""
-        reasons = [{"reason": r, "count": n, "first": self.messages[r]} for r, n in self.failures.most_common()]
-        return {
-            "stage": self.name,
-            "tried_n": self.tried_n,
-            "solved_n": self.solved_n,
-            "chosen": self.chosen,
-            "failures": reasons,
-        }
+    def reasons(self) -> list[dict[str, Any]]:
+        """Return reasons with their count and first message, the most frequent first."""
+        found = [{"reason": reason, "count": len(m), "first": m[0]} for reason, m in self.failures.items()]
+        return sorted(found, key=lambda entry: -entry["count"])
 
 
 @dataclass
@@ -55,24 +43,25 @@ class Record:
 
     def deepest(self) -> StageRecord | None:
         """Return the stage with most failures among those without success."""
-        stuck = [s for s in self.stages if s.tried_n > 0 and s.solved_n == 0]
-        return max(stuck, key=lambda s: sum(s.failures.values()), default=None)
+        return max((s for s in self.stages if s.failures and not s.solved_n), key=lambda s: s.failed_n, default=None)
 
     def tree(self, title: str) -> str:
         """Return a text tree."""
-        head = f"{title}: {self.ended or 'solved'} ({self.took_s:.2f} s)"
-        lines = [head]
-        for index, stage in enumerate(self.stages):
-            last = index == len(self.stages) - 1
+        lines = [f"{title}: {self.ended or 'solved'} ({self.took_s:.2f} s)"]
+        for stage in self.stages:
+            branch, below = ("└─", "   ") if stage is self.stages[-1] else ("├─", "│  ")
             chosen = f"  -> {stage.chosen}" if stage.chosen else ""
-            counts = "not reached" if stage.tried_n == 0 else f"{stage.solved_n} of {stage.tried_n}"
-            lines.append(f"{'└─' if last else '├─'} {stage.name:14s} {counts}{chosen}")
-            for reason, count in stage.failures.most_common():
-                text = f"{count} x {reason}: {stage.messages[reason]}"
-                text = text if len(text) <= _WIDTH else f"{text[: _WIDTH - 3]}..."
-                lines.append(f"{'   ' if last else '│  '}    {text}")
+            counts = f"{stage.solved_n} of {stage.tried_n}" if stage.tried_n else "not reached"
+            lines.append(f"{branch} {stage.name:14s} {counts}{chosen}")
+            for entry in stage.reasons():
+                text = f"{entry['count']} x {entry['reason']}: {entry['first']}"
+                lines.append(f"{below}    {text if len(text) <= _WIDTH else text[: _WIDTH - 3] + '...'}")
         return "\n".join(lines)
 
     def to_json(self) -> dict[str, Any]:
         """Return JSON data."""
-        return {"took_s": self.took_s, "ended": self.ended, "stages": [stage.to_json() for stage in self.stages]}
+        stages = [
+            {"stage": s.name, "tried_n": s.tried_n, "solved_n": s.solved_n, "chosen": s.chosen, "failures": s.reasons()}
+            for s in self.stages
+        ]
+        return {"took_s": self.took_s, "ended": self.ended, "stages": stages}

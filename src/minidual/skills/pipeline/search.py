@@ -21,14 +21,15 @@ class TaskFailedError(PlanningError):
     reason = "task_failed"
 
     def __init__(self, name: str, record: Record) -> None:
-        stuck = record.deepest()
-        where = f"'{stuck.name}' stops it" if stuck is not None else "no stage stops it alone"
+        blocking = record.deepest()
+        where = "no stage stops it alone" if blocking is None else f"'{blocking.name}' stops it"
         super().__init__(
             f"the task '{name}' failed; {where}\n{record.tree(name)}",
             remedy="offer more grasps or places, make room in the scene, or move start or goal",
         )
         self.record = record
-        self.summary = where if stuck is None else f"{where}: {'; '.join(stuck.messages.values())}"
+        messages = [] if blocking is None else ["; ".join(m[0] for m in blocking.failures.values())]
+        self.summary = ": ".join([where, *messages])
         """One line: the blocking stage and its messages."""
 
 
@@ -85,38 +86,42 @@ class Pipeline:
             TaskFailedError: All candidates failed, or a limit was reached.
         """
         record = Record([StageRecord(stage.name) for stage in self.stages])
-        began = time.perf_counter()
-        ticket = itertools.count()
-        root = _Node((), 0.0, self.stages[0].offers(start, tools))
-        heap: list[tuple[float, int, int, _Node]] = [(0.0, 0, next(ticket), root)]
-        tries = 0
+        began, ticket, tries = time.perf_counter(), itertools.count(), 0
+        heap: list[tuple[float, int, int, _Node]] = []
+
+        def push(node: _Node) -> None:
+            heapq.heappush(heap, (node.cost, -len(node.done), next(ticket), node))
+
+        push(_Node((), 0.0, self.stages[0].offers(start, tools)))
         while heap:
             record.took_s = time.perf_counter() - began
             if record.took_s > budget_s or tries >= tries_max:
                 record.ended = f"gave up after {tries} candidates and {record.took_s:.1f} s"
                 break
-            _, _, _, node = heapq.heappop(heap)
-            offer = next(node.offers, None)
+            node = heapq.heappop(heap)[-1]
+            stage = record.stages[len(node.done)]
+            try:
+                offer = next(node.offers, None)
+                if isinstance(offer, Candidate) and tools.gap is not None:
+                    tools.gap.check(offer.segments)
+            except PlanningError as error:
+                offer = Failure(error.reason, error.message)
             if offer is None:
                 continue
             tries += 1
-            depth = len(node.done)
-            if tools.gap is not None and isinstance(offer, Candidate):
-                offer = tools.gap.failure(offer.segments) or offer
             if isinstance(offer, Failure):
-                record.stages[depth].failed(offer)
-                heapq.heappush(heap, (node.cost, -depth, next(ticket), node))
+                stage.failures.setdefault(offer.reason, []).append(offer.message)
+                push(node)
                 continue
-            record.stages[depth].solved()
+            stage.solved_n += 1
             done = (*node.done, offer)
             total = sum(candidate.cost for candidate in done)
             node.cost = max(node.cost, total)  # later offers of a stage are assumed to cost no less
-            heapq.heappush(heap, (node.cost, -depth, next(ticket), node))
+            push(node)
             if len(done) == len(self.stages):
                 record.took_s = time.perf_counter() - began
                 return _solution(start, done, record, total)
-            child = _Node(done, total, self.stages[depth + 1].offers(offer.end, tools))
-            heapq.heappush(heap, (total, -depth - 1, next(ticket), child))
+            push(_Node(done, total, self.stages[len(done)].offers(offer.end, tools)))
         record.took_s = time.perf_counter() - began
         record.ended = record.ended or "no way through"
         raise TaskFailedError(self.name, record)

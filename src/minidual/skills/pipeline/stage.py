@@ -5,34 +5,26 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from minidual.collision.errors import PlanningError
 from minidual.collision.scene import PlanningScene
 from minidual.motion.api import Planner
-from minidual.motion.held.planner import HeldPlanner
+from minidual.motion.held.planner import HeldPlanner, placed, scene_holding
 from minidual.motion.linear import LinearPlanner
-from minidual.robot.pair import SIDES, Array, Robot
-from minidual.robot.trajectory import Trajectory
-from minidual.skills.pipeline.state import Segment, State, Thing, scene_of
+from minidual.robot.pair import SIDES, Array
+from minidual.skills.pipeline.state import Segment, State, Thing
 
 _GAP_STEP_S = 0.005
 
 
-class NotFreeError(PlanningError):
-    """A timed motion fails its proof."""
-
-    reason = "not_free"
-
-
-@dataclass(frozen=True)
-class Failure:
+class Failure(PlanningError):
     """A failed candidate: `reason` to count by, `message` with details."""
 
-    reason: str
-    message: str
+    def __init__(self, reason: str, message: str) -> None:
+        super().__init__(message)
+        self.reason = reason
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,66 +48,47 @@ class Gap:
     distance: Callable[[Array], tuple[str, float]]
     least_m: float
 
-    def failure(self, segments: Iterable[Segment]) -> Failure | None:
-        """Return the failure of moving segments, sampled every 5 ms."""
+    def check(self, segments: Iterable[Segment]) -> None:
+        """Check moving segments every 5 ms.
+
+        Raises:
+            Failure: The arms come closer.
+        """
         found: list[tuple[float, str]] = []
         for motion in (s.trajectory for s in segments if s.verification is not None):
             for q in motion.sample_many(np.arange(0.0, motion.duration_s + _GAP_STEP_S, _GAP_STEP_S, dtype=float))[0]:
                 pair, gap = self.distance(q)
                 found.append((gap, pair))
         gap, pair = min(found, default=(np.inf, ""))
-        if gap >= self.least_m:
-            return None
-        return Failure("arms_too_close", f"{pair} come to {1e3 * gap:.1f} mm; they must keep {1e3 * self.least_m:.0f}")
+        if gap < self.least_m:
+            keep = f"they must keep {1e3 * self.least_m:.0f}"
+            raise Failure("arms_too_close", f"{pair} come to {1e3 * gap:.1f} mm; {keep}")
 
 
-@dataclass
 class Tools:
     """Planners and scene of a search; `around` holds the other obstacles."""
 
-    around: PlanningScene
-    thing: Thing
-    planner: Planner
-    seed: int = 0
-    gap: Gap | None = None
-
-    @cached_property
-    def linear(self) -> LinearPlanner:
-        """Straight hand motions."""
-        return LinearPlanner(kinematics=self.planner.kinematics)
-
-    @cached_property
-    def holder(self) -> HeldPlanner:
-        """Motions of an object in both hands."""
-        return HeldPlanner(self.planner)
-
-    @property
-    def robot(self) -> Robot:
-        """The arms."""
-        return self.planner.robot
+    def __init__(
+        self, around: PlanningScene, thing: Thing, planner: Planner, seed: int = 0, gap: Gap | None = None
+    ) -> None:
+        self.around, self.thing, self.planner, self.seed, self.gap = around, thing, planner, seed, gap
+        self.robot = planner.robot
+        self.linear = LinearPlanner(kinematics=planner.kinematics)
+        self.holder = HeldPlanner(planner)
 
     def scene(self, state: State, *, touching: Iterable[str] = (), resting: bool = False) -> PlanningScene:
-        """Return a state's planning scene; see `scene_of`."""
-        return scene_of(self.robot, self.around, self.thing, state, touching=touching, resting=resting)
+        """Return the planning scene: the object is an obstacle, or attached to its first holder.
 
-    def rng(self, *key: int) -> np.random.Generator:
-        """Return the generator of a purpose."""
-        return np.random.default_rng([self.seed, *key])
-
-    def tips(self, q: Array) -> dict[str, Array]:
-        """Return {arm: T_world_tcp (4, 4)} of a posture (n,)."""
-        return dict(zip(SIDES, self.planner.kinematics.tcp_poses(q), strict=True))
-
-    def proven(self, phase: str, motion: Trajectory, state: State, scene: PlanningScene, **more: Array) -> Segment:
-        """Verify a motion and return its segment.
-
-        Raises:
-            NotFreeError: The proof failed.
+        Hands of the arms `touching` may touch the object; `resting` lets it touch what it rests on.
         """
-        proof = self.planner.engines(scene).verifier.verify(motion)
-        if not proof.ok:
-            raise NotFreeError(f"the path is not free: {proof.reason}")
-        return Segment(phase, motion, state.openings, scene, proof, **more)
+        shape = self.thing.shape
+        if state.held_by:
+            rests_on = self.thing.rests_on if resting else ()
+            return scene_holding(self.around, shape, state.held_by, rests_on=rests_on, touching=touching)
+        scene = self.around.with_obstacles(placed(shape, state.T_world_object))
+        for link in (link for arm in touching for link in self.robot.hand_links(arm)):
+            scene = scene.allowing(shape.name, link, "the hand is at the object to hold it or let it go")
+        return scene
 
 
 class Stage(ABC):
@@ -126,12 +99,16 @@ class Stage(ABC):
 
     @abstractmethod
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
-        """Yield candidates from `start`, preferred first, and failures."""
+        """Yield candidates from `start`, preferred first, and failures.
+
+        Raises:
+            PlanningError: A failure, after which nothing more is offered.
+        """
 
 
-def failure(error: PlanningError, label: str = "") -> Failure:
-    """Convert a planner error to a failure."""
-    return Failure(error.reason, f"{label}: {error.message}" if label else error.message)
+def failure(error: PlanningError, label: str) -> Failure:
+    """Convert a planner error to the failure of a labelled candidate."""
+    return Failure(error.reason, f"{label}: {error.message}")
 
 
 def group_of(arms: Iterable[str]) -> str:

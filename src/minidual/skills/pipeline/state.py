@@ -6,13 +6,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import pinocchio as pin
 
-from minidual.collision.scene import Attached, PlanningScene
+from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Shape
+from minidual.motion.timing import resting
 from minidual.proof.verify import Verification
-from minidual.robot.pair import SIDES, Array, Robot
-from minidual.robot.poses import inverse
+from minidual.robot.pair import SIDES, Array
 from minidual.robot.trajectory import Trajectory
 
 OPEN, CLOSED = 1.0, 0.0
@@ -49,7 +48,6 @@ class Segment:
     Attributes:
         scene: Scene of the proof; None without motion.
         verification: The proof; None without motion.
-        Ts_world_object: Planned poses (k, 4, 4) if both hands hold the object.
     """
 
     phase: str
@@ -57,7 +55,6 @@ class Segment:
     openings: tuple[float, float]
     scene: PlanningScene | None = None
     verification: Verification | None = None
-    Ts_world_object: Array | None = None
 
     @property
     def duration_s(self) -> float:
@@ -75,46 +72,7 @@ class Thing:
 
 def still(phase: str, q: Array, duration_s: float, openings: tuple[float, float]) -> Segment:
     """Return a segment that holds the arms at q (n,)."""
-    rest = np.zeros((2, len(q)))
-    times = np.array([0.0, duration_s])
-    return Segment(phase, Trajectory(times, np.array([q, q]), rest, rest.copy(), "both_arms"), openings)
-
-
-def placed(shape: Shape, T: Array) -> Shape:
-    """Return a shape transformed by T (4, 4)."""
-    T_shape = T @ shape.T_parent_shape
-    quat = pin.Quaternion(T_shape[:3, :3]).normalized()
-    x, y, z = (float(v) for v in T_shape[:3, 3])
-    return replace(shape, position_m=(x, y, z), quat_wxyz=(float(quat.w), float(quat.x), float(quat.y), float(quat.z)))
-
-
-def scene_of(
-    robot: Robot,
-    around: PlanningScene,
-    thing: Thing,
-    state: State,
-    *,
-    touching: Iterable[str] = (),
-    resting: bool = False,
-) -> PlanningScene:
-    """Return the planning scene: the object is an obstacle, or attached to its first holder.
-
-    Hands of the arms `touching` may touch the object; `resting` lets it touch what it rests on.
-    """
-    name = thing.shape.name
-    links = [link for arm in touching for link in robot.hand_links(arm)]
-    if state.held_by:
-        first = next(iter(state.held_by))
-        shape = placed(thing.shape, inverse(state.held_by[first]))
-        holding = [link for arm in state.held_by for link in robot.hand_links(arm)]
-        scene = around.with_attached(Attached(shape, f"{first}_{robot.hand.tcp_link}", (*holding, *links)))
-        for obstacle in thing.rests_on if resting else ():
-            scene = scene.allowing(name, obstacle, "the object is lifted off it or put down on it")
-        return scene
-    scene = around.with_obstacles(placed(thing.shape, state.T_world_object))
-    for link in links:
-        scene = scene.allowing(name, link, "the hand is at the object to hold it or let it go")
-    return scene
+    return Segment(phase, resting(q, duration_s, "both_arms"), openings)
 
 
 def moved(T: Array, shift_m: Array) -> Array:

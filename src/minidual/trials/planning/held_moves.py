@@ -24,7 +24,7 @@ from minidual.motion.held.planner import HeldPlanner, HeldQuery, scene_holding
 from minidual.motion.held.search import HeldSpace, search_object
 from minidual.proof.scene_engines import SceneEngines
 from minidual.robot.arms import DUAL_PANDA
-from minidual.robot.pair import Array, Robot
+from minidual.robot.pair import SIDES, Array, Robot
 from minidual.robot.poses import pose, rot_x, rot_z
 from minidual.skills.cycle import thing_of
 from minidual.tasks.rod_carry import grasp_offsets
@@ -103,7 +103,7 @@ class HeldMoveGenerator:
             scene = scene_holding(
                 PlanningScene(obstacles=(TABLE, *obstacles), robot=self._robot),
                 self._shape,
-                self._grasps[0],
+                dict(zip(SIDES, self._grasps, strict=True)),
                 rests_on=rests_on,
             )
             engines = SceneEngines(scene)
@@ -172,10 +172,10 @@ class HeldMoveGenerator:
         return None
 
     def _blocked(self, engine: MujocoEngine, start: tuple[Array, Array], T_goal: Array) -> bool:
-        path = ObjectPath([start[0], T_goal])
+        path = ObjectPath.through([start[0], T_goal])
         marks = np.linspace(0.0, path.length, max(8, int(path.length / 0.01)), dtype=np.float64)
-        Q, stuck = self._hands.follow(path.poses(marks), start[1])
-        return stuck is not None or bool(engine.collisions(Q).any())
+        Q, ended = self._hands.follow(path.poses(marks), start[1])
+        return ended is not None or bool(engine.collisions(Q).any())
 
     def _witness(
         self,
