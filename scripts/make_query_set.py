@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from minidual.config.seeds import stream, subseed
 from minidual.motion.edges import EdgeChecker
 from minidual.motion.search import search
 from minidual.motion.shortcut import shortcut
@@ -39,13 +40,13 @@ def find_way(query: Query) -> Array | None:
             query.q_start,
             query.q_goal,
             ROBOT.groups[query.group],
-            seed=query.seed + 1000 + attempt,
+            seed=subseed(query.seed, "witness/search", attempt),
             checks_max=_CHECKS_N,
             deadline=time.perf_counter() + _DEADLINE_S,
         )
         if path is None:
             continue
-        path = shortcut(path, checker, np.random.default_rng([query.seed, attempt]), 60)
+        path = shortcut(path, checker, stream(query.seed, "witness/shortcut", attempt), 60)
         path = stored(path)
         if is_free(path, engines):
             return path

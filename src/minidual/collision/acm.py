@@ -30,6 +30,7 @@ import numpy as np
 
 from minidual.collision.allowed import AllowedCollisions
 from minidual.collision.engine import ENGINES, Pairs
+from minidual.config.seeds import stream
 from minidual.durable import write_text
 from minidual.robot.description import links_of, pair_urdf
 from minidual.robot.pair import SIDES, Robot
@@ -120,7 +121,7 @@ def build_acm(robot: Robot, samples_min: int = SAMPLES_MIN, samples_max: int = S
     engine: Any = ENGINES["mujoco"](Pairs(robot, tuple(pairs)))  # MuJoCo alone reports which pairs touch
     at_home = {by_set[pair] for pair in engine.touching_pairs(robot.home)}
     own = robot.groups[f"{SIDES[0]}_arm"]
-    rng = np.random.default_rng(_SEED)
+    rng = stream(_SEED, "allowed-collisions")
     counts = dict.fromkeys(pairs, 0)
     rounds: list[dict[str, Any]] = []
     classes: dict[tuple[str, str], str] = {}

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from minidual.config.planning import HeldMovesConfig, PlanConfig
+from minidual.config.seeds import subseed
 from minidual.gate.check import Check
 from minidual.gate.stage import StageContext
 from minidual.motion.held.hands import RESIDUAL_MAX_M, RESIDUAL_MAX_RAD
@@ -21,9 +22,6 @@ from minidual.show.watch import watched
 from minidual.skills.held_execution import Execution, execute
 from minidual.trials.planning.evaluate import write_rows
 from minidual.trials.planning.evaluate_carries import MoveOutcome, run_moves, table_plans
-
-_SEED_OFFSETS = {"first": 0, "second": 7919}
-_DRIVEN_SEED_OFFSET = 104_729
 
 
 @dataclass(frozen=True)
@@ -66,10 +64,10 @@ def run_held(context: StageContext) -> HeldResults:
     plan, scene, seed = context.config.plan, context.config.scene, context.seed
     held, outcomes, executions, robot = plan.held, {}, [], robot_from(context.config.robot)
     with context.progress.task("held moves", 2 * held.moves_n + held.executed_n) as task:
-        for name, offset in _SEED_OFFSETS.items():
-            outcomes[name] = run_moves(plan, scene, seed + offset, lambda _, name=name: task.advance(note=name), robot)
+        for name, own in {"first": seed, "second": subseed(seed, "held-move/second")}.items():
+            outcomes[name] = run_moves(plan, scene, own, lambda _, name=name: task.advance(note=name), robot)
         world = World(scene, robot=robot)
-        driven, undriven = table_plans(plan, scene, held.executed_n, seed + _DRIVEN_SEED_OFFSET, robot)
+        driven, undriven = table_plans(plan, scene, held.executed_n, seed, robot)
         words = Overlay(title="plan, held-object move", mode="joint", source="plan")
         for trajectory in driven:
             with watched(context.view, world, lambda: words):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from minidual.config.seeds import stream
+from minidual.config.seeds import stream, subseed
 from minidual.motion.api import Planner
 from minidual.plant.sensing import Sensors
 from minidual.plant.world import World
@@ -43,7 +43,7 @@ def planned(inputs: MethodInputs) -> Factory:
             planner,
             task,
             trial,
-            inputs.seed + trial.index,
+            subseed(inputs.seed, f"planner/{trial.purpose}", trial.index),
             config.arbiter,
             T_world_object=seen.T_world_object,
             supervisor=supervisor,

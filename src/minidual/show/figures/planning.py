@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from minidual.config.seeds import stream
 from minidual.motion.result import PHASES
 from minidual.show.figures.canvas import INK, LIMIT, new_figure
 from minidual.trials.planning.evaluate import Outcome
@@ -22,7 +23,7 @@ def write_times(
     groups = list(outcomes)
     for row, (group, done) in enumerate(outcomes.items()):
         solved, failed = (1e3 * np.array([o.total_s for o in done if o.ok is ok]) for ok in (True, False))
-        jitter = np.random.default_rng(row).uniform(-0.18, 0.18, len(solved))
+        jitter = stream(0, "figure/jitter", row).uniform(-0.18, 0.18, len(solved))
         spread.plot(solved, row + jitter, "o", ms=5, alpha=0.6, mew=0)
         spread.plot(failed, np.full(len(failed), row), "x", ms=8, color=LIMIT)
         ends = [row - 0.3, row + 0.3]

@@ -13,6 +13,7 @@ import numpy as np
 from minidual.collision.errors import PlanningError
 from minidual.collision.scene import PlanningScene
 from minidual.config.planning import PlanConfig
+from minidual.config.seeds import stream
 from minidual.motion.api import Planner
 from minidual.motion.result import PHASES, PlanResult
 from minidual.motion.shortcut import path_length
@@ -162,7 +163,7 @@ def engine_agreement(scene: PlanningScene, states_n: int, seed: int) -> float:
     planner = Planner(scene)
     engine, robot = planner.engines().verifier.engine, planner.robot
     lower, upper = robot.q_lower, robot.q_upper
-    rng = np.random.default_rng([seed, 11])
+    rng = stream(seed, "plan/engine-agreement")
     half = states_n // 2
     uniform = rng.uniform(lower, upper, (half, robot.dof))
     near_home = robot.home + rng.uniform(-0.8, 0.8, (states_n - half, robot.dof))

@@ -13,6 +13,7 @@ from minidual.collision.errors import PlanningError
 from minidual.config.planning import PlanConfig
 from minidual.config.root import Config
 from minidual.config.scene import SceneConfig
+from minidual.config.seeds import subseed
 from minidual.motion.api import Planner
 from minidual.motion.held.hands import HandsIK
 from minidual.motion.held.path import CarriedTrajectory
@@ -121,7 +122,7 @@ def run_moves(
     generator = HeldMoveGenerator(seed, scene, robot)
     # Warm up imports and compilation, so that the first move is not charged for them.
     with suppress(PlanningError):
-        planner.plan(HeldMoveGenerator(seed + 1, scene, robot).move(0).query)
+        planner.plan(HeldMoveGenerator(subseed(seed, "held-move/warm-up"), scene, robot).move(0).query)
     outcomes = []
     for index in range(config.held.moves_n):
         outcomes.append(plan_move(planner, generator.move(index)))
@@ -156,7 +157,9 @@ def failed_carries(
         trial = task.trial(seed, "plan", k)
         start = State(robot.home, pose_of(body, trial.start[body.name]))
         try:
-            pipeline_of(task, trial).solve(start, Tools(around(scene, robot), thing_of(body), planner, seed + k))
+            pipeline_of(task, trial).solve(
+                start, Tools(around(scene, robot), thing_of(body), planner, subseed(seed, "planner/plan", k))
+            )
         except TaskFailedError as error:
             failures.append(f"carry {k}: {error.summary}")
     return failures

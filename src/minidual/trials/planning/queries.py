@@ -18,6 +18,7 @@ from minidual.collision.errors import PlanningError
 from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import TABLE, PlanningScene
 from minidual.collision.shapes import Box, Cylinder, Shape
+from minidual.config.seeds import stored_stream
 from minidual.motion.goals import group_arms
 from minidual.motion.ik import ArmIK
 from minidual.robot.arms import DUAL_PANDA
@@ -117,7 +118,7 @@ class QueryGenerator:
         arms = group_arms(group)
         kind = self.kind(group, index)
         scene = scene_of(self._seed, group, index, attempt, self._obstacles_n, self._robot)
-        rng = np.random.default_rng([self._seed, list(DUAL_PANDA.groups).index(group), index, attempt, 1])
+        rng = stored_stream(self._seed, list(DUAL_PANDA.groups).index(group), index, attempt, 1)
         engine = MujocoEngine(cast(Checked, scene))
         crossed_at_goal = bool(rng.integers(2))
         for _ in range(_PAIRS_TRIES_N):
@@ -224,7 +225,7 @@ def scene_of(
     seed: int, group: str, index: int, attempt: int, obstacles_n: int, robot: Robot = DUAL_PANDA
 ) -> PlanningScene:
     """Return the scene of one attempt."""
-    rng = np.random.default_rng([seed, list(DUAL_PANDA.groups).index(group), index, attempt, 0])
+    rng = stored_stream(seed, list(DUAL_PANDA.groups).index(group), index, attempt, 0)
     return PlanningScene(obstacles=(TABLE, *random_obstacles(rng, obstacles_n, robot)), robot=robot)
 
 
