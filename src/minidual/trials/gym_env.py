@@ -23,7 +23,6 @@ from minidual.plant.render import Camera, Image
 from minidual.plant.world import SimulationDivergedError, World
 from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array
 from minidual.tasks.judge import Judge, begin
 from minidual.tasks.rod_carry import level_part, placement
 from minidual.tasks.task import TASKS, Trial, make_task
@@ -33,6 +32,8 @@ CONTROL_HZ = 50
 
 _OVERTRAVEL_RAD = 0.1
 """A collision may push joints beyond their limits."""
+_FAR = np.array([10.0, 10.0, 10.0, 1.0, 1.0, 1.0, 1.0], dtype=np.float32)
+"""Bounds of an object's position [m] and quaternion."""
 _FALLEN_M = -0.1
 """An object below this height has left the table."""
 
@@ -88,10 +89,8 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise unknown_name("render mode", render_mode, self.metadata["render_modes"])
         self._task = make_task(Config(task=task) if scene is None else Config(task=task, scene=scene))
-        self.scene = self._task.scene
-        self.render_mode = render_mode
-        self._images = tuple(images)
-        self._object_pose = object_pose
+        self.scene, self.render_mode = self._task.scene, render_mode
+        self._images, self._object_pose = tuple(images), object_pose
         self._render_size = (render_width_px, render_height_px)
         robot = robot_from(self._task.config.robot)
         self._world = World(self.scene, robot, visuals=bool(images) or render_mode is not None)
@@ -102,28 +101,17 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self._render_camera: Camera | None = None
         self._judge: Judge | None = None
         self._potential = 0.0
-        self._actions = self.action_space = spaces.Box(
-            np.r_[robot.q_lower, 0.0, 0.0].astype(np.float32), np.r_[robot.q_upper, 1.0, 1.0].astype(np.float32)
-        )
-        self._observations = self.observation_space = self._make_observation_space()
-
-    @property
-    def world(self) -> World:
-        """The world."""
-        return self._world
-
-    def _make_observation_space(self) -> spaces.Dict:
-        robot = self._world.robot
-        low = np.r_[robot.q_lower - _OVERTRAVEL_RAD, -0.1, -0.1].astype(np.float32)
-        high = np.r_[robot.q_upper + _OVERTRAVEL_RAD, 1.1, 1.1].astype(np.float32)
-        members: dict[str, spaces.Space[Any]] = {"state": spaces.Box(low, high)}
-        if self._object_pose:
-            bound = np.array([10.0, 10.0, 10.0, 1.0, 1.0, 1.0, 1.0], dtype=np.float32)
-            members["object"] = spaces.Box(-bound, bound)
-        if self._images:
+        low, high = np.r_[robot.q_lower, 0.0, 0.0], np.r_[robot.q_upper, 1.0, 1.0]
+        self._actions = self.action_space = spaces.Box(low.astype(np.float32), high.astype(np.float32))
+        beyond = np.r_[np.full(robot.dof, _OVERTRAVEL_RAD), 0.1, 0.1]
+        self._states = spaces.Box((low - beyond).astype(np.float32), (high + beyond).astype(np.float32))
+        members: dict[str, spaces.Space[Any]] = {"state": self._states}
+        if object_pose:
+            members["object"] = spaces.Box(-_FAR, _FAR)
+        if images:
             shape = (self.scene.camera.height_px, self.scene.camera.width_px, 3)
-            members["images"] = spaces.Dict({name: spaces.Box(0, 255, shape, dtype=np.uint8) for name in self._images})
-        return spaces.Dict(members)
+            members["images"] = spaces.Dict({name: spaces.Box(0, 255, shape, dtype=np.uint8) for name in images})
+        self.observation_space = spaces.Dict(members)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -135,17 +123,14 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         """
         super().reset(seed=seed)
         options = options or {}
-        for name in options:
-            if name != "trial":
-                raise unknown_name("option", name, ["trial"])
-        trial = options.get("trial")
-        if trial is None:
-            trial = self._task.trial(int(self.np_random.integers(2**62)), "gym", 0)
-        elif not isinstance(trial, Trial):
+        for name in options.keys() - {"trial"}:
+            raise unknown_name("option", name, ["trial"])
+        trial = options.get("trial") or self._task.trial(int(self.np_random.integers(2**62)), "gym", 0)
+        if not isinstance(trial, Trial):
             raise UsageError(f"options['trial'] is a {type(trial).__name__}; it must be a Trial")
         self._judge = begin(self._world, self._task, trial)
         self._loop.reset()
-        self._potential = self._measure_potential()
+        self._potential = self._measure_potential(trial)
         return self._observe(), {"trial": trial}
 
     def step(self, action: npt.NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -159,10 +144,8 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
             raise UsageError("the environment was stepped before it was reset", remedy="call env.reset() first")
         wanted = np.asarray(action, dtype=float)
         if wanted.shape != self.action_space.shape or not np.isfinite(wanted).all():
-            raise UsageError(
-                f"an action is {self.action_space.shape} finite numbers; this one has shape {wanted.shape}"
-                + ("" if np.isfinite(wanted).all() else " and is not finite")
-            )
+            finite = np.count_nonzero(np.isfinite(wanted))
+            raise UsageError(f"an action is {self.action_space.shape} finite numbers; {wanted.shape} has {finite}")
         wanted = np.clip(wanted, self._actions.low, self._actions.high)
         diverged = False
         try:
@@ -177,54 +160,44 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         fallen = bool(self._world.object_pose(self._task.carried)[2, 3] < _FALLEN_M)
         terminated = diverged or fallen or judge.finished
         truncated = not terminated and self._world.time >= self.scene.task.time_limit_s - 1e-9
-        reward = float(success)
-        if not diverged:
-            potential = self._measure_potential()
-            reward += potential - self._potential
-            self._potential = potential
+        potential = self._potential if diverged else self._measure_potential(judge.trial)
+        reward = float(success) + (potential - self._potential)
+        self._potential = potential
         info: dict[str, Any] = {"success": success, "trial": judge.trial, "time_s": self._world.time}
         if terminated or truncated:
             info["outcome"], info["stages"] = outcome, judge.stages
             info["faults"] = ("diverged",) if diverged else tuple(fault.name for fault in outcome.faults)
         return self._observe(), reward, terminated, truncated, info
 
-    def _measure_potential(self) -> float:
-        assert self._judge is not None
+    def _measure_potential(self, trial: Trial) -> float:
         name = self._task.carried
         T = self._world.object_pose(name)
         level, grasps = level_part(T), self._task.objects[name].grasps
         tcps = dict(zip(self._world.robot.sides, self._kinematics.tcp_poses(self._world.q), strict=True))
         hands = [float(np.linalg.norm((level @ grasps[side])[:3, 3] - tcps[side][:3, 3])) for side in grasps]
-        x, y, _ = placement(self._judge.trial.goal[name])
+        x, y, _ = placement(trial.goal[name])
         goal = float(np.linalg.norm(T[:3, 3] - (x, y, self.scene.objects[name].rest_height_m)))
         return -(sum(hands) / len(hands) + goal)
 
     def _observe(self) -> Observation:
         world = self._world
-        space = self._observations["state"]
-        assert isinstance(space, spaces.Box)
         state = np.concatenate([world.q, world.gripper]).astype(np.float32)
-        observation: Observation = {"state": np.clip(state, space.low, space.high)}
+        observation: Observation = {"state": np.clip(state, self._states.low, self._states.high)}
         if self._object_pose:
-            observation["object"] = self._pose().astype(np.float32)
+            body = world.data.body(self._task.carried)
+            pose = np.concatenate([body.xpos, body.xquat]).astype(np.float32)
+            observation["object"] = np.clip(pose, -_FAR, _FAR)
         if self._images:
-            if self._camera is None:
-                self._camera = Camera.recorded(world.model, self.scene.camera)
-            camera = self._camera
+            camera = self._camera = self._camera or Camera.recorded(world.model, self.scene.camera)
             observation["images"] = {name: camera.picture(world.data, name) for name in self._images}
         return observation
-
-    def _pose(self) -> Array:
-        body = self._world.data.body(self._task.carried)
-        return np.clip(np.concatenate([body.xpos, body.xquat]), -10.0, 10.0)
 
     def render(self) -> Image | None:  # type: ignore[override]
         """Return the overview image, or None without a render mode."""
         if self.render_mode is None:
             return None
-        if self._render_camera is None:
-            self._render_camera = Camera(self._world.model, *self._render_size)
-        return self._render_camera.picture(self._world.data, "overview")
+        camera = self._render_camera = self._render_camera or Camera(self._world.model, *self._render_size)
+        return camera.picture(self._world.data, "overview")
 
     def close(self) -> None:
         """Free the OpenGL contexts."""

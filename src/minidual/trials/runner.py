@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from minidual.config.seeds import stream
+from minidual.control.limits import SATURATED
 from minidual.control.object_impedance import SingularPostureError
 from minidual.errors import MinidualError
 from minidual.plant.model import build_model
@@ -31,8 +32,6 @@ from minidual.workers import in_workers
 LOG_RATE_HZ = 250
 SETTLED_S = 0.5
 """A trial ends this long after it is finished."""
-_SATURATED = 0.999
-"""Share of the limit from which a motor is saturated."""
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _BROKEN: dict[type[MinidualError], str] = {SimulationDivergedError: "diverged", SingularPostureError: "singular"}
 """Errors that end a trial, with the failure name."""
@@ -79,7 +78,6 @@ class TrialResult:
     """
 
     metrics: TrialMetrics
-    lifted: bool = True
     saturated_max_s: float = 0.0
     measured: Mapping[str, float] = field(default_factory=dict)
 
@@ -92,23 +90,6 @@ class TrialResult:
     def text(self) -> str:
         """The outcome as one line."""
         return self.metrics.text
-
-
-class _Motors:
-    """Peak torque ratio, longest saturation."""
-
-    def __init__(self, limit: Array) -> None:
-        self._limit, self.peak = limit, np.zeros(len(limit))
-        self._steps, self.longest = np.zeros(len(limit), dtype=int), 0
-        self._any = False
-
-    def observe(self, tau: Array) -> None:
-        ratio = np.abs(tau) / self._limit
-        np.maximum(self.peak, ratio, out=self.peak)
-        if ratio.max() >= _SATURATED or self._any:
-            self._steps = np.where(ratio >= _SATURATED, self._steps + 1, 0)
-            self.longest = max(self.longest, int(self._steps.max()))
-            self._any = bool(self._steps.any())
 
 
 class Bench:
@@ -157,7 +138,7 @@ class Bench:
         every = round(1.0 / (LOG_RATE_HZ * world.dt))
         seen = ObjectTruth(self.task.carried, self.task.scene.objects[self.task.carried])
         rows: list[tuple[Any, ...]] = []
-        motors = _Motors(world.robot.tau_max)
+        peak, saturated, longest = 0.0, np.zeros(world.robot.dof, dtype=int), 0
         finished_s, broken = 0.0, None
         last = np.empty(mujoco.mj_stateSize(world.model, _STATE))
         mujoco.mj_getState(world.model, world.data, last, _STATE)
@@ -172,7 +153,9 @@ class Bench:
                 break
             mujoco.mj_getState(world.model, world.data, last, _STATE)
             judge.observe(world)
-            motors.observe(world.tau)
+            ratio = np.abs(world.tau) / world.robot.tau_max
+            saturated = np.where(ratio >= SATURATED, saturated + 1, 0)
+            peak, longest = max(peak, float(ratio.max())), max(longest, int(saturated.max()))
             if step % every == 0:
                 rows.append(self._sample(seen, method.phase))
             if disturb is not None:
@@ -183,8 +166,7 @@ class Bench:
             if method.done or finished_s > SETTLED_S:
                 break
         *numbers, phases = zip(*rows, strict=True)
-        arrays: list[Any] = [np.array(column) for column in numbers]
-        log = TrialLog(*[*arrays, list(phases)])
+        log = TrialLog(*map(np.array, numbers), phase=list(phases))
         outcome = judge.outcome(world)
         if broken is not None:  # the cause comes before its consequences
             outcome = replace(outcome, success=False, faults=(broken, *outcome.faults))
@@ -195,12 +177,11 @@ class Bench:
             q=log.q,
             tcp_positions=log.tcp,
             rate_hz=LOG_RATE_HZ,
-            torque_ratio_max=float(motors.peak.max()),
+            torque_ratio_max=peak,
             condition=condition,
             aborted=method.aborted or "",
         )
-        lifted = outcome.rise_m > self.task.scene.task.clear_height_m
-        return TrialResult(metrics, lifted, motors.longest * world.dt, outcome.measured), log
+        return TrialResult(metrics, longest * world.dt, outcome.measured), log
 
     def _sample(self, seen: ObjectTruth, phase: str) -> tuple[Any, ...]:
         world, q = self.world, self.world.q
