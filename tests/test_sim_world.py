@@ -99,7 +99,7 @@ class TestReadings:
         world.truth().qpos[2] = 0.3
         mujoco.mj_forward(world.model, world.data)
         assert not world.on_table()
-        assert world.contact_count == 0
+        assert world.data.ncon == 0
 
 
 class TestContacts:

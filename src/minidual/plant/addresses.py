@@ -24,16 +24,6 @@ class JointAddresses:
     ctrl: IntArray
 
 
-def _require(table: dict[str, int], name: str, kind: str) -> int:
-    if name not in table:
-        known = ", ".join(sorted(table)[:8]) or "none at all"
-        raise UsageError(
-            f"the model has no {kind} for joint '{name}'; it has {len(table)}: {known}{' ...' if len(table) > 8 else ''}",
-            remedy="check the joint's prefix, and that an actuator's transmission drives it",
-        )
-    return table[name]
-
-
 def map_joints(model: mujoco.MjModel, names: Sequence[str], *, torque: bool) -> JointAddresses:
     """Return the addresses of `names`, in order, requiring torque motors (gear x gain = 1) or position servos.
 
@@ -45,17 +35,24 @@ def map_joints(model: mujoco.MjModel, names: Sequence[str], *, torque: bool) -> 
             "the model has no actuators (model.nu == 0): URDF joints do not become actuators by themselves",
             remedy="add one motor a joint to the MuJoCo model",
         )
-    qpos = {model.joint(i).name: int(model.jnt_qposadr[i]) for i in range(model.njnt)}
-    qvel = {model.joint(i).name: int(model.jnt_dofadr[i]) for i in range(model.njnt)}
-    ctrl: dict[str, int] = {}
-    for i in range(model.nu):
-        if int(model.actuator_trntype[i]) == int(mujoco.mjtTrn.mjTRN_JOINT):
-            ctrl[model.joint(int(model.actuator_trnid[i, 0])).name] = i
+    joints = {model.joint(i).name: i for i in range(model.njnt)}
+    by_joint = np.flatnonzero(model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT))
+    actuators = {model.joint(int(model.actuator_trnid[i, 0])).name: int(i) for i in by_joint}
+    for table, kind in ((joints, "position"), (actuators, "actuator")):
+        for name in names:
+            if name not in table:
+                known = ", ".join(sorted(table)[:8]) or "none at all"
+                raise UsageError(
+                    f"the model has no {kind} for joint '{name}'; it has {len(table)}: "
+                    f"{known}{' ...' if len(table) > 8 else ''}",
+                    remedy="check the joint's prefix, and that an actuator's transmission drives it",
+                )
+    index = np.array([joints[name] for name in names])
     addresses = JointAddresses(
-        names=tuple(names),
-        qpos=np.array([_require(qpos, n, "position") for n in names]),
-        qvel=np.array([_require(qvel, n, "velocity") for n in names]),
-        ctrl=np.array([_require(ctrl, n, "actuator") for n in names]),
+        tuple(names),
+        model.jnt_qposadr[index].astype(np.int64),
+        model.jnt_dofadr[index].astype(np.int64),
+        np.array([actuators[name] for name in names]),
     )
     for name, index in zip(names, addresses.ctrl, strict=True):
         is_servo = int(model.actuator_biastype[index]) != int(mujoco.mjtBias.mjBIAS_NONE)

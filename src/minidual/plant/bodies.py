@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import mujoco
 import numpy as np
 
@@ -11,18 +9,6 @@ from minidual.robot.pair import Array, Robot
 
 ObjectPose = Array | tuple[float, float, float]
 """(4, 4), or (x, y, yaw) [m, m, rad] resting on the table."""
-
-
-def object_names(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Return the free bodies' names, in model order."""
-    free = [i for i in range(model.njnt) if int(model.jnt_type[i]) == int(mujoco.mjtJoint.mjJNT_FREE)]
-    return tuple(model.body(int(model.jnt_bodyid[i])).name for i in free)
-
-
-def free_bodies(spec: mujoco.MjSpec) -> list[Any]:
-    """Return the free bodies of an editable model."""
-    free = int(mujoco.mjtJoint.mjJNT_FREE)
-    return [body for body in spec.bodies if any(int(joint.type) == free for joint in body.joints)]
 
 
 def contact_sensor(name: str, side: str, finger_link: str) -> str:
@@ -47,22 +33,16 @@ class NamedObject:
         self._forces = self._readings.reshape(2, 2, 3)  # arm, finger, force
         palms = [int(model.body(palm).id) for palm in robot.palm_names]
         self._hand_axes = [data.xmat[palm].reshape(3, 3)[:, 1] for palm in palms]  # finger axes
-        self._v, self._w = self.qvel[:3], self.qvel[3:]
-        self._twist, self._T = np.zeros(6), np.eye(4)
-        self._twist_v, self._twist_w = self._twist[:3], self._twist[3:]
-        self._T_rotation, self._T_position = self._T[:3, :3], self._T[:3, 3]
 
     def pose(self) -> Array:
         """Return the pose (4, 4) in the world."""
-        self._T_rotation[:] = self._R
-        self._T_position[:] = self._p
-        return self._T.copy()
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = self._R, self._p
+        return T
 
     def twist(self) -> Array:
         """Return the twist (6,) at the centre of mass, world axes."""
-        self._twist_v[:] = self._v
-        self._R.dot(self._w, self._twist_w)  # a free joint's angular velocity is in the body frame
-        return self._twist.copy()
+        return np.concatenate([self.qvel[:3], self._R.dot(self.qvel[3:])])  # MuJoCo: v in world axes, w in the body's
 
     def put(self, pose: ObjectPose) -> None:
         """Write a pose; the velocity is kept."""
@@ -80,12 +60,9 @@ class NamedObject:
 
     def pinch(self) -> Array:
         """Return each hand's pinch (2,) [N]: normal force of its weaker finger."""
-        pinches = []
-        for arm, axis in enumerate(self._hand_axes):
-            left, right = self._forces[arm].dot(axis).tolist()
-            # The left finger (+y) pushes along -y, the right one along +y.
-            pinches.append(max(0.0, min(-left, right)))
-        return np.array(pinches)
+        # The left finger (+y) pushes along -y, the right one along +y.
+        along = (self._forces[arm].dot(axis).tolist() for arm, axis in enumerate(self._hand_axes))
+        return np.array([max(0.0, min(-left, right)) for left, right in along])
 
     def internal_force(self) -> float:
         """Return the internal force along y [N]; the left hand is at the +y end.

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from minidual.config.scene import SceneConfig
-from minidual.plant.bodies import contact_sensor, free_bodies
+from minidual.plant.bodies import contact_sensor
 from minidual.plant.scenery import GROUP_VISUAL, SOLIMP, SOLREF, add_objects, add_surroundings
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.description import never_touching, pair_urdf
@@ -33,7 +33,7 @@ def build_spec(scene: SceneConfig, robot: Robot = DUAL_PANDA, *, visuals: bool =
     add_objects(spec, scene)
     _add_actuators(spec, scene, robot)
     _add_cameras(spec, robot)
-    _add_contact_sensors(spec, robot)
+    _add_contact_sensors(spec, scene, robot)
     return spec
 
 
@@ -145,11 +145,11 @@ def _add_cameras(spec: mujoco.MjSpec, robot: Robot) -> None:
         palm.add_camera(name=arm, pos=list(robot.hand.camera_position_m), quat=quat.tolist(), fovy=62.0)
 
 
-def _add_contact_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
+def _add_contact_sensors(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> None:
     """Add one net force (3,) per finger and object, on the object, world axes."""
     data = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)
     netforce = 3
-    for name in [body.name for body in free_bodies(spec)]:
+    for name in scene.objects:
         for side in robot.sides:
             for finger in robot.hand.finger_links:
                 spec.add_sensor(

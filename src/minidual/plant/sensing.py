@@ -8,6 +8,8 @@ n is white Gaussian, b a bias drawn once per trial; samples arrive `delay_s` lat
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 import pinocchio as pin
 
@@ -35,42 +37,33 @@ class Sensors:
         self._bias = np.r_[config.pose_bias_m * bias[:3], config.pose_bias_rad * bias[3:]]
         self._scale = np.r_[[config.pose_noise_m] * 3, [config.pose_noise_rad] * 3]
         self._tick, self._begin_s = 0, world.time
-        self._force_noise, self._force_row = np.zeros((0, _FORCES)), _BLOCK
-        length = self.delay_ticks + 1
-        self._forces = np.zeros((length, _FORCES))
-        self._poses: dict[int, Array] = {}
-        self._first = True
+        self._late: deque[tuple[Array | None, Array]] = deque()
 
     def sense(self) -> Reading:
         """Sample the world and return what arrives; once a control step."""
-        tick, length = self._tick, self.delay_ticks + 1
-        now = self._forces[tick % length]
-        self._sample_forces(now)
-        if self._first:
-            self._forces[:] = now
-        if tick % self._period_ticks == 0:
-            self._poses[tick] = self._sample_pose()
-        arrived: Array | None = self._poses.pop(tick - self.delay_ticks, None)
-        if self._first and arrived is None:
-            arrived = self._poses[tick]  # at rest before the trial
-        self._first = False
+        tick = self._tick
+        forces = self._sample_forces()
+        pose = self._sample_pose() if tick % self._period_ticks == 0 else None
+        if tick == 0:
+            self._late.extend([(None, forces)] * self.delay_ticks)
+        self._late.append((pose, forces))
+        arrived, forces = self._late.popleft()
+        if tick == 0:
+            arrived = pose  # at rest before the trial
         self._tick += 1
-        pose = None if arrived is None else PoseSample(arrived, self.delay_ticks)
-        forces = self._forces[(tick + 1) % length].copy()
+        sample = None if arrived is None else PoseSample(arrived, self.delay_ticks)
         stamp_s = max(0, tick - self.delay_ticks) * self._world.dt + self._begin_s
-        return Reading(pose, forces[:6].reshape(2, 3), forces[6:], stamp_s)
+        return Reading(sample, forces[:6].reshape(2, 3), forces[6:], stamp_s)
 
-    def _sample_forces(self, out: Array) -> None:
-        """Write noisy forces and pinches into (8,)."""
-        row = self._force_row
-        if row == _BLOCK:
+    def _sample_forces(self) -> Array:
+        """Return noisy forces and pinches (8,)."""
+        row = self._tick % _BLOCK
+        if row == 0:
             self._force_noise = self._config.force_noise_n * self._rng.standard_normal((_BLOCK, _FORCES))
-            row = 0
-        self._force_row = row + 1
-        out[:6] = self._world.object_forces(self._name).ravel()
-        out[6:] = self._world.pinch(self._name)
-        out += self._force_noise[row]
-        np.maximum(out[6:], 0.0, out[6:])
+        forces = np.concatenate([self._world.object_forces(self._name).ravel(), self._world.pinch(self._name)])
+        forces += self._force_noise[row]
+        np.maximum(forces[6:], 0.0, forces[6:])
+        return forces
 
     def _sample_pose(self) -> Array:
         T = self._world.object_pose(self._name)

@@ -12,7 +12,7 @@ import numpy as np
 from minidual.config.scene import SceneConfig
 from minidual.errors import MinidualError, UsageError, unknown_name
 from minidual.plant.addresses import map_joints
-from minidual.plant.bodies import NamedObject, ObjectPose, object_names
+from minidual.plant.bodies import NamedObject, ObjectPose
 from minidual.plant.model import build_model
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.pair import Array, Robot
@@ -66,7 +66,7 @@ class World:
         self.dt = float(self.model.opt.timestep)
         self.joints = map_joints(self.model, robot.joint_names, torque=True)
         self.finger_joints = map_joints(self.model, robot.finger_joint_names, torque=False)
-        self.objects = object_names(self.model)
+        self.objects = tuple(scene.objects)
         self._objects: dict[str | None, NamedObject] = {
             name: NamedObject(self.model, self.data, name, robot) for name in self.objects
         }
@@ -180,11 +180,6 @@ class World:
         found.put(pose)
         found.qvel[:] = 0.0
         mujoco.mj_forward(self.model, self.data)
-
-    @property
-    def contact_count(self) -> int:
-        """Number of contacts."""
-        return int(self.data.ncon)
 
     def contact_pairs(self) -> list[tuple[str, str, float]]:
         """Return (body, body, distance [m]) per contact."""

@@ -16,7 +16,6 @@ from minidual.collision.scene import TABLE, PlanningScene
 from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, Shape, Sphere
 from minidual.config.scene import SceneConfig
 from minidual.plant.addresses import map_joints
-from minidual.plant.bodies import free_bodies
 from minidual.plant.model import GROUP_COLLISION, build_spec
 from minidual.plant.scenery import GROUP_MARKER, GROUP_VISUAL
 from minidual.robot.kinematics import Kinematics
@@ -36,8 +35,8 @@ _LOOK_S = 1.0
 def scene_model(config: SceneConfig, scene: PlanningScene) -> mujoco.MjModel:
     """Return the visual model with the scene's obstacles and held shapes, hiding task objects."""
     spec = build_spec(config, scene.robot, visuals=True)
-    for body in free_bodies(spec):
-        for geom in body.geoms:
+    for name in config.objects:
+        for geom in spec.body(name).geoms:
             geom.rgba = [0.0, 0.0, 0.0, 0.0]
     for shape in scene.obstacles:
         if shape == TABLE:
