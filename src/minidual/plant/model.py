@@ -7,7 +7,7 @@ import numpy as np
 
 from minidual.config.scene import SceneConfig
 from minidual.plant.bodies import contact_sensor
-from minidual.plant.scenery import GROUP_VISUAL, SOLIMP, SOLREF, add_objects, add_surroundings
+from minidual.plant.scenery import GROUP_VISUAL, INTANGIBLE, SOLIMP, SOLREF, add_objects, add_surroundings
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.description import never_touching, pair_urdf
 from minidual.robot.pair import Robot
@@ -82,21 +82,12 @@ def _dress_arms(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot, *, visual
                     geom.solref, geom.solimp = SOLREF, SOLIMP
         for first, second in never_touching(robot.arm):
             spec.add_exclude(bodyname1=f"{arm}_{first}", bodyname2=f"{arm}_{second}")
-    if not visuals:
-        return
-    for index, mesh in enumerate(arm_visuals(robot.arm)):
+    for index, mesh in enumerate(arm_visuals(robot.arm) if visuals else ()):
         name = f"visual{index}_{mesh.link}"
         spec.add_mesh(name=name, uservert=mesh.vertices.ravel(), userface=mesh.faces.ravel())
+        looks = {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": name, "rgba": mesh.rgba, "group": GROUP_VISUAL}
         for arm in robot.sides:
-            spec.body(f"{arm}_{mesh.link}").add_geom(
-                type=mujoco.mjtGeom.mjGEOM_MESH,
-                meshname=name,
-                rgba=list(mesh.rgba),
-                group=GROUP_VISUAL,
-                contype=0,
-                conaffinity=0,
-                density=0.0,
-            )
+            spec.body(f"{arm}_{mesh.link}").add_geom(**looks, **INTANGIBLE, density=0.0)
 
 
 def _add_actuators(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> None:
@@ -122,27 +113,22 @@ def _look_at(position: tuple[float, float, float], target: tuple[float, float, f
     z = z / np.linalg.norm(z)
     x = np.cross([0.0, 0.0, 1.0], z)
     x = x / np.linalg.norm(x)
-    rotation = np.column_stack([x, np.cross(z, x), z])
     quat = np.empty(4)
-    mujoco.mju_mat2Quat(quat, rotation.ravel())
+    mujoco.mju_mat2Quat(quat, np.column_stack([x, np.cross(z, x), z]).ravel())
     return quat.tolist()
 
 
 def _add_cameras(spec: mujoco.MjSpec, robot: Robot) -> None:
-    high = (1.15, 0.0, 0.72)
-    spec.worldbody.add_camera(name="high", pos=list(high), quat=_look_at(high, (0.44, 0.0, 0.07)), fovy=42.0)
-    overview = (1.75, -0.95, 1.05)
-    spec.worldbody.add_camera(
-        name="overview", pos=list(overview), quat=_look_at(overview, (0.28, 0.0, 0.18)), fovy=40.0
-    )
+    for name, position, target, fovy in (
+        ("high", (1.15, 0.0, 0.72), (0.44, 0.0, 0.07), 42.0),
+        ("overview", (1.75, -0.95, 1.05), (0.28, 0.0, 0.18), 40.0),
+    ):
+        spec.worldbody.add_camera(name=name, pos=position, quat=_look_at(position, target), fovy=fovy)
+    cos, sin = np.cos(robot.hand.camera_tilt_rad / 2), np.sin(robot.hand.camera_tilt_rad / 2)
+    quat = np.sqrt(0.5) * np.array([cos, sin, sin, cos])  # the tilt about y, then a quarter turn about z
     for arm in robot.sides:
-        tilt = robot.hand.camera_tilt_rad
-        about_y = [np.cos(tilt / 2), 0.0, np.sin(tilt / 2), 0.0]
-        about_z = [np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)]
-        quat = np.empty(4)
-        mujoco.mju_mulQuat(quat, np.array(about_y), np.array(about_z))
         palm = spec.body(f"{arm}_{robot.hand.palm_link}")
-        palm.add_camera(name=arm, pos=list(robot.hand.camera_position_m), quat=quat.tolist(), fovy=62.0)
+        palm.add_camera(name=arm, pos=robot.hand.camera_position_m, quat=quat, fovy=62.0)
 
 
 def _add_contact_sensors(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> None:

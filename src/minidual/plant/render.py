@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from minidual.config.scene import CameraConfig
+from minidual.durable import replacing
 from minidual.errors import EnvironmentMissingError, unknown_name
 
 os.environ.setdefault("MUJOCO_GL", "egl")  # before mujoco loads its GL backend
@@ -119,22 +120,16 @@ def write_video(path: Path, frames: Iterable[Image], *, fps: int) -> int:
     """
     import av
 
-    temporary = path.with_name(f".{path.name}.part")
-    count = 0
-    with av.open(str(temporary), mode="w", format="mp4") as container:
-        stream = None
+    count, stream = 0, None
+    with replacing(path) as partial, av.open(str(partial), mode="w", format="mp4") as container:
         for frame in frames:
+            count += 1
             if stream is None:
-                stream = container.add_stream(
-                    "libx264", rate=Fraction(fps), options={"crf": "24", "preset": "veryfast"}
-                )
+                options = {"crf": "24", "preset": "veryfast"}
+                stream = container.add_stream("libx264", rate=Fraction(fps), options=options)
                 stream.height, stream.width = frame.shape[:2]
                 stream.pix_fmt = "yuv420p"
-            for packet in stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="rgb24")):
-                container.mux(packet)
-            count += 1
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="rgb24")))
         if stream is not None:
-            for packet in stream.encode():
-                container.mux(packet)
-    temporary.replace(path)
+            container.mux(stream.encode())
     return count

@@ -7,7 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from minidual.config.scene import OBSTACLE, ObjectConfig, SceneConfig
+from minidual.config.scene import OBSTACLE, SceneConfig
 from minidual.robot.pair import Robot
 
 GROUP_VISUAL, GROUP_MARKER = 1, 2
@@ -20,6 +20,8 @@ fingers jump."""
 _BAND_M = 0.0006
 _TABLE_HALF_M = (0.6, 0.8, 0.02)
 _TABLE_CENTRE_X_M = 0.38
+_BOX, _CYLINDER = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER
+INTANGIBLE: dict[str, int] = {"contype": 0, "conaffinity": 0}
 _BLUE = [0.10, 0.25, 0.75, 1.0]
 _ALONG_Y = [np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0]
 
@@ -45,114 +47,52 @@ def add_surroundings(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> N
         specular=[0.2, 0.2, 0.2],
         type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
     )
-    world.add_geom(
-        name="floor",
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[4, 4, 0.1],
-        pos=[0, 0, -0.75],
-        rgba=[0.80, 0.82, 0.85, 1],
-        contype=0,
-        conaffinity=0,
-    )
+    plane, rgba = mujoco.mjtGeom.mjGEOM_PLANE, [0.80, 0.82, 0.85, 1]
+    world.add_geom(name="floor", type=plane, size=[4, 4, 0.1], pos=[0, 0, -0.75], rgba=rgba, **INTANGIBLE)
     table = world.add_body(name="table", pos=[_TABLE_CENTRE_X_M, 0.0, -_TABLE_HALF_M[2]])
-    table.add_geom(
-        name="table_top",
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=list(_TABLE_HALF_M),
-        rgba=[0.42, 0.47, 0.50, 1],
-        friction=[scene.object.friction, 0.005, 0.0001],
-        solref=SOLREF,
-        solimp=SOLIMP,
-    )
+    top = table.add_geom(name="table_top", type=_BOX, size=list(_TABLE_HALF_M), rgba=[0.42, 0.47, 0.50, 1])
+    top.friction, top.solref, top.solimp = [scene.object.friction, 0.005, 0.0001], SOLREF, SOLIMP
     for x in (-1, 1):
         for y in (-1, 1):
-            table.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-                size=[0.03, 0.355, 0],
-                rgba=[0.25, 0.27, 0.3, 1],
-                pos=[x * (_TABLE_HALF_M[0] - 0.06), y * (_TABLE_HALF_M[1] - 0.06), -0.375],
-                contype=0,
-                conaffinity=0,
-            )
+            pos = [x * (_TABLE_HALF_M[0] - 0.06), y * (_TABLE_HALF_M[1] - 0.06), -0.375]
+            table.add_geom(type=_CYLINDER, size=[0.03, 0.355, 0], rgba=[0.25, 0.27, 0.3, 1], pos=pos, **INTANGIBLE)
     for arm in robot.sides:
         spec.add_exclude(bodyname1="table", bodyname2=f"{arm}_{robot.arm.base_link}")  # the bases stand on it
-    half_x, half_y, _ = scene.object.half_sizes_m
-    for label, xy, yaw, rgba in (
-        ("start", scene.task.start_xy_m, 0.0, [0.85, 0.87, 0.9, 1.0]),
-        ("goal", scene.task.goal_xy_m, scene.task.goal_yaw_rad, [0.15, 0.62, 0.35, 1.0]),
+    asked, (half_x, half_y, _) = scene.task, scene.object.half_sizes_m
+    for name, (x, y), yaw, rgba in (
+        ("start_mark", asked.start_xy_m, 0.0, [0.85, 0.87, 0.9, 1.0]),
+        ("goal_mark", asked.goal_xy_m, asked.goal_yaw_rad, [0.15, 0.62, 0.35, 1.0]),
     ):
-        world.add_geom(
-            name=f"{label}_mark",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=[xy[0], xy[1], 0.0003],
-            rgba=rgba,
-            size=[1.6 * half_x, half_y + 0.01, 0.0003],
-            contype=0,
-            conaffinity=0,
-            group=GROUP_MARKER,
-            quat=_about_z(yaw),
-        )
-    obstacle = scene.task.obstacle
-    if obstacle is not None:
-        x, y, z = obstacle.size_m
-        world.add_geom(
-            name=OBSTACLE,
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=[x / 2, y / 2, z / 2],
-            rgba=[0.75, 0.22, 0.2, 1.0],
-            pos=[*obstacle.xy_m, z / 2],
-        )
-
-
-def _about_z(yaw_rad: float) -> list[float]:
-    return [float(np.cos(yaw_rad / 2.0)), 0.0, 0.0, float(np.sin(yaw_rad / 2.0))]
+        mark = world.add_geom(name=name, type=_BOX, pos=[x, y, 0.0003], rgba=rgba, group=GROUP_MARKER, **INTANGIBLE)
+        mark.size, mark.quat = [1.6 * half_x, half_y + 0.01, 0.0003], [np.cos(yaw / 2.0), 0.0, 0.0, np.sin(yaw / 2.0)]
+    if asked.obstacle is not None:
+        size, xy = np.array(asked.obstacle.size_m) / 2, asked.obstacle.xy_m
+        world.add_geom(name=OBSTACLE, type=_BOX, size=size, rgba=[0.75, 0.22, 0.2, 1.0], pos=[*xy, size[2]])
 
 
 def add_objects(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
     """Add the objects as free bodies, frames at the centre of mass."""
     for item in scene.objects.values():
-        _add_object(spec, item, scene.task.start_xy_m if item.xy_m is None else item.xy_m)
-
-
-def _add_object(spec: mujoco.MjSpec, item: ObjectConfig, xy_m: tuple[float, float]) -> None:
-    body = spec.worldbody.add_body(name=item.name, pos=[*xy_m, item.rest_height_m])
-    body.add_freejoint(name=f"{item.name}_free")
-    half_x, half_y, half_z = item.half_sizes_m
-    half_long = item.length_m / 2
-    shape: dict[str, Any]
-    if item.shape == "cylinder":
-        shape = {"type": mujoco.mjtGeom.mjGEOM_CYLINDER} | ({} if item.upright else {"quat": _ALONG_Y})
-        condim = 6  # rolling friction: without it a cylinder rolls away by itself
-        margin = 0.0
-        size, band = [item.radius_m, half_long, 0], [item.radius_m + _BAND_M, 0.015, 0]
-    else:
-        shape = {"type": mujoco.mjtGeom.mjGEOM_BOX}
-        condim = 4  # faces do not roll; rolling friction at many contact points over-constrains them
-        margin = _FACE_MARGIN_M
-        size = [half_x, half_y, half_z]
-        band = [half_x + _BAND_M, half_y + _BAND_M, half_z + _BAND_M]
-        band[2 if item.upright else 1] = 0.015
-    body.add_geom(
-        name=item.name,
-        size=size,
-        mass=item.mass_kg,
-        rgba=list(item.colour),
-        condim=condim,
-        friction=[item.friction, 0.01, item.rolling_friction],
-        solref=SOLREF,
-        solimp=SOLIMP,
-        margin=margin,
-        **shape,
-    )
-    # Bands mark the grasps and make the ends visible to the camera.
-    for offset in (-item.grasp_offset_m, item.grasp_offset_m):
-        body.add_geom(
-            size=band,
-            pos=[0, 0, offset] if item.upright else [0, offset, 0],
-            rgba=_BLUE,
-            mass=0,
-            contype=0,
-            conaffinity=0,
-            group=GROUP_VISUAL,
-            **shape,
-        )
+        xy_m = scene.task.start_xy_m if item.xy_m is None else item.xy_m
+        body = spec.worldbody.add_body(name=item.name, pos=[*xy_m, item.rest_height_m])
+        body.add_freejoint(name=f"{item.name}_free")
+        long = 2 if item.upright else 1
+        half = np.array(item.half_sizes_m)
+        if item.shape == "cylinder":
+            shape: dict[str, Any] = {"type": _CYLINDER} | ({} if item.upright else {"quat": _ALONG_Y})
+            condim = 6  # rolling friction: without it a cylinder rolls away by itself
+            margin = 0.0
+            size, band = [item.radius_m, half[long], 0], [item.radius_m + _BAND_M, 0.015, 0]
+        else:
+            shape = {"type": _BOX}
+            condim = 4  # faces do not roll; rolling friction at many contact points over-constrains them
+            margin = _FACE_MARGIN_M
+            size, band = half, half + _BAND_M
+            band[long] = 0.015
+        geom = body.add_geom(name=item.name, size=size, mass=item.mass_kg, rgba=list(item.colour), **shape)
+        geom.condim, geom.margin, geom.solref, geom.solimp = condim, margin, SOLREF, SOLIMP
+        geom.friction = [item.friction, 0.01, item.rolling_friction]
+        # Bands mark the grasps and make the ends visible to the camera.
+        for offset in (-item.grasp_offset_m, item.grasp_offset_m):
+            pos = [0.0, 0.0, offset] if item.upright else [0.0, offset, 0.0]
+            body.add_geom(size=band, pos=pos, rgba=_BLUE, mass=0, group=GROUP_VISUAL, **shape, **INTANGIBLE)

@@ -133,8 +133,7 @@ class World:
     @property
     def gripper(self) -> Array:
         """Openings (2,), 0..1 open."""
-        fingers = self._qpos[self.finger_joints.qpos]
-        return (fingers[0::2] + fingers[1::2]) / (2.0 * self.robot.hand.travel_m)
+        return self.fingers / self.robot.hand.travel_m
 
     @property
     def finger_targets(self) -> Array:
