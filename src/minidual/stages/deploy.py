@@ -106,7 +106,7 @@ def run(context: StageContext) -> StageResult:
         rate = summaries["training"]["success_rate"]
         checks.append(Check("training_success_rate", rate, why="the same on starts it was trained on"))
         data["training"] = summaries["training"].record()
-    clear_m = task.scene.task.clear_height_m
+    clear_m = make_task(config).scene.task.clear_height_m
     errors = [r.metrics.goal_error_m for r in everything if r.measured.get("rise_m", 0.0) > clear_m]
     if errors:
         why = "of trials that lifted the object"
