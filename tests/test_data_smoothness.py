@@ -53,7 +53,7 @@ def test_the_filter_text_states_what_the_code_does() -> None:
     for fact in ("order 4", "10 Hz", "1 kHz", "0.2 s", "norm over all joints", "zero phase"):
         assert fact in text
     assert (smoothness.FILTER_ORDER, smoothness.CUTOFF_HZ, smoothness.INTERNAL_RATE_HZ) == (4, 10.0, 1000.0)
-    assert smoothness.trim_s() == 0.2
+    assert smoothness.TRIM_S == 0.2
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import howto
 import numpy as np
 import pytest
 
-from minidual.demos.episode import validate_episode
+from minidual.demos.episode import inspect_episode
 from minidual.demos.leader import LEADERS
 from minidual.demos.recording import usable_workers
 from minidual.errors import UsageError
@@ -34,7 +34,7 @@ def test_what_the_leader_did_is_recorded_and_named(page: dict[str, Any]) -> None
     swayed = [1, 1 + DUAL_PANDA.dof_per_arm]
     assert np.ptp(episode.qpos[:, swayed], axis=0) == pytest.approx([0.1, 0.1], abs=0.01)
     assert episode.meta.extra["leader"] == "sway"
-    assert validate_episode(attempt.path, cameras=("high",), robot=DUAL_PANDA) == []
+    assert inspect_episode(attempt.path, cameras=("high",), robot=DUAL_PANDA)[1] == []
 
 
 def test_the_row_is_refused_twice_and_suggested_for_a_slip(page: dict[str, Any]) -> None:

@@ -28,29 +28,10 @@ def test_a_leader_that_stands_elsewhere_is_refused_and_the_joint_named() -> None
     leader = HOME.copy()
     leader[10] += 0.25
     with pytest.raises(LeaderOffsetError, match=r"\+0\.250 rad away from the follower at right_panda_joint4") as error:
-        Mirror(DUAL_PANDA).check_start(leader, HOME)
-    assert "calibrate" in (error.value.remedy or "")
+        Mirror(DUAL_PANDA, MirrorConfig()).check_start(leader, HOME)
+    assert "joint order" in (error.value.remedy or "")
     leader[10] = HOME[10] + 0.09
-    Mirror(DUAL_PANDA).check_start(leader, HOME)
-
-
-def test_calibration_takes_a_mounting_offset_out() -> None:
-    mirror = Mirror(DUAL_PANDA)
-    leader = HOME + np.linspace(-0.3, 0.3, 14)
-    with pytest.raises(LeaderOffsetError):
-        mirror.check_start(leader, HOME)
-    mirror.calibrate(leader, HOME)
-    mirror.check_start(leader, HOME)
-    np.testing.assert_allclose(mirror.target(leader + 0.1), HOME + 0.1)
-
-
-def test_calibration_refuses_what_is_no_mounting_offset() -> None:
-    leader = HOME.copy()
-    leader[1] -= 0.8
-    mirror = Mirror(DUAL_PANDA)
-    with pytest.raises(LeaderOffsetError, match=r"left_panda_joint2.*\+0\.800 rad"):
-        mirror.calibrate(leader, HOME)
-    np.testing.assert_array_equal(mirror.offset_rad, np.zeros(14))
+    Mirror(DUAL_PANDA, MirrorConfig()).check_start(leader, HOME)
 
 
 def test_targets_stay_inside_the_limits_and_what_is_no_posture_is_left_for_the_arbiter() -> None:

@@ -26,7 +26,7 @@ from minidual.config.teleop import TeleopConfig
 from minidual.demos import lerobot_adapter
 from minidual.demos import recording as teleop_recording
 from minidual.demos import rig as teleop_rig
-from minidual.demos.episode import read_episode, validate_episode
+from minidual.demos.episode import inspect_episode, read_episode
 from minidual.demos.lerobot_reader import read_dataset
 from minidual.demos.observation import Observer
 from minidual.demos.recording import PARTS, Recording, claim, record
@@ -135,7 +135,7 @@ def test_a_recording_holds_sound_demonstrations_only(recorded: tuple[Job, Record
     ]
     for attempt in recording.kept:
         assert attempt.path is not None
-        assert validate_episode(attempt.path, cameras=("high",), robot=DUAL_PANDA) == []
+        assert inspect_episode(attempt.path, cameras=("high",), robot=DUAL_PANDA)[1] == []
         episode = read_episode(attempt.path)
         assert episode.meta.success
         assert episode.meta.trial == attempt.trial.index

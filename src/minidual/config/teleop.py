@@ -38,8 +38,6 @@ class MirrorConfig(StrictModel):
     """When a leader may drive the follower."""
 
     start_error_max_rad: float = Field(default=0.1, gt=0.0, le=0.6)
-    calibration_max_rad: float = Field(default=0.5, gt=0.0, le=3.2)
-    """Largest offset that calibration accepts."""
     workspace_margin_rad: float = Field(default=0.0, ge=0.0, le=0.3)
     """Distance of mirrored targets from the joint limits."""
 

@@ -1,4 +1,4 @@
-"""Checks of an episode's arrays; they yield every `Problem` instead of raising."""
+"""Checks of an episode's arrays; they yield every `EpisodeFault` instead of raising."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from minidual.robot.pair import Robot
 
 Array = NDArray[np.floating]
 Images = Mapping[str, NDArray[np.uint8]]
-Thumbnails = Mapping[str, NDArray[np.float32]]
+Thumbnails = Mapping[str, NDArray[np.float64]]
 
 ACTION_EQUAL_RAD = 1e-6
 """Largest difference of an equal command and reading; real tracking is never this exact."""
@@ -24,118 +24,115 @@ BLACK_LEVEL = 8
 """Largest pixel value of a black image."""
 FROZEN_MOTION_RAD = 0.05
 """Joint motion during which an image must change."""
-_LIMIT_TOLERANCE_RAD = 1e-3
+LIMIT_TOLERANCE_RAD = 1e-3
+
+_CLOCK = "stamp ticks with a monotonic clock (simulation time, or time.monotonic on hardware)"
+_RENDERER = "check the renderer (MUJOCO_GL=egl), the lights, and that the camera looks at the table"
+REMEDIES = {
+    "file_missing": "check the folder, or record: minidual teleop-record",
+    "cameras_wrong": "record with the cameras of the configuration, in its order",
+    "not_finite": "record the episode again; look for an unstable simulation or a lost sensor",
+    "timestamps_not_monotonic": _CLOCK,
+    "action_equals_qpos": "record the command sent at t (the one that leads to t + 1), not the reading",
+    "rate_wrong": "declare the rate the recorder really ran at, or slow the recorder down",
+    "timestamps_jitter": "drive the recorder by simulation time, or free the machine of other load",
+    "out_of_sync": "stamp joints, images and action in the same tick, and pair the nearest ones",
+    "joints_wrong": "choose the arm that was recorded: --set robot.arm=NAME",
+    "outside_joint_limits": "check the joint order (left arm, then right arm), the units (rad) and the limits",
+    "images_black": _RENDERER,
+    "images_constant": _RENDERER,
+    "images_frozen": "update the scene before each rendering; on hardware check the camera's stream",
+    "cameras_identical": "check which camera each name renders",
+    "cameras_swapped": "check the order in which cameras are rendered and named; on hardware, the cables",
+}
 
 
 @dataclass(frozen=True)
-class Problem:
+class EpisodeFault:
     """One fault; `name` is stable."""
 
     name: str
     detail: str
-    remedy: str = "record this episode again"
+
+    @property
+    def remedy(self) -> str:
+        """What to do."""
+        return REMEDIES.get(self.name, "record this episode again")
 
     def __str__(self) -> str:
         return f"{self.name}: {self.detail} (remedy: {self.remedy})"
 
 
-def check_finite(arrays: Mapping[str, Array]) -> Iterator[Problem]:
+def check_finite(arrays: Mapping[str, Array]) -> Iterator[EpisodeFault]:
     """Report arrays with NaN or infinity."""
     for key, values in arrays.items():
-        bad = ~np.isfinite(values)
-        if bad.any():
-            yield Problem(
-                "not_finite",
-                f"{key} holds {int(bad.sum())} values that are NaN or infinite, the first at tick "
-                f"{int(np.argwhere(bad)[0][0])}",
-                "record the episode again; look for an unstable simulation or a lost sensor",
-            )
+        bad = np.argwhere(~np.isfinite(values))
+        if len(bad):
+            detail = f"{key} holds {len(bad)} values that are NaN or infinite, the first at tick {int(bad[0][0])}"
+            yield EpisodeFault("not_finite", detail)
 
 
-def check_monotonic(timestamps: Array, key: str = "timestamps") -> Iterator[Problem]:
+def check_monotonic(timestamps: Array, key: str) -> Iterator[EpisodeFault]:
     """Report timestamps that do not strictly increase."""
-    stuck = ~(np.diff(timestamps) > 0.0)
-    if stuck.any():
-        tick = int(np.argmax(stuck))
-        yield Problem(
-            "timestamps_not_monotonic",
-            f"{key} goes from {timestamps[tick]:.6f} s to {timestamps[tick + 1]:.6f} s between ticks {tick} and "
-            f"{tick + 1}",
-            "stamp ticks with a monotonic clock (simulation time, or time.monotonic on hardware)",
-        )
+    held = np.flatnonzero(~(np.diff(timestamps) > 0.0))
+    if held.size:
+        k = int(held[0])
+        detail = f"{key} goes from {timestamps[k]:.6f} s to {timestamps[k + 1]:.6f} s between ticks {k} and {k + 1}"
+        yield EpisodeFault("timestamps_not_monotonic", detail)
 
 
-def check_action_is_command(qpos: Array, action: Array) -> Iterator[Problem]:
+def check_action_is_command(qpos: Array, action: Array) -> Iterator[EpisodeFault]:
     """Report actions that equal the readings."""
-    equal = np.max(np.abs(action - qpos), axis=1) <= ACTION_EQUAL_RAD
-    if equal.size and equal.mean() >= ACTION_EQUAL_SHARE:
-        yield Problem(
-            "action_equals_qpos",
-            f"action[t] equals qpos[t] on {equal.mean():.0%} of the ticks; a policy would learn to stand still",
-            "record the command sent at t (the one that leads to t + 1), not the reading",
-        )
+    share = np.mean(np.max(np.abs(action - qpos), axis=1) <= ACTION_EQUAL_RAD)
+    if share >= ACTION_EQUAL_SHARE:
+        detail = f"action[t] equals qpos[t] on {share:.0%} of the ticks; a policy would learn to stand still"
+        yield EpisodeFault("action_equals_qpos", detail)
 
 
-def check_rate(timestamps: Array, fps: float, max_jitter_s: float | None = None) -> Iterator[Problem]:
-    """Report a median interval off by 2 %, or any off by `max_jitter_s` (default half a period)."""
+def check_rate(timestamps: Array, fps: float) -> Iterator[EpisodeFault]:
+    """Report a median interval off by 2 %, or any off by half a period; at least two ticks."""
     steps, period_s = np.diff(timestamps), 1.0 / fps
-    if not steps.size:
-        return
     median_s = float(np.median(steps))
     if abs(median_s - period_s) > 0.02 * period_s:
-        measured = f"{1.0 / median_s:.2f} Hz" if median_s > 0.0 else "no rate"
-        yield Problem(
-            "rate_wrong",
-            f"ticks come at {measured}, the file declares {fps:g} Hz",
-            "declare the rate the recorder really ran at, or slow the recorder down",
-        )
-    limit_s = 0.5 * period_s if max_jitter_s is None else max_jitter_s
-    deviation = np.abs(steps - period_s)
+        yield EpisodeFault("rate_wrong", f"ticks come at {1.0 / median_s:.2f} Hz, the file declares {fps:g} Hz")
+    deviation, limit_s = np.abs(steps - period_s), 0.5 * period_s
     worst = int(np.argmax(deviation))
     if deviation[worst] > limit_s:
-        yield Problem(
+        yield EpisodeFault(
             "timestamps_jitter",
             f"{int(np.sum(deviation > limit_s))} intervals stray more than {1e3 * limit_s:.1f} ms from "
             f"{1e3 * period_s:.1f} ms; the worst is {1e3 * float(steps[worst]):.1f} ms at tick {worst}",
-            "drive the recorder by simulation time, or free the machine of other load",
         )
 
 
-def check_sync(timestamps: Array, image_timestamps: Array) -> Iterator[Problem]:
+def check_sync(timestamps: Array, image_timestamps: Array) -> Iterator[EpisodeFault]:
     """Report images more than 20 ms from their tick's joints."""
     offset = np.abs(image_timestamps - timestamps)
-    worst = int(np.argmax(offset))
+    worst, limit_ms = int(np.argmax(offset)), 1e3 * schema.MAX_SYNC_S
     if offset[worst] > schema.MAX_SYNC_S:
-        yield Problem(
-            "out_of_sync",
-            f"images lie up to {1e3 * float(offset[worst]):.1f} ms from the joints (tick {worst}); the limit is "
-            f"{1e3 * schema.MAX_SYNC_S:.0f} ms",
-            "stamp joints, images and action in the same tick, and pair the nearest ones",
-        )
+        apart = f"up to {1e3 * float(offset[worst]):.1f} ms from the joints (tick {worst})"
+        yield EpisodeFault("out_of_sync", f"images lie {apart}; the limit is {limit_ms:.0f} ms")
 
 
-def check_limits(qpos: Array, robot: Robot) -> Iterator[Problem]:
+def check_limits(qpos: Array, robot: Robot) -> Iterator[EpisodeFault]:
     """Report joints outside the limits, or a wrong joint count."""
     if qpos.shape[1] != robot.dof:
-        yield Problem(
-            "joints_wrong",
-            f"the file holds {qpos.shape[1]} joints; two {robot.arm.name} arms have {robot.dof}",
-            "choose the arm that was recorded: --set robot.arm=NAME",
-        )
+        detail = f"the file holds {qpos.shape[1]} joints; two {robot.arm.name} arms have {robot.dof}"
+        yield EpisodeFault("joints_wrong", detail)
         return
-    outside = (qpos < robot.q_lower - _LIMIT_TOLERANCE_RAD) | (qpos > robot.q_upper + _LIMIT_TOLERANCE_RAD)
+    lower, upper = robot.q_lower - LIMIT_TOLERANCE_RAD, robot.q_upper + LIMIT_TOLERANCE_RAD
+    outside = (qpos < lower) | (qpos > upper)
     joints = np.flatnonzero(outside.any(axis=0))
     if joints.size:
         joint, tick = int(joints[0]), int(np.argmax(outside[:, joints[0]]))
-        yield Problem(
+        yield EpisodeFault(
             "outside_joint_limits",
             f"{joints.size} joints leave their limits; joint index {joint} is at {qpos[tick, joint]:.4f} rad at tick "
             f"{tick}, allowed {robot.q_lower[joint]:.4f} to {robot.q_upper[joint]:.4f}",
-            "check the joint order (left arm, then right arm), the units (rad) and the follower's limits",
         )
 
 
-def check_images(images: Images, qpos: Array) -> Iterator[Problem]:
+def check_images(images: Images, qpos: Array) -> Iterator[EpisodeFault]:
     """Report images (T, H, W, 3) that are black, of one colour, duplicated, or frozen during motion."""
     moved = bool(np.max(np.ptp(qpos, axis=0)) > FROZEN_MOTION_RAD)
     for camera, frames in images.items():
@@ -144,36 +141,26 @@ def check_images(images: Images, qpos: Array) -> Iterator[Problem]:
         constant = np.all(flat.max(axis=1) == flat.min(axis=1), axis=1) & ~black
         for name, bad in (("images_black", black), ("images_constant", constant)):
             if bad.any():
-                yield Problem(
-                    name,
-                    f"camera '{camera}': {int(bad.sum())} of {len(frames)} frames, the first at tick "
-                    f"{int(np.argmax(bad))}",
-                    "check the renderer (MUJOCO_GL=egl), the lights, and that the camera looks at the table",
-                )
-        if moved and len(frames) > 1 and not any(np.any(frame != frames[0]) for frame in frames[1:]):
-            yield Problem(
-                "images_frozen",
-                f"camera '{camera}' shows the same image on all {len(frames)} ticks while the joints move",
-                "update the scene before each rendering; on hardware check the camera's stream",
-            )
+                where = f"{int(bad.sum())} of {len(frames)} frames, the first at tick {int(np.argmax(bad))}"
+                yield EpisodeFault(name, f"camera '{camera}': {where}")
+        if moved and all(np.array_equal(frame, frames[0]) for frame in frames):
+            detail = f"camera '{camera}' shows the same image on all {len(frames)} ticks while the joints move"
+            yield EpisodeFault("images_frozen", detail)
     for first, second in combinations(images, 2):
         if np.array_equal(images[first], images[second]):
-            yield Problem(
-                "cameras_identical",
-                f"cameras '{first}' and '{second}' hold the same images",
-                "check which camera each name renders",
-            )
+            yield EpisodeFault("cameras_identical", f"cameras '{first}' and '{second}' hold the same images")
 
 
 def thumbnails(images: Images) -> Thumbnails:
-    """Return block means (12, 16, 3) of first images."""
-    return {camera: _thumbnail(frames[0]) for camera, frames in images.items()}
-
-
-def _thumbnail(image: NDArray[np.uint8]) -> NDArray[np.float32]:
-    rows, columns = (np.array_split(np.arange(n), min(k, n)) for n, k in zip(image.shape, (12, 16), strict=False))
-    blocks = [[image[r[0] : r[-1] + 1, c[0] : c[-1] + 1].mean(axis=(0, 1)) for c in columns] for r in rows]
-    return np.asarray(blocks, dtype=np.float32)
+    """Return block means, about (12, 16, 3), of first images."""
+    found: dict[str, NDArray[np.float64]] = {}
+    for camera, frames in images.items():
+        image = frames[0].astype(np.float64)
+        for axis, blocks in enumerate((12, 16)):
+            parts = np.array_split(image, min(blocks, image.shape[axis]), axis=axis)
+            image = np.stack([part.mean(axis=axis) for part in parts], axis=axis)
+        found[camera] = image
+    return found
 
 
 def camera_references(episodes: Sequence[Thumbnails]) -> Thumbnails:
@@ -185,15 +172,14 @@ def camera_references(episodes: Sequence[Thumbnails]) -> Thumbnails:
     return {c: np.median(np.stack([views[c] for views in episodes if c in views]), axis=0) for c in names}
 
 
-def check_swapped(views: Thumbnails, references: Thumbnails) -> Iterator[Problem]:
+def check_swapped(views: Thumbnails, references: Thumbnails) -> Iterator[EpisodeFault]:
     """Report thumbnails nearer to another camera's reference."""
     for camera, view in views.items():
         apart = {c: float(np.mean(np.abs(view - r))) for c, r in references.items() if r.shape == view.shape}
         nearest = min(apart, key=apart.__getitem__, default=camera)
         if camera in apart and nearest != camera:
-            yield Problem(
+            yield EpisodeFault(
                 "cameras_swapped",
                 f"camera '{camera}' shows what '{nearest}' shows in the other episodes (mean difference "
                 f"{apart[nearest]:.1f} of 255 against {apart[camera]:.1f})",
-                "check the order in which cameras are rendered and named; on hardware, the cables",
             )

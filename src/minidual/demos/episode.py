@@ -1,7 +1,7 @@
 """Read and validate a recorded episode.
 
 ==============================  ==================================================================
-problem                         meaning
+fault                           meaning
 ==============================  ==================================================================
 ``file_missing``                no such file
 ``file_corrupt``                truncated, not HDF5, or checksum mismatch
@@ -38,7 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minidual.demos import checks, schema
-from minidual.demos.checks import Problem
+from minidual.demos.checks import EpisodeFault
 from minidual.demos.schema import EpisodeMeta
 from minidual.errors import DataError
 from minidual.robot.pair import Robot
@@ -84,8 +84,7 @@ def episode_paths(folder: Path | str) -> list[Path]:
 
 def read_meta(path: Path | str) -> EpisodeMeta:
     """Return the metadata; raises as `read_episode`."""
-    episode, problems = _load(Path(path), (), fields=())
-    return _sound(path, episode, problems).meta
+    return _sound(path, *_load(Path(path), (), fields=())).meta
 
 
 def read_episode(path: Path | str, *, cameras: Sequence[str] | None = None) -> Episode:
@@ -97,135 +96,106 @@ def read_episode(path: Path | str, *, cameras: Sequence[str] | None = None) -> E
     return _sound(path, *_load(Path(path), cameras))
 
 
-def validate_episode(path: Path | str, **options: Any) -> list[Problem]:
-    """Return every fault; options as `inspect_episode`."""
-    return inspect_episode(path, **options)[1]
-
-
 def inspect_episode(
-    path: Path | str,
-    *,
-    cameras: Sequence[str] | None = None,
-    robot: Robot | None = None,
-    references: checks.Thumbnails | None = None,
-    max_jitter_s: float | None = None,
-) -> tuple[Episode | None, list[Problem]]:
+    path: Path | str, *, cameras: Sequence[str] | None = None, robot: Robot | None = None
+) -> tuple[Episode | None, list[EpisodeFault]]:
     """Return an episode (None if unreadable) and every fault; reads all arrays to verify checksums.
 
-    `cameras`, `robot` and `references` (from `checks.camera_references`) are checked unless None.
+    `cameras` and `robot` are checked unless None.
     """
-    episode, problems = _load(Path(path), None)
-    if episode is not None and cameras is not None and tuple(cameras) != episode.meta.cameras:
-        detail = f"cameras are {_list(episode.meta.cameras)}; expected {_list(cameras)}"
-        problems.append(Problem("cameras_wrong", detail, _CAMERAS))
-    if episode is not None and len(episode) < 2:
-        problems.append(Problem("too_short", f"{len(episode)} ticks; an episode has at least 2"))
-    if episode is None or problems:
-        return episode, problems
+    episode, faults = _load(Path(path), None)
+    if episode is None:
+        return None, faults
     e = episode
-    problems += checks.check_finite({f.key: v for f in schema.FIELDS if (v := getattr(e, f.name)) is not None})
-    problems += checks.check_monotonic(e.timestamps)
+    if cameras is not None and tuple(cameras) != e.meta.cameras:
+        detail = f"cameras are {_list(e.meta.cameras)}; expected {_list(cameras)}"
+        faults.append(EpisodeFault("cameras_wrong", detail))
+    if len(e) < 2:
+        faults.append(EpisodeFault("too_short", f"{len(e)} ticks; an episode has at least 2"))
+    if faults:
+        return e, faults
+    arrays = {f.key: v for f in schema.FIELDS if (v := getattr(e, f.name)) is not None}
+    faults += checks.check_finite(arrays)
+    for key in ("timestamps", "image_timestamps"):
+        faults += checks.check_monotonic(arrays[key], key) if key in arrays else ()
+    faults += checks.check_action_is_command(e.qpos, e.action)
+    if faults:
+        return e, faults
+    faults += checks.check_rate(e.timestamps, e.meta.fps)
     if e.image_timestamps is not None:
-        problems += checks.check_monotonic(e.image_timestamps, "image_timestamps")
-    problems += checks.check_action_is_command(e.qpos, e.action)
-    if problems:
-        return episode, problems
-    problems += checks.check_rate(e.timestamps, e.meta.fps, max_jitter_s)
-    if e.image_timestamps is not None:
-        problems += checks.check_sync(e.timestamps, e.image_timestamps)
+        faults += checks.check_sync(e.timestamps, e.image_timestamps)
     if robot is not None:
-        problems += checks.check_limits(e.qpos, robot)
-    problems += checks.check_images(e.images, e.qpos)
-    if references is not None:
-        problems += checks.check_swapped(checks.thumbnails(e.images), references)
-    return episode, problems
+        faults += checks.check_limits(e.qpos, robot)
+    faults += checks.check_images(e.images, e.qpos)
+    return e, faults
 
 
-_CAMERAS = "record with the cameras of the configuration, in its order"
-
-
-def _sound(path: Path | str, episode: Episode | None, problems: list[Problem]) -> Episode:
-    if episode is None or problems:
-        raise DataError(f"{path}: {problems[0].detail}", remedy=problems[0].remedy)
+def _sound(path: Path | str, episode: Episode | None, faults: list[EpisodeFault]) -> Episode:
+    if episode is None:
+        raise DataError(f"{path}: {faults[0].detail}", remedy=faults[0].remedy)
     return episode
 
 
 def _load(
     path: Path, cameras: Sequence[str] | None, fields: Sequence[schema.Field] = schema.FIELDS
-) -> tuple[Episode | None, list[Problem]]:
+) -> tuple[Episode | None, list[EpisodeFault]]:
     if not path.is_file():
-        remedy = "check the folder, or record: minidual teleop-record"
-        return None, [Problem("file_missing", f"no episode file {path}", remedy)]
+        return None, [EpisodeFault("file_missing", f"no episode file {path}")]
     arrays: dict[str, Array] = dict.fromkeys((f.name for f in schema.FIELDS if f.required), np.empty(0))
-    images: dict[str, NDArray[np.uint8]] = {}
-    problems: list[Problem] = []
+    faults: list[EpisodeFault] = []
     try:
         with h5py.File(path, "r") as file:
-            try:
-                meta, ticks = EpisodeMeta.from_attrs(file.attrs)
-            except DataError as error:
-                return None, [Problem("attributes_wrong", f"{path.name}: {error.message}")]
+            meta, ticks = EpisodeMeta.from_attrs(file.attrs)
             joints_n = _joints_n(file)
             for field in fields:
                 if field.key in file:
                     expected = (ticks, *field.row_shape(joints_n))
-                    found = file[field.key]
-                    if not isinstance(found, h5py.Dataset) or found.shape != expected or found.dtype.kind not in "fiu":
-                        problems.append(_wrong(field.key, found, f"float64 {expected}"))
-                    else:
-                        arrays[field.name] = np.asarray(found[()], dtype=np.float64)
+                    arrays[field.name] = _array(file, field.key, expected, np.float64, faults)
                 elif field.required:
-                    problems.append(Problem("field_missing", f"{field.key} is missing"))
-            problems += _load_images(file, meta, ticks, cameras, images)
+                    faults.append(EpisodeFault("field_missing", f"{field.key} is missing"))
+            images = _images(file, meta, ticks, cameras, faults)
+    except DataError as error:
+        return None, [EpisodeFault("attributes_wrong", f"{path.name}: {error.message}")]
     except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError) as error:
-        return None, [Problem("file_corrupt", f"{path.name} is truncated or corrupt: {error}")]
-    return (None if problems else Episode(meta, images, path=path, **arrays)), problems
+        return None, [EpisodeFault("file_corrupt", f"{path.name} is truncated or corrupt: {error}")]
+    return (None if faults else Episode(meta, images, path=path, **arrays)), faults
 
 
 def _joints_n(file: h5py.File) -> int:
     """Return the width of qpos, or else of action."""
-    widths = [
-        f.shape[1]
-        for f in map(file.get, ("observations/qpos", "action"))
-        if isinstance(f, h5py.Dataset) and f.ndim == 2
-    ]
-    return widths[0] if widths else 0
+    found = (file.get(key) for key in ("observations/qpos", "action"))
+    return next((f.shape[1] for f in found if isinstance(f, h5py.Dataset) and f.ndim == 2), 0)
 
 
-def _load_images(
-    file: h5py.File, meta: EpisodeMeta, ticks: int, cameras: Sequence[str] | None, images: dict[str, NDArray[np.uint8]]
-) -> list[Problem]:
-    problems: list[Problem] = []
-    stored = list(file["observations/images"]) if "observations/images" in file else []
-    wanted = stored if cameras is None else cameras
+def _images(
+    file: h5py.File, meta: EpisodeMeta, ticks: int, cameras: Sequence[str] | None, faults: list[EpisodeFault]
+) -> dict[str, NDArray[np.uint8]]:
+    stored = list(file.get("observations/images", ()))
     if cameras is None and sorted(stored) != sorted(meta.cameras):
         detail = f"the file declares cameras {_list(meta.cameras)} and stores {_list(stored)}"
-        problems.append(Problem("cameras_wrong", detail, _CAMERAS))
-    if absent := [camera for camera in wanted if camera not in stored]:
-        problems.append(
-            Problem("cameras_wrong", f"no camera {_list(absent)}; there are {_list(meta.cameras)}", _CAMERAS)
-        )
-        return problems
-    for camera in sorted(wanted, key=lambda c: meta.cameras.index(c) if c in meta.cameras else -1):
-        key = schema.image_key(camera)
-        found = file[key]
-        if (
-            not isinstance(found, h5py.Dataset)
-            or found.dtype != np.uint8
-            or found.ndim != 4
-            or found.shape[::3] != (ticks, 3)
-        ):
-            problems.append(_wrong(key, found, f"uint8 ({ticks}, H, W, 3)"))
-        else:
-            images[camera] = np.asarray(found[()], dtype=np.uint8)
-    return problems
+        faults.append(EpisodeFault("cameras_wrong", detail))
+    absent = [camera for camera in cameras or () if camera not in stored]
+    if absent:
+        faults.append(EpisodeFault("cameras_wrong", f"no camera {_list(absent)}; there are {_list(meta.cameras)}"))
+    images: dict[str, NDArray[np.uint8]] = {}
+    for camera in (c for c in meta.cameras if c in stored and (cameras is None or c in cameras)):
+        images[camera] = _array(file, schema.image_key(camera), (ticks, -1, -1, 3), np.uint8, faults)
+    return images
 
 
-def _wrong(key: str, found: Any, expected: str) -> Problem:
+def _array(
+    file: h5py.File, key: str, shape: tuple[int, ...], dtype: type[Any], faults: list[EpisodeFault]
+) -> NDArray[Any]:
+    """Return a dataset of the given shape (-1 is any length) and type; append a fault if it is another."""
+    found: Any = file[key]
     is_array = isinstance(found, h5py.Dataset)
-    return Problem(
-        "field_wrong", f"{key} is {f'{found.dtype} {found.shape}' if is_array else 'a group'}; it must be {expected}"
-    )
+    if is_array and np.can_cast(found.dtype, dtype) and len(found.shape) == len(shape):
+        fits = [wanted in (-1, n) for n, wanted in zip(found.shape, shape, strict=True)]
+        if all(fits):
+            return np.asarray(found[()], dtype=dtype)
+    shown = f"{found.dtype} {found.shape}" if is_array else "a group"
+    faults.append(EpisodeFault("field_wrong", f"{key} is {shown}; it must be {np.dtype(dtype)} {shape}"))
+    return np.empty(0, dtype)
 
 
 def _list(names: Sequence[str]) -> str:

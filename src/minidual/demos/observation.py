@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from types import TracebackType
-from typing import Self
 
 from minidual.plant.render import Camera, Image
 from minidual.plant.world import World
@@ -34,7 +32,7 @@ class Observation:
 
 
 class Observer:
-    """Context manager that reads a world; cameras need `visuals=True`."""
+    """Reads a world; cameras need `visuals=True`."""
 
     def __init__(self, world: World, cameras: Sequence[str] = ()) -> None:
         self.world = world
@@ -54,9 +52,3 @@ class Observer:
         """Free the renderer."""
         if self._camera is not None:
             self._camera.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
-        self.close()

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minidual.demos.quality import path_length_m
-from minidual.demos.smoothness import min_duration_s, rms_jerk
+from minidual.demos.smoothness import MIN_DURATION_S, rms_jerk
 from minidual.errors import NothingEvaluatedError, UsageError
 from minidual.tasks.judge import Outcome
 from minidual.trials.statistics import bootstrap_median_interval, wilson_interval
@@ -173,7 +173,7 @@ def trial_metrics(
         failed_at_s=failed_at,
         duration_s=outcome.duration_s if outcome.success else math.nan,
         torque_ratio_max=torque_ratio_max,
-        jerk_rms=math.nan if (len(q) - 1) / rate_hz < min_duration_s() else rms_jerk(q, rate_hz),
+        jerk_rms=math.nan if (len(q) - 1) / rate_hz < MIN_DURATION_S else rms_jerk(q, rate_hz),
         tilt_max_rad=outcome.tilt_max_rad,
         path_length_m=float(path_length_m(tcp_positions).mean()),
         internal_force_min_n=outcome.internal_force_min_n,
