@@ -7,13 +7,17 @@ from typing import Any
 
 from minidual.errors import UsageError
 from minidual.plant.protocol import Plant
-from minidual.robot.pair import Array, Robot
+from minidual.robot.pair import Array
 
 _MEASURED = ("stamp_s", "q", "v", "tau", "fingers", "grip")
 
 
 def _late(name: str, doc: str) -> Any:
     return property(lambda self: self._states[0][name].copy(), doc=doc)
+
+
+def _now(name: str) -> Any:
+    return property(lambda self: getattr(self._plant, name), doc="See `Plant`.")
 
 
 class DelayedPlant:
@@ -31,6 +35,8 @@ class DelayedPlant:
     fingers = _late("fingers", "Distance (2,) [m] of each hand's fingers from the middle.")
     grip = _late("grip", "Closing force (2,) [N] of each hand.")
 
+    robot, time, grip_max_n, health = map(_now, ("robot", "time", "grip_max_n", "health"))
+
     def __init__(self, plant: Plant, delay_s: float) -> None:
         if not delay_s >= 0.0:
             raise UsageError(f"delay_s is {delay_s}; it must be at least 0")
@@ -47,29 +53,9 @@ class DelayedPlant:
         self._states.append({name: getattr(self._plant, name) for name in _MEASURED})
 
     @property
-    def robot(self) -> Robot:
-        """See `Plant`."""
-        return self._plant.robot
-
-    @property
-    def time(self) -> float:
-        """See `Plant`."""
-        return self._plant.time
-
-    @property
     def stamp_s(self) -> float:
         """See `Plant`."""
         return self._states[0]["stamp_s"]
-
-    @property
-    def grip_max_n(self) -> float:
-        """See `Plant`."""
-        return self._plant.grip_max_n
-
-    @property
-    def health(self) -> str:
-        """See `Plant`."""
-        return self._plant.health
 
     def command(self, tau: Array, fingers: Array) -> None:
         """See `Plant`."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from minidual.config.change import preset, replaced
 from minidual.config.root import Config
-from minidual.config.scene import OBSTACLE, ObjectConfig, SceneConfig
+from minidual.config.scene import OBSTACLE, SceneConfig
 from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import pose, rot_x, rot_z
 from minidual.tasks.motions import MOTIONS
@@ -56,7 +56,7 @@ def rod_carry(config: Config) -> Task:
         name="rod_carry",
         instruction=f"Grasp the {body.name} with both hands, carry it to the green mark and put it down.",
         config=config,
-        objects={body.name: TaskObject(body, held_at_ends(body), symmetry=2)},
+        objects={body.name: TaskObject(body, dict(zip(SIDES, grasp_offsets(config.scene), strict=True)), symmetry=2)},
         steps=tuple(Step(phase) for phase in _PHASES),
         success=carried_by_both,
         draw=draw_on_table,
@@ -113,22 +113,13 @@ def level_pose(x: float, y: float, z: float, yaw_rad: float) -> Array:
 
 def level_part(T_world_object: Array) -> Array:
     """Return the pose without tilt or roll: a cylinder may have rolled."""
-    axis = T_world_object[:3, 1]
-    yaw = float(np.arctan2(-axis[0], axis[1]))
-    return pose(rot_z(yaw), T_world_object[:3, 3])
-
-
-def held_at_ends(body: ObjectConfig) -> dict[str, Array]:
-    """Return T_object_tcp (4, 4) by hand, pointing down; the left hand holds the +y end."""
-    rotation = rot_z(np.pi / 2.0) @ rot_x(np.pi)
-    ends = zip(SIDES, (body.grasp_offset_m, -body.grasp_offset_m), strict=True)
-    return {side: pose(rotation, (0.0, y, body.grasp_height_m)) for side, y in ends}
+    return pose(rot_z(placement(T_world_object)[2]), T_world_object[:3, 3])
 
 
 def grasp_offsets(scene: SceneConfig) -> tuple[Array, Array]:
-    """Return left and right T_object_tcp."""
-    left, right = held_at_ends(scene.object).values()
-    return left, right
+    """Return left and right T_object_tcp, pointing down; the left hand holds the +y end."""
+    rotation, y, z = rot_z(np.pi / 2.0) @ rot_x(np.pi), scene.object.grasp_offset_m, scene.object.grasp_height_m
+    return pose(rotation, (0.0, y, z)), pose(rotation, (0.0, -y, z))
 
 
 def tilt_rad(T_world_object: Array) -> float:
