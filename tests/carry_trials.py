@@ -2,10 +2,21 @@
 
 from __future__ import annotations
 
+from minidual.config.control import SensingConfig
 from minidual.config.root import Config
 from minidual.config.scene import SceneConfig
 from minidual.tasks.judge import Judge
 from minidual.tasks.task import Task, Trial, make_task
+
+PERFECT_SENSING = SensingConfig(
+    pose_noise_m=0.0,
+    pose_noise_rad=0.0,
+    pose_rate_hz=0.0,
+    force_noise_n=0.0,
+    delay_s=0.0,
+    force_filter_s=0.0,
+    grasp_memory_s=0.0,
+)
 
 
 def carry_task(scene: SceneConfig) -> Task:

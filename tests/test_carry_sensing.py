@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from carry_trials import sample_trial
+from carry_trials import PERFECT_SENSING, sample_trial
 from panda import HOME
 
 from minidual.config.control import CarryConfig, SensingConfig
@@ -96,7 +96,7 @@ def test_the_delay_is_exact_in_steps(delay_s: float) -> None:
 
 def test_switched_off_it_is_the_truth() -> None:
     bench = Bench()
-    senses = Sensors(bench, SensingConfig.perfect(), np.random.default_rng(0))  # type: ignore[arg-type]
+    senses = Sensors(bench, PERFECT_SENSING, np.random.default_rng(0))  # type: ignore[arg-type]
     for k in range(30):
         bench.T = pose(rot_z(0.01 * k), (0.1 * k, 0.0, 0.0))
         reading = senses.sense()

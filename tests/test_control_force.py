@@ -5,12 +5,12 @@ from __future__ import annotations
 import force_law_oracle as oracle
 import numpy as np
 import pytest
-from carry_trials import rod_judge, rod_trial, sample_trial
+from carry_trials import PERFECT_SENSING, rod_judge, rod_trial, sample_trial
 from hypothesis import given
 from hypothesis import strategies as st
 from panda import HOME, JOINT_DAMPING
 
-from minidual.config.control import CarryConfig, ImpedanceConfig, SensingConfig
+from minidual.config.control import CarryConfig, ImpedanceConfig
 from minidual.config.scene import SceneConfig
 from minidual.control import object_impedance
 from minidual.control.object_impedance import HeldObject, ObjectImpedance, ObjectState
@@ -113,7 +113,7 @@ def test_motion_feedforward_asks_for_the_acceleration_of_the_object(monkeypatch:
 def test_energy_does_not_grow_when_a_held_rod_is_let_swing(scene: SceneConfig) -> None:
     """Grasp, squeeze, then hold: kinetic energy dies out and stays out."""
     world, kinematics = World(scene), Kinematics()
-    config = CarryConfig(sensing=SensingConfig.perfect())
+    config = CarryConfig(sensing=PERFECT_SENSING)
     trial = rod_trial("test", 0, (*scene.task.start_xy_m, 0.0), (*scene.task.start_xy_m, 0.0))
     world.reset(poses=trial.start)
     carry = ImpedanceCarry(world, kinematics, config, trial)

@@ -143,11 +143,11 @@ def test_version_change_warns_and_stays_fresh(finished, monkeypatch):
     monkeypatch.setattr("minidual.__version__", "99.0")
     from minidual.gate import fingerprint
 
-    fingerprint._circumstances.cache_clear()
+    fingerprint.circumstances_now.cache_clear()
     try:
         state = finished.gate().state("first")
     finally:
-        fingerprint._circumstances.cache_clear()
+        fingerprint.circumstances_now.cache_clear()
     assert state.state == "pass"
     assert any("this is 99.0" in warning for warning in state.warnings)
 

@@ -86,9 +86,9 @@ def build_app(table: StageTable, tools: Sequence[ToolEntry] = ()) -> typer.Typer
 
         command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-        epilog = "\n\n".join(["Examples:", *(f"minidual {example}" for example in examples)]) if examples else None
+        epilog = "\n\n".join(["Examples:", *(f"minidual {example}" for example in examples)])
         owner = config if name == "show" else app
-        owner.command(name, help=f"{summary}.", epilog=epilog, rich_help_panel=panel)(command)
+        owner.command(name, help=f"{summary}.", epilog=epilog if examples else None, rich_help_panel=panel)(command)
 
     @app.callback()
     def root(  # pyright: ignore[reportUnusedFunction] - registered by the decorator
@@ -102,37 +102,14 @@ def build_app(table: StageTable, tools: Sequence[ToolEntry] = ()) -> typer.Typer
             own += _parameters(Watching)
         own += _parameters(Running)
         add(entry.name, entry.summary, entry.examples, stage_body(entry), own, "Stages, in order")
-    for name, summary, examples, body, groups in (
-        (
-            "run",
-            "Run every stage that is not passing and fresh, in order",
-            ("run", "run --until carry --profile smoke"),
-            run_body,
-            (_Until, Watching, Running),
-        ),
-        (
-            "status",
-            "Show which stages pass, are stale, missing or blocked, and why",
-            ("status", "status --profile smoke --json"),
-            status_body,
-            (),
-        ),
-        (
-            "explain",
-            "Explain one stage: checks, margins, remedies, staleness; or what to look at first",
-            ("explain", "explain deploy"),
-            explain_body,
-            (_Explained,),
-        ),
-        (
-            "show",
-            "Print the resolved configuration as YAML",
-            ("config show --profile smoke", "config show --set plan.queries_n=30 --json"),
-            config_body,
-            (),
-        ),
+    for name, body, groups in (
+        ("run", run_body, (_Until, Watching, Running)),
+        ("status", status_body, ()),
+        ("explain", explain_body, (_Explained,)),
+        ("show", config_body, ()),
     ):
-        add(name, summary, examples, body, _parameters(*groups), "The run")
+        summary, _, *examples = inspect.cleandoc(body.__doc__ or "").splitlines()
+        add(name, summary.rstrip("."), examples, body, _parameters(*groups), "The run")
     app.add_typer(config, name="config", rich_help_panel="The run")
     for tool in tools:
         own = _option_parameters(tool.options) + (_parameters(Watching) if tool.watchable else [])

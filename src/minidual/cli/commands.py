@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from minidual.gate.table import StageEntry, ToolEntry
 
 Body = Callable[[Session, Mapping[str, Any]], ExitCode]
-"""A command's function of session and own options."""
+"""A command's function of session and own options. Its docstring is its help: a summary, then examples."""
 
 
 def stage_body(entry: StageEntry) -> Body:
@@ -117,7 +117,11 @@ def _outcome_json(outcome: Outcome) -> dict[str, Any]:
 
 
 def run_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
-    """Run all stages up to `until` that are not fresh."""
+    """Run every stage that is not passing and fresh, in order.
+
+    run
+    run --until carry --profile smoke
+    """
     from minidual.cli.tables import print_outcome, print_status
 
     until, force = values["until"], values["force"]
@@ -143,15 +147,20 @@ def run_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
 
 
 def status_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
-    """Show the state of every stage."""
+    """Show which stages pass, are stale, missing or blocked, and why.
+
+    status
+    status --profile smoke --json
+    """
     return _show_status(session, explained=False)
 
 
 def _show_status(session: Session, *, explained: bool) -> ExitCode:
     from minidual.cli.tables import print_lowest, print_status
+    from minidual.gate.lock import lock_holder
 
     gate, store = session.gate(), session.store
-    following, writer, lowest = session.following(gate, explained=explained), store.writer(), gate.lowest()
+    following, writer, lowest = session.following(gate, explained=explained), lock_holder(store.folder), gate.lowest()
     if not session.typed.json:
         title = f"run {store.run} (profile {session.loaded.profile}, {store.folder})"
         print_status(session.data, gate, title, "" if explained else following)
@@ -189,7 +198,11 @@ def _state_json(state: StageState) -> dict[str, Any]:
 
 
 def explain_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
-    """Explain one stage, or else all stages and the lowest that does not pass."""
+    """Explain one stage: checks, margins, remedies, staleness; or what to look at first.
+
+    explain
+    explain deploy
+    """
     from minidual.cli.tables import print_explanation, print_lowest
 
     if values["stage"] is None:
@@ -223,7 +236,11 @@ def explain_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
 
 
 def config_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
-    """Print the resolved configuration."""
+    """Print the resolved configuration as YAML.
+
+    config show --profile smoke
+    config show --set plan.queries_n=30 --json
+    """
     loaded = session.loaded
     document = {
         "profile": loaded.profile,

@@ -136,7 +136,7 @@ class Session:
                 f"run '{base.run}' keeps its finished {first}{more}: {replaced[first]}\n"
                 f"working in run '{self.store.run}' instead; --yes would replace it in '{base.run}'"
             )
-            kept = {up for name in names for up in (*self.table.upstream(name), name)} - gate.rerun(names, force)
+            kept = {up for name in names for up in (*self.table.upstream(name), name)} - {*gate.rerun(names, force)}
             for name in self.table.names:
                 if name in kept and gate.state(name).state == "pass":
                     self.store.link(name, base)

@@ -85,19 +85,6 @@ class SensingConfig(StrictModel):
     grasp_memory_s: float = Field(default=0.15, ge=0.0, le=5.0)
     """Averaging time of the pose in the hands; 0 uses the last sample."""
 
-    @classmethod
-    def perfect(cls) -> SensingConfig:
-        """Return sensing without noise, delay or averaging."""
-        return cls(
-            pose_noise_m=0.0,
-            pose_noise_rad=0.0,
-            pose_rate_hz=0.0,
-            force_noise_n=0.0,
-            delay_s=0.0,
-            force_filter_s=0.0,
-            grasp_memory_s=0.0,
-        )
-
 
 class PaceConfig(StrictModel):
     """Limits for the carry's durations; see skills/pace.py."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import platform
+import re
 import subprocess
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -17,6 +19,7 @@ from minidual.gate.canonical import canonical
 from minidual.gate.code import Code
 
 UNSEEN = "(absent)"
+_FULL_HASH = re.compile(r"^([0-9a-f]{10})[0-9a-f]+")
 
 
 @dataclass(frozen=True)
@@ -63,9 +66,9 @@ class Fingerprint:
     def differences(self, now: Fingerprint) -> list[str]:
         """Return the reasons why a result of `self` is stale."""
         reasons = self.choices(now)
-        for name, then, _current in changes(dict(self.inputs), dict(now.inputs), flat=True):
+        for name, then, _ in changes(self.inputs, now.inputs):
             reasons.append(f"input {name} {'is new' if then == UNSEEN else 'changed or is gone'}")
-        for name, then, current in changes(dict(self.upstream), dict(now.upstream), flat=True):
+        for name, then, current in changes(self.upstream, now.upstream):
             if current is None:
                 reasons.append(f"the verdict of upstream stage {name} is gone")
             else:
@@ -78,7 +81,8 @@ class Fingerprint:
         if self.version != now.version:
             warnings.append(f"made by minidual {self.version}, this is {now.version}")
         if self.commit != now.commit:
-            warnings.append(f"made at commit {_short_commit(self.commit)}, this is {_short_commit(now.commit)}")
+            then, current = (_FULL_HASH.sub(r"\1", commit or "none") for commit in (self.commit, now.commit))
+            warnings.append(f"made at commit {then}, this is {current}")
         for label, before, after in (
             ("machine", self.machine, now.machine),
             ("library", self.libraries, now.libraries),
@@ -91,24 +95,14 @@ class Fingerprint:
         return warnings
 
 
-def changes(
-    before: Mapping[str, Any], after: Mapping[str, Any], *, flat: bool = False, prefix: str = ""
-) -> Iterable[tuple[str, Any, Any]]:
-    """Yield (dotted name, before, after) for each differing leaf; `flat` does not enter mappings."""
+def changes(before: Mapping[str, Any], after: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, Any, Any]]:
+    """Yield (dotted name, before, after) for each differing leaf."""
     for key in [*before, *(key for key in after if key not in before)]:
         then, current = before.get(key, UNSEEN), after.get(key, UNSEEN)
-        if not flat and isinstance(then, dict) and isinstance(current, dict):
-            inner = cast(dict[str, Any], then), cast(dict[str, Any], current)
-            yield from changes(*inner, prefix=f"{prefix}{key}.")
+        if isinstance(then, dict) and isinstance(current, dict):
+            yield from changes(cast(dict[str, Any], then), cast(dict[str, Any], current), f"{prefix}{key}.")
         elif then != current or isinstance(then, bool) is not isinstance(current, bool):
             yield f"{prefix}{key}", then, current
-
-
-def _short_commit(commit: str | None) -> str:
-    if commit is None:
-        return "none"
-    identifier, plus, changes_word = commit.partition("+")
-    return identifier[:10] + plus + changes_word
 
 
 def _short(value: Any) -> str:
@@ -116,13 +110,9 @@ def _short(value: Any) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-def circumstances_now(libraries: Iterable[str]) -> dict[str, Any]:
-    """Return version, commit, machine and versions of `libraries` (distribution names)."""
-    return _circumstances(tuple(libraries))
-
-
 @cache
-def _circumstances(libraries: tuple[str, ...]) -> dict[str, Any]:
+def circumstances_now(libraries: tuple[str, ...]) -> dict[str, Any]:
+    """Return version, commit, machine and versions of `libraries` (distribution names)."""
     return {
         "version": minidual.__version__,
         "commit": _commit(),
@@ -162,10 +152,8 @@ def _commit() -> str | None:
 
 
 def _processor() -> str:
-    try:
+    with contextlib.suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
             if line.startswith("model name"):
                 return line.split(":", 1)[1].strip()
-    except OSError:
-        pass
     return platform.processor()

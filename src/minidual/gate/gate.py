@@ -98,12 +98,12 @@ class Gate:
         """Return the first stage that does not pass. Faults propagate upwards, so it is the one to look at."""
         return next((state for state in map(self.state, self.table.names) if state.state != "pass"), None)
 
-    def rerun(self, names: Sequence[str], force: bool) -> set[str]:
+    def rerun(self, names: Sequence[str], force: bool) -> list[str]:
         """Return which of `names`, in table order, are not passing and fresh, or would not be after the others ran."""
-        found: set[str] = set()
+        found: list[str] = []
         for name in names:
-            if force or self.state(name).state != "pass" or found & {*self.table[name].requires}:
-                found.add(name)
+            if force or self.state(name).state != "pass" or {*found} & {*self.table[name].requires}:
+                found.append(name)
         return found
 
     def replaced(self, names: Sequence[str], force: bool) -> dict[str, str]:
@@ -111,43 +111,32 @@ class Gate:
 
         A change of code, of a profile file or upstream alone is none: those stages run again on purpose.
         """
-        typed = Gate(
-            self.table, self.store, self.loaded, {name: self.options.get(name, {}) for name in names}, self._known
-        )
+        options = {name: self.options.get(name, {}) for name in names}
+        gate = Gate(self.table, self.store, self.loaded, options, self._known)
         found: dict[str, str] = {}
-        for name in (name for name in names if name in self.rerun(names, force)):
+        for name in self.rerun(names, force):
             verdict = self.state(name).verdict
             if verdict is None:
                 continue
-            options, loaded = typed.effective(name, verdict)
-            extras = self.table[name].extras
-            texts = [
-                [f"--profile {profile}", *overrides, *(f"--{key} {value}" for key, value in extras(given).items())]
-                for profile, overrides, given in (
-                    (verdict.profile, verdict.overrides, verdict.options),
-                    (loaded.profile, [item.text for item in loaded.overrides], options),
-                )
-            ]
-            if set(texts[0]) != set(texts[1]) and verdict.fingerprint.choices(typed.fingerprint(name, verdict)):
-                found[name] = f"made with {' '.join(texts[0])}, typed was {' '.join(texts[1])}"
+            made, typed = ({f"--profile {verdict.profile}", *verdict.overrides}, gate.typed(name))
+            if made != {*typed} and verdict.fingerprint.choices(gate.fingerprint(name, verdict)):
+                found[name] = f"made with {' '.join(sorted(made))}, typed was {' '.join(typed)}"
         return found
 
-    def root_cause(self, name: str) -> StageState | None:
-        """Return the first non-passing stage above `name` whose own gate is open."""
-        for upstream in self.table.upstream(name):
-            if self.state(upstream).state != "pass" and not self.closed_by(upstream):
-                return self.state(upstream)
-        return None
+    def typed(self, name: str) -> list[str]:
+        """Return profile, settings and options that `name` would run with, as typed."""
+        options, loaded = self.effective(name, None)
+        extras = [f"--{key} {value}" for key, value in self.table[name].extras(options).items()]
+        return [f"--profile {loaded.profile}", *(item.text for item in loaded.overrides), *extras]
 
     def closed_error(self, name: str, command: CommandText) -> GateClosedError | DataError:
         """Return the closed-gate error: cause, failed check and command to type."""
-        first = self.closed_by(name)[0]
-        cause = self.root_cause(name) or first
-        unfinished = [up for up in self.table.upstream(name) if self.state(up).state != "pass"]
+        unfinished = [state for up in self.table.upstream(name) if (state := self.state(up)).state != "pass"]
+        cause = unfinished[0]
         mend = command(cause.name if len(unfinished) == 1 else f"run --until {name}")
         if cause.corrupt:
             return DataError(cause.why(), remedy=mend)
-        article = "has a problem" if cause.state == "error" else f"is {cause.state}"
+        article = "ended in error" if cause.state == "error" else f"is {cause.state}"
         words = {"pass": "passed", "fail": "failed", "missing": "has not run"}.get(cause.state, article)
         text = f"the gate of {name} is closed: {cause.name} {words}"
         if cause.state not in ("missing", "blocked") and cause.why():
@@ -162,8 +151,7 @@ class Gate:
         for upstream in self.table.upstream(name):
             verdict = self.state(upstream).verdict
             made_by = verdict.fingerprint.code if verdict else Code()
-            changed = made_by.changes(self.table[upstream].code(made_by)) if verdict else []
-            if changed:
+            if verdict and (changed := made_by.changes(self.table[upstream].code(made_by))):
                 found[upstream] = changed
         return found
 
@@ -178,14 +166,13 @@ class Gate:
         """Return the fingerprint that a new verdict of `name` would have."""
         entry = self.table[name]
         options, loaded = self.effective(name, verdict)
-        inputs: dict[str, str] = {}
-        for required in entry.requires:
-            upstream = self.state(required)
-            if upstream.verdict is not None:
-                for path, artefact in upstream.verdict.artefacts.items():
-                    # The upstream's configuration is already part of its verdict.
-                    if path != CONFIG_FILE:
-                        inputs[f"{required}/{path}"] = artefact.sha256
+        inputs = {
+            f"{required}/{path}": artefact.sha256
+            for required in entry.requires
+            if (upstream := self.state(required).verdict) is not None
+            for path, artefact in upstream.artefacts.items()
+            if path != CONFIG_FILE  # the upstream's configuration is already part of its verdict
+        }
         return Fingerprint(
             parameters=canonical(entry.parameters(loaded.config), f"{name}.parameters"),
             options=canonical(entry.extras(options), f"{name}.options"),

@@ -115,8 +115,7 @@ class Runner:
                     return
 
     def _validate(self, gate: Gate, name: str) -> None:
-        _, loaded = gate.effective(name, None)
-        self.table[name].checked(loaded.config)
+        self.table[name].resolved(gate.effective(name, None)[1].config, checked=True)
 
     def _run_locked(self, gate: Gate, name: str, force: bool, waiver: str | None) -> Outcome:
         state = gate.state(name)
@@ -186,7 +185,7 @@ class Runner:
                     finished_at=now_text(),
                     duration_s=round(time.monotonic() - started, 3),
                     options=canonical(options, f"{name}.options"),
-                    overrides=tuple(item.text for item in loaded.overrides),
+                    overrides=tuple(gate.typed(name)[1:]),
                     waivers=waivers,
                     weakened=self._weakened(gate, entry, loaded),
                     data=canonical(result.data, f"{name}.data"),
@@ -218,24 +217,19 @@ def _closing_checks(entry: StageEntry, checks: Sequence[Check], context: StageCo
     """Return the checks on waivers and code of a closing stage; they alone are no evidence."""
     if not entry.closing or not any(check.limited for check in checks):
         return []
-    waivers, changed = context.waivers, context.code_changes
-    stages = ", ".join(waiver.stage for waiver in waivers)
-    modules = sorted({module for names in changed.values() for module in names})
-    return [
-        Check(
-            "gate.waivers",
-            len(waivers),
-            "==",
-            0,
-            why="evidence behind a waived gate is no acceptance",
-            remedy=f"run {stages} without --waive-gate" if waivers else "",
-        ),
-        Check(
+    waived = ", ".join(waiver.stage for waiver in context.waivers)
+    changed = context.code_changes
+    modules = ", ".join(sorted({module for names in changed.values() for module in names})[:3])
+    rows = (
+        ("gate.waivers", len(context.waivers), "evidence behind a waived gate", f"run {waived} without --waive-gate"),
+        (
             "gate.code_changed",
             len(changed),
-            "==",
-            0,
-            why="results of other code are no acceptance of this code",
-            remedy=f"run {', '.join(changed)} again with --force ({', '.join(modules[:3])} changed)" if changed else "",
+            "results of other code",
+            f"run {', '.join(changed)} again with --force ({modules} changed)",
         ),
+    )
+    return [
+        Check(name, found, "==", 0, why=f"{what} is no acceptance", remedy=mend if found else "")
+        for name, found, what, mend in rows
     ]

@@ -24,7 +24,7 @@ from minidual.durable import remove, replacing, set_aside, sync, write_text
 from minidual.errors import DataError, UsageError
 from minidual.gate.canonical import dumps, parse_json
 from minidual.gate.clock import now_stamp, now_text
-from minidual.gate.lock import lock_holder_text, lock_is_held, run_lock
+from minidual.gate.lock import lock_holder, run_lock
 from minidual.gate.manifest import ATTEMPT_FILE, CONFIG_FILE, VERDICT_FILE
 from minidual.gate.verdict import Verdict, read_verdict
 
@@ -40,6 +40,13 @@ class Attempt:
     pid: int
     started_at: str
     message: str = ""
+
+
+def _link(source: str, target: str) -> None:
+    try:
+        os.link(source, target)
+    except OSError:  # a file system without hard links
+        shutil.copy2(source, target)
 
 
 class RunStore:
@@ -94,17 +101,13 @@ class RunStore:
             attempt = Attempt(**parse_json(path.read_bytes()))
         except (OSError, DataError, TypeError):
             return Attempt(stage, "interrupted", 0, "", "killed as it began")
-        if attempt.state == "running" and not lock_is_held(self.folder):
+        if attempt.state == "running" and lock_holder(self.folder) is None:
             return Attempt(stage, "interrupted", attempt.pid, attempt.started_at, "the process was killed")
         return attempt
 
     def half_written(self, stage: str) -> bool:
         """Return whether the folder of `stage` lacks a verdict."""
         return (self.folder / stage).is_dir() and not self.verdict_path(stage).is_file()
-
-    def writer(self) -> str | None:
-        """Return the current writer, or None."""
-        return lock_holder_text(self.folder) if lock_is_held(self.folder) else None
 
     @contextmanager
     def writing(self, command: str) -> Generator[None]:
@@ -175,7 +178,7 @@ class RunStore:
         with self.writing(f"run {self.run}"):
             if not folder.exists():
                 with replacing(folder) as partial:
-                    shutil.copytree(other.stage_folder(stage), partial, copy_function=os.link)
+                    shutil.copytree(other.stage_folder(stage), partial, copy_function=_link)
 
     def write_crash(self, name: str, error: BaseException) -> Path:
         """Write the traceback into the run folder and return its path."""

@@ -7,6 +7,7 @@ import importlib.metadata
 import keyword
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, cast
 
 from minidual.config.base import limits
@@ -138,37 +139,21 @@ class StageEntry:
         """Return the code that the stage reaches; for `known` see `code_of`."""
         return code_of([target for target in (self.target, self.resolve) if isinstance(target, str)], known)
 
-    def resolved(self, config: Config) -> Config:
-        """Return the resolved configuration.
+    def resolved(self, config: Config, *, checked: bool = False) -> Config:
+        """Return the resolved configuration; `checked` runs `check` first.
 
         Raises:
             UsageError: A name or value is wrong.
         """
+        if self.check is not None and checked:
+            _loaded(self.name, self.check)(config)
         return config if self.resolve is None else cast("Config", _loaded(self.name, self.resolve)(config))
 
-    def checked(self, config: Config) -> Config:
-        """Run `check`, then return `resolved`.
-
-        Raises:
-            UsageError: A name or value is wrong.
-        """
-        if self.check is not None:
-            _loaded(self.name, self.check)(config)
-        return self.resolved(config)
-
     def parameters(self, config: Config) -> dict[str, Any]:
-        """Return the `reads` subtree of the configuration."""
+        """Return {path: value} of `reads`."""
         with contextlib.suppress(MinidualError):  # refused before the stage runs; until then, what was typed
             config = self.resolved(config)
-        found: dict[str, Any] = {}
-        for path in self.reads:
-            value: Any = config
-            *sections, last = path.split(".")
-            place = found
-            for section in sections:
-                value, place = getattr(value, section), place.setdefault(section, {})
-            place[last] = getattr(value, last)
-        return found
+        return {path: attrgetter(path)(config) for path in self.reads}
 
     def weaker(self, config: Config, reference: Config) -> tuple[str, ...]:
         """Return one line per count or limit weaker than `reference`, among the values that the stage reads."""
