@@ -194,7 +194,7 @@ def test_a_failed_result_is_finished_too_and_a_corrupt_one_is_not(toys):
 
 @pytest.mark.parametrize("words", [["--yes", "--queries", "3"], ["--force"]])
 def test_a_recording_is_set_aside_and_never_deleted(toys, words):
-    table = [dataclasses.replace(entry, recording=entry.name == "first") for entry in toys.bench.table]
+    table = [dataclasses.replace(entry, keeps=("out",) if entry.name == "first" else ()) for entry in toys.bench.table]
     toys.bench.table = StageTable(table)
     before = contents(toys.folder("toys") / "first")
     code, _, err = toys("first", *words)
@@ -215,7 +215,7 @@ def test_a_replacement_cut_short_keeps_both_results(toys):
 
 
 def test_the_recorder_is_the_stage_whose_results_are_kept():
-    assert [entry.name for entry in STAGES if entry.recording] == ["teleop-record"]
+    assert [entry.name for entry in STAGES if entry.keeps] == ["teleop-record"]
 
 
 def documented() -> list[str]:

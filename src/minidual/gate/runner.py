@@ -191,7 +191,7 @@ class Runner:
                     data=canonical(result.data, f"{name}.data"),
                     notes=tuple(result.notes),
                 )
-                kept = self.store.publish(name, verdict, keep_old=entry.recording)
+                kept = self.store.publish(name, verdict, keep_old=bool(entry.keeps))
                 if kept is not None:
                     self.progress.note(f"the earlier {name} is kept in {kept}")
         except KeyboardInterrupt:

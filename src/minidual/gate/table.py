@@ -110,8 +110,8 @@ class StageEntry:
         check: "module:function" that raises UsageError for values that models cannot validate; called before a run.
         asides: Tools that run instead when triggered.
         watchable: Takes --view.
-        keeps: Names in its folder that a new attempt takes over from an interrupted one.
-        recording: What a new result replaces is set aside, never deleted.
+        keeps: Names in its folder that a new attempt takes over from an interrupted one. If any, a replaced result is
+            set aside, never deleted.
         examples: For --help, such as "carry --trials 50".
         closing: Ends the pipeline and checks waivers and code changes.
     """
@@ -126,7 +126,6 @@ class StageEntry:
     options: tuple[Option, ...] = ()
     asides: tuple[ToolEntry, ...] = ()
     watchable: bool = False
-    recording: bool = False
     keeps: tuple[str, ...] = ()
     closing: bool = False
     examples: tuple[str, ...] = ()

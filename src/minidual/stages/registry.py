@@ -123,7 +123,6 @@ STAGES = StageTable(
             options=(Option("episodes", "Demonstrations to record.", int, "teleop.episodes_n"),),
             watchable=True,
             examples=("teleop-record --episodes 50", "teleop-record --view web"),
-            recording=True,
             keeps=("episodes", "rejected", "attempts", "inputs.json"),
         ),
         StageEntry(
