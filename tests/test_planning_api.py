@@ -1,5 +1,6 @@
 """Queries in, proven trajectories or named errors out."""
 
+import dataclasses
 import re
 import typing
 from pathlib import Path
@@ -168,21 +169,19 @@ def test_no_path_in_time_names_budget_attempts_and_reason():
 
 def test_a_failed_proof_is_planned_again(post_planner, monkeypatch):
     """The planner's own word never counts: what the proof refuses once is made anew."""
-    verifier = post_planner.engines().verifier
+    verifier = post_planner.engines()
     verify, calls = verifier.verify, []
 
     def refuse_first(trajectory):
         calls.append(trajectory)
         report = verify(trajectory)
-        return report if len(calls) > 1 else type(report)(**{**report.to_json(), "ok": False, "reason": "made up"})
+        return report if len(calls) > 1 else dataclasses.replace(report, ok=False, reason="made up")
 
     monkeypatch.setattr(verifier, "verify", refuse_first)
     result = post_planner.plan_to_joints("left_arm", beside_the_post(1), beside_the_post(-1), seed=3)
     assert result.attempts_n == 2
     assert result.notes == ("proof failed: made up",)
-    monkeypatch.setattr(
-        verifier, "verify", lambda t: type(r := verify(t))(**{**r.to_json(), "ok": False, "reason": "no"})
-    )
+    monkeypatch.setattr(verifier, "verify", lambda t: dataclasses.replace(verify(t), ok=False, reason="no"))
     with pytest.raises(NoPathInTimeError, match="proof failed: no"):
         post_planner.plan_to_joints("left_arm", beside_the_post(1), beside_the_post(1)[:7] + 0.1, budget_s=0.3)
 

@@ -14,7 +14,7 @@ from minidual.cli import run_command_line
 from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, Sphere
 from minidual.motion.api import Planner
-from minidual.proof.verify import CLEARANCE_MAX_M
+from minidual.proof.scene_engines import CLEARANCE_MAX_M
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.trajectory import Trajectory
 from minidual.show.planning import Poser, play
@@ -127,7 +127,7 @@ def test_a_plan_far_from_everything_has_at_least_the_largest_clearance():
     goal = HOME.copy()
     goal[6] += 0.01
     plan = arms_only.plan_to_joints("left_arm", HOME, goal)
-    assert 0.0 < arms_only.engines().verifier.clearance(plan.trajectory) <= CLEARANCE_MAX_M
+    assert 0.0 < arms_only.engines().clearance(plan.trajectory) <= CLEARANCE_MAX_M
 
 
 def test_bad_queries_end_with_2_and_no_way_with_1(run, tmp_path):

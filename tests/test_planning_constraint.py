@@ -157,7 +157,7 @@ def test_ompl_plans_on_the_manifold(constraint, q_held, move, space):
         assert np.abs(path[0] - q_held).max() < 1e-6
         assert np.abs(path[-1] - q_goal).max() < 1e-6
         assert max(np.linalg.norm(value(constraint, q)) for q in path) < 2e-4
-        assert not engine.verifier.engine("mujoco").collisions(path).any()
+        assert not engine.engine("mujoco").collisions(path).any()
         assert np.abs(np.diff(path, axis=0)).max() < 0.5
 
 

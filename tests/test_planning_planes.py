@@ -53,7 +53,7 @@ def engines(scene):
 
 @pytest.fixture(scope="module")
 def distances(scene, engines):
-    return CoalDistances(scene, engines.verifier.engine("coal"))
+    return CoalDistances(scene, engines.engine("coal"))
 
 
 def placed(solids, q):
@@ -99,8 +99,8 @@ def wave(q, amplitude, seed, samples_n=201):
 
 def test_kinematics_are_those_of_pinocchio(engines):
     kinematics = Kinematics()
-    hand = engines.verifier.engine("coal").model.getFrameId("left_panda_hand_tcp")
-    flange = np.array(engines.verifier.engine("coal").model.frames[hand].placement.homogeneous)
+    hand = engines.engine("coal").model.getFrameId("left_panda_hand_tcp")
+    flange = np.array(engines.engine("coal").model.frames[hand].placement.homogeneous)
     for q in states(20)[:20]:
         R, p = placed(engines.solids, q)
         for frame, T in zip((7, 14), kinematics.tcp_poses(q), strict=True):
@@ -120,7 +120,7 @@ def test_the_solids_are_what_mujoco_compiled(scene, arm):
     _, vertices, solids, parts, *_ = engines.solids.geometry
     seen = 0
     for q in robot.home + rng.uniform(-0.8, 0.8, (6, robot.dof)):
-        engines.verifier.engine("mujoco").contact_count(q)
+        engines.engine("mujoco").contact_count(q)
         R, p = placed(engines.solids, q)
         for name, part in zip(scene.names, parts, strict=True):
             for _ in range(6):
@@ -136,23 +136,19 @@ def test_the_solids_are_what_mujoco_compiled(scene, arm):
                     )
                     + n @ p[part["frame"]]
                 )
-                assert far == pytest.approx(farthest_in_mujoco(engines.verifier.engine("mujoco"), name, n), abs=2e-6), (
-                    name
-                )
+                assert far == pytest.approx(farthest_in_mujoco(engines.engine("mujoco"), name, n), abs=2e-6), name
                 seen += 1
     assert seen == 36 * len(scene.names)
 
 
 def test_another_geometry_would_be_noticed(scene, engines):
     """Negative control of the comparison above."""
-    other = SceneEngines(
-        scene.without_obstacle("sphere").with_obstacles(Sphere("sphere", (0.4, 0, 0.45), radius_m=0.0601))
-    )
-    engines.verifier.engine("mujoco").contact_count(HOME)
-    other.verifier.engine("mujoco").contact_count(HOME)
-    far = [
-        farthest_in_mujoco(e.verifier.engine("mujoco"), "sphere", np.array([0.0, 0.0, 1.0])) for e in (engines, other)
-    ]
+    kept = tuple(shape for shape in scene.obstacles if shape.name != "sphere")
+    larger = Sphere("sphere", (0.4, 0, 0.45), radius_m=0.0601)
+    other = SceneEngines(dataclasses.replace(scene, obstacles=(*kept, larger)))
+    engines.engine("mujoco").contact_count(HOME)
+    other.engine("mujoco").contact_count(HOME)
+    far = [farthest_in_mujoco(e.engine("mujoco"), "sphere", np.array([0.0, 0.0, 1.0])) for e in (engines, other)]
     assert far[1] - far[0] == pytest.approx(1e-4, abs=1e-9)
 
 
@@ -267,8 +263,8 @@ def test_what_is_proven_is_free_at_a_thousand_states_in_between(engines, distanc
         assert asked[0]
         assert asked[-1]
         Q = trajectory.sample_many(np.linspace(0.0, trajectory.duration_s, 1201))[0]
-        assert not engines.verifier.engine("coal").collisions(Q).any()
-        assert not engines.verifier.engine("mujoco").collisions(Q).any()
+        assert not engines.engine("coal").collisions(Q).any()
+        assert not engines.engine("mujoco").collisions(Q).any()
         few = Q[:: len(Q) // 12]
         assert distances(few).min() > 0.0
     assert min(proven, refused) >= 5
@@ -288,7 +284,7 @@ def test_with_a_reach_too_short_a_ball_beside_the_chord_would_be_missed():
     trajectory = Trajectory(
         np.arange(3001) * 0.001, a + (b - a) * smooth, (b - a) * speed / 3.0, np.zeros((3001, DOF)), "left_arm"
     )
-    assert engines.verifier.engine("mujoco").collisions(trajectory.q[::10]).any()
+    assert engines.engine("mujoco").collisions(trajectory.q[::10]).any()
     only = np.array([solids.pairs.index(("ball", "tip"))])
     assert prove(solids, trajectory, length=100.0, chosen=only)[1] >= 0
     asked, failed, _ = prove(solids, trajectory, reach=0.01 * solids.geometry[5], length=100.0, chosen=only)
@@ -374,7 +370,7 @@ def test_two_links_of_one_arm_are_looked_at_from_the_inner_one(balls_settle):
     only = np.array([k for k, names in enumerate(solids.pairs) if set(names) == {"hand_ball", "forearm_ball"}])
     assert len(only) == 1
     meets = rest_to_rest(start, end)
-    assert CoalDistances(scene, engines.verifier.engine("coal"))(meets.q[200:201])[0, only[0]] < 0.0
+    assert CoalDistances(scene, engines.engine("coal"))(meets.q[200:201])[0, only[0]] < 0.0
     assert prove(solids, meets, length=100.0, chosen=only)[1] >= 0
     beside = start.copy()
     beside[0] = end[0]

@@ -64,8 +64,6 @@ def test_two_things_of_one_name_are_refused():
 
 
 def test_unknown_names_are_told_with_what_exists():
-    with pytest.raises(UsageError, match="no obstacle 'tabel'; there are table"):
-        PlanningScene().without_obstacle("tabel")
     with pytest.raises(UsageError, match="no link or obstacle 'box'"):
         PlanningScene().allowing("box", "table")
     with pytest.raises(UsageError, match="no link 'left_hand'"):
@@ -170,7 +168,6 @@ def test_attached_object_moves_with_its_hand_and_may_touch_its_fingers():
     assert scene.why_unchecked("ball", "left_panda_leftfinger") == "rigid"
     assert scene.why_unchecked("ball", "right_panda_hand") is None
     assert scene.why_unchecked("ball", "table") is None
-    assert scene.moving_joints("ball") == slice(0, 7)
     assert MujocoEngine(scene).touching_pairs(HOME) == set()
 
 
@@ -179,4 +176,4 @@ def test_scene_is_a_key():
     b = PlanningScene(obstacles=(TABLE, Sphere("s", (1.0, 0.0, 0.5))))
     assert a == b
     assert hash(a) == hash(b)
-    assert a != a.without_obstacle("s")
+    assert a != PlanningScene()

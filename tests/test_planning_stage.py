@@ -17,7 +17,7 @@ from minidual.config.root import Config
 from minidual.errors import ConfigError, DataError
 from minidual.gate.stage import StageContext
 from minidual.motion.api import Planner
-from minidual.proof.verify import Audit
+from minidual.proof.scene_engines import Audit
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import pose
 from minidual.stages import plan
@@ -206,7 +206,7 @@ def test_queries_are_what_they_say(group):
         line = query.q_start + np.linspace(0, 1, 200)[:, None] * (query.q_goal - query.q_start)
         assert query.blocked
         assert query.kind == generator.kind(group, index)
-        assert engines.verifier.engine("coal").collisions(line).any()  # the second engine sees the block, too
+        assert engines.engine("coal").collisions(line).any()  # the second engine sees the block, too
         assert len(query.scene.obstacles) == 5
         hands = dict(zip(("left", "right"), Kinematics().tcp_poses(query.q_goal), strict=True))
         for arm, T in query.targets.items():

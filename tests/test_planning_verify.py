@@ -13,7 +13,7 @@ from minidual.config.planning import PlannerConfig
 from minidual.errors import UsageError
 from minidual.motion.api import Planner
 from minidual.proof import certificate, limits
-from minidual.proof.verify import STEP_RAD, collision_samples
+from minidual.proof.scene_engines import STEP_RAD, collision_samples
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.trajectory import Trajectory
 from minidual.trials.planning.evaluate import plan_query
@@ -48,7 +48,7 @@ def minimum_jerk(q0, q1, duration_s, group="both_arms"):
 
 
 def test_a_good_plan_passes(planner, good):
-    report = planner.engines().verifier.verify(good)
+    report = planner.engines().verify(good)
     assert report.ok
     assert report.reason == ""
     assert 0.0 < report.jerk_ratio <= 0.9501
@@ -67,7 +67,7 @@ def test_a_colliding_trajectory_fails_with_the_pair(planner):
     """Down through the table."""
     down = HOME.copy()
     down[1] += 1.6
-    report = planner.engines().verifier.verify(minimum_jerk(HOME, down, 3.0))
+    report = planner.engines().verify(minimum_jerk(HOME, down, 3.0))
     assert not report.ok
     assert report.reason.startswith("collision at ")
     assert "table" in report.reason
@@ -77,21 +77,21 @@ def test_a_colliding_trajectory_fails_with_the_pair(planner):
 def test_arms_that_cross_fail(planner):
     inwards = HOME.copy()
     inwards[[0, 7]] = -0.6, 0.6
-    report = planner.engines().verifier.verify(minimum_jerk(HOME, inwards, 3.0))
+    report = planner.engines().verify(minimum_jerk(HOME, inwards, 3.0))
     assert not report.ok
     assert "left_panda" in report.reason
     assert "right_panda" in report.reason
 
 
 def test_too_fast_fails(planner, good):
-    quick = planner.engines().verifier.verify(minimum_jerk(HOME, good.q[-1], 0.3))
+    quick = planner.engines().verify(minimum_jerk(HOME, good.q[-1], 0.3))
     assert not quick.ok
     assert "needs" in quick.reason
     assert quick.velocity_ratio > 1.0
 
 
 def test_each_limit_is_named(planner, good):
-    verifier = planner.engines().verifier
+    verifier = planner.engines()
     spoiled = dataclasses.replace(good, v=good.v * 3.0)
     assert "velocity limit" in verifier.verify(spoiled).reason
     spoiled = dataclasses.replace(good, a=good.a * 3.0)
@@ -119,20 +119,20 @@ def test_torque_limit_is_named(planner):
     v = a * times[:, None]
     trajectory = Trajectory(times, q + 0.5 * a * times[:, None] ** 2, v, a, "left_arm")
     assert np.abs(Kinematics().rnea(q, v[0], a[0]))[1] > 87.0
-    assert "joint2 needs" in planner.engines().verifier.verify(trajectory).reason
-    assert "torque limit" in planner.engines().verifier.verify(trajectory).reason
+    assert "joint2 needs" in planner.engines().verify(trajectory).reason
+    assert "torque limit" in planner.engines().verify(trajectory).reason
 
 
 def test_not_at_rest_fails(planner, good):
     n = len(good.times) // 2
     cut = Trajectory(good.times[:n], good.q[:n], good.v[:n], good.a[:n], good.group)
-    assert "still move" in planner.engines().verifier.verify(cut).reason
+    assert "still move" in planner.engines().verify(cut).reason
 
 
 def test_a_jump_between_samples_fails(planner, good):
     q = good.q.copy()
     q[len(q) // 2 :, 6] += 0.3
-    report = planner.engines().verifier.verify(dataclasses.replace(good, q=q))
+    report = planner.engines().verify(dataclasses.replace(good, q=q))
     assert not report.ok
 
 
@@ -152,13 +152,13 @@ def test_what_hides_between_two_samples_is_found(monkeypatch):
     """Both ends are free and clear, a ball in the middle: the motion bound alone asks for a look there."""
     trajectory, scene = swing_past(0.0)
     engines = Planner(scene).engines()
-    assert not engines.verifier.engine("mujoco").collisions(trajectory.q[[0, -1]]).any()
+    assert not engines.engine("mujoco").collisions(trajectory.q[[0, -1]]).any()
     monkeypatch.setattr(certificate, "_FIRST_RAD", 100.0)  # the first look is at both ends only
-    report = engines.verifier.verify(trajectory)
+    report = engines.verify(trajectory)
     assert "ball and left_panda" in report.reason or "left_panda" in report.reason.split(" and ")[0]
     assert re.match(r"collision at \d\.\d+ s: .* touch|.* could not be proven apart after", report.reason)
     clear, scene = swing_past(0.5)
-    report = Planner(scene).engines().verifier.verify(clear)
+    report = Planner(scene).engines().verify(clear)
     assert report.ok
 
 
@@ -167,19 +167,19 @@ def test_grazing_cannot_be_proven_and_is_refused():
     trajectory, _ = swing_past(0.0)
     engines = Planner().engines()
     Q = collision_samples(trajectory)
-    assert not engines.verifier.engine("mujoco").collisions(Q).any()
+    assert not engines.engine("mujoco").collisions(Q).any()
     low, high = 0.0, 0.2
     for _ in range(14):  # the offset at which the hand just touches the ball
         offset = 0.5 * (low + high)
-        hit = Planner(swing_past(offset)[1]).engines().verifier.engine("mujoco").collisions(Q).any()
+        hit = Planner(swing_past(offset)[1]).engines().engine("mujoco").collisions(Q).any()
         low, high = (offset, high) if hit else (low, offset)
-    verifier = Planner(swing_past(high + 1e-6)[1]).engines().verifier
+    verifier = Planner(swing_past(high + 1e-6)[1]).engines()
     assert not verifier.verify(trajectory).ok
     assert verifier.clearance(trajectory) < 1e-4
 
 
 def test_the_audit_agrees_with_the_proof_and_can_say_no(planner, good):
-    verifier = planner.engines().verifier
+    verifier = planner.engines()
     audit = verifier.audit(good)
     assert (audit.collisions_n, audit.disagreements_n) == (0, 0)
     assert audit.samples_n > 200
@@ -187,7 +187,7 @@ def test_the_audit_agrees_with_the_proof_and_can_say_no(planner, good):
     inwards[[0, 7]] = -0.6, 0.6
     assert verifier.audit(minimum_jerk(HOME, inwards, 3.0)).collisions_n > 0
     coal = verifier.engine("coal")
-    verifier._engines["coal"] = Planner(PlanningScene(obstacles=())).engines().verifier.engine("coal")
+    verifier._engines["coal"] = Planner(PlanningScene(obstacles=())).engines().engine("coal")
     down = HOME.copy()
     down[1] += 1.6
     try:
@@ -206,14 +206,14 @@ def test_what_touches_at_rest_is_refused_whoever_moves(good):
     goal = HOME.copy()
     goal[7] -= 0.3
     moving = minimum_jerk(HOME, goal, 2.0, "right_arm")
-    assert far.verifier.verify(moving).ok
-    report = seen.verifier.verify(moving)
+    assert far.verify(moving).ok
+    report = seen.verify(moving)
     assert report.reason.startswith("collision at 0.000 s: box and left_panda")
 
 
 def test_what_a_trajectory_says_of_its_acceleration_and_velocity_must_be_true(planner, good):
     """Accelerations of zero would keep every limit of acceleration, jerk and torque."""
-    verifier = planner.engines().verifier
+    verifier = planner.engines()
     still = np.zeros_like(good.v)
     lied = verifier.verify(dataclasses.replace(good, a=still))
     assert lied.acceleration_ratio == 0.0
@@ -237,7 +237,7 @@ def test_honest_trajectories_are_far_from_contradicting_themselves(smoothing_s, 
         trajectory = plan_query(planner, generator.query(group, 0)).result.trajectory
         with monkeypatch.context() as patch:
             patch.setattr(limits, "_MISFIT", 0.5 * limits._MISFIT)
-            assert planner.engines().verifier.verify(trajectory).ok
+            assert planner.engines().verify(trajectory).ok
 
 
 def coarse(q, v, a, dt_s=0.25):
@@ -261,12 +261,12 @@ def test_an_arm_whose_samples_stand_still_may_move_between_them():
     for away in np.linspace(0.02, 0.2, 100):
         ball = Sphere("ball", tuple(here + away * (there - here) / np.linalg.norm(there - here)), radius_m=0.01)
         engines = Planner(PlanningScene(obstacles=(ball,))).engines()
-        if not engines.verifier.engine("mujoco").collisions(q[:1]).any():
+        if not engines.engine("mujoco").collisions(q[:1]).any():
             break
-    assert engines.verifier.engine("mujoco").collisions(between).any()
-    report = engines.verifier.verify(trajectory)
+    assert engines.engine("mujoco").collisions(between).any()
+    report = engines.verify(trajectory)
     assert not report.ok
-    audit = engines.verifier.audit(trajectory)
+    audit = engines.audit(trajectory)
     assert audit.collisions_n > 0
     assert audit.step_max_rad <= STEP_RAD  # however far apart the samples of the trajectory are
     assert audit.clearance_m <= 0.0
@@ -274,7 +274,7 @@ def test_an_arm_whose_samples_stand_still_may_move_between_them():
 
 def test_clearance_is_that_of_the_whole_way(planner, good):
     """Not only at the few samples of the proof: as small as at any millisecond."""
-    verifier = planner.engines().verifier
+    verifier = planner.engines()
     everywhere = planner.engines().solids.clearance(good.q, 0.04)
     assert verifier.clearance(good) == pytest.approx(everywhere, abs=2e-4)
     assert verifier.audit(good).clearance_m == verifier.clearance(good)

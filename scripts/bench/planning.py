@@ -103,7 +103,7 @@ def _planner_row(
         outcome = plan_query(planner, query)
         times.append(outcome.total_s)
         if outcome.result is not None:
-            verifier = planner.engines(query.scene).verifier
+            verifier = planner.engines(query.scene)
             free.append(verifier.audit(outcome.result.trajectory).collisions_n == 0)
     return _row(f"{group}: {plan.planner.planner}, proven", times, free, goal_ms)
 
@@ -136,7 +136,7 @@ def _bare_row(group: str, plan: PlanConfig, queries: Sequence[Query]) -> BenchRo
                 trajectory = None
         times.append(time.perf_counter() - began)
         if trajectory is not None:
-            free.append(engines.verifier.audit(trajectory).collisions_n == 0)
+            free.append(engines.audit(trajectory).collisions_n == 0)
     return _row(f"{group}: bare rrtconnect, unproven", times, free)
 
 

@@ -22,11 +22,8 @@ class ArmDistance:
         ordered = [(a, b) if a < b else (b, a) for a, b in scene.checked_pairs]
         across = tuple((a, b) for a, b in ordered if a.startswith(left) and b.startswith(right))
         self._engine = MujocoEngine(Pairs(scene.robot, across, scene.solid_obstacles, scene.attached))
-        self._engine.set_margin(_WITHIN_M)
 
     def __call__(self, q: Array) -> tuple[str, float]:
         """Return ("left part with right part", [m]); ("none", 0.15) beyond 150 mm."""
-        if self._engine.contact_count(q) == 0:
-            return "none", _WITHIN_M
-        pair = self._engine.contacts()[0]  # nearest first
-        return f"{pair.first} with {pair.second}", pair.distance_m
+        pairs = self._engine.closest(q, _WITHIN_M)
+        return (f"{pairs[0].first} with {pairs[0].second}", pairs[0].distance_m) if pairs else ("none", _WITHIN_M)

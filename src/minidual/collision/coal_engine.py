@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import functools
+from typing import Any
 
 import coal
 import numpy as np
 import pinocchio as pin
 
-from minidual.collision.engine import Checked
 from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, Shape, Sphere
 from minidual.robot.description import pair_urdf
-from minidual.robot.kinematics import Kinematics
+from minidual.robot.kinematics import Kinematics, full_model
 from minidual.robot.pair import Array, Robot
 
 # With coal's default of 1e-6, GJK stops early in about one state of 20 000 and misses a contact of 1 mm. With 1e-9 the
@@ -20,23 +20,21 @@ _GJK_TOLERANCE = 1e-9
 
 
 class CoalEngine:
-    """Checks one scene; `items` maps parts to geometry objects."""
+    """Checks a scene or `Pairs`; `items` maps parts to geometry objects."""
 
-    def __init__(self, scene: Checked) -> None:
+    def __init__(self, scene: Any) -> None:
         self.model = Kinematics(scene.robot).model
         self.geometry = robot_geometry(scene.robot).copy()
         self.items: dict[str, list[int]] = {}
         for index, item in enumerate(self.geometry.geometryObjects):
             self.items.setdefault(self.model.frames[item.parentFrame].name, []).append(index)
-        placed = [(shape, 0, 0, pin.SE3(shape.T_parent_shape)) for shape in scene.solid_obstacles]
-        for held in scene.attached:
-            frame_id = self.model.getFrameId(held.link)
-            frame = self.model.frames[frame_id]
-            placement = frame.placement * pin.SE3(held.shape.T_parent_shape)
-            placed.append((held.shape, frame.parentJoint, frame_id, placement))
-        for shape, joint, frame_id, placement in placed:
+        placed = [(shape, 0) for shape in scene.solid_obstacles]
+        placed += [(held.shape, self.model.getFrameId(held.link)) for held in scene.attached]
+        for shape, frame_id in placed:
+            frame = self.model.frames[frame_id]  # 0: the world
+            place = frame.parentJoint, frame_id, frame.placement * pin.SE3(shape.T_parent_shape)
             self.items[shape.name] = [
-                self.geometry.addGeometryObject(pin.GeometryObject(shape.name, joint, frame_id, placement, solid))
+                self.geometry.addGeometryObject(pin.GeometryObject(shape.name, *place, solid))
                 for solid in convex_solids(shape)
             ]
         for a, b in scene.checked_pairs:
@@ -59,14 +57,9 @@ class CoalEngine:
 @functools.cache
 def robot_geometry(robot: Robot) -> pin.GeometryModel:
     """Return the robot's convex hulls. Cached: do not modify."""
-    urdf = pair_urdf(robot)
-    full = pin.buildModelFromXML(urdf)
-    full_geometry = pin.buildGeomFromUrdfString(full, urdf, pin.GeometryType.COLLISION)
-    reference = pin.neutral(full)
-    locked = [full.getJointId(name) for name in robot.finger_joint_names]
-    for joint in locked:
-        reference[full.joints[joint].idx_q] = robot.hand.travel_m
-    _, geometry = pin.buildReducedModel(full, full_geometry, locked, reference)
+    full, fingers, q = full_model(robot)
+    full_geometry = pin.buildGeomFromUrdfString(full, pair_urdf(robot), pin.GeometryType.COLLISION)
+    _, geometry = pin.buildReducedModel(full, full_geometry, fingers, q)
     for item in geometry.geometryObjects:
         if isinstance(item.geometry, coal.BVHModelBase):
             item.geometry.buildConvexHull(True, "Qt")

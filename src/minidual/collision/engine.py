@@ -1,45 +1,19 @@
-"""The interface of collision engines."""
+"""What collision engines are built from, and their table."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
-
-import numpy as np
+from typing import Any
 
 from minidual.collision.shapes import Attached, Shape
 from minidual.registry import Registry
-from minidual.robot.pair import Array, Robot
-
-
-class Checked(Protocol):
-    """Input of an engine."""
-
-    @property
-    def robot(self) -> Robot:
-        """The arms."""
-        ...
-
-    @property
-    def checked_pairs(self) -> tuple[tuple[str, str], ...]:
-        """Pairs that must not touch."""
-        ...
-
-    @property
-    def solid_obstacles(self) -> tuple[Shape, ...]:
-        """Obstacles in the world."""
-        ...
-
-    @property
-    def attached(self) -> tuple[Attached, ...]:
-        """Objects carried by links."""
-        ...
+from minidual.robot.pair import Robot
 
 
 @dataclass(frozen=True)
 class Pairs:
-    """Chosen pairs, whatever a scene allows."""
+    """Chosen pairs of parts; engines take these or a `PlanningScene`."""
 
     robot: Robot
     checked_pairs: tuple[tuple[str, str], ...]
@@ -60,16 +34,8 @@ class PairDistance:
         return f"{self.first} and {self.second} {kind} {abs(self.distance_m) * 1e3:.1f} mm"
 
 
-class CollisionEngine(Protocol):
-    """Checks one scene. One instance per process."""
-
-    def collisions(self, Q: Array) -> np.ndarray:
-        """Return contact (n,) bool for Q (n, dof)."""
-        ...
-
-
-ENGINES: Registry[Callable[[Any], CollisionEngine]] = Registry(
+ENGINES: Registry[Callable[[Any], Any]] = Registry(
     "collision engine",
     {"mujoco": "minidual.collision.mujoco_engine:MujocoEngine", "coal": "minidual.collision.coal_engine:CoalEngine"},
 )
-"""An audit asks all."""
+"""Built from a scene; `collisions(Q)` returns contact (n,) bool for Q (n, dof). An audit asks all."""

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import itertools
+from typing import Any
 
 import mujoco
 import numpy as np
 
-from minidual.collision.engine import Checked, PairDistance
+from minidual.collision.engine import PairDistance
 from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, Shape, Sphere
 from minidual.robot.description import collision_links, pair_urdf
 from minidual.robot.pair import Array
@@ -18,15 +19,15 @@ _CLOSEST_WITHIN_M = 0.1
 
 
 class MujocoEngine:
-    """Checks one scene. One instance per process."""
+    """Checks a scene or `Pairs`. One instance per process."""
 
-    def __init__(self, scene: Checked) -> None:
+    def __init__(self, scene: Any) -> None:
         robot = scene.robot
         spec = mujoco.MjSpec.from_string(pair_urdf(robot).replace('<link name="world"', _COMPILER, 1))
         for shape in scene.solid_obstacles:
-            _add_body(spec, spec.worldbody, shape)
+            add_body(spec, spec.worldbody, shape)
         for held in scene.attached:
-            _add_body(spec, spec.body(held.link), held.shape)
+            add_body(spec, spec.body(held.link), held.shape)
         _boxes_to_meshes(spec)
         checked = {frozenset(p) for p in scene.checked_pairs}
         objects = (*(s.name for s in scene.solid_obstacles), *(a.name for a in scene.attached))
@@ -41,17 +42,17 @@ class MujocoEngine:
             self.data.qpos[self.model.joint(joint).qposadr[0]] = robot.hand.travel_m
         self._addresses = np.array([int(self.model.joint(name).qposadr[0]) for name in robot.joint_names])
         self._body_names = [self.model.body(i).name for i in range(self.model.nbody)]
-        self.margin_m = 0.0
+        self._margin_m = 0.0
 
-    def set_margin(self, margin_m: float) -> None:
+    def _set_margin(self, margin_m: float) -> None:
         """Also report pairs nearer than `margin_m`."""
-        if margin_m != self.margin_m:
+        if margin_m != self._margin_m:
             self.model.geom_margin[:] = 0.5 * margin_m  # MuJoCo adds the margins of the two geoms
             self.model.body_margin[:] = 0.5 * margin_m
-            self.margin_m = margin_m
+            self._margin_m = margin_m
 
     def contact_count(self, q: Array) -> int:
-        """Place the arms and count contacts."""
+        """Place the arms and count contacts, within the margin of the last call."""
         self.data.qpos[self._addresses] = q
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_collision(self.model, self.data)
@@ -59,18 +60,17 @@ class MujocoEngine:
 
     def in_collision(self, q: Array) -> bool:
         """Return whether anything touches."""
-        self.set_margin(0.0)
+        self._set_margin(0.0)
         return self.contact_count(q) > 0
 
     def collisions(self, Q: Array) -> np.ndarray:
         """Return contact (n,) bool for Q (n, dof)."""
         return np.fromiter((self.in_collision(q) for q in Q), dtype=bool, count=len(Q))
 
-    def contacts(self) -> list[PairDistance]:
-        """Return pairs at the last state, nearest first."""
-        count = self.data.ncon
-        if count == 0:
-            return []
+    def closest(self, q: Array, within_m: float = _CLOSEST_WITHIN_M) -> list[PairDistance]:
+        """Return pairs nearer than `within_m`, nearest first."""
+        self._set_margin(within_m)
+        count = self.contact_count(q)
         bodies = self.model.geom_bodyid[self.data.contact.geom[:count]]
         nearest: dict[tuple[str, str], float] = {}
         for (a, b), distance in zip(bodies, self.data.contact.dist[:count], strict=True):
@@ -78,15 +78,6 @@ class MujocoEngine:
             nearest[first, second] = min(float(distance), nearest.get((first, second), np.inf))
         found = [PairDistance(a, b, d) for (a, b), d in nearest.items()]
         return sorted(found, key=lambda p: (p.distance_m, p.first, p.second))
-
-    def closest(self, q: Array, within_m: float = _CLOSEST_WITHIN_M) -> list[PairDistance]:
-        """Return pairs nearer than `within_m`, nearest first."""
-        before = self.margin_m
-        self.set_margin(within_m)
-        self.contact_count(q)
-        found = self.contacts()
-        self.set_margin(before)
-        return found
 
     def touching_pairs(self, q: Array) -> set[frozenset[str]]:
         """Return touching pairs."""
@@ -104,20 +95,21 @@ def _boxes_to_meshes(spec: mujoco.MjSpec) -> None:
             geom.size = np.zeros(3)
 
 
-def _add_body(spec: mujoco.MjSpec, parent: mujoco.MjsBody, shape: Shape) -> None:
-    body = parent.add_body(name=shape.name, pos=list(shape.position_m), quat=list(shape.quat_wxyz))
+def add_body(spec: mujoco.MjSpec, parent: mujoco.MjsBody, shape: Shape, prefix: str = "", **look: Any) -> None:
+    """Add a shape to a body; `look` holds further geom attributes."""
+    name = prefix + shape.name
+    body = parent.add_body(name=name, pos=list(shape.position_m), quat=list(shape.quat_wxyz))
     kind = mujoco.mjtGeom
     match shape:
         case Box():
-            body.add_geom(type=kind.mjGEOM_BOX, size=[0.5 * v for v in shape.size_m])
+            body.add_geom(type=kind.mjGEOM_BOX, size=[0.5 * v for v in shape.size_m], **look)
         case Cylinder():
-            body.add_geom(type=kind.mjGEOM_CYLINDER, size=[shape.radius_m, 0.5 * shape.length_m, 0.0])
+            body.add_geom(type=kind.mjGEOM_CYLINDER, size=[shape.radius_m, 0.5 * shape.length_m, 0.0], **look)
         case Capsule():
-            body.add_geom(type=kind.mjGEOM_CAPSULE, size=[shape.radius_m, 0.5 * shape.length_m, 0.0])
+            body.add_geom(type=kind.mjGEOM_CAPSULE, size=[shape.radius_m, 0.5 * shape.length_m, 0.0], **look)
         case Sphere():
-            body.add_geom(type=kind.mjGEOM_SPHERE, size=[shape.radius_m, 0.0, 0.0])
+            body.add_geom(type=kind.mjGEOM_SPHERE, size=[shape.radius_m, 0.0, 0.0], **look)
         case Mesh():
             for index, vertices in enumerate(shape.vertices()):
-                name = f"{shape.name}:{index}"
-                spec.add_mesh(name=name, uservert=vertices.ravel())
-                body.add_geom(type=kind.mjGEOM_MESH, meshname=name)
+                mesh = spec.add_mesh(name=f"{name}:{index}", uservert=vertices.ravel())
+                body.add_geom(type=kind.mjGEOM_MESH, meshname=mesh.name, **look)

@@ -8,28 +8,29 @@ import numpy as np
 import pinocchio as pin
 from pydantic import model_validator
 
-from minidual.collision.shapes import IDENTITY, Quat
+from minidual.collision.shapes import Quat
 from minidual.config.base import StrictModel
 
 Finite3 = tuple[float, float, float]
 _LENGTH_TOLERANCE = 1e-3
 
 
-class OrientationFields(StrictModel):
-    """An optional orientation, in one of two forms."""
+class PlaceFields(StrictModel):
+    """A position with optional orientation, in one of two forms."""
 
+    position_m: Finite3
     quat_wxyz: tuple[float, float, float, float] | None = None
     """Scalar first; normalised if its length is within 0.001 of 1."""
     rpy_rad: Finite3 | None = None
     """About fixed x, y, z in this order, as in a URDF."""
 
     @model_validator(mode="after")
-    def _one_way(self) -> OrientationFields:
-        if self.quat_wxyz is not None and self.rpy_rad is not None:
-            raise ValueError("quat_wxyz and rpy_rad are two ways to say one thing; give one of them")
+    def _one_way(self) -> PlaceFields:
         if self.quat_wxyz is not None:
-            length = math.sqrt(math.fsum(v * v for v in self.quat_wxyz))
-            if abs(length - 1.0) > _LENGTH_TOLERANCE:
+            if self.rpy_rad is not None:
+                raise ValueError("quat_wxyz and rpy_rad are two ways to say one thing; give one of them")
+            if abs(math.hypot(*self.quat_wxyz) - 1.0) > _LENGTH_TOLERANCE:
+                length = math.hypot(*self.quat_wxyz)
                 raise ValueError(f"quat_wxyz has length {length:.4f}; a rotation has 1 (scalar first: w, x, y, z)")
         return self
 
@@ -43,13 +44,3 @@ class OrientationFields(StrictModel):
             quat = pin.Quaternion(pin.rpy.rpyToMatrix(np.array(self.rpy_rad))).normalized()
             return (float(quat.w), float(quat.x), float(quat.y), float(quat.z))
         return None
-
-
-class PlaceFields(OrientationFields):
-    """A position with optional orientation."""
-
-    position_m: Finite3
-
-    def quaternion_or_identity(self) -> Quat:
-        """Return the unit quaternion wxyz."""
-        return self.quaternion() or IDENTITY

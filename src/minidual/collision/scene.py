@@ -16,8 +16,6 @@ from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.description import collision_links, links_of
 from minidual.robot.pair import Robot
 
-__all__ = ["MIN_DISTANCE_MAX_M", "TABLE", "Attached", "PlanningScene"]
-
 TABLE = Box("table", position_m=(0.38, 0.0, -0.2), size_m=(1.2, 1.6, 0.4))
 """The simulated table, solid down to 0.4 m: no arm reaches under it."""
 
@@ -108,21 +106,9 @@ class PlanningScene:
             moved | {o.name: ("", 0) for o in self.obstacles} | {held.name: moved[held.link] for held in self.attached}
         )
 
-    def moving_joints(self, name: str) -> slice:
-        """Return the slice of q that moves the part; possibly empty."""
-        side, count = self._moved_by[name]
-        first = self.robot.groups[f"{side}_arm"].start if count else 0
-        return slice(first, first + count)
-
     def with_obstacles(self, *shapes: Shape) -> PlanningScene:
         """Return a copy with more obstacles."""
         return dataclasses.replace(self, obstacles=(*self.obstacles, *shapes))
-
-    def without_obstacle(self, name: str) -> PlanningScene:
-        """Return a copy without the obstacle."""
-        if name not in [o.name for o in self.obstacles]:
-            raise unknown_name("obstacle", name, [o.name for o in self.obstacles])
-        return dataclasses.replace(self, obstacles=tuple(o for o in self.obstacles if o.name != name))
 
     def with_attached(self, *objects: Attached) -> PlanningScene:
         """Return a copy with more attached objects."""

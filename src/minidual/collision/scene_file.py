@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -13,7 +12,7 @@ from pydantic import Field
 from minidual.collision.meshes import PARTS_MAX, load_mesh
 from minidual.collision.places import PlaceFields
 from minidual.collision.scene import MIN_DISTANCE_MAX_M, TABLE, Attached, PlanningScene
-from minidual.collision.shapes import Box, Capsule, Cylinder, Shape, Sphere
+from minidual.collision.shapes import IDENTITY, Box, Capsule, Cylinder, Shape, Sphere
 from minidual.config.base import StrictModel
 from minidual.config.document import Document, read_document
 from minidual.config.loader import validate_document
@@ -34,49 +33,45 @@ class _Held(StrictModel):
     """Links that may touch it, besides those rigid with `link`."""
 
 
-class BoxEntry(PlaceFields):
-    """A box."""
-
+class _Entry(PlaceFields):
     name: str = Field(min_length=1)
-    shape: Literal["box"] = "box"
-    size_m: tuple[Length, Length, Length]
     held: _Held | None = None
 
 
-class CylinderEntry(PlaceFields):
+class BoxEntry(_Entry):
+    """A box."""
+
+    shape: Literal["box"] = "box"
+    size_m: tuple[Length, Length, Length]
+
+
+class CylinderEntry(_Entry):
     """A cylinder along z."""
 
-    name: str = Field(min_length=1)
     shape: Literal["cylinder"] = "cylinder"
     radius_m: Length
     length_m: Length
-    held: _Held | None = None
 
 
-class CapsuleEntry(PlaceFields):
+class CapsuleEntry(_Entry):
     """A capsule along z."""
 
-    name: str = Field(min_length=1)
     shape: Literal["capsule"] = "capsule"
     radius_m: Length
     length_m: Length
     """Of the cylindrical part."""
-    held: _Held | None = None
 
 
-class SphereEntry(PlaceFields):
+class SphereEntry(_Entry):
     """A ball."""
 
-    name: str = Field(min_length=1)
     shape: Literal["sphere"] = "sphere"
     radius_m: Length
-    held: _Held | None = None
 
 
-class MeshEntry(PlaceFields):
+class MeshEntry(_Entry):
     """A mesh file."""
 
-    name: str = Field(min_length=1)
     shape: Literal["mesh"] = "mesh"
     file: str = Field(min_length=1)
     """Relative to the scene file."""
@@ -84,10 +79,10 @@ class MeshEntry(PlaceFields):
     """Metres per unit."""
     parts_max_n: int = Field(default=1, ge=1, le=PARTS_MAX)
     """Most convex pieces; 1 gives one hull."""
-    held: _Held | None = None
 
 
-Entry = Annotated[BoxEntry | CylinderEntry | CapsuleEntry | SphereEntry | MeshEntry, Field(discriminator="shape")]
+_SHAPES = {"box": Box, "cylinder": Cylinder, "capsule": Capsule, "sphere": Sphere}
+_Entries = Annotated[BoxEntry | CylinderEntry | CapsuleEntry | SphereEntry | MeshEntry, Field(discriminator="shape")]
 
 
 class AllowedEntry(StrictModel):
@@ -103,23 +98,15 @@ class SceneFile(StrictModel):
     table: bool = True
     """Whether the simulated table is an obstacle."""
     min_distance_m: float = Field(default=0.0, ge=0.0, le=MIN_DISTANCE_MAX_M)
-    obstacles: tuple[Entry, ...] = ()
+    obstacles: tuple[_Entries, ...] = ()
     allowed: tuple[AllowedEntry, ...] = ()
     """Added to the robot's own matrix."""
     checked: tuple[tuple[str, str], ...] = ()
     """Pairs of the robot's own matrix to check anyway."""
 
 
-@dataclass(frozen=True)
-class LoadedScene:
-    """A scene and notes on its meshes."""
-
-    scene: PlanningScene
-    notes: tuple[str, ...] = ()
-
-
-def load_scene(path: Path, robot: Robot = DUAL_PANDA) -> LoadedScene:
-    """Read a scene file.
+def load_scene(path: Path, robot: Robot = DUAL_PANDA) -> tuple[PlanningScene, list[str]]:
+    """Read a scene file; return the scene and notes on its meshes.
 
     Raises:
         ConfigError: Empty or invalid file.
@@ -135,23 +122,26 @@ def load_scene(path: Path, robot: Robot = DUAL_PANDA) -> LoadedScene:
     notes: list[str] = []
     obstacles: list[Shape] = [TABLE] if content.table else []
     attached: list[Attached] = []
+
+    def scene_so_far() -> PlanningScene:
+        return PlanningScene(tuple(obstacles), tuple(attached), min_distance_m=content.min_distance_m, robot=robot)
+
     for index, entry in enumerate(content.obstacles):
         with _told(document, f"obstacles.{index}"):
-            shape = _shape(entry, path.parent, notes.append)
+            shape = _shape(entry, path.parent, notes)
             if entry.held is None:
                 obstacles.append(shape)
             else:
                 attached.append(Attached(shape, entry.held.link, entry.held.touch_links))
-            # Built after every entry, so that the error about a duplicate name carries its line.
-            scene = PlanningScene(tuple(obstacles), tuple(attached), min_distance_m=content.min_distance_m, robot=robot)
-    scene = PlanningScene(tuple(obstacles), tuple(attached), min_distance_m=content.min_distance_m, robot=robot)
+            scene_so_far()  # so that the error about a duplicate name carries its line
+    scene = scene_so_far()
     for index, rule in enumerate(content.allowed):
         with _told(document, f"allowed.{index}"):
             scene = scene.allowing(*rule.pair, rule.reason)
     for index, pair in enumerate(content.checked):
         with _told(document, f"checked.{index}"):
             scene = scene.forbidding(*pair)
-    return LoadedScene(scene, tuple(notes))
+    return scene, notes
 
 
 @contextmanager
@@ -164,18 +154,10 @@ def _told(document: Document, path: str) -> Iterator[None]:
         raise type(error)(f"{where}: {error.message}", remedy=error.remedy) from error
 
 
-def _shape(entry: Entry, folder: Path, say: Callable[[str], None]) -> Shape:
-    place = (entry.name, entry.position_m, entry.quaternion_or_identity())
-    match entry:
-        case BoxEntry():
-            return Box(*place, size_m=entry.size_m)
-        case CylinderEntry():
-            return Cylinder(*place, radius_m=entry.radius_m, length_m=entry.length_m)
-        case CapsuleEntry():
-            return Capsule(*place, radius_m=entry.radius_m, length_m=entry.length_m)
-        case SphereEntry():
-            return Sphere(*place, radius_m=entry.radius_m)
-        case MeshEntry():
-            mesh, report = load_mesh(folder / entry.file, *place, scale=entry.scale, parts_max=entry.parts_max_n)
-            say(f"mesh '{entry.name}': {report}")
-            return mesh
+def _shape(entry: _Entries, folder: Path, notes: list[str]) -> Shape:
+    place = (entry.name, entry.position_m, entry.quaternion() or IDENTITY)
+    if not isinstance(entry, MeshEntry):
+        return _SHAPES[entry.shape](*place, **entry.model_dump(include={"size_m", "radius_m", "length_m"}))
+    mesh, report = load_mesh(folder / entry.file, *place, scale=entry.scale, parts_max=entry.parts_max_n)
+    notes.append(f"mesh '{entry.name}': {report}")
+    return mesh

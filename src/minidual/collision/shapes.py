@@ -35,13 +35,13 @@ class _Shape:
             raise UsageError(f"obstacle '{self.name}' has a number that is not finite: {numbers}")
         if abs(math.fsum(v * v for v in self.quat_wxyz) - 1.0) > 1e-6:
             raise UsageError(f"obstacle '{self.name}': quaternion {self.quat_wxyz} is not of length 1")
-        for value in self.lengths():
-            if value <= 0.0:
-                raise UsageError(f"obstacle '{self.name}' has length {value} m; every length must be > 0")
+        if min(self.lengths()) <= 0.0:
+            raise UsageError(f"obstacle '{self.name}' has length {min(self.lengths())} m; every length must be > 0")
 
-    def lengths(self) -> tuple[float, ...]:
+    def lengths(self) -> list[float]:
         """Return all lengths [m]."""
-        raise TypeError(f"{type(self).__name__} is no shape of its own")
+        own = (getattr(self, name, ()) for name in ("size_m", "radius_m", "length_m"))
+        return np.hstack([*own]).tolist()
 
     @property
     def T_parent_shape(self) -> Array:
@@ -55,10 +55,6 @@ class Box(_Shape):
 
     size_m: Vec3 = (0.1, 0.1, 0.1)
 
-    def lengths(self) -> tuple[float, ...]:
-        """Return the edges [m]."""
-        return self.size_m
-
 
 @dataclass(frozen=True)
 class Cylinder(_Shape):
@@ -66,10 +62,6 @@ class Cylinder(_Shape):
 
     radius_m: float = 0.05
     length_m: float = 0.1
-
-    def lengths(self) -> tuple[float, ...]:
-        """Return radius and length [m]."""
-        return (self.radius_m, self.length_m)
 
 
 @dataclass(frozen=True)
@@ -79,20 +71,12 @@ class Capsule(_Shape):
     radius_m: float = 0.05
     length_m: float = 0.1
 
-    def lengths(self) -> tuple[float, ...]:
-        """Return radius and cylindrical length [m]."""
-        return (self.radius_m, self.length_m)
-
 
 @dataclass(frozen=True)
 class Sphere(_Shape):
     """A ball."""
 
     radius_m: float = 0.05
-
-    def lengths(self) -> tuple[float, ...]:
-        """Return the radius [m]."""
-        return (self.radius_m,)
 
 
 @dataclass(frozen=True)
@@ -108,17 +92,16 @@ class Mesh(_Shape):
     file: str = ""
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         if not self.pieces:
             raise UsageError(f"obstacle '{self.name}': a mesh needs at least one convex piece")
         for vertices in self.vertices():
             if len(vertices) < 4 or not np.isfinite(vertices).all():
                 raise UsageError(f"obstacle '{self.name}': a piece of its mesh is no solid of finite vertices")
+        super().__post_init__()
 
-    def lengths(self) -> tuple[float, ...]:
+    def lengths(self) -> list[float]:
         """Return the bounding box's edges [m]."""
-        points = np.vstack(self.vertices()) if self.pieces else np.zeros((1, 3))
-        return tuple(float(v) for v in np.ptp(points, axis=0)) if self.pieces else ()
+        return np.ptp(np.vstack(self.vertices()), axis=0).tolist()
 
     def vertices(self) -> tuple[Array, ...]:
         """Return each piece's vertices (n, 3) [m], in the shape's frame."""

@@ -228,7 +228,7 @@ class _Work:
                 effort = effort.after_no_proof()
                 continue
             with times.phase("verify"):
-                proof = self.engines.verifier.verify(trajectory)
+                proof = self.engines.verify(trajectory)
             if proof.ok:
                 direct, seconds = len(path) == 2, dict(times.seconds)
                 return PlanResult(

@@ -83,7 +83,7 @@ def require_free(engine: SceneEngines, q: Array, what: str) -> None:
     near = engine.closest(q, 0.001)
     if near and near[0].distance_m <= 0.0:
         kind = StartInCollisionError if what == "start" else GoalInCollisionError
-        kept = engine.min_distance_m
+        kept = engine.scene.min_distance_m
         # Obstacles are grown by this distance, so being near one counts as contact.
         grown = f" (the scene keeps {kept * 1e3:g} mm from obstacles)" if kept > 0.0 else ""
         raise kind(

@@ -18,8 +18,7 @@ from minidual.motion.goals import check_joints, check_targets, require_free
 from minidual.motion.held.path import ROTATION_WEIGHT_M
 from minidual.motion.ik import ArmIK
 from minidual.motion.timing import DT_S, PathLimits, resting, time_path
-from minidual.proof.scene_engines import SceneEngines
-from minidual.proof.verify import Verification
+from minidual.proof.scene_engines import SceneEngines, Verification
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import pose
@@ -125,7 +124,7 @@ class LinearPlanner:
         length = max(line.length_m for line in lines.values())
         if length < _STILL_M:
             still = resting(q_start, DT_S, group)
-            proof = engines.verifier.verify(still)
+            proof = engines.verify(still)
             if not proof.ok:
                 raise LinearMoveError(
                     f"the hands are where the straight move of {group} ends, but staying there is not proven: "
@@ -194,7 +193,7 @@ class LinearPlanner:
                 break
             curve = _Curve(marks[:keep], Q[:keep])
             trajectory, way = time_path(curve, group, self._limits, self._kinematics, limits)
-            proof = engines.verifier.verify(trajectory)
+            proof = engines.verify(trajectory)
             if proof.ok:
                 deviation = self._deviation(trajectory, way / length, lines)
                 return LinearMove(trajectory, proof, float(marks[keep - 1] / length), reason, *deviation)

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from time import perf_counter
 
-from minidual.proof.verify import Verification
+from minidual.proof.scene_engines import Verification
 from minidual.robot.pair import Array
 from minidual.robot.trajectory import Trajectory
 

@@ -1,24 +1,71 @@
-"""Geometry and engines of one scene."""
+"""Geometry and engines of one scene; a plan succeeds only if `verify` passes it.
+
+The audit tests the certificate by dense sampling with two collision engines, too slow for every plan. A verified
+trajectory that fails an audit shows an error in the certificate.
+"""
 
 from __future__ import annotations
 
+from dataclasses import asdict, dataclass
+from typing import Any
+
 import numpy as np
 
-from minidual.collision.engine import PairDistance
+from minidual.collision.engine import ENGINES, PairDistance
 from minidual.collision.scene import PlanningScene
+from minidual.proof.certificate import certify
+from minidual.proof.limits import LimitUse, limit_use
 from minidual.proof.solids import Solids
-from minidual.proof.verify import STEP_RAD, Verifier
+from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
+from minidual.robot.trajectory import Trajectory
+
+STEP_RAD = 0.002
+"""Largest joint step in audits."""
+CLEARANCE_MAX_M = 0.04
+"""Larger distances count as this."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verification(LimitUse):
+    """Result of verification.
+
+    Attributes:
+        reason: The first failure, if any.
+        samples_n: Ends of the proof's stretches.
+    """
+
+    ok: bool
+    reason: str
+    samples_n: int
+
+
+@dataclass(frozen=True)
+class Audit:
+    """Result of dense sampling.
+
+    Attributes:
+        collisions_n: States in contact for any engine.
+        disagreements_n: States with disagreement.
+        clearance_m: See `SceneEngines.clearance`.
+    """
+
+    samples_n: int
+    step_max_rad: float
+    collisions_n: int
+    disagreements_n: int
+    clearance_m: float
 
 
 class SceneEngines:
-    """Planning geometry of one scene, built in a few ms."""
+    """Planning geometry of one scene, built in a few ms; `step_rad` is an audit's largest joint step."""
 
-    def __init__(self, scene: PlanningScene, verify_step_rad: float = STEP_RAD) -> None:
+    def __init__(self, scene: PlanningScene, step_rad: float = STEP_RAD) -> None:
         self.scene = scene
         self.solids = Solids(scene)
-        self.verifier = Verifier(scene, self.solids, verify_step_rad)
-        self.min_distance_m = scene.min_distance_m
+        self._step_rad = step_rad
+        self._kinematics = Kinematics(scene.robot)
+        self._engines: dict[str, Any] = {}
 
     def in_collision(self, q: Array) -> bool:
         """Return whether parts touch or cannot be proven apart."""
@@ -26,6 +73,51 @@ class SceneEngines:
 
     def closest(self, q: Array, within_m: float) -> list[PairDistance]:
         """Return checked pairs nearer than `within_m`, nearest first, from MuJoCo."""
-        if self.solids.free(np.asarray(q), within_m):
-            return []
-        return self.verifier.engine("mujoco").closest(q, within_m)
+        return [] if self.solids.free(q, within_m) else self.engine("mujoco").closest(q, within_m)
+
+    def verify(self, trajectory: Trajectory) -> Verification:
+        """Check limits and prove freedom from contact; bad trajectories raise nothing."""
+        use, broken = limit_use(trajectory, self._kinematics)
+        proof = certify(self.solids, trajectory)
+        reason = proof.reason or broken
+        return Verification(ok=not reason, reason=reason, samples_n=proof.samples_n, **asdict(use))
+
+    def clearance(self, trajectory: Trajectory) -> float:
+        """Return the smallest distance [m] at an audit's states, at most `CLEARANCE_MAX_M`.
+
+        At most 0.1 mm too small, never too large.
+        """
+        return self.solids.clearance(collision_samples(trajectory, self._step_rad), CLEARANCE_MAX_M)
+
+    def engine(self, name: str) -> Any:
+        """Return an engine, built on first use (20 ms)."""
+        if name not in self._engines:
+            self._engines[name] = ENGINES[name](self.scene)
+        return self._engines[name]
+
+    def audit(self, trajectory: Trajectory) -> Audit:
+        """Sample densely; a proven trajectory must give no collisions."""
+        Q = collision_samples(trajectory, self._step_rad)
+        seen = np.array([self.engine(name).collisions(Q) for name in ENGINES])
+        return Audit(
+            samples_n=len(Q),
+            step_max_rad=float(np.abs(np.diff(Q, axis=0)).max(initial=0.0)),
+            collisions_n=int(np.sum(seen.any(axis=0))),
+            disagreements_n=int(np.sum(seen.any(axis=0) != seen.all(axis=0))),
+            clearance_m=self.solids.clearance(Q, CLEARANCE_MAX_M),
+        )
+
+
+def collision_samples(trajectory: Trajectory, step_rad: float = STEP_RAD) -> Array:
+    """Return configurations (n, dof) with joint steps of at most `step_rad`.
+
+    Times divide the integrated bound on the fastest joint evenly.
+    """
+    fastest = trajectory.variation_rates().max(axis=1) * trajectory.dt_s
+    gone = np.concatenate([[0.0], np.cumsum(fastest)])
+    count = int(np.ceil(gone[-1] / step_rad))
+    if count == 0:
+        return trajectory.q[[0, -1]]
+    times = np.interp(np.linspace(0.0, gone[-1], count + 1), gone, trajectory.times)
+    times[[0, -1]] = 0.0, trajectory.duration_s
+    return trajectory.sample_many(times)[0]

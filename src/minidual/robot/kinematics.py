@@ -16,17 +16,20 @@ from minidual.robot.pair import Array, Robot
 _WORLD_ALIGNED = pin.LOCAL_WORLD_ALIGNED
 
 
+def full_model(robot: Robot) -> tuple[Any, list[int], Array]:
+    """Return Pinocchio's model with fingers, the fingers' joints, and a configuration with open hands."""
+    full = pin.buildModelFromXML(pair_urdf(robot))
+    fingers = [full.getJointId(name) for name in robot.finger_joint_names]
+    q = pin.neutral(full)
+    for joint in fingers:
+        q[full.joints[joint].idx_q] = robot.hand.travel_m
+    return full, fingers, q
+
+
 @functools.cache
 def _shared_model(robot: Robot) -> Any:
-    full = pin.buildModelFromXML(pair_urdf(robot))
-    q_reference = pin.neutral(full)
-    locked = []
-    for name in robot.finger_joint_names:
-        joint_id = full.getJointId(name)
-        q_reference[full.joints[joint_id].idx_q] = robot.hand.travel_m
-        locked.append(joint_id)
-    model = pin.buildReducedModel(full, locked, q_reference)
-    names = tuple(model.names[i] for i in range(1, model.njoints))
+    model = pin.buildReducedModel(*full_model(robot))
+    names = tuple(model.names)[1:]
     if names != robot.joint_names:
         raise RuntimeError(f"Pinocchio orders the joints {names}; the toolkit needs {robot.joint_names}")
     model.armature = np.full(robot.dof, robot.arm.armature)
@@ -49,22 +52,15 @@ class Kinematics:
     def tcp_poses(self, q: Array) -> tuple[Array, Array]:
         """Return left and right T_world_tcp for q."""
         pin.forwardKinematics(self.model, self.data, q)
-        left, right = self.tcp_ids
-        return (
-            pin.updateFramePlacement(self.model, self.data, left).homogeneous,
-            pin.updateFramePlacement(self.model, self.data, right).homogeneous,
-        )
+        left, right = (pin.updateFramePlacement(self.model, self.data, i).homogeneous for i in self.tcp_ids)
+        return left, right
 
     def tcp_jacobians(self, q: Array) -> tuple[Array, Array]:
         """Return Jacobians (6, n), [linear; angular], world-aligned."""
         pin.computeJointJacobians(self.model, self.data, q)
         pin.updateFramePlacements(self.model, self.data)
-        left, right = self.tcp_ids
-        frame = pin.LOCAL_WORLD_ALIGNED
-        return (
-            pin.getFrameJacobian(self.model, self.data, left, frame),
-            pin.getFrameJacobian(self.model, self.data, right, frame),
-        )
+        left, right = (getFrameJacobian(self.model, self.data, i, _WORLD_ALIGNED) for i in self.tcp_ids)
+        return left, right
 
     def mass_matrix(self, q: Array) -> Array:
         """Return inertia (n, n), including rotors."""

@@ -12,8 +12,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from minidual.collision.mujoco_engine import add_body
 from minidual.collision.scene import TABLE, PlanningScene
-from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, Shape, Sphere
 from minidual.config.scene import SceneConfig
 from minidual.plant.addresses import map_joints
 from minidual.plant.model import GROUP_COLLISION, build_spec
@@ -26,8 +26,9 @@ from minidual.show.view import Overlay, View
 from minidual.show.watch import tcp_preview
 from minidual.trials.planning.evaluate import Outcome
 
-_OBSTACLE_RGBA = (0.78, 0.42, 0.25, 1.0)
-_HELD_RGBA = (0.15, 0.6, 0.4, 1.0)
+_OBSTACLE_RGBA = [0.78, 0.42, 0.25, 1.0]
+_HELD_RGBA = [0.15, 0.6, 0.4, 1.0]
+_LOOK = {"contype": 0, "conaffinity": 0, "density": 0.0, "group": GROUP_VISUAL}
 _LOOK_S = 1.0
 """Pause after each round."""
 
@@ -41,30 +42,10 @@ def scene_model(config: SceneConfig, scene: PlanningScene) -> mujoco.MjModel:
     for shape in scene.obstacles:
         if shape == TABLE:
             continue
-        _add_body(spec, spec.worldbody, shape, _OBSTACLE_RGBA)
+        add_body(spec, spec.worldbody, shape, "shown_", rgba=_OBSTACLE_RGBA, **_LOOK)
     for held in scene.attached:
-        _add_body(spec, spec.body(held.link), held.shape, _HELD_RGBA)
+        add_body(spec, spec.body(held.link), held.shape, "shown_", rgba=_HELD_RGBA, **_LOOK)
     return spec.compile()
-
-
-def _add_body(spec: Any, parent: Any, shape: Shape, rgba: tuple[float, ...]) -> None:
-    body = parent.add_body(name=f"shown_{shape.name}", pos=list(shape.position_m), quat=list(shape.quat_wxyz))
-    kind = mujoco.mjtGeom
-    look = {"rgba": list(rgba), "contype": 0, "conaffinity": 0, "density": 0.0, "group": GROUP_VISUAL}
-    match shape:
-        case Box():
-            body.add_geom(type=kind.mjGEOM_BOX, size=[0.5 * v for v in shape.size_m], **look)
-        case Cylinder():
-            body.add_geom(type=kind.mjGEOM_CYLINDER, size=[shape.radius_m, 0.5 * shape.length_m, 0.0], **look)
-        case Capsule():
-            body.add_geom(type=kind.mjGEOM_CAPSULE, size=[shape.radius_m, 0.5 * shape.length_m, 0.0], **look)
-        case Sphere():
-            body.add_geom(type=kind.mjGEOM_SPHERE, size=[shape.radius_m, 0.0, 0.0], **look)
-        case Mesh():
-            for index, vertices in enumerate(shape.vertices()):
-                name = f"shown_{shape.name}:{index}"
-                spec.add_mesh(name=name, uservert=vertices.ravel())
-                body.add_geom(type=kind.mjGEOM_MESH, meshname=name, **look)
 
 
 class Poser:

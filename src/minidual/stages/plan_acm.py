@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections import Counter
 from pathlib import Path
 
@@ -26,8 +27,7 @@ def plan_acm(context: ToolContext) -> ToolResult:
     scene = PlanningScene(robot=robot)
     notes: list[str] = []
     if "scene" in context.options:
-        loaded = load_scene(Path(context.options["scene"]), robot)
-        scene, notes = loaded.scene, list(loaded.notes)
+        scene, notes = load_scene(Path(context.options["scene"]), robot)
     table = scene.allowed.table()
     lines = [f"{first:26s} {second:26s} {reason}" for first, second, reason in table]
     kinds = Counter(_kind(reason) for _, _, reason in table)
@@ -45,7 +45,7 @@ def plan_acm(context: ToolContext) -> ToolResult:
     data = {
         "allowed": [{"first": a, "second": b, "reason": r} for a, b, r in table],
         "checked": [list(pair) for pair in scene.checked_pairs],
-        "built": report.to_json(),
+        "built": dataclasses.asdict(report),
     }
     return ToolResult(lines, notes, data)
 

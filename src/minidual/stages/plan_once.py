@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import sys
 from collections.abc import Generator
@@ -19,7 +20,7 @@ from minidual.motion.goal import goal_of
 from minidual.motion.goal_plan import GoalPlanner
 from minidual.motion.goals import group_arms
 from minidual.motion.result import PlanResult
-from minidual.proof.verify import CLEARANCE_MAX_M
+from minidual.proof.scene_engines import CLEARANCE_MAX_M
 from minidual.robot.arms import robot_from
 from minidual.robot.pair import Array
 
@@ -50,7 +51,7 @@ def plan_once(context: ToolContext) -> ToolResult:
     notes += _write(targets, context, scene, result, title)
     if context.view is not None:
         _play(context, scene, result, title)
-    clearance = _clearance(planner.planner.engines(scene).verifier.clearance(result.trajectory), scene.min_distance_m)
+    clearance = _clearance(planner.planner.engines(scene).clearance(result.trajectory), scene.min_distance_m)
     return ToolResult(_lines(title, result, clearance), notes, _document(group, result, targets))
 
 
@@ -61,8 +62,7 @@ def _prepare(context: ToolContext, group: str) -> tuple[GoalPlanner, PlanningSce
     robot = robot_from(config.robot)
     scene = PlanningScene(robot=robot)
     if "scene" in context.options:
-        loaded = load_scene(Path(context.options["scene"]), robot)
-        scene, notes = loaded.scene, list(loaded.notes)
+        scene, notes = load_scene(Path(context.options["scene"]), robot)
     planner = GoalPlanner(Planner(scene, config.plan.planner), config.semantics)
     q_home = planner.states.joints("home", "both_arms", planner.robot.home)
     start = goal_of(context.options.get("from", "home"), planner.states)
@@ -171,7 +171,7 @@ def _document(group: str, result: PlanResult, targets: dict[str, Path | None]) -
         "direct": result.direct,
         "notes": list(result.notes),
         "q_goal_rad": result.q_goal.tolist(),
-        "proof": result.verification.to_json(),
+        "proof": dataclasses.asdict(result.verification),
         "digest": result.trajectory.digest(),
         "files": {name: str(path) for name, path in targets.items() if path is not None},
     }

@@ -20,7 +20,7 @@ from minidual.motion.held.hands import RESIDUAL_MAX_M, RESIDUAL_MAX_RAD, HandsIK
 from minidual.motion.ik import check_pose
 from minidual.motion.smooth_path import SmoothPath
 from minidual.motion.timing import PathLimits, time_path
-from minidual.proof.verify import Verification
+from minidual.proof.scene_engines import Verification
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 from minidual.robot.trajectory import Trajectory

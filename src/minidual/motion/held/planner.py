@@ -167,7 +167,7 @@ class HeldPlanner:
 
 def _proven(motion: CarriedTrajectory, engines: SceneEngines) -> CarriedTrajectory:
     """Return the trajectory with its proof, or raise NotFreeError."""
-    proof = engines.verifier.verify(motion)
+    proof = engines.verify(motion)
     if not proof.ok:
         raise NotFreeError(f"the carried path is not free: {proof.reason}")
     return replace(motion, verification=proof)

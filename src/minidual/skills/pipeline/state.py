@@ -10,7 +10,7 @@ import numpy as np
 from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Shape
 from minidual.motion.timing import resting
-from minidual.proof.verify import Verification
+from minidual.proof.scene_engines import Verification
 from minidual.robot.pair import SIDES, Array
 from minidual.robot.trajectory import Trajectory
 

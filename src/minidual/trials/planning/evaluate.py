@@ -17,7 +17,7 @@ from minidual.config.seeds import stream
 from minidual.motion.api import Planner
 from minidual.motion.result import PHASES, PlanResult
 from minidual.motion.shortcut import path_length
-from minidual.proof.verify import Audit
+from minidual.proof.scene_engines import Audit
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.pair import Robot
 from minidual.trials.planning.queries import Query, QueryGenerator
@@ -140,7 +140,7 @@ def run_queries(
         for index in range(config.queries_n if queries_n is None else queries_n):
             outcome = plan_query(planner, source(group, index))
             if outcome.result is not None:
-                verifier = planner.engines(outcome.query.scene).verifier
+                verifier = planner.engines(outcome.query.scene)
                 outcome = replace(outcome, audit=verifier.audit(outcome.result.trajectory))
             done.append(outcome)
             on_query(outcome)
@@ -161,7 +161,7 @@ def engine_agreement(scene: PlanningScene, states_n: int, seed: int) -> float:
     Half are uniform (mostly in collision), half near home.
     """
     planner = Planner(scene)
-    engine, robot = planner.engines().verifier.engine, planner.robot
+    engine, robot = planner.engines().engine, planner.robot
     lower, upper = robot.q_lower, robot.q_upper
     rng = stream(seed, "plan/engine-agreement")
     half = states_n // 2

@@ -96,7 +96,7 @@ def timed_residual(plan: CarriedTrajectory, query: HeldQuery, kinematics: Kinema
 
 def plan_move(planner: HeldPlanner, move: HeldMove) -> MoveOutcome:
     """Plan and measure one move."""
-    verifier = planner.engines(move.query.scene).verifier
+    verifier = planner.engines(move.query.scene)
     begin, cpu = perf_counter(), process_time()
     plan, reason, message = None, "", ""
     try:

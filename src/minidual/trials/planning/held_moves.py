@@ -107,7 +107,7 @@ class HeldMoveGenerator:
                 rests_on=rests_on,
             )
             engines = SceneEngines(scene)
-            engine = engines.verifier.engine("mujoco")
+            engine = engines.engine("mujoco")
             start = self._held(rng, engine, self._start(rng), self._robot.home, 0.0 if self._from_table else _ROOM_M)
             if start is None:
                 unreachable += 1

@@ -9,11 +9,9 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 
-from minidual.collision.engine import Checked
 from minidual.collision.errors import PlanningError
 from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import TABLE, PlanningScene
@@ -119,7 +117,7 @@ class QueryGenerator:
         kind = self.kind(group, index)
         scene = scene_of(self._seed, group, index, attempt, self._obstacles_n, self._robot)
         rng = stored_stream(self._seed, list(DUAL_PANDA.groups).index(group), index, attempt, 1)
-        engine = MujocoEngine(cast(Checked, scene))
+        engine = MujocoEngine(scene)
         crossed_at_goal = bool(rng.integers(2))
         for _ in range(_PAIRS_TRIES_N):
             crossed = kind == "crossing"

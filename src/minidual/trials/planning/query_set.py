@@ -15,8 +15,7 @@ import numpy as np
 
 from minidual.collision.engine import ENGINES
 from minidual.errors import DataError
-from minidual.proof.scene_engines import SceneEngines
-from minidual.proof.verify import STEP_RAD
+from minidual.proof.scene_engines import STEP_RAD, SceneEngines
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.pair import Array
 from minidual.trials.planning.queries import Query, QueryGenerator, goal_as_poses, goal_targets, scene_of
@@ -101,4 +100,4 @@ def polyline_states(path: Array, step_rad: float = STEP_RAD) -> Array:
 def is_free(path: Array, engines: SceneEngines) -> bool:
     """Return whether both engines find a polyline (k, n) free."""
     Q = polyline_states(path)
-    return not any(engines.verifier.engine(name).collisions(Q).any() for name in ENGINES)
+    return not any(engines.engine(name).collisions(Q).any() for name in ENGINES)
