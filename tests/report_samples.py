@@ -8,13 +8,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from minidual.durable import write_csv
 from minidual.gate.check import Check
 from minidual.gate.fingerprint import Fingerprint
 from minidual.gate.manifest import build_manifest
 from minidual.gate.verdict import Verdict, Waiver
+from minidual.show.report.figures import Figure, Trial, benchmark_figures
 from minidual.show.report.model import ReportInput
+from minidual.show.report.tables import Tables
 from minidual.trials.benchmark import BenchmarkCell, conditions_data
 from minidual.trials.comparisons import compare_all, compare_with_clean
 from minidual.trials.metrics import TrialMetrics, summarise
@@ -59,6 +62,22 @@ _CHECKS: dict[str, list[Check]] = {
         Check("training_success_rate", 0.95, why="the same on starts it was trained on"),
     ],
 }
+
+
+_DRAWN: dict[str, list[Figure]] = {}
+
+
+@pytest.fixture(autouse=True)
+def figures_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw equal figures once in all tests: drawing takes most of a report's time."""
+
+    def drawn(tables: Tables, trials: list[Trial]) -> list[Figure]:
+        key = repr((tables, trials))
+        if key not in _DRAWN:
+            _DRAWN[key] = benchmark_figures(tables, trials)
+        return _DRAWN[key]
+
+    monkeypatch.setattr("minidual.show.report.page.benchmark_figures", drawn)
 
 
 def make_trials(n: int = 20) -> list[TrialMetrics]:

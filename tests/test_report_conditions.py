@@ -11,14 +11,13 @@ from typing import Any
 
 import pytest
 import report_samples as samples
+from report_samples import figures_once  # noqa: F401  (a fixture for every test here)
 
 from minidual.config.root import Config
-from minidual.errors import DataError
-from minidual.show.report.build import build_report
-from minidual.show.report.content import Report
 from minidual.show.report.facts import Facts, gather
 from minidual.show.report.figures import condition_figure
-from minidual.show.report.model import ReportInput, report_checks
+from minidual.show.report.model import Report, ReportInput, report_checks
+from minidual.show.report.page import build_report
 from minidual.show.report.tables import Tables, tabulate
 from minidual.stages.registry import STAGES
 from minidual.trials.conditions import CLEAN
@@ -52,8 +51,8 @@ def test_the_table_holds_every_cell_with_its_numbers(data: dict[str, Any]) -> No
     assert (push.successes, push.trials, push.success.low) == (0, 20, 0.0)
     assert push.measures["duration_median_s"] is None, "nothing completed"
     assert push.loss is not None
-    assert (push.loss.difference, push.loss.starts) == (-0.75, 20)
-    assert push.loss.high < 0.0
+    assert (push.loss["rate_difference"], push.loss["trials_n"]) == (-0.75, 20)
+    assert push.loss["rate_difference_high"] < 0.0
     moved = cells["moveit", "push +x"].measures["duration_median_s"]
     still = cells["moveit", CLEAN].measures["duration_median_s"]
     assert moved.middle == pytest.approx(still.middle + 0.5)
@@ -103,7 +102,7 @@ def test_a_hole_is_named_and_fails_the_report(
     change(broken)
     assert hole in table(broken).missing()
     checks = {check.name: check for check in report_checks(given, table(broken))}
-    assert checks["tables_complete"].passed is False
+    assert checks["missing_cells"].passed is False
     assert checks["missing_cells"].observed == len(table(broken).missing()) > 0
     assert checks["stages_not_passing"].passed
 
@@ -130,12 +129,6 @@ def test_an_indicator_without_its_interval_is_a_hole() -> None:
     assert tabulate(samples.METHODS, (), {"methods": rows}).missing() == ["act.clean.jerk_rms_median"]
 
 
-def test_data_of_another_shape_is_refused(data: dict[str, Any]) -> None:
-    for name, value in (("conditions", []), ("losses", {"a": 1}), ("losses", [1])):
-        with pytest.raises(DataError, match=name):
-            table({**data, name: value})
-
-
 def test_the_page_shows_what_applies_what_is_lost_and_what_is_behind_it(given: ReportInput, tmp_path: Path) -> None:
     report, text = built(given, tmp_path)
     assert report.state == "pass"
@@ -154,7 +147,7 @@ def test_the_page_shows_what_applies_what_is_lost_and_what_is_behind_it(given: R
     rate = act["measures"]["success_rate"]
     assert (rate["value"], rate["low"]) == (0.0, 0.0)
     assert rate["high"] == pytest.approx(0.161, abs=1e-3)
-    assert act["loss"]["difference"] == -0.75
+    assert act["loss"]["rate_difference"] == -0.75
     assert document["conditions"]["delay 20 ms"]["methods"]["act"]["state"] == "spared"
 
 
@@ -165,11 +158,11 @@ def test_ranks_and_figures_of_trials_are_those_of_undisturbed_ones(tmp_path: Pat
     disturbed, _ = built(samples.make_run(tmp_path / "b", samples.disturbed_trials()), tmp_path / "b")
     assert disturbed.tables.clean == plain.tables.clean
     assert [f.svg for f in disturbed.figures] == [f.svg for f in plain.figures]
-    assert (disturbed.facts.pairs, disturbed.facts.reasons) == (plain.facts.pairs, plain.facts.reasons)
+    assert disturbed.facts.pairs == plain.facts.pairs
 
 
 def facts(data: dict[str, Any], given: ReportInput) -> Facts:
-    return gather(samples.with_data(given, data).verdicts, table(data), [])
+    return gather(samples.with_data(given, data).verdicts, table(data))
 
 
 def test_losses_and_pairs_are_listed_only_where_the_trials_show_them(
@@ -177,15 +170,20 @@ def test_losses_and_pairs_are_listed_only_where_the_trials_show_them(
 ) -> None:
     found = facts(data, given)
     (loss,) = found.losses
-    assert (loss.family, loss.first, loss.difference, loss.starts) == ("act", "push +x", -0.75, 20)
-    parted = {(pair.family, pair.first, pair.second) for pair in found.partings}
+    assert tuple(loss[name] for name in ("method", "first", "rate_difference", "trials_n")) == (
+        "act",
+        "push +x",
+        -0.75,
+        20,
+    )
+    parted = {(pair["condition"], pair["first"], pair["second"]) for pair in found.partings}
     assert parted == {("push +x", "moveit", "act"), ("push +x", "impedance", "act")}
     words = re.sub(r"<[^>]*>", "", built(given, tmp_path)[1])
     assert "act under push +x: −75 points on 20 starts (95 % interval −" in words
     assert "push +x: moveit against act +95 points" in words
     assert "act under push +x: grip lost (20); it stopped itself in 20." in words
     few = samples.benchmark_data(samples.disturbed_trials(4))
-    assert facts(few, given).losses == ()
+    assert facts(few, given).losses == []
 
 
 def test_a_difference_is_shown_after_correction_for_the_number_of_tests(
@@ -195,21 +193,14 @@ def test_a_difference_is_shown_after_correction_for_the_number_of_tests(
     for rows in (data["losses"], data["comparisons"]):
         for row in rows:
             row["p_value"] = 0.02 if row.get("condition", row["first"]) == "push +x" and "act" in row.values() else 1.0
-    assert facts(data, given).losses == ()
+    assert facts(data, given).losses == []
     many = [{**row, "condition": f"other {i}"} for i, row in enumerate(data["comparisons"][:3])]
-    assert facts({**data, "comparisons": data["comparisons"] + many}, given).partings == ()
+    assert facts({**data, "comparisons": data["comparisons"] + many}, given).partings == []
     data["losses"] = [row for row in data["losses"] if row["method"] == "act"]
     data["comparisons"] = [r for r in data["comparisons"] if (r["first"], r["condition"]) == ("moveit", "push +x")][1:]
     alone = facts(data, given)
-    assert [loss.p_holm for loss in alone.losses] == [0.02]
-    assert [pair.p_holm for pair in alone.partings] == [0.02]
-
-
-def test_a_comparison_that_does_not_name_its_methods_is_refused(data: dict[str, Any], given: ReportInput) -> None:
-    for change, says in (({"second": None}, "lacks 'second'"), ({"p_value": 1.5}, "p_value 1.5")):
-        rows = [{**data["comparisons"][0], "condition": "push +x", **change}]
-        with pytest.raises(DataError, match=says):
-            facts({**data, "comparisons": rows}, given)
+    assert [loss["p_holm"] for loss in alone.losses] == [0.02]
+    assert [pair["p_holm"] for pair in alone.partings] == [0.02]
 
 
 def test_the_figure_has_a_line_for_every_cell_that_ran_and_says_which_did_not(data: dict[str, Any]) -> None:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from minidual.gate.stage import StageContext, StageResult
-from minidual.show.report.build import build_report
 from minidual.show.report.model import ReportInput
+from minidual.show.report.page import build_report
 from minidual.trials.conditions import parse_conditions
 
 
@@ -28,7 +28,5 @@ def run(context: StageContext) -> StageResult:
         report = build_report(given, context.folder)
         task.advance()
     return StageResult(
-        checks=report.checks,
-        data={"state": report.state, "stages_passing": report.passing_stages, "stages": len(given.stages)},
-        notes=[banner.title for banner in report.banners],
+        checks=report.checks, data={"state": report.state}, notes=[banner.title for banner in report.banners]
     )

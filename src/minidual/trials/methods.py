@@ -99,7 +99,7 @@ METHODS: Registry[MethodSpec] = Registry(
     {
         "moveit": MethodSpec(
             "minidual.trials.model_based:planned",
-            "OMPL in MoveIt 2's role, joint trajectory control",
+            "planned and timed path (OMPL, TOPP-RA), joint trajectory control",
             senses=frozenset({"pose"}),
         ),
         "impedance": MethodSpec(

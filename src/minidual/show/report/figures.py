@@ -5,23 +5,24 @@
 
 from __future__ import annotations
 
+import csv
 import io
 import math
 import re
 import statistics
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
 from matplotlib.figure import Figure as Canvas
 
-from minidual.show.report.facts import Trial
+from minidual.errors import DataError
 from minidual.show.report.indicators import INDICATORS, SUCCESS, Indicator
 from minidual.show.report.tables import Row, Tables
-from minidual.show.report.wording import fault
+from minidual.trials.conditions import CLEAN
 
 INK, GRID, FAINT = "#1a2027", "#d9dee4", "#66717e"
 _CSS = {INK: "var(--ink)", GRID: "var(--line)", FAINT: "var(--muted)"}
@@ -42,6 +43,10 @@ _STYLE: dict[str, Any] = {
     "ytick.major.size": 0,
     "axes.axisbelow": True,
 }
+
+
+Trial = dict[str, str]
+"""A row of benchmark.csv."""
 
 
 @dataclass(frozen=True)
@@ -88,10 +93,8 @@ def _rows(names: Sequence[str], name: str, height: float) -> Iterator[tuple[Any,
 
 def _limit_line(axes: Any, at: float, label: str) -> None:
     axes.axvline(at, color=_LIMIT, linewidth=1.1, linestyle=(0, (4, 3)))
-    axes.annotate(
-        label, (at, 1.0), xycoords=("data", "axes fraction"), xytext=(0, 2), textcoords="offset points",
-        ha="center", va="bottom", fontsize=8, color=_LIMIT,
-    )  # fmt: skip
+    place = axes.get_xaxis_transform()  # data across, a share of the axes up
+    axes.text(at, 1.01, label, transform=place, ha="center", va="bottom", fontsize=8, color=_LIMIT)
 
 
 def success_figure(rows: Sequence[Row], name: str, title: str) -> Figure | None:
@@ -124,36 +127,50 @@ def success_figure(rows: Sequence[Row], name: str, title: str) -> Figure | None:
         return Figure(name, title, "Dots: share of trials that passed. Lines: 95 % Wilson interval.", svg())
 
 
+def read_trials(path: Path) -> list[Trial]:
+    """Return the undisturbed rows of benchmark.csv; DataError if unreadable."""
+    try:
+        with path.open(newline="", encoding="utf-8") as stream:
+            return [row for row in csv.DictReader(stream) if row["condition"] == CLEAN]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise DataError(f"{path} cannot be read: {error}") from error
+
+
+def _value(trial: Trial, indicator: Indicator) -> float | None:
+    """Return a trial's indicator as displayed; None where the table has words."""
+    try:
+        return float(trial[indicator.column]) * indicator.scale
+    except ValueError:
+        return None
+
+
 def strip_figure(indicator: Indicator, methods: Sequence[str], trials: Sequence[Trial]) -> Figure | None:
     """Plot every trial and the median of successes, if any."""
-    column = indicator.column or ""
-    found = {
-        m: [t for t in trials if t.method == m and math.isfinite(t.numbers.get(column, math.nan))] for m in methods
-    }
-    if not any(found.values()):
+    found = [
+        (t["method"], t["success"] == "True", value) for t in trials if (value := _value(t, indicator)) is not None
+    ]
+    if not found:
         return None
-    largest = indicator.scale * max(trial.numbers[column] for mine in found.values() for trial in mine)
+    largest, limit = max(value for *_, value in found), (indicator.excellent or math.inf) * indicator.scale
     with _rows(methods, indicator.key, len(methods)) as (_figure, axes, svg):
-        for i, mine in enumerate(found.values()):
-            for k, trial in enumerate(mine):
-                y = i + 0.36 * (_spread(k) - 0.5)
+        for i, method in enumerate(methods):
+            mine = [(success, value) for name, success, value in found if name == method]
+            for k, (success, value) in enumerate(mine):
                 look = {"markersize": 4.5, "alpha": 0.7, "markeredgewidth": 0}
-                if not trial.success:
+                if not success:
                     look = {"markersize": 5.5, "markeredgewidth": 1.4}
-                mark = "o" if trial.success else "x"
-                axes.plot(trial.numbers[column] * indicator.scale, y, mark, color=COLOURS[i % len(COLOURS)], **look)
-            won = [trial.numbers[column] * indicator.scale for trial in mine if trial.success]
+                y, mark = i + 0.36 * (_spread(k) - 0.5), "o" if success else "x"
+                axes.plot(value, y, mark, color=COLOURS[i % len(COLOURS)], **look)
+            won = [value for success, value in mine if success]
             if won:
                 axes.plot([statistics.median(won)] * 2, [i - 0.32, i + 0.32], color=INK, linewidth=2.2)
-        limit = (indicator.excellent or math.inf) * indicator.scale
         if largest > 0.15 * limit:
             _limit_line(axes, limit, f"excellent {indicator.excellent_text}")
             largest = max(largest, limit)
         axes.set_xlim(0, largest * 1.08 or 1.0)
         axes.locator_params(axis="x", nbins=6)
         axes.set_xlabel(f"{indicator.title}, {indicator.unit}")
-        caption = "Dots: successful trials. Crosses: failed ones. Bar: median of the successful ones."
-        return Figure(indicator.key, indicator.title, caption, svg())
+        return Figure(indicator.key, indicator.title, indicator.meaning, svg())
 
 
 def _spread(k: int) -> float:
@@ -161,30 +178,11 @@ def _spread(k: int) -> float:
     return (0.5 + k * 0.618033988749895) % 1.0
 
 
-def failures_figure(methods: Sequence[str], trials: Sequence[Trial]) -> Figure | None:
-    """Plot failure counts by method, if any."""
-    counts = {m: Counter(t.failure or "unnamed" for t in trials if t.method == m and not t.success) for m in methods}
-    reasons = [name for name, _n in sum(counts.values(), Counter[str]()).most_common()]
-    if not reasons:
-        return None
-    with _rows(methods, "failures", len(methods) + (len(reasons) + 1) // 2) as (figure, axes, svg):
-        left = [0] * len(methods)
-        for k, reason in enumerate(reasons):
-            widths = [counts[method][reason] for method in methods]
-            colour = COLOURS[k % len(COLOURS)]
-            axes.barh(range(len(methods)), widths, left=left, height=0.5, color=colour, label=fault(reason))
-            left = [start + width for start, width in zip(left, widths, strict=True)]
-        axes.xaxis.get_major_locator().set_params(integer=True)
-        axes.set_xlabel("failed trials")
-        figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize=9)
-        return Figure("failures", "Reasons of failure", "What failed first in each failed trial.", svg())
-
-
 def benchmark_figures(tables: Tables, trials: Sequence[Trial]) -> list[Figure]:
     """Return the figures of undisturbed trials."""
     methods = [cell.method for cell in tables.clean.cells]
     strips = (strip_figure(indicator, methods, trials) for indicator in INDICATORS[1:])
-    drawn = [success_figure(tables.rows[:1], "success", "Success"), *strips, failures_figure(methods, trials)]
+    drawn = [success_figure(tables.rows[:1], "success", "Success"), *strips]
     return [figure for figure in drawn if figure is not None]
 
 

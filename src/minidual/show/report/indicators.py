@@ -24,7 +24,7 @@ class Indicator:
     """
 
     key: str
-    column: str | None
+    column: str
     title: str
     unit: str
     scale: float
@@ -69,7 +69,7 @@ def _spread(name: str, unit: str, middle: str = "median_") -> tuple[str, str, st
 
 # Limits of "excellent": day 11 of the tutorial that the pipeline follows.
 # fmt: off
-SUCCESS = Indicator("success_rate", None, "Success", "%", 100.0, 0.8, ("success_rate", "success_low", "success_high"),
+SUCCESS = Indicator("success_rate", "success", "Success", "%", 100.0, 0.8, ("success_rate", "success_low", "success_high"),
                     "share of trials that passed the whole success test, with its 95 % Wilson interval",
                     more_is_better=True)
 INDICATORS: tuple[Indicator, ...] = (

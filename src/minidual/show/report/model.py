@@ -1,4 +1,4 @@
-"""State, checks and warnings of the report."""
+"""Content of the report: its input, checks, state and warnings."""
 
 from __future__ import annotations
 
@@ -9,8 +9,11 @@ from typing import Literal
 
 from minidual.gate.check import Check
 from minidual.gate.verdict import Verdict, Waiver, derive_status
+from minidual.show.report.facts import Facts
+from minidual.show.report.figures import Figure
+from minidual.show.report.media import Medium
 from minidual.show.report.tables import Tables
-from minidual.show.report.wording import joined
+from minidual.show.report.wording import commit, joined, moment, shortened
 from minidual.trials.conditions import CLEAN
 
 OverallState = Literal["pass", "fail", "weakened", "smoke", "tainted"]
@@ -72,81 +75,108 @@ class Banner:
 
     kind: str
     title: str
-    lines: tuple[str, ...] = ()
+    lines: Sequence[str] = ()
 
 
 def report_checks(given: ReportInput, tables: Tables) -> list[Check]:
     """Return the report's checks: complete tables, passing stages."""
-    holes = tables.missing()
-    shown = f"; missing: {', '.join(holes[:6])}{' ...' if len(holes) > 6 else ''}" if holes else ""
-    short = given.not_passing()
+    holes, short = tables.missing(), given.not_passing()
+    shown = f"; missing: {shortened(holes)}" if holes else ""
     return [
         Check(
-            "tables_complete",
-            bool(tables.clean.cells) and not holes,
+            "missing_cells",
+            len(holes),
             "==",
-            True,
+            0,
             why="every method has every indicator as a finite number with its interval, undisturbed and under every "
             f"condition that applies to it{shown}",
             remedy="run minidual benchmark again, with every method and condition that the tables should hold",
         ),
-        Check("missing_cells", len(holes), "==", 0, why="numbers missing from the table of methods by conditions"),
         Check(
             "stages_not_passing",
             len(short),
             "==",
             0,
             why="a report is built on passing verdicts" + (f"; without one: {', '.join(short)}" if short else ""),
-            remedy="minidual status says what to run" if short else "",
+            remedy="minidual status says what to run",
         ),
     ]
 
 
-def overall_state(given: ReportInput, checks: Sequence[Check]) -> OverallState:
-    """Return the gravest state that applies."""
-    if given.all_waivers():
-        return "tainted"
-    if derive_status(checks) != "pass" or given.code_changes:
-        return "fail"
-    if not given.counts_as_acceptance():
-        return "smoke"
-    return "weakened" if given.weakened() else "pass"
+@dataclass(frozen=True)
+class Report:
+    """Content of the page."""
 
+    given: ReportInput
+    tables: Tables
+    facts: Facts
+    figures: Sequence[Figure]
+    condition_figure: Figure | None
+    media: Sequence[Medium]
 
-def banners(given: ReportInput, checks: Sequence[Check]) -> tuple[Banner, ...]:
-    """Return the warnings, gravest first."""
-    found: list[Banner] = []
-    waivers = given.all_waivers()
-    if waivers:
-        gates = "1 gate" if len(waivers) == 1 else f"{len(waivers)} gates"
-        lines = tuple(
-            f"gate of {waiver.stage}, {waiver.at.replace('T', ' ').replace('Z', ' UTC')}: “{waiver.reason}” ("
-            + joined([f"{stage} was {state}" for stage, state in waiver.blocking.items()])
-            + ")"
-            for waiver in waivers
-        )
-        found.append(Banner("tainted", f"Tainted: {gates} opened by hand. This report cannot pass.", lines))
-    failed = [check for check in checks if check.passed is False]
-    if failed:
-        found.append(Banner("fail", "This report does not pass", tuple(f"{c.sentence()}: {c.why}" for c in failed)))
-    if given.code_changes:
-        lines = tuple(f"{stage}: {', '.join(modules)}" for stage, modules in given.code_changes.items())
-        found.append(Banner("fail", "Results of other code: this report cannot pass", lines))
-    if not given.counts_as_acceptance():
-        meaning = "Few trials and little training show that the parts fit together. The rates below prove nothing else."
-        found.append(Banner("smoke", f"{given.profile}: wiring only, not acceptance", (meaning,)))
-    if given.weakened():
-        title = f"Less was asked than the {given.profile} profile asks: not acceptance"
-        found.append(Banner("smoke", title, tuple(given.weakened())))
-    overrides = sorted({text for verdict in given.verdicts.values() for text in verdict.overrides})
-    if overrides:
-        found.append(Banner("note", f"Values of the {given.profile} profile were overridden", tuple(overrides)))
-    commits = sorted({_short_commit(v.fingerprint.commit) for v in given.verdicts.values()})
-    if len(commits) > 1:
-        found.append(Banner("note", f"The stages were run at {len(commits)} commits", tuple(commits)))
-    return tuple(found)
+    @property
+    def checks(self) -> list[Check]:
+        """The report's own checks."""
+        return report_checks(self.given, self.tables)
 
+    @property
+    def shown_checks(self) -> list[Check]:
+        """The report's own checks and those failed by waivers or code changes."""
+        found = [
+            ("gate.waivers", self.given.all_waivers(), "evidence behind a waived gate does not count as acceptance"),
+            ("gate.code_changed", self.given.code_changes, "results of other code do not accept this code"),
+        ]
+        return [*self.checks, *(Check(name, len(bad), "==", 0, why=why) for name, bad, why in found if bad)]
 
-def _short_commit(commit: str | None) -> str:
-    name, plus, changes = (commit or "unknown").partition("+")
-    return name[:10] + plus + changes
+    @property
+    def total_s(self) -> float:
+        """Wall time of all stages."""
+        return sum(verdict.duration_s for verdict in self.given.verdicts.values())
+
+    @property
+    def state(self) -> OverallState:
+        """The gravest state that applies."""
+        given = self.given
+        if given.all_waivers():
+            return "tainted"
+        if derive_status(self.checks) != "pass" or given.code_changes:
+            return "fail"
+        if not given.counts_as_acceptance():
+            return "smoke"
+        return "weakened" if given.weakened() else "pass"
+
+    @property
+    def banners(self) -> list[Banner]:
+        """The warnings, gravest first."""
+        given, found = self.given, list[Banner]()
+        verdicts, waivers = given.verdicts.values(), given.all_waivers()
+        if waivers:
+            lines = [
+                f"gate of {waiver.stage}, {moment(waiver.at)}: “{waiver.reason}” ("
+                + joined([f"{stage} was {state}" for stage, state in waiver.blocking.items()])
+                + ")"
+                for waiver in waivers
+            ]
+            gates = f"{len(waivers)} gate{'s' if len(waivers) > 1 else ''}"
+            found.append(Banner("tainted", f"Tainted: {gates} opened by hand. This report cannot pass.", lines))
+        failed = [f"{check.sentence()}: {check.why}" for check in self.checks if check.passed is False]
+        if failed:
+            found.append(Banner("fail", "This report does not pass", failed))
+        if given.code_changes:
+            lines = [f"{stage}: {shortened(modules)}" for stage, modules in given.code_changes.items()]
+            found.append(Banner("fail", "Results of other code: this report cannot pass", lines))
+        if not given.counts_as_acceptance():
+            meaning = (
+                "Few trials and little training show that the parts fit together. The rates below prove nothing else."
+            )
+            found.append(Banner("smoke", f"{given.profile}: wiring only, not acceptance", [meaning]))
+        if given.weakened():
+            title = f"Less was asked than the {given.profile} profile asks: not acceptance"
+            found.append(Banner("smoke", title, given.weakened()))
+        overrides = sorted({text for verdict in verdicts for text in verdict.overrides})
+        if overrides:
+            found.append(Banner("note", f"Values of the {given.profile} profile were overridden", overrides))
+        commits = sorted({commit(verdict.fingerprint.commit) for verdict in verdicts})
+        if len(commits) > 1:
+            found.append(Banner("note", f"The stages were run at {len(commits)} commits", commits))
+        return found

@@ -1,33 +1,62 @@
-"""Render one self-contained HTML page."""
+"""Build the report from verdicts and artefacts.
+
+It reads neither clock nor machine: equal verdicts give equal bytes.
+"""
 
 from __future__ import annotations
 
-import functools
-import math
-from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import jinja2
 
-from minidual.gate.check import Check, Number, format_number
-from minidual.show.report.content import Report
-from minidual.show.report.facts import relative_margin
+from minidual.errors import DataError
+from minidual.gate.canonical import dumps
+from minidual.show.report import wording
+from minidual.show.report.facts import gather
+from minidual.show.report.figures import benchmark_figures, condition_figure, read_trials
 from minidual.show.report.indicators import INDICATORS
-from minidual.show.report.paired import CERTAIN
-from minidual.show.report.wording import duration, fault, joined, percent, points
+from minidual.show.report.media import Medium, collect_media
+from minidual.show.report.model import Report, ReportInput
+from minidual.show.report.tables import CERTAIN, Cell, tabulate
+from minidual.trials.methods import METHODS
 
-_STATE_WORDS = {
-    "pass": "Pass",
-    "fail": "Fail",
-    "weakened": "Weakened",
-    "smoke": "Smoke: wiring only",
-    "tainted": "Tainted",
-}
-_RESULT_WORDS = {True: "pass", False: "fail", None: "reported"}
+TRIALS_FILE = "benchmark.csv"
 
 
-@functools.cache
-def _environment() -> jinja2.Environment:
+def build_report(given: ReportInput, folder: Path) -> Report:
+    """Write report.html, report.json and figures into `folder`.
+
+    Raises:
+        DataError: An artefact is missing or unreadable.
+    """
+    benchmark = given.verdicts.get("benchmark")
+    media: list[Medium] = []
+    for stage, verdict in given.verdicts.items():
+        captions = verdict.data.get("captions", {})
+        media += collect_media(stage, given.folders[stage], verdict.artefacts, captions, folder)
+    try:
+        tables = tabulate(given.methods, given.conditions, benchmark.data if benchmark else {})
+        trials = read_trials(given.folders["benchmark"] / TRIALS_FILE) if benchmark else []
+        facts, figures = gather(given.verdicts, tables), benchmark_figures(tables, trials)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise DataError(
+            f"the benchmark's data or {TRIALS_FILE} is damaged: {type(error).__name__}: {error}",
+            remedy="minidual benchmark --force",
+        ) from error
+    report = Report(given, tables, facts, figures, condition_figure(tables), media)
+    (folder / "figures").mkdir()
+    for figure in (*report.figures, report.condition_figure):
+        if figure is not None:
+            (folder / "figures" / f"{figure.name}.svg").write_text(figure.svg, encoding="utf-8")
+    (folder / "report.json").write_text(dumps(document(report)), encoding="utf-8")
+    (folder / "report.html").write_text(render_page(report), encoding="utf-8")
+    return report
+
+
+def render_page(report: Report) -> str:
+    """Return one self-contained HTML page."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("minidual.show.report"),
         autoescape=True,
@@ -35,86 +64,55 @@ def _environment() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update(duration=duration, percent=percent, points=points, fault=fault)
-    return environment
-
-
-def render_page(report: Report) -> str:
-    """Return the page's HTML."""
-    environment = _environment()
-    last = report.given.newest
+    for name in ("commit", "duration", "fault", "joined", "margin", "moment", "percent", "points", "quantity"):
+        environment.filters[name] = getattr(wording, name)
     return environment.get_template("report.html.j2").render(
         report=report,
         given=report.given,
         facts=report.facts,
+        state=report.state,
         style=environment.get_template("report.css").render(),
-        state_word=_STATE_WORDS[report.state],
-        tiles=_tiles(report),
         indicators=INDICATORS,
         certain=CERTAIN,
-        stages=_stages(report),
-        films=[medium for medium in report.media if medium.film],
-        last=last,
-        made=last.fingerprint if last else None,
+        summaries={name: METHODS[name].summary for name in report.given.methods if name in METHODS},
     )
 
 
-def _tiles(report: Report) -> list[tuple[str, str]]:
-    every = [check for verdict in report.given.verdicts.values() for check in verdict.checks]
-    limited = [check for check in (*every, *report.shown_checks) if check.limited]
-    tiles = [
-        (f"{report.passing_stages} of {len(report.given.stages)}", "stages pass"),
-        (f"{sum(check.passed is True for check in limited)} of {len(limited)}", "checks inside their limits"),
-        (duration(report.total_s), "for all stages"),
-    ]
-    rated = {cell.method: cell.success.value for cell in report.tables.clean.cells if cell.success is not None}
-    if rated:
-        top = max(rated.values())
-        best = [method for method, rate in rated.items() if rate == top]
-        tiles.append((percent(top), f"best success, {joined(best)}"))
-    return tiles
-
-
-def _stages(report: Report) -> list[dict[str, Any]]:
-    shown: list[dict[str, Any]] = []
-    for name, summary in report.given.stages:
-        verdict = report.given.verdicts.get(name)
-        row = _stage(name, summary, verdict.status if verdict else "missing", verdict.checks if verdict else ())
-        if verdict is not None:
-            share = verdict.duration_s / max(report.total_s, 1e-9)
-            row |= {"duration": duration(verdict.duration_s), "share": share, "notes": verdict.notes}
-        row["pictures"] = [medium for medium in report.media if medium.stage == name and not medium.film]
-        shown.append(row)
-    own = "fail" if report.state in ("fail", "tainted") else "pass"
-    return [*shown, _stage("report", "Build this page from the verdicts", own, report.shown_checks)]
-
-
-def _stage(name: str, summary: str, status: str, checks: Sequence[Check]) -> dict[str, Any]:
-    limited = [check for check in checks if check.limited]
-    held = f"{sum(check.passed is True for check in limited)} of {len(limited)} limits held" if limited else ""
-    rows = [_check_row(check) for check in checks]
-    blank = {"duration": "", "share": 0.0, "notes": (), "pictures": []}
-    return {"name": name, "summary": summary, "status": status, "checks": rows, "held": held, **blank}
-
-
-def _check_row(check: Check) -> dict[str, str]:
-    relative = relative_margin(check)
-    margin = ""
-    if check.margin is not None and math.isfinite(check.margin) and check.op != "==":
-        margin = f"{check.margin:+.3g}" + (f" ({relative:+.0%})" if relative is not None else "")
+def document(report: Report) -> dict[str, Any]:
+    """Return the report as JSON, without pictures."""
+    given, facts = report.given, report.facts
+    made = given.newest.fingerprint if given.newest else None
+    clean, *disturbed = report.tables.rows
+    margins = [{"stage": m.stage, "check": m.check.name, "share_of_limit": m.relative} for m in facts.margins]
     return {
-        "name": check.name,
-        "why": check.why,
-        "observed": _quantity(check.observed, check.unit),
-        "limit": f"{check.op} {_quantity(check.limit, check.unit)}" if check.op else "",
-        "margin": margin,
-        "result": _RESULT_WORDS[check.passed],
-        "remedy": check.remedy if check.passed is False else "",
+        "schema": 3,
+        "title": given.title,
+        "state": report.state,
+        "acceptance": report.state == "pass",
+        "profile": given.profile,
+        "seed": given.seed,
+        "banners": [asdict(banner) for banner in report.banners],
+        "checks": [check.to_json() for check in report.shown_checks],
+        "made_with": {n: getattr(made, n) for n in ("version", "commit", "machine", "libraries") if made},
+        "total_s": report.total_s,
+        "stages": [_stage(given, name) for name, _summary in given.stages],
+        "comparison": {"missing": report.tables.missing(), "methods": {c.method: _cell(c) for c in clean.cells}},
+        "conditions": {
+            row.condition: {"summary": row.summary, "methods": {c.method: _cell(c) for c in row.cells}}
+            for row in disturbed
+        },
+        "analysis": {**asdict(facts), "margins": margins},
     }
 
 
-def _quantity(value: Number | None, unit: str) -> str:
-    text = f"{format_number(value)} {unit}".rstrip()
-    if unit == "rad" and isinstance(value, float) and math.isfinite(value) and abs(math.degrees(value)) >= 0.01:
-        text += f" ({math.degrees(value):.3g}°)"
-    return text
+def _cell(cell: Cell) -> dict[str, Any]:
+    excellent = [indicator.key for indicator in INDICATORS if cell.excellent(indicator)]
+    return {**asdict(cell), "failures": dict(cell.failures), "holes": cell.holes, "excellent": excellent}
+
+
+def _stage(given: ReportInput, name: str) -> dict[str, Any]:
+    if name not in given.verdicts:
+        return {"name": name, "status": "missing"}
+    record = given.verdicts[name].to_json()
+    kept = ("status", "acceptance", "duration_s", "finished_at", "checks", "notes")
+    return {"name": name, **{key: record[key] for key in kept}}

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from minidual.errors import DataError
 from minidual.show.report.indicators import INDICATORS, SUCCESS, Indicator
-from minidual.show.report.paired import Paired, corrected, read_paired
 from minidual.trials.conditions import CLEAN
+from minidual.trials.statistics import holm
+
+CERTAIN = 0.05
+"""Two-sided significance level after Holm's correction."""
+
+Pair = Mapping[str, Any]
+"""A row of minidual.trials.comparisons with `p_holm` and `shown`: whether the difference is significant."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +43,6 @@ class Cell:
         loss: Comparison with the undisturbed starts.
         failures: (reason, trials), most frequent first.
         stopped: Failed trials that the method itself stopped.
-        holes: Missing numbers.
     """
 
     method: str
@@ -47,10 +51,9 @@ class Cell:
     why: str = ""
     trials: int | None = None
     measures: Mapping[str, Measure | None] = field(default_factory=dict)
-    loss: Paired | None = None
+    loss: Pair | None = None
     failures: tuple[tuple[str, int], ...] = ()
     stopped: int = 0
-    holes: tuple[str, ...] = ()
 
     @property
     def success(self) -> Measure | None:
@@ -66,6 +69,18 @@ class Cell:
     def competes(self) -> bool:
         """Whether any trial succeeded. Others are not ranked: an object never lifted never tilts."""
         return self.success is not None and self.success.value > 0.0
+
+    @property
+    def holes(self) -> list[str]:
+        """Missing numbers."""
+        if self.state == "spared":
+            return []
+        holes = [i.key for i in INDICATORS if self.measures[i.key] is None and not self.undefined(i)]
+        return [
+            *holes,
+            *["trials"] * (self.trials is None),
+            *["loss"] * (self.loss is None and self.condition != CLEAN),
+        ]
 
     def undefined(self, indicator: Indicator) -> bool:
         """Return whether it lacks the success it needs; not a hole."""
@@ -113,7 +128,8 @@ class Tables:
 
     def missing(self) -> list[str]:
         """Return "method.condition.number" per hole."""
-        return [f"{cell.method}.{cell.condition}.{hole}" for cell in self.cells for hole in cell.holes]
+        holes = [f"{cell.method}.{cell.condition}.{hole}" for cell in self.cells for hole in cell.holes]
+        return holes if self.clean.cells else ["no method"]
 
 
 def finite(value: Any) -> float | None:
@@ -123,52 +139,44 @@ def finite(value: Any) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
+def corrected(rows: Sequence[Pair]) -> list[Pair]:
+    """Return the rows of one family of tests after Holm's correction."""
+    ps = holm([row["p_value"] for row in rows])
+    return [{**row, "p_holm": p, "shown": p < CERTAIN} for row, p in zip(rows, ps, strict=True)]
+
+
 def tabulate(methods: Sequence[str], conditions: Sequence[str], data: Mapping[str, Any]) -> Tables:
     """Return the table of required `methods` and `conditions`; CLEAN is always included.
 
-    Raises:
-        DataError: `data` of the benchmark's verdict is malformed.
+    `data` is that of the benchmark's verdict.
     """
-    clean = _mapping(data.get("methods", {}), "methods")
-    rows = [Row(CLEAN, "nothing disturbs the trial", tuple(_cell(m, CLEAN, clean, None) for m in methods))]
-    disturbed = _mapping(data.get("conditions", {}), "conditions")
-    pairs = corrected(read_paired(data.get("losses", []), "losses", "method"))
-    losses = {(loss.family, loss.first): loss for loss in pairs if loss.second == CLEAN}
-    for name in conditions:
-        if name == CLEAN:
-            continue
-        entry = _mapping(disturbed.get(name, {}), f"conditions.{name}")
-        records = _mapping(entry.get("methods", {}), f"conditions.{name}.methods")
-        cells = tuple(_cell(m, name, records, losses.get((m, name))) for m in methods)
-        rows.append(Row(name, str(entry.get("summary", "")), cells))
-    return Tables(tuple(rows))
+    records = {CLEAN: ("nothing disturbs the trial", data.get("methods", {}))}
+    for name in (name for name in conditions if name != CLEAN):
+        entry = data.get("conditions", {}).get(name, {})
+        records[name] = entry.get("summary", ""), entry.get("methods", {})
+    losses = {(pair["first"], pair["method"]): pair for pair in corrected(data.get("losses", []))}
+    return Tables(
+        tuple(
+            Row(name, summary, tuple(_cell(m, name, mine.get(m, {}), losses.get((name, m))) for m in methods))
+            for name, (summary, mine) in records.items()
+        )
+    )
 
 
-def _mapping(value: Any, name: str) -> Mapping[str, Any]:
-    if not isinstance(value, Mapping):
-        raise DataError(f"the benchmark's data has no table '{name}': it must be a mapping")
-    return value
-
-
-def _cell(method: str, condition: str, records: Mapping[str, Any], loss: Paired | None) -> Cell:
-    record = _mapping(records.get(method, {}), f"methods.{method}" if condition == CLEAN else f"{condition}.{method}")
+def _cell(method: str, condition: str, record: Mapping[str, Any], loss: Pair | None) -> Cell:
     if record.get("applies") is False and record.get("why"):
-        return Cell(method, condition, "spared", why=str(record["why"]))
-    trials = finite(record.get("trials"))
-    failures = _mapping(record.get("failures", {}), f"{method}.failures")
-    cell = Cell(
+        return Cell(method, condition, "spared", why=record["why"])
+    trials, failures = finite(record.get("trials")), record.get("failures", {})
+    return Cell(
         method,
         condition,
         "missing" if trials is None or _measure(SUCCESS, record) is None else "measured",
         trials=None if trials is None else int(trials),
         measures={indicator.key: _measure(indicator, record) for indicator in INDICATORS},
         loss=loss,
-        failures=tuple(sorted(((str(k), int(n)) for k, n in failures.items()), key=lambda item: (-item[1], item[0]))),
-        stopped=int(finite(record.get("stopped_n")) or 0),
+        failures=tuple(sorted(failures.items(), key=lambda item: (-item[1], item[0]))),
+        stopped=record.get("stopped_n", 0),
     )
-    holes = [i.key for i in INDICATORS if cell.measures[i.key] is None and not cell.undefined(i)]
-    holes += ["trials"] * (trials is None) + ["loss"] * (loss is None and condition != CLEAN)
-    return replace(cell, holes=tuple(holes))
 
 
 def _measure(indicator: Indicator, record: Mapping[str, Any]) -> Measure | None:

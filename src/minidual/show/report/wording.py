@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+
+from minidual.gate.check import Check, Number, format_number
+from minidual.show.report.facts import relative_margin
 
 FAULTS: dict[str, str] = {
     "held": "grip lost",
@@ -32,6 +36,23 @@ def joined(items: Sequence[str]) -> str:
     return " and ".join([", ".join(items[:-1]), items[-1]] if len(items) > 1 else items)
 
 
+def shortened(items: Sequence[str], shown: int = 6) -> str:
+    """Return the first items, and the number of the rest."""
+    rest = len(items) - shown
+    return ", ".join(items[:shown]) + (f" and {rest} more" if rest > 0 else "")
+
+
+def moment(stamp: str) -> str:
+    """Return an ISO time as "2026-01-31 12:00:00 UTC"."""
+    return stamp.replace("T", " ").replace("Z", " UTC")
+
+
+def commit(name: str | None) -> str:
+    """Return the short name of a commit, with its mark of changes."""
+    identifier, plus, changes = (name or "unknown").partition("+")
+    return identifier[:10] + plus + changes
+
+
 def duration(seconds: float) -> str:
     """Return e.g. "4 min 05 s"."""
     if seconds < 59.95:
@@ -51,3 +72,19 @@ def points(difference: float) -> str:
     """Return percentage points: "+5", "0", "−12"."""
     whole = round(100.0 * difference)
     return f"{whole:+d}".replace("-", "\u2212") if whole else "0"
+
+
+def quantity(value: Number | None, unit: str) -> str:
+    """Return a value with its unit, angles in degrees too."""
+    text = f"{format_number(value)} {unit}".rstrip()
+    if unit == "rad" and isinstance(value, float) and math.isfinite(value) and abs(math.degrees(value)) >= 0.01:
+        text += f" ({math.degrees(value):.3g}°)"
+    return text
+
+
+def margin(check: Check) -> str:
+    """Return a check's margin, and as a share of its limit."""
+    if check.margin is None or not math.isfinite(check.margin) or check.op == "==":
+        return ""
+    relative = relative_margin(check)
+    return f"{check.margin:+.3g}" + (f" ({relative:+.0%})" if relative is not None else "")
