@@ -57,7 +57,7 @@ def test_an_episode_succeeds_and_its_actions_lead_to_the_next_state(world: World
     times = np.array([t.observation.time_s for t in ticks])
     np.testing.assert_allclose(np.diff(times), 0.02, atol=1e-9)
     assert len(result.latencies_s) == len(ticks)
-    assert (result.latencies_s > 0.0).all()
+    assert min(result.latencies_s) > 0.0
 
     action = np.array([t.action for t in ticks])
     assert np.abs(action - result.q).max() > 0.05, "commands, not readings"

@@ -57,8 +57,6 @@ class TeleopConfig(StrictModel):
     """Episodes with a larger RMS jerk are rejected."""
     latency_max_s: AtMost[float] = Field(default=0.1, gt=0.0)
     episodes_per_min: AtLeast[float] = Field(default=3.0, ge=0.0)
-    keep_rejected: bool = True
-    """Whether to keep files of failed attempts in `rejected`."""
     person_time_limit_s: float = Field(default=120.0, ge=5.0, le=3600.0)
     operator: OperatorConfig = OperatorConfig()
     mirror: MirrorConfig = MirrorConfig()

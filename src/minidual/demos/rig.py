@@ -182,13 +182,13 @@ class Rig:
                 result = self.lead(trial, append)
             except SimulationDivergedError as error:
                 return self._concluded(Attempt(trial, False, error.message), began)
-            success = result.outcome.success and result.ended_by == "leader"
             said = {"completion_s": result.outcome.duration_s}
             said |= {name: value for name in MEASURES[1:] if np.isfinite(value := getattr(result.outcome, name))}
-            attempt = Attempt(trial, success, self._reason(result, success=success), None, said, result.latencies_s)
-            if attempt.reason and (not job.teleop.keep_rejected or _is_empty(result, job.teleop.rate_hz)):
+            attempt = Attempt(trial, result.success, self._reason(result), None, said, result.latencies_s)
+            empty = len(result.q) < job.teleop.rate_hz or float(np.ptp(result.q, axis=0).max()) < 1e-3
+            if attempt.reason and empty:
                 return self._concluded(attempt, began)
-            partial = writer.finish(success=success, extra={"reason": attempt.reason, **said})
+            partial = writer.finish(success=result.success, extra={"reason": attempt.reason, **said})
             attempt = self._read_back(attempt, partial)
             path = job.folder / (KEPT if attempt.kept else REJECTED) / name
             quality = attempt.quality and replace(attempt.quality, file=name)
@@ -236,19 +236,15 @@ class Rig:
         }
         return EpisodeMeta(teleop.rate_hz, task.instruction, self.job.seed, teleop.cameras, extra=extra)
 
-    def _reason(self, result: SessionResult, *, success: bool) -> str:
-        if not success or result.refusals:
-            return result.reason or "the leader did not end the episode in time"
+    def _reason(self, result: SessionResult) -> str:
+        if result.reason:
+            return result.reason
         jerk, limit = rms_jerk(result.q, self.job.teleop.rate_hz), self.job.teleop.jerk_max_rad_s3
         return "" if jerk <= limit else f"RMS jerk {jerk:.0f} rad/s^3, limit {limit:.0f}"
 
     def close(self) -> None:
         """Free the renderer."""
         self.observer.close()
-
-
-def _is_empty(result: SessionResult, rate_hz: float) -> bool:
-    return len(result.q) / rate_hz < 1.0 or float(np.ptp(result.q, axis=0).max()) < 1e-3
 
 
 def film(job: Job, index: int, path: Path) -> None:

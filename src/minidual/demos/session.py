@@ -5,6 +5,7 @@ Ticks follow simulated time, so load loses none.
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -14,7 +15,6 @@ import numpy as np
 from minidual.config.arbiter import ArbiterConfig
 from minidual.config.teleop import TeleopConfig
 from minidual.control.commands import ArbiterState, JointCommand, Refusal
-from minidual.control.execution import ArbiterOutput
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
@@ -63,6 +63,11 @@ class SessionResult:
     reflex: str = ""
 
     @property
+    def success(self) -> bool:
+        """Whether the task was achieved and the leader ended the episode."""
+        return self.outcome.success and self.ended_by == "leader"
+
+    @property
     def reason(self) -> str:
         """Why the episode is no demonstration, or ""."""
         if self.reflex:
@@ -70,9 +75,8 @@ class SessionResult:
         if self.ended_by == "stopped":
             return "the leader fell silent"
         if self.refusals:
-            first = self.refusals[0]
-            return f"the arbiter refused {first.name}: {first.detail}"
-        return self.outcome.reason
+            return f"the arbiter refused {self.refusals[0].name}: {self.refusals[0].detail}"
+        return "" if self.success else self.outcome.reason or "the leader did not end the episode in time"
 
 
 class TeleopSession:
@@ -106,84 +110,61 @@ class TeleopSession:
             LeaderOffsetError: Leader and follower are apart.
             HandoverError: The arbiter refused.
         """
-        world = self.world
+        world, stack, period_s = self.world, self.stack, 1.0 / self.config.rate_hz
         judge = begin(world, task, trial)
-        self.stack.reset()
+        stack.reset()
         first = leader.read(0.0)
         if first is not None:
             self.mirror.check_start(first[0], world.q)
         self._hand_over(judge)
-        return self._follow(judge, leader, on_tick)
-
-    def _hand_over(self, judge: Judge) -> None:
-        self.stack.request(SOURCE)
-        while True:
-            out = self.stack.arbitrate()
-            if out.switched_to == SOURCE:
-                return
-            if out.state == ArbiterState.STOPPED:
-                raise HandoverError(f"the arbiter did not hand over: {out.refusals[-1].detail}")
-            reflex = self._move(judge)
-            if reflex:
-                raise HandoverError(f"the arbiter did not hand over: {reflex}")
-
-    def _follow(self, judge: Judge, leader: Leader, on_tick: Callable[[int, Tick], None] | None) -> SessionResult:
-        world, period = self.world, 1.0 / self.config.rate_hz
-        limit = round(self._time_limit_s(leader) * self.config.rate_hz)
+        # The judge applies the task's own limit to people too.
+        limit_s = self.config.person_time_limit_s if leader.realtime else world.scene.task.time_limit_s
         measured: list[Array] = []
         latencies: list[float] = []
-        refusals: list[Refusal] = []
-        ended_by, reflex, began = "time_limit", "", time.monotonic()
-        for k in range(limit):
-            elapsed = k * period
-            if leader.finished(elapsed):
+        ended_by, began = "time_limit", time.monotonic()
+        for k in range(round(limit_s * self.config.rate_hz)):
+            elapsed_s = k * period_s
+            if leader.finished(elapsed_s):
                 ended_by = "leader"
                 break
             if leader.realtime:
-                time.sleep(max(0.0, began + elapsed - time.monotonic()))
+                time.sleep(max(0.0, began + elapsed_s - time.monotonic()))
             observation = self.observer.read()
             before = time.perf_counter()
-            out = self._ask(leader, k, elapsed, observation)
+            reading = leader.read(elapsed_s)
+            if reading is not None:
+                command = JointCommand(self.mirror.target(reading[0]), reading[1], observation.time_s, k)
+                stack.propose(SOURCE, command)
+            out = stack.arbitrate()
             tick = Tick(observation, out.q_target, out.gripper)
-            reflex = self._advance(judge)
+            self._move(judge, 1)
             latencies.append(time.perf_counter() - before)
-            refusals.extend(out.refusals)
             measured.append(observation.q)
             if on_tick is not None:
                 on_tick(k, tick)
             if out.state == ArbiterState.STOPPED:
                 ended_by = "stopped"
                 break
-            reflex = reflex or self._move(judge, self._steps - 1)
-            if reflex:
+            self._move(judge, self._steps - 1)
+            if stack.reflex is not None:
                 ended_by = "reflex"
                 break
-        return SessionResult(np.array(measured), judge.outcome(world), latencies, refusals, ended_by, reflex)
+        reflex = "" if stack.reflex is None else stack.reflex.message
+        return SessionResult(np.array(measured), judge.outcome(world), latencies, stack.refusals, ended_by, reflex)
 
-    def _ask(self, leader: Leader, k: int, elapsed_s: float, now: Observation) -> ArbiterOutput:
-        reading = leader.read(elapsed_s)
-        if reading is not None:
-            command = JointCommand(self.mirror.target(reading[0]), reading[1], now.time_s, k)
-            self.stack.propose(SOURCE, command)
-        return self.stack.arbitrate()
+    def _hand_over(self, judge: Judge) -> None:
+        self.stack.request(SOURCE)
+        while (out := self.stack.arbitrate()).switched_to != SOURCE:
+            self._move(judge, self._steps)
+            reflex = self.stack.reflex
+            if reflex is not None or out.state == ArbiterState.STOPPED:
+                reason = out.refusals[-1].detail if reflex is None else reflex.message
+                raise HandoverError(f"the arbiter did not hand over: {reason}")
 
-    def _move(self, judge: Judge, steps: int | None = None) -> str:
-        """Run control steps, by default a tick's; return the reflex."""
-        for _ in range(self._steps if steps is None else steps):
-            reflex = self._advance(judge)
-            if reflex:
-                return reflex
-        return ""
-
-    def _advance(self, judge: Judge) -> str:
-        reflex = ""
-        try:
-            self.stack.advance()
-        except ReflexError as error:
-            reflex = error.message
-        judge.observe(self.world)
-        return reflex
-
-    def _time_limit_s(self, leader: Leader) -> float:
-        """Return a longer limit for people; the judge applies the task's."""
-        return self.config.person_time_limit_s if leader.realtime else self.world.scene.task.time_limit_s
+    def _move(self, judge: Judge, steps: int) -> None:
+        """Run control steps until a reflex."""
+        for _ in range(steps):
+            if self.stack.reflex is None:
+                with contextlib.suppress(ReflexError):
+                    self.stack.advance()
+                judge.observe(self.world)
