@@ -9,10 +9,9 @@ import trimesh
 from panda import HOME, Q_LOWER, Q_UPPER
 from scipy.spatial import ConvexHull
 
-from minidual.collision import meshes
 from minidual.collision.coal_engine import CoalEngine
 from minidual.collision.errors import GoalInCollisionError, StartInCollisionError
-from minidual.collision.meshes import cut, load_mesh
+from minidual.collision.meshes import load_mesh
 from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import PlanningScene
 from minidual.collision.scene_file import load_scene
@@ -120,7 +119,7 @@ def test_the_example_scene_is_planned_in():
 
 
 def test_both_engines_agree_on_meshes_and_grown_shapes():
-    bracket = load_mesh(EXAMPLES / "bracket.obj", "bracket", (0.5, 0.1, 0.3), scale=0.003, parts_max=2)[0]
+    bracket = load_mesh(EXAMPLES / "bracket.obj", "bracket", (0.5, 0.1, 0.3), scale=0.003, separate=True)[0]
     scene = PlanningScene().with_obstacles(bracket, Cylinder("pipe", (0.4, -0.3, 0.4), radius_m=0.05, length_m=0.5))
     Q = np.random.default_rng(3).uniform(Q_LOWER, Q_UPPER, (1500, 14))
     for asked in (scene, replace(scene, min_distance_m=0.03)):
@@ -139,41 +138,36 @@ def in_pieces(points, mesh):
     return inside
 
 
-@pytest.mark.parametrize("parts", [1, 8])
-def test_convex_pieces_cover_the_whole_mesh(tmp_path, parts):
-    """Oracle: points inside a ring, drawn by its formula, must lie in a piece, however it was cut."""
-    trimesh.creation.annulus(0.08, 0.1, 0.05).export(tmp_path / "ring.obj")
-    mesh, report = load_mesh(tmp_path / "ring.obj", "ring", (0, 0, 0), parts_max=parts)
-    rng = np.random.default_rng(0)
-    angle, radius = rng.uniform(0, 2 * np.pi, 4000), rng.uniform(0.0805, 0.0995, 4000)
-    points = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), rng.uniform(-0.0249, 0.0249, 4000)])
-    assert in_pieces(points, mesh).all()
-    excess = report.hull_volume_m3 / report.volume_m3
-    assert report.pieces_n <= parts
-    assert (excess > 2.5) if parts == 1 else (excess < 1.8)
-    middle = in_pieces(np.zeros((1, 3)), mesh)[0]
-    assert middle == (parts == 1)  # the hole is a hole once there are pieces
+@pytest.mark.parametrize("separate", [False, True])
+def test_convex_hulls_cover_the_whole_mesh(tmp_path, separate):
+    """Oracle: points inside two spheres must lie in a hull; between them only if one hull covers both."""
+    centres = np.array([[0.1, 0.0, 0.0], [-0.1, 0.02, 0.05]])
+    balls = [trimesh.creation.icosphere(subdivisions=3, radius=0.05).apply_translation(c) for c in centres]
+    trimesh.util.concatenate(balls).export(tmp_path / "balls.obj")
+    mesh, note = load_mesh(tmp_path / "balls.obj", "balls", (0, 0, 0), separate=separate)
+    ways = np.random.default_rng(0).normal(size=(2000, 3))
+    ways *= 0.049 / np.linalg.norm(ways, axis=1, keepdims=True)
+    assert in_pieces((centres[:, None] + ways).reshape(-1, 3), mesh).all()
+    assert in_pieces(centres.mean(axis=0)[None], mesh)[0] == (not separate)
+    assert f"{1 + separate} convex pieces" in note
+    assert ("1.00 times" in note) == separate
 
 
-def octants_volume():
-    parts = [np.asarray(trimesh.creation.box((0.2, 0.2, 0.2)).triangles)]
-    for axis, at in ((0, 0.03), (1, -0.02), (2, 0.01)):
-        parts = [half for part in parts for half in cut(part, axis, at)]
-    return sum(ConvexHull(part.reshape(-1, 3)).volume for part in parts)
-
-
-def test_lids_keep_the_volume_of_what_is_cut_again(monkeypatch):
-    """Negative control: without lids the octants of a box lose their inner corners."""
-    assert octants_volume() == pytest.approx(0.008)
-    monkeypatch.setattr(meshes, "_lids", lambda *_: np.zeros((0, 3, 3)))
-    assert octants_volume() < 0.007
+def test_a_flat_piece_and_too_many_pieces_are_refused(tmp_path):
+    box, sheet = trimesh.creation.box((0.1, 0.1, 0.1)), trimesh.Trimesh([[1, 0, 0], [2, 0, 0], [1, 1, 0]], [[0, 1, 2]])
+    trimesh.util.concatenate([box, sheet]).export(tmp_path / "sheet.obj")
+    assert load_mesh(tmp_path / "sheet.obj", "s", (0, 0, 0))[0].pieces
+    with pytest.raises(DataError, match="has a flat piece"):
+        load_mesh(tmp_path / "sheet.obj", "s", (0, 0, 0), separate=True)
+    many = [trimesh.creation.box((0.01,) * 3).apply_translation((0.02 * k, 0, 0)) for k in range(65)]
+    trimesh.util.concatenate(many).export(tmp_path / "many.obj")
+    with pytest.raises(UsageError, match="has 65 pieces; at most 64"):
+        load_mesh(tmp_path / "many.obj", "m", (0, 0, 0), separate=True)
 
 
 def test_bad_meshes_by_code(tmp_path):
     with pytest.raises(UsageError, match="scale nan"):
         load_mesh(EXAMPLES / "bracket.obj", "b", (0, 0, 0), scale=float("nan"))
-    with pytest.raises(UsageError, match="parts_max_n = 0"):
-        load_mesh(EXAMPLES / "bracket.obj", "b", (0, 0, 0), scale=0.001, parts_max=0)
     with pytest.raises(UsageError, match="at least one convex piece"):
         Mesh("m", (0, 0, 0))
     (tmp_path / "bad.off").write_text("OFF\nthree\n")

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from minidual.collision.meshes import PARTS_MAX, load_mesh
+from minidual.collision.meshes import load_mesh
 from minidual.collision.places import PlaceFields
 from minidual.collision.scene import MIN_DISTANCE_MAX_M, TABLE, Attached, PlanningScene
 from minidual.collision.shapes import IDENTITY, Box, Capsule, Cylinder, Shape, Sphere
@@ -77,8 +77,8 @@ class MeshEntry(_Entry):
     """Relative to the scene file."""
     scale: float = Field(default=1.0, gt=0.0, le=1000.0)
     """Metres per unit."""
-    parts_max_n: int = Field(default=1, ge=1, le=PARTS_MAX)
-    """Most convex pieces; 1 gives one hull."""
+    separate: bool = False
+    """One hull for each connected piece, not one for all."""
 
 
 _SHAPES = {"box": Box, "cylinder": Cylinder, "capsule": Capsule, "sphere": Sphere}
@@ -158,6 +158,6 @@ def _shape(entry: _Entries, folder: Path, notes: list[str]) -> Shape:
     place = (entry.name, entry.position_m, entry.quaternion() or IDENTITY)
     if not isinstance(entry, MeshEntry):
         return _SHAPES[entry.shape](*place, **entry.model_dump(include={"size_m", "radius_m", "length_m"}))
-    mesh, report = load_mesh(folder / entry.file, *place, scale=entry.scale, parts_max=entry.parts_max_n)
-    notes.append(f"mesh '{entry.name}': {report}")
+    mesh, note = load_mesh(folder / entry.file, *place, scale=entry.scale, separate=entry.separate)
+    notes.append(note)
     return mesh
