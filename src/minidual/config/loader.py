@@ -200,7 +200,7 @@ def _keys_at(location: Sequence[str | int], root: type[BaseModel] = Config) -> s
         fields = [model.model_fields[part] for model in models if part in model.model_fields]
         if fields:
             models = [found for field in fields for found in _models_in(field.annotation)]
-        else:  # a member of a union by its tag, or an entry of a list or mapping
+        elif isinstance(part, str):  # a member of a union by its tag, or an entry of a mapping
             tagged = [m for m in models if any(f.default == part for f in m.model_fields.values())]
             models = tagged or models
     return {name for model in models for name in model.model_fields}
