@@ -89,7 +89,7 @@ def test_option_before_the_command_is_told_its_place(capsys):
 def test_file_in_place_of_the_runs_folder_exits_2(tmp_path, capsys):
     (tmp_path / "runs").write_text("")
     assert run_command_line(["first", "--runs-dir", str(tmp_path / "runs")], Bench(tmp_path).table) == 2
-    assert f"{tmp_path / 'runs'} is a file" in capsys.readouterr().err
+    assert f"runs cannot be kept in {tmp_path / 'runs' / 'standard'}" in capsys.readouterr().err
 
 
 def test_closed_gate_exits_3_with_the_command_in_full(cli):
@@ -151,7 +151,7 @@ def test_corrupt_verdict_names_file_and_command(cli):
     path.write_text('{"schema": NaN}')
     code, _, err = cli("second")
     assert code == 2
-    assert f"{path} is corrupt: NaN is not JSON" in err
+    assert f"{path} is corrupt: schema nan is not 2" in err
     assert "remedy: minidual first --run toys" in err
     code, out, _ = cli("status")
     assert code == 0

@@ -16,7 +16,7 @@ def measure(context: ToolContext) -> ToolResult:
         (context.output / "half.txt").write_text("half")
         raise DataError("the tool broke off")
     (context.output / "number.txt").write_text(str(context.seed))
-    words = " ".join(context.options.get("names", ()))
+    words = context.options.get("names", "")
     if "queries" in context.options:
         words += f"queries {context.config.plan.queries_n}"
     return ToolResult([f"seed {context.seed} {words}"], ["a note"], {"seed": context.seed})
@@ -26,7 +26,7 @@ def refuse(context: ToolContext) -> ToolResult:
     return ToolResult(exit_code=ExitCode.ACCEPTANCE_FAILED)
 
 
-OPTIONS = (Option("fail", "Break off.", bool), Option("names", "Words.", argument=True, many=True))
+OPTIONS = (Option("fail", "Break off.", bool), Option("names", "Words.", argument=True))
 TOOLS = (
     ToolEntry("measure", f"{__name__}:measure", "Measure", OPTIONS),
     ToolEntry("refuse", f"{__name__}:refuse", "Refuse"),
@@ -58,8 +58,8 @@ def run(tmp_path, capsys):
 
 
 def test_a_tool_prints_and_publishes_its_folder_and_no_verdict(run):
-    code, out, err = run("measure", "one", "two", "--seed", "7")
-    assert (code, out) == (0, "seed 7 one two\n")
+    code, out, err = run("measure", "one", "--seed", "7")
+    assert (code, out) == (0, "seed 7 one\n")
     assert "a note" in err
     assert (run.folder / "measure" / "number.txt").read_text() == "7"
     assert not list(run.folder.rglob("verdict.json"))

@@ -241,4 +241,4 @@ def test_every_option_of_every_stage_overrides_a_value_that_exists():
             value = Config()
             for part in option.path.split("."):
                 value = getattr(value, part)
-            assert isinstance(value, tuple if option.split else option.kind), option
+            assert isinstance(value, option.kind), option

@@ -107,7 +107,7 @@ def test_a_report_over_results_of_other_code_fails_and_gates_stay_open(package, 
     state = bench.gate().state("first")
     assert (state.state, state.warnings) == ("pass", ("made by other code: toycode.inner changed since",))
     outcome = bench.runner().run("third", force=True)
-    check = outcome.verdict.check("gate.code_changed")
+    (check,) = (check for check in outcome.verdict.checks if check.name == "gate.code_changed")
     assert (outcome.verdict.status, check.observed, check.passed) == ("fail", 1, False)
     assert "run first again with --force (toycode.inner changed)" in check.remedy
     assert bench.third.contexts[-1].code_changes == {"first": ["toycode.inner"]}

@@ -139,7 +139,7 @@ def test_stage_sees_all_that_is_above_it(bench):
     assert set(context.upstream) == set(context.verdicts) == {"first", "second"}
     assert (context.upstream["first"] / "out" / "numbers.txt").read_text() == "first 1.0\n"
     assert context.seed == context.config.seed
-    assert context.verdicts["first"].check("quality").passed
+    assert context.verdicts["first"].checks[0].passed
 
 
 def test_smoke_never_counts_as_acceptance(tmp_path):

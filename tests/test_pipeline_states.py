@@ -129,9 +129,9 @@ def test_verdict_of_another_stage_is_corrupt(finished):
     assert "it is the verdict of stage second, not of third" in finished.gate().state("third").reasons[0]
 
 
-def test_folder_without_verdict_is_incomplete(finished):
+def test_folder_without_verdict_is_missing(finished):
     finished.store.verdict_path("second").unlink()
-    assert finished.states() == ["pass", "incomplete", "stale"]
+    assert finished.states() == ["pass", "missing", "stale"]
 
 
 def test_renaming_a_run_keeps_it_fresh(finished):

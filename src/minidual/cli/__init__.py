@@ -45,7 +45,7 @@ def _option_parameters(options: Iterable[Option]) -> list[inspect.Parameter]:
     """Return the rows' options as parameters; a later row of the same name replaces an earlier one."""
     found: dict[str, inspect.Parameter] = {}
     for option in options:
-        kind: Any = list[option.kind] if option.many else option.kind
+        kind: Any = str if option.kind is tuple else option.kind
         default: Any = inspect.Parameter.empty if option.required else False if option.kind is bool else None
         if option.argument:
             declared: Any = typer.Argument(metavar=option.name.upper(), help=option.help)

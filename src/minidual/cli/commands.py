@@ -82,7 +82,7 @@ def run_tool(tool: ToolEntry, session: Session, values: Mapping[str, Any]) -> Ex
 
 def _was_typed(value: Any) -> bool:
     """Return whether an option was given; 0 counts."""
-    return not (value is None or value is False or value == ())
+    return value is not None and value is not False
 
 
 def _refuse_loose_options(entry: StageEntry, aside: ToolEntry | None, values: Mapping[str, Any]) -> None:

@@ -6,7 +6,6 @@ import os
 import re
 import shlex
 import sys
-import tempfile
 import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -189,8 +188,12 @@ class Session:
         except MinidualError as error:
             return self._fail(error, error.message, error.remedy, error.exit_code)
         except Exception as error:
-            message = f"internal error: {type(error).__name__}: {error}; traceback in {self._write_trace(error)}"
-            return self._fail(error, message, "please report it with that file", ExitCode.INTERNAL)
+            message = f"internal error: {type(error).__name__}: {error}"
+            try:
+                message += f"; traceback in {self.store.write_crash('cli', error)}"
+            except Exception:  # the crash may be in the very code that finds the run folder
+                traceback.print_exception(error, file=sys.stderr)
+            return self._fail(error, message, "please report it with the traceback", ExitCode.INTERNAL)
 
     def _fail(self, error: BaseException, message: str, remedy: str | None, code: ExitCode) -> int:
         if self.typed.debug:
@@ -199,15 +202,6 @@ class Session:
         self.finish({"error": kind, "exit_code": int(code)}, ())
         print(f"minidual: {message}", *([f"  remedy: {remedy}"] if remedy else []), sep="\n", file=sys.stderr)
         return int(code)
-
-    def _write_trace(self, error: BaseException) -> str:
-        try:
-            return str(self.store.write_crash("cli", error))
-        except Exception:  # the crash may be in the very code that finds the run folder
-            descriptor, path = tempfile.mkstemp(prefix="minidual-crash-", suffix=".txt")
-            with os.fdopen(descriptor, "w", encoding="utf-8") as stream:
-                stream.write("".join(traceback.format_exception(error)))
-            return path
 
 
 def _console(*, stderr: bool) -> Console:

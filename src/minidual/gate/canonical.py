@@ -11,8 +11,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
-from minidual.errors import DataError
-
 
 def canonical(value: Any, where: str = "value") -> Any:
     """Return `value` as plain JSON types; non-finite floats become "nan", "inf" or "-inf".
@@ -54,27 +52,6 @@ def digest(value: Any) -> str:
 def dumps(value: Any) -> str:
     """Return indented strict JSON with a final newline."""
     return json.dumps(canonical(value), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
-
-
-def parse_json(content: bytes) -> Any:
-    """Parse strict JSON; DataError for invalid text, NaN literals and duplicate keys."""
-    try:
-        return json.loads(content, parse_constant=_refuse_constant, object_pairs_hook=_unique)
-    except (ValueError, RecursionError) as error:
-        raise DataError(str(error)) from error
-
-
-def _refuse_constant(text: str) -> Any:
-    raise ValueError(f"{text} is not JSON")
-
-
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    record: dict[str, Any] = {}
-    for key, value in pairs:
-        if key in record:
-            raise ValueError(f"duplicate key '{key}'")
-        record[key] = value
-    return record
 
 
 def file_sha256(path: Path) -> str:

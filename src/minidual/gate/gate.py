@@ -218,8 +218,6 @@ class Gate:
         if attempt is not None:
             began = f"begun {attempt.started_at} by process {attempt.pid}" if attempt.started_at else "begun"
             return StageState(name, "incomplete", (f"{began}, {attempt.message or 'still running'}",))
-        if self.store.half_written(name):
-            return StageState(name, "incomplete", ("its folder has no verdict",))
         closed = self.closed_by(name)
         if closed:
             return StageState(name, "blocked", tuple(f"{item.name} is {item.state}" for item in closed))

@@ -24,7 +24,10 @@ LOCK_FILE = ".lock"
 @contextmanager
 def run_lock(folder: Path, command: str) -> Generator[None]:
     """Hold the lock of a run folder; UsageError names the process that holds it."""
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError) as error:
+        raise UsageError(f"runs cannot be kept in {folder}: {error}", remedy="give another --runs-dir") from error
     with (folder / LOCK_FILE).open("a+", encoding="utf-8") as stream:
         if not _acquired(stream):
             raise UsageError(

@@ -10,6 +10,7 @@ runs/<run>/crash-*.txt      tracebacks
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -22,7 +23,7 @@ from typing import Literal
 
 from minidual.durable import remove, replacing, set_aside, sync, write_text
 from minidual.errors import DataError, UsageError
-from minidual.gate.canonical import dumps, parse_json
+from minidual.gate.canonical import dumps
 from minidual.gate.clock import now_stamp, now_text
 from minidual.gate.lock import lock_holder, run_lock
 from minidual.gate.manifest import ATTEMPT_FILE, CONFIG_FILE, VERDICT_FILE
@@ -96,30 +97,17 @@ class RunStore:
         folder = self._temporary(stage)
         if not folder.is_dir():
             return None
-        path = folder / ATTEMPT_FILE
         try:
-            attempt = Attempt(**parse_json(path.read_bytes()))
-        except (OSError, DataError, TypeError):
+            attempt = Attempt(**json.loads((folder / ATTEMPT_FILE).read_bytes()))
+        except (OSError, ValueError, TypeError):
             return Attempt(stage, "interrupted", 0, "", "killed as it began")
         if attempt.state == "running" and lock_holder(self.folder) is None:
             return Attempt(stage, "interrupted", attempt.pid, attempt.started_at, "the process was killed")
         return attempt
 
-    def half_written(self, stage: str) -> bool:
-        """Return whether the folder of `stage` lacks a verdict."""
-        return (self.folder / stage).is_dir() and not self.verdict_path(stage).is_file()
-
     @contextmanager
     def writing(self, command: str) -> Generator[None]:
-        """Hold the run's lock and repair an interrupted replacement.
-
-        UsageError if another process holds the lock or a file blocks the folder.
-        """
-        for place in (self.folder, *self.folder.parents):
-            if place.exists() and not place.is_dir():
-                raise UsageError(
-                    f"runs cannot be kept in {self.folder}: {place} is a file", remedy="give another --runs-dir"
-                )
+        """Hold the run's lock and repair an interrupted replacement; UsageError if another process holds it."""
         with run_lock(self.folder, command):
             for old in self.folder.glob(".*.old"):
                 self._mend(old.name[1 : -len(".old")])

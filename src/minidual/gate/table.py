@@ -30,20 +30,16 @@ class Option:
     """Option of a command.
 
     Attributes:
-        kind: Type of the value; `bool` is a flag.
+        kind: Type of the value; `bool` is a flag, `tuple` is typed as "a,b".
         path: Configuration path that it overrides, or None.
-        split: Split "a,b" into a list.
         argument: Positional (`minidual replay FILE`).
-        many: The argument may repeat; its value is a tuple.
     """
 
     name: str
     help: str
-    kind: type[int] | type[float] | type[str] | type[bool] = str
+    kind: type[int | float | str | bool | tuple[str, ...]] = str
     path: str | None = None
-    split: bool = False
     argument: bool = False
-    many: bool = False
     required: bool = False
 
     @property
@@ -54,7 +50,8 @@ class Option:
 
     def value(self, typed: Any) -> Any:
         """Return the configuration value."""
-        return [word.strip() for word in str(typed).split(",") if word.strip()] if self.split else typed
+        split = self.kind is tuple
+        return [word.strip() for word in str(typed).split(",") if word.strip()] if split else typed
 
 
 def overrides(options: Sequence[Option], values: Mapping[str, Any]) -> list[Override]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any, Literal, cast
 from pydantic import TypeAdapter
 
 from minidual.errors import DataError
-from minidual.gate.canonical import canonical, digest, dumps, parse_json
+from minidual.gate.canonical import canonical, digest, dumps
 from minidual.gate.check import Check
 from minidual.gate.fingerprint import Fingerprint, changes
 from minidual.gate.manifest import Artefact
@@ -87,16 +88,6 @@ class Verdict:
         """Return the checks that failed."""
         return [check for check in self.checks if check.passed is False]
 
-    def check(self, name: str) -> Check:
-        """Return the named check; DataError lists the existing ones."""
-        for check in self.checks:
-            if check.name == name:
-                return check
-        raise DataError(
-            f"no check '{name}' in the verdict of {self.stage}; there are "
-            + ", ".join(check.name for check in self.checks)
-        )
-
     def to_json(self) -> dict[str, Any]:
         """Return JSON types, with what is derived and a digest."""
         derived = {
@@ -138,9 +129,9 @@ def read_verdict(path: Path) -> tuple[Verdict, str]:
     """Return the verdict in `path` and the file's sha256; DataError if corrupt."""
     content = path.read_bytes()
     try:
-        record = parse_json(content)
+        record = json.loads(content)
         if not isinstance(record, dict):
             raise DataError("not a JSON object")
         return verdict_from_json(cast(dict[str, Any], record)), hashlib.sha256(content).hexdigest()
-    except DataError as error:
-        raise DataError(f"{path} is corrupt: {error.message}") from error
+    except (DataError, ValueError, RecursionError) as error:
+        raise DataError(f"{path} is corrupt: {getattr(error, 'message', error)}") from error

@@ -154,20 +154,8 @@ STAGES = StageTable(
             resolve="minidual.tasks.task:task_config",
             check="minidual.stages.config_checks:check_benchmark",
             options=(
-                Option(
-                    "methods",
-                    "Methods to compare, separated by commas: moveit,impedance,act.",
-                    str,
-                    "benchmark.methods",
-                    split=True,
-                ),
-                Option(
-                    "conditions",
-                    "Disturbances, separated by commas: clean,push_+x,friction_0.3; or all.",
-                    str,
-                    "benchmark.conditions",
-                    split=True,
-                ),
+                Option("methods", "Methods to compare, such as moveit,impedance,act.", tuple, "benchmark.methods"),
+                Option("conditions", "Disturbances, such as clean,push_+y; or all.", tuple, "benchmark.conditions"),
             ),
             watchable=True,
             examples=("benchmark --methods moveit,impedance,act", "benchmark --conditions clean,push_+y,friction_0.3"),
