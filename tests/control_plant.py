@@ -71,7 +71,7 @@ class TrueObject:
 
     def read(self) -> tuple[ObjectState, float]:
         world = self._world
-        return ObjectState(world.object_pose(), world.object_twist()), world.internal_force()
+        return ObjectState(world.object_pose(), world.truth().twist()), world.truth().internal_force()
 
 
 class HandsObject:

@@ -34,14 +34,14 @@ def free() -> BenchScene:
 class TestScenes:
     def test_held_means_held(self, held: BenchScene) -> None:
         held.restore()
-        assert held.world.pinch().min() > 50.0
-        assert held.world.internal_force() == pytest.approx(40.0, abs=2.0)
+        assert held.world.truth().pinch().min() > 50.0
+        assert held.world.truth().internal_force() == pytest.approx(40.0, abs=2.0)
         assert held.world.object_pose()[2, 3] > 0.09
         assert not held.world.on_table()
 
     def test_free_means_free(self, free: BenchScene) -> None:
         free.restore()
-        assert free.world.pinch().tolist() == [0.0, 0.0]
+        assert free.world.truth().pinch().tolist() == [0.0, 0.0]
 
     def test_a_restored_scene_is_the_same_to_the_byte(self, held: BenchScene) -> None:
         held.restore()
@@ -59,7 +59,7 @@ class TestScenes:
         for _ in range(300):
             case.before()
             case.step()
-        assert held.world.pinch().min() > 40.0
+        assert held.world.truth().pinch().min() > 40.0
         assert tilt_rad(held.world.object_pose()) < 0.02
         assert held.world.object_pose()[2, 3] > 0.09
 

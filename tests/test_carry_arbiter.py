@@ -209,7 +209,7 @@ def test_a_request_of_another_mode_ends_the_carry_by_name_and_drops_nothing(
     assert SOURCE not in seen.given[given:], "two sources took turns"
     if phase == "carry":
         assert not world.on_table()
-        assert world.pinch().min() > 20.0
+        assert world.truth().pinch().min() > 20.0
         assert tilt_rad(world.object_pose()) < 0.02
 
 
@@ -222,14 +222,14 @@ def test_a_request_in_the_middle_of_the_lift_may_have_to_be_made_again(world: Wo
     assert ("teleop", "not_still") in {(r.source, r.name) for r in stack.refusals}
     assert (stack.source, stack.state) == (None, ArbiterState.STOPPED)
     assert stack.manager.active == OBJECT_CONTROLLERS
-    assert world.internal_force() > 35.0
+    assert world.truth().internal_force() > 35.0
     stack.request("teleop")
     for _ in range(100):
         carry.step()
     assert stack.source == "teleop"
     assert stack.manager.active == DEFAULT_CONTROLLERS
     assert not world.on_table()
-    assert world.pinch().min() > 20.0
+    assert world.truth().pinch().min() > 20.0
 
 
 def test_a_hold_in_the_air_keeps_the_object_squeezed(world: World) -> None:
@@ -238,7 +238,7 @@ def test_a_hold_in_the_air_keeps_the_object_squeezed(world: World) -> None:
     assert seen.carry.fault.detail == "'hold' was asked for"
     assert seen.carry.stack.state is ArbiterState.HOLDING
     assert seen.carry.stack.manager.active == OBJECT_CONTROLLERS
-    assert world.internal_force() > 35.0
+    assert world.truth().internal_force() > 35.0
     assert np.abs(world.v).max() < 0.01
 
 
@@ -251,7 +251,7 @@ def test_a_halt_by_somebody_else_is_named_as_one(world: World, phase: str) -> No
     assert seen.active[-1] == ("soft_stop",)
     assert np.abs(world.v).max() < 0.05
     if phase == "carry":
-        assert world.pinch().min() > 20.0, "the hands let go"
+        assert world.truth().pinch().min() > 20.0, "the hands let go"
 
 
 def test_an_object_lost_while_the_arbiter_brakes_halts_the_arms(world: World) -> None:
@@ -280,7 +280,7 @@ def test_an_object_lost_after_a_hold_halts_the_arms(world: World) -> None:
         nonlocal lost_s
         if seen.carry.done and not np.isfinite(lost_s):
             assert seen.carry.stack.manager.active == OBJECT_CONTROLLERS
-            assert world.internal_force() > 35.0
+            assert world.truth().internal_force() > 35.0
             world.truth().qpos[:3] = (0.9, 0.6, 0.2)
             lost_s = world.time
 
@@ -304,7 +304,7 @@ def test_an_object_that_stays_is_held_for_as_long_as_nobody_asks_for_the_arms(wo
     for _ in range(1000):
         seen.step()
     assert seen.active[-1] == OBJECT_CONTROLLERS
-    assert world.internal_force() > 35.0
+    assert world.truth().internal_force() > 35.0
     assert not world.on_table()
 
 
@@ -327,7 +327,7 @@ def test_a_carry_that_falls_silent_is_braked_and_keeps_what_it_holds(world: Worl
     assert seen.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
     if phase == "carry":
         assert not world.on_table()
-        assert world.internal_force() > 35.0
+        assert world.truth().internal_force() > 35.0
 
 
 def test_without_the_watchdog_nobody_would_notice(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -353,7 +353,7 @@ def test_an_object_command_that_comes_late_is_refused_and_ends_the_carry(
     assert seen.carry.fault.name == "interrupted"
     assert seen.carry.fault.detail.startswith("stale: ObjectCommand is 0.2")
     assert world.object_pose()[2, 3] < world.scene.object.rest_height_m + 0.002
-    assert world.pinch().min() > 20.0
+    assert world.truth().pinch().min() > 20.0
     assert seen.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
 
 

@@ -387,7 +387,7 @@ def test_a_singular_posture_stops_the_arms_softly_with_the_object_held(
     assert found.latency_s <= 0.001 + 1e-9
     assert found.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
     assert np.abs(found.speeds[-1]).max() < 0.05
-    assert world.pinch().min() > 20.0
+    assert world.truth().pinch().min() > 20.0
     assert not world.on_table()
 
 

@@ -311,7 +311,7 @@ def test_object_impedance_lifts_the_rod_and_hands_it_back(
     stack.propose("moveit", trajectory(stack, still, gripper=np.zeros(2)))
     while stack.executing:
         stack.step()
-    assert world.pinch().min() > 30.0
+    assert world.truth().pinch().min() > 30.0
 
     stack.impedance.configure(_grasped(world, kinematics))
     stack.switch_controllers(("object_impedance",))
@@ -343,7 +343,7 @@ def test_object_impedance_lifts_the_rod_and_hands_it_back(
         stack.step()
         jumps.append(float(np.abs(stack.tau - last).max()))
         last = stack.tau
-        forces.append(world.internal_force())
+        forces.append(world.truth().internal_force())
     assert stack.refusals == []
     assert jumps[0] < 1.0, "the torques jumped when the impedance took over"
     assert min(forces[600:]) > 20.0

@@ -128,7 +128,7 @@ def test_energy_does_not_grow_when_a_held_rod_is_let_swing(scene: SceneConfig) -
     assert max(energy[:600]) > 1e-2  # it did move
     assert max(energy[-500:]) < 0.02 * max(energy)  # what is left is the elbows settling in the null space
     assert np.all(np.diff(energy[-500:]) < 1e-7)  # and it only ever falls
-    assert world.internal_force() > 35.0
+    assert world.truth().internal_force() > 35.0
 
 
 @given(st.floats(0.001, 0.999))

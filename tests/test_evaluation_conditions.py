@@ -119,7 +119,7 @@ def test_a_push_gives_the_object_its_impulse(model):
     for _ in range(60):
         mujoco.mj_step(model, world.data)
         pusher(world)
-        gained.append(world.object_twist()[0])
+        gained.append(world.truth().twist()[0])
         assert pusher.took_place == (len(gained) > 40), "it begins after 11 steps and lasts 30"
     assert gained[-1] == pytest.approx(20.0 * 0.025 / 0.2, rel=0.01)
     assert not world.data.xfrc_applied.any()

@@ -86,7 +86,7 @@ class TestReadings:
         rod.qpos[3:] = [0.8, 0.0, 0.6, 0.0]
         rod.qvel[:] = [0.1, -0.2, 0.3, 1.0, 2.0, -1.0]
         mujoco.mj_forward(world.model, world.data)
-        before, twist = world.object_pose(), world.object_twist()
+        before, twist = world.object_pose(), world.truth().twist()
         h = 1e-7
         mujoco.mj_integratePos(world.model, world.data.qpos, world.data.qvel, h)
         mujoco.mj_forward(world.model, world.data)
@@ -104,15 +104,15 @@ class TestReadings:
 
 class TestContacts:
     def test_nobody_pinches_an_untouched_rod(self, world):
-        assert world.pinch().tolist() == [0.0, 0.0]
-        assert world.internal_force() == 0.0
+        assert world.truth().pinch().tolist() == [0.0, 0.0]
+        assert world.truth().internal_force() == 0.0
 
     def test_the_pinch_is_steady_and_as_strong_as_asked(self, pinched):
         world, loop, q = pinched
         forces = []
         for _ in range(300):
             loop.step(q, np.zeros(2))
-            forces.append(world.pinch())
+            forces.append(world.truth().pinch())
         # Bare 15 g fingers chatter here, between nothing and the fingers' limit.
         assert np.ptp(forces, axis=0).max() < 0.5
         assert np.mean(forces, axis=0) == pytest.approx([60.0, 60.0], abs=1.0)
@@ -120,7 +120,7 @@ class TestContacts:
     def test_sensors_add_up_to_the_contacts_themselves(self, pinched):
         world, *_ = pinched
         model, data = world.model, world.data
-        for arm, measured in zip(("left", "right"), world.object_forces(), strict=True):
+        for arm, measured in zip(("left", "right"), world.truth().forces(), strict=True):
             force = np.zeros(3)
             for i in range(data.ncon):
                 contact = data.contact[i]
@@ -137,13 +137,13 @@ class TestContacts:
 
     def test_a_pinch_needs_both_fingers(self, pinched):
         world, *_ = pinched
-        assert world.pinch().min() > 50.0
+        assert world.truth().pinch().min() > 50.0
         held = world.data.sensordata.copy()
         start = int(world.model.sensor(contact_sensor("rod", "left", "panda_leftfinger")).adr[0])
         world.data.sensordata[start : start + 3] = 0.0
         try:
-            assert world.pinch()[0] == 0.0
-            assert world.pinch()[1] > 50.0
+            assert world.truth().pinch()[0] == 0.0
+            assert world.truth().pinch()[1] > 50.0
         finally:
             world.data.sensordata[:] = held
 
@@ -166,16 +166,16 @@ class TestContacts:
                 # Joint stiffness holds the pose; it shares the push with the rod.
                 world.command(stiff + tau, loop.grippers.step(np.zeros(2)))
                 world.step()
-            readings[push] = world.internal_force()
+            readings[push] = world.truth().internal_force()
         assert readings[15.0] > 3.0
         assert readings[-15.0] < -3.0
 
     def test_one_hand_alone_squeezes_nothing(self, scene, compiled_model, kinematics):
         world = World(scene, model=compiled_model)
         pinch_rod(JointLoop(world, kinematics), scene, kinematics, hands=np.array([0.0, 1.0]))
-        assert world.pinch()[0] > 50.0
-        assert world.pinch()[1] == 0.0
-        assert world.internal_force() <= 1e-9
+        assert world.truth().pinch()[0] > 50.0
+        assert world.truth().pinch()[1] == 0.0
+        assert world.truth().internal_force() <= 1e-9
 
 
 @pytest.mark.usefixtures("quiet_mujoco")

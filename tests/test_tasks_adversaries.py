@@ -14,8 +14,10 @@ import pytest
 
 from minidual.config.change import replaced
 from minidual.config.root import Config
+from minidual.config.scene import SceneConfig
 from minidual.control.loop import JointLoop
 from minidual.motion.ik import ArmIK
+from minidual.plant.bodies import NamedObject
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import pose, rot_x, rot_z
@@ -42,16 +44,25 @@ TASKS: dict[str, Callable[[], Task]] = {
 } | {"handover": cache(lambda: make_task(Config(task="handover")))}
 
 
-class Puppet(World):
-    """A world whose object follows a script, and whose hands feel what it says."""
+class Felt(NamedObject):
+    """An object at which the hands feel what a script says."""
 
     grips = NONE
 
-    def pinch(self, name=None):
+    def pinch(self):
         return np.array(self.grips)
 
-    def object_forces(self, name=None):
+    def forces(self):
         return np.array([[0.0, grip, 0.0] for grip in self.grips]) * ((0.1,), (-0.1,))
+
+
+class Puppet(World):
+    """A world whose object follows a script."""
+
+    def __init__(self, scene: SceneConfig) -> None:
+        super().__init__(scene)
+        name = self.objects[0]
+        self._objects[name] = self._objects[None] = Felt(self.model, self.data, name, self.robot)
 
 
 @cache
@@ -76,7 +87,7 @@ class Script:
     def go(self, grips=None, *, xy=None, height=None, yaw=None, steps: int = 25) -> None:
         """Move on a straight line, then judge."""
         if grips is not None:
-            self.world.grips = grips
+            self.world.truth().grips = grips
         end = np.array(self.now)
         for place, value in ((slice(0, 2), xy), (2, height), (3, yaw)):
             if value is not None:

@@ -37,19 +37,22 @@ class Instant:
     rests: bool | None = None
     touch: tuple[float, float] | None = None
 
-    def object_pose(self, name=None):
+    def truth(self, name=None):
+        return self
+
+    def pose(self):
         return pose(rot_z(self.yaw) @ rot_x(self.tilt), (*self.xy, RADIUS + self.height))
 
-    def object_twist(self, name=None):
+    def twist(self):
         return np.array([self.speed, 0.0, 0.0, 0.0, 0.0, 0.0])
 
-    def pinch(self, name=None):
+    def pinch(self):
         return np.array(self.pinches)
 
-    def internal_force(self, name=None):
+    def internal_force(self):
         return self.squeeze
 
-    def object_forces(self, name=None):
+    def forces(self):
         return np.array([[0.0, 0.0, f] for f in (self.pinches if self.touch is None else self.touch)])
 
     def on_table(self, name=None):
@@ -256,7 +259,7 @@ def test_a_board_on_its_edge_is_as_low_as_its_edge(scene):
     rolled, upright = _rolled(90.0), rot_z(0.3)
     for R, lowest in ((upright, 0.015), (rolled, 0.025), (_rolled(45.0), 0.04 / np.sqrt(2.0))):
         world = Instant()
-        world.object_pose = lambda name=None, R=R, lowest=lowest: pose(R, (0.0, 0.0, lowest))
+        world.pose = lambda R=R, lowest=lowest: pose(R, (0.0, 0.0, lowest))
         truth.refresh(world)
         assert truth.clearance_m == pytest.approx(0.0, abs=1e-12)
         assert not truth.airborne

@@ -235,6 +235,6 @@ def test_the_overlay_says_what_the_world_says() -> None:
     world = World(CONFIG.scene)
     words = overlay(world, Overlay(title="a title", mode="moveit", source="moveit", state="active"))
     assert words.time_s == world.time
-    assert words.pinch_n == tuple(world.pinch())
-    assert words.internal_n == world.internal_force()
+    assert words.pinch_n == tuple(world.truth().pinch())
+    assert words.internal_n == world.truth().internal_force()
     assert (words.title, words.mode, words.source, words.state) == ("a title", "moveit", "moveit", "active")

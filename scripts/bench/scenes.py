@@ -119,7 +119,7 @@ class BenchScene:
 
     def sense(self) -> tuple[ObjectState, float]:
         """Return object and squeeze [N] as the controller senses them: both are read, even if one is imagined."""
-        T, twist, squeeze = self.world.object_pose(), self.world.object_twist(), self.world.internal_force()
+        T, twist, squeeze = self.world.object_pose(), self.world.truth().twist(), self.world.truth().internal_force()
         if self.virtual:
             T, twist = self.rest, _AT_REST
         return ObjectState(T, twist, _AT_REST), squeeze

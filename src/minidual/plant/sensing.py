@@ -29,7 +29,7 @@ class Sensors:
     """
 
     def __init__(self, world: World, config: SensingConfig, rng: np.random.Generator, name: str | None = None) -> None:
-        self._world, self._config, self._rng, self._name = world, config, rng, name
+        self._world, self._config, self._rng, self._object = world, config, rng, world.truth(name)
         self.delay_ticks = round(config.delay_s / world.dt)
         period = 1.0 / (config.pose_rate_hz * world.dt) if config.pose_rate_hz > 0.0 else 1.0
         self._period_ticks = max(1, round(period))
@@ -60,13 +60,13 @@ class Sensors:
         row = self._tick % _BLOCK
         if row == 0:
             self._force_noise = self._config.force_noise_n * self._rng.standard_normal((_BLOCK, _FORCES))
-        forces = np.concatenate([self._world.object_forces(self._name).ravel(), self._world.pinch(self._name)])
+        forces = np.concatenate([self._object.forces().ravel(), self._object.pinch()])
         forces += self._force_noise[row]
         np.maximum(forces[6:], 0.0, forces[6:])
         return forces
 
     def _sample_pose(self) -> Array:
-        T = self._world.object_pose(self._name)
+        T = self._object.pose()
         error = self._bias + self._scale * self._rng.standard_normal(6)
         T[:3, 3] += error[:3]
         T[:3, :3] = pin.exp3(error[3:]) @ T[:3, :3]

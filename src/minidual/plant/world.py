@@ -157,22 +157,6 @@ class World:
         """Return the true pose (4, 4)."""
         return self.truth(name).pose()
 
-    def object_twist(self, name: str | None = None) -> Array:
-        """Return the true twist (6,); see `NamedObject`."""
-        return self.truth(name).twist()
-
-    def object_forces(self, name: str | None = None) -> Array:
-        """Return the hands' forces (2, 3) [N]; see `NamedObject`."""
-        return self.truth(name).forces()
-
-    def pinch(self, name: str | None = None) -> Array:
-        """Return the hands' pinch (2,) [N]; see `NamedObject`."""
-        return self.truth(name).pinch()
-
-    def internal_force(self, name: str | None = None) -> float:
-        """Return the internal force [N]; see `NamedObject`."""
-        return self.truth(name).internal_force()
-
     def place(self, name: str | None, pose: ObjectPose) -> None:
         """Put an object at a pose, at rest."""
         found = self.truth(name)

@@ -49,13 +49,13 @@ def visual_model(scene: SceneConfig, robot: Robot = DUAL_PANDA) -> mujoco.MjMode
 
 def overlay(world: World, words: Overlay) -> Overlay:
     """Return `words` with the world's time and forces."""
-    hands = zip(world.robot.tcp_names, world.object_forces(), ARM_RGB, strict=True)
-    left, right = world.pinch()
+    hands = zip(world.robot.tcp_names, world.truth().forces(), ARM_RGB, strict=True)
+    left, right = world.truth().pinch()
     return replace(
         words,
         time_s=world.time,
         pinch_n=(float(left), float(right)),
-        internal_n=world.internal_force(),
+        internal_n=world.truth().internal_force(),
         arrows=tuple(Arrow(world.data.body(name).xpos + _ASIDE_M, np.array(f), rgb) for name, f, rgb in hands),
     )
 

@@ -79,7 +79,7 @@ def execute(
     drive = Drive(ControlStack(world, Kinematics(world.robot)), segments)
     errors, pinch = [], []
     while not drive.done:
-        T_before, pinch_before = world.object_pose(), float(world.pinch().min())
+        T_before, pinch_before = world.object_pose(), float(world.truth().pinch().min())
         drive.step()
         if drive.phase not in ("carry", "settle") or drive.elapsed_s == 0.0:
             continue
@@ -88,7 +88,7 @@ def execute(
         elapsed = drive.elapsed_s if drive.phase == "carry" else plan.duration_s
         row = min(round(elapsed / plan.dt_s), len(plan.times) - 1)
         errors.append(deviation(world.object_pose(), plan.Ts_world_object[row]))
-        pinch.append(float(world.pinch().min()))
+        pinch.append(float(world.truth().pinch().min()))
     if drive.aborted is not None:
         raise NotDrivenError(drive.aborted)
     deviations = np.array(errors)

@@ -42,8 +42,8 @@ class ObjectTruth:
 
     def refresh(self, world: World) -> None:
         """Read the world."""
-        self._world = world
-        self.T = T = world.object_pose(self.name)
+        self._world, self._object = world, world.truth(self.name)
+        self.T = T = self._object.pose()
         along = min(1.0, abs(T[2, self._axis]))  # vertical share of the long axis
         self.tilt_rad = float(np.arccos(along) if self.body.upright else np.arcsin(along))
         if self.body.shape == "cylinder":
@@ -52,7 +52,7 @@ class ObjectTruth:
             down = float(np.dot(np.abs(T[2, :3]), self._half_m))
         self.clearance_m = float(T[2, 3] - down)
         self.airborne = self.clearance_m > AIRBORNE_M
-        self.pinch = world.pinch(self.name)
+        self.pinch = self._object.pinch()
 
     def distance_m(self, xy: tuple[float, float]) -> float:
         """Return the horizontal distance of its centre from a place."""
@@ -66,17 +66,17 @@ class ObjectTruth:
     @property
     def speed_m_per_s(self) -> float:
         """Speed."""
-        return float(np.linalg.norm(self._world.object_twist(self.name)[:3]))
+        return float(np.linalg.norm(self._object.twist()[:3]))
 
     @property
     def hand_forces(self) -> Array:
         """Net force of each hand (2, 3) [N]."""
-        return self._world.object_forces(self.name)
+        return self._object.forces()
 
     @property
     def squeeze_n(self) -> float:
         """Internal force: the smaller inward hand force along y."""
-        return self._world.internal_force(self.name)
+        return self._object.internal_force()
 
     @property
     def on_table(self) -> bool:
