@@ -277,7 +277,7 @@ def test_every_check_can_fail(outcomes, driven):
         return failing(held_checks(HeldResults(sets, executions if runs is None else runs), config))
 
     assert names() == set()
-    failed = dataclasses.replace(outcomes[0], plan=None, residual_m=np.nan, residual_rad=np.nan)
+    failed = dataclasses.replace(outcomes[0], result=None, residual_m=np.nan, residual_rad=np.nan)
     assert names(first=[failed, *outcomes[1:]]) == {"closed_chain.success_rate"}
     assert names(second=[failed, *outcomes[1:]]) == {"closed_chain.second_seed_success_rate"}
     stray = dataclasses.replace(outcomes[0], residual_m=2e-4, residual_rad=1e-3)
@@ -295,6 +295,13 @@ def test_every_check_can_fail(outcomes, driven):
     }
     lost = dataclasses.replace(executions[0], error_max_m=float("nan"))
     assert names(runs=[lost, executions[1]]) == {"closed_chain.executed_error_max_m"}
+    left_out = dataclasses.replace(
+        outcomes[0], move=dataclasses.replace(outcomes[0].move, undecided_n=3, unreachable_n=5)
+    )
+    sets = {"first": [left_out], "second": [left_out]}
+    (draws,) = [c for c in held_checks(HeldResults(sets, executions), config) if "left_out" in c.name]
+    assert draws.observed == 6
+    assert "10 more had no free posture" in draws.why
     assert names(runs=executions[:1]) == {"closed_chain.driven_n"}
     assert names(runs=[]) == {
         "closed_chain.driven_n",

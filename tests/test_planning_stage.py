@@ -29,6 +29,8 @@ from minidual.trials.planning.evaluate import engine_agreement, plan_query, quer
 from minidual.trials.planning.queries import QueryGenerator
 from minidual.trials.planning.query_set import is_free, polyline_states, stored_set
 
+_PLANNED_STRAIGHT = 38
+"""A stored query of poses whose planned posture is reached by the straight line."""
 CONFIG = Config(
     plan=PlanConfig(
         queries_n=2,
@@ -54,7 +56,12 @@ def test_stage_passes_and_writes_what_it_says(stage_run):
     assert failing(result.checks) == set()
     names = {c.name for c in result.checks}
     for group in GROUPS:
-        assert {f"{group}.success_rate", f"{group}.time_median_s", f"{group}.time_max_s"} <= names
+        assert {
+            f"{group}.success_rate",
+            f"{group}.replan_median_s",
+            f"{group}.replan_max_s",
+            f"{group}.first_plan_median_s",
+        } <= names
     with (folder / "queries.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 6
@@ -63,13 +70,13 @@ def test_stage_passes_and_writes_what_it_says(stage_run):
         phases = sum(float(row[f"{p}_s"]) for p in ("ik", "search", "shortcut", "blend", "timing", "verify"))
         assert phases <= float(row["total_s"]) + 1e-5
         assert float(row["velocity_ratio"]) <= 0.951
-    assert {"second_seed.both_arms.success_rate", "proof.audit_collisions", "left_arm.time_p99_s"} <= names
+    assert {"second_seed.both_arms.success_rate", "proof.audit_collisions", "left_arm.replan_p99_s"} <= names
     assert result.data["second_seed"]["left_arm"]["queries_n"] == 1
     assert len((folder / "queries_second_seed.csv").read_text().splitlines()) == 4
     for row in rows:
         assert int(row["audited_n"]) > 100
         assert 0.0 < float(row["jerk_ratio"]) <= 0.951
-        assert row["line_blocked"] == "True"
+        assert row["direct"] != "True" or row["line_blocked"] == "False"
     for name in ("paths.png", "times.png"):
         assert (folder / name).stat().st_size > 20_000
     trajectory = json.loads((folder / "trajectory_both_arms.json").read_text())
@@ -98,23 +105,23 @@ def test_group_checks_can_fail(outcomes):
     failed = dataclasses.replace(outcomes[0], result=None, reason="no_path_in_time", message="none")
     assert failing(group_checks("left_arm", [failed, outcomes[1]], config)) == {"left_arm.success_rate"}
     slow = dataclasses.replace(outcomes[0], total_s=10.5)
-    assert failing(group_checks("left_arm", [slow, outcomes[1]], config)) == {"left_arm.time_max_s"}
+    assert failing(group_checks("left_arm", [slow, outcomes[1]], config)) == {"left_arm.replan_max_s"}
     quick = [dataclasses.replace(o, total_s=0.03) for o in outcomes]
     late = [dataclasses.replace(o, total_s=0.03 + 0.1 * k) for k, o in enumerate(outcomes)]
     limited = PlanConfig(time_median_max_s=GroupTimes(left_arm=0.05, both_arms=0.01), time_p99_max_s=0.1)
     assert failing(group_checks("left_arm", quick, limited)) == set()
-    assert failing(group_checks("left_arm", late, limited)) == {"left_arm.time_median_s", "left_arm.time_p99_s"}
+    assert failing(group_checks("left_arm", late, limited)) == {"left_arm.replan_median_s", "left_arm.replan_p99_s"}
     assert failing(group_checks("left_arm", late, limited, "second_seed.left_arm")) == {
-        "second_seed.left_arm.time_median_s",
-        "second_seed.left_arm.time_p99_s",
+        "second_seed.left_arm.replan_median_s",
+        "second_seed.left_arm.replan_p99_s",
     }
     starved = [dataclasses.replace(o, total_s=0.2, cpu_s=0.05) for o in outcomes]
     (share,) = [c for c in group_checks("left_arm", starved, limited) if c.name == "left_arm.core_share"]
     assert share.observed == pytest.approx(0.25)
-    (median,) = [c for c in group_checks("left_arm", starved, limited) if c.name == "left_arm.time_median_s"]
+    (median,) = [c for c in group_checks("left_arm", starved, limited) if c.name == "left_arm.replan_median_s"]
     assert "the process had 25% of a core" in (median.remedy or "")
     assert failed.row()["reason"] == "no_path_in_time"
-    assert failed.row().keys() == outcomes[0].row().keys()
+    assert failed.row().keys() < outcomes[0].row().keys()
 
 
 def test_audit_checks_can_fail(outcomes):
@@ -137,7 +144,7 @@ def test_audit_checks_can_fail(outcomes):
 def test_a_second_set_that_is_the_first_is_refused():
     with pytest.raises(ConfigError, match=r"seed and plan\.second_seed are both 20261") as caught:
         check_plan(Config(seed=20261, plan=PlanConfig(second_queries_n=1)))
-    assert "plan.second_seed=20262" in caught.value.remedy
+    assert "--set plan.second_seed" in caught.value.remedy
     check_plan(Config(seed=20261, plan=PlanConfig(second_queries_n=0)))
     check_plan(Config(seed=20260, plan=PlanConfig(second_queries_n=1)))
 
@@ -185,6 +192,34 @@ def test_repeats_tells_the_difference(outcomes):
     assert not repeats(PlanConfig(), dataclasses.replace(outcomes[0], result=None))
 
 
+def test_whether_the_line_is_blocked_is_measured(outcomes):
+    """Of one query with and without its obstacles; and towards the posture that the planner reached, not the drawn one."""
+    planner, query = Planner(), outcomes[0].query
+    assert query.kind == "past_obstacle"
+    assert outcomes[0].line_blocked
+    bare = dataclasses.replace(query, scene=PlanningScene(obstacles=query.scene.obstacles[:1]))
+    free = plan_query(planner, bare)
+    assert not free.line_blocked
+    assert free.result.direct
+    known = stored_set(20260)
+    freed = plan_query(planner, known.query("left_arm", _PLANNED_STRAIGHT))
+    assert freed.query.as_poses
+    assert freed.result.direct
+    assert not freed.line_blocked
+    drawn = freed.query.q_start + np.linspace(0, 1, 300)[:, None] * (freed.query.q_goal - freed.query.q_start)
+    assert CoalEngine(freed.query.scene).collisions(drawn).any()
+    rate, *_ = [c for c in group_checks("left_arm", [outcomes[0], free], PlanConfig()) if "line_blocked" in c.name]
+    assert rate.observed == 0.5
+    assert "1 of 2" in rate.why
+
+
+def test_the_first_plan_includes_the_scene(outcomes):
+    slow = [dataclasses.replace(o, scene_s=1.0, total_s=0.25) for o in outcomes]
+    times = {c.name: c.observed for c in group_checks("left_arm", slow, PlanConfig())}
+    assert times["left_arm.first_plan_median_s"] == 1.25
+    assert times["left_arm.replan_median_s"] == 0.25
+
+
 def test_queries_repeat_and_differ():
     first, again = (QueryGenerator(8).query("both_arms", 3) for _ in range(2))
     assert first.scene == again.scene
@@ -204,7 +239,6 @@ def test_queries_are_what_they_say(group):
         assert not engines.closest(query.q_start, 0.0099)
         assert not engines.closest(query.q_goal, 0.0099)
         line = query.q_start + np.linspace(0, 1, 200)[:, None] * (query.q_goal - query.q_start)
-        assert query.blocked
         assert query.kind == generator.kind(group, index)
         assert engines.engine("coal").collisions(line).any()  # the second engine sees the block, too
         assert len(query.scene.obstacles) == 5

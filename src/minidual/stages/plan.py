@@ -9,17 +9,18 @@ import numpy as np
 
 from minidual.collision.acm import default_acm
 from minidual.config.planning import PlanConfig
+from minidual.durable import write_csv
 from minidual.gate.check import Check
 from minidual.gate.stage import StageContext, StageResult
 from minidual.robot.arms import robot_from
 from minidual.show.figures.planning import write_times
 from minidual.show.planning import play_queries, write_paths
 from minidual.stages.plan_held import held_checks, run_held
-from minidual.trials.planning.evaluate import Outcome, engine_agreement, repeats, run_queries, write_rows
+from minidual.trials.planning.evaluate import Outcome, engine_agreement, repeats, run_queries
 from minidual.trials.planning.evaluate_carries import failed_carries
 
 _EXCELLENT_S = {"left_arm": 0.2, "right_arm": 0.2, "both_arms": 2.0}
-_GOAL_S = {"left_arm": 0.01, "right_arm": 0.01, "both_arms": 0.05}
+_GOAL_S = {"left_arm": 0.01, "right_arm": 0.01, "both_arms": 0.015}
 _CARRIES_N = 5
 _JSON_EVERY = 10
 
@@ -44,11 +45,11 @@ def run(context: StageContext) -> StageResult:
     held = run_held(context)
     every = [o for done in outcomes.values() for o in done]
     again = [o for done in second.values() for o in done]
-    write_rows([o.row() for o in every], folder / "queries.csv")
+    write_csv(folder / "queries.csv", [o.row() for o in every])
     if again:
-        write_rows([o.row() for o in again], folder / "queries_second_seed.csv")
+        write_csv(folder / "queries_second_seed.csv", [o.row() for o in again])
     pairs = [{"first": a, "second": b, "reason": reason} for a, b, reason in default_acm(robot).table()]
-    write_rows(pairs, folder / "allowed_collisions.csv")
+    write_csv(folder / "allowed_collisions.csv", pairs)
     for group, done in outcomes.items():
         trajectory = next((o.result.trajectory for o in done if o.result is not None), None)
         if trajectory is not None:
@@ -81,18 +82,23 @@ def group_checks(group: str, outcomes: Sequence[Outcome], config: PlanConfig, na
         return Check(f"{name}.{what}", observed, None if limit is None else "<", limit, "s", why, busy)
 
     why_solved = "a query counts only if the timed trajectory is proven free and inside every limit"
-    why_median = f"excellent < {_EXCELLENT_S[group]} s, goal < {_GOAL_S[group]} s ({reached})"
-    why_max = "wall time from the goal going in to the proven trajectory coming out"
+    why_median = f"in a scene that stands: excellent < {_EXCELLENT_S[group]} s, goal < {_GOAL_S[group]} s ({reached})"
+    why_max = "wall time from the goal going in to the proven trajectory coming out, in a scene that stands"
+    first, why_first = float(np.median([o.first_plan_s for o in outcomes])), "a new scene: built, then planned in"
     why_share = "share of a core that the process had; well below 1 others ran, and the times say less"
-    why_blocked = "share of the queries that a straight line in joint space cannot solve"
+    blocked_n = sum(o.line_blocked for o in outcomes)
+    why_blocked = f"the straight line to the posture that was planned to collides in {blocked_n} of {len(outcomes)}"
     solved, see = float(np.mean([o.ok for o in outcomes])), "see the reasons in queries.csv"
     return [
         Check(f"{name}.success_rate", solved, ">=", config.success_rate_min, why=why_solved, remedy=see),
-        time_check("time_median_s", float(median), median_max, why_median),
-        time_check("time_p99_s", float(np.percentile(times, 99)), p99_max, "99 of 100 queries are answered within it"),
-        time_check("time_max_s", float(times.max()), config.time_max_s, why_max),
+        Check(f"{name}.first_plan_median_s", first, unit="s", why=why_first),
+        time_check("replan_median_s", float(median), median_max, why_median),
+        time_check(
+            "replan_p99_s", float(np.percentile(times, 99)), p99_max, "99 of 100 queries are answered within it"
+        ),
+        time_check("replan_max_s", float(times.max()), config.time_max_s, why_max),
         Check(f"{name}.core_share", core_share, why=why_share),
-        Check(f"{name}.line_blocked_rate", float(np.mean([o.query.blocked for o in outcomes])), why=why_blocked),
+        Check(f"{name}.line_blocked_rate", blocked_n / len(outcomes), why=why_blocked),
     ]
 
 
@@ -136,6 +142,7 @@ def _counts(outcomes: Outcomes) -> dict[str, Any]:
             "queries_n": len(done),
             "solved_n": len(solved),
             "direct_n": sum(r.direct for r in solved),
+            "line_blocked_n": sum(o.line_blocked for o in done),
             "retried_n": sum(r.attempts_n > 1 for r in solved),
         }
     return counts

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from time import perf_counter, process_time
 
 import numpy as np
@@ -21,32 +19,59 @@ from minidual.proof.scene_engines import Audit
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.pair import Robot
 from minidual.trials.planning.queries import Query, QueryGenerator
-from minidual.trials.planning.query_set import OBSTACLES_N, ROBOT, stored_set
+from minidual.trials.planning.query_set import OBSTACLES_N, ROBOT, polyline_states, stored_set
+
+_LINE_STEP_RAD = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
-    """Result of one query.
+class Attempt[R]:
+    """What became of one request: a proven result, or why there is none; wall and processor time."""
 
-    total_s is wall time, cpu_s processor time; scene_s, the scene's setup, is in neither.
-    """
-
-    query: Query
-    result: PlanResult | None
+    result: R | None
     reason: str
     message: str
     total_s: float
-    scene_s: float
     cpu_s: float
-    audit: Audit | None = None
 
     @property
     def ok(self) -> bool:
         """Whether a proven trajectory was found."""
         return self.result is not None
 
+
+def attempted[R](plan: Callable[[], R]) -> Attempt[R]:
+    """Return what became of a request; a `PlanningError` is its reason."""
+    begin, cpu_begin = perf_counter(), process_time()
+    result, reason, message = None, "", ""
+    try:
+        result = plan()
+    except PlanningError as error:
+        reason, message = error.reason, error.message
+    return Attempt(result, reason, message, perf_counter() - begin, process_time() - cpu_begin)
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome(Attempt[PlanResult]):
+    """Result of one query.
+
+    Attributes:
+        scene_s: Building the scene; not in the other times.
+        line_blocked: Whether the straight line to the goal posture that was planned to collides.
+    """
+
+    query: Query
+    scene_s: float
+    line_blocked: bool
+    audit: Audit | None = None
+
+    @property
+    def first_plan_s(self) -> float:
+        """Building the scene and planning in it."""
+        return self.scene_s + self.total_s
+
     def row(self) -> dict[str, object]:
-        """Return the queries.csv row."""
+        """Return the queries.csv row; what was not found or audited is missing."""
         query, result, audit = self.query, self.result, self.audit
         row: dict[str, object] = {
             "group": query.group,
@@ -56,53 +81,39 @@ class Outcome:
             "reason": self.reason,
             "kind": query.kind,
             "goal": "poses" if query.as_poses else "joints",
-            "line_blocked": query.blocked,
+            "line_blocked": self.line_blocked,
             "total_s": self.total_s,
             "scene_setup_s": self.scene_s,
             "cpu_s": self.cpu_s,
         }
-        row |= {f"{phase}_s": None if result is None else result.times_s[phase] for phase in PHASES if phase != "scene"}
-        row |= {
-            "direct": None if result is None else result.direct,
-            "attempts_n": None if result is None else result.attempts_n,
-            "path_length_rad": None if result is None else path_length(result.path),
-            "duration_s": None if result is None else result.trajectory.duration_s,
-        }
-        ratios = ("velocity_ratio", "acceleration_ratio", "jerk_ratio", "torque_ratio")
-        for name in ("samples_n", *ratios):
-            row[name] = None if result is None else getattr(result.verification, name)
-        row["clearance_m"] = None if audit is None else audit.clearance_m
-        row["audited_n"] = None if audit is None else audit.samples_n
-        row["audit_collisions_n"] = None if audit is None else audit.collisions_n
+        if result is not None:
+            row |= {f"{phase}_s": result.times_s[phase] for phase in PHASES if phase != "scene"}
+            row |= {"direct": result.direct, "attempts_n": result.attempts_n}
+            row |= {"path_length_rad": path_length(result.path), "duration_s": result.trajectory.duration_s}
+            row |= {name: value for name, value in result.verification.to_json().items() if name in _PROVEN}
+        if audit is not None:
+            row |= {"clearance_m": audit.clearance_m, "audited_n": audit.samples_n}
+            row |= {"audit_collisions_n": audit.collisions_n}
         row["message"] = self.message
-        return row
+        return {name: round(value, 6) if isinstance(value, float) else value for name, value in row.items()}
 
 
-def write_rows(rows: Sequence[Mapping[str, object]], path: Path) -> None:
-    """Write rows as CSV; floats have 6 decimals."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, fieldnames=list(rows[0]))
-        writer.writeheader()
-        for row in rows:
-            writer.writerow({k: round(v, 6) if isinstance(v, float) else v for k, v in row.items()})
+_PROVEN = ("samples_n", "velocity_ratio", "acceleration_ratio", "jerk_ratio", "torque_ratio")
 
 
 def plan_query(planner: Planner, query: Query) -> Outcome:
     """Plan one query, timed from goal to proven trajectory."""
     begin = perf_counter()
-    planner.engines(query.scene)
+    engines = planner.engines(query.scene)
     scene_s = perf_counter() - begin
-    begin, cpu_begin = perf_counter(), process_time()
-    result, reason, message = None, "", ""
-    how = {"scene": query.scene, "seed": query.seed}
-    try:
-        if query.as_poses:
-            result = planner.plan_to_poses(query.group, query.q_start, query.targets, **how)
-        else:
-            result = planner.plan_to_joints(query.group, query.q_start, query.q_goal, **how)
-    except PlanningError as error:
-        reason, message = error.reason, error.message
-    return Outcome(query, result, reason, message, perf_counter() - begin, scene_s, process_time() - cpu_begin)
+    plan, goal = (planner.plan_to_joints, query.q_goal)
+    if query.as_poses:
+        plan, goal = (planner.plan_to_poses, query.targets)
+    attempt = attempted(lambda: plan(query.group, query.q_start, goal, scene=query.scene, seed=query.seed))
+    q_goal = query.q_goal if attempt.result is None else attempt.result.q_goal
+    line = polyline_states(np.array([query.q_start, q_goal]), _LINE_STEP_RAD)
+    blocked = bool(engines.verifier.engine("mujoco").collisions(line).any())
+    return Outcome(**vars(attempt), query=query, scene_s=scene_s, line_blocked=blocked)
 
 
 def query_source(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from time import perf_counter, process_time
 
 import numpy as np
 
@@ -27,35 +26,26 @@ from minidual.skills.pipeline.search import TaskFailedError
 from minidual.skills.pipeline.stage import Tools
 from minidual.skills.pipeline.state import State
 from minidual.tasks.rod_carry import rod_carry
+from minidual.trials.planning.evaluate import Attempt, attempted
 from minidual.trials.planning.held_moves import HeldMove, HeldMoveGenerator
 
 
 @dataclass(frozen=True, eq=False)
-class MoveOutcome:
-    """Result of one move.
-
-    time_s is wall time and cpu_s processor time, without the scene's setup; residuals are those of `timed_residual`,
-    clearance_m is the minimum. NaN without a plan.
-    """
+class MoveOutcome(Attempt[CarriedTrajectory]):
+    """Result of one move; residuals are those of `timed_residual`, clearance_m is the minimum. NaN without a plan."""
 
     move: HeldMove
-    plan: CarriedTrajectory | None
-    reason: str
-    message: str
-    time_s: float
-    cpu_s: float
-    residual_m: float
-    residual_rad: float
-    clearance_m: float
-
-    @property
-    def ok(self) -> bool:
-        """Whether a proven trajectory was found."""
-        return self.plan is not None
+    residual_m: float = np.nan
+    residual_rad: float = np.nan
+    clearance_m: float = np.nan
 
     def row(self, name: str) -> dict[str, object]:
         """Return the row of held_moves.csv."""
-        move, plan = self.move, self.plan
+        move, plan = self.move, self.result
+        found = {} if plan is None else {"found_by": plan.found_by, "duration_s": round(plan.duration_s, 4)}
+        if plan is not None:
+            found |= {"residual_m": f"{self.residual_m:.3g}", "residual_rad": f"{self.residual_rad:.3g}"}
+            found |= {"clearance_m": round(self.clearance_m, 6)}
         return {
             "set": name,
             "index": move.index,
@@ -65,13 +55,9 @@ class MoveOutcome:
             "straight_blocked": move.blocked,
             "distance_m": round(move.distance_m, 4),
             "turn_rad": round(move.turn_rad, 4),
-            "time_s": round(self.time_s, 6),
+            "time_s": round(self.total_s, 6),
             "cpu_s": round(self.cpu_s, 6),
-            "found_by": "" if plan is None else plan.found_by,
-            "duration_s": "" if plan is None else round(plan.duration_s, 4),
-            "residual_m": "" if plan is None else f"{self.residual_m:.3g}",
-            "residual_rad": "" if plan is None else f"{self.residual_rad:.3g}",
-            "clearance_m": "" if plan is None else round(self.clearance_m, 6),
+            **found,
             "undecided_before_n": move.undecided_n,
             "unreachable_before_n": move.unreachable_n,
             "message": self.message,
@@ -95,19 +81,14 @@ def timed_residual(plan: CarriedTrajectory, query: HeldQuery, kinematics: Kinema
 
 
 def plan_move(planner: HeldPlanner, move: HeldMove) -> MoveOutcome:
-    """Plan and measure one move."""
-    verifier = planner.engines(move.query.scene)
-    begin, cpu = perf_counter(), process_time()
-    plan, reason, message = None, "", ""
-    try:
-        plan = planner.plan(move.query)
-    except PlanningError as error:
-        reason, message = error.reason, error.message
-    taken = perf_counter() - begin, process_time() - cpu
-    measured = (np.nan,) * 3
-    if plan is not None:
-        measured = *timed_residual(plan, move.query, planner.kinematics), verifier.clearance(plan)
-    return MoveOutcome(move, plan, reason, message, *taken, *measured)
+    """Plan and measure one move; its scene is built before."""
+    verifier = planner.engines(move.query.scene).verifier
+    attempt = attempted(lambda: planner.plan(move.query))
+    measured = ()
+    if attempt.result is not None:
+        residual = timed_residual(attempt.result, move.query, planner.kinematics)
+        measured = *residual, verifier.clearance(attempt.result)
+    return MoveOutcome(*vars(attempt).values(), move, *measured)
 
 
 def run_moves(
@@ -136,14 +117,9 @@ def table_plans(
     """Return plans of `count` moves from the table, and a line for each failure."""
     planner = HeldPlanner(Planner(config=config.planner, robot=robot))
     generator = HeldMoveGenerator(seed, scene, robot, from_table=True)
-    plans: list[CarriedTrajectory] = []
-    failures: list[str] = []
-    for index in range(count):
-        try:
-            plans.append(planner.plan(generator.move(index).query))
-        except PlanningError as error:
-            failures.append(f"held move {index} off the table cannot be driven: {error.message}")
-    return plans, failures
+    tried = [attempted(lambda k=k: planner.plan(generator.move(k).query)) for k in range(count)]
+    failures = [f"held move {k} off the table cannot be driven: {t.message}" for k, t in enumerate(tried) if not t.ok]
+    return [t.result for t in tried if t.result is not None], failures
 
 
 def failed_carries(

@@ -7,9 +7,11 @@ witness: a timed, proven path from long searches with their own random numbers. 
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 
 from minidual.collision.errors import ClosedChainError, PlanningError, TimingError
 from minidual.collision.mujoco_engine import MujocoEngine
@@ -51,7 +53,6 @@ class HeldMove:
 
     Attributes:
         blocked: Whether the straight path collides or cannot be followed.
-        distance_m, turn_rad: Translation and rotation of the object.
         witness: Points (m, 6 + n) of a proven path.
         undecided_n: Earlier draws without a witness.
         unreachable_n: Earlier draws without a free posture.
@@ -62,11 +63,19 @@ class HeldMove:
     T_world_start: Array
     with_obstacles: bool
     blocked: bool
-    distance_m: float
-    turn_rad: float
     witness: Array
     undecided_n: int
     unreachable_n: int
+
+    @property
+    def distance_m(self) -> float:
+        """Translation of the object."""
+        return float(np.linalg.norm(self.query.T_world_goal[:3, 3] - self.T_world_start[:3, 3]))
+
+    @property
+    def turn_rad(self) -> float:
+        """Rotation of the object."""
+        return float(np.linalg.norm(pin.log3(self.T_world_start[:3, :3].T @ self.query.T_world_goal[:3, :3])))
 
 
 class HeldMoveGenerator:
@@ -100,12 +109,8 @@ class HeldMoveGenerator:
         undecided = unreachable = 0
         for _ in range(_TRIES_N):
             obstacles = random_obstacles(rng, _OBSTACLES_N, self._robot) if with_obstacles else ()
-            scene = scene_holding(
-                PlanningScene(obstacles=(TABLE, *obstacles), robot=self._robot),
-                self._shape,
-                dict(zip(SIDES, self._grasps, strict=True)),
-                rests_on=rests_on,
-            )
+            room = PlanningScene(obstacles=(TABLE, *obstacles), robot=self._robot)
+            scene = scene_holding(room, self._shape, dict(zip(SIDES, self._grasps, strict=True)), rests_on=rests_on)
             engines = SceneEngines(scene)
             engine = engines.engine("mujoco")
             start = self._held(rng, engine, self._start(rng), self._robot.home, 0.0 if self._from_table else _ROOM_M)
@@ -126,20 +131,7 @@ class HeldMoveGenerator:
                 if witness is None:
                     undecided += 1
                     continue
-                way = ObjectChart(start[0][:3, :3])
-                turn = float(np.linalg.norm(way.coordinates(T_goal)[3:])) / 0.2
-                return HeldMove(
-                    index,
-                    query,
-                    start[0],
-                    with_obstacles,
-                    blocked,
-                    float(np.linalg.norm(T_goal[:3, 3] - start[0][:3, 3])),
-                    turn,
-                    witness,
-                    undecided,
-                    unreachable,
-                )
+                return HeldMove(index, query, start[0], with_obstacles, blocked, witness, undecided, unreachable)
         raise PlanningError(
             f"no held-object move {index} after {_TRIES_N} scenes ({undecided} without a witness, "
             f"{unreachable} unreachable)",
@@ -189,22 +181,12 @@ class HeldMoveGenerator:
         for padding_m, step_scale in _WITNESS_TRIES:
             checker = EdgeChecker(engines, padding_m, (start[1], goal[1]), _EDGE_STEP_RAD)
             space = HeldSpace(self._hands, ObjectChart(start[0][:3, :3]), checker, step_scale)
-            path = search_object(
-                space,
-                space.point(*goal),
-                [space.point(*start)],
-                rng,
-                checks_max=_WITNESS_CHECKS_N,
-                deadline=time.perf_counter() + _WITNESS_S,
-                any_posture=False,
-            )
-            if path is None:
-                continue
-            try:
-                self._prover.prove(query, path[::-1])
-            except (ClosedChainError, TimingError):
-                continue
-            return path[::-1]
+            limits = {"checks_max": _WITNESS_CHECKS_N, "deadline": time.perf_counter() + _WITNESS_S}
+            path = search_object(space, space.point(*goal), [space.point(*start)], rng, **limits, any_posture=False)
+            with suppress(ClosedChainError, TimingError):
+                if path is not None:
+                    self._prover.prove(query, path[::-1])
+                    return path[::-1]
         return None
 
 
@@ -217,7 +199,6 @@ def _random_goal(rng: np.random.Generator, T_world_start: Array) -> Array:
         turn = rot_z(angle)
     else:
         axis = rng.normal(size=3)
-        turn = ObjectChart(np.eye(3)).pose(np.concatenate([np.zeros(3), 0.2 * angle * axis / np.linalg.norm(axis)]))[
-            :3, :3
-        ]
+        weighted = 0.2 * angle * axis / np.linalg.norm(axis)
+        turn = ObjectChart(np.eye(3)).pose(np.append(np.zeros(3), weighted))[:3, :3]
     return pose(turn @ T_world_start[:3, :3], T_world_start[:3, 3] + offset)

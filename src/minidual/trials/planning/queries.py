@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -49,10 +50,7 @@ class Query:
     Attributes:
         seed: Planner seed.
         q_start: Free (n,) [rad].
-        q_goal: Free (n,), a solution for `targets`.
-        targets: Tcp poses of the group's arms.
-        as_poses: Whether the goal is given as poses.
-        blocked: Whether the straight line collides.
+        q_goal: Free (n,). A goal of poses may be planned to another solution of `targets`.
         attempt: Number of the scene.
     """
 
@@ -62,11 +60,18 @@ class Query:
     scene: PlanningScene
     q_start: Array
     q_goal: Array
-    targets: dict[str, Array]
-    as_poses: bool
-    blocked: bool
     kind: str = "any"
     attempt: int = 0
+
+    @property
+    def as_poses(self) -> bool:
+        """Whether the goal is given as poses; alternates in pairs."""
+        return self.index % 4 >= 2
+
+    @cached_property
+    def targets(self) -> dict[str, Array]:
+        """T_world_tcp (4, 4) of the group's arms at the goal."""
+        return goal_targets(self.group, self.q_goal, self.scene.robot)
 
 
 class QueryGenerator:
@@ -130,11 +135,9 @@ class QueryGenerator:
             between = _touched_between(engine, start, goal)
             if not _is_kind(kind, arms, between):
                 continue
-            targets = goal_targets(group, goal, self._robot)
-            if crossed and not _swapped(goal_targets(group, start, self._robot), targets):
+            if crossed and not _swapped(*(goal_targets(group, q, self._robot) for q in (start, goal))):
                 continue
-            seed, as_poses = int(rng.integers(2**31)), goal_as_poses(index)
-            return Query(group, index, seed, scene, start, goal, targets, as_poses, bool(between), kind, attempt)
+            return Query(group, index, int(rng.integers(2**31)), scene, start, goal, kind, attempt)
         return None
 
     def _configuration(
@@ -212,11 +215,6 @@ def _is_kind(kind: str, arms: tuple[str, ...], touched: set[frozenset[str]]) -> 
     if kind == "past_arm":
         return between_mine_and(lambda name: name.startswith(theirs))
     return kind == "any" or bool(touched)
-
-
-def goal_as_poses(index: int) -> bool:
-    """Return whether the goal is poses; alternates in pairs."""
-    return index % 4 >= 2
 
 
 def scene_of(

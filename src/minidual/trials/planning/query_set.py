@@ -18,7 +18,7 @@ from minidual.errors import DataError
 from minidual.proof.scene_engines import STEP_RAD, SceneEngines
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.pair import Array
-from minidual.trials.planning.queries import Query, QueryGenerator, goal_as_poses, goal_targets, scene_of
+from minidual.trials.planning.queries import Query, QueryGenerator, scene_of
 
 OBSTACLES_N = 5
 ROBOT = DUAL_PANDA
@@ -53,9 +53,8 @@ class QuerySet:
         """Return a stored query."""
         attempt, seed = int(self.attempts[group][index]), int(self._seeds[group][index])
         start, goal = (np.array(q) for q in self._ends[group][index])
-        scene, targets = scene_of(self.seed, group, index, attempt, OBSTACLES_N), goal_targets(group, goal, ROBOT)
-        kind = QueryGenerator.kind_of(group, index)
-        return Query(group, index, seed, scene, start, goal, targets, goal_as_poses(index), True, kind, attempt)
+        scene = scene_of(self.seed, group, index, attempt, OBSTACLES_N)
+        return Query(group, index, seed, scene, start, goal, QueryGenerator.kind_of(group, index), attempt)
 
     def witness(self, group: str, index: int) -> Array:
         """Return the polyline (k, n) from start to goal."""
