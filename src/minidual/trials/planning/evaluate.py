@@ -106,10 +106,12 @@ def plan_query(planner: Planner, query: Query) -> Outcome:
     begin = perf_counter()
     engines = planner.engines(query.scene)
     scene_s = perf_counter() - begin
-    plan, goal = (planner.plan_to_joints, query.q_goal)
+    where, how = (query.group, query.q_start), {"scene": query.scene, "seed": query.seed}
     if query.as_poses:
-        plan, goal = (planner.plan_to_poses, query.targets)
-    attempt = attempted(lambda: plan(query.group, query.q_start, goal, scene=query.scene, seed=query.seed))
+        targets = query.targets
+        attempt = attempted(lambda: planner.plan_to_poses(*where, targets, **how))
+    else:
+        attempt = attempted(lambda: planner.plan_to_joints(*where, query.q_goal, **how))
     q_goal = query.q_goal if attempt.result is None else attempt.result.q_goal
     line = polyline_states(np.array([query.q_start, q_goal]), _LINE_STEP_RAD)
     blocked = bool(engines.verifier.engine("mujoco").collisions(line).any())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -84,11 +84,11 @@ def plan_move(planner: HeldPlanner, move: HeldMove) -> MoveOutcome:
     """Plan and measure one move; its scene is built before."""
     verifier = planner.engines(move.query.scene).verifier
     attempt = attempted(lambda: planner.plan(move.query))
-    measured = ()
-    if attempt.result is not None:
-        residual = timed_residual(attempt.result, move.query, planner.kinematics)
-        measured = *residual, verifier.clearance(attempt.result)
-    return MoveOutcome(*vars(attempt).values(), move, *measured)
+    outcome, plan = MoveOutcome(**vars(attempt), move=move), attempt.result
+    if plan is None:
+        return outcome
+    off_m, off_rad = timed_residual(plan, move.query, planner.kinematics)
+    return replace(outcome, residual_m=off_m, residual_rad=off_rad, clearance_m=verifier.clearance(plan))
 
 
 def run_moves(
