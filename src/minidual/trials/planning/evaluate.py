@@ -90,7 +90,7 @@ class Outcome(Attempt[PlanResult]):
             row |= {f"{phase}_s": result.times_s[phase] for phase in PHASES if phase != "scene"}
             row |= {"direct": result.direct, "attempts_n": result.attempts_n}
             row |= {"path_length_rad": path_length(result.path), "duration_s": result.trajectory.duration_s}
-            row |= {name: value for name, value in result.verification.to_json().items() if name in _PROVEN}
+            row |= {name: getattr(result.verification, name) for name in _PROVEN}
         if audit is not None:
             row |= {"clearance_m": audit.clearance_m, "audited_n": audit.samples_n}
             row |= {"audit_collisions_n": audit.collisions_n}
@@ -114,7 +114,7 @@ def plan_query(planner: Planner, query: Query) -> Outcome:
         attempt = attempted(lambda: planner.plan_to_joints(*where, query.q_goal, **how))
     q_goal = query.q_goal if attempt.result is None else attempt.result.q_goal
     line = polyline_states(np.array([query.q_start, q_goal]), _LINE_STEP_RAD)
-    blocked = bool(engines.verifier.engine("mujoco").collisions(line).any())
+    blocked = bool(engines.engine("mujoco").collisions(line).any())
     return Outcome(**vars(attempt), query=query, scene_s=scene_s, line_blocked=blocked)
 
 

@@ -82,13 +82,13 @@ def timed_residual(plan: CarriedTrajectory, query: HeldQuery, kinematics: Kinema
 
 def plan_move(planner: HeldPlanner, move: HeldMove) -> MoveOutcome:
     """Plan and measure one move; its scene is built before."""
-    verifier = planner.engines(move.query.scene).verifier
+    engines = planner.engines(move.query.scene)
     attempt = attempted(lambda: planner.plan(move.query))
     outcome, plan = MoveOutcome(**vars(attempt), move=move), attempt.result
     if plan is None:
         return outcome
     off_m, off_rad = timed_residual(plan, move.query, planner.kinematics)
-    return replace(outcome, residual_m=off_m, residual_rad=off_rad, clearance_m=verifier.clearance(plan))
+    return replace(outcome, residual_m=off_m, residual_rad=off_rad, clearance_m=engines.clearance(plan))
 
 
 def run_moves(
