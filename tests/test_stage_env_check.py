@@ -38,7 +38,6 @@ from minidual.stages.env_check.pictures import CameraCheck
 from minidual.stages.env_check.stage import run
 from minidual.stages.env_check.tracking import (
     CommandLatency,
-    JointResponse,
     StopResponse,
     arm_contacts,
     command_latency,
@@ -189,6 +188,10 @@ class TestStage:
                 EnvCheckConfig(**{name: 0.06})
 
 
+def response(joint, rise_s, overshoot_rad, settled_rad):
+    return {"joint": joint, "rise_s": rise_s, "overshoot_rad": overshoot_rad, "settled_rad": settled_rad}
+
+
 def measured(**changes):
     """Return measurements in which all is well, or with some fields changed."""
     still = np.zeros((300, DOF))
@@ -197,7 +200,7 @@ def measured(**changes):
         "moved": tuple(range(DOF)),
         "steps": [rest] * DOF,
         "contacts": [],
-        "responses": [JointResponse(name, 0.1, 0.1, 0.0, 0.0, 0.0, 0.0) for name in JOINT_NAMES],
+        "responses": [response(name, 0.1, 0.0, 0.0) for name in JOINT_NAMES],
         "step": rest,
         "sine": rest,
         "agreement": {"position_m": 0.0},
@@ -221,7 +224,7 @@ def all_failing_checks():
     checks = judged(
         moved=(-1,) * DOF,
         contacts=[("left_panda_hand", "table", -0.01)],
-        responses=[JointResponse(name, 0.1, nan, nan, nan, nan, nan) for name in JOINT_NAMES],
+        responses=[response(name, nan, nan, nan) for name in JOINT_NAMES],
         step=lost,
         sine=lost,
         agreement={"position_m": nan},
@@ -364,7 +367,7 @@ class TestResponses:
         measured[:, 3] += 0.1 * (1.0 - np.exp(-t / 0.05))  # rises in 0.05 ln 9
         target = HOME + 0.1 * np.eye(DOF)[3]
         step = tracking.Tracking(t, np.tile(target, (1000, 1)), measured, HOME)
-        assert joint_responses(DUAL_PANDA, [step] * DOF, step)[3].rise_s == pytest.approx(
+        assert joint_responses(DUAL_PANDA, [step] * DOF, step)[3]["rise_s"] == pytest.approx(
             0.05 * np.log(9.0), abs=1.1e-3
         )
 
@@ -378,13 +381,13 @@ class TestResponses:
             step = tracking.Tracking(t, np.tile(target, (1000, 1)), measured, HOME)
             still = dataclasses.replace(step, measured=np.tile(HOME, (1000, 1)))
             row = joint_responses(DUAL_PANDA, [step] * DOF, step)[5]
-            assert row.overshoot_rad == pytest.approx(beyond.max(), rel=1e-9)
-            assert row.step_rad == pytest.approx(sign * 0.1)
-            assert np.isnan(joint_responses(DUAL_PANDA, [still] * DOF, step)[5].rise_s)
+            assert row["overshoot_rad"] == pytest.approx(beyond.max(), rel=1e-9)
+            assert row["step_rad"] == pytest.approx(sign * 0.1)
+            assert np.isnan(joint_responses(DUAL_PANDA, [still] * DOF, step)[5]["rise_s"])
 
     def test_a_joint_that_never_arrives_fails_the_rise_time(self):
         rows = list(measured().responses)
-        rows[6] = dataclasses.replace(rows[6], rise_s=float("nan"))
+        rows[6] = rows[6] | {"rise_s": float("nan")}
         rise = judged(responses=rows)["joints.rise_max_s"]
         assert rise.passed is False
         assert "left_panda_joint7" in rise.remedy

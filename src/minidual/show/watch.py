@@ -38,13 +38,9 @@ Narrator = Callable[[], Overlay]
 
 
 @functools.lru_cache(maxsize=2)
-def _visual_model(scene_json: str, robot: Robot) -> mujoco.MjModel:
-    return build_model(SceneConfig.model_validate_json(scene_json), robot, visuals=True)
-
-
 def visual_model(scene: SceneConfig, robot: Robot = DUAL_PANDA) -> mujoco.MjModel:
-    """Return a scene's visual model, cached; same bodies as simulated."""
-    return _visual_model(scene.model_dump_json(), robot)
+    """Return a scene's visual model; same bodies as simulated."""
+    return build_model(scene, robot, visuals=True)
 
 
 def overlay(world: World, words: Overlay) -> Overlay:
@@ -84,7 +80,7 @@ class Watcher:
     """Step observer that shows one world; `narrate` is called once per frame."""
 
     def __init__(self, view: View, world: World, narrate: Narrator) -> None:
-        view.open(visual_model(world.scene, world.robot))
+        view.open(visual_model(world.scene, world.robot))  # type: ignore[arg-type]  # frozen, so hashable
         self._view, self._narrate = view, narrate
         self._brake = Brake(view.speed_max) if view.speed_max > 0.0 else None
         self._braked_s = float("-inf")
@@ -131,23 +127,18 @@ def trial_hook(view: View, world: World, kinematics: Kinematics, name: str, titl
     def hook(world: World, method: Method) -> None:
         nonlocal driver, narrator
         if method is not driver:
-            driver, narrator = method, _method_narrator(method, kinematics, name, title)
+            driver, stack = method, getattr(method, "stack", None)
+            if isinstance(stack, ControlStack):
+                narrator = StackNarrator(stack, kinematics, title, method)
+            else:  # the method computes torques itself
+                narrator = functools.partial(_narrate, method, name, title)
         watcher(world)
 
     return hook
 
 
-def _method_narrator(method: Method, kinematics: Kinematics, name: str, title: str) -> Narrator:
-    stack = getattr(method, "stack", None)
-    if not isinstance(stack, ControlStack):  # the method computes torques itself
-        return lambda: Overlay(title=title, mode=name, source=name, state=method.phase, status=method.aborted or "")
-    narrate = StackNarrator(stack, kinematics, title, lambda: method.phase)
-
-    def tell() -> Overlay:
-        words = narrate()
-        return replace(words, status=words.status or method.aborted or "")
-
-    return tell
+def _narrate(method: Method, name: str, title: str) -> Overlay:
+    return Overlay(title=title, mode=name, source=name, state=method.phase, status=method.aborted or "")
 
 
 def watch_recording(view: View | None) -> Observe | None:
@@ -173,24 +164,21 @@ def tcp_preview(kinematics: Kinematics, qs: Array) -> Preview:
 class StackNarrator:
     """Describes a control stack: source, arbiter state, trajectories."""
 
-    def __init__(
-        self, stack: ControlStack, kinematics: Kinematics, title: str = "", phase: Callable[[], str] | None = None
-    ) -> None:
-        self._stack, self._kinematics, self._title, self._phase = stack, kinematics, title, phase
+    def __init__(self, stack: ControlStack, kinematics: Kinematics, title: str, method: Method | None = None) -> None:
+        self._stack, self._kinematics, self._title, self._method = stack, kinematics, title, method
         self._drawn: tuple[TrajectoryCommand, ...] = ()
         self._preview = NO_PREVIEW
 
     def __call__(self) -> Overlay:
         """Return the current overlay."""
-        stack = self._stack
-        state = str(stack.state)
-        phase = self._phase() if self._phase is not None else ""
+        stack, method, state = self._stack, self._method, str(self._stack.state)
+        phase, aborted = ("", None) if method is None else (method.phase, method.aborted)
         return Overlay(
             title=self._title,
             mode=stack.source or "hold",
             source=stack.output.active_source or "none, posture held",
             state=f"{state}, {phase}" if phase and phase != state else state,
-            status="" if stack.reflex is None else stack.reflex.message,
+            status=aborted or "" if stack.reflex is None else stack.reflex.message,
             preview=self._planned(),
         )
 

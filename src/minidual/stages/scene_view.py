@@ -9,7 +9,6 @@ import signal
 import threading
 import time
 from collections.abc import Generator
-from types import FrameType
 
 import numpy as np
 
@@ -43,13 +42,7 @@ def joint_sliders(robot: Robot) -> list[Slider]:
 def interruptions() -> Generator[threading.Event]:
     """Yield an event set by Ctrl-C or SIGTERM; libraries may swallow KeyboardInterrupt."""
     stop = threading.Event()
-
-    def note(number: int, frame: FrameType | None) -> None:
-        del number, frame
-        stop.set()
-        raise KeyboardInterrupt
-
-    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.signal(number, lambda *_: stop.set()) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield stop
     finally:
@@ -71,19 +64,16 @@ def view_scene(context: ToolContext) -> ToolResult:
         raise UsageError(f"--for-s is {for_s:g}; it must be above 0")
     robot = robot_from(context.config.robot)
     world, kinematics = World(context.config.scene, robot), Kinematics(robot)
-    stack, brake = ControlStack(world, kinematics, context.config.arbiter), Brake(1.0)
+    stack, brake, sequence = ControlStack(world, kinematics, context.config.arbiter), Brake(1.0), itertools.count(1)
     stack.request(_SOURCE)
     view.offer(joint_sliders(robot))
     narrate = StackNarrator(stack, kinematics, "the scene, moved by the sliders")
-    began = time.monotonic()
-    with interruptions() as stop, contextlib.suppress(KeyboardInterrupt), watched(view, world, narrate):
+    with interruptions() as stop, watched(view, world, narrate):
         began = time.monotonic()
-        for sequence in itertools.count(1):
-            if not view.alive or stop.is_set() or time.monotonic() - began >= for_s:
-                break
+        while view.alive and not stop.is_set() and time.monotonic() - began < for_s:
             *joints, left, right = view.slider_values()
             target = np.clip(joints, robot.q_lower, robot.q_upper)
-            stack.propose(_SOURCE, JointCommand(target, np.array([left, right]), world.time, sequence))
+            stack.propose(_SOURCE, JointCommand(target, np.array([left, right]), world.time, next(sequence)))
             for _ in range(round(_SLICE_S / world.dt)):
                 stack.step()
             brake.hold(world.time)

@@ -115,14 +115,14 @@ def installation_checks(libraries: list[Library], joints_n: int, robot: Robot) -
 def measured_checks(m: Measured, limits: EnvCheckConfig, robot: Robot, period: int) -> list[Check]:
     """Return the checks of joints, engines, commands and cameras; `period` is the arbiter's, in control steps."""
     astray = [str(j + 1) for j, joint in enumerate(m.moved) if joint != j]
-    late = [str(j + 1) for j, row in enumerate(m.responses) if not row.settled_rad < _REACHED_RAD]
-    rise, overshoot = ([getattr(row, name) for row in m.responses] for name in ("rise_s", "overshoot_rad"))
+    late = [str(j + 1) for j, row in enumerate(m.responses) if not row["settled_rad"] < _REACHED_RAD]
+    rise, overshoot = ([row[name] for row in m.responses] for name in ("rise_s", "overshoot_rad"))
     faults = [tracking.fault for tracking in (*m.steps, m.step, m.sine) if tracking.fault]
     names = {
         "astray": ", ".join(astray),
         "late": ", ".join(late),
-        "slowest": m.responses[int(np.argmax(rise))].joint,
-        "farthest": m.responses[int(np.argmax(overshoot))].joint,
+        "slowest": m.responses[int(np.argmax(rise))]["joint"],
+        "farthest": m.responses[int(np.argmax(overshoot))]["joint"],
         "touching": ", ".join(f"{a} with {b}" for a, b, _ in m.contacts),
         "faults": "; ".join(dict.fromkeys(faults)),
     }

@@ -95,12 +95,12 @@ def save_tracking(
         swing.plot(sine.t[::every], 1e3 * (sine.measured - sine.reference)[::every, j], alpha=0.55, **style)
     norm.semilogy(step.t, np.maximum(step.error_norm, 1e-16), color=INK)
     limit_line(norm, limits.step_error_max_rad, f"limit {limits.step_error_max_rad:g} rad")
-    rise.bar(x, [1e3 * row.rise_s for row in rows], width=0.7, color=colours, alpha=0.85)
+    rise.bar(x, [1e3 * row["rise_s"] for row in rows], width=0.7, color=colours, alpha=0.85)
     limit_line(rise, 1e3 * limits.rise_max_s, f"limit {1e3 * limits.rise_max_s:g} ms")
     rise.set_xticks(x, [f"{'LR'[j // n]}{j % n + 1}" for j in x], fontsize=8)
     texts = {
         norm: (f"Step of joint 1 of both arms leaves {step.settled:.1e} rad", "time [s]", "error of all joints [rad]"),
-        alone: (f"A step of {abs(rows[0].step_rad):g} rad, each joint alone", "time [s]", "share of the step"),
+        alone: (f"A step of {abs(rows[0]['step_rad']):g} rad, each joint alone", "time [s]", "share of the step"),
         swing: (f"All {robot.dof} joints swinging: RMS {1e3 * sine.rms:.2g} mrad", "time [s]", "error [mrad]"),
         rise: ("Rise time of each joint's own step, 10 % to 90 %", "joint", "time [ms]"),
     }

@@ -60,7 +60,7 @@ def run(context: StageContext) -> StageResult:
         task.advance(note="latency")
         frames = film_postures(model, postures.qpos, folder / "sine.mp4", shadows=False)
         responses = tracking.joint_responses(robot, steps, sine)
-        write_csv(folder / "joints.csv", [asdict(row) for row in responses])
+        write_csv(folder / "joints.csv", responses)
         pictures.save_tracking(folder / "tracking.png", robot, config, step, steps, sine, responses)
         task.advance(note="film")
 
@@ -72,11 +72,8 @@ def run(context: StageContext) -> StageResult:
         "joints": joints,
         "latency": asdict(latency),
         "emergency_stop": asdict(stop),
-        "step": {"settled_rad": step.settled},
-        "sine": {"rms_rad": sine.rms, "joint_rms_rad": sine.joint_rms.tolist(), "frames": frames},
         "agreement": agreement,
         "contacts_home": [list(pair) for pair in contacts],
-        "control_step_us": sine.step_us,
         "cameras": asdict(cameras),
     }
     notes = [f"pictures are drawn by {cameras.gl_renderer}", f"the step leaves {step.settled:.1e} rad"]

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -137,11 +139,6 @@ class Tracking:
         return float(np.sqrt(np.mean(self.error_norm**2)))
 
     @property
-    def joint_rms(self) -> Array:
-        """RMS error per joint (n,) [rad]."""
-        return np.sqrt(np.mean((self.reference - self.measured) ** 2, axis=0))
-
-    @property
     def settled(self) -> float:
         """Largest error norm in the last 0.2 s [rad]; one instant may be a zero crossing."""
         return float(self.error_norm[self.t > self.t[-1] - _SETTLED_S].max())
@@ -243,39 +240,33 @@ def sine_response(
     return track(rig, motion.q[1 : 1 + round(duration_s / rig.world.dt)], on_step)
 
 
-@dataclass(frozen=True)
-class JointResponse:
-    """Response of one joint.
+JointResponse = dict[str, Any]
+"""Response of one joint.
 
-    Attributes:
-        step_rad: Signed size of its step.
-        rise_s: 10 % to 90 % rise time, NaN if never reached.
-        overshoot_rad: Overshoot beyond the target.
-        settled_rad: Largest error norm of all joints in the last 0.2 s.
-        sine_rms_rad: RMS error in the swing.
-        sine_peak_rad: Largest error in the swing.
-    """
-
-    joint: str
-    step_rad: float
-    rise_s: float
-    overshoot_rad: float
-    settled_rad: float
-    sine_rms_rad: float
-    sine_peak_rad: float
+`joint`; `step_rad`, signed size of its step; `rise_s`, 10 % to 90 %, NaN if never reached; `overshoot_rad` beyond the
+target; `settled_rad`, largest error norm of all joints in the last 0.2 s; `sine_rms_rad` and `sine_peak_rad`, error in
+the swing.
+"""
 
 
 def joint_responses(robot: Robot, steps: list[Tracking], sine: Tracking) -> list[JointResponse]:
     """Return one row per joint."""
-    peak = np.abs(sine.reference - sine.measured).max(axis=0)
+    errors = sine.reference - sine.measured
     rows = []
     for j, step in enumerate(steps):
         way, share = float(step.reference[-1, j] - step.start[j]), step.share(j)
         first, last = share >= 0.1, share >= 0.9
-        rise = float(step.t[np.argmax(last)] - step.t[np.argmax(first)]) if last.any() else float("nan")
-        overshoot = max(0.0, float(np.max(share) - 1.0) * abs(way))
-        rms = float(sine.joint_rms[j])
-        rows.append(JointResponse(robot.joint_names[j], way, rise, overshoot, step.settled, rms, float(peak[j])))
+        rows.append(
+            {
+                "joint": robot.joint_names[j],
+                "step_rad": way,
+                "rise_s": float(step.t[np.argmax(last)] - step.t[np.argmax(first)]) if last.any() else math.nan,
+                "overshoot_rad": max(0.0, float(np.max(share) - 1.0) * abs(way)),
+                "settled_rad": step.settled,
+                "sine_rms_rad": float(np.sqrt(np.mean(errors[:, j] ** 2))),
+                "sine_peak_rad": float(np.abs(errors[:, j]).max()),
+            }
+        )
     return rows
 
 
@@ -354,4 +345,4 @@ def emergency_stop(rig: Rig, amplitude_rad: float, frequency_hz: float) -> StopR
             ticks = k
         if reflex is not None and np.max(np.abs(world.v)) < _STILL_RAD_S:
             return StopResponse(ticks, world.time - reflex.time_s, speed)
-    return StopResponse(ticks, float("nan"), speed)
+    return StopResponse(ticks, math.nan, speed)
