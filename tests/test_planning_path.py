@@ -226,16 +226,6 @@ def test_sampling_outside_holds_the_ends(timed):
     assert np.abs(t.sample(float(t.times[k]))[0] - t.q[k]).max() < 1e-12
 
 
-def test_slowed_keeps_the_path(timed):
-    _, t = timed
-    slow = t.slowed(2.5)
-    assert slow.duration_s == pytest.approx(2.5 * t.duration_s, rel=0.01)
-    assert np.abs(slow.q[[0, -1]] - t.q[[0, -1]]).max() < 1e-12
-    assert np.abs(slow.v).max() == pytest.approx(np.abs(t.v).max() / 2.5, rel=0.01)
-    with pytest.raises(UsageError, match="factor"):
-        t.slowed(0.5)
-
-
 def test_files_hold_the_trajectory(timed, tmp_path):
     _, t = timed
     t.write_csv(tmp_path / "t.csv", DUAL_PANDA.joint_names)

@@ -90,8 +90,8 @@ def test_nothing_but_the_rod_touches_at_home_and_motors_hold_the_arms(robot):
 @each_robot
 def test_named_postures_touch_nothing_and_lie_inside_the_limits(robot):
     world = World(SceneConfig(), robot)
-    for name, posture in robot.arm.postures:
-        world.reset(np.r_[posture.left, posture.right])  # refuses what lies outside
+    for name, posture in robot.arm.postures.items():
+        world.reset(np.hstack(posture))  # refuses what lies outside
         touching = {frozenset(pair[:2]) for pair in world.contact_pairs()}
         assert touching == {frozenset(("rod", "table"))}, name
 

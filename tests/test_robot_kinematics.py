@@ -128,8 +128,6 @@ class TestPoses:
     def test_elementary_rotations(self, angle):
         assert poses.rot_x(angle) == pytest.approx(Rotation.from_euler("x", angle).as_matrix(), abs=1e-15)
         assert poses.rot_z(angle) == pytest.approx(Rotation.from_euler("z", angle).as_matrix(), abs=1e-15)
-        w, x, y, z = poses.quat_from_yaw(angle)
-        assert Rotation.from_quat([x, y, z, w]).as_matrix() == pytest.approx(poses.rot_z(angle), abs=1e-15)
 
     def test_log_matches_scipy(self):
         for R in self.rotations:

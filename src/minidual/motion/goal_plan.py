@@ -32,8 +32,8 @@ class NamedStates(dict[str, dict[str, Array]]):
         super().__init__()
         self.robot = robot
         self._add("home", robot.arm.home, robot.arm.home)
-        for name, posture in robot.arm.postures:
-            self._add(name, posture.left, posture.right)
+        for name, posture in robot.arm.postures.items():
+            self._add(name, *posture)
         for name, state in (config or SemanticsConfig()).states.items():
             self._add(name, state.left_rad, state.right_rad)
 

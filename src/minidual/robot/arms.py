@@ -7,7 +7,7 @@ import math
 
 from minidual.config.robot import RobotConfig
 from minidual.registry import Registry
-from minidual.robot.pair import ArmModel, HandModel, Posture, Robot
+from minidual.robot.pair import ArmModel, HandModel, Robot
 
 _ROBOTS = "package://example-robot-data/robots"
 
@@ -30,15 +30,10 @@ PANDA_HAND = HandModel(
 )
 
 
-def _both(joints: tuple[float, ...], description: str) -> Posture:
-    return Posture(joints, joints, description)
-
-
 PANDA = ArmModel(
     name="panda",
     urdf=f"{_ROBOTS}/panda_description/urdf/panda.urdf",
     srdf=f"{_ROBOTS}/panda_description/srdf/panda.srdf",
-    never_touch=(),
     joints=tuple(f"panda_joint{i}" for i in range(1, 8)),
     base_link="panda_link0",
     flange_link="panda_link8",
@@ -53,31 +48,23 @@ PANDA = ArmModel(
     # Acceleration, jerk and torque rate: Franka Control Interface documentation, "Robot and interface specifications".
     a_max=(15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0),
     jerk_max=(7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0),
-    tau_rate_max=1000.0,
-    armature=0.1,  # the value that MuJoCo Menagerie identified for the Panda
-    damping=0.1,
-    friction=0.0,
     hand=PANDA_HAND,
-    postures=(
-        ("ready", _both((0.0, -0.1848, 0.0, -2.4967, 0.0, 2.3119, 0.7854), "hands down, 25 cm over the table")),
-        (
-            "carry",
-            Posture(
-                (-0.216, 0.0891, -0.0384, -2.3191, 0.0051, 2.4081, -1.0434),
-                (0.0716, 0.0905, 0.1829, -2.319, -0.0246, 2.4079, -0.5134),
-                "hands 24 cm apart at the middle, 20 cm over the table, as they hold the rod",
-            ),
+    postures={
+        # hands down, 25 cm over the table
+        "ready": ((0.0, -0.1848, 0.0, -2.4967, 0.0, 2.3119, 0.7854),) * 2,
+        # hands 24 cm apart at the middle, 20 cm over the table, as they hold the rod
+        "carry": (
+            (-0.216, 0.0891, -0.0384, -2.3191, 0.0051, 2.4081, -1.0434),
+            (0.0716, 0.0905, 0.1829, -2.319, -0.0246, 2.4079, -0.5134),
         ),
-        (
-            "raised",
-            Posture(
-                (0.0242, -0.3986, 0.0716, -1.7764, 0.0283, 1.3788, 0.8811),
-                (-0.0244, -0.3986, -0.0715, -1.7764, -0.0283, 1.3788, 0.6897),
-                "hands 60 cm over the table, out of the way of what stands on it",
-            ),
+        # hands 60 cm over the table, out of the way of what stands on it
+        "raised": (
+            (0.0242, -0.3986, 0.0716, -1.7764, 0.0283, 1.3788, 0.8811),
+            (-0.0244, -0.3986, -0.0715, -1.7764, -0.0283, 1.3788, 0.6897),
         ),
-        ("folded", _both((0.0, -1.4, 0.0, -2.9, 0.0, 1.6, 0.785), "arms drawn back over their bases, the table free")),
-    ),
+        # arms drawn back over their bases, the table free
+        "folded": ((0.0, -1.4, 0.0, -2.9, 0.0, 1.6, 0.785),) * 2,
+    },
 )
 
 _TURN = 2.0 * math.pi
@@ -86,7 +73,6 @@ XARM7 = ArmModel(
     name="xarm7",
     urdf=f"{_ROBOTS}/xarm_description/urdf/xarm7.urdf",
     srdf=f"{_ROBOTS}/xarm_description/srdf/xarm7.srdf",
-    never_touch=(),
     joints=tuple(f"joint{i}" for i in range(1, 8)),
     base_link="link_base",
     flange_link="link7",
@@ -102,33 +88,21 @@ XARM7 = ArmModel(
     # 1146 deg/s^2 and 28647 deg/s^3: UFACTORY documentation, "Guide to run robotic arm at the maximum speed".
     a_max=(20.0,) * 7,
     jerk_max=(500.0,) * 7,
-    tau_rate_max=1000.0,  # assumed equal to the Panda's
-    # Rotor inertia: MuJoCo Menagerie. The URDF's friction (10, 5 and 2 Nms/rad, 1 Nm) stabilises a simulator; the drives
-    # are assumed to compensate theirs down to the Panda's.
-    armature=0.1,
-    damping=0.1,
-    friction=0.0,
+    # The URDF's friction (10, 5 and 2 Nms/rad, 1 Nm) stabilises a simulator; the drives are assumed to compensate theirs
+    # down to the Panda's, and torque rate is assumed equal.
     hand=PANDA_HAND,
-    postures=(
-        ("ready", _both((0.0, -0.3087, 0.0, 0.719, 0.0, 1.0277, 0.0), "hands down, 25 cm over the table")),
-        (
-            "carry",
-            Posture(
-                (0.4765, -0.0394, -0.7065, 0.8419, -0.0334, 0.8722, -1.7789),
-                (0.4542, -0.0308, -0.2194, 0.8419, -0.0088, 0.8719, -1.3303),
-                "hands 24 cm apart at the middle, 20 cm over the table, as they hold the rod",
-            ),
+    postures={
+        "ready": ((0.0, -0.3087, 0.0, 0.719, 0.0, 1.0277, 0.0),) * 2,
+        "carry": (
+            (0.4765, -0.0394, -0.7065, 0.8419, -0.0334, 0.8722, -1.7789),
+            (0.4542, -0.0308, -0.2194, 0.8419, -0.0088, 0.8719, -1.3303),
         ),
-        (
-            "raised",
-            Posture(
-                (0.0328, -0.2021, 0.1595, 1.886, 0.0366, 2.0852, 0.2073),
-                (-0.0328, -0.2021, -0.1595, 1.886, -0.0366, 2.0852, -0.2073),
-                "hands 60 cm over the table, out of the way of what stands on it",
-            ),
+        "raised": (
+            (0.0328, -0.2021, 0.1595, 1.886, 0.0366, 2.0852, 0.2073),
+            (-0.0328, -0.2021, -0.1595, 1.886, -0.0366, 2.0852, -0.2073),
         ),
-        ("folded", _both((0.0, -1.4, 0.0, 0.55, 0.0, 1.9, 0.0), "arms drawn back over their bases, the table free")),
-    ),
+        "folded": ((0.0, -1.4, 0.0, 0.55, 0.0, 1.9, 0.0),) * 2,
+    },
 )
 
 UR5 = ArmModel(
@@ -137,13 +111,8 @@ UR5 = ArmModel(
     srdf=f"{_ROBOTS}/ur_description/srdf/ur5.srdf",
     # As in the SRDF. Their hulls come within 15 mm in every posture, so planning would examine them.
     never_touch=(("base_link", "upper_arm_link"), ("forearm_link", "wrist_2_link")),
-    joints=(
-        "shoulder_pan_joint",
-        "shoulder_lift_joint",
-        "elbow_joint",
-        "wrist_1_joint",
-        "wrist_2_joint",
-        "wrist_3_joint",
+    joints=tuple(
+        f"{name}_joint" for name in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
     ),
     base_link="base_link",
     flange_link="tool0",
@@ -158,10 +127,6 @@ UR5 = ArmModel(
     # The maker gives none; MoveIt's configuration of the arm uses 10 rad/s^2. Jerk and torque rate are assumed.
     a_max=(10.0,) * 6,
     jerk_max=(5000.0,) * 6,
-    tau_rate_max=1000.0,
-    armature=0.1,  # MuJoCo Menagerie's value for the UR5e
-    damping=0.1,
-    friction=0.0,
     hand=PANDA_HAND,
 )
 

@@ -8,7 +8,8 @@ away from them, left is +y.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -50,16 +51,7 @@ class HandModel:
     camera_tilt_rad: float
 
 
-@dataclass(frozen=True)
-class Posture:
-    """A named posture [rad]."""
-
-    left: tuple[float, ...]
-    right: tuple[float, ...]
-    description: str
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ArmModel:
     """One arm with its hand; limits per joint.
 
@@ -79,12 +71,13 @@ class ArmModel:
         armature: Reflected rotor inertia [kg m^2].
         damping: [Nm s/rad].
         friction: Dry friction [Nm].
+        postures: Named (left, right) [rad].
     """
 
     name: str
     urdf: str
     srdf: str | None
-    never_touch: tuple[tuple[str, str], ...]
+    never_touch: tuple[tuple[str, str], ...] = ()
     joints: tuple[str, ...]
     base_link: str
     flange_link: str
@@ -97,12 +90,12 @@ class ArmModel:
     a_max: tuple[float, ...]
     jerk_max: tuple[float, ...]
     tau_max: tuple[float, ...]
-    tau_rate_max: float
-    armature: float
-    damping: float
-    friction: float
+    tau_rate_max: float = 1000.0  # the Panda's (Franka Control Interface documentation)
+    armature: float = 0.1  # MuJoCo Menagerie's value for the Panda, the xArm7 and the UR5e
+    damping: float = 0.1
+    friction: float = 0.0
     hand: HandModel
-    postures: tuple[tuple[str, Posture], ...] = ()
+    postures: Mapping[str, tuple[tuple[float, ...], ...]] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
         """Raise ValueError for limits of wrong length."""
@@ -113,16 +106,22 @@ class ArmModel:
                 )
 
 
+def _of_both(name: str) -> cached_property[Array]:
+    """Return a property: the arm's values (n / 2,), for both arms (n,)."""
+
+    def values(robot: Robot) -> Array:
+        array = np.array(getattr(robot.arm, name) * 2, dtype=float)
+        array.setflags(write=False)
+        return array
+
+    return cached_property(values)
+
+
 @dataclass(frozen=True)
 class Robot:
     """Two arms of one model."""
 
     arm: ArmModel
-
-    def _both(self, values: tuple[float, ...]) -> Array:
-        array = np.array(values + values, dtype=float)
-        array.setflags(write=False)
-        return array
 
     @property
     def hand(self) -> HandModel:
@@ -191,37 +190,17 @@ class Robot:
         n = self.dof_per_arm
         return slice(arm * n, (arm + 1) * n)
 
-    @cached_property
-    def home(self) -> Array:
-        """Home posture [rad]."""
-        return self._both(self.arm.home)
-
-    @cached_property
-    def q_lower(self) -> Array:
-        """Position limits [rad]."""
-        return self._both(self.arm.q_lower)
-
-    @cached_property
-    def q_upper(self) -> Array:
-        """Position limits [rad]."""
-        return self._both(self.arm.q_upper)
-
-    @cached_property
-    def v_max(self) -> Array:
-        """Velocity limits [rad/s]."""
-        return self._both(self.arm.v_max)
-
-    @cached_property
-    def a_max(self) -> Array:
-        """Acceleration limits [rad/s^2]."""
-        return self._both(self.arm.a_max)
-
-    @cached_property
-    def jerk_max(self) -> Array:
-        """Jerk limits [rad/s^3]."""
-        return self._both(self.arm.jerk_max)
-
-    @cached_property
-    def tau_max(self) -> Array:
-        """Torque limits [Nm]."""
-        return self._both(self.arm.tau_max)
+    home = _of_both("home")
+    """Home posture [rad]."""
+    q_lower = _of_both("q_lower")
+    """Position limits [rad]."""
+    q_upper = _of_both("q_upper")
+    """Position limits [rad]."""
+    v_max = _of_both("v_max")
+    """Velocity limits [rad/s]."""
+    a_max = _of_both("a_max")
+    """Acceleration limits [rad/s^2]."""
+    jerk_max = _of_both("jerk_max")
+    """Jerk limits [rad/s^3]."""
+    tau_max = _of_both("tau_max")
+    """Torque limits [Nm]."""

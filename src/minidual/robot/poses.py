@@ -55,11 +55,6 @@ def rotation_log(R: Array) -> Array:
     return vee * (0.5 * angle / sine)
 
 
-def quat_from_yaw(yaw_rad: float) -> Array:
-    """Return the quaternion wxyz."""
-    return np.array([np.cos(yaw_rad / 2.0), 0.0, 0.0, np.sin(yaw_rad / 2.0)])
-
-
 def rotation_from_quat(quat_wxyz: Array) -> Array:
     """Return the rotation."""
     w, x, y, z = quat_wxyz

@@ -8,7 +8,6 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -97,17 +96,7 @@ class Trajectory:
         """Return speed bounds (n - 1, dof) [rad/s] per step, from Bezier coefficients."""
         h = self.dt_s
         middle = 3.0 * np.diff(self.q, axis=0) / h - self.v[:-1] - self.v[1:]
-        return np.maximum(np.maximum(np.abs(self.v[:-1]), np.abs(self.v[1:])), np.abs(middle))
-
-    def slowed(self, factor: float) -> Trajectory:
-        """Return the path, `factor` >= 1 times slower."""
-        if not (np.isfinite(factor) and factor >= 1.0):
-            raise UsageError(f"slow-down factor {factor}; it must be finite and >= 1")
-        n = int(np.ceil((len(self.times) - 1) * factor)) + 1
-        exact = (n - 1) / (len(self.times) - 1)
-        times: Array = np.arange(n, dtype=float) * self.dt_s
-        q, v, a = self.sample_many(times / exact)
-        return Trajectory(times, q, v / exact, a / exact**2, self.group)
+        return np.abs([self.v[:-1], self.v[1:], middle]).max(axis=0)
 
     def digest(self) -> str:
         """Return a sha256 of all samples."""
@@ -116,10 +105,10 @@ class Trajectory:
             h.update(np.ascontiguousarray(x).tobytes())
         return h.hexdigest()
 
-    def to_json(self, joint_names: Sequence[str], every: int = 1) -> dict[str, Any]:
-        """Return every `every`-th sample and the last."""
+    def write_json(self, path: Path, joint_names: Sequence[str], every: int = 1) -> None:
+        """Write every `every`-th sample and the last."""
         rows = np.unique(np.append(np.arange(0, len(self.times), every), len(self.times) - 1))
-        return {
+        content = {
             "group": self.group,
             "joint_names": list(joint_names),
             "times_s": self.times[rows].round(6).tolist(),
@@ -127,10 +116,7 @@ class Trajectory:
             "v_rad_per_s": self.v[rows].round(9).tolist(),
             "a_rad_per_s2": self.a[rows].round(9).tolist(),
         }
-
-    def write_json(self, path: Path, joint_names: Sequence[str], every: int = 1) -> None:
-        """Write `to_json`."""
-        path.write_text(json.dumps(self.to_json(joint_names, every)), encoding="utf-8")
+        path.write_text(json.dumps(content), encoding="utf-8")
 
     def write_csv(self, path: Path, joint_names: Sequence[str]) -> None:
         """Write time, q, v, a."""
