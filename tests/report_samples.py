@@ -191,7 +191,7 @@ def make_verdict(stage: str, folder: Path, checks: Sequence[Check], data: Mappin
             run="standard",
             fingerprint=fingerprint,
             checks=tuple(checks),
-            artefacts=build_manifest(folder, None),
+            artefacts=build_manifest(folder),
             acceptance_profile=True,
             started_at=f"2026-01-31T12:{number:02d}:00Z",
             finished_at=f"2026-01-31T12:{number:02d}:50Z",

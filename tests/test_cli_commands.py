@@ -150,7 +150,7 @@ def test_corrupt_verdict_names_file_and_command(cli):
     path = cli.bench.store.verdict_path("first")
     path.write_text('{"schema": NaN}')
     code, _, err = cli("second")
-    assert code == 2
+    assert code == 3
     assert f"{path} is corrupt: schema nan is not 2" in err
     assert "remedy: minidual first --run toys" in err
     code, out, _ = cli("status")

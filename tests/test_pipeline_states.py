@@ -120,7 +120,7 @@ def test_edited_verdict_is_an_error_not_a_pass(finished):
     path = finished.store.verdict_path("first")
     path.write_text(path.read_text().replace('"seed": ', '"seed": 1'))
     state = finished.gate().state("first")
-    assert (state.state, state.corrupt) == ("error", True)
+    assert (state.state, state.verdict) == ("error", None)
     assert str(path) in state.reasons[0]
 
 

@@ -195,7 +195,7 @@ def test_text_from_verdicts_is_escaped(tmp_path: Path) -> None:
 
 def with_artefact(given: ReportInput, stage: str) -> ReportInput:
     """Return the run with the manifest of `stage` taken anew."""
-    verdict = replace(given.verdicts[stage], artefacts=build_manifest(given.folders[stage], None))
+    verdict = replace(given.verdicts[stage], artefacts=build_manifest(given.folders[stage]))
     return replace(given, verdicts={**given.verdicts, stage: verdict})
 
 

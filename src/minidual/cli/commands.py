@@ -24,7 +24,7 @@ def stage_body(entry: StageEntry) -> Body:
     def body(session: Session, values: Mapping[str, Any]) -> ExitCode:
         from minidual.cli.tables import print_outcome
 
-        aside = next((aside for aside in entry.asides if aside.is_asked_for(values)), None)
+        aside = next((aside for aside in entry.asides if _was_typed(values[aside.trigger])), None)
         _refuse_loose_options(entry, aside, values)
         if aside is not None:
             return run_tool(aside, session, values)
@@ -213,15 +213,10 @@ def explain_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
     upstream = {name: gate.state(name).state for name in entry.requires}
     lowest = gate.lowest()
     if not session.typed.json:
-        if gate.closed_by(entry.name):
-            error = gate.closed_error(entry.name, session.typed.command)
-            following = f"{error.message}\nnext: {error.remedy}"
-        elif state.state == "pass":
-            following = f"to run it again: {session.typed.command(f'{entry.name} --force')}"
+        print_explanation(session.data, entry, state, upstream)
+        if state.state == "pass":
+            session.say(f"to run it again: {session.typed.command(f'{entry.name} --force')}")
         else:
-            following = f"next: {session.typed.command(entry.name)}"
-        print_explanation(session.data, entry, state, upstream, following)
-        if state.state != "pass":
             print_lowest(session.data, lowest, session.following(gate, explained=True))
     document = {
         **_state_json(state),

@@ -74,9 +74,7 @@ def print_outcome(console: Console, outcome: Outcome, following: str) -> None:
     _lines(console, [following])
 
 
-def print_explanation(
-    console: Console, entry: StageEntry, state: StageState, upstream: Mapping[str, str], following: str
-) -> None:
+def print_explanation(console: Console, entry: StageEntry, state: StageState, upstream: Mapping[str, str]) -> None:
     """Print all about one stage; `upstream` is {required stage: state}."""
     console.print(Text.assemble((entry.name, "bold"), " is ", state_text(state.state), f". {entry.summary}."))
     for name, its in upstream.items():
@@ -90,7 +88,6 @@ def print_explanation(
         title = f"{made}, seed {verdict.fingerprint.seed}"
         _print_verdict(console, state, verdict, title, explained=True)
         _lines(console, [f"made with {text}" for text in verdict.overrides])
-    _lines(console, [following])
 
 
 def _print_verdict(

@@ -49,13 +49,10 @@ class Fingerprint:
 
     def choices(self, now: Fingerprint) -> list[str]:
         """Return how parameters, options, seed and profile differ."""
+        typed = {"parameter": self.parameters, "option": self.options}
+        current = {"parameter": canonical(now.parameters), "option": canonical(now.options)}
         reasons = [
-            f"{label} {name} was {_short(then)}, is {_short(current)}"
-            for label, before, after in (
-                ("parameter", self.parameters, canonical(now.parameters)),
-                ("option", self.options, canonical(now.options)),
-            )
-            for name, then, current in changes(before, after)
+            f"{key.replace('.', ' ', 1)} was {_short(a)}, is {_short(b)}" for key, a, b in changes(typed, current)
         ]
         if self.seed != now.seed:
             reasons.append(f"the seed was {self.seed}, is {now.seed}")

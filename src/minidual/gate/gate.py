@@ -43,7 +43,6 @@ class StageState:
     verdict: Verdict | None = None
     verdict_sha256: str | None = None
     folder: Path | None = None
-    corrupt: bool = False
 
     def because(self) -> list[str]:
         """Return failed checks with why and remedy, or why the stage is not fresh."""
@@ -129,13 +128,11 @@ class Gate:
         extras = [f"--{key} {value}" for key, value in self.table[name].extras(options).items()]
         return [f"--profile {loaded.profile}", *(item.text for item in loaded.overrides), *extras]
 
-    def closed_error(self, name: str, command: CommandText) -> GateClosedError | DataError:
+    def closed_error(self, name: str, command: CommandText) -> GateClosedError:
         """Return the closed-gate error: cause, failed check and command to type."""
         unfinished = [state for up in self.table.upstream(name) if (state := self.state(up)).state != "pass"]
         cause = unfinished[0]
         mend = command(cause.name if len(unfinished) == 1 else f"run --until {name}")
-        if cause.corrupt:
-            return DataError(cause.why(), remedy=mend)
         article = "ended in error" if cause.state == "error" else f"is {cause.state}"
         words = {"pass": "passed", "fail": "failed", "missing": "has not run"}.get(cause.state, article)
         text = f"the gate of {name} is closed: {cause.name} {words}"
@@ -189,7 +186,7 @@ class Gate:
         try:
             found = self.store.verdict(name)
         except DataError as error:
-            return StageState(name, "error", (error.message,), folder=folder, corrupt=True)
+            return StageState(name, "error", (error.message,), folder=folder)
         if found is None:
             return self._judge_unfinished(name)
         verdict, sha256 = found

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
-from minidual.errors import DataError
 from minidual.gate.canonical import file_sha256
 
 VERDICT_FILE = "verdict.json"
 ATTEMPT_FILE = "attempt.json"
 CONFIG_FILE = "config.yaml"
-_NOT_ARTEFACTS = (VERDICT_FILE, ATTEMPT_FILE)
 
 
 @dataclass(frozen=True)
@@ -23,30 +21,12 @@ class Artefact:
     size_bytes: int
 
 
-def _files_under(folder: Path) -> Iterable[Path]:
-    return sorted(path for path in folder.rglob("*") if path.is_file())
-
-
-def build_manifest(folder: Path, listed: Sequence[str] | None) -> dict[str, Artefact]:
-    """Return {relative posix path: Artefact} of `listed` paths (None: all files).
-
-    DataError if a path is missing or outside the folder.
-    """
-    if listed is None:
-        files: set[Path] = set(_files_under(folder))
-    else:
-        files = {folder / CONFIG_FILE} if (folder / CONFIG_FILE).is_file() else set()
-        for name in listed:
-            path = folder / name
-            if PurePosixPath(name).is_absolute() or not path.resolve().is_relative_to(folder.resolve()):
-                raise DataError(f"artefact '{name}' lies outside the stage's folder")
-            if not path.exists():
-                raise DataError(f"artefact '{name}' was announced but not written to {folder}")
-            files.update(_files_under(path) if path.is_dir() else [path])
+def build_manifest(folder: Path) -> dict[str, Artefact]:
+    """Return {relative posix path: Artefact} of all files."""
     manifest: dict[str, Artefact] = {}
-    for path in sorted(files):
+    for path in sorted(path for path in folder.rglob("*") if path.is_file()):
         name = path.relative_to(folder).as_posix()
-        if name not in _NOT_ARTEFACTS:
+        if name not in (VERDICT_FILE, ATTEMPT_FILE):
             manifest[name] = Artefact(file_sha256(path), path.stat().st_size)
     return manifest
 

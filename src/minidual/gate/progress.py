@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from types import TracebackType
 from typing import Self
 
 
@@ -36,10 +35,8 @@ class Task:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._say(self._line(time.monotonic()) + (" (stopped)" if kind is not None else ""))
+    def __exit__(self, *error: object) -> None:
+        self._say(self._line(time.monotonic()) + (" (stopped)" if any(error) else ""))
 
 
 class Progress:

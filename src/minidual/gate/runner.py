@@ -179,7 +179,7 @@ class Runner:
                     run=self.store.run,
                     fingerprint=fingerprint,
                     checks=(*result.checks, *_closing_checks(entry, result.checks, context)),
-                    artefacts=build_manifest(folder, result.artefacts),
+                    artefacts=build_manifest(folder),
                     acceptance_profile=loaded.config.acceptance,
                     started_at=started_at,
                     finished_at=now_text(),

@@ -55,12 +55,10 @@ class StageResult:
 
     Attributes:
         checks: Unique names, at least one limit.
-        artefacts: Relative paths; default: all files.
         data: JSON types, under about 100 kB.
     """
 
     checks: Sequence[Check]
-    artefacts: Sequence[str] | None = None
     data: Mapping[str, Any] = field(default_factory=dict[str, Any])
     notes: Sequence[str] = ()
 

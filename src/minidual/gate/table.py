@@ -71,7 +71,7 @@ class ToolEntry:
     Attributes:
         name: The command, or an aside's output folder.
         target: "module:function", see `minidual.gate.tool`.
-        trigger: Option that selects it.
+        trigger: Option that selects it, one word.
         watchable: Takes --view.
         examples: For --help, such as "replay worst.npz".
     """
@@ -88,10 +88,6 @@ class ToolEntry:
     def load(self) -> ToolFunction:
         """Return the function."""
         return cast(ToolFunction, _loaded(self.name, self.target))
-
-    def is_asked_for(self, values: Mapping[str, Any]) -> bool:
-        """Return whether the trigger was given."""
-        return any(values[o.key] not in (None, False) for o in self.options if o.name == self.trigger)
 
 
 @dataclass(frozen=True)
