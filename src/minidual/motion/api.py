@@ -11,6 +11,7 @@ import numpy as np
 from minidual.collision.errors import NoPathInTimeError, TimingError
 from minidual.collision.scene import PlanningScene
 from minidual.config.planning import PlannerConfig
+from minidual.config.seeds import stream, subseed
 from minidual.errors import UsageError
 from minidual.motion.blend import blended_path
 from minidual.motion.edges import EdgeChecker
@@ -172,7 +173,7 @@ class Planner:
                 work.q_start,
                 targets,
                 work.engines,
-                np.random.default_rng([seed, 1]),
+                stream(seed, "motion/goals"),
                 restarts_n=self.config.ik_restarts_n,
                 candidates_n=self.config.goal_candidates_n,
             )
@@ -210,19 +211,18 @@ class _Work:
         attempt = 0
         while times.elapsed_s < self.budget_s:
             goal = goals[attempt % len(goals)]
-            key = np.random.SeedSequence([self.seed, 2, attempt])
             attempt += 1
             # All pairs were checked at start and goal; only pairs with a moving part can change.
             with times.phase("search"):
                 checker = EdgeChecker(self.engines, effort.padding_m, (self.q_start, goal), effort.step_rad, self.arms)
-                path = self._search(goal, checker, effort, key)
+                path = self._search(goal, checker, effort, attempt)
             if path is None:
                 name = effort.planner(config.planner, config.fallback_planners)
                 notes.append(f"{name} found no path in {checker.checks_n} state checks")
                 effort = effort.after_no_path()
                 continue
             try:
-                trajectory, path = self._finish(path, checker, key)
+                trajectory, path = self._finish(path, checker, attempt)
             except TimingError as error:
                 notes.append(error.message)
                 effort = effort.after_no_proof()
@@ -242,7 +242,7 @@ class _Work:
             remedy="raise the budget, make room in the scene, or choose another goal",
         )
 
-    def _search(self, goal: Array, checker: EdgeChecker, effort: Effort, key: np.random.SeedSequence) -> Array | None:
+    def _search(self, goal: Array, checker: EdgeChecker, effort: Effort, attempt: int) -> Array | None:
         """Return a free polyline (k, n) or None."""
         if checker.edge_free(self.q_start, goal):
             return np.array([self.q_start, goal])
@@ -253,18 +253,18 @@ class _Work:
             self.planner.robot.groups[self.group],
             planner=effort.planner(self.config.planner, self.config.fallback_planners),
             range_rad=self.config.range_rad,
-            seed=int(key.generate_state(1)[0]),
+            seed=subseed(self.seed, "motion/search", attempt),
             checks_max=effort.checks_n,
             deadline=self.times.started + self.budget_s,
         )
 
-    def _finish(self, path: Array, checker: EdgeChecker, key: np.random.SeedSequence) -> tuple[Trajectory, Array]:
+    def _finish(self, path: Array, checker: EdgeChecker, attempt: int) -> tuple[Trajectory, Array]:
         """Return the trajectory and the shortened polyline, or raise TimingError."""
         if np.abs(path[-1] - path[0]).max() < _SAME_RAD and len(path) == 2:
             return resting(path[0], DT_S, self.group), path
         config = self.config
         with self.times.phase("shortcut"):
-            path = shortcut(path, checker, np.random.default_rng(key), config.shortcut_rounds_n)
+            path = shortcut(path, checker, stream(self.seed, "motion/shortcut", attempt), config.shortcut_rounds_n)
         with self.times.phase("blend"):
             curve = blended_path(path, checker, config.blend_radius_rad, checker.step_rad / 3.0)
         if curve is None:

@@ -10,6 +10,7 @@ import pinocchio as pin
 from minidual.collision.errors import OutOfLimitsError
 from minidual.collision.scene import PlanningScene
 from minidual.config.robot import SemanticsConfig
+from minidual.config.seeds import stream
 from minidual.errors import ConfigError, UsageError, unknown_name
 from minidual.motion.api import Planner
 from minidual.motion.goal import Goal, TipPose
@@ -149,7 +150,7 @@ class GoalPlanner:
         resolved = self.resolve(group, q_near, start, scene)
         if not isinstance(resolved, dict):
             return resolved
-        rng, restarts_n = np.random.default_rng([seed, 3]), self.planner.config.ik_restarts_n
+        rng, restarts_n = stream(seed, "motion/start"), self.planner.config.ik_restarts_n
         engines = self.planner.engines(scene)
         return self.planner.goals.candidates(
             group, q_near, resolved, engines, rng, restarts_n=restarts_n, candidates_n=1

@@ -15,6 +15,7 @@ import ompl.base as ob
 import ompl.geometric as og
 import ompl.util as ou
 
+from minidual.config.seeds import subseed
 from minidual.motion.edges import EdgeChecker
 from minidual.registry import Registry
 from minidual.robot.pair import Array
@@ -76,7 +77,7 @@ def bounded_space(lower: Array, upper: Array) -> Any:
 def seeded(seed: int) -> None:
     """Seed OMPL and silence it: a repeated setSeed works but logs an error."""
     ou.setLogLevel(ou.LOG_NONE)
-    ou.RNG.setSeed(1 + seed % (2**31 - 2))
+    ou.RNG.setSeed(max(1, subseed(seed, "ompl")))
 
 
 def exact_path(worker: Any, problem: Any, enough: Callable[[], bool]) -> Any:

@@ -17,6 +17,7 @@ from minidual.collision.errors import ClosedChainError, NoPathInTimeError, Plann
 from minidual.collision.scene import Attached, PlanningScene
 from minidual.collision.shapes import Shape
 from minidual.config.planning import MotionLimits
+from minidual.config.seeds import stream, subseed
 from minidual.motion.api import Planner, more_padding
 from minidual.motion.blend import rounded
 from minidual.motion.edges import EdgeChecker
@@ -245,7 +246,7 @@ class HeldWork:
             try:
                 points = self.search(method, goals, effort, attempt)
                 if points is not None:
-                    rng = np.random.default_rng([self._query.seed, 3, attempt])
+                    rng = stream(self._query.seed, "held/shorten", attempt)
                     space = self._space([points[-1, Q]], effort)
                     return self.rounded(shorten(space, points, rng, _SHORTEN_ROUNDS_N), method)
                 self.notes.append(f"{method} found no path")
@@ -305,7 +306,7 @@ class HeldWork:
                     self._q_start,
                     {arm: T_goal @ grasp for arm, grasp in zip(SIDES, self._hands.grasps, strict=True)},
                     engines,
-                    np.random.default_rng([self._query.seed, 1]),
+                    stream(self._query.seed, "held/goals"),
                     restarts_n=restarts_scale * config.ik_restarts_n,
                     candidates_n=1 if wanted_n == 1 else _CANDIDATES_N,
                 )
@@ -350,7 +351,7 @@ class HeldWork:
         if method == "object_rrt":
             start = space.point(self._T_start, self._q_start)
             ends = [space.point(query.T_world_goal, q) for q in goals]
-            rng = np.random.default_rng([query.seed, 2, attempt])
+            rng = stream(query.seed, "held/search", attempt)
             return search_object(space, start, ends, rng, checks_max=effort.checks_n, deadline=self._deadline)
         left, right = self._hands.grasps
         constraint = GraspConstraint(inverse(left) @ right, self._tools.kinematics)
@@ -364,7 +365,7 @@ class HeldWork:
                 start,
                 goal,
                 space=method,
-                seed=query.seed + attempt,
+                seed=subseed(query.seed, "held/manifold", attempt),
                 checks_max=effort.checks_n,
                 deadline=self._deadline,
             )

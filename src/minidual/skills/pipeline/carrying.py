@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from minidual.collision.errors import PlanningError
+from minidual.config.seeds import stream
 from minidual.motion.held.planner import HeldQuery
 from minidual.robot.pair import SIDES, Array
 from minidual.skills.phases import PHASES
@@ -66,7 +65,7 @@ class Carry(Stage):
             start.q,
             _hands_at(place.T_world_object, start),
             tools.planner.engines(tools.scene(start, resting=place.rests)),
-            np.random.default_rng([tools.seed, 2, index]),
+            stream(tools.seed, "pipeline/place", index),
             restarts_n=tools.planner.config.ik_restarts_n,
             candidates_n=1,
         )

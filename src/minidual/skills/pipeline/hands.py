@@ -9,13 +9,14 @@ import numpy as np
 
 from minidual.collision.errors import PlanningError
 from minidual.collision.scene import PlanningScene
+from minidual.config.seeds import subseed
 from minidual.robot.pair import SIDES, Array
 from minidual.skills.phases import PHASES
 from minidual.skills.pipeline.stage import Candidate, Failure, Offer, Stage, Tools, failure, group_of
 from minidual.skills.pipeline.state import CLOSED, OPEN, Segment, State, moved, still
 
-_ATTEMPTS, _NEXT_SEED = 5, 1_000_003
-"""Postures tried per grip, and the seed step between them."""
+_ATTEMPTS = 5
+"""Postures tried per grip."""
 _SHORTER = (1.0, 0.6)
 """Shares of the retreat height to try."""
 
@@ -54,7 +55,7 @@ class Reach(OfArms):
             shift = off(at, PHASES["approach"].rise_m)
             over = {arm: moved(T, shift) for arm, T in at.items()}
             for attempt in range(_ATTEMPTS):
-                seed = tools.seed + attempt * _NEXT_SEED
+                seed = subseed(tools.seed, "pipeline/approach", attempt)
                 try:
                     plan = tools.planner.plan_to_poses(group_of(self.arms), start.q, over, scene=scene, seed=seed)
                 except PlanningError as error:
