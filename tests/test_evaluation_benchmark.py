@@ -71,10 +71,10 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, list[Any], Co
 
     def run_trials(
         method: str, inputs: MethodInputs, trials: list[Any], *, workers: int, condition: str, watch: Any = None
-    ) -> Iterator[tuple[TrialResult, None]]:
+    ) -> Iterator[TrialResult]:
         calls.append((method, condition, [t.start for t in trials], inputs.config))
         for trial in trials:
-            yield outcome(method, trial.index, condition, success=(trial.index, method) != (1, "act")), None
+            yield outcome(method, trial.index, condition, success=(trial.index, method) != (1, "act"))
 
     monkeypatch.setattr(benchmark, "run_trials", run_trials)
     return calls
@@ -164,11 +164,11 @@ def test_a_success_that_nothing_pushed_leaves_its_cell_open(
 ) -> None:
     run = benchmark.run_trials
 
-    def missed(*given: Any, condition: str, **other: Any) -> Iterator[tuple[TrialResult, None]]:
-        for result, log in run(*given, condition=condition, **other):
+    def missed(*given: Any, condition: str, **other: Any) -> Iterator[TrialResult]:
+        for result in run(*given, condition=condition, **other):
             if condition == "push +x" and result.metrics.index == 2:
                 result = dataclasses.replace(result, metrics=dataclasses.replace(result.metrics, disturbed=disturbed))
-            yield result, log
+            yield result
 
     assert failing(table().values()) == set()
     monkeypatch.setattr(benchmark, "run_trials", missed)
@@ -337,7 +337,7 @@ def test_trials_under_a_condition_do_not_depend_on_workers() -> None:
     trials = [sample_trial(config.scene, SEED, "benchmark", i) for i in range(2)]
     inputs = MethodInputs(config, SEED)
     one, two = (
-        [r.metrics.to_row() for r, _ in run_trials("impedance", inputs, trials, workers=n, condition="moved 20 mm")]
+        [r.metrics.to_row() for r in run_trials("impedance", inputs, trials, workers=n, condition="moved 20 mm")]
         for n in (1, 2)
     )
     assert one == two

@@ -50,7 +50,7 @@ def outcomes(monkeypatch):
         asked.append((condition, inputs.config, [t.start for t in trials]))
         for trial in trials:
             failed = trial.index < failures.get(condition, 0)
-            yield trial_result(trial.index, condition, success=not failed), None
+            yield trial_result(trial.index, condition, success=not failed)
 
     monkeypatch.setattr(benchmark, "run_trials", run_trials)
     return failures, asked
@@ -150,9 +150,9 @@ def test_a_row_with_a_success_that_nothing_pushed_does_not_hold(outcomes, monkey
     run = benchmark.run_trials
 
     def missed(*given, condition, **other):
-        for result, log in run(*given, condition=condition, **other):
+        for result in run(*given, condition=condition, **other):
             metrics = dataclasses.replace(result.metrics, disturbed=False)
-            yield (dataclasses.replace(result, metrics=metrics) if condition == "push -y" else result), log
+            yield dataclasses.replace(result, metrics=metrics) if condition == "push -y" else result
 
     monkeypatch.setattr(benchmark, "run_trials", missed)
     rows = found()

@@ -5,6 +5,7 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -20,7 +21,7 @@ from minidual.show.view import Arrow, Overlay, PathLine, Preview, Slider, make_v
 from minidual.show.view.web import WebView
 from minidual.show.watch import Watcher, overlay, visual_model, watch_trials, watched
 from minidual.trials.methods import MethodInputs
-from minidual.trials.runner import run_trials
+from minidual.trials.runner import Bench, TrialLog, TrialResult, run_trials
 
 CONFIG = Config()
 SUBPROTOCOL = "viser-v1.1.1"
@@ -195,26 +196,37 @@ def test_no_one_can_open_a_public_tunnel(view: WebView) -> None:
     assert view._server._share_tunnel is None
 
 
-def test_a_watched_trial_ends_as_an_unwatched_one_to_the_last_bit(view: WebView) -> None:
+def _keeping(run: Any, logs: list[TrialLog]) -> Any:
+    def kept(*given: Any, **how: Any) -> tuple[TrialResult, TrialLog]:
+        result, log = run(*given, **how)
+        logs.append(log)
+        return result, log
+
+    return kept
+
+
+def test_a_watched_trial_ends_as_an_unwatched_one_to_the_last_bit(
+    view: WebView, monkeypatch: pytest.MonkeyPatch
+) -> None:
     scene = CONFIG.scene.model_copy(update={"task": CONFIG.scene.task.model_copy(update={"time_limit_s": 1.5})})
     config = CONFIG.model_copy(update={"scene": scene})
     inputs = MethodInputs(config, 5)
     trials = [sample_trial(scene, 5, "view-test", 0)]
     shown: list[Overlay] = []
-    plain, log = next(run_trials("impedance", inputs, trials, workers=1, keep_logs=True))
+    plain, log = Bench("impedance", inputs).run(trials[0])
     view._period_s = 0.001  # nobody is connected: a tenth of it is what is shown
     update = view.update
     view.update = lambda data, words: (shown.append(words), update(data, words))[1]  # type: ignore[method-assign]
-    seen, seen_log = next(run_trials("impedance", inputs, trials, workers=1, keep_logs=True, watch=watch_trials(view)))
+    logs: list[TrialLog] = []
+    monkeypatch.setattr(Bench, "run", _keeping(Bench.run, logs))
+    (seen,) = run_trials("impedance", inputs, trials, workers=1, watch=watch_trials(view))
     assert len(shown) > 5
     assert shown[-1].title == "impedance, trial 1 of 1"
     assert seen == plain
-    assert log is not None
-    assert seen_log is not None
-    assert np.array_equal(log.q, seen_log.q)
-    assert np.array_equal(log.tau, seen_log.tau)
+    assert np.array_equal(log.q, logs[0].q)
+    assert np.array_equal(log.tau, logs[0].tau)
     slower = sample_trial(scene, 5, "view-test", 1)  # another start is another trial: the comparison can fail
-    other, _ = next(run_trials("impedance", inputs, [slower], workers=1))
+    (other,) = run_trials("impedance", inputs, [slower], workers=1)
     assert other.metrics != plain.metrics
 
 

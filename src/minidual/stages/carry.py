@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from minidual.config.seeds import stream
 from minidual.demos.smoothness import JERK_FILTER
 from minidual.durable import write_csv
 from minidual.errors import DataError
-from minidual.gate.check import Check
+from minidual.gate.check import Check, Op
 from minidual.gate.stage import StageContext, StageResult
 from minidual.robot.arms import robot_from
 from minidual.show.figures.film import film_trial
@@ -21,76 +22,59 @@ from minidual.show.watch import watch_trials
 from minidual.tasks.task import Trial, make_task
 from minidual.trials.methods import MethodInputs
 from minidual.trials.metrics import summarise
-from minidual.trials.runner import Bench, TrialResult, run_trials
+from minidual.trials.runner import Bench, TrialLog, TrialResult, run_trials
 
 METHOD = "impedance"
 RECORDED_FAILURES_MAX = 20
 """Most recorded failures; trials.csv has all."""
 
 
+_WORDS = {
+    "success_rate": (
+        "share of trials in which both arms carried the object to its goal and let go",
+        "trials.csv names what failed first; minidual carry --set carry.impedance.internal_force_n=...",
+    ),
+    "tilt_max_rad": (
+        "a tilted object slips or spills",
+        "raise carry.impedance.stiffness_n_per_m or lower carry.pace.object_acceleration_m_per_s2",
+    ),
+    "internal_force_min_n": (
+        "squeeze between the hands while the object is off the table; below it the object may slip",
+        "raise carry.impedance.internal_force_n (at most 80)",
+    ),
+    "duration_max_s": (
+        "from the start to the object released at its goal; a failed trial counts as the time limit",
+        "raise the limits of carry.pace",
+    ),
+    "torque_ratio_max": (
+        "largest motor torque over its limit; at 1 the drive saturates and control is lost",
+        "lower carry.impedance.internal_force_n or the limits of carry.pace",
+    ),
+    "saturated_max_s": (
+        "longest time that a motor stands at its limit, failed trials included: a fault must stop softly",
+        "lower carry.faults.deceleration_share",
+    ),
+}
+"""What each limit protects, and what to do."""
+
+
 def carry_checks(results: Sequence[TrialResult], limits: CarryLimits, task: TaskConfig) -> list[Check]:
     """Return the stage's checks of at least one trial; extremes include failed trials.
 
-    np.max and np.min propagate NaN, so its check fails; the built-ins may drop it. A failed trial's duration counts as
-    the time limit.
+    np.max and np.min propagate NaN, so its check fails; the built-ins may drop it.
     """
     trials = [r.metrics for r in results]
-    return [
-        Check(
-            "success_rate",
-            sum(t.success for t in trials) / len(trials),
-            ">=",
-            limits.success_rate_min,
-            "",
-            "share of trials in which both arms carried the object to its goal and let go",
-            "trials.csv names what failed first; minidual carry --set carry.impedance.internal_force_n=...",
-        ),
-        Check(
-            "tilt_max_rad",
-            float(np.max([t.tilt_max_rad for t in trials])),
-            "<",
-            limits.tilt_max_rad,
-            "rad",
-            "a tilted object slips or spills",
-            "raise carry.impedance.stiffness_n_per_m or lower carry.pace.object_acceleration_m_per_s2",
-        ),
-        Check(
-            "internal_force_min_n",
-            float(np.min([t.internal_force_min_n for t in trials])),
-            ">",
-            task.internal_force_min_n,
-            "N",
-            "squeeze between the hands while the object is off the table; below it the object may slip",
-            "raise carry.impedance.internal_force_n (at most 80)",
-        ),
-        Check(
-            "duration_max_s",
-            float(np.max([t.duration_s if t.success else task.time_limit_s for t in trials])),
-            "<",
-            limits.duration_max_s,
-            "s",
-            "from the start to the object released at its goal; a failed trial counts as the time limit",
-            "raise the limits of carry.pace",
-        ),
-        Check(
-            "torque_ratio_max",
-            float(np.max([t.torque_ratio_max for t in trials])),
-            "<",
-            1.0,
-            "",
-            "largest motor torque over its limit; at 1 the drive saturates and control is lost",
-            "lower carry.impedance.internal_force_n or the limits of carry.pace",
-        ),
-        Check(
-            "saturated_max_s",
-            float(np.max([r.saturated_max_s for r in results])),
-            "<=",
-            limits.saturation_max_s,
-            "s",
-            "longest time that a motor stands at its limit, failed trials included: a fault must stop softly",
-            "lower carry.faults.deceleration_share",
-        ),
-    ]
+    durations = [t.duration_s if t.success else task.time_limit_s for t in trials]
+    internal = np.min([t.internal_force_min_n for t in trials])
+    rows: tuple[tuple[str, Any, Op, float, str], ...] = (
+        ("success_rate", np.mean([t.success for t in trials]), ">=", limits.success_rate_min, ""),
+        ("tilt_max_rad", np.max([t.tilt_max_rad for t in trials]), "<", limits.tilt_max_rad, "rad"),
+        ("internal_force_min_n", internal, ">", task.internal_force_min_n, "N"),
+        ("duration_max_s", np.max(durations), "<", limits.duration_max_s, "s"),
+        ("torque_ratio_max", np.max([t.torque_ratio_max for t in trials]), "<", 1.0, ""),
+        ("saturated_max_s", np.max([r.saturated_max_s for r in results]), "<=", limits.saturation_max_s, "s"),
+    )
+    return [Check(name, float(value), op, limit, unit, *_WORDS[name]) for name, value, op, limit, unit in rows]
 
 
 def run(context: StageContext) -> StageResult:
@@ -98,11 +82,10 @@ def run(context: StageContext) -> StageResult:
     config, task = context.config, make_task(context.config)
     inputs, watch = MethodInputs(config, context.seed), watch_trials(context.view)
     trials = [task.trial(context.seed, "carry", i) for i in range(config.carry.trials_n)]
-    results, logs = [], []
+    results: list[TrialResult] = []
     with context.progress.task("carries", len(trials)) as bar:
-        for result, log in run_trials(METHOD, inputs, trials, workers=context.workers, keep_logs=True, watch=watch):
+        for result in run_trials(METHOD, inputs, trials, workers=context.workers, watch=watch):
             results.append(result)
-            logs.append(log)
             bar.advance(note="" if result.success else f"trial {result.metrics.index}: {result.text}")
     metrics = [r.metrics for r in results]
     summary = summarise(metrics, stream(context.seed, "bootstrap/carry"))
@@ -110,13 +93,13 @@ def run(context: StageContext) -> StageResult:
 
     order = np.argsort([-m.tilt_max_rad if m.success else -np.inf for m in metrics], kind="stable")
     shown = {"median": int(order[len(order) // 2]), "worst": int(order[0])}
+    logs = _record(context, Bench(METHOD, inputs), trials, results, shown)
     with context.progress.task("films", len(shown)) as bar:
         for (label, i), film in zip(shown.items(), ("carry.mp4", "worst.mp4"), strict=True):
             title = f"{config.carry.object}, {config.carry.motion}: {label} trial ({i}): {results[i].text}"
-            draw_trial(logs[i], task.scene, robot_from(config.robot), context.folder / f"{label}.png", title=title)
+            draw_trial(logs[label], task.scene, robot_from(config.robot), context.folder / f"{label}.png", title=title)
             film_trial(METHOD, inputs, trials[i], context.folder / film)
             bar.advance()
-    _record(context, Bench(METHOD, inputs), trials, results, shown)
 
     worst_goal, least_pinch = np.max([m.goal_error_m for m in metrics]), np.min([m.pinch_force_min_n for m in metrics])
     reported = [
@@ -142,17 +125,19 @@ def _record(
     trials: Sequence[Trial],
     results: Sequence[TrialResult],
     shown: Mapping[str, int],
-) -> None:
-    """Record the median, the worst and the first failed trials for `minidual replay`."""
+) -> dict[str, TrialLog]:
+    """Record the median, the worst and the first failed trials for `minidual replay`; return their logs."""
+    logs: dict[str, TrialLog] = {}
     failed = [i for i, result in enumerate(results) if not result.success]
     named = [(i, f"trial{i:03d}") for i in failed[:RECORDED_FAILURES_MAX] if i not in shown.values()]
     named += [(i, label) for label, i in shown.items()]  # one trial may be both
     with context.progress.task("recordings", len(named)) as bar:
         for i, label in named:
-            again = bench.record(trials[i], context.folder / f"{label}.npz")
+            again, logs[label] = bench.record(trials[i], context.folder / f"{label}.npz")
             if again.text != results[i].text:
                 raise DataError(
                     f"trial {i} ended otherwise when it was recorded: {again.text}; before: {results[i].text}",
                     remedy="trials must depend on their seed alone; report this",
                 )
             bar.advance()
+    return logs

@@ -16,7 +16,7 @@ def check_plan(config: Config) -> None:
     if plan.second_queries_n and config.seed == plan.second_seed:
         raise ConfigError(
             f"seed and plan.second_seed are both {config.seed}: the second query set would be the first one",
-            remedy="choose another --seed, or --set plan.second_seed=...",
+            remedy="choose another --seed, or --set plan.second_seed=NUMBER",
         )
 
 

@@ -90,7 +90,7 @@ def run(context: StageContext) -> StageResult:
     results: dict[str, list[TrialResult]] = {name: [] for name in starts}
     with context.progress.task("policy trials", sum(map(len, starts.values()))) as bar:
         for name, trials in starts.items():
-            for result, _ in run_trials(METHOD, inputs, trials, workers=context.workers, watch=watch):
+            for result in run_trials(METHOD, inputs, trials, workers=context.workers, watch=watch):
                 # Neither set is disturbed; the tables list them as conditions.
                 results[name].append(replace(result, metrics=replace(result.metrics, condition=name)))
                 bar.advance(note=f"{name} {sum(r.success for r in results[name])}/{len(results[name])}")

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor, dumping
 from minidual.durable import write_csv, write_text
@@ -25,14 +25,13 @@ from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
 from minidual.show.figures.film import FILM_FPS
 from minidual.show.figures.modes_film import FILM_SIZE, filmed
-from minidual.show.view import Overlay
-from minidual.show.watch import watched
+from minidual.show.watch import StackNarrator, watched
 from minidual.skills.operator import ScriptedOperator
 from minidual.skills.supervised import arm_distance
 from minidual.tasks.task import make_task
 from minidual.trials import modes_turns
 from minidual.trials.modes import DEFAULT_MODES, ModesDemo, parse_modes
-from minidual.trials.modes_turns import SwitchError, Turn
+from minidual.trials.modes_turns import Turn
 
 _INTERRUPT_SHARE = 0.55
 """Share of the planner's first motion before it is interrupted."""
@@ -44,27 +43,29 @@ def modes(context: ToolContext) -> ToolResult:
     wanted = DEFAULT_MODES if named is None else parse_modes(named)
     checkpoint = find_checkpoint(context) if "policy" in wanted else None
     world = World(config.scene, robot_from(config.robot), visuals=True)
-    ended: list[str] = []
     with Camera.recorded(world.model, config.scene.camera) as eyes:
         demo = _demo(context, world, eyes, wanted, checkpoint)
+        doing = lambda: "" if demo.turn is None else demo.turn.caption  # noqa: E731
+        tell = StackNarrator(demo.stack, Kinematics(world.robot), "modes", doing)
         with (
             Camera(world.model, *FILM_SIZE, shadows=True) as camera,
-            watched(context.view, world, lambda: _overlay(demo)),
+            watched(context.view, world, tell),
             context.progress.task("modes", len(wanted)) as bar,
         ):
-            pictures = filmed(_counted(demo, bar, ended), demo.stack, camera)
+            pictures = filmed(_counted(demo, bar), demo.stack, camera)
             write_video(context.output / "modes.mp4", pictures, fps=FILM_FPS)
-    passed = not ended and not demo.faults(config.arbiter)
+    passed = demo.ended is None and not demo.faults(config.arbiter)
     record = {
         "modes": list(wanted),
         "checkpoint": str(checkpoint) if checkpoint else None,
         "seed": context.seed,
-        "ended": "; ".join(ended) or None,
         **demo.record(config.arbiter),
     }
     write_csv(context.output / "modes.csv", demo.rows)
     write_text(context.output / "modes.json", dumps(canonical(record)))
-    notes = [*_notes(demo, context), *(f"ENDED TOO EARLY: {reason}" for reason in ended)]
+    notes = _notes(demo, context)
+    if demo.ended is not None:
+        notes.append(f"ENDED TOO EARLY: {demo.ended}")
     if passed:
         notes.append("every step at every switch within its bound")
     return ToolResult(
@@ -130,24 +131,11 @@ def _demo(
     return ModesDemo(stack, turns)
 
 
-def _overlay(demo: ModesDemo) -> Overlay:
-    mode, status = ("", "") if demo.turn is None else (demo.turn.mode, demo.turn.caption)
-    source = demo.stack.output.active_source or ""
-    return Overlay(title="modes", mode=mode, source=source, state=str(demo.stack.state), status=status)
-
-
-def _counted(demo: ModesDemo, bar: Bar, ended: list[str]) -> Iterator[Turn]:
-    """Yield the steps and count turns; a stop or failed mode ends them, its reason appended to `ended`."""
-    before: Turn | None = None
-    try:
-        for turn in demo.steps():
-            if before is not None and turn is not before:
-                bar.advance(note=f"{before.mode} done")
-            before = turn
-            yield turn
-    except (SwitchError, ReflexError) as error:  # log and film are kept
-        ended.append(str(error))
-    bar.advance(note="film")
+def _counted(demo: ModesDemo, bar: Bar) -> Iterator[Turn]:
+    """Yield the steps and count turns."""
+    for turn, steps in itertools.groupby(demo.steps()):
+        yield from steps
+        bar.advance(note=f"{turn.mode} done")
 
 
 def _notes(demo: ModesDemo, context: ToolContext) -> list[str]:

@@ -90,7 +90,7 @@ def run_benchmark(
             rows: list[TrialMetrics] = []
             given, task = replace(inputs, config=configs[name]), make_task(configs[name])
             trials = [task.trial(inputs.seed, purpose, i) for i in range(n)]
-            for result, _ in run_trials(method, given, trials, workers=workers, condition=name, watch=watch):
+            for result in run_trials(method, given, trials, workers=workers, condition=name, watch=watch):
                 rows.append(result.metrics)
                 on_trial(result)
             rng = stream(inputs.seed, f"bootstrap/{purpose}/{method}/{name}")

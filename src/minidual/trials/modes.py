@@ -10,6 +10,7 @@ import numpy as np
 
 from minidual.config.arbiter import ArbiterConfig
 from minidual.control.commands import SOURCES, ArbiterState
+from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
 from minidual.errors import UsageError, unknown_name
 from minidual.plant.world import World
@@ -94,6 +95,7 @@ class ModesDemo:
         switches: Every switch so far.
         outcomes: Results of the completed turns.
         rows: Log of every fourth control step.
+        ended: Why it ended early, or None.
     """
 
     def __init__(self, stack: ControlStack[World], turns: Sequence[Turn]) -> None:
@@ -102,36 +104,41 @@ class ModesDemo:
         self.switches: list[Switch] = []
         self.outcomes: list[dict[str, Any]] = []
         self.rows: list[Mapping[str, object]] = []
+        self.ended: str | None = None
         self._last: Array | None = None
         self._steps = 0
 
     def steps(self) -> Iterator[Turn]:
         """Run; yield the present turn after every control step.
 
-        Raises:
-            SwitchError: A mode got no turn, lost it, or a trajectory was refused.
-            ReflexError: The supervisor stopped the arms.
+        A mode that gets no turn or loses it, a refused trajectory and a reflex of the supervisor end it early.
         """
+        try:
+            for turn in self._turns:
+                yield from self._drive(turn)
+        except (SwitchError, ReflexError) as error:
+            self.ended = str(error)
+
+    def _drive(self, turn: Turn) -> Iterator[Turn]:
         stack, world = self.stack, self.stack.plant
-        for turn in self._turns:
-            self.turn = turn
-            switch = Switch(turn.mode, world.time, speed_at_request_rad_s=float(np.abs(world.v).max()))
-            switch.torque_step_max_nm = world.robot.arm.tau_rate_max * world.dt
-            self.switches.append(switch)
-            stack.request(turn.mode, turn.controllers)
-            while stack.source != turn.mode:
-                self._step()
-                yield turn
-            switch.confirmed_s, switch.controllers = world.time, stack.manager.active
-            driving = turn.drive()
-            while True:
-                try:
-                    next(driving)
-                except StopIteration as end:
-                    self.outcomes.append({"mode": turn.mode, **end.value})
-                    break
-                self._step()
-                yield turn
+        self.turn = turn
+        switch = Switch(turn.mode, world.time, speed_at_request_rad_s=float(np.abs(world.v).max()))
+        switch.torque_step_max_nm = world.robot.arm.tau_rate_max * world.dt
+        self.switches.append(switch)
+        stack.request(turn.mode, turn.controllers)
+        while stack.source != turn.mode:
+            self._step()
+            yield turn
+        switch.confirmed_s, switch.controllers = world.time, stack.manager.active
+        driving = turn.drive()
+        while True:
+            try:
+                next(driving)
+            except StopIteration as end:
+                self.outcomes.append({"mode": turn.mode, **end.value})
+                return
+            self._step()
+            yield turn
 
     def faults(self, arbiter: ArbiterConfig) -> list[str]:
         """Return the exceeded bounds of all switches."""
@@ -147,6 +154,7 @@ class ModesDemo:
             "faults": self.faults(arbiter),
             "refusals": [asdict(r) for r in self.stack.refusals],
             "duration_s": self.stack.plant.time,
+            "ended": self.ended,
         }
 
     def _step(self) -> None:

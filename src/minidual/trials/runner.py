@@ -118,16 +118,16 @@ class Bench:
             result = replace(result, metrics=replace(result.metrics, disturbed=disturb.took_place))
         return result, log
 
-    def record(self, trial: Trial, path: Path) -> TrialResult:
+    def record(self, trial: Trial, path: Path) -> tuple[TrialResult, TrialLog]:
         """Run a trial and write it to `path` (.npz) for replay."""
         recorder = self.world.recorder = Recorder(self.world, seed=self.seed)
-        result, _ = self.run(trial)
+        result, log = self.run(trial)
         self.world.recorder = None
         carry = self.task.config.carry
         details = {"method": self.method, "purpose": trial.purpose, "trial": trial.index, "success": result.success}
         details |= {"task": self.task.name, "object": carry.object, "motion": carry.motion}
         recorder.write(path, f"{self.method}, trial {trial.index}: {result.text}", details=details)
-        return result
+        return result, log
 
     def _run(
         self, trial: Trial, condition: str, disturb: Callable[[World], None] | None, on_step: StepHook | None
@@ -194,15 +194,12 @@ class Bench:
 _BENCHES: dict[str, Bench] = {}
 
 
-def _run_in_worker(
-    method: str, inputs: MethodInputs, trial: Trial, condition: str, keep_log: bool
-) -> tuple[TrialResult, TrialLog | None]:
+def _run_in_worker(method: str, inputs: MethodInputs, trial: Trial, condition: str) -> TrialResult:
     key = f"{method}/{inputs.checkpoint}/{inputs.seed}/{inputs.config.model_dump_json()}"
     if key not in _BENCHES:
         _BENCHES.clear()
         _BENCHES[key] = Bench(method, inputs)
-    result, log = _BENCHES[key].run(trial, condition=condition)
-    return result, log if keep_log else None
+    return _BENCHES[key].run(trial, condition=condition)[0]
 
 
 def run_trials(
@@ -212,14 +209,13 @@ def run_trials(
     *,
     workers: int,
     condition: str = CLEAN,
-    keep_logs: bool = False,
     watch: Watch | None = None,
-) -> Iterator[tuple[TrialResult, TrialLog | None]]:
+) -> Iterator[TrialResult]:
     """Run trials in parallel and yield results in order; watched ones run in this process."""
     if watch is not None:
         bench = Bench(method, inputs)
         for number, trial in enumerate(trials, start=1):
             title = f"{method}, trial {number} of {len(trials)}" + (f", {condition}" if condition != CLEAN else "")
-            yield bench.run(trial, condition=condition, on_step=watch(bench, title))
+            yield bench.run(trial, condition=condition, on_step=watch(bench, title))[0]
         return
-    yield from in_workers(lambda trial: _run_in_worker(method, inputs, trial, condition, keep_logs), trials, workers)
+    yield from in_workers(lambda trial: _run_in_worker(method, inputs, trial, condition), trials, workers)
