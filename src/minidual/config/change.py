@@ -23,8 +23,9 @@ def changed(config: Config, settings: Mapping[str, Any]) -> Config:
         *sections, name = path.split(".")
         section: dict[str, Any] = document
         for step in sections:
-            inner = section.get(step)
-            section = cast(dict[str, Any], inner) if isinstance(inner, dict) else {}
+            if not isinstance(section.get(step), dict):
+                raise unknown_name("configuration section", step, section)
+            section = cast(dict[str, Any], section[step])
         if name not in section:
             raise unknown_name("configuration value", path, section)
         section[name] = value
