@@ -103,7 +103,7 @@ class TaskConfig(StrictModel):
     goal_range_m: float = Field(default=0.0, ge=0.0, le=0.1)
     """Half width of the uniform goal range, drawn after the start."""
     goal_range_rad: float = Field(default=0.0, ge=0.0, le=0.6)
-    yaw_tolerance_rad: float = Field(default=0.2618, gt=0.0, le=1.0)
+    yaw_tolerance_rad: AtMost[float] = Field(default=0.2618, gt=0.0, le=1.0)
     """Largest direction error at the goal (15 degrees)."""
     obstacle: ObstacleConfig | None = None
     lift_height_m: float = Field(default=0.12, gt=0.03, le=0.4)

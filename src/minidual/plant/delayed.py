@@ -34,7 +34,7 @@ class DelayedPlant:
     tau = _late("tau", "Torques (n,) [Nm].")
     fingers = _late("fingers", "Distance (2,) [m] of each hand's fingers from the middle.")
     grip = _late("grip", "Closing force (2,) [N] of each hand.")
-
+    stamp_s: Any = property(lambda self: self._states[0]["stamp_s"], doc="See `Plant`.")
     robot, time, grip_max_n, health = map(_now, ("robot", "time", "grip_max_n", "health"))
 
     def __init__(self, plant: Plant, delay_s: float) -> None:
@@ -51,11 +51,6 @@ class DelayedPlant:
 
     def _note(self) -> None:
         self._states.append({name: getattr(self._plant, name) for name in _MEASURED})
-
-    @property
-    def stamp_s(self) -> float:
-        """See `Plant`."""
-        return self._states[0]["stamp_s"]
 
     def command(self, tau: Array, fingers: Array) -> None:
         """See `Plant`."""

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
@@ -26,21 +25,6 @@ from minidual.plant.model import GROUP_COLLISION
 Image = npt.NDArray[np.uint8]
 
 
-_SHADOW_CLIP, _SHADOW_SIZE = 2.0, 2048
-"""Shadow map: reach relative to the model, and size. MuJoCo's reach of 1 leaves speckles on the floor."""
-
-
-@contextlib.contextmanager
-def _shadow_settings(model: mujoco.MjModel) -> Iterator[None]:
-    """Extend shadows for an OpenGL context created inside the block."""
-    before = float(model.vis.map.shadowclip), int(model.vis.quality.shadowsize)
-    model.vis.map.shadowclip, model.vis.quality.shadowsize = _SHADOW_CLIP, _SHADOW_SIZE
-    try:
-        yield
-    finally:
-        model.vis.map.shadowclip, model.vis.quality.shadowsize = before
-
-
 class Camera:
     """Renders images of one size; close it after use.
 
@@ -52,8 +36,7 @@ class Camera:
     ) -> None:
         self._supersample = supersample
         try:
-            with _shadow_settings(model) if shadows else contextlib.nullcontext():
-                self._renderer = mujoco.Renderer(model, height_px * supersample, width_px * supersample)
+            self._renderer = mujoco.Renderer(model, height_px * supersample, width_px * supersample)
         except Exception as error:  # GL backends raise various types
             raise EnvironmentMissingError(
                 f"cannot create an off-screen OpenGL context (MUJOCO_GL={os.environ['MUJOCO_GL']}): {error}",

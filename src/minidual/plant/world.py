@@ -59,6 +59,7 @@ class World:
         model: mujoco.MjModel | None = None,
     ) -> None:
         self.scene, self.robot = scene, robot
+        self.grip_max_n, self.health = scene.physics.finger_force_max_n, ""  # divergence raises in `step`
         self.model = build_model(scene, robot, visuals=visuals) if model is None else model
         self.data = mujoco.MjData(self.model)
         self._warnings = self.data.warning.number  # view: counts by kind
@@ -74,9 +75,7 @@ class World:
             self._objects[None] = self._objects[self.objects[0]]
         data = self.data  # cached views: a lookup in MjData costs as much as reading three numbers
         self._qpos, self._qvel, self._ctrl, self._force = data.qpos, data.qvel, data.ctrl, data.actuator_force
-        self._finger_ctrl = tuple(
-            np.ascontiguousarray(self.finger_joints.ctrl.reshape(2, 2).T)
-        )  # strided indices are slow
+        self._finger_ctrl = tuple(np.ascontiguousarray(self.finger_joints.ctrl.reshape(2, 2).T))  # strided is slow
         self.recorder: StepRecorder | None = None
         """For replays."""
         self.observer: Callable[[World], None] | None = None
@@ -87,6 +86,8 @@ class World:
     def time(self) -> float:
         """Simulated time [s]."""
         return float(self.data.time)
+
+    stamp_s = time
 
     @property
     def q(self) -> Array:
@@ -104,11 +105,6 @@ class World:
         return self._force[self.joints.ctrl]
 
     @property
-    def stamp_s(self) -> float:
-        """Measurement time [s]: now."""
-        return float(self.data.time)
-
-    @property
     def fingers(self) -> Array:
         """See `Plant`."""
         a, b, c, d = self._qpos[self.finger_joints.qpos].tolist()
@@ -119,16 +115,6 @@ class World:
         """Closing force (2,) [N], last step."""
         a, b, c, d = self._force[self.finger_joints.ctrl].tolist()
         return np.array([-0.5 * (a + b), -0.5 * (c + d)])
-
-    @property
-    def grip_max_n(self) -> float:
-        """Largest closing force of a finger [N]."""
-        return self.scene.physics.finger_force_max_n
-
-    @property
-    def health(self) -> str:
-        """Empty: divergence raises in `step`."""
-        return ""
 
     @property
     def gripper(self) -> Array:
