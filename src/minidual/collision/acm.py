@@ -40,7 +40,7 @@ SAMPLES_MAX = 1_280_000
 QUIET_DOUBLINGS = 2
 """Consecutive unchanged doublings that end the sampling."""
 ALWAYS_FRACTION = 0.95
-_RULE_VERSION = "5"
+_RULE_VERSION = "6"
 _SEED = 7
 
 
@@ -117,43 +117,37 @@ def build_acm(robot: Robot, samples_min: int = SAMPLES_MIN, samples_max: int = S
     """Build the matrix."""
     reasons = _structural_pairs(robot)
     pairs = [pair for pair in itertools.combinations(_left_links(robot), 2) if pair not in reasons]
-    by_set = {frozenset(pair): pair for pair in pairs}
+    rows = {frozenset(pair): k for k, pair in enumerate(pairs)}
     engine: Any = ENGINES["mujoco"](Pairs(robot, tuple(pairs)))  # MuJoCo alone reports which pairs touch
-    at_home = {by_set[pair] for pair in engine.touching_pairs(robot.home)}
+    at_home = np.zeros(len(pairs), dtype=bool)
+    at_home[[rows[pair] for pair in engine.touching_pairs(robot.home)]] = True
     own = robot.groups[f"{SIDES[0]}_arm"]
     rng = stream(_SEED, "allowed-collisions")
-    counts = dict.fromkeys(pairs, 0)
+    counts, kinds = np.zeros(len(pairs), dtype=int), np.full(len(pairs), "", dtype="U7")
     rounds: list[dict[str, Any]] = []
-    classes: dict[tuple[str, str], str] = {}
     total, quiet, batch = 0, 0, samples_min
     while quiet < QUIET_DOUBLINGS and total + batch <= max(samples_max, samples_min):
         Q = np.tile(robot.home, (batch, 1))
         Q[:, own] = rng.uniform(robot.q_lower[own], robot.q_upper[own], (batch, robot.dof_per_arm))
         for q in Q:
-            for pair in engine.touching_pairs(q):
-                counts[by_set[pair]] += 1
+            counts[[rows[pair] for pair in engine.touching_pairs(q)]] += 1
         total += batch
         batch = total
-        before, classes = classes, {pair: _class(counts[pair], total, pair in at_home) for pair in pairs}
-        changed = [" + ".join(pair) for pair in pairs if before and classes[pair] != before[pair]]
-        quiet = quiet + 1 if before and not changed else 0
+        always = at_home & (counts >= ALWAYS_FRACTION * total)
+        before, kinds = kinds, np.where(counts == 0, "never", np.where(always, "always", "checked"))
+        changed = [" + ".join(pairs[k]) for k in np.flatnonzero(kinds != before)] if rounds else []
+        quiet = quiet + 1 if rounds and not changed else 0
         rounds.append({"samples_n": total, "changed": changed})
     labels = {"never": f"never in {total} samples", "always": "always"}
-    reasons |= {pair: labels[kind] for pair, kind in classes.items() if kind in labels}
-    rows = [
+    reasons |= {pair: labels[kind] for pair, kind in zip(pairs, kinds.tolist(), strict=True) if kind in labels}
+    table = sorted(
         [*sorted(name.replace(SIDES[0], side, 1) for name in pair), reason]
         for side in SIDES
         for pair, reason in reasons.items()
-    ]
-    rarest = min((pair for pair in pairs if counts[pair]), key=counts.__getitem__, default=None)
-    rarest_n = counts[rarest] if rarest else 0
-    return BuiltAcm(sorted(rows), rounds, quiet >= QUIET_DOUBLINGS, " + ".join(rarest or ()), rarest_n)
-
-
-def _class(touched: int, total: int, at_home: bool) -> str:
-    if touched == 0:
-        return "never"
-    return "always" if at_home and touched >= ALWAYS_FRACTION * total else "checked"
+    )
+    touched = np.flatnonzero(counts)
+    rarest = touched[np.argmin(counts[touched])] if len(touched) else 0
+    return BuiltAcm(table, rounds, quiet >= QUIET_DOUBLINGS, " + ".join(pairs[rarest]), int(counts[rarest]))
 
 
 def _left_links(robot: Robot) -> dict[str, int]:

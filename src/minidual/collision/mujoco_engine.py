@@ -16,6 +16,11 @@ from minidual.robot.pair import Array
 # Without these options the URDF reader fuses fixed links (and the tcp) into their parents.
 _COMPILER = '<mujoco><compiler fusestatic="false" discardvisual="true" strippath="false"/></mujoco><link name="world"'
 _CLOSEST_WITHIN_M = 0.1
+_ROUND = {
+    Cylinder: mujoco.mjtGeom.mjGEOM_CYLINDER,
+    Capsule: mujoco.mjtGeom.mjGEOM_CAPSULE,
+    Sphere: mujoco.mjtGeom.mjGEOM_SPHERE,
+}
 
 
 class MujocoEngine:
@@ -99,17 +104,13 @@ def add_body(spec: mujoco.MjSpec, parent: mujoco.MjsBody, shape: Shape, prefix: 
     """Add a shape to a body; `look` holds further geom attributes."""
     name = prefix + shape.name
     body = parent.add_body(name=name, pos=list(shape.position_m), quat=list(shape.quat_wxyz))
-    kind = mujoco.mjtGeom
-    match shape:
-        case Box():
-            body.add_geom(type=kind.mjGEOM_BOX, size=[0.5 * v for v in shape.size_m], **look)
-        case Cylinder():
-            body.add_geom(type=kind.mjGEOM_CYLINDER, size=[shape.radius_m, 0.5 * shape.length_m, 0.0], **look)
-        case Capsule():
-            body.add_geom(type=kind.mjGEOM_CAPSULE, size=[shape.radius_m, 0.5 * shape.length_m, 0.0], **look)
-        case Sphere():
-            body.add_geom(type=kind.mjGEOM_SPHERE, size=[shape.radius_m, 0.0, 0.0], **look)
-        case Mesh():
-            for index, vertices in enumerate(shape.vertices()):
-                mesh = spec.add_mesh(name=f"{name}:{index}", uservert=vertices.ravel())
-                body.add_geom(type=kind.mjGEOM_MESH, meshname=mesh.name, **look)
+    if isinstance(shape, Mesh):
+        for index, vertices in enumerate(shape.vertices()):
+            mesh = spec.add_mesh(name=f"{name}:{index}", uservert=vertices.ravel())
+            body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, **look)
+    elif isinstance(shape, Box):
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.5 * v for v in shape.size_m], **look)
+    else:
+        radius_m, *lengths_m = shape.lengths()
+        half_m = 0.5 * sum(lengths_m)
+        body.add_geom(type=_ROUND[type(shape)], size=[radius_m, half_m, 0.0], **look)

@@ -29,15 +29,15 @@ class PlaceFields(StrictModel):
         if self.quat_wxyz is not None:
             if self.rpy_rad is not None:
                 raise ValueError("quat_wxyz and rpy_rad are two ways to say one thing; give one of them")
-            if abs(math.hypot(*self.quat_wxyz) - 1.0) > _LENGTH_TOLERANCE:
-                length = math.hypot(*self.quat_wxyz)
+            length = math.hypot(*self.quat_wxyz)
+            if abs(length - 1.0) > _LENGTH_TOLERANCE:
                 raise ValueError(f"quat_wxyz has length {length:.4f}; a rotation has 1 (scalar first: w, x, y, z)")
         return self
 
     def quaternion(self) -> Quat | None:
         """Return the unit quaternion, or None."""
         if self.quat_wxyz is not None:
-            length = math.sqrt(math.fsum(v * v for v in self.quat_wxyz))
+            length = math.hypot(*self.quat_wxyz)
             w, x, y, z = (v / length for v in self.quat_wxyz)
             return (w, x, y, z)
         if self.rpy_rad is not None:

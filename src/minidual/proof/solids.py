@@ -69,25 +69,21 @@ class Solids:
         )
 
     def _pairs(self, rows: dict[str, int]) -> np.ndarray:
-        n = self.robot.dof_per_arm
-        counts = (self._parts["end"] - self._parts["first"]).tolist()
-        frames = self._parts["frame"].tolist()
-        still, width = len(frames) * (n + 1), n + 1
-        pairs: list[tuple[int, ...]] = []
-        self._directions_n = 0
-        for name_a, name_b in self.pairs:
-            a, b = rows[name_a], rows[name_b]
-            f, g = frames[a], frames[b]
-            if f and g and (f > n) == (g > n):
-                # Two parts of one arm are described in the inner one's frame.
-                inner = min(f, g)
-                seen = inner if inner <= n else inner - n
-                moves = (a * width + seen, still) if f >= g else (still, b * width + seen)
-            else:
-                inner, moves = 0, (a * width if f else still, b * width if g else still)
-            pairs.append((a, b, inner, self._directions_n, *moves))
-            self._directions_n += counts[a] * counts[b]
-        return np.array(pairs, dtype=planes.PAIR)
+        n, frames = self.robot.dof_per_arm, self._parts["frame"]
+        width, still = n + 1, len(frames) * (n + 1)
+        a, b = np.array([[rows[name] for name in pair] for pair in self.pairs]).reshape(-1, 2).T
+        f, g = frames[a], frames[b]
+        # Two parts of one arm are described in the inner one's frame.
+        one_arm = (f > 0) & (g > 0) & ((f > n) == (g > n))
+        inner = np.where(one_arm, np.minimum(f, g), 0)
+        seen = np.where(inner > n, inner - n, inner)
+        moves_a = np.where((f > 0) & (~one_arm | (f >= g)), a * width + seen, still)
+        moves_b = np.where((g > 0) & (~one_arm | (f < g)), b * width + seen, still)
+        counts = self._parts["end"] - self._parts["first"]
+        ends = np.cumsum(counts[a] * counts[b])
+        self._directions_n = int(ends[-1]) if len(ends) else 0
+        columns = np.column_stack([a, b, inner, ends - counts[a] * counts[b], moves_a, moves_b])
+        return np.array([tuple(row) for row in columns.tolist()], dtype=planes.PAIR)
 
     def of_arms(self, arms: Sequence[str]) -> np.ndarray:
         """Return pairs moved by these arms."""

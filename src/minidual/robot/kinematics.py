@@ -46,7 +46,6 @@ class Kinematics:
         self.robot = robot
         self.model = _shared_model(robot)
         self.data = self.model.createData()
-        self._pool: Any = None
         self.tcp_ids: tuple[int, int] = tuple(self.model.getFrameId(n) for n in robot.tcp_names)  # type: ignore[assignment]
 
     def tcp_poses(self, q: Array) -> tuple[Array, Array]:
@@ -79,10 +78,12 @@ class Kinematics:
         """Return inverse-dynamics torques [Nm], frictionless."""
         return pin.rnea(self.model, self.data, q, v, a)
 
+    @functools.cached_property
+    def _pool(self) -> Any:
+        return pin.ModelPool(self.model, 1)
+
     def torques(self, q: Array, v: Array, a: Array) -> Array:
         """Return `rnea` for rows of states."""
-        if self._pool is None:
-            self._pool = pin.ModelPool(self.model, 1)
         columns = [np.asfortranarray(np.asarray(x, dtype=float).T) for x in (q, v, a)]
         tau = np.empty_like(columns[0], order="F")
         pin.rneaInParallel(1, self._pool, *columns, tau)
@@ -99,15 +100,15 @@ class HandMotion:
         acceleration: (12,), J a + Jdot v.
     """
 
-    def __init__(self, kinematics: Kinematics, J: Array | None = None, acceleration: Array | None = None) -> None:
+    def __init__(self, kinematics: Kinematics) -> None:
         self._model, self._data = kinematics.model, kinematics.data
         self._left, self._right = kinematics.tcp_ids
         frames = [self._data.oMf[i] for i in kinematics.tcp_ids]
         # Views of Pinocchio's own memory, so reading them costs nothing.
         self.p: tuple[Array, Array] = tuple(frame.translation for frame in frames)  # type: ignore[assignment]
         self.R: tuple[Array, Array] = tuple(frame.rotation for frame in frames)  # type: ignore[assignment]
-        self.J = np.zeros((12, kinematics.robot.dof)) if J is None else J
-        self.acceleration = np.zeros(12) if acceleration is None else acceleration
+        self.J = np.zeros((12, kinematics.robot.dof))
+        self.acceleration = np.zeros(12)
         self._J_left, self._J_right = self.J[:6], self.J[6:]
         self._a_left, self._a_right = self.acceleration[:6], self.acceleration[6:]
 

@@ -134,10 +134,8 @@ class Robot:
         x, y = self.arm.base_xy_m
         return (x, y, 0.0), (x, -y, 0.0)
 
-    @property
-    def sides(self) -> tuple[str, str]:
-        """In storage order."""
-        return SIDES
+    sides = SIDES
+    """In storage order."""
 
     @property
     def dof_per_arm(self) -> int:

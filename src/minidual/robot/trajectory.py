@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
 from collections.abc import Sequence
@@ -121,8 +120,6 @@ class Trajectory:
     def write_csv(self, path: Path, joint_names: Sequence[str]) -> None:
         """Write time, q, v, a."""
         header = [f"{name}_{unit}" for unit in ("rad", "rad_per_s", "rad_per_s2") for name in joint_names]
-        with path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow(["time_s", *header])
-            table = np.column_stack([self.times, self.q, self.v, self.a])
-            writer.writerows([f"{x:.9g}" for x in row] for row in table)
+        table = np.column_stack([self.times, self.q, self.v, self.a])
+        header = ",".join(["time_s", *header])
+        np.savetxt(path, table, "%.9g", ",", "\r\n", header, comments="", encoding="utf-8")

@@ -17,26 +17,19 @@ def cross(a: Vector, b: Vector) -> tuple[float, float, float]:
 
 def plus(a: Vector, b: Vector) -> tuple[float, float, float]:
     """Return a + b."""
-    ax, ay, az = a
-    bx, by, bz = b
-    return ax + bx, ay + by, az + bz
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 def minus(a: Vector, b: Vector) -> tuple[float, float, float]:
     """Return a - b."""
-    ax, ay, az = a
-    bx, by, bz = b
-    return ax - bx, ay - by, az - bz
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
 def times(s: float, a: Vector) -> tuple[float, float, float]:
     """Return s a."""
-    x, y, z = a
-    return s * x, s * y, s * z
+    return s * a[0], s * a[1], s * a[2]
 
 
 def inner(a: Vector, b: Vector) -> float:
     """Return a . b."""
-    ax, ay, az = a
-    bx, by, bz = b
-    return ax * bx + ay * by + az * bz
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
