@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from minidual.config.root import Config
 from minidual.durable import write_csv
 from minidual.gate.check import Check
 from minidual.gate.fingerprint import Fingerprint
 from minidual.gate.manifest import build_manifest
+from minidual.gate.stage import StageContext
 from minidual.gate.verdict import Verdict, Waiver
 from minidual.show.report.figures import Figure, Trial, benchmark_figures
-from minidual.show.report.model import ReportInput
 from minidual.show.report.tables import Tables
 from minidual.trials.benchmark import BenchmarkCell, conditions_data
 from minidual.trials.comparisons import compare_all, compare_with_clean
@@ -202,7 +203,7 @@ def make_verdict(stage: str, folder: Path, checks: Sequence[Check], data: Mappin
     )
 
 
-def make_run(root: Path, trials: Sequence[TrialMetrics] | None = None) -> ReportInput:
+def make_run(root: Path, trials: Sequence[TrialMetrics] | None = None) -> StageContext:
     """Write a run under `root` and return what the report is built from."""
     trials = make_trials() if trials is None else trials
     verdicts, folders = {}, {}
@@ -218,26 +219,31 @@ def make_run(root: Path, trials: Sequence[TrialMetrics] | None = None) -> Report
                 for method, row in data["methods"].items()
             ]
         verdicts[stage], folders[stage] = make_verdict(stage, folder, checks, data), folder
-    return ReportInput(
-        title="A made-up run",
-        stages=STAGES,
-        verdicts=verdicts,
-        folders=folders,
-        waivers=(),
-        methods=METHODS,
-        acceptance=True,
-        profile="standard",
+    conditions = list(dict.fromkeys(trial.condition for trial in trials))
+    config = Config.model_validate(
+        {
+            "acceptance": True,
+            "report": {"title": "A made-up run"},
+            "benchmark": {"methods": METHODS, "conditions": conditions},
+        }
+    )
+    return StageContext(
+        folder=root,
+        config=config,
         seed=20260,
-        conditions=tuple(dict.fromkeys(trial.condition for trial in trials)),
+        profile="standard",
+        upstream=folders,
+        verdicts=verdicts,
+        summaries=dict(STAGES),
     )
 
 
-def with_methods(given: ReportInput, table: Mapping[str, Any]) -> ReportInput:
+def with_methods(given: StageContext, table: Mapping[str, Any]) -> StageContext:
     """Return the run with another table of methods in the benchmark's verdict."""
     return with_data(given, {**given.verdicts["benchmark"].data, "methods": dict(table)})
 
 
-def with_data(given: ReportInput, data: Mapping[str, Any]) -> ReportInput:
+def with_data(given: StageContext, data: Mapping[str, Any]) -> StageContext:
     """Return the run with other data in the benchmark's verdict."""
     benchmark = replace(given.verdicts["benchmark"], data=dict(data))
     return replace(given, verdicts={**given.verdicts, "benchmark": benchmark})

@@ -17,13 +17,14 @@ from report_samples import figures_once  # noqa: F401  (a fixture for every test
 from minidual.errors import DataError
 from minidual.gate.check import Check
 from minidual.gate.manifest import build_manifest
+from minidual.gate.stage import StageContext
 from minidual.plant.render import write_video
 from minidual.show.report import media
-from minidual.show.report.model import Report, ReportInput
+from minidual.show.report.model import Report
 from minidual.show.report.page import build_report
 
 
-def built(given: ReportInput, root: Path) -> tuple[Report, str]:
+def built(given: StageContext, root: Path) -> tuple[Report, str]:
     folder = root / "report"
     folder.mkdir()
     report = build_report(given, folder)
@@ -127,7 +128,7 @@ def test_a_waiver_known_to_an_upstream_verdict_alone_taints_too(tmp_path: Path) 
 def test_a_smoke_run_says_smoke_at_its_very_top(tmp_path: Path, where: str) -> None:
     given = replace(samples.make_run(tmp_path), profile="smoke")
     if where == "report":
-        given = replace(given, acceptance=False)
+        given = replace(given, config=given.config.model_copy(update={"acceptance": False}))
     else:
         plan = replace(given.verdicts["plan"], acceptance_profile=False)
         given = replace(given, verdicts={**given.verdicts, "plan": plan})
@@ -187,15 +188,17 @@ def test_overrides_and_mixed_commits_are_said(tmp_path: Path) -> None:
 
 
 def test_text_from_verdicts_is_escaped(tmp_path: Path) -> None:
-    given = replace(samples.make_run(tmp_path), title="<script>alert(1)</script> & co")
+    given = samples.make_run(tmp_path)
+    title = given.config.report.model_copy(update={"title": "<script>alert(1)</script> & co"})
+    given = replace(given, config=given.config.model_copy(update={"report": title}))
     _, text = built(given, tmp_path)
     assert "<script" not in text
     assert "&lt;script&gt;" in text
 
 
-def with_artefact(given: ReportInput, stage: str) -> ReportInput:
+def with_artefact(given: StageContext, stage: str) -> StageContext:
     """Return the run with the manifest of `stage` taken anew."""
-    verdict = replace(given.verdicts[stage], artefacts=build_manifest(given.folders[stage]))
+    verdict = replace(given.verdicts[stage], artefacts=build_manifest(given.upstream[stage]))
     return replace(given, verdicts={**given.verdicts, stage: verdict})
 
 
@@ -207,7 +210,7 @@ def picture(path: Path, size: tuple[int, int] = (48, 32)) -> None:
 
 def test_pictures_and_films_of_the_stages_are_shown_and_data_is_not(tmp_path: Path) -> None:
     given = samples.make_run(tmp_path)
-    carry = given.folders["carry"]
+    carry = given.upstream["carry"]
     picture(carry / "median_trial.png")
     (carry / "dataset" / "videos").mkdir(parents=True)
     frames = [np.full((32, 48, 3), 20 * i, dtype=np.uint8) for i in range(10)]
@@ -222,7 +225,7 @@ def test_pictures_and_films_of_the_stages_are_shown_and_data_is_not(tmp_path: Pa
 def test_a_large_film_is_copied_beside_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(media, "EMBED_BYTES", 10)
     given = samples.make_run(tmp_path)
-    film = given.folders["deploy"] / "success.mp4"
+    film = given.upstream["deploy"] / "success.mp4"
     write_video(film, [np.zeros((32, 48, 3), dtype=np.uint8)] * 4, fps=10)
     _, text = built(with_artefact(given, "deploy"), tmp_path)
     assert 'src="media/deploy-success.mp4#t=3"' in text
@@ -231,7 +234,7 @@ def test_a_large_film_is_copied_beside_the_page(tmp_path: Path, monkeypatch: pyt
 
 def test_a_picture_that_is_gone_is_named(tmp_path: Path) -> None:
     given = samples.make_run(tmp_path)
-    path = given.folders["plan"] / "times.png"
+    path = given.upstream["plan"] / "times.png"
     picture(path)
     given = with_artefact(given, "plan")
     path.unlink()

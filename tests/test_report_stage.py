@@ -9,12 +9,11 @@ from report_samples import figures_once  # noqa: F401  (a fixture for every test
 
 from minidual.config.root import Config
 from minidual.gate.stage import StageContext, StageResult
-from minidual.show.report.model import ReportInput
 from minidual.stages.registry import STAGES
 from minidual.stages.report import run
 
 
-def run_report(given: ReportInput, folder: Path, **other: object) -> StageResult:
+def run_report(given: StageContext, folder: Path, **other: object) -> StageResult:
     folder.mkdir()
     config = Config()
     context = StageContext(
@@ -22,7 +21,7 @@ def run_report(given: ReportInput, folder: Path, **other: object) -> StageResult
         config=config,
         seed=config.seed,
         profile="standard",
-        upstream=given.folders,
+        upstream=given.upstream,
         verdicts=given.verdicts,
         **other,
     )

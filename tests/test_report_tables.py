@@ -13,9 +13,11 @@ import pytest
 import report_samples as samples
 from report_samples import figures_once  # noqa: F401  (a fixture for every test here)
 
+from minidual.config.root import Config
 from minidual.durable import write_csv
 from minidual.errors import DataError
 from minidual.gate.check import Check
+from minidual.gate.stage import StageContext
 from minidual.show.report import model
 from minidual.show.report.facts import gather, relative_margin
 from minidual.show.report.figures import read_trials
@@ -41,7 +43,7 @@ def table() -> dict[str, dict]:
 
 def own_check(table: dict, name: str = "missing_cells", methods: tuple[str, ...] = samples.METHODS) -> Check:
     """Return one of the report's own checks for a table of methods."""
-    given = model.ReportInput("t", (), {}, {}, (), methods, True, "standard", 1)
+    given = StageContext(Path(), Config(), 1, "standard")
     checks = model.report_checks(given, compare(methods, {"methods": table}))
     return next(check for check in checks if check.name == name)
 
@@ -155,7 +157,7 @@ def test_damaged_data_of_the_benchmark_is_named(tmp_path: Path, damage: Callable
 
 def test_a_table_of_trials_without_a_column_is_named(tmp_path: Path) -> None:
     given = samples.make_run(tmp_path)
-    path = given.folders["benchmark"] / "benchmark.csv"
+    path = given.upstream["benchmark"] / "benchmark.csv"
     path.write_text(path.read_text(encoding="utf-8").replace("jerk_rms", "jerk", 1), encoding="utf-8")
     with pytest.raises(DataError, match="'jerk_rms'"):
         build_report(given, tmp_path)
@@ -217,7 +219,7 @@ def test_the_thinnest_margin_comes_first(report: Report, page: str) -> None:
 def test_a_failed_check_has_the_thinnest_margin(tmp_path: Path) -> None:
     given = samples.make_run(tmp_path)
     bad = replace(given.verdicts["plan"], checks=(Check("both_arms.time_max_s", 12.0, "<", 10.0, "s"),))
-    first = gather({**given.verdicts, "plan": bad}, compare(given.methods, {})).margins[0]
+    first = gather({**given.verdicts, "plan": bad}, compare(samples.METHODS, {})).margins[0]
     assert (first.stage, first.relative) == ("plan", pytest.approx(-0.2))
 
 

@@ -20,7 +20,7 @@ import matplotlib as mpl
 from matplotlib.figure import Figure as Canvas
 
 from minidual.errors import DataError
-from minidual.show.report.indicators import INDICATORS, SUCCESS, Indicator
+from minidual.show.report.indicators import INDICATORS, Indicator
 from minidual.show.report.tables import Row, Tables
 from minidual.trials.conditions import CLEAN
 
@@ -97,19 +97,17 @@ def _limit_line(axes: Any, at: float, label: str) -> None:
     axes.text(at, 1.01, label, transform=place, ha="center", va="bottom", fontsize=8, color=_LIMIT)
 
 
-def success_figure(rows: Sequence[Row], name: str, title: str) -> Figure | None:
+def success_figure(rows: Sequence[Row]) -> Figure | None:
     """Plot success rates with intervals by condition, if any."""
     if not any(cell.success for row in rows for cell in row.cells):
         return None
-    methods = [cell.method for cell in rows[0].cells]
-    names = methods if len(rows) == 1 else [row.condition for row in rows]
-    height = len(methods) if len(rows) == 1 else 0.42 * len(methods) * len(rows)
-    with _rows(names, name, height) as (figure, axes, svg):
+    count = len(rows[0].cells)
+    with _rows([row.condition for row in rows], "success", 0.42 * count * len(rows) + 0.5) as (figure, axes, svg):
         for i, row in enumerate(rows):
-            if len(rows) > 1 and i % 2 == 0:
+            if i % 2 == 0:
                 axes.axhspan(i - 0.5, i + 0.5, color=GRID, alpha=0.35, linewidth=0)
             for k, cell in enumerate(row.cells):
-                y = k if len(rows) == 1 else i + _BAND * ((k + 0.5) / len(methods) - 0.5)
+                y = i + _BAND * ((k + 0.5) / count - 0.5)
                 rate, colour = cell.success, COLOURS[k % len(COLOURS)]
                 if rate is None:
                     words = "does not apply" if cell.state == "spared" else "missing"
@@ -118,13 +116,11 @@ def success_figure(rows: Sequence[Row], name: str, title: str) -> Figure | None:
                 label = cell.method if i == 0 else None
                 axes.plot([100 * rate.low, 100 * rate.high], [y, y], color=colour, linewidth=2.0, alpha=0.75)
                 axes.plot(100 * rate.value, y, "o", color=colour, markersize=6.5, markeredgewidth=0, label=label)
-        if len(rows) > 1:
-            figure.legend(loc="outside upper center", ncols=len(methods), frameon=False, fontsize=9)
-        else:
-            _limit_line(axes, 100.0 * float(SUCCESS.excellent or 0.0), f"excellent {SUCCESS.excellent_text}")
+        figure.legend(loc="outside upper center", ncols=count, frameon=False, fontsize=9)
         axes.set_xlim(-2, 102)
         axes.set_xlabel("success, %")
-        return Figure(name, title, "Dots: share of trials that passed. Lines: 95 % Wilson interval.", svg())
+        title = "Success" if len(rows) == 1 else "Success under each condition"
+        return Figure("success", title, "Dots: share of trials that passed. Lines: 95 % Wilson interval.", svg())
 
 
 def read_trials(path: Path) -> list[Trial]:
@@ -179,14 +175,7 @@ def _spread(k: int) -> float:
 
 
 def benchmark_figures(tables: Tables, trials: Sequence[Trial]) -> list[Figure]:
-    """Return the figures of undisturbed trials."""
+    """Return the figures of success under each condition, and of the undisturbed trials."""
     methods = [cell.method for cell in tables.clean.cells]
-    strips = (strip_figure(indicator, methods, trials) for indicator in INDICATORS[1:])
-    drawn = [success_figure(tables.rows[:1], "success", "Success"), *strips]
+    drawn = [success_figure(tables.rows), *(strip_figure(indicator, methods, trials) for indicator in INDICATORS[1:])]
     return [figure for figure in drawn if figure is not None]
-
-
-def condition_figure(tables: Tables) -> Figure | None:
-    """Plot success by condition, if disturbed."""
-    title = "Success under each disturbance, the first row undisturbed"
-    return success_figure(tables.rows, "conditions", title) if len(tables.rows) > 1 else None

@@ -13,43 +13,45 @@ import jinja2
 
 from minidual.errors import DataError
 from minidual.gate.canonical import dumps
+from minidual.gate.stage import StageContext
 from minidual.show.report import wording
 from minidual.show.report.facts import gather
-from minidual.show.report.figures import benchmark_figures, condition_figure, read_trials
+from minidual.show.report.figures import benchmark_figures, read_trials
 from minidual.show.report.indicators import INDICATORS
 from minidual.show.report.media import Medium, collect_media
-from minidual.show.report.model import Report, ReportInput
+from minidual.show.report.model import Report, not_passing
 from minidual.show.report.tables import CERTAIN, Cell, tabulate
+from minidual.trials.conditions import parse_conditions
 from minidual.trials.methods import METHODS
 
 TRIALS_FILE = "benchmark.csv"
 
 
-def build_report(given: ReportInput, folder: Path) -> Report:
+def build_report(given: StageContext, folder: Path) -> Report:
     """Write report.html, report.json and figures into `folder`.
 
     Raises:
         DataError: An artefact is missing or unreadable.
     """
-    benchmark = given.verdicts.get("benchmark")
+    benchmark, wanted = given.verdicts.get("benchmark"), given.config.benchmark
     media: list[Medium] = []
     for stage, verdict in given.verdicts.items():
         captions = verdict.data.get("captions", {})
-        media += collect_media(stage, given.folders[stage], verdict.artefacts, captions, folder)
+        media += collect_media(stage, given.upstream[stage], verdict.artefacts, captions, folder)
     try:
-        tables = tabulate(given.methods, given.conditions, benchmark.data if benchmark else {})
-        trials = read_trials(given.folders["benchmark"] / TRIALS_FILE) if benchmark else []
+        data = benchmark.data if benchmark else {}
+        tables = tabulate(wanted.methods, parse_conditions(wanted.conditions), data)
+        trials = read_trials(given.upstream["benchmark"] / TRIALS_FILE) if benchmark else []
         facts, figures = gather(given.verdicts, tables), benchmark_figures(tables, trials)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise DataError(
             f"the benchmark's data or {TRIALS_FILE} is damaged: {type(error).__name__}: {error}",
             remedy="minidual benchmark --force",
         ) from error
-    report = Report(given, tables, facts, figures, condition_figure(tables), media)
+    report = Report(given, tables, facts, figures, media)
     (folder / "figures").mkdir()
-    for figure in (*report.figures, report.condition_figure):
-        if figure is not None:
-            (folder / "figures" / f"{figure.name}.svg").write_text(figure.svg, encoding="utf-8")
+    for figure in figures:
+        (folder / "figures" / f"{figure.name}.svg").write_text(figure.svg, encoding="utf-8")
     (folder / "report.json").write_text(dumps(document(report)), encoding="utf-8")
     (folder / "report.html").write_text(render_page(report), encoding="utf-8")
     return report
@@ -71,22 +73,23 @@ def render_page(report: Report) -> str:
         given=report.given,
         facts=report.facts,
         state=report.state,
+        not_passing=len(not_passing(report.given)),
         style=environment.get_template("report.css").render(),
         indicators=INDICATORS,
         certain=CERTAIN,
-        summaries={name: METHODS[name].summary for name in report.given.methods if name in METHODS},
+        summaries={name: METHODS[name].summary for name in report.given.config.benchmark.methods if name in METHODS},
     )
 
 
 def document(report: Report) -> dict[str, Any]:
     """Return the report as JSON, without pictures."""
     given, facts = report.given, report.facts
-    made = given.newest.fingerprint if given.newest else None
+    made = report.newest.fingerprint if report.newest else None
     clean, *disturbed = report.tables.rows
     margins = [{"stage": m.stage, "check": m.check.name, "share_of_limit": m.relative} for m in facts.margins]
     return {
         "schema": 3,
-        "title": given.title,
+        "title": given.config.report.title,
         "state": report.state,
         "acceptance": report.state == "pass",
         "profile": given.profile,
@@ -95,7 +98,7 @@ def document(report: Report) -> dict[str, Any]:
         "checks": [check.to_json() for check in report.shown_checks],
         "made_with": {n: getattr(made, n) for n in ("version", "commit", "machine", "libraries") if made},
         "total_s": report.total_s,
-        "stages": [_stage(given, name) for name, _summary in given.stages],
+        "stages": [_stage(given, name) for name in given.summaries],
         "comparison": {"missing": report.tables.missing(), "methods": {c.method: _cell(c) for c in clean.cells}},
         "conditions": {
             row.condition: {"summary": row.summary, "methods": {c.method: _cell(c) for c in row.cells}}
@@ -110,7 +113,7 @@ def _cell(cell: Cell) -> dict[str, Any]:
     return {**asdict(cell), "failures": dict(cell.failures), "holes": cell.holes, "excellent": excellent}
 
 
-def _stage(given: ReportInput, name: str) -> dict[str, Any]:
+def _stage(given: StageContext, name: str) -> dict[str, Any]:
     if name not in given.verdicts:
         return {"name": name, "status": "missing"}
     record = given.verdicts[name].to_json()
