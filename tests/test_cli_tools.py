@@ -26,7 +26,7 @@ def refuse(context: ToolContext) -> ToolResult:
     return ToolResult(exit_code=ExitCode.ACCEPTANCE_FAILED)
 
 
-OPTIONS = (Option("fail", "Break off.", bool), Option("names", "Words.", argument=True))
+OPTIONS = (Option("fail", "Break off.", bool), Option("names", "Words."))
 TOOLS = (
     ToolEntry("measure", f"{__name__}:measure", "Measure", OPTIONS),
     ToolEntry("refuse", f"{__name__}:refuse", "Refuse"),
@@ -58,7 +58,7 @@ def run(tmp_path, capsys):
 
 
 def test_a_tool_prints_and_publishes_its_folder_and_no_verdict(run):
-    code, out, err = run("measure", "one", "--seed", "7")
+    code, out, err = run("measure", "--names", "one", "--seed", "7")
     assert (code, out) == (0, "seed 7 one\n")
     assert "a note" in err
     assert (run.folder / "measure" / "number.txt").read_text() == "7"

@@ -8,13 +8,14 @@ import sys
 import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
+from functools import partial
 from types import FrameType
 from typing import Annotated, Any, get_type_hints
 
 import typer
 
 import minidual
-from minidual.cli.commands import Body, config_body, explain_body, run_body, stage_body, status_body, tool_body
+from minidual.cli.commands import Body, config_body, explain_body, run_body, run_tool, stage_body, status_body
 from minidual.cli.session import Running, Session, Typed
 from minidual.cli.viewing import Watching
 from minidual.errors import ExitCode, UsageError, unknown_name
@@ -46,7 +47,7 @@ def _option_parameters(options: Iterable[Option]) -> list[inspect.Parameter]:
     found: dict[str, inspect.Parameter] = {}
     for option in options:
         kind: Any = str if option.kind is tuple else option.kind
-        default: Any = inspect.Parameter.empty if option.required else False if option.kind is bool else None
+        default: Any = inspect.Parameter.empty if option.argument else False if option.kind is bool else None
         if option.argument:
             declared: Any = typer.Argument(metavar=option.name.upper(), help=option.help)
         else:
@@ -113,7 +114,7 @@ def build_app(table: StageTable, tools: Sequence[ToolEntry] = ()) -> typer.Typer
     app.add_typer(config, name="config", rich_help_panel="The run")
     for tool in tools:
         own = _option_parameters(tool.options) + (_parameters(Watching) if tool.watchable else [])
-        add(tool.name, tool.summary, tool.examples, tool_body(tool), own, "Tools, without gate and verdict")
+        add(tool.name, tool.summary, tool.examples, partial(run_tool, tool), own, "Tools, without gate and verdict")
     return app
 
 

@@ -43,11 +43,6 @@ def stage_body(entry: StageEntry) -> Body:
     return body
 
 
-def tool_body(tool: ToolEntry) -> Body:
-    """Return the body of a tool's command."""
-    return lambda session, values: run_tool(tool, session, values)
-
-
 def run_tool(tool: ToolEntry, session: Session, values: Mapping[str, Any]) -> ExitCode:
     """Run a tool and print its result."""
     from minidual.cli.progress import progress_for
@@ -105,15 +100,8 @@ def _refuse_loose_options(entry: StageEntry, aside: ToolEntry | None, values: Ma
 
 
 def _outcome_json(outcome: Outcome) -> dict[str, Any]:
-    state = outcome.state
-    return {
-        "stage": state.name,
-        "state": state.state,
-        "ran": outcome.ran,
-        "folder": state.folder,
-        "warnings": state.warnings,
-        "verdict": outcome.verdict.to_json(),
-    }
+    state = _state_json(outcome.state)
+    return {"stage": state["name"], "ran": outcome.ran, **state, "verdict": outcome.verdict.to_json()}
 
 
 def run_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
@@ -189,6 +177,7 @@ def _state_json(state: StageState) -> dict[str, Any]:
         "state": state.state,
         "reasons": state.reasons,
         "warnings": state.warnings,
+        "folder": state.folder,
         "status": verdict.status if verdict else None,
         "acceptance": verdict.acceptance if verdict else False,
         "failed": [check.to_json() for check in verdict.failed_checks()] if verdict else [],
@@ -222,7 +211,6 @@ def explain_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
         **_state_json(state),
         "summary": entry.summary,
         "requires": upstream,
-        "folder": state.folder,
         "verdict": state.verdict.to_json() if state.verdict else None,
         "lowest": lowest and lowest.name,
     }

@@ -85,10 +85,6 @@ class Gate:
             self._known[name] = self._judge(name)
         return self._known[name]
 
-    def forget(self) -> None:
-        """Clear the cached states."""
-        self._known.clear()
-
     def closed_by(self, name: str) -> list[StageState]:
         """Return the directly required stages that do not pass."""
         return [state for required in self.table[name].requires if (state := self.state(required)).state != "pass"]

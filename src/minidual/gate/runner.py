@@ -71,22 +71,15 @@ class Runner:
     def run(
         self, name: str, options: Mapping[str, Any] | None = None, *, force: bool = False, waiver: str | None = None
     ) -> Outcome:
-        """Run one stage; a passing, fresh one is returned unless `force`.
-
-        Args:
-            name: Stage.
-            options: Its command-line options.
-            force: Run even if fresh; never opens a gate.
-            waiver: Reason that opens a closed gate, recorded downstream.
+        """Run one stage; a passing, fresh one is returned unless `force`. A `waiver` opens a closed gate.
 
         Raises:
             GateClosedError: An upstream stage does not pass.
-            DataError: An upstream verdict is corrupt.
             UsageError: Another process writes in this run.
             StageCrashedError: The stage raised an unforeseen exception.
         """
         with disk_errors(self.store.folder), self.store.writing(self.command(name)):
-            gate = Gate(self.table, self.store, self.loaded, {name: dict(options or {})})
+            gate = self._gate({name: dict(options or {})})
             self._validate(gate, name)
             return self._run_locked(gate, name, force, waiver)
 
@@ -100,19 +93,19 @@ class Runner:
         names = self.table.until(last)
         command = "run" if last is None else f"run --until {last}"
         with disk_errors(self.store.folder), self.store.writing(self.command(command)):
-            gate = Gate(self.table, self.store, self.loaded)
             for name in names:
-                self._validate(gate, name)
+                self._validate(self._gate(), name)
             for name in names:
                 # A passing, fresh stage keeps the options it was run with; one that runs again follows the
                 # configuration.
-                if force or gate.state(name).state != "pass":
-                    gate = Gate(self.table, self.store, self.loaded, {name: {}})
-                outcome = self._run_locked(gate, name, force, waiver)
-                gate = Gate(self.table, self.store, self.loaded)
+                fresh = self._gate().state(name).state == "pass" and not force
+                outcome = self._run_locked(self._gate(None if fresh else {name: {}}), name, force, waiver)
                 yield outcome
                 if outcome.exit_code != ExitCode.PASS and waiver is None:
                     return
+
+    def _gate(self, options: Mapping[str, Mapping[str, Any]] | None = None) -> Gate:
+        return Gate(self.table, self.store, self.loaded, options or {})
 
     def _validate(self, gate: Gate, name: str) -> None:
         self.table[name].resolved(gate.effective(name, None)[1].config, checked=True)
@@ -125,8 +118,7 @@ class Runner:
         if closed and waiver is None:
             raise gate.closed_error(name, self.command)
         self._execute(gate, name, self._waivers(gate, name, closed, waiver))
-        gate.forget()
-        return Outcome(gate.state(name), ran=True)
+        return Outcome(self._gate(gate.options).state(name), ran=True)
 
     def _waivers(self, gate: Gate, name: str, closed: list[StageState], reason: str | None) -> tuple[Waiver, ...]:
         """Return the waivers that apply to `name`: inherited ones and its own."""

@@ -21,17 +21,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class StageContext:
-    """Input of a stage.
+    """Input of a stage; `workers` and `view` must not affect results.
 
     Attributes:
         folder: Temporary artefact folder.
         config: Resolved configuration, options applied.
-        upstream: {stage: finished folder} of all required stages; passing and fresh unless waived.
-        summaries: {stage: one line}, in table order.
+        upstream: {stage: finished folder} of all required stages.
         code_changes: {stage: modules} changed since; closing stages only.
         waivers: Own and inherited waivers.
-        workers: Processes allowed; must not affect results.
-        view: Live view or None; must not affect results.
     """
 
     folder: Path

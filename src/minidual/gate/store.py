@@ -18,13 +18,14 @@ import traceback
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Literal
 
 from minidual.durable import remove, replacing, set_aside, sync, write_text
 from minidual.errors import DataError, UsageError
 from minidual.gate.canonical import dumps
-from minidual.gate.clock import now_stamp, now_text
+from minidual.gate.clock import now_text
 from minidual.gate.lock import lock_holder, run_lock
 from minidual.gate.manifest import ATTEMPT_FILE, CONFIG_FILE, VERDICT_FILE
 from minidual.gate.verdict import Verdict, read_verdict
@@ -171,6 +172,6 @@ class RunStore:
     def write_crash(self, name: str, error: BaseException) -> Path:
         """Write the traceback into the run folder and return its path."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        path = self.folder / f"crash-{name}-{now_stamp()}-{os.getpid()}.txt"
+        path = self.folder / f"crash-{name}-{datetime.now(UTC):%Y%m%d-%H%M%S}-{os.getpid()}.txt"
         path.write_text("".join(traceback.format_exception(error)), encoding="utf-8")
         return path

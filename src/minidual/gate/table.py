@@ -32,7 +32,7 @@ class Option:
     Attributes:
         kind: Type of the value; `bool` is a flag, `tuple` is typed as "a,b".
         path: Configuration path that it overrides, or None.
-        argument: Positional (`minidual replay FILE`).
+        argument: Positional and required (`minidual replay FILE`).
     """
 
     name: str
@@ -40,7 +40,6 @@ class Option:
     kind: type[int | float | str | bool | tuple[str, ...]] = str
     path: str | None = None
     argument: bool = False
-    required: bool = False
 
     @property
     def key(self) -> str:
@@ -48,20 +47,17 @@ class Option:
         name = self.name.replace("-", "_")
         return f"{name}_" if keyword.iskeyword(name) else name
 
-    def value(self, typed: Any) -> Any:
-        """Return the configuration value."""
-        split = self.kind is tuple
-        return [word.strip() for word in str(typed).split(",") if word.strip()] if split else typed
-
 
 def overrides(options: Sequence[Option], values: Mapping[str, Any]) -> list[Override]:
     """Return the overrides of the configuration that the options' values stand for."""
-    known = {option.name: option for option in options}
-    return [
-        Override(path, known[name].value(value), f"--{name} {value}")
-        for name, value in values.items()
-        if name in known and (path := known[name].path) is not None
-    ]
+    found: list[Override] = []
+    for option in options:
+        value = typed = values.get(option.name)
+        if option.path is not None and typed is not None:
+            if option.kind is tuple:
+                value = [word.strip() for word in typed.split(",") if word.strip()]
+            found.append(Override(option.path, value, f"--{option.name} {typed}"))
+    return found
 
 
 @dataclass(frozen=True)
@@ -69,11 +65,9 @@ class ToolEntry:
     """A command without verdict; with a `trigger`, an aside: it runs instead of its stage.
 
     Attributes:
-        name: The command, or an aside's output folder.
+        name: Command, or an aside's output folder.
         target: "module:function", see `minidual.gate.tool`.
         trigger: Option that selects it, one word.
-        watchable: Takes --view.
-        examples: For --help, such as "replay worst.npz".
     """
 
     name: str
@@ -96,17 +90,15 @@ class StageEntry:
 
     Attributes:
         target: "module:function", see `minidual.gate.stage`.
-        requires: Stages that must pass, fresh.
-        reads: Configuration paths that the result depends on; changes make the verdict stale. Seed and profile always
-            count.
-        resolve: "module:function" from Config to Config that resolves names; must import quickly, as `status` calls it.
-        check: "module:function" that raises UsageError for values that models cannot validate; called before a run.
+        reads: Configuration paths that the result depends on, besides seed and profile.
+        resolve: "module:function" from Config to Config that resolves names; must import quickly.
+        check: "module:function" that raises UsageError before a run.
         asides: Tools that run instead when triggered.
         watchable: Takes --view.
         keeps: Names in its folder that a new attempt takes over from an interrupted one. If any, a replaced result is
             set aside, never deleted.
-        examples: For --help, such as "carry --trials 50".
         closing: Ends the pipeline and checks waivers and code changes.
+        examples: For --help, such as "carry --trials 50".
     """
 
     name: str

@@ -26,9 +26,7 @@ class ToolContext:
 
     Attributes:
         run_folder: Folder of the run; need not exist.
-        options: Options given.
-        command: Turns "plan" into the full command, with profile and run flags.
-        view: Live view (minidual.show.view.View) or None.
+        command: Turns "plan" into the full command.
     """
 
     config: Config

@@ -188,7 +188,7 @@ TOOLS: tuple[ToolEntry, ...] = (
         "minidual.stages.replay:replay_tool",
         "Run a dumped state or a recorded trial again: does it repeat, and what went out of bounds first",
         (
-            Option("file", "A dump or a recorded trial (.npz).", argument=True, required=True),
+            Option("file", "A dump or a recorded trial (.npz).", argument=True),
             Option("from-s", "Begin at this simulated time.", float),
             Option("to-s", "End at this simulated time.", float),
             Option("video", "Write a film here (.mp4)."),
