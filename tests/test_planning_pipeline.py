@@ -16,7 +16,7 @@ from minidual.motion.held.path import CarriedTrajectory
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES
-from minidual.robot.poses import inverse, pose, rot_z
+from minidual.robot.poses import inverse, pose, rot_x, rot_z
 from minidual.skills.cycle import thing_of
 from minidual.skills.pipeline.carrying import Carry, Place
 from minidual.skills.pipeline.drive import Drive
@@ -334,6 +334,33 @@ def test_hands_may_reach_their_grasps_one_after_the_other(planner):
     solution = Pipeline("t", [one, other]).solve(START, tools(planner))
     assert set(solution.states[1].reached) == {"left"}
     assert set(solution.states[2].reached) == set(SIDES)
+
+
+def test_a_free_motion_that_tilts_the_object_is_a_failure(planner):
+    """One hand brings an upright rod round a wall: allowed where any tilt is, refused where none is."""
+    bottle, T = replace(ROD, upright=True), GRASPS["left"]
+    state = replace(START, q=np.array(HOME), held_by={"left": T}, rests=False)
+    T_start = planner.kinematics.tcp_poses(HOME)[0] @ inverse(T)
+    turned = T_start.copy()
+    turned[:3, :3] = rot_z(0.3) @ rot_x(0.6) @ T_start[:3, :3]
+    place = Place("turned", turned, rests=False)
+    given = Tools(PlanningScene(), bottle, planner, seed=1)
+    held = replace(state, T_world_object=T_start)
+    stages = {limit: Carry("carry", [place], 0.1, limit) for limit in (np.pi, 0.05)}
+    assert any(o.label.endswith("round") for o in stages[np.pi].offers(held, given) if not isinstance(o, Failure))
+    found = [o for o in stages[0.05].offers(held, given) if isinstance(o, Failure)]
+    assert "tilted" in {o.reason for o in found}
+    assert "at most 0.05" in next(o.message for o in found if o.reason == "tilted")
+
+
+def test_tilt_is_that_of_the_axis_that_should_stay():
+    lean = np.array([pose(rot_x(angle), (0, 0, 0)) for angle in (0.0, 0.3, -0.1)])
+    roll = np.array([pose(rot_z(np.pi / 2) @ rot_x(0.4) @ rot_z(-np.pi / 2), (0, 0, 0))])
+    upright = replace(ROD, upright=True)
+    assert ROD.tilt_rad(lean) == pytest.approx(0.3)
+    assert ROD.tilt_rad(roll) == pytest.approx(0.0)
+    assert upright.tilt_rad(lean) == pytest.approx(0.3)
+    assert upright.tilt_rad(roll) == pytest.approx(0.4)
 
 
 def test_a_refused_segment_aborts_the_drive_by_name(carried, world):

@@ -32,9 +32,11 @@ def thing_of(body: ObjectConfig) -> Thing:
     """Return the planner's object; a cylinder becomes an inscribed capsule, which leaves its end rims out."""
     if body.shape == "box":
         x, y, z = (2.0 * half for half in body.half_sizes_m)
-        return Thing(Box(body.name, (0.0, 0.0, 0.0), size_m=(x, y, z)))
+        return Thing(Box(body.name, (0.0, 0.0, 0.0), size_m=(x, y, z)), upright=body.upright)
     quat, length = _UPRIGHT if body.upright else _ALONG_Y, body.length_m - 2.0 * body.radius_m
-    return Thing(Capsule(body.name, (0.0, 0.0, 0.0), quat, radius_m=body.radius_m, length_m=length))
+    return Thing(
+        Capsule(body.name, (0.0, 0.0, 0.0), quat, radius_m=body.radius_m, length_m=length), upright=body.upright
+    )
 
 
 def around(scene: SceneConfig, robot: Robot = DUAL_PANDA) -> PlanningScene:
@@ -102,4 +104,5 @@ def _carry(task: Task, steps: Sequence[Step], goal: Place) -> Carry:
     poses = [T for step in steps for T in step.places]
     places = [Place(f"place {k + 1}", T, 0.5 * k, rests) for k, T in enumerate(poses)] or [goal]
     hands = steps[0].hands
-    return Carry("carry" if len(hands) == len(SIDES) else f"carry {hands[0]}", places, task.scene.task.lift_height_m)
+    label, asked = "carry" if len(hands) == len(SIDES) else f"carry {hands[0]}", task.scene.task
+    return Carry(label, places, asked.lift_height_m, asked.tilt_max_rad)

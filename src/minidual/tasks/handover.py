@@ -61,7 +61,7 @@ def handover(config: Config) -> Task:
             "scene.task.goal_yaw_rad": -0.7,
             "scene.task.lift_height_m": 0.10,
             "scene.task.time_limit_s": 25.0,
-            "scene.task.tilt_max_rad": 0.20,  # a motion planned round an obstacle does not keep it upright
+            "scene.task.tilt_max_rad": 0.20,
         },
     )
     body = config.scene.object

@@ -9,12 +9,15 @@ from minidual.collision.errors import PlanningError
 from minidual.config.seeds import stream
 from minidual.motion.held.planner import HeldQuery
 from minidual.robot.pair import SIDES, Array
+from minidual.robot.poses import inverse
 from minidual.skills.phases import PHASES
 from minidual.skills.pipeline.hands import straight
 from minidual.skills.pipeline.stage import Candidate, Failure, Offer, Stage, Tools, failure, group_of
 from minidual.skills.pipeline.state import Segment, State, raised
 
 _OTHER_HEIGHTS_M = (0.06, 0.2)
+_BUDGET_S = 2.0
+_TILT_EVERY = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,14 +34,14 @@ class Carry(Stage):
     """Bring the held object to one of several places.
 
     Two hands first try one motion without a stop. Then: straight up, across freely (one hand tries straight first),
-    straight down.
+    straight down. A free motion may tilt the object by `tilt_max_rad`.
     """
 
-    def __init__(self, name: str, places: Sequence[Place], lift_m: float, budget_s: float = 2.0) -> None:
+    def __init__(self, name: str, places: Sequence[Place], lift_m: float, tilt_max_rad: float = np.pi) -> None:
         super().__init__(name)
+        self._tilt_max_rad = tilt_max_rad
         self._places = sorted(places, key=lambda place: place.cost)
         self._heights = (lift_m, *(h for h in _OTHER_HEIGHTS_M if h != lift_m))
-        self._budget_s = budget_s
 
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
         """Yield ways to every place."""
@@ -124,16 +127,24 @@ class Carry(Stage):
         return Segment(phase, motion, state.openings, scene, motion.verification)
 
     def _freely(self, T_world_goal: Array, state: State, tools: Tools) -> Segment:
-        """Return a collision-free motion to a pose in the air."""
-        scene, budget_s = tools.scene(state), self._budget_s
+        """Return a collision-free motion to a pose in the air that keeps the object level."""
+        scene, budget_s = tools.scene(state), _BUDGET_S
         if len(state.held_by) == len(SIDES):
             left, right = (state.held_by[arm] for arm in SIDES)
             query = HeldQuery(state.q, T_world_goal, left, right, scene, tools.seed)
-            moved = tools.holder.plan(query, budget_s)
-            return Segment("carry", moved, state.openings, scene, moved.verification)
-        group, targets = group_of(state.held_by), _hands_at(T_world_goal, state)
-        plan = tools.planner.plan_to_poses(group, state.q, targets, scene=scene, seed=tools.seed, budget_s=budget_s)
-        return Segment("carry", plan.trajectory, state.openings, scene, plan.verification)
+            motion = tools.holder.plan(query, budget_s)
+            proof, Ts_world_object = motion.verification, motion.Ts_world_object
+        else:
+            group, targets = group_of(state.held_by), _hands_at(T_world_goal, state)
+            plan = tools.planner.plan_to_poses(group, state.q, targets, scene=scene, seed=tools.seed, budget_s=budget_s)
+            motion, proof = plan.trajectory, plan.verification
+            ((arm, T_object_tcp),) = state.held_by.items()
+            tips = [tools.planner.kinematics.tcp_poses(q)[SIDES.index(arm)] for q in motion.q[::_TILT_EVERY]]
+            Ts_world_object = np.array(tips) @ inverse(T_object_tcp)
+        tilt = tools.thing.tilt_rad(Ts_world_object)
+        if tilt > self._tilt_max_rad:
+            raise Failure("tilted", f"the object tilts by {tilt:.2f} rad on the way; at most {self._tilt_max_rad:.2f}")
+        return Segment("carry", motion, state.openings, scene, proof)
 
 
 def _hands_at(T_world_object: Array, state: State) -> dict[str, Array]:

@@ -68,6 +68,13 @@ class Thing:
 
     shape: Shape
     rests_on: tuple[str, ...] = ("table",)
+    upright: bool = False
+
+    def tilt_rad(self, Ts_world_object: Array) -> float:
+        """Return the largest tilt at poses (n, 4, 4): of its z axis if upright, else of its y axis."""
+        if self.upright:
+            return float(np.arccos(np.clip(Ts_world_object[:, 2, 2].min(), -1.0, 1.0)))
+        return float(np.arcsin(np.clip(np.abs(Ts_world_object[:, 2, 1]).max(), 0.0, 1.0)))
 
 
 def still(phase: str, q: Array, duration_s: float, openings: tuple[float, float]) -> Segment:
