@@ -1,9 +1,7 @@
 """Queries in, proven trajectories or named errors out."""
 
 import dataclasses
-import re
 import typing
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -226,12 +224,11 @@ def test_planner_names_are_the_same_in_configuration_and_code():
     assert set(typing.get_args(PlannerName)) == set(PLANNERS)
     with pytest.raises(UsageError, match="did you mean 'rrtconnect'") as caught:
         PLANNERS["rrtconect"]
-    assert "bitstar" in str(caught.value)
+    assert "kpiece" in str(caught.value)
 
 
-@pytest.mark.parametrize("name", ["rrt", "bitstar", "kpiece"])
-def test_other_planners_solve_it_too(post_planner, name):
-    other = Planner(post_planner.scene, PlannerConfig(planner=name))
+def test_the_other_planner_solves_it_too(post_planner):
+    other = Planner(post_planner.scene, PlannerConfig(planner="kpiece"))
     result = other.plan_to_joints("left_arm", beside_the_post(1), beside_the_post(-1), seed=1)
     assert result.verification.ok
     assert not result.direct
@@ -242,15 +239,6 @@ def test_slower_limits_are_kept(planner):
     report = slow.plan_to_joints("both_arms", HOME, HOME + 0.4).verification
     assert report.velocity_ratio <= 0.2 * 1.0001
     assert report.acceleration_ratio <= 0.1 * 1.0001
-
-
-def test_the_example_of_the_documentation_runs():
-    text = (Path(__file__).parents[1] / "docs" / "plan.md").read_text(encoding="utf-8")
-    (block,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
-    names: dict[str, typing.Any] = {}
-    exec(block, names)
-    assert names["result"].verification.ok
-    assert names["q"].shape == (14,)
 
 
 def test_patience_grows_up_to_a_bound():

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from minidual.config.base import AtLeast, AtMost, StrictModel
 
-PlannerName = Literal["rrtconnect", "rrt", "rrtstar", "bitstar", "kpiece"]
+PlannerName = Literal["rrtconnect", "kpiece"]
 
 
 class MotionLimits(StrictModel):

@@ -53,28 +53,6 @@ def frames_of_arm(model: Any, joints: slice, tcp: int) -> Array:
 
 
 @njit
-def _reach(frames: Array, q: Array, T: Array, axes: Array) -> None:
-    """Fill the tcp pose T (3, 4), joint axes and centres (n, 6), in world."""
-    for r in range(3):
-        for c in range(4):
-            T[r, c] = 1.0 if r == c else 0.0
-    for i in range(len(frames)):
-        F = frames[i]
-        for r in range(3):
-            x, y, z = T[r, 0], T[r, 1], T[r, 2]
-            T[r, 3] += x * F[0, 3] + y * F[1, 3] + z * F[2, 3]
-            a = x * F[0, 0] + y * F[1, 0] + z * F[2, 0]
-            b = x * F[0, 1] + y * F[1, 1] + z * F[2, 1]
-            T[r, 2] = x * F[0, 2] + y * F[1, 2] + z * F[2, 2]
-            if i < len(q):
-                cosine, sine = math.cos(q[i]), math.sin(q[i])
-                T[r, 0], T[r, 1] = cosine * a + sine * b, cosine * b - sine * a
-                axes[i, r], axes[i, 3 + r] = T[r, 2], T[r, 3]
-            else:
-                T[r, 0], T[r, 1] = a, b
-
-
-@njit
 def _logarithm(R: Array, w: Array) -> float:
     """Fill the rotation vector w (3,) of R; return its angle, 0 to pi."""
     x, y, z = 0.5 * (R[2, 1] - R[1, 2]), 0.5 * (R[0, 2] - R[2, 0]), 0.5 * (R[1, 0] - R[0, 1])
@@ -112,10 +90,33 @@ def _quotients(t: float) -> tuple[float, float]:
 
 
 @njit
-def _error(T: Array, target: Array, R: Array, p: Array, e: Array) -> float:
-    """Fill R, p of T_tcp_target and its logarithm e (6,), [linear; angular]; return the angle."""
+def _reach(frames: Array, q: Array, T: Array, axes: Array) -> None:
+    """Fill the tcp pose T (3, 4), joint axes and centres (n, 6), in world."""
     for r in range(3):
-        p[r] = 0.0
+        for c in range(4):
+            T[r, c] = 1.0 if r == c else 0.0
+    for i in range(len(frames)):
+        F = frames[i]
+        for r in range(3):
+            x, y, z = T[r, 0], T[r, 1], T[r, 2]
+            T[r, 3] += x * F[0, 3] + y * F[1, 3] + z * F[2, 3]
+            a = x * F[0, 0] + y * F[1, 0] + z * F[2, 0]
+            b = x * F[0, 1] + y * F[1, 1] + z * F[2, 1]
+            T[r, 2] = x * F[0, 2] + y * F[1, 2] + z * F[2, 2]
+            if i < len(q):
+                cosine, sine = math.cos(q[i]), math.sin(q[i])
+                T[r, 0], T[r, 1] = cosine * a + sine * b, cosine * b - sine * a
+                axes[i, r], axes[i, 3 + r] = T[r, 2], T[r, 3]
+            else:
+                T[r, 0], T[r, 1] = a, b
+
+
+@njit
+def _measured(frames: Array, target: Array, q: Array) -> Any:
+    """Return tcp pose (3, 4), joint axes and centres (n, 6), R, p and logarithm (6,) of T_tcp_target, and its angle."""
+    T, axes, R, p, e = np.empty((3, 4)), np.empty((len(q), 6)), np.empty((3, 3)), np.zeros(3), np.empty(6)
+    _reach(frames, q, T, axes)
+    for r in range(3):
         for k in range(3):
             p[r] += T[k, r] * (target[k, 3] - T[k, 3])
         for c in range(3):
@@ -128,12 +129,13 @@ def _error(T: Array, target: Array, R: Array, p: Array, e: Array) -> float:
     e[0] = alpha * p[0] - 0.5 * (w[1] * p[2] - w[2] * p[1]) + along * w[0]
     e[1] = alpha * p[1] - 0.5 * (w[2] * p[0] - w[0] * p[2]) + along * w[1]
     e[2] = alpha * p[2] - 0.5 * (w[0] * p[1] - w[1] * p[0]) + along * w[2]
-    return t
+    return T, axes, R, p, e, t
 
 
 @njit
-def _jacobian(T: Array, axes: Array, R: Array, p: Array, e: Array, t: float, J: Array) -> None:
+def _jacobian(measured: Any, J: Array) -> None:
     """Fill J (6, n) = -[A, C A; 0, A] J_tcp, A and C of the inverse pose."""
+    T, axes, R, p, e, t = measured
     wx, wy, wz = -e[3], -e[4], -e[5]
     px = -(R[0, 0] * p[0] + R[1, 0] * p[1] + R[2, 0] * p[2])
     py = -(R[0, 1] * p[0] + R[1, 1] * p[1] + R[2, 1] * p[2])
@@ -173,10 +175,11 @@ def _jacobian(T: Array, axes: Array, R: Array, p: Array, e: Array, t: float, J: 
 
 
 @njit
-def _square(e: Array) -> float:
+def _inner(J: Array, i: int, e: Array) -> float:
+    """Return the product of column i and e (6,)."""
     s = 0.0
     for k in range(6):
-        s += e[k] * e[k]
+        s += J[k, i] * e[k]
     return s
 
 
@@ -214,9 +217,9 @@ def tcp_pose(frames: Array, q: Array, T: Array) -> None:
 @kernel(types.void(BLOCKS, ROWS, VECTOR, VECTOR, ROWS))
 def measure(frames: Array, target: Array, q: Array, e: Array, J: Array) -> None:
     """Fill e (6,) and de/dq (6, n)."""
-    T, axes, R, p = np.empty((3, 4)), np.empty((len(q), 6)), np.empty((3, 3)), np.empty(3)
-    _reach(frames, q, T, axes)
-    _jacobian(T, axes, R, p, e, _error(T, target, R, p, e), J)
+    measured = _measured(frames, target, q)
+    _jacobian(measured, J)
+    e[:] = measured[4]
 
 
 @kernel(types.UniTuple(types.float64, 3)(BLOCKS, ROWS, VECTOR, VECTOR, VECTOR, types.int64, types.float64))
@@ -227,47 +230,33 @@ def descend(
 
     Levenberg-Marquardt for distant starts; joints pushed against a limit stay.
     """
-    T, axes, R, p = np.empty((3, 4)), np.empty((len(q), 6)), np.empty((3, 3)), np.empty(3)
-    T_new, axes_new, R_new, p_new = (np.empty((3, 4)), np.empty((len(q), 6)), np.empty((3, 3)), np.empty(3))
-    e, e_new, y, q_new = np.empty(6), np.empty(6), np.empty(6), np.empty(len(q))
-    J, L = np.empty((6, len(q))), np.zeros((6, 6))
-    blocked = np.empty(len(q), dtype=np.bool_)
-    _reach(frames, q, T, axes)
-    angle = _error(T, target, R, p, e)
-    cost = _square(e)
-    damping = _DAMPING_FIRST
+    n, damping = len(q), _DAMPING_FIRST
+    J, L, y, q_new, blocked = np.empty((6, n)), np.zeros((6, 6)), np.empty(6), np.empty(n), np.empty(n, dtype=np.bool_)
+    now = _measured(frames, target, q)
+    cost = np.sum(now[4] ** 2)
     for _ in range(iterations):
         if cost < tolerance * tolerance or damping > _DAMPING_MOST:
             break
-        _jacobian(T, axes, R, p, e, angle, J)
-        free = 0
-        for i in range(len(q)):
-            gradient = 0.0
-            for k in range(6):
-                gradient += J[k, i] * e[k]
+        _jacobian(now, J)
+        for i in range(n):
+            gradient = _inner(J, i, now[4])
             blocked[i] = (q[i] <= lower[i] and gradient > 0.0) or (q[i] >= upper[i] and gradient < 0.0)
-            free += not blocked[i]
-        if free == 0:
+        if blocked.all():
             break
-        _solve(J, blocked, damping, e, L, y)
-        for i in range(len(q)):
-            step = 0.0
-            if not blocked[i]:
-                for k in range(6):
-                    step -= J[k, i] * y[k]
-            q_new[i] = min(max(q[i] + step, lower[i]), upper[i])
-        _reach(frames, q_new, T_new, axes_new)
-        angle_new = _error(T_new, target, R_new, p_new, e_new)
-        cost_new = _square(e_new)
+        _solve(J, blocked, damping, now[4], L, y)
+        for i in range(n):
+            step = 0.0 if blocked[i] else _inner(J, i, y)
+            q_new[i] = min(max(q[i] - step, lower[i]), upper[i])
+        new = _measured(frames, target, q_new)
+        cost_new = np.sum(new[4] ** 2)
         if cost_new < cost:
-            T, T_new, axes, axes_new, R, R_new, p, p_new = T_new, T, axes_new, axes, R_new, R, p_new, p
-            e, e_new, angle, cost = e_new, e, angle_new, cost_new
-            for i in range(len(q)):
-                q[i] = q_new[i]
+            now, cost = new, cost_new
+            q[:] = q_new
             damping = max(damping * _DAMPING_DOWN, _DAMPING_LEAST)
         else:
             damping *= _DAMPING_UP
-    return math.sqrt(cost), math.sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2]), angle
+    p = now[3]
+    return math.sqrt(cost), math.sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2]), now[5]
 
 
 @kernel(types.boolean(BLOCKS, ROWS, VECTOR, VECTOR, types.int64, types.float64, types.float64))
@@ -279,30 +268,24 @@ def project(
     Ignores limits. Quadratic convergence makes the step from an error below `small` the last. Steps over `step_max`
     fail.
     """
-    T, axes, R, p = np.empty((3, 4)), np.empty((len(q), 6)), np.empty((3, 3)), np.empty(3)
-    e, y, J, L = np.empty(6), np.empty(6), np.empty((6, len(q))), np.zeros((6, 6))
-    blocked = np.zeros(len(q), dtype=np.bool_)
-    wished = False
-    for i in range(len(q)):
-        wished = wished or wish[i] != 0.0
+    n, wished = len(q), (wish != 0.0).any()
+    J, L, y, step, blocked = np.empty((6, n)), np.zeros((6, 6)), np.empty(6), np.empty(n), np.zeros(n, dtype=np.bool_)
     for _ in range(iterations):
-        _reach(frames, q, T, axes)
-        angle = _error(T, target, R, p, e)
-        _jacobian(T, axes, R, p, e, angle, J)
-        last = not wished and _square(e) < small * small
+        measured = _measured(frames, target, q)
+        e = measured[4]
+        _jacobian(measured, J)
+        last = not wished and np.sum(e**2) < small * small
         if wished:
             for k in range(6):
-                for i in range(len(q)):
+                for i in range(n):
                     e[k] += J[k, i] * wish[i]
         _solve(J, blocked, _DAMPING_PROJECT, e, L, y)
-        length = 0.0
-        for i in range(len(q)):
-            step = wish[i] if wished else 0.0
+        for i in range(n):
+            step[i] = wish[i] if wished else 0.0
             for k in range(6):
-                step -= J[k, i] * y[k]
-            q[i] += step
-            length += step * step
-        if not length < step_max * step_max:  # also true for NaN
+                step[i] -= J[k, i] * y[k]
+            q[i] += step[i]
+        if not np.sum(step**2) < step_max * step_max:  # also true for NaN
             return False
         if last:
             return True

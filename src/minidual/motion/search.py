@@ -20,26 +20,7 @@ from minidual.motion.edges import EdgeChecker
 from minidual.registry import Registry
 from minidual.robot.pair import Array
 
-
-def _tree(name: str) -> Callable[[Any, float], Any]:
-    def make(si: Any, range_rad: float) -> Any:
-        planner = getattr(og, name)(si)
-        planner.setRange(range_rad)
-        return planner
-
-    return make
-
-
-PLANNERS: Registry[Callable[[Any, float], Any]] = Registry(
-    "planner",
-    {
-        "rrtconnect": _tree("RRTConnect"),
-        "rrt": _tree("RRT"),
-        "rrtstar": _tree("RRTstar"),
-        "bitstar": lambda si, _range_rad: og.BITstar(si),
-        "kpiece": _tree("KPIECE1"),
-    },
-)
+PLANNERS: Registry[Callable[[Any], Any]] = Registry("planner", {"rrtconnect": og.RRTConnect, "kpiece": og.KPIECE1})
 """OMPL planners by configuration name. PRM hangs: it evaluates the termination condition in its own threads."""
 
 
@@ -80,12 +61,12 @@ def seeded(seed: int) -> None:
     ou.RNG.setSeed(max(1, subseed(seed, "ompl")))
 
 
-def exact_path(worker: Any, problem: Any, enough: Callable[[], bool]) -> Any:
+def exact_path(worker: Any, definition: Any, enough: Callable[[], bool]) -> Any:
     """Return the exact solution, or None if `enough` came first."""
-    worker.setProblemDefinition(problem)
+    worker.setProblemDefinition(definition)
     worker.setup()
-    status = worker.solve(ob.PlannerTerminationCondition(lambda: problem.hasExactSolution() or enough()))
-    return problem.getSolutionPath() if status.getStatus() == ob.PlannerStatus.EXACT_SOLUTION else None
+    status = worker.solve(ob.PlannerTerminationCondition(lambda: definition.hasExactSolution() or enough()))
+    return definition.getSolutionPath() if status.getStatus() == ob.PlannerStatus.EXACT_SOLUTION else None
 
 
 def search(
@@ -122,21 +103,20 @@ def search(
     si.setStateValidityChecker(validity)
     si.setMotionValidator(motion)
     si.setup()
-    problem = ob.ProblemDefinition(si)
+    definition = ob.ProblemDefinition(si)
     ends = []
     for q in (q_start, q_goal):
         state: Any = si.allocState()
         for i, value in enumerate(q[joints]):
             state[i] = float(value)
         ends.append(state)
-    problem.setStartAndGoalStates(ends[0], ends[1])
-    objective = ob.PathLengthOptimizationObjective(si)
-    objective.setCostThreshold(ob.Cost(float("inf")))  # optimising planners stop at their first solution
-    problem.setOptimizationObjective(objective)
+    definition.setStartAndGoalStates(ends[0], ends[1])
     checks_end = checker.checks_n + checks_max
 
     def enough() -> bool:
         return checker.checks_n >= checks_end or time.perf_counter() > deadline
 
-    path = exact_path(PLANNERS[planner](si, range_rad), problem, enough)
+    worker = PLANNERS[planner](si)
+    worker.setRange(range_rad)
+    path = exact_path(worker, definition, enough)
     return None if path is None else np.array([full(path.getState(i)) for i in range(path.getStateCount())])
