@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,14 @@ from minidual.demos.writer import EpisodeWriter
 CAMERAS = ("high", "left", "right")
 
 
-def arrays(ticks: int = 40, *, seed: int = 0, fps: float = 50.0, size: tuple[int, int] = (24, 32)) -> dict[str, Any]:
+def arrays(
+    ticks: int = 40,
+    *,
+    seed: int = 0,
+    fps: float = 50.0,
+    size: tuple[int, int] = (24, 32),
+    cameras: Sequence[str] = CAMERAS,
+) -> dict[str, Any]:
     """Return a smooth motion with its lagging measurement and drifting gradient pictures."""
     rng = np.random.default_rng(seed)
     t = np.arange(ticks) / fps
@@ -23,7 +31,7 @@ def arrays(ticks: int = 40, *, seed: int = 0, fps: float = 50.0, size: tuple[int
     height, width = size
     row, column = np.mgrid[0:height, 0:width]
     images = {}
-    for index, camera in enumerate(CAMERAS):
+    for index, camera in enumerate(cameras):
         frames = np.empty((ticks, height, width, 3), np.uint8)
         for k in range(ticks):
             frames[k, ..., 0] = 40 + 150 * row / height

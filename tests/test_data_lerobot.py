@@ -13,7 +13,7 @@ import pytest
 
 from minidual.demos import lerobot_adapter as adapter
 from minidual.demos.episode import read_episode
-from minidual.demos.lerobot_reader import read_dataset
+from minidual.demos.lerobot_reader import LeRobotTables, read_dataset
 from minidual.errors import DataError, UsageError
 from minidual.robot.arms import DUAL_PANDA
 
@@ -22,34 +22,33 @@ TICKS = (40, 33)
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Path], adapter.DatasetSummary]:
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Path], LeRobotTables]:
     folder = tmp_path_factory.mktemp("lerobot")
     sources = [
         data_samples.write(
-            folder / f"episode_{i:06d}.hdf5", data_samples.arrays(ticks, seed=i, size=(96, 128)), seed=100 + i
+            folder / f"episode_{i:06d}.hdf5",
+            data_samples.arrays(ticks, seed=i, size=(96, 128), cameras=("high", "left")),
+            seed=100 + i,
         )
         for i, ticks in enumerate(TICKS)
     ]
     seen: list[int] = []
-    summary = adapter.convert(
-        sources, folder / "dataset", DUAL_PANDA, cameras=("high", "left"), progress=lambda: seen.append(1)
-    )
+    tables = adapter.convert(sources, folder / "dataset", DUAL_PANDA, progress=lambda: seen.append(1))
     assert len(seen) == 2
-    return folder / "dataset", sources, summary
+    return folder / "dataset", sources, tables
 
 
 @pytest.fixture
-def copy(made: tuple[Path, list[Path], adapter.DatasetSummary], tmp_path: Path) -> tuple[Path, list[Path]]:
+def copy(made: tuple[Path, list[Path], LeRobotTables], tmp_path: Path) -> tuple[Path, list[Path]]:
     shutil.copytree(made[0], tmp_path / "dataset")
     return tmp_path / "dataset", made[1]
 
 
-def test_the_summary_counts_rows_and_names_what_is_inside(made: tuple) -> None:
-    root, _, summary = made
-    assert (summary.root, summary.episodes, summary.frames) == (root, 2, sum(TICKS))
-    data = read_dataset(root)
+def test_the_tables_count_rows_and_name_what_is_inside(made: tuple) -> None:
+    root, sources, data = made
+    assert (data.root, len(data.starts), len(data)) == (root, 2, sum(TICKS))
     assert (data.fps, data.cameras) == (50.0, {"high": (96, 128), "left": (96, 128)})
-    assert 0.0 < summary.image_difference_max < 3.0
+    assert 0.0 < adapter.verify_dataset(root, sources, DUAL_PANDA) < 3.0
     assert sorted(path.name for path in root.iterdir()) == ["data", "meta", "videos"]
     assert [path.name for path in root.parent.iterdir() if path.name.startswith(".")] == []
 
@@ -190,25 +189,25 @@ def test_what_cannot_be_converted_is_refused_and_leaves_nothing(tmp_path: Path) 
     odd = data_samples.write(tmp_path / "c.hdf5", data_samples.arrays(6, size=(32, 32)))
     broken = tmp_path / "d.hdf5"
     broken.write_bytes(good.read_bytes()[:3000])
-    out = tmp_path / "out"
-    for paths, options, kind, words in (
-        ([], {}, UsageError, "no episodes"),
-        ([good, slow], {}, DataError, "25 Hz"),
-        ([good, broken], {}, DataError, "d.hdf5"),
-        ([good], {"cameras": ["top"]}, DataError, "no camera top"),
-        ([good, odd], {}, DataError, "c.hdf5: camera 'high'"),
+    one = data_samples.write(tmp_path / "e.hdf5", data_samples.arrays(6, cameras=["high"]))
+    for paths, kind, words in (
+        ([], UsageError, "no episodes"),
+        ([good, slow], DataError, "25 Hz"),
+        ([good, broken], DataError, "d.hdf5"),
+        ([good, one], DataError, "no camera left, right"),
+        ([good, odd], DataError, "c.hdf5: camera 'high'"),
     ):
         with pytest.raises(kind, match=words):
-            adapter.convert(paths, out, DUAL_PANDA, **options)
-        assert sorted(path.name for path in tmp_path.iterdir()) == ["a.hdf5", "b.hdf5", "c.hdf5", "d.hdf5"]
+            adapter.convert(paths, tmp_path / "out", DUAL_PANDA)
+        assert sorted(path.name for path in tmp_path.iterdir()) == [f"{name}.hdf5" for name in "abcde"]
 
 
 def test_an_existing_dataset_is_kept(tmp_path: Path) -> None:
-    source = data_samples.write(tmp_path / "a.hdf5", data_samples.arrays(6, size=(32, 32)))
+    source = data_samples.write(tmp_path / "a.hdf5", data_samples.arrays(6, size=(32, 32), cameras=["high"]))
     out = tmp_path / "sets" / "out"
-    adapter.convert([source], out, DUAL_PANDA, cameras=["high"])
+    adapter.convert([source], out, DUAL_PANDA)
     with pytest.raises(UsageError, match="exists already"):
-        adapter.convert([source], out, DUAL_PANDA, cameras=["high"])
+        adapter.convert([source], out, DUAL_PANDA)
     assert len(read_dataset(out)) == 6
     assert [path.name for path in out.parent.iterdir()] == ["out"]
 
@@ -217,8 +216,8 @@ def test_what_a_killed_conversion_left_is_cleared_and_anothers_work_is_not(tmp_p
     own, other = tmp_path / ".out.999999999.partial", tmp_path / ".other.999999999.partial"
     for folder in (own, other):
         (folder / "data").mkdir(parents=True)
-    source = data_samples.write(tmp_path / "a.hdf5", data_samples.arrays(6, size=(32, 32)))
-    adapter.convert([source], tmp_path / "out", DUAL_PANDA, cameras=["high"])
+    source = data_samples.write(tmp_path / "a.hdf5", data_samples.arrays(6, size=(32, 32), cameras=["high"]))
+    adapter.convert([source], tmp_path / "out", DUAL_PANDA)
     assert not own.exists()
     assert other.exists()
 
@@ -226,7 +225,7 @@ def test_what_a_killed_conversion_left_is_cleared_and_anothers_work_is_not(tmp_p
 def test_the_same_recordings_give_the_same_bytes(made: tuple, tmp_path: Path) -> None:
     root, sources, _ = made
     again = tmp_path / "dataset"
-    adapter.convert(sources, again, DUAL_PANDA, cameras=("high", "left"))
+    adapter.convert(sources, again, DUAL_PANDA)
     names = sorted(path.relative_to(root) for path in root.rglob("*") if path.is_file())
     assert names == sorted(path.relative_to(again) for path in again.rglob("*") if path.is_file())
     assert [name for name in names if (root / name).read_bytes() != (again / name).read_bytes()] == []

@@ -5,6 +5,7 @@ Decoding once into memory is 30 to 60 times faster than random video access.
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -64,29 +65,27 @@ class LeRobotTables:
     def __len__(self) -> int:
         return len(self.state)
 
-    def size(self, camera: str) -> tuple[int, int]:
-        """Return (H, W); UsageError if unknown."""
-        if camera not in self.cameras:
-            raise unknown_name("camera", camera, self.cameras)
-        return self.cameras[camera]
-
     def frames(self, camera: str) -> Iterator[tuple[int, Image]]:
-        """Yield (row, image (H, W, 3)), streamed.
+        """Return an iterator over (row, image (H, W, 3)), streamed.
 
         Raises:
+            UsageError: Unknown camera.
             DataError: A corrupt video, or at its end a wrong frame count.
         """
-        size = self.size(camera)
-        for name, rows in self._videos(camera_key(camera)).items():
-            yield from zip(rows.tolist(), _decode(self.root / name, len(rows), size), strict=True)
+        if camera not in self.cameras:
+            raise unknown_name("camera", camera, self.cameras)
+        videos, size = self._videos(camera_key(camera)), self.cameras[camera]
+        parts = (zip(rows.tolist(), _decode(self.root / n, len(rows), size), strict=True) for n, rows in videos.items())
+        return itertools.chain.from_iterable(parts)
 
     def images(self, camera: str, progress: Callable[[int], None] | None = None) -> Image:
         """Return all images (N, H, W, 3); raises as `frames`.
 
         `progress` gets the count since its last call.
         """
-        result = np.empty((len(self), *self.size(camera), 3), dtype=np.uint8)
-        for count, (row, image) in enumerate(self.frames(camera), start=1):
+        frames = self.frames(camera)
+        result = np.empty((len(self), *self.cameras[camera], 3), dtype=np.uint8)
+        for count, (row, image) in enumerate(frames, start=1):
             result[row] = image
             if progress is not None and (count % 1000 == 0 or count == len(self)):
                 progress((count - 1) % 1000 + 1)
@@ -108,26 +107,28 @@ class LeRobotTables:
 def read_dataset(root: Path | str) -> LeRobotTables:
     """Read the tables; DataError if missing, corrupt or inconsistent."""
     root = Path(root)
-    info = _read_info(root)
+    path = root / "meta" / "info.json"
+    if not path.is_file():
+        raise DataError(f"no LeRobot dataset at {root} (meta/info.json is missing)", remedy=_AGAIN)
+    try:
+        info = json.loads(path.read_text(encoding="utf-8"))
+        version, features = str(info["codebase_version"]), info["features"]
+        fps, video_path = float(info["fps"]), str(info["video_path"])
+        declared = (int(info["total_frames"]), int(info["total_episodes"]))
+        names, action_names = (tuple(features[key]["names"]) for key in (STATE, ACTION))
+        shapes = {key.removeprefix(IMAGE_PREFIX): f["shape"] for key, f in features.items() if IMAGE_PREFIX in key}
+        cameras = {camera: (int(shape[0]), int(shape[1])) for camera, shape in shapes.items()}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise DataError(f"{path} is corrupt: {error!r}", remedy=_AGAIN) from error
+    if not version.startswith("v3"):
+        raise DataError(f"{root} is a LeRobot dataset of version {version}; this program reads v3")
     table, episodes = _read_parquet(root, "data"), _read_parquet(root, "meta/episodes")
     try:
-        index, episode_index, frame_index = (
-            np.asarray(table[key].to_numpy(), dtype=np.int64) for key in ("index", "episode_index", "frame_index")
-        )
         state, action = (np.stack(table[key].to_numpy()).astype(np.float32) for key in (STATE, ACTION))
-        starts, stops = (
-            np.asarray(episodes[key].to_numpy(), dtype=np.int64) for key in ("dataset_from_index", "dataset_to_index")
-        )
-        features = info["features"]
-        names = tuple(features[STATE]["names"])
-        cameras = {
-            key.removeprefix(IMAGE_PREFIX): (int(feature["shape"][0]), int(feature["shape"][1]))
-            for key, feature in features.items()
-            if key.startswith(IMAGE_PREFIX)
-        }
+        index, episode, frame = (_integers(table, key) for key in ("index", "episode_index", "frame_index"))
+        starts, stops = (_integers(episodes, key) for key in ("dataset_from_index", "dataset_to_index"))
     except (KeyError, ValueError, TypeError) as error:
         raise DataError(f"{root}: a table lacks a column: {error}", remedy=_AGAIN) from error
-    declared = (int(info["total_frames"]), int(info["total_episodes"]))
     if declared != (len(index), len(starts)):
         raise DataError(
             f"{root}: info.json declares {declared[0]} frames in {declared[1]} episodes, the tables hold {len(index)} "
@@ -135,40 +136,16 @@ def read_dataset(root: Path | str) -> LeRobotTables:
             remedy=_AGAIN,
         )
     counted = np.concatenate([np.arange(stop - start) for start, stop in zip(starts, stops, strict=True)])
-    if not (np.array_equal(index, np.arange(len(index))) and np.array_equal(frame_index, counted)):
+    if not (np.array_equal(index, np.arange(len(index))) and np.array_equal(frame, counted)):
         raise DataError(f"{root}: row or frame indices do not run without gaps", remedy=_AGAIN)
-    if tuple(features[ACTION]["names"]) != names:
-        raise DataError(f"{root}: action is named {features[ACTION]['names']}, state {names}", remedy=_AGAIN)
-    return LeRobotTables(
-        root,
-        float(info["fps"]),
-        names,
-        cameras,
-        state,
-        action,
-        episode_index,
-        frame_index,
-        starts,
-        stops,
-        info["video_path"],
-        episodes,
-    )
+    if action_names != names:
+        raise DataError(f"{root}: action is named {action_names}, state {names}", remedy=_AGAIN)
+    columns = (state, action, episode, frame, starts, stops)
+    return LeRobotTables(root, fps, names, cameras, *columns, video_path, episodes)
 
 
-def _read_info(root: Path) -> dict[str, Any]:
-    path = root / "meta" / "info.json"
-    try:
-        info = json.loads(path.read_text(encoding="utf-8"))
-        version = str(info["codebase_version"])
-        if not version.startswith("v3"):
-            raise DataError(f"{root} is a LeRobot dataset of version {version}; this program reads v3")
-        for key in ("fps", "features", "total_frames", "total_episodes", "video_path"):
-            info[key]  # a KeyError here names what is missing
-    except FileNotFoundError as error:
-        raise DataError(f"no LeRobot dataset at {root} (meta/info.json is missing)", remedy=_AGAIN) from error
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise DataError(f"{path} is corrupt: {error!r}", remedy=_AGAIN) from error
-    return info
+def _integers(table: Any, key: str) -> Rows:
+    return np.asarray(table[key].to_numpy(), dtype=np.int64)
 
 
 def _read_parquet(root: Path, folder: str) -> Any:

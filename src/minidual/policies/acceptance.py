@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from minidual.demos.schema import GRIPPERS_N
 from minidual.policies.demonstrations import Demonstrations
 from minidual.policies.policy import PolicyRuntime
 from minidual.robot.pair import Robot
@@ -14,48 +15,33 @@ from minidual.robot.pair import Robot
 
 @dataclass(frozen=True)
 class EmittedActions:
-    """Actions on recorded observations.
+    """Predicted actions on recorded observations.
 
     Attributes:
-        in_limits: Share of predicted joint targets inside the limits.
-        in_limits_emitted: The same after clamping.
-        overshoot_max_rad: Largest predicted excess.
-        joints_n, grippers_n: Entries per action.
-        samples: Observations.
+        in_limits: Share of joint targets inside the limits; NaN for other arms.
+        overshoot_max_rad: Largest excess; NaN for other arms.
+        targets_n: Joint and gripper targets per action.
     """
 
     in_limits: float
-    in_limits_emitted: float
     overshoot_max_rad: float
-    joints_n: int
-    grippers_n: int
-    samples: int
+    targets_n: int
     inference_hz: float
 
 
 def exercise_checkpoint(
     checkpoint: Path, demos: Demonstrations, robot: Robot, *, samples: int = 256, device: str = "cpu"
 ) -> EmittedActions:
-    """Run `checkpoint` as deployed on `samples` evenly spaced ticks."""
-    lower, upper = robot.q_lower, robot.q_upper
-    runtime = PolicyRuntime.load(checkpoint, device, n_action_steps=1, blend_ticks=0, limits=(lower, upper))
-    rows = np.linspace(0, len(demos) - 1, min(samples, len(demos))).astype(np.int64)
-    chunks, emitted = [], []
-    for row in rows:
+    """Run `checkpoint` on `samples` evenly spaced ticks, without the clamping of a deployment."""
+    runtime = PolicyRuntime.load(checkpoint, device, n_action_steps=1, blend_ticks=0)
+    chunks = []
+    for row in np.linspace(0, len(demos) - 1, min(samples, len(demos))).astype(np.int64):
         images = {camera: demos.images[camera][row] for camera in demos.cameras}
-        state = demos.state[row].astype(np.float64)
-        chunks.append(runtime.predict_chunk(images, state))
-        runtime.reset()
-        emitted.append(runtime.act(images, state))
+        chunks.append(runtime.predict_chunk(images, demos.state[row].astype(np.float64)))
     raw = np.concatenate(chunks)
-    joints, sent = raw[:, : robot.dof], np.array(emitted)[:, : robot.dof]
-    outside = np.maximum(np.maximum(lower - joints, joints - upper), 0.0)
-    return EmittedActions(
-        in_limits=float((outside == 0.0).mean()),
-        in_limits_emitted=float(((sent >= lower) & (sent <= upper)).mean()),
-        overshoot_max_rad=float(outside.max()),
-        joints_n=joints.shape[1],
-        grippers_n=raw.shape[1] - robot.dof,
-        samples=len(rows),
-        inference_hz=runtime.inference_hz,
-    )
+    in_limits = overshoot = float("nan")
+    if raw.shape[1] == robot.dof + GRIPPERS_N:
+        joints = raw[:, : robot.dof]
+        outside = np.maximum(np.maximum(robot.q_lower - joints, joints - robot.q_upper), 0.0)
+        in_limits, overshoot = float((outside == 0.0).mean()), float(outside.max())
+    return EmittedActions(in_limits, overshoot, raw.shape[1], runtime.inference_hz)

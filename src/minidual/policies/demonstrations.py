@@ -100,8 +100,6 @@ def load_demonstrations(
     """
     tables = read_dataset(root)
     wanted = sorted(cameras or tables.cameras)
-    for camera in wanted:
-        tables.size(camera)
     images = {camera: tables.images(camera, progress) for camera in wanted}
     return Demonstrations(images, tables.state, tables.action, tables.episode_index)
 

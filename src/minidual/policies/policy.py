@@ -94,9 +94,7 @@ class PolicyRuntime:
         """
         if self._chunk is None or self._cursor >= self._steps:
             seen: dict[str, Any] = {c: i() if callable(i) and c in self.cameras else i for c, i in images.items()}
-            started = time.perf_counter()
             chunk = self.predict_chunk(seen, state)
-            self.times_s.append(time.perf_counter() - started)
             if self._chunk is not None:
                 left = self._chunk[self._cursor :]
                 # Without overlap the last action is held while the new chunk is blended in.
@@ -111,8 +109,10 @@ class PolicyRuntime:
 
     def predict_chunk(self, images: Mapping[str, Image], state: Floats) -> Floats:
         """Return one raw chunk (chunk_size, dim)."""
+        started = time.perf_counter()
         seen = {camera: self._checked_image(images, camera) for camera in self.cameras}
         chunk = self.policy.predict(seen, self._checked_state(state))
+        self.times_s.append(time.perf_counter() - started)
         if not np.isfinite(chunk).all():
             raise DataError("the policy emitted an action that is not finite", remedy="minidual train-act --force")
         return chunk

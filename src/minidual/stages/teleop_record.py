@@ -142,7 +142,7 @@ def run(context: StageContext) -> StageResult:
     with context.progress.task("dataset", len(recorded.kept)) as task:
         dataset = lerobot_adapter.convert(recorded.paths, folder / "lerobot", job.robot, progress=task.advance)
     numbers = recorded.numbers(time.perf_counter() - began)
-    numbers |= {"dataset_rows": dataset.frames, "dataset_episodes": dataset.episodes}
+    numbers |= {"dataset_rows": len(dataset), "dataset_episodes": len(dataset.starts)}
     if not leader.realtime:  # a person does not do the same thing twice
         with context.progress.task("film", 1) as task:
             rig.film(job, recorded.kept[0].trial.index, folder / "demonstration.mp4")
