@@ -1,12 +1,10 @@
-"""Libraries, system packages and machine, without importing libraries."""
+"""Libraries and machine, without importing libraries."""
 
 from __future__ import annotations
 
 import importlib.metadata
 import os
 import platform
-import shutil
-import subprocess
 from dataclasses import asdict, dataclass
 
 from packaging.requirements import Requirement
@@ -56,17 +54,6 @@ def required_libraries(distribution: str = "minidual") -> list[Library]:
     return sorted(libraries, key=lambda library: library.name)
 
 
-def system_packages() -> dict[str, str | None]:
-    """Return the versions of the Debian packages for off-screen rendering, None if missing; empty without dpkg."""
-    query, packages = shutil.which("dpkg-query"), dict[str, str | None]()
-    for name in ("libegl1", "libgl1-mesa-dri") if query else ():
-        words = [query, "--show", "--showformat=${db:Status-Status} ${Version}", name]
-        done = subprocess.run(words, capture_output=True, text=True, timeout=20, check=False)
-        status, _, version = done.stdout.partition(" ")
-        packages[name] = version if done.returncode == 0 and status == "installed" else None
-    return packages
-
-
 def print_bill(context: ToolContext) -> ToolResult:
     """Return versions, renderer and last verdict for a bug report; no paths or personal names."""
     try:
@@ -85,7 +72,7 @@ def print_bill(context: ToolContext) -> ToolResult:
         "mujoco_gl": os.environ.get("MUJOCO_GL", ""),
         "gl_renderer": renderer,
     }
-    libraries, packages, verdict = required_libraries(), system_packages(), None
+    libraries, verdict = required_libraries(), None
     lines = [
         "### minidual environment",
         "",
@@ -93,13 +80,11 @@ def print_bill(context: ToolContext) -> ToolResult:
         "",
     ]
     lines += markdown([{**asdict(library), "state": "fits" if library.fits else "**unfit**"} for library in libraries])
-    if packages:
-        lines += ["", *markdown([{"Debian package": k, "found": v or "**none**"} for k, v in packages.items()])]
     try:
         verdict, _ = read_verdict(context.run_folder / "env-check" / "verdict.json")
         status = f"env-check: **{verdict.status}** on {verdict.finished_at}, profile {verdict.profile}"
         lines += ["", status, *(f"- {check.sentence()}" for check in verdict.failed_checks())]
     except (FileNotFoundError, DataError):
         lines += ["", "env-check has not run here."]
-    data = {"about": about, "libraries": [asdict(library) for library in libraries], "packages": packages}
+    data = {"about": about, "libraries": [asdict(library) for library in libraries]}
     return ToolResult(lines=lines, data={**data, "env_check": verdict.status if verdict else None})

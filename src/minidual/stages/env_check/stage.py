@@ -12,12 +12,11 @@ from minidual.plant.world import World
 from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
 from minidual.show.figures.film import FILM_FPS, Postures, film_postures
-from minidual.show.view import Overlay
-from minidual.show.watch import watched
+from minidual.show.watch import StackNarrator, watched
 from minidual.stages.env_check import model as measure
 from minidual.stages.env_check import pictures, tracking
 from minidual.stages.env_check.checks import Measured, installation_checks, measured_checks
-from minidual.stages.env_check.installation import required_libraries, system_packages
+from minidual.stages.env_check.installation import required_libraries
 
 
 def run(context: StageContext) -> StageResult:
@@ -42,20 +41,13 @@ def run(context: StageContext) -> StageResult:
         agreement = measure.model_agreement(world, kinematics, states, config.agreement_states_n)
         task.advance(note="two engines")
         rig, postures = tracking.Rig(world, kinematics, context.config), Postures(1.0 / FILM_FPS)
-        doing = "each joint alone"
-
-        def tell() -> Overlay:
-            return Overlay(title="env-check", mode="joint", source="env-check", state=doing)
-
-        with watched(context.view, world, tell):
+        with watched(context.view, world, StackNarrator(rig.stack, kinematics, "env-check")):
             steps = tracking.single_joint_steps(rig, config.single_step_rad, config.single_duration_s)
-            task.advance(note=doing)
-            doing = "a step"
+            task.advance(note="each joint alone")
             step = tracking.step_response(rig, tracking.outward_step(robot, config.step_rad), config.step_duration_s)
-            task.advance(note=doing)
-            doing = "all joints swing"
+            task.advance(note="a step")
             sine = tracking.sine_response(rig, *sine_wave, config.sine_duration_s, on_step=postures)
-            task.advance(note=doing)
+            task.advance(note="all joints swing")
         latency, stop = tracking.command_latency(rig), tracking.emergency_stop(rig, *sine_wave)
         task.advance(note="latency")
         frames = film_postures(model, postures.qpos, folder / "sine.mp4", shadows=False)
@@ -68,8 +60,6 @@ def run(context: StageContext) -> StageResult:
     data = {
         "arm": robot.arm.name,
         "libraries": {lib.name: {"wanted": lib.wanted, "found": lib.found} for lib in libraries},
-        "packages": system_packages(),
-        "joints": joints,
         "latency": asdict(latency),
         "emergency_stop": asdict(stop),
         "agreement": agreement,
@@ -77,6 +67,4 @@ def run(context: StageContext) -> StageResult:
         "cameras": asdict(cameras),
     }
     notes = [f"pictures are drawn by {cameras.gl_renderer}", f"the step leaves {step.settled:.1e} rad"]
-    return StageResult(
-        checks=[*installed, *measured_checks(measured, config, robot, rig.period)], data=data, notes=notes
-    )
+    return StageResult(checks=[*installed, *measured_checks(measured, config, robot)], data=data, notes=notes)

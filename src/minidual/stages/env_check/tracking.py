@@ -275,13 +275,19 @@ class CommandLatency:
     """Latency of commands.
 
     Attributes:
-        ticks: Control steps from `propose` to the first changed torque, per instant of the arbiter's period; 1 is the
-            next step.
+        ticks: Control steps from `propose` to the first changed torque, per instant after an arbiter tick: without
+            delay the step of the next tick, so 1, then one period down to 2.
         wall_us: Median wall time from `propose` to the end of that step, just before an arbiter tick [us].
     """
 
     ticks: tuple[int, ...]
     wall_us: float
+
+    @property
+    def late_steps(self) -> int:
+        """Largest delay beyond the arbiter's tick."""
+        n = len(self.ticks)
+        return max(found - (n - k if k else 0) - 1 for k, found in enumerate(self.ticks))
 
 
 def command_latency(rig: Rig, *, repeats_n: int = 100) -> CommandLatency:
