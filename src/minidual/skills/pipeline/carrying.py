@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from minidual.collision.errors import PlanningError
 from minidual.config.seeds import stream
 from minidual.motion.held.planner import HeldQuery
