@@ -1,5 +1,8 @@
 """Compiled loops: where no cache can be written, what else fails, and what they are given."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from panda import HOME
@@ -50,6 +53,21 @@ def test_what_compiled_code_takes_is_made_of_anything():
 def test_the_private_flag_of_numba_is_still_there():
     """Without it planning is five times slower: say so here when a numba drops the name."""
     assert compiled.UNCOUNTED == {"_nrt": False}
+
+
+def test_numba_loads_without_scipy_linalg_and_still_multiplies_matrices():
+    """A numba that drops the private name, or imports SciPy elsewhere, shows here."""
+    program = """
+import sys
+import minidual.robot.compiled
+from numba.np import arraymath
+assert "scipy.linalg" not in sys.modules
+assert "_HAVE_BLAS" in Path(arraymath.__file__).read_text()
+import numpy as np
+from numba import njit
+assert njit(lambda a: a @ a)(2.0 * np.eye(2))[1, 1] == 4.0
+"""
+    subprocess.run([sys.executable, "-c", f"from pathlib import Path{program}"], check=True)
 
 
 def test_no_caller_makes_the_planes_compile_again():

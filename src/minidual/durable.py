@@ -16,8 +16,6 @@ from collections.abc import Generator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
-import psutil
-
 from minidual.errors import NothingEvaluatedError, UsageError
 
 _PARTIAL = re.compile(r"^\..+\.(?P<pid>\d+)\.partial$")
@@ -95,6 +93,8 @@ def is_stale(path: Path) -> bool:
     match = _PARTIAL.match(path.name)
     if match is None:
         return False
+    import psutil  # 40 ms that a plan does not need
+
     try:
         return path.stat().st_mtime < psutil.Process(int(match["pid"])).create_time() - 1.0
     except (psutil.NoSuchProcess, FileNotFoundError):

@@ -6,8 +6,9 @@ helpers must share it.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numba import njit
@@ -15,6 +16,14 @@ from numba.core import types
 from numba.core.options import DefaultOptions
 
 from minidual.robot.pair import Array
+
+if "scipy.linalg" not in sys.modules:
+    # numba's array functions import scipy.linalg (0.4 s) only to see whether it is there, which it is. Hide it meanwhile.
+    cast(dict[str, Any], sys.modules)["scipy.linalg"] = None
+    from numba.np import arraymath
+
+    del sys.modules["scipy.linalg"]
+    arraymath._HAVE_BLAS = True
 
 VECTOR = types.float64[::1]
 ROWS = types.float64[:, ::1]
