@@ -25,7 +25,7 @@ class Registry[T](Mapping[str, T]):
 
     def __init__(self, kind: str, rows: Mapping[str, T | str] | None = None, *, group: str | None = None) -> None:
         self.kind, self._group = kind, group
-        self._rows: dict[str, T | str | importlib.metadata.EntryPoint] = {}
+        self._rows: dict[str, T | str] = {}
         self._plugged = group is None
         for name, value in (rows or {}).items():
             self.add(name, value)
@@ -50,9 +50,7 @@ class Registry[T](Mapping[str, T]):
         if name not in rows:
             raise unknown_name(self.kind, name, rows)
         value = rows[name]
-        if isinstance(value, importlib.metadata.EntryPoint):
-            value = rows[name] = self._load(name, value.value)
-        elif isinstance(value, str):
+        if isinstance(value, str):
             value = rows[name] = self._load(name, value)
         return value
 
@@ -75,7 +73,7 @@ class Registry[T](Mapping[str, T]):
                         f"in the table",
                         remedy="rename it there, or uninstall that distribution",
                     )
-                self._rows[entry.name] = entry
+                self._rows[entry.name] = entry.value
         return self._rows
 
     def names(self, text: str | Sequence[str]) -> tuple[str, ...]:

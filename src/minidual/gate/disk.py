@@ -11,7 +11,6 @@ from minidual.errors import EnvironmentMissingError
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 _FORBIDDEN = (errno.EROFS, errno.EACCES, errno.EPERM)
-_ELSEWHERE = "point --runs-dir or MINIDUAL_RUNS at"
 
 
 @contextmanager
@@ -23,13 +22,10 @@ def disk_errors(folder: Path) -> Generator[None]:
         what = error.filename or folder
         # HDF5 and Arrow errors carry the system's text but not always its errno.
         if error.errno in _FULL or "No space left on device" in str(error):
-            raise EnvironmentMissingError(
-                f"no space left on the disk of {folder} (writing {what})",
-                remedy=f"free some space, or {_ELSEWHERE} another disk, then run the command again",
-            ) from error
-        if error.errno in _FORBIDDEN:
-            raise EnvironmentMissingError(
-                f"no permission for {what}: {error.strerror}",
-                remedy=f"change its permissions, or {_ELSEWHERE} a folder you may write",
-            ) from error
-        raise
+            message, remedy = f"no space left on the disk of {folder} (writing {what})", "free some space"
+        elif error.errno in _FORBIDDEN:
+            message, remedy = f"no permission for {what}: {error.strerror}", "change its permissions"
+        else:
+            raise
+        remedy += ", or point --runs-dir or MINIDUAL_RUNS at another disk or folder, then run the command again"
+        raise EnvironmentMissingError(message, remedy=remedy) from error

@@ -80,11 +80,9 @@ class Fingerprint:
         if self.commit != now.commit:
             then, current = (_FULL_HASH.sub(r"\1", commit or "none") for commit in (self.commit, now.commit))
             warnings.append(f"made at commit {then}, this is {current}")
-        for label, before, after in (
-            ("machine", self.machine, now.machine),
-            ("library", self.libraries, now.libraries),
-        ):
-            warnings += [f"{label} {n}: was {_short(a)}, is {_short(b)}" for n, a, b in changes(before, after)]
+        before = {"machine": self.machine, "library": self.libraries}
+        after = {"machine": now.machine, "library": now.libraries}
+        warnings += [f"{n.replace('.', ' ', 1)}: was {_short(a)}, is {_short(b)}" for n, a, b in changes(before, after)]
         changed = self.code.changes(now.code)
         if changed:
             more = f" and {len(changed) - 3} more" if len(changed) > 3 else ""

@@ -11,7 +11,7 @@ import json
 import os
 import time
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TextIO
 
@@ -46,12 +46,10 @@ def run_lock(folder: Path, command: str) -> Generator[None]:
 def _acquired(stream: TextIO) -> bool:
     """Try for 0.2 s: `lock_holder` takes a shared lock for an instant."""
     for _ in range(5):
-        try:
+        with suppress(BlockingIOError):
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            time.sleep(0.04)
-        else:
             return True
+        time.sleep(0.04)
     return False
 
 
