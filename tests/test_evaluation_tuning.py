@@ -37,7 +37,6 @@ def plant(monkeypatch):
         least = impedance.internal_force_n - law["loss_n"]
         holds = least > NEEDED_N and impedance.internal_force_n < law["slips_n"]
         oscillation = OSCILLATION_MAX_M * impedance.stiffness_n_per_m / law["oscillates"]
-        t = np.linspace(0.0, 1.0, 50)
         metrics = TrialMetrics(
             method="impedance",
             index=trial.index,
@@ -55,8 +54,7 @@ def plant(monkeypatch):
             pinch_force_min_n=60.0,
             goal_error_m=0.001,
         )
-        series = np.array([t, 0.001 + 0 * t, least + 0 * t, 0.5 + 0 * t, 0 * t])
-        return Carried(metrics, law["tracking_m"], oscillation, series)
+        return Carried(metrics, law["tracking_m"], oscillation)
 
     monkeypatch.setattr(tuning, "carry_once", carry_once)
     law["starts"] = starts

@@ -16,6 +16,7 @@ from minidual.trials.conditions import CLEAN, parse_conditions
 from minidual.trials.methods import METHODS, MethodInputs
 from minidual.trials.metrics import MethodSummary
 
+_REMEDY = "benchmark.csv names what failed first in each trial"
 _UNITS = {
     "duration_median_s": ("s", "median over successful trials, start to released at rest"),
     "torque_ratio_max": ("", "largest motor torque over its limit, all trials"),
@@ -33,9 +34,8 @@ def benchmark_checks(summaries: Sequence[MethodSummary], config: BenchmarkConfig
     checks: list[Check] = []
     for s in summaries:
         limit = config.success_rate_min.get(s.method)
-        remedy = "benchmark.csv names what failed first in each trial"
         op = None if limit is None else ">"
-        checks.append(Check(f"{s.method}.success_rate", s["success_rate"], op, limit, "", s.interval, remedy))
+        checks.append(Check(f"{s.method}.success_rate", s["success_rate"], op, limit, "", s.interval, _REMEDY))
         checks += [Check(f"{s.method}.{name}", s[name], unit=unit, why=why) for name, (unit, why) in _UNITS.items()]
     evaluated = min((s.trials_n for s in summaries), default=0)
     why = "every method must have run every trial, or the rows cannot be compared"
@@ -56,34 +56,25 @@ def condition_checks(cells: Sequence[BenchmarkCell], methods: Sequence[str], con
             missed = f" (trial {cell.undisturbed[0]} succeeded undisturbed)" if cell and cell.undisturbed else ""
             holes.append(f"{m} under {c}{missed}")
     missing = [f"{c.method} under {c.condition}: {name}" for c in cells if c.summary for name in c.summary.not_finite()]
-    why = (
+    whole = (
         "every method has all its trials under every condition, each push and move took place in those that succeeded, "
-        "or there is a reason why it does not apply"
+        f"or there is a reason why it does not apply{_first(holes)}"
     )
-    absent = "numbers that the trials should have given, and that do not exist"
+    finite = f"numbers that the trials should have given, and that do not exist{_first(missing)}"
+    settled_n = len(asked) - len(holes)
     checks = [
-        Check(
-            "cells_settled",
-            len(asked) - len(holes),
-            "==",
-            len(asked),
-            why=why + (f"; open: {', '.join(holes[:6])}" if holes else ""),
-            remedy="minidual benchmark --force",
-        ),
-        Check(
-            "cells_not_finite",
-            len(missing),
-            "==",
-            0,
-            why=absent + (f": {', '.join(missing[:6])}" if missing else ""),
-            remedy="benchmark.csv names what failed first in each trial",
-        ),
+        Check("cells_settled", settled_n, "==", len(asked), "", whole, "minidual benchmark --force"),
+        Check("cells_not_finite", len(missing), "==", 0, "", finite, _REMEDY),
     ]
     for cell in cells:
         if cell.summary is not None and cell.condition != CLEAN:
             name = f"{cell.method}.{cell.condition.replace(' ', '_')}.success_rate"
             checks.append(Check(name, cell.summary["success_rate"], why=cell.summary.interval))
     return checks
+
+
+def _first(names: Sequence[str]) -> str:
+    return f": {', '.join(names[:6])}" if names else ""
 
 
 def run(context: StageContext) -> StageResult:

@@ -37,11 +37,10 @@ def deploy_starts(config: Config, seed: int, demonstrated: Sequence[int]) -> tup
     `demonstrated` are the trial indices of all demonstrations.
     """
     task, settings = make_task(config), config.deploy
+    shown, widen = demonstrated[: settings.training_trials], config.teleop.widen
     starts = {
         "held_out": [task.trial(seed, HELD_OUT, i) for i in range(settings.trials)],
-        "training": [
-            task.trial(seed, TRAINING, i, widen=config.teleop.widen) for i in demonstrated[: settings.training_trials]
-        ],
+        "training": [task.trial(seed, TRAINING, i, widen=widen) for i in shown],
     }
     drawn = [_poses(task.trial(seed, TRAINING, i)) for i in demonstrated]  # as wide as the held-out ones
     return starts, sum(_poses(trial) in drawn for trial in starts["held_out"])
@@ -54,29 +53,17 @@ def _poses(trial: Trial) -> list[object]:
 def deploy_checks(held_out: MethodSummary, seen_n: int, inference_hz: float, settings: DeployConfig) -> list[Check]:
     """Return the checks; without `settings.judge_success` the rate is only reported (smoke)."""
     limit = settings.success_rate_min if settings.judge_success else None
+    why = f"closed-loop success on {held_out.trials_n} starts held out from training"
+    more = "record more demonstrations (teleop-record --episodes 200) or train longer (--set train.steps=...)"
+    fast = "whole inference with pre- and post-processing must keep up with the arms"
+    hz_min, lighter = settings.inference_hz_min, "use the policy spatial_act, or a smaller image"
     return [
-        Check(
-            "success_rate",
-            held_out["success_rate"],
-            None if limit is None else ">",
-            limit,
-            "",
-            f"closed-loop success on {held_out.trials_n} starts held out from training",
-            "record more demonstrations (teleop-record --episodes 200) or train longer (--set train.steps=...)",
-        ),
+        Check("success_rate", held_out["success_rate"], None if limit is None else ">", limit, "", why, more),
         Check("success_low", held_out["success_low"], why="lower end of its 95 % Wilson interval"),
         Check("success_high", held_out["success_high"], why="upper end of its 95 % Wilson interval"),
         Check("trials", held_out.trials_n, ">=", settings.trials, why="every held-out trial was run"),
         Check("held_out_starts_seen", seen_n, "==", 0, why="held-out trials whose start and goal were demonstrated"),
-        Check(
-            "inference_hz",
-            inference_hz,
-            ">",
-            settings.inference_hz_min,
-            "hz",
-            "whole inference with pre- and post-processing must keep up with the arms",
-            "use the policy spatial_act, or a smaller image",
-        ),
+        Check("inference_hz", inference_hz, ">", hz_min, "hz", fast, lighter),
     ]
 
 

@@ -209,29 +209,26 @@ class Push:
         self._force, self._name, self._delay_s = np.array(force_n, dtype=float), name, delay_s
         self.length_s, self._ramp_s = duration_s + 2.0 * ramp_s, ramp_s
         self._rest_m: float | None = None
-        self._risen_s: float | None = None
+        self._risen_s = np.inf
         self._aloft = True
         self.took_place = False
 
     def at(self, t_s: float) -> Array:
         """Return the force (3,) [N] at a time since its start."""
-        share = min(1.0, max(0.0, min(t_s, self.length_s - t_s) / self._ramp_s))
-        return share * self._force
+        return np.clip(min(t_s, self.length_s - t_s) / self._ramp_s, 0.0, 1.0) * self._force
 
     def __call__(self, world: World) -> None:
         """Act or wait."""
         body = world.truth(self._name).body
         height = float(world.data.xpos[body, 2])
-        if self._rest_m is None:
-            self._rest_m = height
-        if self._risen_s is None:
-            if height - self._rest_m > _RISEN_M:
-                self._risen_s = world.time
-            return
+        self._rest_m = height if self._rest_m is None else self._rest_m
+        risen_m = height - self._rest_m
+        if risen_m > _RISEN_M:
+            self._risen_s = min(self._risen_s, world.time)
         since = world.time - self._risen_s - self._delay_s
         world.data.xfrc_applied[body, :3] = self.at(since)
         if 0.0 <= since < self.length_s:
-            self._aloft = self._aloft and height - self._rest_m > _ALOFT_M
+            self._aloft = self._aloft and risen_m > _ALOFT_M
         elif since >= self.length_s:
             self.took_place = self._aloft
 

@@ -6,14 +6,13 @@ add rows through the entry point group `minidual.methods` (docs/howto-method.md)
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from minidual.config.root import Config
-from minidual.registry import Registry
+from minidual.registry import Registry, load_target
 from minidual.tasks.task import Trial
 
 if TYPE_CHECKING:  # the table must be readable without importing MuJoCo
@@ -87,10 +86,7 @@ class MethodSpec:
 
     def factory(self, inputs: MethodInputs) -> Factory:
         """Return the trial factory."""
-        make: Any = self.target
-        if isinstance(make, str):
-            module, _, function = make.partition(":")
-            make = getattr(importlib.import_module(module), function)
+        make: Any = load_target(self.target) if isinstance(self.target, str) else self.target
         return make(inputs)
 
 

@@ -10,6 +10,7 @@ Each step is five carries; the worst counts. A search tries the values of a ladd
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -22,7 +23,6 @@ from minidual.config.root import Config
 from minidual.errors import MinidualError
 from minidual.plant.world import World
 from minidual.robot.pair import Array
-from minidual.tasks.success import ObjectTruth
 from minidual.tasks.task import Trial, make_task
 from minidual.trials.methods import Method, MethodInputs
 from minidual.trials.metrics import TrialMetrics
@@ -58,13 +58,11 @@ class Carried:
     Attributes:
         tracking_max_m: Largest position error of the object.
         oscillation_m: RMS of that error above 5 Hz.
-        series: (5, T) during the carry: time [s], error [m], internal force [N], torque ratio, tilt [rad].
     """
 
     metrics: TrialMetrics
     tracking_max_m: float
     oscillation_m: float
-    series: Array
 
 
 @dataclass(frozen=True)
@@ -86,30 +84,18 @@ class TuningStep:
         """Whether all succeeded without oscillation; false for NaN."""
         return self.holds and self.oscillation_m <= OSCILLATION_MAX_M
 
-    @property
-    def oscillation_m(self) -> float:
-        """The largest oscillation; NaN propagates here and below."""
-        return float(np.max([c.oscillation_m for c in self.carries]))
-
-    @property
-    def tracking_max_m(self) -> float:
-        """The largest tracking error."""
-        return float(np.max([c.tracking_max_m for c in self.carries]))
-
-    @property
-    def torque_ratio_max(self) -> float:
-        """The largest torque ratio."""
-        return float(np.max([c.metrics.torque_ratio_max for c in self.carries]))
-
-    @property
-    def internal_force_min_n(self) -> float:
-        """The least internal force off the table."""
-        return float(np.min([c.metrics.internal_force_min_n for c in self.carries]))
+    def __getattr__(self, name: str) -> float:
+        """Return the worst of a number of the carries; NaN propagates."""
+        if name in ("tracking_max_m", "oscillation_m"):
+            return float(np.max([getattr(c, name) for c in self.carries]))
+        if name not in ("torque_ratio_max", "tilt_max_rad", "internal_force_min_n"):
+            raise AttributeError(name)
+        worst = np.min if name == "internal_force_min_n" else np.max
+        return float(worst([getattr(c.metrics, name) for c in self.carries]))
 
     def row(self) -> dict[str, Any]:
         """Return the tuning.csv row."""
         failed = [c.metrics.text for c in self.carries if not c.metrics.success]
-        tilt_max_rad = float(np.max([c.metrics.tilt_max_rad for c in self.carries]))
         return {
             "phase": self.phase,
             "internal_force_n": round(self.force_n, 2),
@@ -118,7 +104,7 @@ class TuningStep:
             "internal_force_min_n": _said(self.internal_force_min_n, 2),
             "tracking_max_mm": _said(1e3 * self.tracking_max_m, 2),
             "oscillation_rms_mm": _said(1e3 * self.oscillation_m, 3),
-            "tilt_max_deg": _said(float(np.degrees(tilt_max_rad)), 2),
+            "tilt_max_deg": _said(math.degrees(self.tilt_max_rad), 2),
             "torque_max_percent": _said(100.0 * self.torque_ratio_max, 0),
             "first_failure": failed[0] if failed else "",
         }
@@ -244,36 +230,27 @@ def _bracket(
 def carry_once(inputs: MethodInputs, trial: Trial) -> Carried:
     """Carry once and measure."""
     bench = Bench("impedance", inputs)
-    name, tau_max = bench.task.carried, bench.world.robot.tau_max
-    seen = ObjectTruth(name, bench.task.scene.objects[name])
     every = round(1.0 / (LOG_RATE_HZ * bench.world.dt))
-    rows: list[tuple[float, ...]] = []
+    errors: list[Array] = []
     count = 0
 
     def watch(world: World, method: Method) -> None:
         nonlocal count
         count += 1
         desired = getattr(method, "desired", None)
-        if count % every or method.phase != "carry" or desired is None:
-            return
-        seen.refresh(world)
-        error = seen.T[:3, 3] - desired.T_world_object[:3, 3]
-        torque = float(np.max(np.abs(world.tau) / tau_max))
-        rows.append((world.time, *error, seen.squeeze_n, torque, seen.tilt_rad))
+        if count % every == 0 and method.phase == "carry" and desired is not None:
+            errors.append(world.object_pose(bench.task.carried)[:3, 3] - desired.T_world_object[:3, 3])
 
     result, _ = bench.run(trial, on_step=watch)
-    log = np.array(rows).reshape(-1, 7)
-    errors = np.linalg.norm(log[:, 1:4], axis=1)
-    series = np.column_stack([log[:, 0], errors, log[:, 4:]]).T
-    return Carried(
-        result.metrics, float(errors.max()) if len(errors) else float("nan"), oscillation_m(log[:, 1:4]), series
-    )
+    log = np.array(errors).reshape(-1, 3)
+    tracking_max_m = float(np.linalg.norm(log, axis=1).max()) if errors else math.nan
+    return Carried(result.metrics, tracking_max_m, oscillation_m(log))
 
 
 def oscillation_m(errors: Array, rate_hz: float = LOG_RATE_HZ) -> float:
     """Return the RMS of tracking errors (T, 3) [m] above 5 Hz, zero phase; NaN if too short."""
     if len(errors) < rate_hz / 2:
-        return float("nan")
+        return math.nan
     sos = butter(4, _HIGH_PASS_HZ, btype="highpass", fs=rate_hz, output="sos")
     fast = np.asarray(sosfiltfilt(sos, errors, axis=0))
     return float(np.sqrt(np.mean(np.sum(fast**2, axis=1))))
