@@ -1,8 +1,4 @@
-"""Atomic files and folders: whole under their name or absent, even after a kill or a power cut.
-
-Data is written under a temporary name in the same folder, synced (fsync) and renamed. The name carries the writer's
-process id, which identifies stale files.
-"""
+"""Atomic files and folders: written under a temporary name with the writer's process id, synced (fsync) and renamed."""
 
 from __future__ import annotations
 
@@ -28,7 +24,7 @@ def partial_path(path: Path) -> Path:
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Generator[Path]:
-    """Yield a temporary name; publish it when the block ends, remove it if the block raises."""
+    """Yield a temporary name; publish it unless the block raises."""
     partial = partial_path(path)
     try:
         yield partial

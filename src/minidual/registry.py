@@ -103,8 +103,7 @@ def load_target(target: str) -> Any:
     """Import the attribute named by "module:attribute".
 
     Raises:
-        ImportError: There is no such module.
-        AttributeError: There is no such attribute.
+        ImportError, AttributeError: There is none.
     """
     module, _, attribute = target.partition(":")
     return getattr(importlib.import_module(module), attribute)

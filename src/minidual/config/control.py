@@ -14,23 +14,19 @@ class EnvCheckConfig(StrictModel):
     """Outward step of joint 1 of each arm."""
     step_duration_s: float = Field(default=2.0, ge=1.0, le=10.0)
     step_error_max_rad: AtMost[float] = Field(default=0.005, gt=0.0, le=0.05)
-    """Limit on the error norm of all joints after the step."""
     single_step_rad: float = Field(default=0.1, gt=0.0, le=0.3)
     single_duration_s: float = Field(default=0.6, ge=0.3, le=5.0)
     sine_amplitude_rad: float = Field(default=0.3, gt=0.0, le=0.5)
     sine_frequency_hz: float = Field(default=0.5, gt=0.0, le=1.0)
     sine_duration_s: float = Field(default=10.0, ge=1.0, le=60.0)
     sine_rms_max_rad: AtMost[float] = Field(default=0.02, gt=0.0, le=0.05)
-    """Limit on the RMS error norm while all joints swing."""
     pulse_share: float = Field(default=0.1, gt=0.0, le=0.5)
-    """Torque pulse per joint, as a share of the motor's limit."""
     rise_max_s: AtMost[float] = Field(default=0.25, gt=0.0, le=1.0)
-    """Limit on the 10 % to 90 % rise time of each joint."""
+    """From 10 % to 90 %."""
     overshoot_max_rad: AtMost[float] = Field(default=0.005, gt=0.0, le=0.02)
     latency_max_us: AtMost[float] = Field(default=1000.0, gt=0.0, le=10_000.0)
-    """Limit on computing time from command to torques, without the wait for the arbiter."""
+    """From command to torques, without the wait for the arbiter."""
     stop_rest_max_s: AtMost[float] = Field(default=0.5, gt=0.0, le=2.0)
-    """Limit on the time to rest after an emergency stop."""
     agreement_states_n: int = Field(default=20, ge=1, le=1000)
     agreement_max: AtMost[float] = Field(default=1e-10, gt=0.0, le=1e-6)
 
@@ -69,7 +65,6 @@ class SensingConfig(StrictModel):
     """
 
     pose_noise_m: float = Field(default=0.0005, ge=0.0, le=0.02)
-    """Standard deviation per position coordinate."""
     pose_noise_rad: float = Field(default=0.005236, ge=0.0, le=0.2)
     """Standard deviation per rotation vector component (0.3 degrees)."""
     pose_bias_m: float = Field(default=0.0, ge=0.0, le=0.02)
@@ -80,7 +75,6 @@ class SensingConfig(StrictModel):
     force_noise_n: float = Field(default=1.0, ge=0.0, le=50.0)
     """Standard deviation per contact force component and pinch, at every control step."""
     delay_s: float = Field(default=0.010, ge=0.0, le=0.5)
-    """Delay of pose and force."""
     force_filter_s: float = Field(default=0.010, ge=0.0, le=0.5)
     grasp_memory_s: float = Field(default=0.15, ge=0.0, le=5.0)
     """Averaging time of the pose in the hands; 0 uses the last sample."""
@@ -104,7 +98,7 @@ class CarryFaultConfig(StrictModel):
     """When a carry stops itself, by sensed quantities only; see skills/faults.py."""
 
     displaced_m: float = Field(default=0.004, gt=0.0, le=0.1)
-    """Displacement of the resting or held object; raised if the sensor scatters more while the object lies still."""
+    """Raised if the sensor scatters more while the object lies still."""
     displaced_rad: float = Field(default=0.045, gt=0.0, le=1.0)
     creep_m: float = Field(default=0.001, gt=0.0, le=0.1)
     """Motion of the hands along the object at which the squeeze is reduced."""
@@ -112,15 +106,13 @@ class CarryFaultConfig(StrictModel):
     """A hand this much narrower than the object holds nothing."""
     grasp_timeout_s: float = Field(default=1.5, gt=0.1, le=10.0)
     lost_pinch_share: float = Field(default=0.25, gt=0.0, lt=1.0)
-    """Share of the wanted pinch below which the object is lost."""
     squeeze_share: float = Field(default=0.4, gt=0.0, lt=1.0)
     """Share of the wanted internal force below which the grip slips."""
     tilt_rad: float = Field(default=0.35, gt=0.0, le=1.5)
     motor_torque_n_m: float = Field(default=2.0, gt=0.0, le=50.0)
-    """Difference of commanded and measured torque that shows a dead drive."""
+    """Commanded minus measured torque of a dead drive."""
     persistence_s: float = Field(default=0.005, ge=0.0, le=0.05)
     deceleration_share: float = Field(default=0.5, gt=0.0, le=1.0)
-    """Deceleration of the soft stop, as a share of joint limits."""
 
 
 class CarryConfig(StrictModel):

@@ -44,12 +44,12 @@ class ObjectConfig(StrictModel):
     grasp_height_m: float = Field(default=0.003, ge=-0.01, le=0.02)
     """Height of the tool centre point above the axis of a lying object."""
     break_force_n: float | None = Field(default=None, gt=0.0)
-    """Net force of one hand that breaks the object; None for unbreakable."""
+    """Net force of one hand; None for unbreakable."""
     break_pinch_n: float | None = Field(default=None, gt=0.0)
-    """Pinch force of one hand that breaks the object."""
+    """Of one hand."""
     colour: tuple[float, float, float, float] = (0.96, 0.45, 0.09, 1.0)
     xy_m: tuple[float, float] | None = None
-    """Position unless a trial places it; None uses the task's start."""
+    """None uses the task's start."""
 
     @property
     def half_width_m(self) -> float:
@@ -128,7 +128,7 @@ class CameraConfig(StrictModel):
     width_px: int = Field(default=128, ge=32, le=1920)
     height_px: int = Field(default=96, ge=24, le=1080)
     supersample: int = Field(default=2, ge=1, le=4)
-    """Render this many times larger and average: a pixel spans 8 mm, and averaging keeps edges inside it visible."""
+    """Render this many times larger and average: edges within a pixel (8 mm) stay visible."""
 
 
 class SceneConfig(StrictModel):

@@ -28,18 +28,18 @@ class SupervisorConfig(StrictModel):
     saturation_s: float = Field(default=0.02, gt=0.0, le=1.0)
     acceleration_scale: float = Field(default=1.0, gt=0.0, le=1.0)
     jerk_reflex: bool = False
-    """Whether to stop when the commanded reference exceeds the jerk limit, as the real arm does. Off by default: the
-    reference filter bounds only acceleration, but the torque rate is limited."""
+    """Stop when the commanded reference exceeds the jerk limit, as the real arm does. The reference filter does not bound
+    jerk."""
     tcp_speed_max_m_per_s: float = Field(default=1.7, gt=0.0, le=1.7)
     workspace_m: Box = ((-0.9, 1.1), (-1.2, 1.2), (-0.005, 1.6))
-    """World x, y, z ranges of the tool centre points."""
+    """Ranges of the tool centre points."""
     self_collision_min_m: float = Field(default=0.01, gt=0.0, le=0.2)
     stale_s: float = Field(default=0.1, gt=0.0, le=2.0)
-    """The arms stop when the arbiter was silent for this long."""
+    """Longest silence of the arbiter."""
     slow_period_s: float = Field(default=0.01, ge=0.001, le=0.02)
     """Period of checks that need kinematics; see docs/supervisor.md."""
     stop_deceleration_scale: float = Field(default=0.4, gt=0.0, le=0.8)
-    """Deceleration of a soft stop, as a share of the acceleration limits."""
+    """Share of the acceleration limits."""
     stop_frequency_rad_s: float = Field(default=10.0, gt=0.0, le=30.0)
     """Closed-loop frequency of the damped hold after a stop."""
 

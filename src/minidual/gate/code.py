@@ -26,8 +26,7 @@ class Code:
 
     Attributes:
         modules: {module: digest of its syntax tree}.
-        sources: sha256 of the files, comments included. While it matches, no tree is built (5 ms instead of 1 s per
-            stage).
+        sources: sha256 of the files. While it matches, no tree is built (5 ms instead of 1 s a stage).
     """
 
     modules: dict[str, str] = field(default_factory=dict[str, str])

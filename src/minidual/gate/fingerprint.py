@@ -32,7 +32,6 @@ class Fingerprint:
         options: Options outside the configuration.
         inputs: sha256 of input artefacts by "stage/path".
         upstream: sha256 of all required verdicts; None if missing.
-        code: See `minidual.gate.code`.
     """
 
     parameters: dict[str, Any]

@@ -1,9 +1,4 @@
-"""State of each stage, and whether its gate is open.
-
-States: pass and fail (fresh verdict), error (verdict without evidence, corrupt verdict or crashed attempt), stale
-(parameters, inputs, upstream or artefacts changed), incomplete (begun, unfinished), blocked (not run, upstream does not
-pass), missing (not run).
-"""
+"""State of each stage, and whether its gate is open; see docs/architecture.md for the states."""
 
 from __future__ import annotations
 
