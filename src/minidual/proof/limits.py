@@ -48,8 +48,7 @@ def limit_use(trajectory: Trajectory, kinematics: Kinematics) -> tuple[LimitUse,
     }
     margin = np.minimum(-below - robot.q_lower, robot.q_upper - above)
     use = LimitUse(
-        *(float(worst[what].max()) for what in ("velocity", "acceleration", "jerk", "torque")),
-        limit_margin_rad=float(margin.min()),
+        **{f"{what}_ratio": float(of.max()) for what, of in worst.items()}, limit_margin_rad=float(margin.min())
     )
     names = robot.joint_names
     if not margin.min() >= -_ROUNDING:

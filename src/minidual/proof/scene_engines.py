@@ -13,7 +13,7 @@ import numpy as np
 
 from minidual.collision.engine import ENGINES, PairDistance
 from minidual.collision.scene import PlanningScene
-from minidual.proof.certificate import certify
+from minidual.proof.certificate import Certificate, certify
 from minidual.proof.limits import LimitUse, limit_use
 from minidual.proof.solids import Solids
 from minidual.robot.kinematics import Kinematics
@@ -26,18 +26,9 @@ CLEARANCE_MAX_M = 0.04
 """Larger distances count as this."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Verification(LimitUse):
-    """Result of verification.
-
-    Attributes:
-        reason: The first failure, if any.
-        samples_n: Ends of the proof's stretches.
-    """
-
-    ok: bool
-    reason: str
-    samples_n: int
+@dataclass(frozen=True)
+class Verification(LimitUse, Certificate):
+    """Result of verification; `reason` is the first failure, if any."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +71,7 @@ class SceneEngines:
         use, broken = limit_use(trajectory, self._kinematics)
         proof = certify(self.solids, trajectory)
         reason = proof.reason or broken
-        return Verification(ok=not reason, reason=reason, samples_n=proof.samples_n, **asdict(use))
+        return Verification(not reason, reason, proof.samples_n, **asdict(use))
 
     def clearance(self, trajectory: Trajectory) -> float:
         """Return the smallest distance [m] at an audit's states, at most `CLEARANCE_MAX_M`.

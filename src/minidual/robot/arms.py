@@ -137,10 +137,6 @@ DUAL_PANDA = Robot(PANDA)
 
 
 @functools.cache
-def _pair(name: str) -> Robot:
-    return DUAL_PANDA if name == "panda" else Robot(ARM_MODELS[name])
-
-
 def robot_from(config: RobotConfig) -> Robot:
     """Return the configured robot, cached; UsageError for unknown arms."""
-    return _pair(config.arm)
+    return DUAL_PANDA if config.arm == "panda" else Robot(ARM_MODELS[config.arm])
