@@ -11,6 +11,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 ROOT = Path(__file__).resolve().parent.parent
 LOCK = (ROOT / "requirements.lock").read_text(encoding="utf-8")
@@ -121,10 +122,12 @@ def test_every_link_of_the_documents_leads_somewhere(page: Path) -> None:
 
 def test_the_readme_opens_with_a_picture_and_the_commands() -> None:
     head = (ROOT / "README.md").read_text(encoding="utf-8").split("\n## ")[0]
-    assert "docs/scene.jpg" in head
+    assert "docs/carry.webp" in head
     assert re.findall(r"^make (\w+)", head, re.MULTILINE) == ["setup", "all", "all", "test"]
     assert len(re.findall(r"^\.venv/bin/minidual (\w+)", head, re.MULTILINE)) == 2  # four commands to moving arms
-    assert (ROOT / "docs" / "scene.jpg").stat().st_size < 150_000
+    with Image.open(ROOT / "docs" / "carry.webp") as picture:
+        assert picture.n_frames > 20, "it moves"
+    assert (ROOT / "docs" / "carry.webp").stat().st_size < 700_000
 
 
 def test_the_documents_name_every_stage_and_exit_code() -> None:
