@@ -138,7 +138,13 @@ class PoseGoals:
             new = {arm: list(itertools.islice(more, candidates_n)) for arm, more in solutions.items()}
             for arm in found:
                 found[arm] += new[arm]
-            combined = self._combinations(q_start, found)
+            combined = []
+            for parts in itertools.product(*found.values()):
+                q = np.array(q_start)
+                for arm, part in zip(found, parts, strict=True):
+                    q[self.solvers[arm].joints] = part
+                combined.append(q)
+            combined.sort(key=lambda q: float(np.linalg.norm(q - q_start)))
             free = list(itertools.islice((q for q in combined if not engine.in_collision(q)), candidates_n))
             if free:
                 return free
@@ -148,12 +154,3 @@ class PoseGoals:
                     "the goal is too close to contact: no plane separates all pairs at any of its solutions",
                     remedy="move it a little, or allow the pair in the scene",
                 )
-
-    def _combinations(self, q_start: Array, found: Mapping[str, list[Array]]) -> list[Array]:
-        combined = []
-        for parts in itertools.product(*found.values()):
-            q = np.array(q_start)
-            for arm, part in zip(found, parts, strict=True):
-                q[self.solvers[arm].joints] = part
-            combined.append(q)
-        return sorted(combined, key=lambda q: float(np.linalg.norm(q - q_start)))

@@ -103,21 +103,20 @@ def writing(path: Path) -> Generator[Path]:
 def _write(
     targets: dict[str, Path | None], context: ToolContext, scene: PlanningScene, result: PlanResult, title: str
 ) -> list[str]:
-    notes = [*result.notes]
-    if targets["out"] is not None:
-        with writing(targets["out"]) as path:
-            result.trajectory.write_json(path, scene.robot.joint_names)
-        notes.append(f"trajectory: {path}")
-    if targets["csv"] is not None:
-        with writing(targets["csv"]) as path:
-            result.trajectory.write_csv(path, scene.robot.joint_names)
-        notes.append(f"trajectory: {path}")
-    if targets["picture"] is not None:
-        from minidual.show.planning import write_picture
+    notes, motion, names = [*result.notes], result.trajectory, scene.robot.joint_names
+    for name, target in targets.items():
+        if target is None:
+            continue
+        with writing(target) as path:
+            if name == "picture":
+                from minidual.show.planning import write_picture
 
-        with writing(targets["picture"]) as path:
-            write_picture(path, context.config.scene, scene, result.trajectory, title)
-        notes.append(f"picture: {path}")
+                write_picture(path, context.config.scene, scene, motion, title)
+            elif name == "csv":
+                motion.write_csv(path, names)
+            else:
+                motion.write_json(path, names)
+        notes.append(f"{'picture' if name == 'picture' else 'trajectory'}: {target}")
     return notes
 
 

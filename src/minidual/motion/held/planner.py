@@ -279,15 +279,10 @@ class HeldWork:
 
     def _touching(self, joints: Array) -> str:
         """Return which parts come nearest along joints (m, n)."""
-        found = [
-            (near[0].distance_m, str(near[0]), k)
-            for k, q in enumerate(joints)
-            if (near := self._engines.closest(q, self._config.padding_m))
+        near = [
+            (pair.distance_m, str(pair)) for q in joints for pair in self._engines.closest(q, self._config.padding_m)
         ]
-        if not found:
-            return "parts come nearer than the padding"
-        _, what, k = min(found)
-        return f"{what} after {k / max(1, len(joints) - 1):.0%} of it"
+        return min(near)[1] if near else "parts come nearer than the padding"
 
     def goal_postures(self, end: Array | None, wanted_n: int, restarts_scale: int = 1) -> list[Array]:
         """Return free goal postures (n,): the straight end first, then the nearest.

@@ -34,14 +34,6 @@ _SCENE_TRIES_N = 200
 _PAIRS_TRIES_N = 8
 _CROSSED_BY_M = 0.05
 
-KINDS: dict[str, str] = {
-    "past_obstacle": "the straight line in joint space runs into an obstacle on the table",
-    "past_arm": "the straight line runs into the other arm, which is held",
-    "crossing": "the hands change sides, and the straight line is blocked",
-    "any": "nothing is asked for",
-}
-"""What makes a query hard."""
-
 
 @dataclass(frozen=True, eq=False)
 class Query:
@@ -51,6 +43,8 @@ class Query:
         seed: Planner seed.
         q_start: Free (n,) [rad].
         q_goal: Free (n,). A goal of poses may be planned to another solution of `targets`.
+        kind: Why it is hard: the straight line runs into an obstacle ("past_obstacle") or the other arm ("past_arm"),
+            or is blocked while the hands change sides ("crossing"); or "any".
         attempt: Number of the scene.
     """
 
