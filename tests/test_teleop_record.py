@@ -46,7 +46,7 @@ GOOD: dict[str, float] = {
     "episodes": 120,
     "attempts": 121,
     "success_rate": 120 / 121,
-    "files_at_fault": 0,
+    "schema_ok": True,
     "jerk_rms_max": 21.0,
     "sync_error_max_s": 0.0,
     "latency_p50_s": 0.0003,
@@ -74,7 +74,7 @@ def test_good_numbers_pass() -> None:
     ("check", "change"),
     [
         ("episodes", {"episodes": 119, "dataset_episodes": 119}),
-        ("schema_ok", {"files_at_fault": 1}),
+        ("schema_ok", {"schema_ok": False}),
         ("jerk_rms_max", {"jerk_rms_max": 200.0}),
         ("jerk_rms_max", {"jerk_rms_max": float("nan")}),
         ("latency_p99_s", {"latency_p99_s": 0.11}),
@@ -156,7 +156,7 @@ def test_faults_of_a_recording_reach_its_numbers(recorded: tuple[Job, Recording]
     broken = dataclasses.replace(second, faults=("cameras_swapped: ...",), sync_error_max_s=float("nan"))
     first, broken = (dataclasses.replace(a, wall_s=40.0) for a in (first, broken))
     numbers = Recording((first, broken), 100.0, workers=2).numbers(conversion_s=20.0)
-    assert numbers["files_at_fault"] == 1
+    assert numbers["schema_ok"] is False
     assert np.isnan(numbers["sync_error_max_s"]), "an unknown value must not vanish"
     assert numbers["recorded_per_min"] == pytest.approx(3.0)
     assert numbers["episodes_per_min"] == pytest.approx(2.0), "conversion counts"

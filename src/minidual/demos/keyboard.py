@@ -67,12 +67,15 @@ class KeyboardLeader(Leader):
 
     def read(self, now_s: float) -> tuple[Array, Array] | None:
         """Process keys; return joints (n,) and openings (2,)."""
-        for key in self._keys():
-            self._press(key)
+        if select.select([self._fd], [], [], 0.0)[0]:
+            for key in os.read(self._fd, 256).decode(errors="ignore"):
+                self._press(key)
         bound, self._last_s = max(now_s - self._last_s, 0.0) * _SPEED, now_s
         wanted = self._offset + np.clip(self._goal - self._offset, -bound, bound)
+        moves = zip(self._start, wanted, strict=True)
         try:
-            self._q = self._ik.solve(*self._poses(wanted), self._q)
+            left, right = (pose(rot_z(move[3]) @ T[:3, :3], T[:3, 3] + move[:3]) for T, move in moves)
+            self._q = self._ik.solve(left, right, self._q)
             self._offset = wanted
         except UsageError:  # out of reach: stay, and reset the goal to the present position
             self._goal = self._offset.copy()
@@ -86,11 +89,6 @@ class KeyboardLeader(Leader):
         """Restore the terminal."""
         termios.tcsetattr(self._fd, termios.TCSADRAIN, self._saved)
 
-    def _keys(self) -> str:
-        if not select.select([self._fd], [], [], 0.0)[0]:
-            return ""
-        return os.read(self._fd, 256).decode(errors="ignore")
-
     def _press(self, key: str) -> None:
         hands = _SELECTIONS[self._selected]
         if key.lower() in _MOVES:
@@ -102,12 +100,6 @@ class KeyboardLeader(Leader):
             self._selected = (self._selected + 1) % len(_SELECTIONS)
         elif key in "\r\n":
             self._ended = True
-
-    def _poses(self, offset: Array) -> tuple[Array, Array]:
-        left, right = (
-            pose(rot_z(move[3]) @ T[:3, :3], T[:3, 3] + move[:3]) for T, move in zip(self._start, offset, strict=True)
-        )
-        return left, right
 
 
 def _terminal(descriptor: int | None) -> int:

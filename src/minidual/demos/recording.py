@@ -117,7 +117,7 @@ class Recording:
             "episodes": len(self.kept),
             "attempts": len(self.attempts),
             "success_rate": float(np.mean([a.success for a in self.attempts])),
-            "files_at_fault": sum(bool(a.faults) for a in self.kept),
+            "schema_ok": bool(self.kept) and not any(a.faults for a in self.kept),
             "jerk_rms_max": max(self._qualities("rms_jerk_rad_s3")),
             "sync_error_max_s": float(np.max(synchronised)),
             "latency_p50_s": float(np.percentile(latencies, 50)),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -30,9 +30,11 @@ from minidual.policies.normalisation import Stats
 from minidual.policies.records import TrainResult
 from minidual.policies.spatial_act.configuration_spatial_act import SpatialActConfig
 from minidual.policies.spatial_act.modeling_spatial_act import SpatialActPolicy
-from minidual.policies.train import Trained, train
+from minidual.policies.train import Trained, threads, train
 
 REQUIRED = ("config.json", "model.safetensors", "policy_preprocessor.json", "policy_postprocessor.json")
+
+_UNREADABLE = (OSError, ValueError, KeyError, TypeError, RuntimeError, SafetensorError, DecodingError, ParsingError)
 
 
 class ActKind(PolicyKind):
@@ -96,16 +98,7 @@ class ActKind(PolicyKind):
             load_model(policy, folder / "model.safetensors", strict=True, device=device)
             overrides = {"device_processor": {"device": device}}
             processors = make_pre_post_processors(config, pretrained_path=str(folder), preprocessor_overrides=overrides)
-        except (
-            OSError,
-            ValueError,
-            KeyError,
-            TypeError,
-            RuntimeError,
-            SafetensorError,
-            DecodingError,
-            ParsingError,
-        ) as error:
+        except _UNREADABLE as error:
             first = str(error).splitlines()[0] if str(error) else type(error).__name__
             raise DataError(f"checkpoint {folder} cannot be read: {first}", remedy=f"{REMEDY} --force") from error
         policy.to(device)
@@ -140,16 +133,12 @@ def _common(config: TrainConfig, demos: Demonstrations) -> dict[str, Any]:
         "output_features": {ACTION: PolicyFeature(type=FeatureType.ACTION, shape=(demos.dim,))},
         "device": config.device,
         "push_to_hub": False,
-        "chunk_size": config.chunk_size,
+        **{name: getattr(config, name) for name in ("chunk_size", "dim_model", "use_vae", "kl_weight", "dropout")},
         "n_action_steps": config.chunk_size,
-        "dim_model": config.dim_model,
         "n_heads": config.heads,
         "dim_feedforward": config.dim_feedforward,
         "n_encoder_layers": config.encoder_layers,
         "n_decoder_layers": config.decoder_layers,
-        "use_vae": config.use_vae,
-        "kl_weight": config.kl_weight,
-        "dropout": config.dropout,
         "optimizer_lr": config.learning_rate,
         "optimizer_lr_backbone": config.learning_rate,
         "optimizer_weight_decay": config.weight_decay,
@@ -197,21 +186,7 @@ class TorchChunkPolicy(ChunkPolicy):
         observation: dict[str, Any] = {STATE: torch.from_numpy(state)}
         for camera, pixels in images.items():
             observation[camera_key(camera)] = torch.from_numpy(pixels).permute(2, 0, 1).float().div_(255.0)
-        with torch.inference_mode(), _threads(self._threads):
+        with torch.inference_mode(), threads(self._threads):
             batch = self._trained.preprocessor(observation)
             chunk = self._trained.postprocessor(self._trained.policy.predict_action_chunk(batch))
         return chunk[0].to(torch.float64).numpy()
-
-
-@contextlib.contextmanager
-def _threads(count: int | None) -> Iterator[None]:
-    """Set torch's threads temporarily."""
-    before = torch.get_num_threads()
-    if count is None or count == before:
-        yield
-        return
-    torch.set_num_threads(count)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

@@ -69,7 +69,9 @@ def train(
     )
     rows = demos.rows_of(training)
     stats = dataset_statistics(demos, rows, config.std_floor)
-    with _torch_settings(config, seed):
+    devices = [torch.cuda.current_device()] if config.device == "cuda" and torch.cuda.is_available() else []
+    with torch.random.fork_rng(devices=devices), threads(config.threads):
+        torch.manual_seed(int(stream(seed, "train.weights", 0).integers(2**63)))
         trained = build(stats)
         loop = _Loop(demos, config, seed, trained.policy, rows, demos.rows_of(validation), stats, resume_dir)
         resumed = loop.resume()
@@ -83,16 +85,14 @@ def train(
 
 
 @contextmanager
-def _torch_settings(config: TrainConfig, seed: int) -> Iterator[None]:
-    threads = torch.get_num_threads()
-    devices = [torch.cuda.current_device()] if config.device == "cuda" and torch.cuda.is_available() else []
-    with torch.random.fork_rng(devices=devices):
-        torch.set_num_threads(config.threads)
-        torch.manual_seed(int(stream(seed, "train.weights", 0).integers(2**63)))
-        try:
-            yield
-        finally:
-            torch.set_num_threads(threads)
+def threads(count: int | None) -> Iterator[None]:
+    """Set torch's threads temporarily; None leaves them."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count or before)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 class _Loop:

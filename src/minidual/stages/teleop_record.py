@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from minidual.demos.schema import MAX_SYNC_S
 from minidual.durable import write_csv
 from minidual.errors import NothingEvaluatedError
-from minidual.gate.check import Check
+from minidual.gate.check import Check, Op
 from minidual.gate.code import code_of
 from minidual.gate.stage import StageContext, StageResult
 
@@ -23,83 +23,44 @@ READS = ("robot", "task", "teleop", "scene", "arbiter", "supervisor")
 """Sections that the recording depends on."""
 
 
+_WORDS = {
+    "episodes": (
+        "",
+        "demonstrations kept",
+        "`reason` in quality.csv names what failed; raise teleop.attempts_max_ratio",
+    ),
+    "schema_ok": (
+        "",
+        "every file, opened again, is whole, sound and inside the limits",
+        "read `faults` in the verdict",
+    ),
+    "jerk_rms_max": ("rad/s^3", "roughest demonstration kept", "lengthen the phases under teleop.operator"),
+    "latency_p99_s": ("s", "wall time from reading the leader to its torque, 99th percentile", "use fewer workers"),
+    "episodes_per_min": ("1/min", "demonstrations kept, conversion included", "use more workers, or fewer cameras"),
+    "sync_error_max_s": ("s", "images against joints of a tick, each stamped when read", "read both in one tick"),
+    "dataset_rows": ("", "every recorded tick is a row and a frame of each video", "check the disk; add --force"),
+    "dataset_episodes": ("", "every demonstration kept is an episode of the dataset", "record again with --force"),
+    "success_rate": ("", "share of attempts that achieved the task; others are left out"),
+    "attempts": ("", "trials that were led"),
+    "latency_p50_s": ("s", "median of the same"),
+    "recorded_per_min": ("1/min", "the rate of recording alone"),
+}
+"""Unit, reason and remedy of each check."""
+
+
 def record_checks(numbers: Mapping[str, float], config: TeleopConfig) -> list[Check]:
     """Return the stage's checks from `Recording.numbers` and the sizes of the dataset."""
-    n = numbers
-    return [
-        Check(
-            "episodes",
-            n["episodes"],
-            ">=",
-            config.episodes_n,
-            why="demonstrations kept, each of which achieved the task",
-            remedy="read quality.csv: `reason` names what failed; raise teleop.attempts_max_ratio",
-        ),
-        Check(
-            "schema_ok",
-            n["files_at_fault"] == 0 and n["episodes"] > 0,
-            "==",
-            True,
-            why="every file, opened again, holds all fields in the right shapes, finite, in order and inside the limits",
-            remedy="read `faults` in the verdict's data; record again with --force",
-        ),
-        Check(
-            "jerk_rms_max",
-            n["jerk_rms_max"],
-            "<",
-            config.jerk_max_rad_s3,
-            "rad/s^3",
-            "roughest demonstration kept; a policy copies the shaking of its teacher",
-            "lengthen the phases under teleop.operator, or look for contacts during the motion",
-        ),
-        Check(
-            "latency_p99_s",
-            n["latency_p99_s"],
-            "<",
-            config.latency_max_s,
-            "s",
-            "wall-clock time from reading the leader to the follower's torque, 99th percentile of all ticks",
-            "free the machine of other load, or use fewer workers",
-        ),
-        Check(
-            "episodes_per_min",
-            n["episodes_per_min"],
-            ">",
-            config.episodes_per_min,
-            "1/min",
-            "demonstrations kept a minute, conversion to a dataset included, once the processes have started",
-            "use more workers, or smaller or fewer cameras",
-        ),
-        Check(
-            "sync_error_max_s",
-            n["sync_error_max_s"],
-            "<=",
-            MAX_SYNC_S,
-            "s",
-            "largest time between the joints and the images of a tick, as stamped when each was read",
-            "take the images in the tick that reads the joints",
-        ),
-        Check(
-            "dataset_rows",
-            n["dataset_rows"],
-            "==",
-            n["recorded_ticks"],
-            why="every recorded tick is a row of the dataset and a frame of its videos",
-            remedy="record again with --force; check the free space on the disk",
-        ),
-        Check(
-            "dataset_episodes",
-            n["dataset_episodes"],
-            "==",
-            n["episodes"],
-            why="every demonstration kept is an episode of the dataset",
-            remedy="record again with --force",
-        ),
-        Check("success_rate", n["success_rate"], why="share of attempts that achieved the task; others are left out"),
-        Check("attempts", n["attempts"], why="trials that were led"),
-        Check("latency_p50_s", n["latency_p50_s"], unit="s", why="median of the same"),
-        Check("recorded_per_min", n["recorded_per_min"], unit="1/min", why="the rate of recording alone"),
-    ]
+    limits: dict[str, tuple[Op, float]] = {
+        "episodes": (">=", config.episodes_n),
+        "schema_ok": ("==", True),
+        "jerk_rms_max": ("<", config.jerk_max_rad_s3),
+        "latency_p99_s": ("<", config.latency_max_s),
+        "episodes_per_min": (">", config.episodes_per_min),
+        "sync_error_max_s": ("<=", MAX_SYNC_S),
+        "dataset_rows": ("==", numbers["recorded_ticks"]),
+        "dataset_episodes": ("==", numbers["episodes"]),
+    }
+    return [Check(name, numbers[name], *limits.get(name, (None, None)), *words) for name, words in _WORDS.items()]
 
 
 def recording_inputs(config: Config) -> dict[str, Any]:
