@@ -62,7 +62,7 @@ def trial(tmp_path_factory, scene, compiled_model):
     world = World(scene, model=compiled_model)
     path = tmp_path_factory.mktemp("replay") / "trial.npz"
     recorder = move(world, Kinematics())
-    recorder.write(path, "a test", details={"index": 3})
+    write_recording(path, recorder.recording("a test", details={"index": 3}))
     return path, world.q, world.object_pose()
 
 
@@ -100,7 +100,7 @@ class TestRepeating:
         for _ in range(150):
             world.command(tau, np.zeros(2))
             world.step()
-        recorded = read_recording(recorder.write(tmp_path / "ur5.npz", "another arm"))
+        recorded = read_recording(write_recording(tmp_path / "ur5.npz", recorder.recording("another arm")))
         assert recorded.arm == "ur5"
         assert replay(recorded).exact
 

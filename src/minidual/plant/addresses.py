@@ -16,9 +16,8 @@ IntArray = npt.NDArray[np.int64]
 
 @dataclass(frozen=True)
 class JointAddresses:
-    """Indices of `names`, each (n,)."""
+    """Indices of joints, each (n,)."""
 
-    names: tuple[str, ...]
     qpos: IntArray
     qvel: IntArray
     ctrl: IntArray
@@ -49,7 +48,6 @@ def map_joints(model: mujoco.MjModel, names: Sequence[str], *, torque: bool) -> 
                 )
     index = np.array([joints[name] for name in names])
     addresses = JointAddresses(
-        tuple(names),
         model.jnt_qposadr[index].astype(np.int64),
         model.jnt_dofadr[index].astype(np.int64),
         np.array([actuators[name] for name in names]),

@@ -92,10 +92,6 @@ class Recorder:
             details=dict(details or {}),
         )
 
-    def write(self, path: Path, reason: str, *, details: Mapping[str, Any] | None = None) -> Path:
-        """Write a trial."""
-        return write_recording(path, self.recording(reason, details=details))
-
     def dump(self, name: str, reason: str, *, details: Mapping[str, Any] | None = None) -> Path | None:
         """Write the window; return its file, or None.
 

@@ -7,20 +7,8 @@ import numpy as np
 from minidual.config.change import preset
 from minidual.config.root import Config
 from minidual.robot.poses import pose, rot_x, rot_z
+from minidual.tasks import success
 from minidual.tasks.rod_carry import draw_on_table, placement
-from minidual.tasks.success import (
-    Arrived,
-    AtRest,
-    Carried,
-    Exchanged,
-    Held,
-    Level,
-    OnTime,
-    Released,
-    Rose,
-    SuccessCondition,
-    Turned,
-)
 from minidual.tasks.task import Step, Task, TaskObject, Trial
 
 _L, _R = ("left",), ("right",)
@@ -85,19 +73,19 @@ def handover(config: Config) -> Task:
     )
 
 
-def handed_over(task: Task, trial: Trial) -> tuple[SuccessCondition, ...]:
+def handed_over(task: Task, trial: Trial) -> tuple[success.SuccessCondition, ...]:
     """Return the conditions."""
     asked, name = task.scene.task, task.carried
     start, (x, y, yaw) = placement(trial.start[name]), placement(trial.goal[name])
     return (
-        Level(name, asked.tilt_max_rad),
-        Held(name, asked.pinch_min_n, both=False),
-        Carried(name, start[:2], (x, y)),
-        Rose(name, asked.clear_height_m),
-        Exchanged(name, asked.pinch_min_n),
-        Arrived(name, (x, y), asked.goal_tolerance_m),
-        Turned(name, yaw, asked.yaw_tolerance_rad),
-        Released(name),
-        AtRest(name, asked.rest_speed_m_per_s),
-        OnTime(asked.time_limit_s),
+        success.Level(name, asked.tilt_max_rad),
+        success.Held(name, asked.pinch_min_n, both=False),
+        success.Carried(name, start[:2], (x, y)),
+        success.Rose(name, asked.clear_height_m),
+        success.Exchanged(name, asked.pinch_min_n),
+        success.Arrived(name, (x, y), asked.goal_tolerance_m),
+        success.Turned(name, yaw, asked.yaw_tolerance_rad),
+        success.Released(name),
+        success.AtRest(name, asked.rest_speed_m_per_s),
+        success.OnTime(asked.time_limit_s),
     )

@@ -9,23 +9,9 @@ from minidual.config.root import Config
 from minidual.config.scene import OBSTACLE, SceneConfig
 from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import pose, rot_x, rot_z
+from minidual.tasks import success
 from minidual.tasks.motions import MOTIONS
 from minidual.tasks.objects import OBJECTS
-from minidual.tasks.success import (
-    Arrived,
-    AtRest,
-    Carried,
-    Clear,
-    Held,
-    Level,
-    OnTime,
-    Released,
-    Rose,
-    Squeezed,
-    SuccessCondition,
-    Turned,
-    Whole,
-)
 from minidual.tasks.task import ObjectPose, Step, Task, TaskObject, Trial
 
 _PHASES = ("approach", "descend", "close", "squeeze", "lift", "carry", "lower", "open", "retreat")
@@ -77,25 +63,25 @@ def draw_on_table(
     return {name: start}, {name: (x + float(gx), y + float(gy), asked.goal_yaw_rad + float(turn))}
 
 
-def carried_by_both(task: Task, trial: Trial) -> tuple[SuccessCondition, ...]:
+def carried_by_both(task: Task, trial: Trial) -> tuple[success.SuccessCondition, ...]:
     """Return the conditions."""
     asked, name, body = task.scene.task, task.carried, task.scene.object
     start, (x, y, yaw) = placement(trial.start[name]), placement(trial.goal[name])
-    conditions: list[SuccessCondition] = [
-        Level(name, asked.tilt_max_rad),
-        Whole(name, body.break_pinch_n, body.break_force_n),
-        Held(name, asked.pinch_min_n),
-        Carried(name, start[:2], (x, y)),
-        Squeezed(name, asked.internal_force_min_n),
-        Rose(name, asked.clear_height_m),
-        Arrived(name, (x, y), asked.goal_tolerance_m),
-        Turned(name, yaw, asked.yaw_tolerance_rad, task.objects[name].symmetry),
-        Released(name),
-        AtRest(name, asked.rest_speed_m_per_s),
-        OnTime(asked.time_limit_s),
+    conditions: list[success.SuccessCondition] = [
+        success.Level(name, asked.tilt_max_rad),
+        success.Whole(name, body.break_pinch_n, body.break_force_n),
+        success.Held(name, asked.pinch_min_n),
+        success.Carried(name, start[:2], (x, y)),
+        success.Squeezed(name, asked.internal_force_min_n),
+        success.Rose(name, asked.clear_height_m),
+        success.Arrived(name, (x, y), asked.goal_tolerance_m),
+        success.Turned(name, yaw, asked.yaw_tolerance_rad, task.objects[name].symmetry),
+        success.Released(name),
+        success.AtRest(name, asked.rest_speed_m_per_s),
+        success.OnTime(asked.time_limit_s),
     ]
     if asked.obstacle is not None:
-        conditions.insert(2, Clear(OBSTACLE))
+        conditions.insert(2, success.Clear(OBSTACLE))
     return tuple(conditions)
 
 

@@ -16,6 +16,7 @@ from minidual.control.object_impedance import SingularPostureError
 from minidual.errors import MinidualError
 from minidual.plant.model import build_model
 from minidual.plant.recorder import Recorder
+from minidual.plant.recording import write_recording
 from minidual.plant.world import SimulationDivergedError, World
 from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
@@ -126,7 +127,8 @@ class Bench:
         carry = self.task.config.carry
         details = {"method": self.method, "purpose": trial.purpose, "trial": trial.index, "success": result.success}
         details |= {"task": self.task.name, "object": carry.object, "motion": carry.motion}
-        recorder.write(path, f"{self.method}, trial {trial.index}: {result.text}", details=details)
+        reason = f"{self.method}, trial {trial.index}: {result.text}"
+        write_recording(path, recorder.recording(reason, details=details))
         return result, log
 
     def _run(
@@ -155,7 +157,7 @@ class Bench:
             judge.observe(world)
             ratio = np.abs(world.tau) / world.robot.tau_max
             saturated = np.where(ratio >= SATURATED, saturated + 1, 0)
-            peak, longest = max(peak, float(ratio.max())), max(longest, int(saturated.max()))
+            peak, longest = float(np.maximum(peak, ratio.max())), max(longest, int(saturated.max()))  # NaN stays
             if step % every == 0:
                 rows.append(self._sample(seen, method.phase))
             if disturb is not None:
@@ -194,12 +196,13 @@ class Bench:
 _BENCHES: dict[str, Bench] = {}
 
 
-def _run_in_worker(method: str, inputs: MethodInputs, trial: Trial, condition: str) -> TrialResult:
+def _bench(method: str, inputs: MethodInputs) -> Bench:
+    """Return this process's bench; the last one is kept."""
     key = f"{method}/{inputs.checkpoint}/{inputs.seed}/{inputs.config.model_dump_json()}"
     if key not in _BENCHES:
         _BENCHES.clear()
         _BENCHES[key] = Bench(method, inputs)
-    return _BENCHES[key].run(trial, condition=condition)[0]
+    return _BENCHES[key]
 
 
 def run_trials(
@@ -218,4 +221,4 @@ def run_trials(
             title = f"{method}, trial {number} of {len(trials)}" + (f", {condition}" if condition != CLEAN else "")
             yield bench.run(trial, condition=condition, on_step=watch(bench, title))[0]
         return
-    yield from in_workers(lambda trial: _run_in_worker(method, inputs, trial, condition), trials, workers)
+    yield from in_workers(lambda trial: _bench(method, inputs).run(trial, condition=condition)[0], trials, workers)
