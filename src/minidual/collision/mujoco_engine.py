@@ -16,11 +16,8 @@ from minidual.robot.pair import Array
 # Without these options the URDF reader fuses fixed links (and the tcp) into their parents.
 _COMPILER = '<mujoco><compiler fusestatic="false" discardvisual="true" strippath="false"/></mujoco><link name="world"'
 _CLOSEST_WITHIN_M = 0.1
-_ROUND = {
-    Cylinder: mujoco.mjtGeom.mjGEOM_CYLINDER,
-    Capsule: mujoco.mjtGeom.mjGEOM_CAPSULE,
-    Sphere: mujoco.mjtGeom.mjGEOM_SPHERE,
-}
+_KIND = mujoco.mjtGeom
+_ROUND = {Cylinder: _KIND.mjGEOM_CYLINDER, Capsule: _KIND.mjGEOM_CAPSULE, Sphere: _KIND.mjGEOM_SPHERE}
 
 
 class MujocoEngine:
@@ -93,9 +90,9 @@ def _boxes_to_meshes(spec: mujoco.MjSpec) -> None:
     """Replace boxes by meshes: MuJoCo's box-box test reports no distance for most separate pairs."""
     corners = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
     for index, geom in enumerate(spec.geoms):
-        if geom.type == mujoco.mjtGeom.mjGEOM_BOX:
+        if geom.type == _KIND.mjGEOM_BOX:
             mesh = spec.add_mesh(name=f"box_mesh{index}", uservert=(corners * geom.size).ravel())
-            geom.type = mujoco.mjtGeom.mjGEOM_MESH
+            geom.type = _KIND.mjGEOM_MESH
             geom.meshname = mesh.name
             geom.size = np.zeros(3)
 
@@ -107,9 +104,9 @@ def add_body(spec: mujoco.MjSpec, parent: mujoco.MjsBody, shape: Shape, prefix: 
     if isinstance(shape, Mesh):
         for index, vertices in enumerate(shape.vertices()):
             mesh = spec.add_mesh(name=f"{name}:{index}", uservert=vertices.ravel())
-            body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, **look)
+            body.add_geom(type=_KIND.mjGEOM_MESH, meshname=mesh.name, **look)
     elif isinstance(shape, Box):
-        body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.5 * v for v in shape.size_m], **look)
+        body.add_geom(type=_KIND.mjGEOM_BOX, size=[0.5 * v for v in shape.size_m], **look)
     else:
         radius_m, *lengths_m = shape.lengths()
         half_m = 0.5 * sum(lengths_m)

@@ -62,7 +62,6 @@ class EdgeChecker:
         tight = np.array([q for q, _ in near]).reshape(len(near), self.robot.dof)
         keep = float(padding_m), tight, _KEEP_FRACTION * np.array([clearance for _, clearance in near]), RELAX_RAD
         self._geometry, self._rest = solids.geometry, (rows, keep, solids.workspace())
-        self._q = np.empty(self.robot.dof)
 
     def free(self, q: Array) -> bool:
         """Return whether q (dof,) keeps its distance."""
@@ -70,16 +69,13 @@ class EdgeChecker:
 
     def all_free(self, Q: Array) -> bool:
         """Return whether all rows of Q (n, dof) do; stops at the first failure."""
-        return self._counted(planes.survey(self._geometry, floats(Q), *self._rest), len(Q))
+        free_n = planes.survey(self._geometry, floats(Q), *self._rest)
+        self.checks_n += min(free_n + 1, len(Q))
+        return free_n == len(Q)
 
     def edge_free(self, a: Array, b: Array, step_rad: float | None = None) -> bool:
         """Return whether the edge (dof,) is free; a itself is not checked."""
         count = math.ceil(np.abs(b - a).max() / (step_rad or self.step_rad))
         if count == 0:
             return True
-        order = bisection_order(count)
-        return self._counted(planes.sweep(self._geometry, floats(a), floats(b), order, self._q, *self._rest), count)
-
-    def _counted(self, free_n: int, count: int) -> bool:
-        self.checks_n += min(free_n + 1, count)
-        return free_n == count
+        return self.all_free(a + bisection_order(count)[:, None] * (b - a))

@@ -500,19 +500,6 @@ def survey(geometry: Geometry, Q: Array, chosen: Rows, keep: Keep, work: Work) -
 
 
 @kernel()
-def sweep(
-    geometry: Geometry, a: Array, b: Array, fractions: Array, q: Array, chosen: Rows, keep: Keep, work: Work
-) -> int:
-    """Run `survey` on a + fractions[k] (b - a)."""
-    for k in range(len(fractions)):
-        for c in range(len(q)):
-            q[c] = a[c] + fractions[k] * (b[c] - a[c])
-        if not _free(geometry, q, chosen, keep, work):
-            return k
-    return len(fractions)
-
-
-@kernel()
 def clearance(geometry: Geometry, Q: Array, chosen: Rows, most: float, work: Work) -> float:
     """Return a lower bound [m] on the smallest distance over Q (n, dof), at most `most`.
 
