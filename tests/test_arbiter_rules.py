@@ -278,13 +278,10 @@ def test_one_arm_drives_while_the_other_is_held(desk: Desk) -> None:
     out = desk.drive("moveit", HOME[:7] + 0.05, gripper=(0.0, 0.0), group="left_arm")
     np.testing.assert_array_equal(out.q_target, np.r_[HOME[:7] + 0.05, HOME[7:]])
     np.testing.assert_array_equal(out.gripper, [0.0, 1.0])
-    assert out.held_arms == ("right",)
     out = desk.drive("moveit", HOME[7:] - 0.05, group="right_arm")
     np.testing.assert_array_equal(out.q_target, np.r_[HOME[:7] + 0.05, HOME[7:] - 0.05])
-    assert out.held_arms == ()
-    for _ in range(5):
+    for _ in range(5):  # the left arm's command grows stale
         out = desk.drive("moveit", HOME[7:] - 0.05, group="right_arm")
-    assert out.held_arms == ("left",), "the left arm's command has grown stale"
     np.testing.assert_array_equal(out.q_target[:7], HOME[:7] + 0.05)
 
 

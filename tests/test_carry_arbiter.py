@@ -146,7 +146,7 @@ def test_in_the_air_the_motors_are_told_the_law_of_the_path_to_the_bit(world: Wo
             q_hold.append(q)
         if carry.phase == "carry":
             motion = carry.stack.output.executions[0].command.motion
-            state, felt_n = carry._watch.read()
+            state, felt_n = carry.watch.read()
             given.append((q, v, ObjectState(state.T_world_object.copy(), state.twist.copy()), felt_n))
             told.append(world.data.ctrl[world.joints.ctrl].copy())
     assert carry.fault is None

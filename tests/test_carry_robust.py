@@ -23,7 +23,7 @@ def carry(bench: Bench, name: str):
     result, _ = bench.run(
         sample_trial(bench.world.scene, 11, "robust", 0),
         condition=name,
-        on_step=lambda world, method: wanted.append(getattr(method, "squeeze_n", None)),
+        on_step=lambda world, method: wanted.append(method.watch.squeeze_n),
     )
     return result, wanted
 

@@ -210,7 +210,7 @@ class Blind:
 
 
 def _errors(world: World, carry: ImpedanceCarry) -> tuple[float, float]:
-    T, estimate = world.object_pose(), carry.estimate.T_world_object
+    T, estimate = world.object_pose(), carry.watch.estimate.T_world_object
     return (
         float(np.linalg.norm(T[:3, 3] - estimate[:3, 3])),
         float(np.linalg.norm(rotation_log(T[:3, :3].T @ estimate[:3, :3]))),
@@ -239,7 +239,7 @@ def test_a_whole_carry_never_reads_the_truth_and_its_estimate_beats_the_raw_read
         carry.step()
         if carry.phase == "carry":
             fused.append(_errors(world, carry))
-            speeds.append(carry.estimate.twist - world.truth().twist())
+            speeds.append(carry.watch.estimate.twist - world.truth().twist())
             if heard[-1].pose is not None:
                 seen = inverse(world.object_pose()) @ heard[-1].pose.T_world_object
                 raw.append((np.linalg.norm(seen[:3, 3]), np.linalg.norm(rotation_log(seen[:3, :3]))))
@@ -265,7 +265,7 @@ def test_noise_belongs_to_the_trial_and_the_seed(world: World, scene: SceneConfi
         carry = ImpedanceCarry(world, Kinematics(), CarryConfig(), replace(trial, index=index), seed=seed)
         for _ in range(300):
             carry.step()
-        return carry.estimate.T_world_object.tobytes()
+        return carry.watch.estimate.T_world_object.tobytes()
 
     assert where(1, 0) == where(1, 0)
     assert where(1, 0) != where(2, 0)

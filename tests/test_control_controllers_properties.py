@@ -61,8 +61,8 @@ class Witness:
         self._last: Array | None = None
         self._active = self.stack.manager.active
         self._taken_over = False
-        for name in self.stack.manager.names:
-            self._spy(self.stack.manager[name])
+        for controller in self.stack._controllers:
+            self._spy(controller)
 
     def _spy(self, controller: Any) -> None:
         run = controller.update
@@ -187,7 +187,7 @@ class Witness:
         self.seen.update({r.name for r in out.refusals})
 
     def _check_reference(self) -> None:
-        reference, active = np.array(self.stack.reference), self.stack.manager.active
+        reference, active = np.array(self.stack.manager.reference), self.stack.manager.active
         if self._last is not None and active != C:
             step = np.abs(reference - self._last)
             if active == self._active and not self._taken_over:

@@ -246,11 +246,10 @@ def test_the_rod_follows_the_plan_within_2_mm_and_1_degree(driven):
     _, plans, executions = driven
     turned = [deviation(p.Ts_world_object[-1], p.Ts_world_object[0])[1] for p in plans]
     assert max(turned) > 0.5  # one of them turns the rod by more than 30 degrees
-    for plan, execution in zip(plans, executions, strict=True):
+    for execution in executions:
         assert execution.error_max_m < 0.002
         assert execution.error_max_rad < np.deg2rad(1.0)
         assert execution.error_max_m >= execution.end_error_m > 0.0
-        assert execution.at_m_s <= plan.duration_s + 0.6
         assert execution.pinch_min_n > 20.0
 
 

@@ -46,7 +46,7 @@ def wave(plant: Any, stack: ControlStack, seconds: float, joint: int = 3) -> np.
             q[joint] += 0.05 * np.sin(2.0 * np.pi * 0.5 * (plant.time - began))
             assert stack.propose("teleop", JointCommand(q, np.ones(2), plant.time, sequence)) is None
         stack.step()
-        errors.append(plant.q[joint] - stack.reference[joint])
+        errors.append(plant.q[joint] - stack.manager.reference[joint])
     return np.array(errors)
 
 

@@ -81,7 +81,7 @@ class SensingConfig(StrictModel):
 
 
 class PaceConfig(StrictModel):
-    """Limits for the carry's durations; see skills/pace.py."""
+    """Limits for the carry's durations; see skills/carry_motions.py."""
 
     joint_speed_share: float = Field(default=0.85, gt=0.0, le=1.0)
     joint_acceleration_share: float = Field(default=0.5, gt=0.0, le=1.0)
@@ -112,7 +112,6 @@ class CarryFaultConfig(StrictModel):
     motor_torque_n_m: float = Field(default=2.0, gt=0.0, le=50.0)
     """Commanded minus measured torque of a dead drive."""
     persistence_s: float = Field(default=0.005, ge=0.0, le=0.05)
-    deceleration_share: float = Field(default=0.5, gt=0.0, le=1.0)
 
 
 class CarryConfig(StrictModel):

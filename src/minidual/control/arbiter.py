@@ -15,28 +15,21 @@ A switch or a silent source brakes timed commands along their paths; a halt drop
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
 from minidual.config.arbiter import ArbiterConfig
-from minidual.control.command_checks import Fault, opening_fault
-from minidual.control.commands import HOLD, SOURCES, ArbiterState, Command, JointCommand, Refusal
-from minidual.control.execution import ArbiterOutput, Execution
+from minidual.control.command_checks import check_openings
+from minidual.control.commands import HOLD, SOURCES, ArbiterState, Command, JointCommand, Reason, Refusal
+from minidual.control.execution import ArbiterOutput
 from minidual.control.mailbox import Mailbox
 from minidual.control.underway import Underway
 from minidual.errors import UsageError, unknown_name
-from minidual.robot.pair import SIDES, Array, Robot
+from minidual.robot.pair import Array, Robot
 
 _STOP_SHARE = 0.5
 """Share of the joints' acceleration limits for stopping at a switch."""
 _DRIVING = (ArbiterState.WAITING, ArbiterState.ALIGNING, ArbiterState.ACTIVE, ArbiterState.STALE)
-
-
-@dataclass
-class _Switch:
-    mode: str
-    since_s: float
 
 
 class CommandArbiter:
@@ -46,7 +39,7 @@ class CommandArbiter:
 
     Args:
         gripper: Openings (2,) held until commanded otherwise.
-        admit: Returns why the controllers refuse a command, or None; default admits joint commands.
+        admit: Returns why the controllers refuse a command, or None.
     """
 
     def __init__(
@@ -56,43 +49,30 @@ class CommandArbiter:
         *,
         gripper: Array | None = None,
         control_dt_s: float = 0.001,
-        admit: Callable[[Command], Fault | None] | None = None,
+        admit: Callable[[Command], Reason | None] = lambda command: None,
     ) -> None:
         self.config = ArbiterConfig() if config is None else config
         self._robot = robot
-        self._underway = Underway(control_dt_s, robot, admit)
-        self.on_confirm: list[Callable[[str], None]] = []
+        self.underway = Underway(control_dt_s, robot, admit)
+        self.on_confirm: Callable[[str], None] = lambda mode: None
         """Called with the mode at confirmation, before the source's first command."""
         self.on_flush: list[Callable[[str], None]] = []
         """Called with the mode at every switch or halt ("hold"); sources must drop queued chunks."""
         self._mailboxes = {source: Mailbox(source, robot) for source in SOURCES}
-        self._requests: list[str] = []
+        self._requested: str | None = None
         self._halt: tuple[str, Array | None] | None = None
         self._refusals: list[Refusal] = []
-        self._state = ArbiterState.HOLDING
-        self._source: str | None = None
-        self._switch: _Switch | None = None
+        self.state = ArbiterState.HOLDING
+        self.source: str | None = None
+        """Source that may drive."""
+        self._switch: tuple[str, float] | None = None
+        """Mode to switch to, and since when [s]."""
         self._target: Array | None = None
         self._gripper = np.ones(2) if gripper is None else np.array(gripper, dtype=float)
         self._last_tick_s: float | None = None
         self._heard_s = 0.0
         self._affirmed: set[str] = set()
         self._alive_s = 0.0
-
-    @property
-    def state(self) -> ArbiterState:
-        """State after the last tick."""
-        return self._state
-
-    @property
-    def source(self) -> str | None:
-        """Source that may drive, or None."""
-        return self._source
-
-    @property
-    def executions(self) -> tuple[Execution, ...]:
-        """Running timed commands."""
-        return self._underway.executions
 
     def propose(self, source: str, command: Command) -> Refusal | None:
         """Offer a command; return its refusal, or None.
@@ -116,7 +96,9 @@ class CommandArbiter:
         """Request a source, or "hold"; the last request counts."""
         if mode not in (*SOURCES, HOLD):
             raise unknown_name("mode", mode, (*SOURCES, HOLD))
-        self._requests.append(mode)
+        if self._requested not in (None, mode):
+            self._refuse(self._requested, "superseded", f"'{mode}' was requested before the switch began")
+        self._requested = mode
 
     def halt(self, source: str, gripper: Array | None = None) -> None:
         """Stop the arms at the next tick and end any driving or switching.
@@ -124,9 +106,9 @@ class CommandArbiter:
         Openings `gripper` (2,) are accepted only from the driving source.
         """
         self._mailbox(source)
-        fault = None if gripper is None else opening_fault(gripper)
-        if fault is not None:
-            self._refuse(source, *fault)
+        reason = None if gripper is None else check_openings(gripper)
+        if reason is not None:
+            self._refuse(source, *reason)
             gripper = None
         self._halt = (source, gripper)
 
@@ -144,33 +126,32 @@ class CommandArbiter:
         dt = self._elapsed(now_s)
         posture = self._posture(q_measured)
         speed = float(np.max(np.abs(v_measured)))  # NaN counts as not still
-        if self._source in self._affirmed:
+        if self.source in self._affirmed:
             self._alive_s = now_s
         self._affirmed.clear()
         halted = self._begin_halt(now_s, posture, v_measured)
-        ended, cut = False, self._underway.braking
-        if self._underway.executions:
-            self._target, ended = self._underway.follow(self._held())
+        ended, cut = False, self.underway.braking
+        if self.underway.executions:
+            self._target, ended = self.underway.follow(self._held())
         self._begin_requested(now_s, posture, v_measured)
         switched_to = None
-        if self._switch is not None and now_s > self._switch.since_s:
-            switched_to = self._settle(self._switch, now_s, speed, posture)
+        if self._switch is not None and now_s > self._switch[1]:
+            switched_to = self._settle(*self._switch, now_s, speed, posture)
         driven: dict[int, Command] = {}
-        if self._source is not None:
+        if self.source is not None:
             if ended and not (cut and self._is_gone(now_s)):
-                self._state, self._heard_s = ArbiterState.WAITING, now_s
-            self._begin_timed(self._source, now_s, posture)
-            driven = self._drive(self._source, now_s, dt)
+                self.state, self._heard_s = ArbiterState.WAITING, now_s
+            self._begin_timed(self.source, now_s, posture)
+            driven = self._drive(self.source, now_s, dt)
         refusals, self._refusals = tuple(self._refusals), []
         return ArbiterOutput(
             q_target=self._held().copy(),
             gripper=self._gripper.copy(),
-            state=self._state,
-            active_source=self._source if driven else None,
-            held_arms=tuple(name for arm, name in enumerate(SIDES) if arm not in driven),
+            state=self.state,
+            active_source=self.source if driven else None,
             switched_to=switched_to,
             refusals=refusals,
-            executions=self._underway.executions,
+            executions=self.underway.executions,
             halted=halted,
         )
 
@@ -199,42 +180,38 @@ class CommandArbiter:
         return self._target
 
     def _begin_requested(self, now_s: float, posture: Array, v_measured: Array) -> None:
-        requests, self._requests = self._requests, []
-        if not requests:
+        mode, self._requested = self._requested, None
+        if mode is None:
             return
-        mode = requests[-1]
-        for old in requests[:-1]:
-            if old != mode:
-                self._refuse(old, "superseded", f"'{mode}' was requested before the switch began")
         if self._switch is not None:
-            if mode == self._switch.mode:
+            if mode == self._switch[0]:
                 return
-            self._refuse(self._switch.mode, "superseded", f"'{mode}' was requested while settling")
-        elif mode == self._source and self._state in _DRIVING:
+            self._refuse(self._switch[0], "superseded", f"'{mode}' was requested while settling")
+        elif mode == self.source and self.state in _DRIVING:
             return
-        self._source = None
-        self._underway.brake()
-        self._target, _ = self._underway.follow(self._where_they_stop(posture, v_measured))
+        self.source = None
+        self.underway.brake()
+        self._target, _ = self.underway.follow(self._where_they_stop(posture, v_measured))
         self._flush(mode, now_s)
-        self._switch = _Switch(mode, now_s)
-        self._state = ArbiterState.SETTLING
+        self._switch = mode, now_s
+        self.state = ArbiterState.SETTLING
 
     def _begin_halt(self, now_s: float, posture: Array, v_measured: Array) -> bool:
         """Carry out a pending halt; return whether there was one."""
         if self._halt is None:
             return False
         (source, gripper), self._halt = self._halt, None
-        if gripper is not None and source == self._source:
+        if gripper is not None and source == self.source:
             self._gripper = np.array(gripper, dtype=float)
         elif gripper is not None:
             self._refuse(source, "not_driving", "only the source that drives may move the hands")
         if self._switch is not None:
-            self._refuse(self._switch.mode, "superseded", "the arms were halted while settling")
+            self._refuse(self._switch[0], "superseded", "the arms were halted while settling")
             self._switch = None
-        self._underway.drop()
+        self.underway.executions = ()
         self._flush(HOLD, now_s)
         self._target = self._where_they_stop(posture, v_measured)
-        self._source, self._state = None, ArbiterState.STOPPED
+        self.source, self.state = None, ArbiterState.STOPPED
         return True
 
     def _flush(self, mode: str, now_s: float) -> None:
@@ -243,20 +220,19 @@ class CommandArbiter:
         for listener in self.on_flush:
             listener(mode)
 
-    def _settle(self, switch: _Switch, now_s: float, speed: float, posture: Array) -> str | None:
-        mode, waited = switch.mode, now_s - switch.since_s
-        if speed < self.config.still_speed_rad_s and not self._underway.executions:
+    def _settle(self, mode: str, since_s: float, now_s: float, speed: float, posture: Array) -> str | None:
+        waited = now_s - since_s
+        if speed < self.config.still_speed_rad_s and not self.underway.executions:
             self._switch = None
             self._target = posture
-            self._source = None if mode == HOLD else mode
-            self._state = ArbiterState.HOLDING if mode == HOLD else ArbiterState.WAITING
+            self.source = None if mode == HOLD else mode
+            self.state = ArbiterState.HOLDING if mode == HOLD else ArbiterState.WAITING
             self._heard_s = now_s
-            for listener in self.on_confirm:
-                listener(mode)
+            self.on_confirm(mode)
             return mode
         if waited >= self.config.settle_timeout_s:
             self._switch = None
-            self._state = ArbiterState.STOPPED
+            self.state = ArbiterState.STOPPED
             detail = (
                 f"fastest joint {speed:.3f} rad/s after {waited:.3f} s; still means below "
                 f"{self.config.still_speed_rad_s} rad/s"
@@ -271,9 +247,9 @@ class CommandArbiter:
         taken, refused = self._mailboxes[source].take_timed(now_s, self.config.stale_s)
         self._refusals.extend(refused)
         for command in taken:
-            fault = self._underway.begin(command, posture, self.config.switch_step_max_rad)
-            if fault is not None:
-                self._refuse(source, *fault)
+            reason = self.underway.begin(command, posture, self.config.switch_step_max_rad)
+            if reason is not None:
+                self._refuse(source, *reason)
                 continue
             self._alive_s = max(self._alive_s, min(now_s, command.stamp_s))
             for arm in command.arms:
@@ -283,13 +259,10 @@ class CommandArbiter:
         mailbox = self._mailboxes[source]
         fresh, refused = mailbox.fresh(now_s, self.config.stale_s)
         self._refusals.extend(refused)
-        verdicts: dict[int, Fault | None] = {}
         for arm, command in list(fresh.items()):
-            if id(command) not in verdicts:
-                verdicts[id(command)] = self._underway.admit(command)
-            fault = self._underway.busy((arm,)) or verdicts[id(command)]
-            if fault is not None:
-                self._refuse(source, *fault)
+            reason = self.underway.busy((arm,)) or self.underway.admit(command)
+            if reason is not None:
+                self._refuse(source, *reason)
                 mailbox.drop(arm)
                 del fresh[arm]
         return fresh
@@ -297,10 +270,11 @@ class CommandArbiter:
     def _drive(self, source: str, now_s: float, dt: float) -> dict[int, Command]:
         """Move the target; return the accepted commands by arm."""
         fresh = self._fresh(source, now_s)
-        was_aligning = self._state == ArbiterState.ALIGNING
+        was_aligning = self.state == ArbiterState.ALIGNING
         if fresh:
             newest_s = max(c.stamp_s for c in fresh.values())
-            self._heard_s, self._alive_s = (max(self._heard_s, newest_s), max(self._alive_s, min(now_s, newest_s)))
+            self._heard_s = max(self._heard_s, newest_s)
+            self._alive_s = max(self._alive_s, min(now_s, newest_s))
         driven = self._run_timed(now_s)
         if not fresh:
             if not driven:
@@ -325,21 +299,21 @@ class CommandArbiter:
             for arm, command in fresh.items():
                 self._gripper[arm] = command.gripper[arm]
         self._target = wanted
-        self._state = ArbiterState.ALIGNING if aligning else ArbiterState.ACTIVE
+        self.state = ArbiterState.ALIGNING if aligning else ArbiterState.ACTIVE
         return {**driven, **fresh}
 
     def _run_timed(self, now_s: float) -> dict[int, Command]:
         """Run or brake the timed commands; return those running by arm."""
-        executions = self._underway.executions
+        executions = self.underway.executions
         if not executions:
             return {}
         if self._is_gone(now_s):
-            self._underway.brake()
-        if self._underway.braking:
-            self._state = ArbiterState.STALE
+            self.underway.brake()
+        if self.underway.braking:
+            self.state = ArbiterState.STALE
             return {}
         self._heard_s = now_s
-        self._state = ArbiterState.ACTIVE
+        self.state = ArbiterState.ACTIVE
         return {arm: e.command for e in executions for arm in e.arms}
 
     def _is_gone(self, now_s: float) -> bool:
@@ -347,10 +321,10 @@ class CommandArbiter:
 
     def _go_quiet(self, now_s: float) -> None:
         if now_s - self._heard_s > self.config.stop_after_s:
-            self._state = ArbiterState.STOPPED
-            self._source = None
-        elif self._state != ArbiterState.WAITING:
-            self._state = ArbiterState.STALE
+            self.state = ArbiterState.STOPPED
+            self.source = None
+        elif self.state != ArbiterState.WAITING:
+            self.state = ArbiterState.STALE
 
     def _where_they_stop(self, posture: Array, v_measured: Array) -> Array:
         """Return the joints (n,) at which moving arms can stop."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from minidual.control.commands import Command, ObjectCommand, TrajectoryCommand
+from minidual.control.commands import Command, ObjectCommand, Reason, TrajectoryCommand
 from minidual.control.object_impedance import SQUEEZE_CEILING_N
 from minidual.robot.pair import Array, Robot
 
@@ -18,24 +18,21 @@ _REST_RAD_PER_S = 0.01
 _REST_OBJECT = 0.005
 _OBJECT_SAMPLES = 61
 
-Fault = tuple[str, str]
-"""Stable name, and detail with value and bound."""
 
-
-def find_fault(command: Command, robot: Robot) -> Fault | None:
-    """Return the first fault, or None."""
+def check(command: Command, robot: Robot) -> Reason | None:
+    """Return the first reason to refuse a command, or None."""
     if isinstance(command, ObjectCommand):
-        return _common_fault(command) or _object_fault(command)
+        return _common(command) or _object(command)
     if command.group not in robot.groups:
         return "unknown_group", f"no group '{command.group}'; there are {', '.join(sorted(robot.groups))}"
     if isinstance(command, TrajectoryCommand):
-        return _trajectory_fault(command, robot)
+        return _trajectory(command, robot)
     joints = robot.groups[command.group]
     names = robot.joint_names[joints]
     if np.shape(command.q) != (len(names),) or np.shape(command.gripper) != (2,):
         given = f"q {np.shape(command.q)} and gripper {np.shape(command.gripper)}"
         return "wrong_shape", f"{given}; group {command.group} needs ({len(names)},) and (2,)"
-    return _posture_fault(np.asarray(command.q, dtype=float)[None], joints, robot) or _common_fault(command)
+    return _posture(np.asarray(command.q, dtype=float)[None], joints, robot) or _common(command)
 
 
 def own_columns(command: TrajectoryCommand, robot: Robot) -> slice:
@@ -44,8 +41,8 @@ def own_columns(command: TrajectoryCommand, robot: Robot) -> slice:
     return robot.groups[command.group] if width == robot.dof else slice(0, width)
 
 
-def opening_fault(gripper: Array) -> Fault | None:
-    """Return the fault of openings (2,), or None."""
+def check_openings(gripper: Array) -> Reason | None:
+    """Return the reason to refuse openings (2,), or None."""
     if np.shape(gripper) != (2,):
         return "wrong_shape", f"gripper {np.shape(gripper)}; it must be (2,)"
     if not np.isfinite(gripper).all():
@@ -55,54 +52,44 @@ def opening_fault(gripper: Array) -> Fault | None:
     return None
 
 
-def _common_fault(command: Command) -> Fault | None:
+def _common(command: Command) -> Reason | None:
     if not np.isfinite(command.stamp_s):
         return "not_finite", f"gripper {command.gripper}, stamp {command.stamp_s}"
-    return opening_fault(command.gripper)
+    return check_openings(command.gripper)
 
 
-def _posture_fault(q: Array, joints: slice, robot: Robot) -> Fault | None:
-    names = robot.joint_names[joints]
+def _posture(q: Array, joints: slice, robot: Robot) -> Reason | None:
+    names, at = robot.joint_names[joints], " in sample {}" if len(q) > 1 else ""
     finite = np.isfinite(q)
     if not finite.all():
         row, index = np.unravel_index(int(np.argmin(finite)), q.shape)
-        return "not_finite", f"{names[index]} = {q[row, index]}{_at(row, q)}"
+        return "not_finite", f"{names[index]} = {q[row, index]}{at.format(row)}"
     if np.abs(q).max() < _ZERO_RAD:
         return "all_zero", "every joint at 0.0 rad: a source that has not been given its values, or lost them"
     lower, upper = robot.q_lower[joints], robot.q_upper[joints]
     outside = (q < lower - _LIMIT_TOLERANCE_RAD) | (q > upper + _LIMIT_TOLERANCE_RAD)
     if outside.any():
         row, index = np.unravel_index(int(np.argmax(outside)), q.shape)
-        return (
-            "out_of_limits",
-            f"{names[index]} = {q[row, index]:.4f} rad{_at(row, q)}; {lower[index]:.4f} to {upper[index]:.4f}",
-        )
+        value = f"{names[index]} = {q[row, index]:.4f} rad{at.format(row)}"
+        return "out_of_limits", f"{value}; {lower[index]:.4f} to {upper[index]:.4f}"
     return None
 
 
-def _at(row: np.intp, q: Array) -> str:
-    return f" in sample {row}" if len(q) > 1 else ""
-
-
-def _trajectory_fault(command: TrajectoryCommand, robot: Robot) -> Fault | None:
+def _trajectory(command: TrajectoryCommand, robot: Robot) -> Reason | None:
     motion, joints = command.motion, robot.groups[command.group]
     names, v_max = robot.joint_names[joints], robot.v_max[joints]
     shape = np.shape(motion.q)
     widths = (robot.dof,) if command.group == "both_arms" else (robot.dof, robot.dof_per_arm)
     if len(shape) != 2 or shape[0] < 2 or shape[1] not in widths:
-        return (
-            "wrong_shape",
-            f"trajectory {shape}; group {command.group} needs n >= 2 samples of {' or '.join(map(str, widths))}",
-        )
-    if np.shape(motion.v) != shape or np.shape(motion.a) != shape:
-        return ("wrong_shape", f"q {shape}, v {np.shape(motion.v)}, a {np.shape(motion.a)}; they must be alike")
+        needed = f"group {command.group} needs n >= 2 samples of {' or '.join(map(str, widths))}"
+        return "wrong_shape", f"trajectory {shape}; {needed}"
     columns = own_columns(command, robot)
     q, v, a = motion.q[:, columns], motion.v[:, columns], motion.a[:, columns]
-    fault = _posture_fault(q, joints, robot) or _common_fault(command)
-    if fault is not None:
-        return fault
-    if not (np.isfinite(v).all() and np.isfinite(a).all() and np.isfinite(motion.duration_s)):
-        return "not_finite", "a velocity, an acceleration or the duration of the trajectory"
+    reason = _posture(q, joints, robot) or _common(command)
+    if reason is not None:
+        return reason
+    if not (np.isfinite(v).all() and np.isfinite(a).all()):
+        return "not_finite", "a velocity or an acceleration of the trajectory"
     speed = np.maximum(np.abs(np.diff(q, axis=0)).max(axis=0) / motion.dt_s, np.abs(v).max(axis=0))
     if (speed > _SPEED_TOLERANCE * v_max).any():
         index = int(np.argmax(speed / v_max))
@@ -110,14 +97,12 @@ def _trajectory_fault(command: TrajectoryCommand, robot: Robot) -> Fault | None:
     for place, row in (("starts", 0), ("ends", -1)):
         index = int(np.argmax(np.abs(v[row])))
         if abs(v[row, index]) > _REST_RAD_PER_S:
-            return (
-                "not_at_rest",
-                f"the trajectory {place} with {names[index]} at {v[row, index]:.3f} rad/s; it must rest there",
-            )
+            moves = f"{names[index]} at {v[row, index]:.3f} rad/s"
+            return "not_at_rest", f"the trajectory {place} with {moves}; it must rest there"
     return None
 
 
-def _object_fault(command: ObjectCommand) -> Fault | None:
+def _object(command: ObjectCommand) -> Reason | None:
     duration = command.motion.duration_s
     if not (np.isfinite(duration) and duration > 0.0):
         return "not_finite", f"duration {duration} s; it must be finite and > 0"

@@ -10,10 +10,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 from minidual.control.object_impedance import ObjectState
 from minidual.robot.pair import SIDES, Array
+from minidual.robot.trajectory import Trajectory
 
 SOURCES: tuple[str, ...] = ("moveit", "teleop", "policy")
 """Command sources, each also a mode."""
@@ -27,8 +28,17 @@ def arms_of(group: str) -> tuple[int, ...]:
     return (0, 1) if group == "both_arms" else (SIDES.index(group.removesuffix("_arm")),)
 
 
+class _OfGroup:
+    group: str
+
+    @property
+    def arms(self) -> tuple[int, ...]:
+        """Driven arms."""
+        return arms_of(self.group)
+
+
 @dataclass(frozen=True)
-class JointCommand:
+class JointCommand(_OfGroup):
     """A proposed joint target.
 
     Attributes:
@@ -45,11 +55,6 @@ class JointCommand:
     sequence: int
     group: str = "both_arms"
 
-    @property
-    def arms(self) -> tuple[int, ...]:
-        """Driven arms."""
-        return arms_of(self.group)
-
     def target_of(self, arm: int) -> Array:
         """Return an arm's targets [rad]."""
         if self.group != "both_arms":
@@ -58,61 +63,20 @@ class JointCommand:
         return self.q[arm * half : (arm + 1) * half]
 
 
-class TimedMotion(Protocol):
-    """Joint trajectory at rest at both ends (such as `robot.trajectory.Trajectory`).
-
-    Columns are both arms' or one's; a single arm's command uses its own.
-    """
-
-    @property
-    def q(self) -> Array:
-        """Positions [rad]."""
-        ...
-
-    @property
-    def v(self) -> Array:
-        """Velocities [rad/s]."""
-        ...
-
-    @property
-    def a(self) -> Array:
-        """Accelerations [rad/s^2]."""
-        ...
-
-    @property
-    def dt_s(self) -> float:
-        """Sample period [s]."""
-        ...
-
-    @property
-    def duration_s(self) -> float:
-        """Time of the last sample [s]."""
-        ...
-
-    def sample_many(self, times: Array) -> tuple[Array, Array, Array]:
-        """Return (q, v, a) at times (m,) [s], each (m, joints)."""
-        ...
-
-
 @dataclass(frozen=True)
-class TrajectoryCommand:
+class TrajectoryCommand(_OfGroup):
     """A timed joint trajectory.
 
     Attributes:
-        motion: Must start at the arms' posture.
+        motion: Of both arms' joints or one's, at rest at both ends; must start at the arms' posture.
         stamp_s: Creation time; refused if not taken within `stale_s`.
     """
 
-    motion: TimedMotion
+    motion: Trajectory
     gripper: Array
     stamp_s: float
     sequence: int
     group: str = "both_arms"
-
-    @property
-    def arms(self) -> tuple[int, ...]:
-        """Driven arms."""
-        return arms_of(self.group)
 
 
 class ObjectMotion(Protocol):
@@ -142,25 +106,18 @@ class ObjectCommand:
     gripper: Array
     stamp_s: float
     sequence: int
-
-    @property
-    def arms(self) -> tuple[int, ...]:
-        """Both arms."""
-        return (0, 1)
+    arms: ClassVar[tuple[int, ...]] = (0, 1)
 
 
 TimedCommand = TrajectoryCommand | ObjectCommand
 Command = JointCommand | TimedCommand
+Reason = tuple[str, str]
+"""Why a command or request is refused: stable name (docs/control.md), and detail with value and bound."""
 
 
 @dataclass(frozen=True)
 class Refusal:
-    """A refused command or request.
-
-    Attributes:
-        name: Stable name (docs/control.md).
-        detail: Value and bound.
-    """
+    """A refused command or request; `name` and `detail` as in Reason."""
 
     source: str
     name: str

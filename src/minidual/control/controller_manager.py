@@ -11,13 +11,14 @@ from typing import cast
 
 import numpy as np
 
-from minidual.control.command_checks import Fault
-from minidual.control.commands import Command
+from minidual.control.commands import Command, Reason
 from minidual.control.controllers import Controller
 from minidual.control.execution import ArbiterOutput
 from minidual.control.soft_stop import TorqueRate
 from minidual.errors import MinidualError, unknown_name
 from minidual.robot.pair import SIDES, Array, Robot
+
+_FADE_S = 0.1
 
 
 class ControllerSwitchError(MinidualError):
@@ -31,24 +32,15 @@ class ControllerSwitchError(MinidualError):
 class ControllerManager:
     """Runs the active controllers."""
 
-    def __init__(self, controllers: Sequence[Controller], dt_s: float, robot: Robot, *, fade_s: float = 0.1) -> None:
+    def __init__(self, controllers: Sequence[Controller], dt_s: float, robot: Robot) -> None:
         self._robot = robot
         self._all = {c.name: c for c in controllers}
         self._active: tuple[Controller, ...] = ()
-        self._whole: Controller | None = None
-        self._fade_steps = max(1, round(fade_s / dt_s))
-        self._fade_left = 0
-        self._fading = False
-        self._dt = dt_s
+        self._dt, self._fade_steps, self._fade_left = dt_s, max(1, round(_FADE_S / dt_s)), 0
         self._rate: TorqueRate | None = None
-        self._offset = np.zeros(robot.dof)
+        self._offset: Array | None = None
         self.tau = np.zeros(robot.dof)
         """Last torques (n,) [Nm]."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """All controllers."""
-        return tuple(self._all)
 
     @property
     def active(self) -> tuple[str, ...]:
@@ -77,40 +69,31 @@ class ControllerManager:
                     remedy="name a whole set: both_arms; left_arm and right_arm; or object_impedance",
                 )
             if len(claims) > 1:
-                raise ControllerSwitchError(
-                    "doubly_claimed", f"the {arm_name} arm's joints would be driven by {' and '.join(claims)}"
-                )
+                both = " and ".join(claims)
+                raise ControllerSwitchError("doubly_claimed", f"the {arm_name} arm's joints would be driven by {both}")
         for controller in chosen:
-            reason = controller.not_ready()
-            if reason:
+            if reason := controller.not_ready():
                 raise ControllerSwitchError("not_ready", f"controller {controller.name}: {reason}")
         return chosen
 
     def switch(self, names: Sequence[str], q: Array, v: Array, *, swiftly: bool = False) -> None:
-        """Activate exactly these controllers at measured q, v (n,), if `check` passes.
+        """Activate exactly these controllers at measured q, v (n,), or none of them if one raises.
 
         `swiftly`: at the drives' rate limit instead of fading.
         """
         chosen = self.check(names)
-        had_any = bool(self._active)
         for controller in chosen:
             if controller not in self._active:
                 controller.activate(q, v)
-        if had_any and chosen != self._active:
-            self._fade_left = self._fade_steps
-            self._fading = False
+        if self._active and chosen != self._active:
+            self._fade_left, self._offset = self._fade_steps, None
             self._rate = TorqueRate(self.tau, self._dt, self._robot.arm.tau_rate_max) if swiftly else None
         self._active = chosen
-        self._whole = chosen[0] if len(chosen) == 1 else None
 
-    def find_fault(self, command: Command) -> Fault | None:
+    def refuses(self, command: Command) -> Reason | None:
         """Return why the active controllers refuse a command, or None."""
-        for controller in self._active:
-            if set(controller.arms) & set(command.arms):
-                fault = controller.find_fault(command)
-                if fault is not None:
-                    return fault
-        return None
+        of_arms = (c for c in self._active if set(c.arms) & set(command.arms))
+        return next((reason for c in of_arms if (reason := c.refuses(command)) is not None), None)
 
     def follow(self, output: ArbiterOutput) -> None:
         """Pass on the arbiter's output."""
@@ -139,8 +122,8 @@ class ControllerManager:
 
     def _joined(self, part: Callable[[Controller], Array]) -> Array:
         """Join (n,) values, each joint's from its controller."""
-        if self._whole is not None:
-            return part(self._whole)
+        if len(self._active) == 1:
+            return part(self._active[0])
         joined = np.empty(self._robot.dof)
         for controller in self._active:
             values = part(controller)
@@ -155,9 +138,8 @@ class ControllerManager:
             if np.array_equal(followed, tau):
                 self._rate, self._fade_left = None, 0
             return followed
-        if not self._fading:
+        if self._offset is None:
             self._offset = self.tau - tau
-            self._fading = True
         share = self._fade_left / self._fade_steps
         self._fade_left -= 1
         return np.clip(tau + share * self._offset, -self._robot.tau_max, self._robot.tau_max)

@@ -12,8 +12,7 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from minidual.control.command_checks import Fault
-from minidual.control.commands import Command, JointCommand, TrajectoryCommand, arms_of
+from minidual.control.commands import Command, JointCommand, Reason, TrajectoryCommand, arms_of
 from minidual.control.execution import ArbiterOutput, TrajectoryExecution
 from minidual.control.joint_control import ComputedTorque
 from minidual.control.object_path import minimum_jerk
@@ -30,10 +29,19 @@ class Controller(ABC):
 
     name: str
     arms: tuple[int, ...] = (0, 1)
+    takes: tuple[type, ...] = ()
+    """Kinds of commands."""
+    reference: Array
+    """Last joint reference (n,) [rad]; measured joints if none."""
+    acceleration: Array | None = None
+    """Last commanded reference acceleration (n,) [rad/s^2], without the fading offset; None while braking."""
 
-    @abstractmethod
-    def find_fault(self, command: Command) -> Fault | None:
+    def refuses(self, command: Command) -> Reason | None:
         """Return why it refuses a command now, or None."""
+        if isinstance(command, self.takes):
+            return None
+        taken = " and ".join(kind.__name__ for kind in self.takes) or "no command: ask for a mode"
+        return "wrong_controller", f"controller {self.name} takes {taken}, no {type(command).__name__}"
 
     def not_ready(self) -> str:
         """Return why it cannot be activated, or ""."""
@@ -50,55 +58,26 @@ class Controller(ABC):
     def update(self, q: Array, v: Array) -> Array:
         """Run one control step; return torques (n,), valid for its joints."""
 
-    @property
-    @abstractmethod
-    def reference(self) -> Array:
-        """Last joint reference (n,) [rad]; measured joints if none."""
-
-    @property
-    def acceleration(self) -> Array | None:
-        """Last commanded reference acceleration (n,) [rad/s^2], or None."""
-        return None
-
 
 class JointTrajectoryController(Controller):
     """Follows streamed targets through the reference filter, and timed trajectories directly."""
 
-    def __init__(
-        self,
-        group: str,
-        kinematics: Kinematics,
-        dt_s: float,
-        *,
-        natural_frequency_rad_s: float = 20.0,
-        bandwidth_rad_s: float = 30.0,
-    ) -> None:
-        self.name = group
-        self.arms = arms_of(group)
-        self._dt = dt_s
-        self._servo = ComputedTorque(kinematics, natural_frequency_rad_s=natural_frequency_rad_s)
-        self._filter = ReferenceFilter(dt_s, kinematics.robot, bandwidth_rad_s=bandwidth_rad_s)
-        n = kinematics.robot.dof
-        self._target = np.zeros(n)
-        self._executions: dict[TrajectoryExecution, tuple[Array, int]] = {}
-        self._q, self._v, self._a = np.zeros(n), np.zeros(n), np.zeros(n)
-        self._last_q, self._last_v = self._q, self._v
-        self._last_a: Array | None = None
-        self._a_asked = np.zeros(n)
+    takes = (JointCommand, TrajectoryCommand)
 
-    def find_fault(self, command: Command) -> Fault | None:
-        """Refuse all but joint commands."""
-        if isinstance(command, JointCommand | TrajectoryCommand):
-            return None
-        return "wrong_controller", f"controller {self.name} takes joint commands, no {type(command).__name__}"
+    def __init__(self, group: str, kinematics: Kinematics, dt_s: float) -> None:
+        self.name, self.arms, self._dt = group, arms_of(group), dt_s
+        self._servo, self._filter = ComputedTorque(kinematics), ReferenceFilter(dt_s, kinematics.robot)
+        self._executions: dict[TrajectoryExecution, tuple[Array, int]] = {}
+        """Running, with the offset of the start and the steps of its fade, or -1."""
+        self._q, self._v, self._a, self._a_asked, self._target = np.zeros((5, kinematics.robot.dof))
+        self.reference = self._q
 
     def activate(self, q: Array, v: Array) -> None:
         """Start the reference at the measurement."""
         self._filter.reset(q, v)
         self._target = np.array(q, dtype=float)
         self._executions.clear()
-        self._last_q, self._last_v = np.array(q, dtype=float), np.array(v, dtype=float)
-        self._last_a = None
+        self.reference, self.acceleration = np.array(q, dtype=float), None
 
     def follow(self, output: ArbiterOutput) -> None:
         """Take the target and newly begun trajectories."""
@@ -107,7 +86,7 @@ class JointTrajectoryController(Controller):
             if not isinstance(execution, TrajectoryExecution) or execution in self._executions:
                 continue
             if set(execution.arms) & set(self.arms):
-                offset = self._last_q[execution.joints] - execution.q
+                offset = self.reference[execution.joints] - execution.q
                 self._executions[execution] = (offset, 0 if np.abs(offset).max() > 1e-12 else -1)
 
     def update(self, q: Array, v: Array) -> Array:
@@ -115,22 +94,12 @@ class JointTrajectoryController(Controller):
         if self._executions:
             braking = any(execution.braking for execution in self._executions)
             q_ref, v_ref, a_ref = self._trajectory_reference()
-            self._last_a = None if braking else self._a_asked
+            self.acceleration = None if braking else self._a_asked
         else:
             q_ref, v_ref, a_ref = self._filter.step(self._target)
-            self._last_a = a_ref
-        self._last_q, self._last_v = q_ref, v_ref
+            self.acceleration = a_ref
+        self.reference = q_ref
         return self._servo.torque(q, v, q_ref, v_ref, a_ref)
-
-    @property
-    def reference(self) -> Array:
-        """Last joint reference (n,) [rad]."""
-        return self._last_q
-
-    @property
-    def acceleration(self) -> Array | None:
-        """As commanded, without the fading offset; None while braking."""
-        return self._last_a
 
     def _trajectory_reference(self) -> tuple[Array, Array, Array]:
         driven = {arm for execution in self._executions for arm in execution.arms}

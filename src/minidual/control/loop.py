@@ -13,12 +13,10 @@ from minidual.robot.pair import Array
 class JointLoop[P: Plant]:
     """Drives a world from joint and gripper targets."""
 
-    def __init__(
-        self, world: P, kinematics: Kinematics, *, natural_frequency_rad_s: float = 20.0, bandwidth_rad_s: float = 30.0
-    ) -> None:
+    def __init__(self, world: P, kinematics: Kinematics) -> None:
         self.world = world
-        self.controller = ComputedTorque(kinematics, natural_frequency_rad_s=natural_frequency_rad_s)
-        self.reference = ReferenceFilter(world.dt, kinematics.robot, bandwidth_rad_s=bandwidth_rad_s)
+        self.controller = ComputedTorque(kinematics)
+        self.reference = ReferenceFilter(world.dt, kinematics.robot)
         self.grippers = Grippers(world)
         self.reset()
 

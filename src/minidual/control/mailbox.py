@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from minidual.control.command_checks import find_fault
+from minidual.control.command_checks import check
 from minidual.control.commands import Command, JointCommand, Refusal, TimedCommand
-from minidual.robot.pair import SIDES, Robot
+from minidual.robot.pair import Robot
 
 
 class Mailbox:
@@ -22,16 +22,14 @@ class Mailbox:
 
     def put(self, command: Command) -> Refusal | None:
         """Accept a command, or return its refusal."""
-        fault = find_fault(command, self._robot)
-        if fault is None and command.stamp_s < self._not_before_s:
-            fault = (
-                "before_switch",
-                f"stamped {command.stamp_s:.4f} s, before the switch at {self._not_before_s:.4f} s",
-            )
-        if fault is None and self._sequence is not None and command.sequence <= self._sequence:
-            fault = ("out_of_order", f"sequence {command.sequence} after {self._sequence}")
-        if fault is not None:
-            return Refusal(self.source, *fault)
+        reason = check(command, self._robot)
+        if reason is None and command.stamp_s < self._not_before_s:
+            before = f"before the switch at {self._not_before_s:.4f} s"
+            reason = "before_switch", f"stamped {command.stamp_s:.4f} s, {before}"
+        if reason is None and self._sequence is not None and command.sequence <= self._sequence:
+            reason = "out_of_order", f"sequence {command.sequence} after {self._sequence}"
+        if reason is not None:
+            return Refusal(self.source, *reason)
         self._sequence = command.sequence
         arms = set(command.arms)
         self._timed = [c for c in self._timed if not arms & set(c.arms)]
@@ -60,16 +58,9 @@ class Mailbox:
 
         Stamps over `stale_s` ahead are dropped.
         """
-        fresh: dict[int, JointCommand] = {}
-        refusals: list[Refusal] = []
-        for arm, command in sorted(self._latest.items()):
-            age = now_s - command.stamp_s
-            if age < -stale_s:
-                refusals.append(self._ahead(f"{SIDES[arm]} arm", -age, command))
-                del self._latest[arm]
-            elif age <= stale_s + 1e-9:
-                fresh[arm] = command
-        return fresh, refusals
+        refusals = [r for c in self._latest.values() if (r := self._from_future(c, now_s, stale_s)) is not None]
+        self._latest = {arm: c for arm, c in sorted(self._latest.items()) if c.stamp_s - now_s <= stale_s}
+        return {arm: c for arm, c in self._latest.items() if now_s - c.stamp_s <= stale_s + 1e-9}, refusals
 
     def take_timed(self, now_s: float, stale_s: float) -> tuple[list[TimedCommand], list[Refusal]]:
         """Remove and return the waiting timed commands, and refusals."""
@@ -77,16 +68,19 @@ class Mailbox:
         taken: list[TimedCommand] = []
         refusals: list[Refusal] = []
         for command in waiting:
-            age = now_s - command.stamp_s
-            if age < -stale_s:
-                refusals.append(self._ahead(type(command).__name__, -age, command))
-            elif age > stale_s + 1e-9:
-                detail = f"{type(command).__name__} is {age:.3f} s old; limit {stale_s} s"
-                refusals.append(Refusal(self.source, "stale", detail))
-            else:
+            age_s, refusal = now_s - command.stamp_s, self._from_future(command, now_s, stale_s)
+            if age_s > stale_s + 1e-9:
+                detail = f"{type(command).__name__} is {age_s:.3f} s old; limit {stale_s} s"
+                refusal = Refusal(self.source, "stale", detail)
+            if refusal is None:
                 taken.append(command)
+            else:
+                refusals.append(refusal)
         return taken, refusals
 
-    def _ahead(self, what: str, ahead_s: float, command: Command) -> Refusal:
-        detail = f"{what}: stamped {command.stamp_s:.4f} s, {ahead_s:.4f} s ahead of the clock"
-        return Refusal(self.source, "from_future", detail)
+    def _from_future(self, command: Command, now_s: float, stale_s: float) -> Refusal | None:
+        ahead_s = command.stamp_s - now_s
+        if ahead_s <= stale_s:
+            return None
+        stamped = f"stamped {command.stamp_s:.4f} s, {ahead_s:.4f} s ahead of the clock"
+        return Refusal(self.source, "from_future", f"{type(command).__name__}: {stamped}")

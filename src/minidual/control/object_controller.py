@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
 
 from minidual.config.control import ImpedanceConfig
-from minidual.control.command_checks import Fault
-from minidual.control.commands import Command, ObjectCommand
+from minidual.control.commands import Command, ObjectCommand, Reason
 from minidual.control.controllers import Controller
 from minidual.control.execution import ArbiterOutput, ObjectExecution
-from minidual.control.object_impedance import SQUEEZE_CEILING_N, HeldObject, ObjectImpedance, ObjectState, bounded
+from minidual.control.kernels import within
+from minidual.control.object_impedance import SQUEEZE_CEILING_N, HeldObject, ObjectImpedance, ObjectState
 from minidual.errors import UsageError
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
@@ -38,77 +37,58 @@ class ObjectSensor(Protocol):
 
 
 class ObjectImpedanceController(Controller):
-    """Object impedance along a path, with servoed squeeze.
-
-    `sensor` is required for activation; `drives` returns whether it is active.
-    """
+    """Object impedance along a path, with servoed squeeze; `sensor` is required for activation."""
 
     name = "object_impedance"
+    takes = (ObjectCommand,)
 
-    def __init__(
-        self,
-        kinematics: Kinematics,
-        dt_s: float,
-        sensor: ObjectSensor | None,
-        *,
-        drives: Callable[[], bool] = lambda: False,
-    ) -> None:
-        self._kinematics, self._sensor, self._drives = kinematics, sensor, drives
+    def __init__(self, kinematics: Kinematics, dt_s: float, sensor: ObjectSensor | None) -> None:
+        self._kinematics, self._sensor = kinematics, sensor
         self._squeeze_step = SQUEEZE_RATE_N_PER_S * dt_s
         self.forget()
 
     def forget(self) -> None:
         """Clear the configuration; call only while inactive."""
+        self._next: ObjectImpedance | None = None
         self._law: ObjectImpedance | None = None
         self._execution: ObjectExecution | None = None
-        self._desired: ObjectState | None = None
+        self.desired: ObjectState | None = None
         self._squeeze = self._squeeze_wanted = 0.0
-        self._reference = np.zeros(self._kinematics.robot.dof)
+        self.reference = np.zeros(self._kinematics.robot.dof)
 
-    def configure(self, held: HeldObject, gains: ImpedanceConfig) -> None:
-        """Set object and gains.
+    def configure(self, held: HeldObject, gains: ImpedanceConfig | None = None) -> None:
+        """Set object and gains of the next activation."""
+        self._next = ObjectImpedance(self._kinematics, held, gains or ImpedanceConfig())
 
-        Raises:
-            UsageError: The controller is active.
-        """
-        if self._drives():
-            raise UsageError(
-                f"what is held cannot change while controller {self.name} drives",
-                remedy="switch to other controllers first",
-            )
-        self._law = ObjectImpedance(self._kinematics, held, gains)
-
-    def find_fault(self, command: Command) -> Fault | None:
+    def refuses(self, command: Command) -> Reason | None:
         """Refuse all but object paths starting at the object."""
         if not isinstance(command, ObjectCommand):
-            return ("wrong_controller", f"controller {self.name} takes object paths, no {type(command).__name__}")
-        measured, _ = self._ready_sensor().read()
+            return super().refuses(command)
+        measured, _ = self._ready()[1].read()
         T, T_start = measured.T_world_object, command.motion.at(0.0).T_world_object
         away_m = float(np.linalg.norm(T_start[:3, 3] - T[:3, 3]))
         away_rad = float(np.linalg.norm(rotation_log(T_start[:3, :3] @ T[:3, :3].T)))
         if away_m <= _START_M and away_rad <= _START_RAD:
             return None
-        detail = (
-            f"the path starts {1e3 * away_m:.0f} mm, {away_rad:.3f} rad away from the object; bounds {_START_M} m, "
-            f"{_START_RAD} rad"
-        )
-        return "far_start", detail
+        start = f"the path starts {1e3 * away_m:.0f} mm, {away_rad:.3f} rad away from the object"
+        return "far_start", f"{start}; bounds {_START_M} m, {_START_RAD} rad"
 
     def not_ready(self) -> str:
         """Return why it cannot be activated, or ""."""
-        if self._law is None:
+        if self._next is None:
             return "it has not been told what is held"
         return "" if self._sensor is not None else "no sensor tells it of an object"
 
     def activate(self, q: Array, v: Array) -> None:
         """Hold the object at its pose and squeeze."""
-        law = self._ready_law()
-        law.engage(q)
-        measured, internal_force = self._ready_sensor().read()
-        self._desired = ObjectState(measured.T_world_object)
+        if self._next is not None:
+            self._next.engage(q)
+        self._law = self._next
+        measured, internal_force = self._ready()[1].read()
+        self.desired = ObjectState(measured.T_world_object)
         self._squeeze = self._squeeze_wanted = float(np.clip(internal_force, 0.0, SQUEEZE_CEILING_N))
         self._execution = None
-        self._reference = np.array(q, dtype=float)
+        self.reference = np.array(q, dtype=float)
 
     def follow(self, output: ArbiterOutput) -> None:
         """Take a begun object path."""
@@ -118,39 +98,19 @@ class ObjectImpedanceController(Controller):
 
     def update(self, q: Array, v: Array) -> Array:
         """Run one control step."""
-        law = self._ready_law()
+        law, sensor = self._ready()
         if self._execution is not None:
-            self._desired, self._squeeze_wanted = self._execution.desired, self._execution.squeeze_n
+            self.desired, self._squeeze_wanted = self._execution.desired, self._execution.squeeze_n
             if self._execution.finished:
                 self._execution = None
-        step = self._squeeze_wanted - self._squeeze
-        step = bounded(step, -self._squeeze_step, self._squeeze_step)
+        step = within(self._squeeze_wanted - self._squeeze, -self._squeeze_step, self._squeeze_step)
         # The hands slip above the friction limit: reduce the squeeze at once.
-        sensor = self._ready_sensor()
         self._squeeze = min(self._squeeze + step, sensor.grip_limit_n)
-        measured, internal_force = sensor.read()
-        self._reference = q
-        desired = measured if self._desired is None else self._desired
-        return law.torque(
-            q, v, measured, desired, internal_force_n=self._squeeze, measured_internal_force_n=internal_force
-        )
+        measured, felt_n = sensor.read()
+        self.reference, desired = q, self.desired or measured
+        return law.torque(q, v, measured, desired, internal_force_n=self._squeeze, measured_internal_force_n=felt_n)
 
-    @property
-    def desired(self) -> ObjectState | None:
-        """Last desired object state, or None before activation."""
-        return self._desired
-
-    @property
-    def reference(self) -> Array:
-        """Measured joints (n,) [rad]."""
-        return self._reference
-
-    def _ready_law(self) -> ObjectImpedance:
-        if self._law is None:
+    def _ready(self) -> tuple[ObjectImpedance, ObjectSensor]:
+        if self._law is None or self._sensor is None:
             raise UsageError(f"controller {self.name} is not ready: {self.not_ready()}")
-        return self._law
-
-    def _ready_sensor(self) -> ObjectSensor:
-        if self._sensor is None:
-            raise UsageError(f"controller {self.name} is not ready: {self.not_ready()}")
-        return self._sensor
+        return self._law, self._sensor

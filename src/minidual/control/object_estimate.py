@@ -48,7 +48,7 @@ class HeldEstimate:
 
     Args:
         q: Joints (n,) after closing.
-        T_world_object: Pose (4, 4), weighted as `samples_n` samples.
+        T_world_object: Pose (4, 4), weighted as five samples.
         delay_ticks: Largest usable sample age.
         least_gain: Smallest g.
 
@@ -58,21 +58,14 @@ class HeldEstimate:
     """
 
     def __init__(
-        self,
-        kinematics: Kinematics,
-        q: Array,
-        T_world_object: Array,
-        *,
-        delay_ticks: int,
-        least_gain: float,
-        samples_n: int = 5,
+        self, kinematics: Kinematics, q: Array, T_world_object: Array, *, delay_ticks: int, least_gain: float
     ) -> None:
         self._model, self._data = kinematics.model, kinematics.data
         self._left, self._right = kinematics.tcp_ids
         frames = [self._data.oMf[i] for i in kinematics.tcp_ids]
         self._p = [frame.translation for frame in frames]  # views of Pinocchio's memory
         self._fingers = [frame.rotation[:, 1] for frame in frames]
-        self._least_gain, self._samples_n = least_gain, samples_n
+        self._least_gain, self._samples_n = least_gain, 5
         self._history: deque[Array] = deque(maxlen=delay_ticks + 1)
         self.innovation = (0.0, 0.0)
         self.spread_m = 0.0

@@ -19,7 +19,7 @@ import numpy as np
 
 from minidual.config.control import ImpedanceConfig
 from minidual.control.joint_control import Motors
-from minidual.control.kernels import impedance
+from minidual.control.kernels import impedance, within
 from minidual.errors import MinidualError
 from minidual.robot.kinematics import HandMotion, Kinematics
 from minidual.robot.pair import SIDES, Array
@@ -29,11 +29,6 @@ SQUEEZE_CEILING_N = 80.0
 POSTURE_STIFFNESS_PER_S2, POSTURE_DAMPING_PER_S = 20.0, 9.0
 """Of the null space, which keeps the elbows where they were."""
 _BENT = "keep the elbows bent: a stretched arm cannot carry"
-
-
-def bounded(value: float, low: float, high: float) -> float:
-    """Return the value clipped; NaN stays NaN."""
-    return high if value > high else low if value < low else value
 
 
 class SingularPostureError(MinidualError):
@@ -83,7 +78,6 @@ class ObjectImpedance:
         Raises:
             SingularPostureError: A hand lost a direction of motion.
         """
-        self._posture = np.array(q, dtype=float)
         M = self._kinematics.mass_matrix(q)
         moving = np.r_[np.full(3, self.held.mass_kg), np.diag(self.held.inertia_kg_m2)]
         lever = max(float(np.linalg.norm(T[:3, 3])) for T in self.held.T_object_tcps)
@@ -99,6 +93,7 @@ class ObjectImpedance:
                 ) from error
             moving[:3] += np.diag(mass_at_hand)
             moving[3:] += lever**2 * float(np.mean(np.diag(mass_at_hand))) + np.diag(inertia_at_hand)
+        self._posture = np.array(q, dtype=float)
         self._D = 2.0 * self.gains.damping_ratio * np.sqrt(self._K * moving)
 
     def torque(
@@ -120,8 +115,8 @@ class ObjectImpedance:
         """
         gains, hands = self.gains, self._hands
         limit = gains.force_correction_max_n
-        correction = bounded(gains.force_gain * (internal_force_n - measured_internal_force_n), -limit, limit)
-        squeeze = bounded(internal_force_n + correction, 0.0, SQUEEZE_CEILING_N)
+        correction = within(gains.force_gain * (internal_force_n - measured_internal_force_n), -limit, limit)
+        squeeze = within(internal_force_n + correction, 0.0, SQUEEZE_CEILING_N)
         # Posture first: the least-norm correction then cancels its effect on the hands.
         qdd = POSTURE_STIFFNESS_PER_S2 * (self._posture - q) - POSTURE_DAMPING_PER_S * v
         hands.update(q, v, qdd)

@@ -1,9 +1,8 @@
 """Pinch force with which two pads carry the squeeze F by friction.
 
-Each hand also carries half of weight and inertia; the object's axis is tilted by theta:
+Each hand also carries half of the weight, across the squeeze:
 
-    along = F + m (g + a) sin(theta) / 2,  across = m (g + a) cos(theta) / 2
-    N >= safety sqrt(along^2 + across^2) / (2 mu)
+    N >= safety sqrt(F^2 + (m g / 2)^2) / (2 mu)
 
 Torsional pad friction is neglected; the hands' torsional springs hold that rotation.
 """
@@ -19,18 +18,8 @@ SAFETY = 1.5
 _GRAVITY = 9.81
 
 
-def pinch_force(
-    squeeze_n: float,
-    mu: float,
-    mass_kg: float = 0.0,
-    *,
-    safety: float = SAFETY,
-    tilt_rad: float = 0.0,
-    acceleration_m_per_s2: float = 0.0,
-) -> float:
+def pinch_force(squeeze_n: float, mu: float, mass_kg: float = 0.0, *, safety: float = SAFETY) -> float:
     """Return each finger's normal force [N].
-
-    `tilt_rad` is the axis' largest angle from horizontal, the acceleration the largest upward one.
 
     Raises:
         UsageError: A value is out of range.
@@ -43,6 +32,4 @@ def pinch_force(
         raise UsageError(f"safety factor {safety}: must be at least 1")
     if not squeeze_n >= 0.0:
         raise UsageError(f"squeeze {squeeze_n} N: must be at least 0, hands do not pull")
-    half = 0.5 * mass_kg * (_GRAVITY + acceleration_m_per_s2)
-    along, across = half * abs(math.sin(tilt_rad)), half * math.cos(tilt_rad)
-    return safety * math.hypot(squeeze_n + along, across) / (2.0 * mu)
+    return safety * math.hypot(squeeze_n, 0.5 * mass_kg * _GRAVITY) / (2.0 * mu)

@@ -20,18 +20,11 @@ _BRAKE_SHARE = 0.9
 
 
 class ReferenceFilter:
-    """Second-order tracking of joint targets, without differentiating them.
+    """Second-order tracking of joint targets, without differentiating them; the lag is 2 / w."""
 
-    Args:
-        bandwidth_rad_s: w; the lag is 2 / w.
-        acceleration_scale: a_max as a share of the limits.
-    """
-
-    def __init__(
-        self, dt_s: float, robot: Robot, *, bandwidth_rad_s: float = 30.0, acceleration_scale: float = 0.8
-    ) -> None:
+    def __init__(self, dt_s: float, robot: Robot, *, bandwidth_rad_s: float = 30.0) -> None:
         self._w, self._dt = bandwidth_rad_s, dt_s
-        a_max = acceleration_scale * robot.a_max
+        a_max = 0.8 * robot.a_max
         near = 4.0 * _BRAKE_SHARE * a_max / bandwidth_rad_s**2
         self._bounds = np.array([a_max, 0.95 * robot.v_max, near, robot.q_lower, robot.q_upper])
         self._target = np.zeros(robot.dof)

@@ -16,11 +16,9 @@ class ReflexKind:
     """A table row.
 
     Attributes:
-        libfranka: The real arm's equivalent error.
         remedy: What to check.
     """
 
-    libfranka: str
     cause: str
     remedy: str
     unit: str
@@ -28,82 +26,67 @@ class ReflexKind:
 
 REFLEXES: dict[str, ReflexKind] = {
     "joint_position": ReflexKind(
-        "joint_position_limits_violation",
         "a joint is beyond its position limit, or too fast to stop before it",
         "keep targets inside the limits and slow down towards them; minidual.robot.arms has the limits",
         "rad",
     ),
     "joint_velocity": ReflexKind(
-        "joint_velocity_violation",
         "a joint is faster than its limit",
         "lower the velocity scale of the plan, or filter the targets (control/reference.py)",
         "rad/s",
     ),
     "torque_range": ReflexKind(
-        "tau_j_range_violation",
         "a controller asked for more torque than the motor has",
         "clip the controller's output and find out why it needs so much: gains, payload, a jump of the target",
         "Nm",
     ),
     "torque_rate": ReflexKind(
-        "controller_torque_discontinuity",
         "a controller kept asking for faster changes of torque than the motors follow",
         "look for an oscillation or chatter: lower gains, filter velocities, smooth the reference",
         "Nm/s",
     ),
     "torque_saturation": ReflexKind(
-        "",
         "a motor stood at its torque limit",
         "slow the motion down, lighten the load, or free the arm if it pushes against something",
         "Nm",
     ),
     "reference_acceleration": ReflexKind(
-        "joint_motion_generator_velocity_discontinuity",
         "the commanded reference accelerates more than the joint may",
         "time the trajectory within the limits (plan.planner.acceleration_scale), or send targets through the filter",
         "rad/s^2",
     ),
     "reference_jerk": ReflexKind(
-        "joint_motion_generator_acceleration_discontinuity",
         "the acceleration of the commanded reference jumps",
         "use a profile with bounded jerk (quintic, ruckig), or send targets through a filter",
         "rad/s^3",
     ),
     "tcp_speed": ReflexKind(
-        "cartesian_velocity_violation",
-        "a hand is faster than its limit",
-        "slow the motion down, or plan with a limit on the speed of the hand",
-        "m/s",
+        "a hand is faster than its limit", "slow the motion down, or plan with a limit on the speed of the hand", "m/s"
     ),
     "workspace": ReflexKind(
-        "cartesian_position_limits_violation",
         "a hand is leaving the workspace",
         "check the target; widen supervisor.workspace_m if the place is truly free",
         "m",
     ),
     "self_collision": ReflexKind(
-        "self_collision_avoidance_violation",
         "two parts of the arms come too close",
         "plan around it (minidual plan checks collisions), or part the arms by hand before the reset",
         "m",
     ),
     "emergency_stop": ReflexKind(
-        "", "the emergency stop was pressed", "make the scene safe, then reset the supervisor", ""
+        "the emergency stop was pressed", "make the scene safe, then reset the supervisor", ""
     ),
     "not_finite": ReflexKind(
-        "",
         "a measurement or a torque is not a finite number",
         "look at the sensors and at the controller's inputs: the first that is not finite is the cause",
         "",
     ),
     "controller_failed": ReflexKind(
-        "",
         "a controller gives no torque",
         "remove what it names, or recover with controllers that need less, such as both_arms",
         "",
     ),
     "stale_command": ReflexKind(
-        "communication_constraints_violation",
         "nobody has given a command for too long",
         "see that the source runs and keeps its rate; supervisor.stale_s is how long it may be silent",
         "s",

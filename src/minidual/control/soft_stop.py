@@ -6,8 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from minidual.control.command_checks import Fault
-from minidual.control.commands import Command
 from minidual.control.controllers import Controller
 from minidual.control.joint_control import ComputedTorque
 from minidual.robot.kinematics import Kinematics
@@ -76,32 +74,19 @@ class SoftStopController(Controller):
 
     name = "soft_stop"
 
-    def __init__(self, kinematics: Kinematics, dt_s: float, *, deceleration_share: float = STOP_SHARE) -> None:
+    def __init__(self, kinematics: Kinematics, dt_s: float) -> None:
         self._servo = ComputedTorque(kinematics, natural_frequency_rad_s=_STOP_FREQUENCY_RAD_S)
-        self._dt, self._deceleration = dt_s, deceleration_share * kinematics.robot.a_max
-        self._reference = np.zeros(kinematics.robot.dof)
-        self._motion = SoftStop(self._reference, self._reference, self._deceleration)
-        self._steps = 0
-
-    def find_fault(self, command: Command) -> Fault | None:
-        """Refuse all commands."""
-        detail = f"controller {self.name} takes no commands, no {type(command).__name__}; ask for a mode"
-        return "wrong_controller", detail
+        self._dt, self._robot = dt_s, kinematics.robot
+        self.activate(self._robot.home, np.zeros(self._robot.dof))
 
     def activate(self, q: Array, v: Array) -> None:
         """Start stopping from the measurement."""
-        self._motion = SoftStop(q, v, self._deceleration)
-        self._steps = 0
-        self._reference = np.array(q, dtype=float)
+        self._motion, self._steps = SoftStop(q, v, STOP_SHARE * self._robot.a_max), 0
+        self.reference = np.array(q, dtype=float)
 
     def update(self, q: Array, v: Array) -> Array:
         """Run one control step."""
         q_ref, v_ref, a_ref = self._motion.at(self._steps * self._dt)
         self._steps += 1
-        self._reference = q_ref
+        self.reference = q_ref
         return self._servo.torque(q, v, q_ref, v_ref, a_ref)
-
-    @property
-    def reference(self) -> Array:
-        """Last joint reference (n,) [rad]."""
-        return self._reference

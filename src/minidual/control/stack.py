@@ -26,7 +26,8 @@ from minidual.control.controllers import Controller, JointTrajectoryController
 from minidual.control.execution import ArbiterOutput
 from minidual.control.gripper import JOINT_PINCH_N, Grippers
 from minidual.control.object_controller import ObjectImpedanceController, ObjectSensor
-from minidual.control.soft_stop import STOP_SHARE, SoftStopController, SwitchedOff
+from minidual.control.reflexes import ReflexError
+from minidual.control.soft_stop import SoftStopController, SwitchedOff
 from minidual.control.supervisor import Supervisor
 from minidual.errors import MinidualError, UsageError
 from minidual.plant.protocol import Plant
@@ -34,7 +35,7 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 
 DEFAULT_CONTROLLERS: tuple[str, ...] = ("both_arms",)
-"""Initial set."""
+"""Set after a reset."""
 OBJECT_CONTROLLERS: tuple[str, ...] = ("object_impedance",)
 """Set for an object in both hands."""
 _STOPPING: tuple[str, ...] = ("soft_stop",)
@@ -49,10 +50,8 @@ class ControlStack[P: Plant]:
 
     Args:
         rate_hz: Of the arbiter in `step`.
-        controllers: Initial set.
         supervisor: None disables guarding.
         sensor: Required to activate controller C.
-        stop_share: Deceleration of a halt as a share of the limits.
     """
 
     def __init__(
@@ -62,16 +61,13 @@ class ControlStack[P: Plant]:
         config: ArbiterConfig | None = None,
         *,
         rate_hz: float = 50.0,
-        controllers: Sequence[str] = DEFAULT_CONTROLLERS,
         pinch_force_n: float = JOINT_PINCH_N,
         supervisor: Supervisor | None = None,
         sensor: ObjectSensor | None = None,
-        stop_share: float = STOP_SHARE,
     ) -> None:
         self.plant = plant
         self.supervisor = supervisor
         self._config = ArbiterConfig() if config is None else config
-        self._initial = tuple(controllers)
         steps = 1.0 / (rate_hz * plant.dt)
         self._every = round(steps)
         if self._every < 1 or abs(steps - self._every) > 1e-6:
@@ -81,15 +77,13 @@ class ControlStack[P: Plant]:
             )
         self._robot = kinematics.robot
         self.grippers = Grippers(plant, pinch_force_n=pinch_force_n)
-        table: list[Controller] = [
-            JointTrajectoryController(group, kinematics, plant.dt) for group in ("both_arms", "left_arm", "right_arm")
+        groups = ("both_arms", "left_arm", "right_arm")
+        self.impedance = ObjectImpedanceController(kinematics, plant.dt, sensor)
+        self._controllers: list[Controller] = [
+            *(JointTrajectoryController(group, kinematics, plant.dt) for group in groups),
+            self.impedance,
+            SoftStopController(kinematics, plant.dt),
         ]
-        self.impedance = ObjectImpedanceController(
-            kinematics, plant.dt, sensor, drives=lambda: self.impedance.name in self.manager.active
-        )
-        stop = SoftStopController(kinematics, plant.dt, deceleration_share=stop_share)
-        self.manager = ControllerManager([*table, self.impedance, stop], plant.dt, self._robot)
-        self.manager.check(self._initial)
         self._flush_listeners: list[Callable[[str], None]] = []
         self.reset()
 
@@ -100,19 +94,19 @@ class ControlStack[P: Plant]:
         """
         plant = self.plant
         self.arbiter = CommandArbiter(
-            self._robot, self._config, control_dt_s=plant.dt, admit=lambda command: self.manager.find_fault(command)
+            self._robot, self._config, control_dt_s=plant.dt, admit=lambda command: self.manager.refuses(command)
         )
         self.arbiter.on_flush = self._flush_listeners
-        self.arbiter.on_confirm.append(self._confirmed)
-        self.manager = ControllerManager([self.manager[name] for name in self.manager.names], plant.dt, self._robot)
+        self.arbiter.on_confirm = self._confirmed
+        self.manager = ControllerManager(self._controllers, plant.dt, self._robot)
         self.impedance.forget()
         self.grippers.reset()
         q = plant.q
-        self.manager.switch(self._initial, q, np.zeros_like(q))
+        self.manager.switch(DEFAULT_CONTROLLERS, q, np.zeros_like(q))
         self._wanted: dict[str, tuple[str, ...]] = {}
         self._countdown = 0
         self._due, self._pending = True, False
-        self.output = ArbiterOutput(q, np.ones(2), ArbiterState.HOLDING, None, (), None, ())
+        self.output = ArbiterOutput(q, np.ones(2), ArbiterState.HOLDING, None, None, ())
         """The arbiter's last output."""
         self.refusals: list[Refusal] = []
         """All since the reset."""
@@ -121,7 +115,8 @@ class ControlStack[P: Plant]:
         self.applied = np.zeros_like(q)
         """Last torques (n,) [Nm], after the supervisor."""
         self._off: SwitchedOff | None = None
-        self._reset_supervisor()
+        if self.supervisor is not None:
+            self.supervisor.reset()
 
     # Commands --------------------------------------------------------------------------------------------
 
@@ -199,10 +194,11 @@ class ControlStack[P: Plant]:
 
     def recover(self) -> None:
         """Resume after a reflex at the measured posture, without driving source."""
-        self._reset_supervisor()
-        self.reflex = None
         for name in self.manager.active:
             self.manager[name].activate(self.plant.q, self.plant.v)
+        if self.supervisor is not None:
+            self.supervisor.reset()
+        self.reflex = None
         self.request(HOLD)
 
     # State -----------------------------------------------------------------------------------------------
@@ -220,22 +216,12 @@ class ControlStack[P: Plant]:
     @property
     def executing(self) -> bool:
         """Whether a timed command runs or waits."""
-        return self._pending or bool([e for e in self.arbiter.executions if not e.finished])
+        return self._pending or bool([e for e in self.arbiter.underway.executions if not e.finished])
 
     @property
     def tick_next(self) -> bool:
         """Whether the next `step` has a regular arbiter tick."""
         return self._countdown == 0
-
-    @property
-    def reference(self) -> Array:
-        """Last joint references (n,) [rad]."""
-        return self.manager.reference
-
-    @property
-    def tau(self) -> Array:
-        """Last torques (n,) [Nm] of the controllers."""
-        return self.manager.tau
 
     # Control loop ----------------------------------------------------------------------------------------
 
@@ -325,12 +311,11 @@ class ControlStack[P: Plant]:
             )
 
     def _stop(self, error: MinidualError) -> Array:
-        tau = getattr(error, "tau", None)
-        if tau is None:  # not a reflex but a usage error
+        if not isinstance(error, ReflexError):
             raise error
         self.reflex = error
         self.request(HOLD)
-        return tau
+        return error.tau
 
     def _fall_back(self, error: MinidualError, q: Array, v: Array) -> Array:
         if self.manager.active == DEFAULT_CONTROLLERS:  # no other controller could hold the arms
@@ -338,10 +323,6 @@ class ControlStack[P: Plant]:
         self.manager.switch(DEFAULT_CONTROLLERS, q, v)
         self.request(HOLD)
         return self.manager.update(q, v)
-
-    def _reset_supervisor(self) -> None:
-        if self.supervisor is not None:
-            self.supervisor.reset()
 
     def _confirmed(self, mode: str) -> None:
         names = self._wanted.pop(mode, self.manager.active)

@@ -64,10 +64,11 @@ class Supervisor:
         self._stop = SupervisedStop(self._kinematics, self.config, dt_s)
         self._self_distance = self_distance
         self._on_reflex = on_reflex
-        self._slow_ticks = max(1, round(self.config.slow_period_s / dt_s))
+        self._slow_every = max(1, round(self.config.slow_period_s / dt_s))
         self._rows = np.zeros((len(limits.ROWS), self._robot.dof))
         self._ratio = np.zeros_like(self._rows)
-        self._reflex: Reflex | None = None
+        self.reflex: Reflex | None = None
+        """The latched reflex, or None."""
         self._estop: str | None = None
         self.reset()
 
@@ -78,9 +79,9 @@ class Supervisor:
 
         An emergency stop that was not the latched reflex stays pending.
         """
-        if self._reflex is not None and self._reflex.name == "emergency_stop":
+        if self.reflex is not None and self.reflex.name == "emergency_stop":
             self._estop = None
-        self._reflex = None
+        self.reflex = None
         self._deadline_s = math.inf
         self._time_s = -math.inf
         self._tick = 0
@@ -88,17 +89,11 @@ class Supervisor:
         self._applied: Array | None = None
         self._a_before: Array | None = None
         self._rows[:] = 0.0
-        self._slow_tick = -2
-        self._saturated = np.zeros(self._robot.dof, dtype=int)
-        self._jumps = np.zeros(self._robot.dof, dtype=int)
+        self._looked_tick = -2
+        self._saturated, self._jumps = np.zeros((2, self._robot.dof))
         self._asked = self._zero
         self._q_good: Array | None = None
         self._v_good = self._zero
-
-    @property
-    def reflex(self) -> Reflex | None:
-        """The latched reflex, or None."""
-        return self._reflex
 
     def estop(self, reason: str = "pressed") -> None:
         """Stop the arms in the next tick; thread-safe."""
@@ -110,9 +105,9 @@ class Supervisor:
         Raises:
             ReflexError: Once; apply its `tau`.
         """
-        if self._reflex is None:
-            self._rows[0], self._rows[1] = q, v
-            self._trip("controller_failed", time_s, why, 1.0, None)
+        if self.reflex is None:
+            self._time_s, self._rows[0], self._rows[1] = time_s, q, v
+            self._trip("controller_failed", why, 1.0, None)
         return self._stop.torque(q, v)
 
     def heard(self, time_s: float) -> None:
@@ -128,7 +123,7 @@ class Supervisor:
             ReflexError: Once; apply its `tau`.
             UsageError: Time did not increase.
         """
-        if self._reflex is not None:
+        if self.reflex is not None:
             return self._stop.torque(q, v)
         if not time_s > self._time_s:
             raise UsageError(
@@ -143,7 +138,9 @@ class Supervisor:
             self._applied = self._before_control(q)
         np.subtract(rows[2], self._applied, rows[3])
         if a_ref is not None:
-            self._note_reference(a_ref)
+            rows[4] = a_ref
+            np.subtract(rows[4], rows[4] if self._a_before is None else self._a_before, rows[5])
+            self._a_before = rows[4].copy()
         elif self._a_before is not None:  # the new controller has no reference
             self._a_before = None
             rows[4:] = 0.0
@@ -154,9 +151,9 @@ class Supervisor:
         if ratio.item(ratio.argmax()) <= 1.0 and self._estop is None and time_s <= self._deadline_s:
             applied = rows[2]
         else:
-            applied = self._look_closer(time_s)
+            applied = self._look_closer()
         if self._tick >= self._next_slow:
-            self._look_slowly(time_s)
+            self._look_slowly()
         self._applied[:] = applied
         return applied.copy()
 
@@ -166,14 +163,7 @@ class Supervisor:
         """Return the gravity torque that drives apply before control."""
         return np.array(self._kinematics.gravity(q if np.isfinite(q).all() else self._robot.home))
 
-    def _note_reference(self, a_ref: Array) -> None:
-        self._rows[4] = a_ref
-        if self._a_before is None:
-            self._a_before = np.array(a_ref, dtype=float)
-        np.subtract(self._rows[4], self._a_before, self._rows[5])
-        self._a_before[:] = a_ref
-
-    def _look_closer(self, time_s: float) -> Array:
+    def _look_closer(self) -> Array:
         """Raise the violated bound's reflex, or return the torque to apply."""
         q, v, tau, step, a_ref, a_step = self._rows
         bounds = self.bounds
@@ -181,64 +171,55 @@ class Supervisor:
             finite = np.isfinite(values)
             if not finite.all():
                 joint = int(np.argmin(finite))
-                self._trip(
-                    "not_finite", time_s, f"{what} of {self._robot.joint_names[joint]}", float(values[joint]), None
-                )
+                self._trip("not_finite", f"{what} of {self._robot.joint_names[joint]}", float(values[joint]), None)
         if self._estop is not None:
-            self._trip("emergency_stop", time_s, self._estop, 1.0, None)
-        if time_s > self._deadline_s:
-            silent = time_s - self._deadline_s + self.config.stale_s
-            self._trip("stale_command", time_s, "no command", silent, self.config.stale_s)
+            self._trip("emergency_stop", self._estop, 1.0, None)
+        if self._time_s > self._deadline_s:
+            silent = self._time_s - self._deadline_s + self.config.stale_s
+            self._trip("stale_command", "no command", silent, self.config.stale_s)
         if self._ratio[0].max() > 1.0:
-            self._trip_position(time_s, q)
-        self._trip_ratio("joint_velocity", time_s, v, bounds.v_max)
-        self._trip_ratio("torque_range", time_s, tau, bounds.tau_max, tolerance=limits.TORQUE_TOLERANCE)
-        self._trip_ratio("reference_acceleration", time_s, a_ref, bounds.a_max, tolerance=1e-9)
+            self._trip_position(q)
+        self._trip_ratio("joint_velocity", v, bounds.v_max)
+        self._trip_ratio("torque_range", tau, bounds.tau_max, tolerance=limits.TORQUE_TOLERANCE)
+        self._trip_ratio("reference_acceleration", a_ref, bounds.a_max, tolerance=1e-9)
         if self.config.jerk_reflex:
-            self._trip_ratio("reference_jerk", time_s, a_step / self.dt_s, bounds.a_step / self.dt_s, tolerance=1e-9)
-        return self._bound_torque(time_s, tau, step)
+            self._trip_ratio("reference_jerk", a_step / self.dt_s, bounds.a_step / self.dt_s, tolerance=1e-9)
+        return self._bound_torque(tau, step)
 
-    def _bound_torque(self, time_s: float, tau: Array, step: Array) -> Array:
+    def _bound_torque(self, tau: Array, step: Array) -> Array:
         """Limit the torque rate; count saturation and jumps."""
         bounds = self.bounds
-        in_order = self._tick - 1 - self._slow_tick
+        in_order = self._tick - 1 - self._looked_tick
         if in_order:  # ticks within bounds since the last check: their requested torque was applied unchanged
             self._saturated[:] = 0
             np.maximum(self._jumps - in_order, 0, out=self._jumps)
             jump = step
         else:
             jump = tau - self._asked
-        self._slow_tick = self._tick
+        self._looked_tick = self._tick
         self._asked = tau.copy()
         self._saturated = np.where(np.abs(tau) >= limits.SATURATED * bounds.tau_max, self._saturated + 1, 0)
-        longest = int(np.argmax(self._saturated))
-        if self._saturated[longest] * self.dt_s > self.config.saturation_s + 1e-9:
-            where = f"{self._robot.joint_names[longest]} for {1e3 * self.config.saturation_s:.0f} ms"
-            bound = float(bounds.tau_max[longest])
-            self._trip("torque_saturation", time_s, where, float(tau[longest]), bound)
+        self._trip_lasting("torque_saturation", self._saturated, self.config.saturation_s, tau, bounds.tau_max)
         # A target streamed at 50 Hz makes the torque jump once in 20 ticks, which the limiter absorbs; chatter jumps in
         # every tick. A jump counts up, any other tick down.
         jumps = np.abs(jump) > self.config.torque_rate_excess * bounds.tau_step
         self._jumps = np.where(jumps, self._jumps + 1, np.maximum(self._jumps - 1, 0))
-        longest = int(np.argmax(self._jumps))
-        if self._jumps[longest] * self.dt_s > self.config.torque_rate_patience_s + 1e-9:
-            where = f"{self._robot.joint_names[longest]} for {1e3 * self.config.torque_rate_patience_s:.0f} ms"
-            rate, bound = float(jump[longest]) / self.dt_s, bounds.tau_step / self.dt_s
-            self._trip("torque_rate", time_s, where, rate, bound)
+        rate, rate_max = jump / self.dt_s, np.full(len(jump), bounds.tau_step / self.dt_s)
+        self._trip_lasting("torque_rate", self._jumps, self.config.torque_rate_patience_s, rate, rate_max)
         if not (np.abs(step) > bounds.tau_step).any():
             return tau.copy()
         return tau - step + np.clip(step, -bounds.tau_step, bounds.tau_step)
 
-    def _look_slowly(self, time_s: float) -> None:
-        self._next_slow = self._tick + self._slow_ticks
+    def _look_slowly(self) -> None:
+        self._next_slow = self._tick + self._slow_every
         q, v = self._rows[0], self._rows[1]
         self._q_good, self._v_good = q.copy(), v.copy()
         rest = self.bounds.stopping_point(q, v)
         if not np.abs((rest - self.bounds.centre[0]) * self.bounds.scale[0]).max() <= 1.0:
-            self._trip_position(time_s, rest)
+            self._trip_position(rest)
         model, data = self._kinematics.model, self._kinematics.data
         pin.forwardKinematics(model, data, q, v)
-        ahead = self._slow_ticks * self.dt_s
+        ahead = self._slow_every * self.dt_s
         (x0, x1), (y0, y1), (z0, z1) = self.config.workspace_m
         for arm, frame in enumerate(self._kinematics.tcp_ids):
             # plain floats are faster than arrays for six numbers
@@ -246,60 +227,62 @@ class Supervisor:
             vx, vy, vz = pin.getFrameVelocity(model, data, frame, pin.LOCAL_WORLD_ALIGNED).linear.tolist()
             speed = math.sqrt(vx * vx + vy * vy + vz * vz)
             if not speed <= self.config.tcp_speed_max_m_per_s:
-                self._trip("tcp_speed", time_s, self._robot.tcp_names[arm], speed, self.config.tcp_speed_max_m_per_s)
+                self._trip("tcp_speed", self._robot.tcp_names[arm], speed, self.config.tcp_speed_max_m_per_s)
             # Two periods ahead: one until the next check, one for the speed gained meanwhile.
             x, y, z = x + 2.0 * ahead * vx, y + 2.0 * ahead * vy, z + 2.0 * ahead * vz
             if not (x0 <= x <= x1 and y0 <= y <= y1 and z0 <= z <= z1):
-                self._trip_workspace(time_s, arm, (x, y, z))
+                self._trip_workspace(arm, (x, y, z))
         if self._self_distance is not None:
             pair, distance = self._self_distance(q)
             if not distance >= self.config.self_collision_min_m:
-                self._trip("self_collision", time_s, pair, distance, self.config.self_collision_min_m)
+                self._trip("self_collision", pair, distance, self.config.self_collision_min_m)
             # Check again before the gap can close to the bound at full acceleration.
             safe_s = self._reach.safe_time_s(v, distance - self.config.self_collision_min_m)
-            self._next_slow = self._tick + min(self._slow_ticks, max(1, int(safe_s / self.dt_s)))
+            self._next_slow = self._tick + min(self._slow_every, max(1, int(safe_s / self.dt_s)))
 
     # Reflexes ------------------------------------------------------------------------------------------------
 
-    def _trip_ratio(self, name: str, time_s: float, values: Array, bounds: Array, *, tolerance: float = 0.0) -> None:
+    def _trip_ratio(self, name: str, values: Array, bounds: Array, *, tolerance: float = 0.0) -> None:
         ratio = np.abs(values) / bounds
         joint = int(np.argmax(ratio))
         if ratio[joint] > 1.0 + tolerance:
-            self._trip(name, time_s, self._robot.joint_names[joint], float(values[joint]), float(bounds[joint]))
+            self._trip(name, self._robot.joint_names[joint], float(values[joint]), float(bounds[joint]))
 
-    def _trip_position(self, time_s: float, q: Array) -> None:
+    def _trip_lasting(self, name: str, ticks: Array, patience_s: float, values: Array, bounds: Array) -> None:
+        longest = int(np.argmax(ticks))
+        if ticks[longest] * self.dt_s > patience_s + 1e-9:
+            where = f"{self._robot.joint_names[longest]} for {1e3 * patience_s:.0f} ms"
+            self._trip(name, where, float(values[longest]), float(bounds[longest]))
+
+    def _trip_position(self, q: Array) -> None:
         bounds = self.bounds
         joint = int(np.argmax(np.maximum(bounds.q_lower - q, q - bounds.q_upper)))
         bound = bounds.q_lower if q[joint] < bounds.q_lower[joint] else bounds.q_upper
-        self._trip("joint_position", time_s, self._robot.joint_names[joint], float(q[joint]), float(bound[joint]))
+        self._trip("joint_position", self._robot.joint_names[joint], float(q[joint]), float(bound[joint]))
 
-    def _trip_workspace(self, time_s: float, arm: int, there: tuple[float, float, float]) -> None:
+    def _trip_workspace(self, arm: int, there: tuple[float, float, float]) -> None:
         excess = [
             (max(low - value, value - high), axis, value, low if value < low else high)
             for axis, value, (low, high) in zip("xyz", there, self.config.workspace_m, strict=True)
         ]
         _, axis, value, bound = max(excess)
-        self._trip("workspace", time_s, f"{axis} of the {SIDES[arm]} hand", value, bound)
+        self._trip("workspace", f"{axis} of the {SIDES[arm]} hand", value, bound)
 
-    def _trip(self, name: str, time_s: float, where: str, value: float, bound: float | None) -> None:
+    def _trip(self, name: str, where: str, value: float, bound: float | None) -> None:
         details = {
             key: [x if math.isfinite(x) else str(x) for x in values.tolist()]  # JSON has no NaN
             for key, values in zip(SEEN, self._rows[:3], strict=True)
             if not (name == "controller_failed" and key == "asked_torque_nm")  # no torque was requested
         }
-        reflex = Reflex(name, time_s, where, value, bound, details)
+        reflex = Reflex(name, self._time_s, where, value, bound, details)
         q, v = self._rows[0].copy(), self._rows[1].copy()
         if not (np.isfinite(q).all() and np.isfinite(v).all()):
             q, v = (self._zero, self._zero) if self._q_good is None else (self._q_good, self._v_good)
         self._stop.begin(q, v, self._before_control(q) if self._applied is None else self._applied)
-        self._reflex = reflex
+        self.reflex = reflex
         tau = self._stop.torque(self._rows[0], self._rows[1])
-        dump, failure = None, None
-        if self._on_reflex is not None:
-            try:
-                dump = self._on_reflex(reflex)
-            except Exception as error:  # the callback must not lose this tick's torque
-                failure = error
-        raise ReflexError(
-            reflex, tau, dump, "" if failure is None else f"{type(failure).__name__}: {failure}"
-        ) from failure
+        try:
+            dump = None if self._on_reflex is None else self._on_reflex(reflex)
+        except Exception as error:  # the callback must not lose this tick's torque
+            raise ReflexError(reflex, tau, None, f"{type(error).__name__}: {error}") from error
+        raise ReflexError(reflex, tau, dump)

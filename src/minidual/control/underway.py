@@ -6,40 +6,35 @@ from collections.abc import Callable
 
 import numpy as np
 
-from minidual.control.command_checks import Fault, own_columns
-from minidual.control.commands import Command, JointCommand, TimedCommand, TrajectoryCommand
+from minidual.control.command_checks import own_columns
+from minidual.control.commands import Command, Reason, TimedCommand, TrajectoryCommand
 from minidual.control.execution import Execution, ObjectExecution, TrajectoryExecution
 from minidual.robot.pair import SIDES, Array, Robot
 
 
 class Underway:
-    """Running timed commands, at most one per arm; `admit` returns why a command is refused, or None."""
+    """Running timed commands, at most one per arm; `admit` returns why the controllers refuse a command, or None."""
 
-    def __init__(self, dt_s: float, robot: Robot, admit: Callable[[Command], Fault | None] | None = None) -> None:
-        self._dt, self._robot = dt_s, robot
-        self.admit = _joints_only if admit is None else admit
+    def __init__(self, dt_s: float, robot: Robot, admit: Callable[[Command], Reason | None]) -> None:
+        self._dt, self._robot, self.admit = dt_s, robot, admit
         self.executions: tuple[Execution, ...] = ()
 
-    def begin(self, command: TimedCommand, posture: Array, start_bound_rad: float) -> Fault | None:
+    def begin(self, command: TimedCommand, posture: Array, start_bound_rad: float) -> Reason | None:
         """Begin a command, or return why not.
 
         A trajectory may start at most `start_bound_rad` from the measured posture (n,).
         """
-        fault = self.busy(command.arms) or self.admit(command)
-        if fault is None and isinstance(command, TrajectoryCommand):
-            fault = self._far_start(command, posture, start_bound_rad)
-        if fault is not None:
-            return fault
-        execution: Execution
-        if isinstance(command, TrajectoryCommand):
-            execution = TrajectoryExecution(command, self._dt, self._robot)
-        else:
-            execution = ObjectExecution(command, self._dt)
-        self.executions = (*self.executions, execution)
-        return None
+        reason = self.busy(command.arms) or self.admit(command)
+        if reason is None and isinstance(command, TrajectoryCommand):
+            reason = self._far_start(command, posture, start_bound_rad)
+        if reason is None:
+            timed = isinstance(command, TrajectoryCommand)
+            begun = TrajectoryExecution(command, self._dt, self._robot) if timed else ObjectExecution(command, self._dt)
+            self.executions = (*self.executions, begun)
+        return reason
 
-    def busy(self, arms: tuple[int, ...]) -> Fault | None:
-        """Return a fault if one of these arms is driven, or None."""
+    def busy(self, arms: tuple[int, ...]) -> Reason | None:
+        """Return the reason to refuse a command of these arms because one is driven, or None."""
         for execution in self.executions:
             shared = [SIDES[arm] for arm in arms if arm in execution.arms]
             if shared:
@@ -64,29 +59,17 @@ class Underway:
         self.executions = running
         return target, ended
 
-    def drop(self) -> None:
-        """Forget all; the caller stops the arms."""
-        self.executions = ()
-
     def brake(self) -> None:
         """Brake all along their paths."""
         for execution in self.executions:
             execution.brake()
 
-    def _far_start(self, command: TrajectoryCommand, posture: Array, bound_rad: float) -> Fault | None:
+    def _far_start(self, command: TrajectoryCommand, posture: Array, bound_rad: float) -> Reason | None:
         joints = self._robot.groups[command.group]
         away = command.motion.q[0, own_columns(command, self._robot)] - posture[joints]
         index = int(np.argmax(np.abs(away)))
         if abs(away[index]) <= bound_rad:
             return None
         name = self._robot.joint_names[joints][index]
-        return (
-            "far_start",
-            f"the trajectory starts {away[index]:+.3f} rad away from the arms at {name}; bound {bound_rad} rad",
-        )
-
-
-def _joints_only(command: Command) -> Fault | None:
-    if isinstance(command, JointCommand | TrajectoryCommand):
-        return None
-    return "no_controller", f"nothing here takes a {type(command).__name__}"
+        start = f"the trajectory starts {away[index]:+.3f} rad away from the arms at {name}"
+        return "far_start", f"{start}; bound {bound_rad} rad"

@@ -184,7 +184,7 @@ class StackNarrator:
 
     def _planned(self) -> Preview:
         """Return the executing trajectories' TCP paths, cached."""
-        found = (execution.command for execution in self._stack.arbiter.executions)
+        found = (execution.command for execution in self._stack.arbiter.underway.executions)
         commands = tuple(command for command in found if isinstance(command, TrajectoryCommand))
         if [id(command) for command in commands] != [id(command) for command in self._drawn]:
             self._drawn = commands

@@ -1,7 +1,16 @@
-"""Motions of a carry, internal-force ramps, and the object model of controller C."""
+"""Motions of a carry, as fast as joints and object may move, its internal force, and the object model of controller C.
+
+Minimum jerk over distance d in time T peaks at speed 1.875 d / T and acceleration 5.7735 d / T^2, so
+
+    T = max( 1.875 d / v_max,  sqrt(5.7735 d / a_max) )
+
+over object position, yaw and all joints; at least 0.25 s.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,16 +19,58 @@ from minidual.config.control import PaceConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.object_controller import SQUEEZE_RATE_N_PER_S
 from minidual.control.object_impedance import HeldObject, ObjectState
-from minidual.control.object_path import ObjectPath, Waypoint
+from minidual.control.object_path import ObjectPath, Waypoint, minimum_jerk
 from minidual.robot.pair import Array, Robot
 from minidual.robot.poses import inverse
 from minidual.robot.trajectory import Trajectory
-from minidual.skills.pace import joint_duration_s, object_duration_s
 from minidual.skills.phases import PHASES
-from minidual.tasks.rod_carry import level_part
+from minidual.skills.reach import grasp_posture
+from minidual.tasks.rod_carry import level_part, level_pose
 
 LANDED_S = 0.1
 """Rest time before release."""
+_PEAK_SPEED = 1.875
+_PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)
+_LEAST_S = 0.25
+_SAMPLES = 12
+
+
+def _time(distance: float | Array, speed: float | Array, acceleration: float | Array) -> float:
+    d = np.abs(distance)
+    return float(np.max(np.maximum(_PEAK_SPEED * d / speed, np.sqrt(_PEAK_ACCELERATION * d / acceleration))))
+
+
+def joint_duration_s(q0: Array, q1: Array, pace: PaceConfig, robot: Robot) -> float:
+    """Return the time between two postures (n,)."""
+    speed, acceleration = pace.joint_speed_share * robot.v_max, pace.joint_acceleration_share * robot.a_max
+    return max(_LEAST_S, _time(q1 - q0, speed, acceleration))
+
+
+def object_duration_s(
+    scene: SceneConfig, robot: Robot, start: Waypoint, end: Waypoint, q_near: Array, pace: PaceConfig
+) -> tuple[float, Array]:
+    """Return the time of a straight held motion, and the end posture; waypoint times are ignored.
+
+    Raises:
+        GraspUnreachableError: A hand cannot follow.
+    """
+    a, b = (np.array([*w.xyz_m, w.yaw_rad]) for w in (start, end))
+    postures = [q_near]
+    for k in range(_SAMPLES + 1):
+        x, y, z, yaw = a + minimum_jerk(k / _SAMPLES)[0] * (b - a)
+        postures.append(grasp_posture(scene, robot, level_pose(x, y, z, yaw), postures[-1]))
+    q = np.array(postures[1:])
+    # Samples are even in time: differences give speeds and accelerations for a duration of 1 s.
+    speed = np.abs(np.diff(q, axis=0)) * _SAMPLES / (pace.joint_speed_share * robot.v_max)
+    acceleration = np.abs(np.diff(q, 2, axis=0)) * _SAMPLES**2 / (pace.joint_acceleration_share * robot.a_max)
+    distance, turn = float(np.linalg.norm(b[:3] - a[:3])), float(abs(b[3] - a[3]))
+    return max(
+        _LEAST_S,
+        _time(distance, pace.object_speed_m_per_s, pace.object_acceleration_m_per_s2),
+        _time(turn, pace.object_turn_rad_per_s, pace.object_turn_rad_per_s2),
+        float(speed.max()),
+        float(np.sqrt(acceleration.max())),
+    ), q[-1]
 
 
 def joint_move(
@@ -39,46 +90,37 @@ def joint_move(
 class HeldMotion:
     """Object motion along level poses, tilted as grasped by `T_level_object` (`control.commands.ObjectMotion`).
 
-    `rests_at_s` holds one path time throughout.
+    It begins at path time `start_s` and rests beyond the path's ends.
     """
 
     path: ObjectPath
     T_level_object: Array
+    start_s: float
     duration_s: float
-    rests_at_s: float | None = None
 
     def at(self, t_s: float) -> ObjectState:
         """Return the object state at a time [s]."""
-        state = self.path.at(t_s if self.rests_at_s is None else self.rests_at_s)
+        state = self.path.at(self.start_s + t_s)
         return ObjectState(state.T_world_object @ self.T_level_object, state.twist, state.acceleration)
 
 
-@dataclass(frozen=True)
-class Squeeze:
-    """Linear ramp of the internal force [N], then constant."""
-
-    start_n: float
-    end_n: float
-    ramp_s: float
-
-    def __call__(self, t_s: float) -> float:
-        """Return the internal force [N] at a time [s]."""
-        return self.start_n + min(1.0, t_s / self.ramp_s) * (self.end_n - self.start_n)
-
-
-def held_motion(phase: str, path: ObjectPath, T_level_object: Array, squeeze_n: float) -> tuple[HeldMotion, Squeeze]:
-    """Return a phase's object motion and internal force.
+def held_motion(
+    phase: str, path: ObjectPath, T_level_object: Array, squeeze_n: float
+) -> tuple[HeldMotion, Callable[[float], float]]:
+    """Return a phase's object motion, and its internal force [N] by time [s].
 
     squeeze: ramp up at the path's start; carry: the path, plus landing; unload: ramp down at its end. The ramps keep
     controller C's rate.
     """
     ramp_s = max(PHASES[phase].force_s, squeeze_n / SQUEEZE_RATE_N_PER_S)
     if phase == "squeeze":
-        motion = HeldMotion(path, T_level_object, ramp_s + PHASES["settle"].force_s, rests_at_s=0.0)
-        return motion, Squeeze(0.0, squeeze_n, ramp_s)
+        duration_s = ramp_s + PHASES["settle"].force_s
+        motion = HeldMotion(path, T_level_object, -duration_s, duration_s)
+        return motion, lambda t_s: squeeze_n * min(1.0, t_s / ramp_s)
     if phase == "carry":
-        return HeldMotion(path, T_level_object, path.duration_s + LANDED_S), Squeeze(squeeze_n, squeeze_n, ramp_s)
-    return HeldMotion(path, T_level_object, ramp_s, rests_at_s=path.duration_s), Squeeze(squeeze_n, 0.0, ramp_s)
+        return HeldMotion(path, T_level_object, 0.0, path.duration_s + LANDED_S), lambda _: squeeze_n
+    motion = HeldMotion(path, T_level_object, path.duration_s, ramp_s)
+    return motion, lambda t_s: squeeze_n * (1.0 - min(1.0, t_s / ramp_s))
 
 
 def plan_path(

@@ -96,10 +96,9 @@ class CarryWatch:
         self._forces += share * (reading.hand_forces - self._forces)
         self._pinch += share * (reading.pinch - self._pinch)
         if self._held is not None:
-            if reading.pose is None:
-                self._held.update(world.q, world.v, None)
-            else:
-                self._held.update(world.q, world.v, reading.pose.T_world_object, reading.pose.age_ticks)
+            pose = reading.pose
+            sample = (None, 0) if pose is None else (pose.T_world_object, pose.age_ticks)
+            self._held.update(world.q, world.v, *sample)
             self._feel()
 
     def take_hold(self) -> None:

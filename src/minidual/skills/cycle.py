@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
 
 from minidual.collision.scene import PlanningScene
-from minidual.collision.shapes import Box, Capsule
+from minidual.collision.shapes import IDENTITY, Box, Cylinder
 from minidual.config.scene import ObjectConfig, SceneConfig
 from minidual.errors import UsageError, unknown_name
 from minidual.plant.bodies import ObjectPose
@@ -19,24 +19,22 @@ from minidual.skills.pipeline.hands import Close, Descend, Grip, Home, Open, Rea
 from minidual.skills.pipeline.search import Pipeline
 from minidual.skills.pipeline.stage import Stage
 from minidual.skills.pipeline.state import Thing
-from minidual.tasks.task import Step, Task, Trial
+from minidual.tasks.task import Task, Trial
 
 _ALONG_Y = (0.5**0.5, -(0.5**0.5), 0.0, 0.0)
-_UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 _BY_FORCE = ("squeeze", "settle", "unload")
 _CARRYING = ("lift", "carry", "lower")
 _OF_HANDS = {"descend": Descend, "close": Close, "open": Open, "retreat": Retreat, "home": Home}
 
 
 def thing_of(body: ObjectConfig) -> Thing:
-    """Return the planner's object; a cylinder becomes an inscribed capsule, which leaves its end rims out."""
+    """Return the planner's object."""
     if body.shape == "box":
         x, y, z = (2.0 * half for half in body.half_sizes_m)
         return Thing(Box(body.name, (0.0, 0.0, 0.0), size_m=(x, y, z)), upright=body.upright)
-    quat, length = _UPRIGHT if body.upright else _ALONG_Y, body.length_m - 2.0 * body.radius_m
-    return Thing(
-        Capsule(body.name, (0.0, 0.0, 0.0), quat, radius_m=body.radius_m, length_m=length), upright=body.upright
-    )
+    quat = IDENTITY if body.upright else _ALONG_Y
+    shape = Cylinder(body.name, (0.0, 0.0, 0.0), quat, body.radius_m, body.length_m)
+    return Thing(shape, upright=body.upright)
 
 
 def around(scene: SceneConfig, robot: Robot = DUAL_PANDA) -> PlanningScene:
@@ -63,46 +61,32 @@ def pipeline_of(task: Task, trial: Trial) -> Pipeline:
     Raises:
         UsageError: Unknown phase, wrong object, or missing grasp.
     """
-    name = task.carried
+    name, stages = task.carried, list[Stage]()
     item = task.objects[name]
     goal = Place("the goal", pose_of(item.body, trial.goal[name]))
-    stages: list[Stage] = []
     steps = [step for step in task.steps if step.phase not in _BY_FORCE]
-    for index, step in enumerate(steps):
+    for step in steps:
         if step.phase not in PHASES:
             raise unknown_name("phase", step.phase, PHASES)
         if step.object not in ("", name):
             raise UsageError(f"step '{step.phase}' is about '{step.object}'; a plan handles one object, '{name}'")
-        label = step.phase if len(step.hands) == len(SIDES) else f"{step.phase} {step.hands[0]}"
-        if step.phase == "approach":
-            bare = [hand for hand in step.hands if hand not in item.grasps]
+    for (carrying, hands), run in itertools.groupby(steps, lambda step: (step.phase in _CARRYING, step.hands)):
+        of_hands = "" if len(hands) == len(SIDES) else f" {hands[0]}"
+        if carrying:  # one stage for lift, carry and lower
+            moves = list(run)
+            rests = any(step.phase == "lower" for step in moves)
+            poses = [T for step in moves for T in step.places]
+            places = [Place(f"place {k + 1}", T, 0.5 * k, rests) for k, T in enumerate(poses)] or [goal]
+            asked = task.scene.task
+            stages.append(Carry(f"carry{of_hands}", places, asked.lift_height_m, asked.tilt_max_rad))
+            continue
+        for step in run:
+            label = f"{step.phase}{of_hands}"
+            if step.phase != "approach":
+                stages.append(_OF_HANDS[step.phase](label, hands))
+                continue
+            bare = [hand for hand in hands if hand not in item.grasps]
             if bare:
                 raise UsageError(f"the {bare[0]} hand has no grasp of '{name}'; there are {', '.join(item.grasps)}")
-            stages.append(
-                Reach(label, step.hands, [Grip("as given", {hand: item.grasps[hand] for hand in step.hands})])
-            )
-        elif step.phase in _CARRYING:
-            following = steps[index + 1] if index + 1 < len(steps) else None
-            if following is None or following.phase not in _CARRYING or following.hands != step.hands:
-                stages.append(_carry(task, _run_of(steps, index), goal))
-        else:
-            stages.append(_OF_HANDS[step.phase](label, step.hands))
+            stages.append(Reach(label, hands, [Grip("as given", {hand: item.grasps[hand] for hand in hands})]))
     return Pipeline(task.name, stages)
-
-
-def _run_of(steps: Sequence[Step], last: int) -> Sequence[Step]:
-    """Return the carrying steps of the same hands up to index `last`."""
-    first = last
-    while first > 0 and steps[first - 1].phase in _CARRYING and steps[first - 1].hands == steps[last].hands:
-        first -= 1
-    return steps[first : last + 1]
-
-
-def _carry(task: Task, steps: Sequence[Step], goal: Place) -> Carry:
-    """Return one stage for lift, carry and lower."""
-    rests = any(step.phase == "lower" for step in steps)
-    poses = [T for step in steps for T in step.places]
-    places = [Place(f"place {k + 1}", T, 0.5 * k, rests) for k, T in enumerate(poses)] or [goal]
-    hands = steps[0].hands
-    label, asked = "carry" if len(hands) == len(SIDES) else f"carry {hands[0]}", task.scene.task
-    return Carry(label, places, asked.lift_height_m, asked.tilt_max_rad)

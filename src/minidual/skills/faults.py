@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -12,35 +12,14 @@ import numpy.typing as npt
 from minidual.config.control import CarryFaultConfig
 from minidual.robot.pair import SIDES, Array
 
-
-@dataclass(frozen=True)
-class FaultKind:
-    """How a fault is detected, and whether the hands then open."""
-
-    sensed_by: str
-    opens_hands: bool
-
-
-FAULTS: dict[str, FaultKind] = {
-    "missed_grasp": FaultKind("a hand closes past the object's width, or does not pinch in time", True),
-    "knocked_away": FaultKind("the object leaves the place where it lay, in two pose samples in a row", True),
-    "object_lost": FaultKind("a hand hardly pinches any more", True),
-    "slip": FaultKind("the object moves in the hands, the hands move along it, or the squeeze breaks down", False),
-    "tilted": FaultKind("the estimated tilt of the object", False),
-    "lost_arm": FaultKind("the motors of an arm do not give the torque they were told", True),
-    "reflex": FaultKind("a bound of the supervisor does not hold; its own soft stop acts at once", False),
-    "interrupted": FaultKind(
-        "the arbiter lets the motion go no further: another mode or a halt is asked for, a command is refused or goes "
-        "stale",
-        False,
-    ),
-    "unreachable": FaultKind("no posture for a grasp or along the path: the hands do not begin it", True),
-    "singular": FaultKind("a hand that holds the object has lost a direction of motion", False),
-}
+OPENING = ("missed_grasp", "knocked_away", "object_lost", "lost_arm", "unreachable")
+"""Faults after which the hands open."""
+CLOSED = ("slip", "tilted", "reflex", "interrupted", "singular")
+"""Faults after which they keep their command."""
 
 
 class Fault(NamedTuple):
-    """A detected fault; `name` is a key of FAULTS, `at_s` the time of its stop."""
+    """A detected fault; `name` is in OPENING or CLOSED, `at_s` the time of its stop."""
 
     name: str
     detail: str
@@ -60,23 +39,23 @@ _LEARNT = 10
 
 
 class _Scatter:
-    """RMS distance of a resting object's readings."""
+    """RMS scatter (distance [m], angle [rad]) of a resting object's readings, at least `least` (2,)."""
 
-    def __init__(self, least: float) -> None:
-        self._least, self._squares, self._count = least, 0.0, 0
+    def __init__(self, least: Sequence[float]) -> None:
+        self._least = np.array(least)
+        self._squares, self._count = np.zeros((2, 2))
 
-    @property
-    def limit(self) -> float:
-        """Noise limit; generous until enough samples."""
-        if self._count < _LEARNT:
-            return 4.0 * self._least
-        return max(self._least, _SCATTERS * float(np.sqrt(self._squares / self._count)))
+    def exceeded(self, away: Sequence[float]) -> npt.NDArray[np.bool_]:
+        """Return which of away (2,) the noise does not explain; NaN is not explained."""
+        learnt = _SCATTERS * np.sqrt(self._squares / np.maximum(self._count, 1.0))
+        limit = np.where(self._count < _LEARNT, 4.0 * self._least, np.maximum(self._least, learnt))
+        return ~(np.asarray(away) <= limit)
 
-    def learn(self, distance: float) -> None:
-        """Add a reading of an unmoved object unless it is an outlier."""
-        if distance <= self.limit:
-            self._squares += distance**2
-            self._count += 1
+    def learn(self, away: Sequence[float]) -> None:
+        """Add a reading of an unmoved object, without outliers."""
+        usual = ~self.exceeded(away)
+        self._squares[usual] += np.square(away)[usual]
+        self._count += usual
 
 
 class FaultMonitor:
@@ -93,10 +72,7 @@ class FaultMonitor:
         self._motors_missing = False
         self.lost: npt.NDArray[np.bool_] = np.zeros(len(SIDES), dtype=bool)
         """(2,) arms with lost motors; latched."""
-        self._away_m, self._away_rad = _Scatter(config.displaced_m), _Scatter(config.displaced_rad)
-
-    def _is_away(self, innovation: tuple[float, float]) -> bool:
-        return not (innovation[0] <= self._away_m.limit and innovation[1] <= self._away_rad.limit)
+        self._scatter = _Scatter((config.displaced_m, config.displaced_rad))
 
     def _lasts(self, key: str, now: bool, needed: int | None = None) -> bool:
         """Return whether `now` has held for the needed calls in a row."""
@@ -123,12 +99,10 @@ class FaultMonitor:
 
     def resting(self, innovation: tuple[float, float]) -> Fault | None:
         """Check a pose sample of an untouched object."""
-        away_m, away_rad = innovation
-        away = self._is_away(innovation)
-        self._away_m.learn(away_m)
-        self._away_rad.learn(away_rad)
+        away = bool(self._scatter.exceeded(innovation).any())
+        self._scatter.learn(innovation)
         if self._lasts("resting", away, 2):
-            return Fault("knocked_away", f"the object is {1e3 * away_m:.0f} mm from where it lay")
+            return Fault("knocked_away", f"the object is {1e3 * innovation[0]:.0f} mm from where it lay")
         return None
 
     def closing(self, gap_m: Array, pinch_n: Array, t_s: float) -> Fault | None:
@@ -166,7 +140,7 @@ class FaultMonitor:
     def held_pose(self, innovation: tuple[float, float]) -> Fault | None:
         """Check a pose sample against the hands."""
         away_m, away_rad = innovation
-        if self._lasts("held", self._is_away(innovation), 2):
+        if self._lasts("held", bool(self._scatter.exceeded(innovation).any()), 2):
             return Fault(
                 "slip", f"the object is {1e3 * away_m:.1f} mm, {np.degrees(away_rad):.1f} deg off in the hands"
             )

@@ -34,17 +34,11 @@ class Execution:
     """Deviation of the object from the plan.
 
     Attributes:
-        at_m_s, at_rad_s: Plan times of the largest deviations [s].
-        grasp_error_m, grasp_error_rad: At the start, from closing.
         end_error_m, end_error_rad: At final rest.
     """
 
     error_max_m: float
     error_max_rad: float
-    at_m_s: float
-    at_rad_s: float
-    grasp_error_m: float
-    grasp_error_rad: float
     end_error_m: float
     end_error_rad: float
     pinch_min_n: float
@@ -91,13 +85,5 @@ def execute(
         pinch.append(float(world.truth().pinch().min()))
     if drive.aborted is not None:
         raise NotDrivenError(drive.aborted)
-    deviations = np.array(errors)
-    worst = np.argmax(deviations, axis=0)
-    numbers: list[float] = [
-        *np.max(deviations, axis=0),
-        *(worst * world.dt),
-        *deviations[0],
-        *deviations[-1],
-        np.min(pinch),
-    ]
-    return Execution(*map(float, numbers))
+    most_m, most_rad = np.max(errors, axis=0).tolist()
+    return Execution(most_m, most_rad, *errors[-1], min(pinch))

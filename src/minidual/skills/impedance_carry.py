@@ -16,7 +16,7 @@ from minidual.config.seeds import stream
 from minidual.control.commands import ArbiterState, Command, JointCommand, ObjectCommand, TrajectoryCommand
 from minidual.control.object_impedance import ObjectState, SingularPostureError
 from minidual.control.reflexes import ReflexError
-from minidual.control.soft_stop import SoftStop
+from minidual.control.soft_stop import STOP_SHARE, SoftStop
 from minidual.control.stack import DEFAULT_CONTROLLERS, OBJECT_CONTROLLERS, ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.plant.protocol import ObjectSensors
@@ -27,7 +27,7 @@ from minidual.robot.pair import Array
 from minidual.robot.poses import inverse
 from minidual.skills.carry_motions import held_motion, held_object, joint_move, plan_path
 from minidual.skills.carry_watch import CarryWatch
-from minidual.skills.faults import FAULTS, Fault
+from minidual.skills.faults import OPENING, Fault
 from minidual.skills.phases import PHASES
 from minidual.skills.pipeline.drive import SOURCE
 from minidual.skills.reach import GraspUnreachableError, grasp_posture
@@ -55,6 +55,7 @@ class ImpedanceCarry:
     Attributes:
         phase: Present phase; `stop` after a fault, then `done`.
         fault: The fault that stopped it, or None.
+        watch: What is sensed of the object.
     """
 
     name = "impedance"
@@ -74,15 +75,14 @@ class ImpedanceCarry:
         self.world, self._kinematics, self._config, self._trial = world, kinematics, config, trial
         if sensors is None:
             sensors = Sensors(world, config.sensing, stream(seed, f"sensing/{trial.purpose}", trial.index))
-        self._watch = CarryWatch(world, kinematics, config, sensors)
+        self.watch = CarryWatch(world, kinematics, config, sensors)
         self.stack = ControlStack(
             world,
             kinematics,
             arbiter,
             pinch_force_n=config.impedance.pinch_n,
-            sensor=self._watch,
+            sensor=self.watch,
             supervisor=supervisor or Supervisor(dt_s=world.dt, kinematics=Kinematics(world.robot)),
-            stop_share=config.faults.deceleration_share,
         )
         self.stack.on_flush(self._flushed)
         self.phase, self._began_s, self._sequence = "approach", world.time, 0
@@ -105,27 +105,17 @@ class ImpedanceCarry:
         return None if self.fault is None else self.fault.text
 
     @property
-    def estimate(self) -> ObjectState:
-        """Estimated object state."""
-        return self._watch.estimate
-
-    @property
-    def squeeze_n(self) -> float:
-        """Requested internal force [N]; reduced on slip."""
-        return self._watch.squeeze_n
-
-    @property
     def desired(self) -> ObjectState | None:
         """Desired object state; None unless controller C is active."""
         return self.stack.impedance.desired if self._law_drives else None
 
     def step(self) -> None:
         """Run one control step."""
-        self._watch.sense()
-        lost = None if self._told is None else self._watch.motors(self._told)
+        self.watch.sense()
+        lost = None if self._told is None else self.watch.motors(self._told)
         if lost is not None:
             self._halt(lost)
-            self.stack.switch_off(self._watch.lost_arms)
+            self.stack.switch_off(self.watch.lost_arms)
         self._halt(self._sensed())
         self._advance()
         if self.fault is None:
@@ -135,7 +125,8 @@ class ImpedanceCarry:
         except ReflexError as error:
             self._halted, cause = True, error.__cause__
             singular = isinstance(cause, SingularPostureError)
-            self._note("singular" if singular else "reflex", cause.message if singular else error.reflex.text)
+            text = cause.message if singular else error.reflex.text
+            self._note("singular" if singular else "reflex", text, at_s=error.reflex.time_s)
         else:
             self._heed_arbiter()
         self._told = self.stack.applied
@@ -163,7 +154,7 @@ class ImpedanceCarry:
 
     def _phases(self) -> Iterator[None]:
         """Propose phase after phase; yields once a control step."""
-        world, watch, stack = self.world, self._watch, self.stack
+        world, watch, stack = self.world, self.watch, self.stack
         q_over = self._grasp(world.robot.home, above_m=PHASES["approach"].rise_m)
         self._grasp(q_over)  # before anything moves
         stack.request(SOURCE)
@@ -190,7 +181,7 @@ class ImpedanceCarry:
         watch.take_hold()
         stack.switch_controllers(OBJECT_CONTROLLERS)
         for phase in ("squeeze", "carry", "unload"):
-            self._propose(phase, ObjectCommand, *held_motion(phase, path, T_level_object, self.squeeze_n), _CLOSED)
+            self._propose(phase, ObjectCommand, *held_motion(phase, path, T_level_object, watch.squeeze_n), _CLOSED)
             yield from self._executing()
         watch.let_go()
         stack.switch_controllers(DEFAULT_CONTROLLERS)
@@ -201,7 +192,7 @@ class ImpedanceCarry:
 
     def _grasp(self, q_near: Array, *, above_m: float = 0.0) -> Array:
         """Return the posture (n,) at or over the grasps."""
-        level = level_part(self._watch.T_world_object)
+        level = level_part(self.watch.T_world_object)
         return grasp_posture(self.world.scene, self.world.robot, level, q_near, above_m=above_m)
 
     def _move(self, phase: str, q: Array, q_goal: Array, duration_s: float | None = None) -> Iterator[None]:
@@ -236,7 +227,7 @@ class ImpedanceCarry:
 
     def _sensed(self) -> Fault | None:
         """Return the fault that the sensors show in this phase."""
-        watch, phase = self._watch, self.phase
+        watch, phase = self.watch, self.phase
         if phase in ("approach", "descend"):
             return watch.resting()
         if phase == "close":
@@ -252,7 +243,7 @@ class ImpedanceCarry:
         if fault is None or self._halted:
             return
         self._halted = True
-        opens = FAULTS[fault.name].opens_hands and self.stack.source == SOURCE
+        opens = fault.name in OPENING and self.stack.source == SOURCE
         self.stack.halt(SOURCE, _OPEN if opens else None)
         self._note(fault.name, fault.detail)
 
@@ -272,14 +263,14 @@ class ImpedanceCarry:
         elif stack.state in (ArbiterState.STALE, ArbiterState.STOPPED):
             self._note("interrupted", f"the arbiter is {stack.state}: it has not heard of the carry", _BRAKED_S)
 
-    def _note(self, name: str, detail: str, stop_s: float | None = None) -> None:
+    def _note(self, name: str, detail: str, stop_s: float | None = None, at_s: float | None = None) -> None:
         """Record the first fault and the time to rest."""
         if self.fault is not None:
             return
         world = self.world
-        self.fault = Fault(name, detail, world.time)
+        self.fault = Fault(name, detail, world.time if at_s is None else at_s)
         if stop_s is None:
-            stop_s = SoftStop(world.q, world.v, self._config.faults.deceleration_share * world.robot.a_max).duration_s
+            stop_s = SoftStop(world.q, world.v, STOP_SHARE * world.robot.a_max).duration_s
         self._stop_s = stop_s
 
     def _stop_if_due(self) -> None:

@@ -5,6 +5,7 @@ It reads only the rod's start; with fixed timing, its motion is a smooth, learna
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,18 +22,11 @@ from minidual.skills.phases import PHASES
 from minidual.tasks.rod_carry import grasp_offsets, level_pose, placement
 from minidual.tasks.task import Trial
 
+_ORDER = ("approach", "correct", "descend", "close", "lift", "carry", "lower", "open", "retreat", "rest")
+_OVERLAPPING, _HOLDING = ("correct", "descend"), ("close", "open")
 _WRIST_COST = 0.1
 """The last joint only turns the hand. With equal costs the elbow swings, and near the table joint 5 moves three times
 as fast."""
-
-
-@dataclass(frozen=True)
-class Phase:
-    """A phase with start and end [s]; phases may overlap."""
-
-    name: str
-    start_s: float
-    end_s: float
 
 
 @dataclass(frozen=True)
@@ -42,12 +36,13 @@ class Demonstration:
     Attributes:
         q: Joint targets (T, n) [rad]; q[0] is home.
         gripper: (T, 2), 0 closed or 1 open.
+        phases: {name: (start, end) [s]}; they may overlap.
     """
 
     rate_hz: float
     q: Array
     gripper: Array
-    phases: tuple[Phase, ...]
+    phases: Mapping[str, tuple[float, float]]
 
     @property
     def duration_s(self) -> float:
@@ -75,35 +70,21 @@ class ScriptedOperator:
         self._home_poses = kinematics.tcp_poses(robot.home)
         self._grasps = grasp_offsets(scene)
 
-    def phases(self) -> tuple[Phase, ...]:
-        """Return the phases, the same in every trial.
+    def phases(self) -> dict[str, tuple[float, float]]:
+        """Return {name: (start, end) [s]}, the same in every trial.
 
         They overlap over the rod: a policy without speed or time could learn to wait there for ever.
         """
-        c = self.config
-        result: list[Phase] = []
-        start = 0.0
-        lead = {"correct": c.overlap_s, "descend": c.overlap_s}
-        for name, duration in (
-            ("approach", c.approach_s),
-            ("correct", c.correct_s),
-            ("descend", c.descend_s),
-            ("close", PHASES["close"].hold_s),
-            ("lift", c.lift_s),
-            ("carry", c.carry_s),
-            ("lower", c.lower_s),
-            ("open", PHASES["open"].hold_s),
-            ("retreat", c.retreat_s),
-            ("rest", c.rest_s),
-        ):
-            start -= lead.get(name, 0.0)
-            result.append(Phase(name, start, start + duration))
-            start += duration
-        return tuple(result)
+        phases, end = {}, 0.0
+        for name in _ORDER:
+            start = end - (self.config.overlap_s if name in _OVERLAPPING else 0.0)
+            lasts_s = PHASES[name].hold_s if name in _HOLDING else getattr(self.config, f"{name}_s")
+            phases[name] = start, (end := start + lasts_s)
+        return phases
 
     def approach_error(self, seed: int, trial: Trial) -> Array:
         """Return the trial's approach error (x [m], y [m], yaw [rad])."""
-        scale = np.array([self.config.approach_noise_m, self.config.approach_noise_m, self.config.approach_noise_rad])
+        scale = np.array([self.config.approach_noise_m] * 2 + [self.config.approach_noise_rad])
         rng = stream(seed, f"operator/{trial.purpose}", trial.index)
         return scale * np.clip(rng.standard_normal(3), -2.0, 2.0)
 
@@ -114,7 +95,7 @@ class ScriptedOperator:
             UsageError: A pose is out of reach.
         """
         phases = self.phases()
-        ticks = round(phases[-1].end_s * rate_hz)
+        ticks = round(phases["rest"][1] * rate_hz)
         times = np.arange(ticks) / rate_hz
         error = self.approach_error(seed, trial)
         q = np.empty((ticks, self._robot.dof))
@@ -123,12 +104,14 @@ class ScriptedOperator:
             left, right = self._hand_poses(float(t), trial, error, phases)
             current = self._ik.solve(left, right, current)
             q[k] = current
-        closed = (times >= _of(phases, "close").start_s - 1e-9) & (times < _of(phases, "open").start_s - 1e-9)
+        closed = (times >= phases["close"][0] - 1e-9) & (times < phases["open"][0] - 1e-9)
         gripper = np.where(closed[:, None], 0.0, 1.0) * np.ones(2)
         return Demonstration(rate_hz, q, gripper, phases)
 
-    def _hand_poses(self, t: float, trial: Trial, error: Array, phases: tuple[Phase, ...]) -> tuple[Array, Array]:
-        progress = {p.name: minimum_jerk((t - p.start_s) / (p.end_s - p.start_s))[0] for p in phases}
+    def _hand_poses(
+        self, t: float, trial: Trial, error: Array, phases: Mapping[str, tuple[float, float]]
+    ) -> tuple[Array, Array]:
+        progress = {name: minimum_jerk((t - start) / (end - start))[0] for name, (start, end) in phases.items()}
         T_world_rod = self._rod_pose(trial, error, progress)
         grasped = [T_world_rod @ T_rod_tcp for T_rod_tcp in self._grasps]
         s = progress["approach"]
@@ -140,18 +123,12 @@ class ScriptedOperator:
     def _rod_pose(self, trial: Trial, error: Array, progress: dict[str, float]) -> Array:
         """Return the level rod pose as if always held."""
         lift = self.scene.task.lift_height_m
-        start = np.array(placement(trial.start[self.scene.object.name])) + error * (1.0 - progress["correct"])
-        x, y, yaw = start + (np.array(placement(trial.goal[self.scene.object.name])) - start) * progress["carry"]
-        height = (
-            self.scene.object.radius_m
-            + PHASES["approach"].rise_m * (1.0 - progress["descend"] + progress["retreat"])
-            + lift * (progress["lift"] - progress["lower"])
-        )
-        return level_pose(x, y, height, yaw)
-
-
-def _of(phases: tuple[Phase, ...], name: str) -> Phase:
-    return next(p for p in phases if p.name == name)
+        begin, goal = (np.array(placement(where[self.scene.object.name])) for where in (trial.start, trial.goal))
+        start = begin + error * (1.0 - progress["correct"])
+        x, y, yaw = start + (goal - start) * progress["carry"]
+        above = PHASES["approach"].rise_m * (1.0 - progress["descend"] + progress["retreat"])
+        raised = lift * (progress["lift"] - progress["lower"])
+        return level_pose(x, y, self.scene.object.radius_m + above + raised, yaw)
 
 
 def _between(T_from: Array, T_to: Array, s: float) -> Array:

@@ -13,15 +13,13 @@ from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 from minidual.skills.cycle import around, pipeline_of, thing_of
-from minidual.skills.pipeline.drive import SOURCE, Drive
+from minidual.skills.pipeline.drive import Drive
 from minidual.skills.pipeline.search import Solution, TaskFailedError
 from minidual.skills.pipeline.stage import Gap, Tools
 from minidual.skills.pipeline.state import State
 from minidual.skills.supervised import arm_distance
 from minidual.tasks.rod_carry import level_part
 from minidual.tasks.task import Task, Trial
-
-__all__ = ["SOURCE", "PlannedCarry"]
 
 _GAP_MARGIN_M = 0.005
 

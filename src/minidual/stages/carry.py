@@ -52,7 +52,7 @@ _WORDS = {
     ),
     "saturated_max_s": (
         "longest time that a motor stands at its limit, failed trials included: a fault must stop softly",
-        "lower carry.faults.deceleration_share",
+        "lower the speeds of carry.pace: a slower carry stops with less torque",
     ),
 }
 """What each limit protects, and what to do."""

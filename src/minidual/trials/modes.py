@@ -160,7 +160,7 @@ class ModesDemo:
     def _step(self) -> None:
         stack, switch = self.stack, self.switches[-1]
         stack.step()
-        now = np.array([stack.output.q_target, stack.reference, stack.applied, stack.tau])
+        now = np.array([stack.output.q_target, stack.manager.reference, stack.applied, stack.manager.tau])
         steps = np.abs(now - (now if self._last is None else self._last))
         self._last = now
         self._measure(switch, *steps)
