@@ -51,8 +51,8 @@ class Overlay:
     """State at one instant. Empty text and None are not shown.
 
     Attributes:
-        mode: Source that may drive ("hold" if none), or method.
-        source: Source whose commands reach the motors.
+        mode: Source that may drive, or method.
+        source: Source that reaches the motors.
         state: Arbiter state and method phase.
         pinch_n: Pinch force per hand (left, right).
         internal_n: Squeeze along the object.

@@ -21,25 +21,14 @@ class View(Protocol):
     `update` copies; it never waits for clients nor raises when they disconnect.
     """
 
-    @property
-    def name(self) -> str:
-        """Value of `--view`."""
-        ...
-
-    @property
-    def url(self) -> str | None:
-        """Browser address."""
-        ...
-
-    @property
-    def speed_max(self) -> float:
-        """Limit of simulated / wall time; 0: none."""
-        ...
-
-    @property
-    def alive(self) -> bool:
-        """Whether it is visible; False after `close` or an error."""
-        ...
+    name: str
+    """Value of `--view`."""
+    url: str | None
+    """Browser address."""
+    speed_max: float
+    """Limit of simulated / wall time; 0: none."""
+    alive: bool
+    """Whether it is visible; False after `close` or an error."""
 
     def open(self, model: mujoco.MjModel) -> None:
         """Replace the shown model; it needs visual meshes."""

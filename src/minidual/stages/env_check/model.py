@@ -30,8 +30,8 @@ def torque_pulse_mapping(
 ) -> tuple[int, ...]:
     """Return the joint that a one-step torque pulse on each command moves, -1 if none as predicted.
 
-    The response must be column j of the inverse inertia matrix. Columns are compared because coupling can move a
-    neighbour more than the joint itself. One step from rest: (M + dt D) dv = dt tau, with implicit damping D.
+    The response must be column j of the inverse inertia matrix: coupling can move a neighbour more than the joint
+    itself. One step from rest: (M + dt D) dv = dt tau.
     """
     robot, n = world.robot, world.robot.dof
     world.reset()
@@ -62,8 +62,7 @@ def model_agreement(world: World, kinematics: Kinematics, rng: np.random.Generat
     """Compare MuJoCo with Pinocchio at random states.
 
     Returns:
-        Largest absolute difference of `position_m` and `rotation` (tool centre points), `inertia_kg_m2` (mass matrix)
-            and `bias_nm` (Coriolis, centrifugal and gravity torques).
+        Largest absolute difference of `position_m` and `rotation` (TCPs), `inertia_kg_m2` and `bias_nm`.
     """
     robot, rows = world.robot, world.joints.qvel
     largest: dict[str, float] = dict.fromkeys(("position_m", "rotation", "inertia_kg_m2", "bias_nm"), 0.0)

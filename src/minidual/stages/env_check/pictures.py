@@ -21,12 +21,12 @@ from minidual.stages.env_check.tracking import JointResponse, Tracking
 
 @dataclass(frozen=True)
 class CameraCheck:
-    """What the cameras see, as shares of a picture (0..1) unless noted.
+    """What the cameras see.
 
     Attributes:
-        contrast_min: Least standard deviation of brightness (0..255); 0 is one flat colour.
-        object_share: Least share of a task object in `high`.
-        fingers_min: Least share of a fingertip in its wrist camera.
+        contrast_min: Least standard deviation of brightness (0..255).
+        object_share: Least share of `high` that a task object takes.
+        fingers_min: The same of a fingertip and its wrist camera.
     """
 
     contrast_min: float

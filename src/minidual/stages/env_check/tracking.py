@@ -112,11 +112,10 @@ class Tracking:
 
     Attributes:
         t: (T,) [s].
-        reference: (T, n) [rad].
-        measured: (T, n) [rad].
+        reference, measured: (T, n) [rad].
         start: (n,) [rad] before the first step.
-        contacts: Number of checks, every tenth step, with an arm in contact.
-        step_us: Median wall time of control and physics of one step [us].
+        contacts: Checks, every tenth step, with an arm in contact.
+        step_us: Median wall time of a step [us].
         fault: See Rig.
     """
 
@@ -140,7 +139,7 @@ class Tracking:
 
     @property
     def settled(self) -> float:
-        """Largest error norm in the last 0.2 s [rad]; one instant may be a zero crossing."""
+        """Largest error norm in the last 0.2 s [rad]."""
         return float(self.error_norm[self.t > self.t[-1] - _SETTLED_S].max())
 
     def share(self, joint: int) -> Array:
@@ -276,8 +275,8 @@ class CommandLatency:
 
     Attributes:
         ticks: Control steps from `propose` to the first changed torque, per instant after an arbiter tick: without
-            delay the step of the next tick, so 1, then one period down to 2.
-        wall_us: Median wall time from `propose` to the end of that step, just before an arbiter tick [us].
+            delay 1, then one period down to 2.
+        wall_us: Median wall time of `propose` and the step with the arbiter tick [us].
     """
 
     ticks: tuple[int, ...]
@@ -328,7 +327,7 @@ class StopResponse:
 
     Attributes:
         ticks: Control steps to the reflex `emergency_stop`; 1 is the next, 0 means none.
-        rest_s: Simulated time from the reflex until all joints are below 0.01 rad/s; NaN after 2 s.
+        rest_s: From the reflex until all joints are below 0.01 rad/s; NaN after 2 s.
         speed_rad_s: Fastest joint at the call.
     """
 
