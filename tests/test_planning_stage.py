@@ -17,7 +17,7 @@ from minidual.config.root import Config
 from minidual.errors import ConfigError, DataError
 from minidual.gate.stage import StageContext
 from minidual.motion.api import Planner
-from minidual.proof.scene_engines import Audit
+from minidual.proof.scene_engines import Audit, SceneEngines
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import pose
 from minidual.stages import plan
@@ -218,6 +218,21 @@ def test_the_first_plan_includes_the_scene(outcomes):
     times = {c.name: c.observed for c in group_checks("left_arm", slow, PlanConfig())}
     assert times["left_arm.first_plan_median_s"] == 1.25
     assert times["left_arm.replan_median_s"] == 0.25
+
+
+def test_each_query_pays_for_its_scene(monkeypatch):
+    """The warm-up leaves no scene behind."""
+    built = []
+
+    class Counted(SceneEngines):
+        def __init__(self, scene, *more):
+            built.append(scene)
+            super().__init__(scene, *more)
+
+    monkeypatch.setattr("minidual.motion.api.SceneEngines", Counted)
+    outcomes = run_queries(PlanConfig(), 20260, queries_n=1)
+    for done in outcomes.values():
+        assert built.count(done[0].query.scene) == 2
 
 
 def test_queries_repeat_and_differ():
