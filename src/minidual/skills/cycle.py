@@ -24,6 +24,8 @@ from minidual.tasks.task import Task, Trial
 _ALONG_Y = (0.5**0.5, -(0.5**0.5), 0.0, 0.0)
 _BY_FORCE = ("squeeze", "settle", "unload")
 _CARRYING = ("lift", "carry", "lower")
+_PLANNED_TILT = 0.9
+"""Share of the task's tilt limit that a plan may use: driven, the object tilts a little more."""
 _OF_HANDS = {"descend": Descend, "close": Close, "open": Open, "retreat": Retreat, "home": Home}
 
 
@@ -78,7 +80,8 @@ def pipeline_of(task: Task, trial: Trial) -> Pipeline:
             poses = [T for step in moves for T in step.places]
             places = [Place(f"place {k + 1}", T, 0.5 * k, rests) for k, T in enumerate(poses)] or [goal]
             asked = task.scene.task
-            stages.append(Carry(f"carry{of_hands}", places, asked.lift_height_m, asked.tilt_max_rad))
+            tilt_max_rad = _PLANNED_TILT * asked.tilt_max_rad
+            stages.append(Carry(f"carry{of_hands}", places, asked.lift_height_m, tilt_max_rad))
             continue
         for step in run:
             label = f"{step.phase}{of_hands}"
