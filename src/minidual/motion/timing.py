@@ -105,7 +105,7 @@ def drive(
         q, first, second = (path.at(at, order)[:, : robot.dof] for order in range(3))
         v = first * speed[:, None]
         a = second * speed[:, None] ** 2 + first * acceleration[:, None]
-        # np.maximum propagates NaN, and Trajectory rejects it.
+        # np.maximum propagates NaN, and Trajectory refuses it.
         factor = float(np.max(largest(v) / v_max))
         factor = np.maximum(factor, math.sqrt(np.max(largest(a) / a_max)))
         factor = np.maximum(factor, math.cbrt(np.max(largest(np.diff(a, axis=0)) / jerk_max) / DT_S))

@@ -37,7 +37,7 @@ _CROSSED_BY_M = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Query:
-    """One planning problem.
+    """What to plan.
 
     Attributes:
         seed: Planner seed.
