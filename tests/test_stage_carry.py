@@ -23,7 +23,7 @@ from minidual.trials.runner import Bench, run_trials
 @pytest.mark.parametrize("setting", ["carry.object=glas", "carry.motion=overr"])
 def test_an_unknown_object_or_motion_is_refused_before_anything_runs(setting: str) -> None:
     with pytest.raises(UsageError, match="there are"):
-        STAGES["carry"].checked(load_config("smoke", [setting]).config)
+        STAGES["carry"].resolved(load_config("smoke", [setting]).config, checked=True)
 
 
 def test_the_parameters_are_those_that_the_object_stands_for() -> None:

@@ -173,7 +173,9 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         name = self._task.carried
         T = self._world.object_pose(name)
         level, grasps = level_part(T), self._task.objects[name].grasps
-        tcps = dict(zip(self._world.robot.sides, self._kinematics.tcp_poses(self._world.q), strict=True))
+        tcps: dict[str, Any] = dict(
+            zip(self._world.robot.sides, self._kinematics.tcp_poses(self._world.q), strict=True)
+        )
         hands = [float(np.linalg.norm((level @ grasps[side])[:3, 3] - tcps[side][:3, 3])) for side in grasps]
         x, y, _ = placement(trial.goal[name])
         goal = float(np.linalg.norm(T[:3, 3] - (x, y, self.scene.objects[name].rest_height_m)))
