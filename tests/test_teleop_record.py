@@ -256,6 +256,20 @@ def test_attempts_are_bounded_and_their_commonest_reason_reported(
     assert (tmp_path / "quality.csv").read_text().count("left hand") == 6
 
 
+def test_a_recording_without_a_demonstration_is_set_aside_so_that_the_command_tries_again(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, toys: None
+) -> None:
+    monkeypatch.setattr(ToyRig, "late_s", 1.0)
+    config = CONFIG.model_copy(update={"teleop": CONFIG.teleop.model_copy(update={"episodes_n": 2})})
+    context = StageContext(tmp_path / "tmp", config, config.seed, "standard")
+    context.folder.mkdir()
+    for earlier in (0, 1):
+        assert len(list(tmp_path.glob("set-aside/*/attempts"))) == earlier
+        with pytest.raises(NothingEvaluatedError, match=r"none of 3 attempts"):
+            run(context)
+    assert len(list(tmp_path.glob("set-aside/*/rejected/*.hdf5"))) == 6
+
+
 def test_an_unknown_leader_is_refused_before_anything_is_built(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"(?s)no leader 'scriptd'.*did you mean 'scripted'"):
         record(_job(tmp_path, leader="scriptd"), workers=1)

@@ -39,19 +39,20 @@ def claim(folder: Path, inputs: Mapping[str, Any], name: str) -> str:
     An interrupted recording with equal inputs stays and is continued. Another one is set aside under `name`, beside
     `folder`. Temporary files of killed writers are removed.
     """
-    path = folder / INPUTS_FILE
-    left = [folder / name for name in PARTS if (folder / name).exists()]
+    path, gathered = folder / INPUTS_FILE, folder.with_name(f".{name}.aside")
+    if gathered.exists():  # killed while it was set aside
+        durable.set_aside(gathered, name)
     before = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
-    note = ""
-    if left and before != inputs:
-        gathered = folder.with_name(f".{name}.aside")
-        gathered.mkdir(exist_ok=True)
-        for part in left:
-            part.rename(gathered / part.name)
+    note, begun = "", any((folder / part).exists() for part in (KEPT, REJECTED, ATTEMPTS))
+    if begun and before != inputs:
+        gathered.mkdir()
+        for part in (folder / part for part in PARTS):
+            if part.exists():
+                part.rename(gathered / part.name)
         target = durable.set_aside(gathered, name)
         changed = sorted(key for key in before.keys() | inputs.keys() if before.get(key) != inputs.get(key))
         note = f"an interrupted recording with other inputs ({', '.join(changed)}) was moved to {target}"
-    elif left:
+    elif begun:
         halves = [half for half in folder.glob("*/.*.partial") if durable.is_stale(half)]
         for half in halves:
             durable.remove(half)

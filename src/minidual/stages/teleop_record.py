@@ -93,6 +93,7 @@ def run(context: StageContext) -> StageResult:
         recorded = recording.record(job, workers=context.workers, on_attempt=tell, observe=watch)
     write_csv(folder / "quality.csv", [attempt.row() for attempt in recorded.attempts])
     if not recorded.kept:
+        recording.claim(folder, {}, "teleop-record")  # typed again, the command tries again
         raise NothingEvaluatedError(
             f"none of {len(recorded.attempts)} attempts became a demonstration; {_commonest(recorded.attempts)}",
             remedy="read `reason` above; try --set teleop.leader=scripted, or the defaults of teleop.operator",
