@@ -13,9 +13,7 @@ SHAPING = {"range", "zeros", "empty", "ones", "full", "eye", "reshape", "tile", 
 EXCUSED = {
     "motion/held/hands.py": 1,  # the row of V beyond the six of a Jacobian
     "plant/bodies.py": 1,  # position and quaternion of an object
-    "motion/held/path.py": 2,  # position and quaternion of the object
     "show/view/scene.py": 1,  # position and quaternion of a body
-    "trials/tuning.py": 1,  # columns of a table
 }
 """Files with such a number that is no count of joints, and how many."""
 
