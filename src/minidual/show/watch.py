@@ -129,7 +129,7 @@ def trial_hook(view: View, world: World, kinematics: Kinematics, name: str, titl
         if method is not driver:
             driver, stack = method, getattr(method, "stack", None)
             if isinstance(stack, ControlStack):
-                narrator = StackNarrator(stack, kinematics, title, method)
+                narrator = StackNarrator(stack, kinematics, title, lambda: (method.phase, method.aborted))
             else:  # the method computes torques itself
                 narrator = functools.partial(_narrate, method, name, title)
         watcher(world)
@@ -162,17 +162,23 @@ def tcp_preview(kinematics: Kinematics, qs: Array) -> Preview:
 
 
 class StackNarrator:
-    """Describes a control stack: source, arbiter state, trajectories."""
+    """Describes a control stack: source, arbiter state, trajectories; `tell` adds phase and why it stopped itself."""
 
-    def __init__(self, stack: ControlStack, kinematics: Kinematics, title: str, method: Method | None = None) -> None:
-        self._stack, self._kinematics, self._title, self._method = stack, kinematics, title, method
+    def __init__(
+        self,
+        stack: ControlStack,
+        kinematics: Kinematics,
+        title: str,
+        tell: Callable[[], tuple[str, str | None]] = lambda: ("", None),
+    ) -> None:
+        self._stack, self._kinematics, self._title, self._tell = stack, kinematics, title, tell
         self._drawn: tuple[TrajectoryCommand, ...] = ()
         self._preview = NO_PREVIEW
 
     def __call__(self) -> Overlay:
         """Return the current overlay."""
-        stack, method, state = self._stack, self._method, str(self._stack.state)
-        phase, aborted = ("", None) if method is None else (method.phase, method.aborted)
+        stack, state = self._stack, str(self._stack.state)
+        phase, aborted = self._tell()
         return Overlay(
             title=self._title,
             mode=stack.source or "hold",

@@ -45,7 +45,7 @@ def modes(context: ToolContext) -> ToolResult:
     world = World(config.scene, robot_from(config.robot), visuals=True)
     with Camera.recorded(world.model, config.scene.camera) as eyes:
         demo = _demo(context, world, eyes, wanted, checkpoint)
-        doing = lambda: "" if demo.turn is None else demo.turn.caption  # noqa: E731
+        doing = lambda: ("" if demo.turn is None else demo.turn.caption, None)  # noqa: E731
         tell = StackNarrator(demo.stack, Kinematics(world.robot), "modes", doing)
         with (
             Camera(world.model, *FILM_SIZE, shadows=True) as camera,
