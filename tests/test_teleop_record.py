@@ -215,7 +215,7 @@ def test_failed_attempts_are_set_aside_with_their_reason(tmp_path: Path, shared_
     rig.close()
     assert not attempt.success
     assert not attempt.kept
-    assert "rose" in attempt.reason
+    assert "on the table 60 mm from its start" in attempt.reason
     assert attempt.path == tmp_path / "rejected" / "episode_000000.hdf5"
     meta = read_episode(attempt.path, cameras=()).meta
     assert not meta.success
