@@ -17,9 +17,9 @@ Images = Mapping[str, NDArray[np.uint8]]
 Thumbnails = Mapping[str, NDArray[np.float64]]
 
 ACTION_EQUAL_RAD = 1e-6
-"""Largest difference of an equal command and reading; real tracking is never this exact."""
+"""Command and reading closer than this are equal; real tracking is never this exact."""
 ACTION_EQUAL_SHARE = 0.95
-"""Share of equal ticks that is a fault."""
+"""Least share of equal ticks that is a fault."""
 BLACK_LEVEL = 8
 """Largest pixel value of a black image."""
 FROZEN_MOTION_RAD = 0.05
@@ -90,7 +90,7 @@ def check_action_is_command(qpos: Array, action: Array) -> Iterator[EpisodeFault
 
 
 def check_rate(timestamps: Array, fps: float) -> Iterator[EpisodeFault]:
-    """Report a median interval off by 2 %, or any off by half a period; at least two ticks."""
+    """Report a median interval off by 2 %, or any off by half a period; needs two ticks."""
     steps, period_s = np.diff(timestamps), 1.0 / fps
     median_s = float(np.median(steps))
     if abs(median_s - period_s) > 0.02 * period_s:
@@ -152,7 +152,7 @@ def check_images(images: Images, qpos: Array) -> Iterator[EpisodeFault]:
 
 
 def thumbnails(images: Images) -> Thumbnails:
-    """Return block means, about (12, 16, 3), of first images."""
+    """Return each camera's first image as block means, at most (12, 16, 3)."""
     found: dict[str, NDArray[np.float64]] = {}
     for camera, frames in images.items():
         image = frames[0].astype(np.float64)
@@ -164,10 +164,7 @@ def thumbnails(images: Images) -> Thumbnails:
 
 
 def camera_references(episodes: Sequence[Thumbnails]) -> Thumbnails:
-    """Return each camera's median thumbnail.
-
-    Fixed cameras give similar first images in every episode.
-    """
+    """Return each camera's median thumbnail over episodes."""
     names = {camera for views in episodes for camera in views}
     return {c: np.median(np.stack([views[c] for views in episodes if c in views]), axis=0) for c in names}
 

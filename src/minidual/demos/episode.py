@@ -1,30 +1,4 @@
-"""Read and validate a recorded episode.
-
-==============================  ==================================================================
-fault                           meaning
-==============================  ==================================================================
-``file_missing``                no such file
-``file_corrupt``                truncated, not HDF5, or checksum mismatch
-``attributes_wrong``            missing, invalid, or another schema version
-``field_missing``               a required array is absent
-``field_wrong``                 wrong shape or type
-``cameras_wrong``               declared, stored and expected cameras differ
-``too_short``                   fewer than two ticks
-``not_finite``                  NaN or infinity
-``timestamps_not_monotonic``    time does not increase
-``action_equals_qpos``          action is the reading
-``rate_wrong``                  median interval is not 1/fps
-``timestamps_jitter``           interval beyond the limit
-``out_of_sync``                 images over 20 ms from joints
-``joints_wrong``                wrong joint count
-``outside_joint_limits``        wrong order, units or limits
-``images_black``                black frame
-``images_constant``             frame of one colour
-``images_frozen``               constant during motion
-``cameras_identical``           two cameras are equal
-``cameras_swapped``             another camera's view
-==============================  ==================================================================
-"""
+"""Read and validate a recorded episode; docs/data.md lists the faults."""
 
 from __future__ import annotations
 
@@ -66,7 +40,7 @@ class Episode:
 
     @property
     def duration_s(self) -> float:
-        """First to last tick [s]."""
+        """Time from first to last tick [s]."""
         return float(self.timestamps[-1] - self.timestamps[0])
 
     @property
@@ -99,9 +73,9 @@ def read_episode(path: Path | str, *, cameras: Sequence[str] | None = None) -> E
 def inspect_episode(
     path: Path | str, *, cameras: Sequence[str] | None = None, robot: Robot | None = None
 ) -> tuple[Episode | None, list[EpisodeFault]]:
-    """Return an episode (None if unreadable) and every fault; reads all arrays to verify checksums.
+    """Return an episode (None if unreadable) and every fault; None skips the check of `cameras` or `robot`.
 
-    `cameras` and `robot` are checked unless None.
+    All arrays are read, to verify their checksums.
     """
     episode, faults = _load(Path(path), None)
     if episode is None:
@@ -162,7 +136,7 @@ def _load(
 
 
 def _joints_n(file: h5py.File) -> int:
-    """Return the width of qpos, or else of action."""
+    """Return the width of qpos, else of action."""
     found = (file.get(key) for key in ("observations/qpos", "action"))
     return next((f.shape[1] for f in found if isinstance(f, h5py.Dataset) and f.ndim == 2), 0)
 
@@ -186,7 +160,7 @@ def _images(
 def _array(
     file: h5py.File, key: str, shape: tuple[int, ...], dtype: type[Any], faults: list[EpisodeFault]
 ) -> NDArray[Any]:
-    """Return a dataset of the given shape (-1 is any length) and type; append a fault if it is another."""
+    """Return a dataset; append a fault if its shape (-1: any length) or type is another."""
     found: Any = file[key]
     is_array = isinstance(found, h5py.Dataset)
     if is_array and np.can_cast(found.dtype, dtype) and len(found.shape) == len(shape):

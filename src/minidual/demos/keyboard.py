@@ -32,9 +32,7 @@ _SELECTIONS: tuple[list[int], ...] = ([0, 1], [0], [1])
 
 
 class KeyboardLeader(Leader):
-    """Jogs one or both hands.
-
-    Keys move a goal that is followed at bounded speed, so the key repeat rate has no effect.
+    """Jogs one or both hands. Keys move a goal that is followed at bounded speed.
 
     Raises:
         EnvironmentMissingError: The descriptor is not a terminal.

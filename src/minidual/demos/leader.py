@@ -29,7 +29,7 @@ class Leader(ABC):
 
     Attributes:
         realtime: A person or device leads: wall-clock speed, one process, not repeatable.
-        usage: Printed instructions.
+        usage: Instructions, printed before the recording.
     """
 
     realtime: ClassVar[bool] = False
@@ -42,7 +42,7 @@ class Leader(ABC):
 
     @abstractmethod
     def read(self, now_s: float) -> tuple[Array, Array] | None:
-        """Return joints (n,) [rad] and openings (2,), or None."""
+        """Return joints (n,) [rad] and openings (2,) at a time since the start, or None without a reading."""
 
     @abstractmethod
     def finished(self, now_s: float) -> bool:

@@ -1,16 +1,6 @@
-"""Convert HDF5 episodes to LeRobot v3.
+"""Convert HDF5 episodes to LeRobot v3; docs/data.md has the keys.
 
-=============================  ==================================================================
-LeRobot key                    from
-=============================  ==================================================================
-``observation.state``          ``observations/qpos``, ``observations/gripper``; float32
-``action``                     ``action``, ``action_gripper``; float32
-``observation.images.cam_*``   ``observations/images/*`` as h264
-``timestamp``                  tick / fps
-=============================  ==================================================================
-
-Videos are 4:4:4 at crf 12. The usual 4:2:0 at crf 30 loses the colour of a rod two pixels wide: mean difference per
-channel 7.7 of 255 against 2.1 (96x128, 2.3 kB per frame).
+Videos are 4:4:4 at crf 12: the usual 4:2:0 at crf 30 loses the colour of a rod two pixels wide.
 """
 
 from __future__ import annotations
@@ -38,14 +28,14 @@ from minidual.errors import DataError, UsageError
 from minidual.robot.pair import Robot
 
 SOURCES_FILE = "meta/minidual_sources.json"
-"""Lists the recordings."""
+"""Lists the recordings of a dataset."""
 IMAGE_DIFFERENCE_MAX = 6.0
-"""Limit of an image's mean difference per channel, of 255."""
+"""Limit of an image's mean difference to the recorded one, of 255."""
 _VIDEO = {"vcodec": "h264", "preset": "veryfast", "pix_fmt": "yuv444p", "crf": 12}
 
 
 def state_names(robot: Robot) -> tuple[str, ...]:
-    """Return joint, then gripper names."""
+    """Return joint names, then gripper names."""
     return (*robot.joint_names, *(f"{side}_gripper" for side in robot.sides))
 
 
@@ -147,7 +137,7 @@ def _write_dataset(
 
 
 def _vectors(episode: Episode) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return state and action, joints before grippers, (T, n + 2)."""
+    """Return state and action, (T, n + 2)."""
     state, action = ((episode.qpos, episode.gripper), (episode.action, episode.action_gripper))
     return np.concatenate(state, axis=1).astype(np.float32), np.concatenate(action, axis=1).astype(np.float32)
 

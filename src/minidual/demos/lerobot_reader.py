@@ -1,6 +1,6 @@
-"""Read LeRobot v3 datasets without LeRobot, so that verification is independent.
+"""Read LeRobot v3 datasets without LeRobot, to verify them independently.
 
-Decoding once into memory is 30 to 60 times faster than random video access.
+Decoding once into memory is 30 to 60 times faster than random access to videos.
 """
 
 from __future__ import annotations
@@ -66,11 +66,11 @@ class LeRobotTables:
         return len(self.state)
 
     def frames(self, camera: str) -> Iterator[tuple[int, Image]]:
-        """Return an iterator over (row, image (H, W, 3)), streamed.
+        """Stream (row, image (H, W, 3)).
 
         Raises:
             UsageError: Unknown camera.
-            DataError: A corrupt video, or at its end a wrong frame count.
+            DataError: Corrupt video; at its end, wrong frame count.
         """
         if camera not in self.cameras:
             raise unknown_name("camera", camera, self.cameras)

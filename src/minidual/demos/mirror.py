@@ -10,7 +10,7 @@ from minidual.robot.pair import Array, Robot
 
 
 class LeaderOffsetError(UsageError):
-    """The postures differ; the follower would jump."""
+    """Leader and follower are too far apart to begin."""
 
 
 class Mirror:
@@ -24,7 +24,7 @@ class Mirror:
         self.robot, self.config = robot, config
 
     def check_start(self, q_leader: Array, q_follower: Array) -> None:
-        """Raise LeaderOffsetError if too far apart."""
+        """Raise LeaderOffsetError if a joint differs by more than the limit."""
         difference = self.target(q_leader) - q_follower
         worst, limit = int(np.argmax(np.abs(difference))), self.config.start_error_max_rad
         if abs(difference[worst]) > limit:
@@ -38,8 +38,7 @@ class Mirror:
     def target(self, q_leader: Array) -> Array:
         """Return the clipped target (n,) [rad].
 
-        All zeros (lost values) pass unchanged and NaN stays NaN, so the arbiter can refuse them.
-        Clipped zeros would look valid.
+        All zeros (lost values) and NaN pass unchanged, so that the arbiter refuses them.
         """
         q, margin = np.asarray(q_leader, dtype=float), self.config.workspace_margin_rad
         if q.shape != (self.robot.dof,):

@@ -40,7 +40,7 @@ class Observer:
         self._camera = Camera.recorded(world.model, world.scene.camera) if self.cameras else None
 
     def read(self) -> Observation:
-        """Return the present observation."""
+        """Return the current observation."""
         world = self.world
         stamp_s, q, v, gripper = world.stamp_s, world.q, world.v, world.gripper
         images: dict[str, Image] = {}

@@ -23,7 +23,7 @@ class EpisodeQuality:
 
     Attributes:
         path_length_m: Mean of both hands.
-        cells_n: 5 cm cubes visited.
+        cells_n: 5 cm cubes that hands visit.
     """
 
     file: str
@@ -62,7 +62,7 @@ def path_length_m(positions: NDArray[np.floating]) -> Array:
 def path_efficiency(positions: NDArray[np.floating], action_gripper: NDArray[np.floating]) -> float:
     """Return straight over travelled length, 0 to 1, mean of both hands.
 
-    The straight path passes through every grip change. Hands moving under 1 cm are left out; with none the result is 1.
+    The straight path goes through the places of grip changes. Hands moving under 1 cm are left out; 1 if both are.
 
     Args:
         positions: (T, 2, 3) TCPs [m].

@@ -1,7 +1,7 @@
-"""Record trials over processes, or go on with an interrupted recording.
+"""Record trials in several processes, or continue an interrupted recording.
 
-Results do not depend on the workers or on interruptions: each trial has its own random draw and simulated time, and
-rounds have known size.
+Results depend neither on workers nor on interruptions: each trial has its own random draw and simulated time, rounds
+have known size.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from minidual.workers import in_workers
 
 INPUTS_FILE = "inputs.json"
 PARTS = (KEPT, REJECTED, ATTEMPTS, INPUTS_FILE)
-"""Names of a recording in its folder, kept when it is interrupted."""
+"""Entries of a recording's folder that an interruption leaves there."""
 Observe = Callable[[Rig, int], AbstractContextManager[object]]
 """Returns a context entered during the trial."""
 
@@ -34,10 +34,10 @@ _rigs: dict[str, Rig] = {}
 
 
 def claim(folder: Path, inputs: Mapping[str, Any], name: str) -> str:
-    """Prepare `folder` for a recording made from `inputs` (JSON types); return a note on an earlier one, or "".
+    """Prepare `folder` for a recording made from `inputs` (JSON types); return a message about an earlier one, or "".
 
-    An interrupted recording with equal inputs stays and is continued. Another one is set aside under `name`, beside
-    `folder`. Temporary files of killed writers are removed.
+    An interrupted recording with equal inputs stays, to be continued. Another one moves to `set-aside` beside `folder`,
+    under `name`. Temporary files of killed writers are removed.
     """
     path, gathered = folder / INPUTS_FILE, folder.with_name(f".{name}.aside")
     if gathered.exists():  # killed while it was set aside
@@ -83,7 +83,7 @@ def usable_workers(job: Job, workers: int) -> int:
 def record_attempts(
     job: Job, indices: Sequence[int], *, workers: int, observe: Observe | None = None
 ) -> Iterator[Attempt]:
-    """Yield attempts in order; `observe` requires `workers` 1."""
+    """Yield attempts in order; `observe` needs one worker."""
     os.environ.setdefault("LP_NUM_THREADS", "0")  # the software renderer uses the calling thread
     yield from in_workers(lambda index: _record_in_worker(job, index, observe), indices, workers)
 
@@ -109,7 +109,7 @@ class Recording:
     def numbers(self, conversion_s: float = 0.0) -> dict[str, float]:
         """Return the judged numbers; NaN propagates and fails its check.
 
-        Rates are demonstrations per minute without process start; `episodes_per_min` includes `conversion_s`.
+        Rates leave process start out; `episodes_per_min` includes `conversion_s`.
         """
         latencies = np.concatenate([a.latencies_s for a in self.attempts])
         recording_s = sum(a.wall_s for a in self.attempts) / self.workers
@@ -129,7 +129,7 @@ class Recording:
         }
 
     def facts(self) -> dict[str, Any]:
-        """Return the numbers for the report."""
+        """Return the verdict's data."""
         worst = {name: float(np.max([a.measures.get(name, np.nan) for a in self.kept])) for name in MEASURES}
         return {
             "attempts": len(self.attempts),
@@ -153,9 +153,9 @@ class Recording:
 def record(
     job: Job, *, workers: int, on_attempt: Callable[[Attempt], None] | None = None, observe: Observe | None = None
 ) -> Recording:
-    """Record rounds until there are `episodes_n` demonstrations or attempts run out.
+    """Record until there are `episodes_n` demonstrations or the attempts allowed are used up.
 
-    Attempts that an interrupted recording left in `job.folder` are adopted (see `claim`).
+    Attempts that an interrupted recording left in `job.folder` count (see `claim`).
 
     Raises:
         UsageError: Unknown or displaced leader.

@@ -49,7 +49,7 @@ class OrphanedError(MinidualError):
 
 @dataclass(frozen=True)
 class Job:
-    """Inputs shared by all trials; `owner` is the process that records."""
+    """Inputs shared by all trials; `owner` is the id of the recording process."""
 
     folder: Path
     task: Task
@@ -77,10 +77,10 @@ class Attempt:
         reason: Why it is no demonstration, or "".
         path: File, if written.
         measures: Numbers of the outcome.
-        latencies_s: Wall time per tick from reading the leader to its torque.
+        latencies_s: Wall time per tick, see `SessionResult`.
         wall_s: Wall time to plan, run, write and read back.
-        adopted: Whether an earlier process ran it.
-        quality, sync_error_max_s, faults, views: As read back from the file; `views` are the start images.
+        adopted: Whether an interrupted recording ran it.
+        quality, sync_error_max_s, faults, views: Of the file, read back; `views` are thumbnails.
     """
 
     trial: Trial
@@ -98,7 +98,7 @@ class Attempt:
 
     @property
     def kept(self) -> bool:
-        """Whether it is a demonstration."""
+        """Whether it became a demonstration."""
         return not self.reason
 
     def row(self) -> dict[str, Any]:
@@ -134,10 +134,9 @@ class Rig:
             leader.close()
 
     def record(self, index: int) -> Attempt:
-        """Return trial `index` as an interrupted recording left it, or else run it.
+        """Return trial `index` as an interrupted recording left it, else run it.
 
-        An episode is read back before its file gets its name, and the attempt's JSON file is written first: a named
-        file is always whole and judged.
+        An episode's file gets its name after it was read back and the attempt's JSON file was written.
         """
         trial = self.job.trial(index)
         return self._adopted(trial) or self._recorded(trial)
@@ -197,7 +196,7 @@ class Rig:
             return attempt
 
     def _read_back(self, attempt: Attempt, path: Path) -> Attempt:
-        """Judge what is on disk; an episode with faults is no demonstration."""
+        """Judge the file; an episode with faults is no demonstration."""
         episode, found = inspect_episode(path, cameras=self.job.teleop.cameras, robot=self.job.robot)
         faults = tuple(map(str, found))
         attempt = replace(attempt, faults=faults, reason=attempt.reason or next(iter(faults), ""))

@@ -11,11 +11,11 @@ key                                   shape         meaning
 ``observations/images/<camera>``      (T, H, W, 3)  RGB uint8; other arrays: float64
 ``action``                            (T, n)        joint targets [rad]
 ``action_gripper``                    (T, 2)        opening targets
-``timestamps``                        (T,)          joint time, monotonic [s]
+``timestamps``                        (T,)          joint time, increasing [s]
 ``image_timestamps`` (optional)       (T,)          image time [s]
 ====================================  ============  ==================================================
 
-``action[t]`` leads to the state at t + 1. Recording the reading at t teaches a policy to stand still.
+``action[t]`` leads to the state at t + 1.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from minidual.errors import DataError
 SCHEMA_VERSION = 1
 GRIPPERS_N = 2
 TICKS = "num_timesteps"
-"""Attribute with the number of ticks."""
+"""Attribute: number of ticks."""
 MAX_SYNC_S = 0.020
 """Largest time between joints and images."""
 

@@ -1,7 +1,4 @@
-"""One teleoperated episode.
-
-Ticks follow simulated time, so load loses none.
-"""
+"""One teleoperated episode; ticks follow simulated time."""
 
 from __future__ import annotations
 
@@ -49,9 +46,9 @@ class SessionResult:
     """One episode.
 
     Attributes:
-        q: (T, n) joints [rad]; images may exceed memory and only go to `on_tick`.
-        latencies_s: T wall times from reading the leader to the first physics step.
-        ended_by: "leader", "time_limit", "stopped" (the leader fell silent) or "reflex".
+        q: (T, n) measured joints [rad]; images go to `on_tick` only.
+        latencies_s: Wall time per tick from reading the leader to the end of the first physics step.
+        ended_by: "leader", "time_limit", "stopped" (no readings) or "reflex".
         reflex: Message, or "".
     """
 
@@ -162,7 +159,7 @@ class TeleopSession:
                 raise HandoverError(f"the arbiter did not hand over: {reason}")
 
     def _move(self, judge: Judge, steps: int) -> None:
-        """Run control steps until a reflex."""
+        """Run control steps; none after a reflex."""
         for _ in range(steps):
             if self.stack.reflex is None:
                 with contextlib.suppress(ReflexError):

@@ -1,7 +1,6 @@
 """RMS jerk for recordings and benchmarks.
 
-Finite differences measure contact noise at 1 kHz and sampling at 50 Hz. Resampling and a zero-phase low-pass remove the
-dependence on rate.
+Resampling and a zero-phase low-pass make it independent of the rate; plain differences measure noise and sampling.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ JERK_FILTER = (
     "joints brought to 1 kHz by a quintic spline; third central difference; 0.2 s left out at each end; RMS over "
     "time of the norm over all joints"
 )
-"""Printed with jerk numbers."""
+"""The filter in words."""
 
 
 def rms_jerk(q: NDArray[np.floating], rate_hz: float) -> float:

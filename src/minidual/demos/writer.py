@@ -1,7 +1,6 @@
 """Record one episode; its file is whole or absent.
 
-Images are written as they come, with gzip 1 and one frame per chunk: 0.35 ms per 96x128 frame, half the size (lzf:
-0.16 ms, but only h5py reads it). Checksums detect bit rot.
+Images are written tick by tick, compressed with gzip 1, one frame per chunk; numeric arrays at the end, with checksums.
 """
 
 from __future__ import annotations
@@ -24,9 +23,9 @@ from minidual.errors import DataError, UsageError
 
 
 class EpisodeWriter:
-    """Records one episode; `path` exists only after `commit`, or `finish` and `publish`.
+    """Records one episode; `path` exists after `commit`, or `finish` and `publish`.
 
-    Leaving the context removes partial files.
+    Leaving the context discards what is not published.
 
     Raises:
         UsageError: The file exists.
@@ -101,7 +100,7 @@ class EpisodeWriter:
                 self._rows[name].append(value)
 
     def finish(self, *, success: bool, extra: Mapping[str, Any] | None = None) -> Path:
-        """Check and close the temporary file; return its path. `success` and `extra` are added to the metadata.
+        """Check and close the temporary file; return its path. `extra` is added to that of the metadata.
 
         Raises:
             DataError: Under two ticks, actions equal readings, or a disk error; no file is left.

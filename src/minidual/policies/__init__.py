@@ -1,4 +1,4 @@
 """Learned policies: kinds, training and runtime.
 
-`kinds`, `demonstrations`, `records`, `policy` and `pilot` import neither torch nor LeRobot; kinds load lazily.
+Kinds, which import torch and LeRobot, load lazily.
 """

@@ -15,11 +15,11 @@ from minidual.robot.pair import Robot
 
 @dataclass(frozen=True)
 class EmittedActions:
-    """Predicted actions on recorded observations.
+    """Actions predicted on recorded observations; NaN for other arms.
 
     Attributes:
-        in_limits: Share of joint targets inside the limits; NaN for other arms.
-        overshoot_max_rad: Largest excess; NaN for other arms.
+        in_limits: Share of joint targets inside the limits.
+        overshoot_max_rad: Largest distance outside.
         targets_n: Joint and gripper targets per action.
     """
 
@@ -32,7 +32,7 @@ class EmittedActions:
 def exercise_checkpoint(
     checkpoint: Path, demos: Demonstrations, robot: Robot, *, samples: int = 256, device: str = "cpu"
 ) -> EmittedActions:
-    """Run `checkpoint` on `samples` evenly spaced ticks, without the clamping of a deployment."""
+    """Run `checkpoint` on `samples` evenly spaced ticks, without clamping."""
     runtime = PolicyRuntime.load(checkpoint, device, n_action_steps=1, blend_ticks=0)
     chunks = []
     for row in np.linspace(0, len(demos) - 1, min(samples, len(demos))).astype(np.int64):

@@ -44,7 +44,7 @@ class ActKind(PolicyKind):
     policy_class: type[PreTrainedPolicy] = ACTPolicy
 
     def make(self, config: TrainConfig, common: Mapping[str, Any]) -> PreTrainedPolicy:
-        """Return a policy with weights from torch's generator; `common` holds LeRobot settings."""
+        """Return a new policy; `common` holds LeRobot settings, torch's generator draws the weights."""
         return ACTPolicy(ACTConfig(vision_backbone="resnet18", pretrained_backbone_weights=None, **common))
 
     def require(self, device: str) -> None:
@@ -146,7 +146,7 @@ def _common(config: TrainConfig, demos: Demonstrations) -> dict[str, Any]:
 
 
 def use_bf16(config: TrainConfig) -> bool:
-    """Return whether convolutions use bfloat16; "auto" requires native support."""
+    """Whether convolutions use bfloat16; "auto" needs native support."""
     if config.precision != "auto":
         return config.precision == "bf16"
     if config.device == "cuda":

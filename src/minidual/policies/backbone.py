@@ -1,8 +1,7 @@
 """A convolutional encoder with spatial softmax.
 
-It outputs expected pixel coordinates of learned features (Finn et al., Deep Spatial Autoencoders for Visuomotor
-Learning, 2016). Plain convolution with pooling memorised episodes. Coordinates stay float32: bfloat16 resolves a
-quarter pixel over 128.
+Source: Finn et al., Deep Spatial Autoencoders for Visuomotor Learning, 2016. Coordinates stay float32: over 128 pixels
+bfloat16 resolves a quarter pixel.
 """
 
 from __future__ import annotations
@@ -12,9 +11,9 @@ from torch import Tensor, nn
 
 
 class SpatialSoftmax(nn.Module):
-    """Each channel's expected image coordinates (B, 3 K).
+    """Maps K channels to (B, 3 K): expected x (right), then y (down), then standard deviation.
 
-    x (right) and y (down) in [-1, 1] at pixel centres, and the softmax's standard deviation.
+    Image coordinates are in [-1, 1], at pixel centres.
     """
 
     def __init__(self, channels: int) -> None:
@@ -44,7 +43,7 @@ def _pixel_centres(count: int, device: torch.device) -> Tensor:
 class KeypointEncoder(nn.Module):
     """Convolutions of total stride 4, then spatial softmax.
 
-    `bf16` doubles the training rate where native.
+    `bf16`: convolve in bfloat16, which where native doubles the training rate.
     """
 
     def __init__(self, keypoints: int, widths: tuple[int, int, int] = (32, 32, 64)) -> None:

@@ -16,7 +16,7 @@ from minidual.policies.normalisation import Stats, normalise, normalise_images
 class BatchMaker:
     """Cuts action chunks, augments, normalises.
 
-    Chunks past an episode's end repeat its last command, which is at rest.
+    Past an episode's end a chunk repeats its last command, at rest.
     """
 
     def __init__(self, demos: Demonstrations, config: TrainConfig, stats: Stats) -> None:

@@ -21,11 +21,11 @@ class Demonstrations:
 
     Attributes:
         images: (N, H, W, 3) uint8 by camera.
-        state, action: (N, dim): joints [rad], left then right, two gripper openings.
+        state, action: (N, dim): joints [rad], left then right, gripper openings.
         episode_index: (N,) ascending.
         keyframes_n: Gripper switches per episode used as keyframes (K).
-        phase: (N,) switches before the tick.
-        keyframe_ticks: (N, K) rows of the first K switches, or -1.
+        phase: (N,) gripper switches before the tick.
+        keyframe_ticks: (N, K) rows of the episode's first K switches, or -1.
         last_tick: (N,) the episode's last row.
     """
 
@@ -78,7 +78,7 @@ class Demonstrations:
         return sorted(self.images)
 
     def episode_bounds(self) -> dict[int, tuple[int, int]]:
-        """Return each episode's (first row, end)."""
+        """Return {episode: (first row, one past the last)}."""
         episodes, first = np.unique(self.episode_index, return_index=True)
         stops = [*first[1:].tolist(), len(self)]
         return {int(e): (int(a), int(b)) for e, a, b in zip(episodes, first, stops, strict=True)}

@@ -28,7 +28,7 @@ class ChunkPolicy(ABC):
     Attributes:
         cameras: Image size (H, W) by camera.
         chunk_size: Actions per inference.
-        dim: Joints plus two grippers.
+        dim: Number of joints, plus two grippers.
     """
 
     cameras: Mapping[str, tuple[int, int]]
@@ -62,7 +62,7 @@ class PolicyKind(ABC):
     ) -> TrainResult:
         """Train and write a new checkpoint `folder` atomically.
 
-        On a CPU, equal inputs give equal checkpoints. `resume_dir` keeps progress for resuming.
+        On a CPU, equal inputs give equal checkpoints. `resume_dir` keeps interrupted training.
 
         Raises:
             DataError: Unusable dataset, or existing `folder`.

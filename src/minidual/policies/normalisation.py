@@ -20,7 +20,7 @@ Stats = dict[str, dict[str, Tensor]]
 def dataset_statistics(demos: Demonstrations, rows: NDArray[np.int64], std_floor: float) -> Stats:
     """Return mean and std over `rows`.
 
-    State and action: (dim,). Images: (3, 1, 1) in [0, 1], from 512 frames. `std_floor` limits noise of still joints.
+    State and action: (dim,). Images: (3, 1, 1) in [0, 1], from 512 frames. `std_floor` is the least std.
     """
     stats: Stats = {}
     for key, array in ((STATE, demos.state), (ACTION, demos.action)):

@@ -25,7 +25,7 @@ SOURCE = "policy"
 
 
 def load_runtime(checkpoint: Path, config: DeployConfig, robot: Robot) -> PolicyRuntime:
-    """Load a checkpoint that respects joint limits.
+    """Load a checkpoint, clamped to the joint limits.
 
     Raises:
         DataError: Missing or corrupt checkpoint.
@@ -42,7 +42,7 @@ def load_runtime(checkpoint: Path, config: DeployConfig, robot: Robot) -> Policy
 
 
 def next_command(runtime: PolicyRuntime, world: World, picture: Callable[[str], Image], sequence: int) -> JointCommand:
-    """Return the policy's command for what is seen and measured now.
+    """Return the policy's command for the current images and state.
 
     Raises:
         DataError: An image or state does not fit the policy.
@@ -56,11 +56,8 @@ class PolicyPilot:
     """One trial of a policy.
 
     Args:
-        world: The reset plant.
-        kinematics: For joint control.
-        runtime: The policy.
+        world: Already reset.
         picture: Renders a camera, (H, W, 3).
-        arbiter: Settings.
         rate_hz: Of policy and arbiter, as recorded.
         supervisor: Its reflex ends the trial.
     """

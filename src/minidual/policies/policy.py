@@ -1,6 +1,6 @@
-"""The policy runtime: runs `n_action_steps` of each chunk.
+"""The policy runtime: runs `n_action_steps` of each chunk, then blends in the next.
 
-The next chunk is blended in over `blend_ticks`, as consecutive chunks differ by up to 0.05 rad.
+Consecutive chunks differ by up to 0.05 rad.
 """
 
 from __future__ import annotations
@@ -24,9 +24,8 @@ class PolicyRuntime:
     """Maps images and state to actions.
 
     Args:
-        policy: A loaded checkpoint.
         n_action_steps: Ticks per inference.
-        blend_ticks: Blending time.
+        blend_ticks: Ticks over which a chunk replaces the last one.
         limits: Joint limits (lower, upper) [rad] for clamping.
 
     Raises:

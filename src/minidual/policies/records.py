@@ -16,7 +16,7 @@ from minidual import durable
 
 @dataclass(frozen=True)
 class LossRow:
-    """Means since the last row, and any validation."""
+    """Means since the last row, and validation if it was due."""
 
     step: int
     loss: float
@@ -59,7 +59,7 @@ LOSSES = {
 
 
 def write_loss_csv(curve: Sequence[LossRow], path: Path) -> None:
-    """Write the loss curve, without times: equal seeds, equal files."""
+    """Write the loss curve; no times, so equal seeds give equal files."""
     rows = [{n: f"{v:.6g}" if isinstance(v, float) else v for n, v in asdict(row).items()} for row in curve]
     durable.write_csv(path, rows)
 

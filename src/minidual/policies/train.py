@@ -45,7 +45,7 @@ class Trained(NamedTuple):
 
 @dataclass
 class _State:
-    """State to resume, besides weights and optimiser."""
+    """Saved besides weights and optimiser."""
 
     step: int = 0
     spent_s: float = 0.0
@@ -196,7 +196,7 @@ class _Loop:
 
     @torch.no_grad()
     def _validate(self) -> tuple[float | None, float | None]:
-        """Return held-out L1 (in std) and keyframe error [rad], averaged weights."""
+        """Return held-out L1 [std] and keyframe error [rad] of the averaged weights."""
         if not len(self.validation_rows):
             return None, None
         current = [p.detach().clone() for p in self.parameters]
@@ -288,7 +288,7 @@ class _Loop:
 
 
 def training_fingerprint(demos: Demonstrations, config: TrainConfig, seed: int) -> str:
-    """Return a hash of everything that determines the weights (images sampled)."""
+    """Return a hash of what determines the weights (images sampled)."""
     digest = hashlib.sha256()
     settings = config.model_dump(exclude={"time_limit_s", "loss_ratio_max", "actions_in_limits_min", "train_s_max"})
     digest.update(json.dumps([seed, settings], sort_keys=True).encode())

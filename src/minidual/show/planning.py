@@ -75,7 +75,7 @@ def play(
     note: str = "",
     sleep: Callable[[float], None] = time.sleep,
 ) -> None:
-    """Play a plan in real time without simulation, with TCP paths and end posture.
+    """Play a plan in real time, not simulated, with TCP paths and end posture.
 
     `rounds_n` None repeats until the view is closed.
     """
@@ -108,7 +108,7 @@ def play_queries(view: View | None, config: SceneConfig, outcomes: Mapping[str, 
 
 
 def write_paths(path: Path, config: SceneConfig, outcomes: Mapping[str, Sequence[Outcome]]) -> None:
-    """Draw each group's longest solved trajectory, preferring those that needed a search."""
+    """Draw each group's longest solved trajectory, if possible one that needed a search."""
     shown: list[tuple[str, Any]] = []
     for group, done in outcomes.items():
         solved = [(o, o.result) for o in done if o.result is not None]

@@ -1,4 +1,4 @@
-"""Show a running world. Watching never changes the simulation: the view uses its own model."""
+"""Show a running world; the view has its own model, so watching never changes the simulation."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ from minidual.trials.methods import Method
 from minidual.trials.runner import Bench, StepHook, Watch
 
 _ASIDE_M = np.array([0.05, 0.0, 0.0])
-"""Force arrows start this far from the hands; the object would hide them."""
+"""Offset of force arrows from the hands, where the object would hide them."""
 _BRAKE_EVERY_S, _LOST_S = 0.01, 0.1
 _PATH_POINTS = 60
 _STATIC_M = 1e-3
 
 Narrator = Callable[[], Overlay]
-"""Returns everything but time and forces, which `overlay` adds."""
+"""Returns the state to show; `overlay` adds time and forces."""
 
 
 @functools.lru_cache(maxsize=2)
 def visual_model(scene: SceneConfig, robot: Robot = DUAL_PANDA) -> mujoco.MjModel:
-    """Return a scene's visual model; same bodies as simulated."""
+    """Return a scene's visual model; bodies as simulated."""
     return build_model(scene, robot, visuals=True)
 
 
@@ -66,7 +66,7 @@ class Brake:
         self._start, self._last_s = (0.0, 0.0), math.inf
 
     def hold(self, time_s: float) -> None:
-        """Sleep until `time_s` is allowed; lags over 0.1 s are not caught up."""
+        """Sleep until simulated time `time_s` is due; lags over 0.1 s are not caught up."""
         now = self._clock()
         ahead = (time_s - self._start[1]) / self._speed - (now - self._start[0])
         if time_s < self._last_s or ahead < -_LOST_S:
@@ -162,7 +162,7 @@ def tcp_preview(kinematics: Kinematics, qs: Array) -> Preview:
 
 
 class StackNarrator:
-    """Describes a control stack: source, arbiter state, trajectories; `tell` adds phase and why it stopped itself."""
+    """Describes a control stack; `tell` returns the method's phase and why it stopped itself."""
 
     def __init__(
         self,
@@ -189,7 +189,7 @@ class StackNarrator:
         )
 
     def _planned(self) -> Preview:
-        """Return the executing trajectories' TCP paths, cached."""
+        """Return TCP paths of the executing trajectories, cached."""
         found = (execution.command for execution in self._stack.arbiter.underway.executions)
         commands = tuple(command for command in found if isinstance(command, TrajectoryCommand))
         if [id(command) for command in commands] != [id(command) for command in self._drawn]:

@@ -29,7 +29,7 @@ _UNITS = {
 def benchmark_checks(summaries: Sequence[MethodSummary], config: BenchmarkConfig) -> list[Check]:
     """Return the checks of the undisturbed trials.
 
-    Only trial counts and success rates have limits; the latter only where configured.
+    Limits: trial counts, and success rates where configured.
     """
     checks: list[Check] = []
     for s in summaries:
@@ -45,7 +45,7 @@ def benchmark_checks(summaries: Sequence[MethodSummary], config: BenchmarkConfig
 def condition_checks(cells: Sequence[BenchmarkCell], methods: Sequence[str], conditions: Sequence[str]) -> list[Check]:
     """Return the checks of the methods-by-conditions table.
 
-    The table must be complete and finite. Disturbed success has no limit.
+    It must be complete and finite; disturbed success has no limit.
     """
     known = {(c.method, c.condition): c for c in cells}
     asked = [(m, c) for m in methods for c in conditions]

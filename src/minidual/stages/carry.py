@@ -26,7 +26,7 @@ from minidual.trials.runner import Bench, TrialLog, TrialResult, run_trials
 
 METHOD = "impedance"
 RECORDED_FAILURES_MAX = 20
-"""Most recorded failures; trials.csv has all."""
+"""Failures recorded at most; trials.csv has all."""
 
 
 _WORDS = {
@@ -59,10 +59,7 @@ _WORDS = {
 
 
 def carry_checks(results: Sequence[TrialResult], limits: CarryLimits, task: TaskConfig) -> list[Check]:
-    """Return the stage's checks of at least one trial; extremes include failed trials.
-
-    np.max and np.min propagate NaN, so its check fails; the built-ins may drop it.
-    """
+    """Return the stage's checks of at least one trial; extremes include failed trials, NaN propagates."""
     trials = [r.metrics for r in results]
     durations = [t.duration_s if t.success else task.time_limit_s for t in trials]
     internal = np.min([t.internal_force_min_n for t in trials])
@@ -126,7 +123,7 @@ def _record(
     results: Sequence[TrialResult],
     shown: Mapping[str, int],
 ) -> dict[str, TrialLog]:
-    """Record the median, the worst and the first failed trials for `minidual replay`; return their logs."""
+    """Record median, worst and first failed trials for `minidual replay`; return their logs."""
     logs: dict[str, TrialLog] = {}
     failed = [i for i, result in enumerate(results) if not result.success]
     named = [(i, f"trial{i:03d}") for i in failed[:RECORDED_FAILURES_MAX] if i not in shown.values()]

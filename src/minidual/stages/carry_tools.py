@@ -21,7 +21,7 @@ PERTURB_TRIALS_N = 20
 
 
 def perturb(context: ToolContext) -> ToolResult:
-    """Run the carry under every condition and compare with clean."""
+    """Run the carry under every promised condition and compare with clean."""
     trials_n = int(context.options.get("trials", PERTURB_TRIALS_N))
     inputs = MethodInputs(task_config(context.config), context.seed)
     count = count_trials(["impedance"], promised(trials_n), inputs.config)

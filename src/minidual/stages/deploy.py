@@ -32,9 +32,9 @@ _INFERENCES_N = 60
 
 
 def deploy_starts(config: Config, seed: int, demonstrated: Sequence[int]) -> tuple[dict[str, list[Trial]], int]:
-    """Return {"held_out": trials, "training": trials}, and how many held-out trials draw what a demonstration drew.
+    """Return {"held_out": trials, "training": trials}, and the number of held-out trials drawn by a demonstration too.
 
-    `demonstrated` are the trial indices of all demonstrations.
+    `demonstrated`: trial indices of the demonstrations.
     """
     task, settings = make_task(config), config.deploy
     shown, widen = demonstrated[: settings.training_trials], config.teleop.widen
@@ -110,7 +110,7 @@ def _film(context: StageContext, inputs: MethodInputs, trials: Sequence[Trial], 
 
 
 def measure_inference(checkpoint: Path, context: StageContext) -> float:
-    """Return inferences per second of the closed-loop runtime, run alone."""
+    """Return inferences per second of the runtime, run alone."""
     robot = robot_from(context.config.robot)
     runtime = load_runtime(checkpoint, context.config.deploy, robot)
     rng = stream(context.seed, "deploy/inference")

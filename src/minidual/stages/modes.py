@@ -38,7 +38,7 @@ _INTERRUPT_SHARE = 0.55
 
 
 def modes(context: ToolContext) -> ToolResult:
-    """Run the demonstration, write film and log, and check switches; exit 1 if a bound fails or it ends early."""
+    """Run the demonstration; write film and log; exit 1 if a switch exceeds a bound or it ends early."""
     named, config = context.options.get("modes"), context.config
     wanted = DEFAULT_MODES if named is None else parse_modes(named)
     checkpoint = find_checkpoint(context) if "policy" in wanted else None

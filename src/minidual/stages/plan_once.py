@@ -153,7 +153,7 @@ def _lines(title: str, result: PlanResult, clearance: str) -> list[str]:
 
 
 def _clearance(clearance_m: float, min_distance_m: float) -> str:
-    """Return the smallest distance along the plan as text; it is measured up to CLEARANCE_MAX_M."""
+    """Return the smallest distance along the plan, measured up to CLEARANCE_MAX_M, as text."""
     far = clearance_m >= CLEARANCE_MAX_M
     text = f"{'at least ' if far else ''}{clearance_m * 1e3:.1f} mm"
     return text if min_distance_m == 0.0 else f"{text} beyond the {min_distance_m * 1e3:g} mm that the scene asks for"

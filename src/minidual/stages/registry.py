@@ -1,7 +1,6 @@
 """Tables of stages and tools.
 
-A stage is a module's function `run` (see minidual.gate.stage) and a row here, or an entry point of the group
-"minidual.stages" (docs/howto-stage.md). An option's `path` overrides that configuration value.
+A stage is a function (see minidual.gate.stage) and a row, here or in another distribution (docs/howto-stage.md).
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ from minidual.show.watch import Brake, StackNarrator, watched
 
 _SOURCE = "teleop"
 _SLICE_S = 0.02
-"""Between two targets from the sliders: one tick of the arbiter, which limits the speed towards them."""
+"""Time between targets from the sliders: one tick of the arbiter, which limits their speed."""
 
 
 def joint_sliders(robot: Robot) -> list[Slider]:

@@ -64,7 +64,7 @@ def record_checks(numbers: Mapping[str, float], config: TeleopConfig) -> list[Ch
 
 
 def recording_inputs(config: Config) -> dict[str, Any]:
-    """Return what determines the episodes, as JSON types."""
+    """Return what determines the episodes (JSON types)."""
     code = code_of(["minidual.demos.recording:record"])
     return {"seed": config.seed, "code": code.modules, **config.model_dump(mode="json", include=set(READS))}
 

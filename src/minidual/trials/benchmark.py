@@ -25,7 +25,7 @@ class BenchmarkCell:
     Attributes:
         asked_n: Trials requested.
         summary: None where the condition does not apply.
-        undisturbed: Successes in which the push or move never took place.
+        undisturbed: Trials that succeeded without their push or move having taken place.
     """
 
     method: str
@@ -37,7 +37,7 @@ class BenchmarkCell:
 
     @property
     def settled(self) -> bool:
-        """Whether it has all its trials, disturbed, or a reason for none."""
+        """Whether it has all its trials, each disturbed, or a reason for none."""
         if self.summary is None:
             return bool(self.why_not)
         return not self.why_not and not self.undisturbed and self.summary.trials_n >= self.asked_n
@@ -70,12 +70,12 @@ def run_benchmark(
     on_trial: Callable[[TrialResult], None] = lambda result: None,
     watch: Watch | None = None,
 ) -> tuple[list[BenchmarkCell], list[TrialMetrics]]:
-    """Run every method under every condition, `trials_n` trials each.
+    """Run every method under every condition, {condition: trials} each.
 
-    A cell depends only on seed, method, condition and number of trials: each random stream has its own name.
+    A cell depends only on configuration, seed, method, condition and number of trials.
 
     Raises:
-        UsageError: A condition sets a value out of bounds; raised before the first trial.
+        UsageError: A condition sets a value out of bounds; before the first trial.
     """
     configs = {name: condition(name).config_under(inputs.config) for name in trials_n}
     cells: list[BenchmarkCell] = []

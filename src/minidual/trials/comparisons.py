@@ -1,7 +1,7 @@
 """Paired comparisons on shared starts.
 
-Success: McNemar's exact test and Newcombe's interval. Completion time: bootstrap of the median difference over starts
-that both completed.
+Success: McNemar's exact test, Newcombe's interval. Completion time, over starts that both completed: bootstrap of the
+median difference.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _Starts = dict[int, TrialMetrics]
 
 
 def compare_all(trials: Sequence[TrialMetrics], seed: int = 0) -> list[dict[str, Cell]]:
-    """Compare each pair of methods per condition; bootstraps have named streams, so order does not matter."""
+    """Compare each pair of methods per condition; the order of `trials` does not matter."""
     rows: list[dict[str, Cell]] = []
     methods = dict.fromkeys(t.method for t in trials)
     for condition in dict.fromkeys(t.condition for t in trials):

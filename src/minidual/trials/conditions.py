@@ -1,7 +1,6 @@
 """Conditions of a trial: pushes, changed mass, friction or light, worse sensing.
 
-Methods are not told: a 50 % heavier object still counts as 0.2 kg. Changes of a sensor apply only to methods that
-read it. Other distributions add rows through the entry point group `minidual.conditions` (docs/howto-condition.md).
+Methods are not told. Other distributions add rows (docs/howto-condition.md).
 """
 
 from __future__ import annotations
@@ -35,12 +34,12 @@ _RISEN_M = 0.05
 _DELAY_S = (0.2, 1.2)
 """Range of the random time from rise to push."""
 _ALOFT_M = 0.01
-"""Below this rise the table may take part of the push."""
+"""Below this rise the table may take up part of the push."""
 DRY_NM = 0.36
-"""Coulomb friction of a Panda's joint, mean of seven: half of phi_1 (0.30 to 1.28 Nm) in Gaz et al., "Dynamic
-Identification of the Franka Emika Panda Robot", IEEE RA-L 4(4), 2019."""
+"""Coulomb friction of a Panda's joint, mean of seven: half of phi_1 (0.30 to 1.28 Nm) in Gaz et al., IEEE RA-L 4(4),
+2019."""
 _MOVED_AT_S = 0.5
-"""The hands have left and are not yet near."""
+"""When the object is moved: the hands have left home and are not yet near."""
 
 
 class Disturbance(Protocol):
@@ -66,9 +65,9 @@ class Condition:
 
     Attributes:
         act: Makes the disturbance of a trial.
-        instead_of: Values {dotted path: value} that `change` sets.
-        settings: Configuration values {dotted path: value}.
-        factors: Factors {dotted path: factor} of configured values.
+        instead_of: What `change` sets, {dotted path: value}.
+        settings: Configuration that it sets, {dotted path: value}.
+        factors: Configuration that it scales, {dotted path: factor}.
         sense: Row of SENSES that it changes; empty for the plant.
         promised: Whether a carry must pass it.
     """
@@ -175,7 +174,7 @@ def friction(value: float) -> Change:
 
 
 def joint_friction(factor: float) -> Change:
-    """Scale the friction of one joint, in turn; the dry friction of a frictionless joint counts as `DRY_NM`."""
+    """Scale the friction of one joint, another each trial; no dry friction counts as `DRY_NM`."""
 
     def change(model: mujoco.MjModel, task: Task, index: int) -> None:
         hinges = np.flatnonzero(model.jnt_type == _HINGE)
@@ -198,9 +197,9 @@ def light(factor: float) -> Change:
 
 
 class Push:
-    """One force on the carried object's centre of mass, from its true height.
+    """One force on the carried object's centre of mass, after it has risen.
 
-    Ramped, because an abrupt 20 N on 0.2 kg throws a rigid object off the pads.
+    Ramped: an abrupt 20 N on 0.2 kg throws a rigid object off the pads.
     """
 
     def __init__(
@@ -248,12 +247,12 @@ class Move:
 
 
 def push(force_n: Sequence[float]) -> Callable[[Task, np.random.Generator], Disturbance]:
-    """Return a maker of pushes at a random time in the air."""
+    """Return a maker of pushes at random times in the air."""
     return lambda task, rng: Push(force_n, task.carried, float(rng.uniform(*_DELAY_S)))
 
 
 def move(distance_m: float) -> Callable[[Task, np.random.Generator], Disturbance]:
-    """Return a maker of moves in a random direction."""
+    """Return a maker of moves in random directions."""
 
     def make(task: Task, rng: np.random.Generator) -> Disturbance:
         direction = float(rng.uniform(0.0, 2.0 * np.pi))
@@ -323,7 +322,7 @@ def condition(name: str) -> Condition:
 
 
 def parse_conditions(given: Sequence[str]) -> tuple[str, ...]:
-    """Return the full names of conditions, `clean` first; `all` stands for every condition.
+    """Return the full names, `clean` first; `all` stands for every condition.
 
     Raises:
         UsageError: Unknown or repeated name, or no `clean`.

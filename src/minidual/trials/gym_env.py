@@ -31,7 +31,7 @@ CONTROL_HZ = 50
 """Rate of actions and observations."""
 
 _OVERTRAVEL_RAD = 0.1
-"""A collision may push joints beyond their limits."""
+"""Observed joints may exceed their limits by this, after a collision."""
 _FAR = np.array([10.0, 10.0, 10.0, 1.0, 1.0, 1.0, 1.0], dtype=np.float32)
 """Bounds of an object's position [m] and quaternion."""
 _FALLEN_M = -0.1
@@ -52,7 +52,7 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     held 20 ms.
 
     Reward: gain of the potential -(mean distance of the hands from their grasps + distance of the object from its goal)
-    [m], plus 1 on success. Such shaping keeps the optimal policy (Ng, Harada, Russell 1999, for a discount of 1).
+    [m], plus 1 on success. Source: Ng, Harada, Russell 1999 (keeps the optimal policy for a discount of 1).
 
     An episode is `terminated` when the trial is finished, the object has left the table or the simulation diverged, and
     `truncated` at the time limit. `info` has `success`, and at the end `faults` (violated conditions) and `stages`.
@@ -63,8 +63,6 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         render_mode: None or "rgb_array".
         images: Cameras out of high, left, right.
         object_pose: Observe `object`.
-        render_width_px: Of `render`.
-        render_height_px: Of `render`.
 
     Raises:
         UsageError: Unknown task, camera or render mode.

@@ -1,7 +1,7 @@
 """Table of methods.
 
-A method drives a world through one trial: `step()` until `done`. Only the judge reads the truth. Other distributions
-add rows through the entry point group `minidual.methods` (docs/howto-method.md).
+A method drives a world through one trial: `step()` until `done`. It does not read the truth. Other
+distributions add rows (docs/howto-method.md).
 """
 
 from __future__ import annotations
@@ -72,9 +72,9 @@ class MethodSpec:
     """One row of the table.
 
     Attributes:
-        target: Function or `module:function`; loads what trials share and returns a `Factory`.
-        needs_images: Compile visual meshes.
-        demands: Optional conditions of success required here.
+        target: Function or `module:function` that loads what trials share and returns a `Factory`.
+        needs_images: Whether to compile visual meshes.
+        demands: Optional conditions of success that its trials must meet.
         senses: Rows of SENSES that it reads.
     """
 

@@ -1,4 +1,4 @@
-"""Metrics of trials, and their summary. Missing values are NaN, in CSV and JSON words."""
+"""Metrics of trials, and their summary. Missing values are NaN, and words in CSV and JSON."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class TrialMetrics:
         torque_ratio_max: Largest |torque| / limit over joints and time.
         jerk_rms: Low-passed; NaN if too short.
         path_length_m: Mean of both hands.
-        internal_force_min_n, pinch_force_min_n: Minimum off the table.
+        internal_force_min_n, pinch_force_min_n: Minimum while the object is off the table.
         goal_error_m: At the end.
         aborted: Why the method stopped itself.
         disturbed: Whether the push or move took place; None if the condition has none.
@@ -77,7 +77,7 @@ class TrialMetrics:
 
 
 _OVER_SUCCESSES = ("duration_", "path_", "internal_", "pinch_")
-"""Prefixes of indicators that need a success; the others are over all trials."""
+"""Prefixes of indicators over successful trials; the others are over all."""
 
 
 @dataclass(frozen=True)
@@ -85,8 +85,8 @@ class MethodSummary:
     """Trials of one method under one condition.
 
     Attributes:
-        numbers: Indicators by name; *_low and *_high bound 95 % intervals (Wilson for the success rate, else bootstrap
-            of the median). Durations, path lengths and forces are over successes, the others over all trials.
+        numbers: Indicators by name; *_low and *_high bound 95 % intervals (success rate: Wilson; others: bootstrap of
+            the median). Durations, path lengths and forces are over successes, the others over all trials.
         failures: Trials by first violated condition, most frequent first.
         stopped_n: Failures in which the method stopped itself.
     """

@@ -52,7 +52,7 @@ class Switch:
         target_step_rad: Largest target step while the source drove.
         reference_step_ratio: Largest reference step over the velocity limit.
         torque_step_nm: Largest commanded torque step.
-        torque_step_asked_nm: Before the supervisor's limits.
+        torque_step_asked_nm: The same before the supervisor's limits.
         torque_step_max_nm: Its bound.
     """
 
@@ -91,7 +91,7 @@ class ModesDemo:
     """Runs the turns of one stack; iterate `steps`, then read the measurements.
 
     Attributes:
-        turn: The present turn, None before the first.
+        turn: The current turn, None before the first.
         switches: Every switch so far.
         outcomes: Results of the completed turns.
         rows: Log of every fourth control step.
@@ -109,9 +109,9 @@ class ModesDemo:
         self._steps = 0
 
     def steps(self) -> Iterator[Turn]:
-        """Run; yield the present turn after every control step.
+        """Run; yield the current turn after every control step.
 
-        A mode that gets no turn or loses it, a refused trajectory and a reflex of the supervisor end it early.
+        A mode that does not get the arms or loses them, a refused trajectory and a reflex end it early.
         """
         try:
             for turn in self._turns:
@@ -182,7 +182,7 @@ class ModesDemo:
             raise SwitchError(f"mode '{switch.mode}' lost its turn at {stack.plant.time:.2f} s: {last}")
 
     def _measure(self, switch: Switch, target: Array, reference: Array, applied: Array, asked: Array) -> None:
-        """Add the steps (n,) of the last control step to the present switch."""
+        """Add the last control step's steps (n,) to the current switch."""
         stack, plant = self.stack, self.stack.plant
         driven = stack.output.active_source == switch.mode
         if driven and np.isnan(switch.first_command_s):
@@ -199,5 +199,5 @@ class ModesDemo:
 
 
 def _larger(so_far: float, steps: Array) -> float:
-    """Return the larger value; NaN stays NaN, so that its bound fails."""
+    """Return the larger value; NaN stays NaN."""
     return float(np.maximum(so_far, np.max(steps)))

@@ -1,9 +1,4 @@
-"""Turns of the mode demonstration.
-
-moveit  plans to above the object, or home
-teleop  a scripted leader puts the object down at a start pose
-policy  the trained policy carries it to the goal
-"""
+"""Turns of the mode demonstration: planned motion, a scripted leader, the trained policy."""
 
 from __future__ import annotations
 
@@ -92,7 +87,7 @@ def moveit(stack: ControlStack[World], planner: Planner, seed: int, *, home: boo
 
 
 def teleop(stack: ControlStack[World], operator: ScriptedOperator, target: Trial, seed: int, rate_hz: float) -> Turn:
-    """Let a scripted leader put the object at `target`'s start, then go home."""
+    """Let a scripted leader put the object down at `target`'s start, then go home."""
     world = stack.plant
 
     def between(a: Array, b: Array) -> Array:
@@ -125,9 +120,9 @@ def teleop(stack: ControlStack[World], operator: ScriptedOperator, target: Trial
 def policy(
     stack: ControlStack[World], runtime: PolicyRuntime, picture: Callable[[str], Image], task: Task, trial: Trial
 ) -> Turn:
-    """Let the policy drive from images and joints until the trial is finished for 0.5 s, or its time is over.
+    """Let the policy drive until the trial has been finished for 0.5 s, or its time is over.
 
-    A flush of the stack drops its chunk. `picture` returns the (H, W, 3) image of a camera.
+    `picture` returns the (H, W, 3) image of a camera.
     """
     world = stack.plant
     stack.on_flush(lambda mode: runtime.reset())

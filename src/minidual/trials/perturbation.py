@@ -28,7 +28,7 @@ class Robustness:
     Attributes:
         drop: Success rate lost against clean.
         example: First failed trial.
-        rate_min: Required success rate; a method that always fails loses nothing.
+        rate_min: Least success rate: a method that always fails loses nothing.
     """
 
     cell: BenchmarkCell
@@ -38,7 +38,7 @@ class Robustness:
 
     @property
     def holds(self) -> bool:
-        """Whether drop and rate meet their limits, or the condition does not apply; false for NaN."""
+        """Whether drop and rate are within their limits (false for NaN), or the condition does not apply."""
         s = self.cell.summary
         if s is None:
             return bool(self.cell.why_not)

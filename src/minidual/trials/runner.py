@@ -109,7 +109,7 @@ class Bench:
     def run(
         self, trial: Trial, *, condition: str = CLEAN, on_step: StepHook | None = None
     ) -> tuple[TrialResult, TrialLog]:
-        """Run and judge one trial; an error in _BROKEN fails it in its last complete state."""
+        """Run and judge one trial; an error in _BROKEN ends it as a failure, judged in its last complete state."""
         spec = named_condition(condition)
         rng = stream(self.seed, f"disturbance/{trial.purpose}/{spec.name}", trial.index)
         disturb = None if spec.act is None else spec.act(self.task, rng)
@@ -197,7 +197,7 @@ _BENCHES: dict[str, Bench] = {}
 
 
 def _bench(method: str, inputs: MethodInputs) -> Bench:
-    """Return this process's bench; the last one is kept."""
+    """Return this process's bench, kept until another is asked for."""
     key = f"{method}/{inputs.checkpoint}/{inputs.seed}/{inputs.config.model_dump_json()}"
     if key not in _BENCHES:
         _BENCHES.clear()
@@ -214,7 +214,7 @@ def run_trials(
     condition: str = CLEAN,
     watch: Watch | None = None,
 ) -> Iterator[TrialResult]:
-    """Run trials in parallel and yield results in order; watched ones run in this process."""
+    """Run trials in parallel, or watched in this process; yield results in order."""
     if watch is not None:
         bench = Bench(method, inputs)
         for number, trial in enumerate(trials, start=1):

@@ -18,7 +18,7 @@ _Z = NormalDist().inv_cdf(0.5 + _CONFIDENCE / 2)
 def wilson_interval(successes: int, n: int) -> tuple[float, float]:
     """Return the 95 % Wilson score interval (low, high) of a success rate.
 
-    Unlike rate +- z sqrt(p q / n) it is not empty at 0 or n successes. Source: E. B. Wilson, JASA 22 (1927).
+    It is not empty at 0 or n successes. Source: E. B. Wilson, JASA 22 (1927).
 
     Raises:
         NothingEvaluatedError: n is 0.
@@ -53,7 +53,7 @@ def bootstrap_median_interval(
 def mcnemar_p_value(only_first: int, only_second: int) -> float:
     """Return the two-sided p-value of McNemar's exact test from the numbers of discordant pairs.
 
-    For equal methods each discordant pair is a fair coin. Source: Q. McNemar, Psychometrika 12 (1947).
+    Source: Q. McNemar, Psychometrika 12 (1947).
     """
     n = only_first + only_second
     tail = sum(math.comb(n, k) for k in range(min(only_first, only_second) + 1))
@@ -63,8 +63,7 @@ def mcnemar_p_value(only_first: int, only_second: int) -> float:
 def paired_rate_interval(both: int, only_first: int, only_second: int, neither: int) -> tuple[float, float]:
     """Return the 95 % interval (low, high) of the difference of two paired success rates.
 
-    A bootstrap would be empty without discordant pairs. Source: R. G. Newcombe, Statistics in Medicine 17 (1998) 2635,
-    method 10.
+    Source: R. G. Newcombe, Statistics in Medicine 17 (1998) 2635, method 10 (not empty without discordant pairs).
 
     Raises:
         NothingEvaluatedError: No pairs.

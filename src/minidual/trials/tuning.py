@@ -5,7 +5,7 @@
     3  stiffness  largest stiffness that holds without oscillation, to 10 N/m; the result is 80 % of it (100 % if the
                   stiffest does not oscillate) and must track within 1 cm
 
-Each step is five carries; the worst counts. A search tries the values of a ladder in order, then bisects.
+Each step is five carries; the worst counts.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ STIFFNESSES_N_PER_M = (150.0, 300.0, 450.0, 600.0)
 """The last is the largest recommended."""
 FORCE_FACTOR, STIFFNESS_FACTOR = 1.5, 0.8
 OSCILLATION_MAX_M = 0.0003
-"""Limit of the RMS tracking error above 5 Hz."""
+"""Limit of `oscillation_m`."""
 TRACKING_MAX_M = 0.01
 COMPARED_N = (20.0, 40.0, 80.0)
 _HIGH_PASS_HZ = 5.0
 _FORCE_STEP_N, _STIFFNESS_STEP_N_PER_M = 0.5, 10.0
 _SAFE_TORQUE = 0.95
 _SQUEEZED = "squeezed"
-"""The condition of success that the least force is expected to miss."""
+"""The condition of success that the softest step may fail."""
 
 
 class TuningError(MinidualError):
@@ -183,7 +183,7 @@ class Tuner:
         return Tuning(force, stiffness, least, last, final, compared, self.steps)
 
     def _safe(self, force_n: float, stiffness_n_per_m: float) -> None:
-        """Raise if the softest carry loads a motor too much or fails otherwise than by too little squeeze."""
+        """Raise if the softest step overloads a motor, or fails for another reason than too little squeeze."""
         step = self._step("safe", force_n, stiffness_n_per_m)
         remedy = "carry more slowly: lower carry.pace.object_speed_m_per_s"
         what = f"the softest carry ({stiffness_n_per_m:.0f} N/m, {force_n:.0f} N)"
@@ -210,9 +210,9 @@ class Tuner:
 def _bracket(
     ladder: Sequence[float], tolerance: float, stops: Callable[[float], bool]
 ) -> tuple[float | None, float | None]:
-    """Return the last value before `stops` and the first at which it does, None where there is none.
+    """Return the last value for which `stops` is false and the first for which it is true, or None.
 
-    Tries the values of `ladder` in order, then bisects to `tolerance`.
+    Tries `ladder` in order, then bisects to `tolerance`.
     """
     low: float | None = None
     high: float | None = None

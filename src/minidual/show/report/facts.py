@@ -45,8 +45,8 @@ class Facts:
         pairs: Undisturbed pairs of methods.
         partings: Disturbed pairs with a significant difference.
         losses: Significant effects of a disturbance.
-        margins: Thinnest first.
-        at_best_n: Passed checks without a rankable margin.
+        margins: The thinnest ones, thinnest first.
+        at_best_n: Passed checks at their best value, without margin.
     """
 
     pairs: list[Pair]

@@ -35,7 +35,6 @@ class Medium:
     """A picture or film.
 
     Attributes:
-        name: File name.
         source: Data URI, or path relative to the page.
     """
 
@@ -49,7 +48,7 @@ class Medium:
 def collect_media(
     stage: str, folder: Path, names: Iterable[str], captions: Mapping[str, str], page_folder: Path
 ) -> list[Medium]:
-    """Return a stage's pictures and films, copying large ones into `page_folder`/media; subfolders hold data.
+    """Return a stage's pictures and films, without subfolders; large ones are copied into `page_folder`/media.
 
     Raises:
         DataError: A file is missing.

@@ -75,7 +75,7 @@ class Report:
 
     @property
     def shown_checks(self) -> list[Check]:
-        """The report's own checks and those failed by waivers or code changes."""
+        """The report's own checks, and failed ones for waivers and code changes."""
         found = [
             ("gate.waivers", self.waivers, "evidence behind a waived gate does not count as acceptance"),
             ("gate.code_changed", self.given.code_changes, "results of other code do not accept this code"),
@@ -95,7 +95,7 @@ class Report:
 
     @property
     def weakened(self) -> list[str]:
-        """Counts and limits below the shipped profile's."""
+        """Counts and limits less demanding than the shipped profile's."""
         return list(dict.fromkeys(line for verdict in self.given.verdicts.values() for line in verdict.weakened))
 
     @property

@@ -1,6 +1,6 @@
 """Build the report from verdicts and artefacts.
 
-It reads neither clock nor machine: equal verdicts give equal bytes.
+Equal verdicts give equal bytes: neither clock nor machine is read.
 """
 
 from __future__ import annotations

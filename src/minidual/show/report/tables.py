@@ -23,7 +23,7 @@ class Measure:
     """One indicator of a cell, SI.
 
     Attributes:
-        value: Compared number; sometimes the maximum over trials.
+        value: Compared number: `middle`, or a maximum over trials.
         middle: Median or rate, with 95 % interval `low` to `high`.
     """
 
@@ -38,7 +38,7 @@ class Cell:
     """One method under one condition.
 
     Attributes:
-        state: "spared": not applicable; "missing": incomplete success data.
+        state: "spared": does not apply; "missing": no success rate.
         measures: By indicator key; None if missing or undefined.
         loss: Comparison with the undisturbed starts.
         failures: (reason, trials), most frequent first.
@@ -67,12 +67,12 @@ class Cell:
 
     @property
     def competes(self) -> bool:
-        """Whether any trial succeeded. Others are not ranked: an object never lifted never tilts."""
+        """Whether a trial succeeded; without one it is not ranked."""
         return self.success is not None and self.success.value > 0.0
 
     @property
     def holes(self) -> list[str]:
-        """Missing numbers."""
+        """Names of missing numbers."""
         if self.state == "spared":
             return []
         holes = [i.key for i in INDICATORS if self.measures[i.key] is None and not self.undefined(i)]
@@ -83,7 +83,7 @@ class Cell:
         ]
 
     def undefined(self, indicator: Indicator) -> bool:
-        """Return whether it lacks the success it needs; not a hole."""
+        """Return whether `indicator` needs a success and there is none; not a hole."""
         return indicator.needs_success and self.success is not None and not self.competes
 
     def excellent(self, indicator: Indicator) -> bool:

@@ -1,4 +1,4 @@
-"""State shown besides the scene."""
+"""State shown with the scene."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class PathLine:
 
 @dataclass(frozen=True, eq=False)
 class Preview:
-    """A plan. Views redraw it only when the object changes; reuse it.
+    """A plan. Reuse the object: views redraw only another one.
 
     Attributes:
         ghosts: States (nq,) drawn half transparent.
@@ -54,7 +54,7 @@ class Overlay:
         mode: Source that may drive, or method.
         source: Source that reaches the motors.
         state: Arbiter state and method phase.
-        pinch_n: Pinch force per hand (left, right).
+        pinch_n: Per hand (left, right).
         internal_n: Squeeze along the object.
     """
 

@@ -78,7 +78,7 @@ class Panel:
                 )
 
     def values(self) -> Array:
-        """Return the values (n,), clipped; non-finite client input is ignored."""
+        """Return the values (n,), clipped; NaN and infinities are ignored."""
         for k, (handle, slider) in enumerate(zip(self._sliders, self._offered, strict=True)):
             value = float(handle.value)
             if math.isfinite(value):

@@ -26,7 +26,7 @@ class View(Protocol):
     url: str | None
     """Browser address."""
     speed_max: float
-    """Limit of simulated / wall time; 0: none."""
+    """Limit of simulated time / wall time; 0: none."""
     alive: bool
     """Whether it is visible; False after `close` or an error."""
 
@@ -41,7 +41,7 @@ class View(Protocol):
     def update(self, data: mujoco.MjData, overlay: Overlay) -> None:
         """Show body poses, current as after mj_step or mj_kinematics.
 
-        The data may come from a model without meshes.
+        Its model may lack meshes.
         """
         ...
 

@@ -15,7 +15,7 @@ _ARROW_M_PER_N = 0.0025
 """Arrow length: 10 cm at 40 N."""
 _ARROW_MIN_N = 0.5
 _MOVED = 1e-5
-"""Smallest change [m, quaternion] sent; the screen resolves 1 mm."""
+"""Least change [m, quaternion] that is sent."""
 _FLAT_M = 0.002
 """Thinner meshes cast no shadow, which would blur table marks."""
 _GHOSTS_MAX, _GHOST_MOVED = 4, 1e-3

@@ -23,7 +23,7 @@ from minidual.show.view.scene import Scene
 _PORTS_TRIED = 50
 _PANEL_PERIOD_S = 1.0 / 6.0
 _UNWATCHED = 10.0
-"""Factor on the frame period without a connected browser."""
+"""Factor of the frame period while no browser is connected."""
 _FAREWELL_S = 0.3
 
 
@@ -36,10 +36,9 @@ class _Server(viser.ViserServer):
 
 
 class WebView:
-    """See minidual.show.view.protocol.View.
+    """View in a browser.
 
-    The server's own thread sends, so slow clients do not delay the simulation. An error in drawing ends the view and is
-    reported once.
+    The server's own thread sends, so clients do not delay the simulation. A drawing error is reported once and ends it.
 
     Raises:
         UsageError: Unusable interface, or no free port.
@@ -176,7 +175,7 @@ def tunnel_command(port: int) -> str:
 
 @contextlib.contextmanager
 def _quiet() -> Generator[None]:
-    """Keep viser off stdout, which carries data; `verbose` does not suffice."""
+    """Keep viser off stdout, which carries data."""
     import rich
 
     console = rich.get_console()

@@ -30,8 +30,7 @@ def torque_pulse_mapping(
 ) -> tuple[int, ...]:
     """Return the joint that a one-step torque pulse on each command moves, -1 if none as predicted.
 
-    The response must be column j of the inverse inertia matrix: coupling can move a neighbour more than the joint
-    itself. One step from rest: (M + dt D) dv = dt tau.
+    One step from rest: (M + dt D) dv = dt tau. Coupling can move a neighbour more than the joint itself.
     """
     robot, n = world.robot, world.robot.dof
     world.reset()

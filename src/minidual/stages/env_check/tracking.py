@@ -26,16 +26,13 @@ _OPEN = np.ones(2)
 _WAIT_STEPS = 240
 """Steps within which a requested source gets the arms."""
 _STEP_MAX_RAD = 0.5
-"""The arbiter's bound on a step: a step response needs a step, not the arbiter's ramp."""
+"""The arbiter's bound on a step here: a step response needs a step, not a ramp."""
 _SETTLED_S = 0.2
 _CONTACTS_EVERY = 10
-"""Steps between contact checks, whose names cost more than a step; contacts last longer."""
+"""Steps between contact checks, each of which costs more than a step."""
 _NUDGE_RAD = 0.02
 _CHANGED_SHARE = 0.5
-"""Share of the supervisor's torque step (1 Nm) that counts as a response.
-
-The nudge asks for twenty times that; the previous one leaves a hundredth.
-"""
+"""Share of the supervisor's torque step (1 Nm) that counts as a response; a nudge asks for twenty times that."""
 _SETTLE_STEPS = 120
 _STILL_RAD_S, _REST_MAX_S = 0.01, 2.0
 
@@ -155,7 +152,7 @@ def arm_contacts(world: World) -> list[tuple[str, str, float]]:
 
 
 def track(rig: Rig, reference: Array, on_step: Callable[[World], None] | None = None) -> Tracking:
-    """Run a control step per row of `reference` (T, n), the postures wanted after them."""
+    """Run one control step per row of `reference` (T, n), the posture wanted after it."""
     world, start = rig.world, rig.world.q
     measured, cost = np.empty_like(reference), np.empty(len(reference))
     touching = 0
@@ -202,7 +199,7 @@ def sine_reference(
 ) -> tuple[Array, Array, Array]:
     """Return (q, v, a) of all joints swinging about home, each (n,), or (T, n) for `t` (T, 1).
 
-    q = home - A cos(w t) starts at rest. The arms are not mirrored, or the hands would meet.
+    q = home - A cos(w t), from rest. Arms that were mirrored would meet.
 
     Raises:
         ValueError: The swing exceeds position or velocity limits.
@@ -217,7 +214,7 @@ def sine_reference(
 
 
 def start_swing(rig: Rig, amplitude_rad: float, frequency_hz: float, duration_s: float) -> Trajectory:
-    """Let all joints swing about home for at least `duration_s`, from rest to rest; return the motion."""
+    """Start a swing of all joints about home, at least `duration_s` long, rest to rest; return it."""
     halves = np.ceil(2.0 * frequency_hz * duration_s - 1e-9)  # the swing rests after each half period
     times = np.arange(round(0.5 * halves / (frequency_hz * rig.world.dt)) + 1) * rig.world.dt
     reference = sine_reference(rig.world.robot, amplitude_rad, frequency_hz, times[:, None])
@@ -274,8 +271,8 @@ class CommandLatency:
     """Latency of commands.
 
     Attributes:
-        ticks: Control steps from `propose` to the first changed torque, per instant after an arbiter tick: without
-            delay 1, then one period down to 2.
+        ticks: Control steps from `propose` to the first changed torque, by instant after an arbiter tick: at best 1,
+            then one period down to 2.
         wall_us: Median wall time of `propose` and the step with the arbiter tick [us].
     """
 

@@ -57,7 +57,7 @@ class Outcome(Attempt[PlanResult]):
 
     Attributes:
         scene_s: Building the scene; not in the other times.
-        line_blocked: Whether the straight line to the goal posture that was planned to collides.
+        line_blocked: Whether the straight line to the planned goal posture collides.
     """
 
     query: Query

@@ -1,7 +1,7 @@
 """Seeded planning queries around a table with obstacles.
 
-IK solves poses over the table. Except for kind "any", the straight line in joint space is blocked. No planner is used,
-so the set cannot favour ours; `query_set` proves feasibility.
+IK solves poses over the table. Except for kind "any", the straight line in joint space is blocked. No planner is used;
+`query_set` proves feasibility.
 """
 
 from __future__ import annotations
