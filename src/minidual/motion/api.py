@@ -102,7 +102,7 @@ class Planner:
         if scene.robot != self.robot:
             raise UsageError(f"the planner is for two {self.robot.arm.name}, the scene for two {scene.robot.arm.name}")
         if scene not in self._engines:
-            engines = self._engines[scene] = SceneEngines(scene, self.config.verify_step_rad)
+            engines = self._engines[scene] = SceneEngines(scene, self.config.verify_step_rad, self.kinematics)
             if not Planner._kernels_loaded:
                 self._load_kernels(engines)
             while len(self._engines) > _SCENES_KEPT:

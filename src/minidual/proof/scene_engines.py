@@ -49,13 +49,16 @@ class Audit:
 
 
 class SceneEngines:
-    """Planning geometry of one scene, built in a few ms; `step_rad` is an audit's largest joint step."""
+    """Planning geometry of one scene, built in a few ms; `step_rad` is an audit's largest joint step.
 
-    def __init__(self, scene: PlanningScene, step_rad: float = STEP_RAD) -> None:
+    A `kinematics` given is shared by scenes: making one costs 0.3 ms.
+    """
+
+    def __init__(self, scene: PlanningScene, step_rad: float = STEP_RAD, kinematics: Kinematics | None = None) -> None:
         self.scene = scene
         self.solids = Solids(scene)
         self._step_rad = step_rad
-        self._kinematics = Kinematics(scene.robot)
+        self._kinematics = kinematics or Kinematics(scene.robot)
         self._engines: dict[str, Any] = {}
 
     def in_collision(self, q: Array) -> bool:

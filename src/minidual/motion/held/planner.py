@@ -237,7 +237,10 @@ class HeldWork:
         if isinstance(straight, CarriedTrajectory):
             return straight
         effort = _Effort(self._config.padding_m)
-        goals = self.goal_postures(straight, 1)
+        try:
+            goals = self.goal_postures(straight, 1)
+        except PlanningError:  # free postures may be rare: look longer before saying that there is none
+            goals = self.goal_postures(straight, 1, max(_MORE_GOALS.values()))
         for attempt, method in enumerate(itertools.cycle(METHODS)):
             if time.perf_counter() > self._deadline:
                 break
