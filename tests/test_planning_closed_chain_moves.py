@@ -99,6 +99,26 @@ def test_a_wall_is_passed_and_the_proof_covers_the_rod(planner, over_the_wall):
     assert (middle[crossing, 2] > 0.32).all() or (np.abs(middle[crossing, 0] - 0.5) > 0.15).all()
 
 
+def test_goal_postures_are_searched_longer_before_a_goal_is_refused(planner, q_start, monkeypatch):
+    goals, usual_n = planner.planner.goals, planner.planner.config.ik_restarts_n
+    found, tried = goals.candidates, []
+
+    def rare(*args, restarts_n, **kwargs):
+        tried.append(restarts_n)
+        if restarts_n <= most_n:
+            raise GoalInCollisionError("all postures found collide")
+        return found(*args, restarts_n=restarts_n, **kwargs)
+
+    monkeypatch.setattr(goals, "candidates", rare)
+    monkeypatch.setattr(HeldWork, "_straight", lambda work: work.notes.append("blocked"))
+    most_n = usual_n
+    assert planner.plan(query(q_start)).verification.ok
+    assert tried[0] == usual_n < tried[1]
+    most_n = 1_000_000
+    with pytest.raises(GoalInCollisionError, match="all postures found collide"):
+        planner.plan(query(q_start))
+
+
 def test_hands_keep_their_grasps_at_1_khz_and_between(over_the_wall, q_start):
     worst = timed_residual(over_the_wall, query(q_start), Kinematics())
     assert worst[0] < 1e-4
