@@ -1,15 +1,15 @@
 """The allowed-collision matrix: unchecked pairs of links of one arm.
 
-Only the left arm is sampled; the right one is equal. Reasons:
+Only the left arm is sampled. Reasons:
 
 - `rigid`: no joint in between (fingers are locked);
 - `adjacent`: one joint connects them directly;
+- `model`: in the arm model's `never_touch`;
 - `always`: contact at home and in at least 95 % of the samples;
-- `model`: the arm's model rules contact out;
 - `never`: no contact in any sample.
 
-Samples are uniform within the joint limits. Their number doubles from 20 000 until no pair changes class over two
-doublings in a row. By the rule of three, a `never` pair touches in less than 3/n of all postures (95 % confidence).
+Samples are uniform within the joint limits. Their number n doubles from 20 000 until no pair changes class over two
+doublings in a row. A `never` pair touches in less than 3/n of all postures (rule of three, 95 % confidence).
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from minidual.robot.pair import SIDES, Robot
 SAMPLES_MIN = 20_000
 SAMPLES_MAX = 1_280_000
 QUIET_DOUBLINGS = 2
-"""Consecutive unchanged doublings that end the sampling."""
+"""Unchanged doublings in a row that end the sampling."""
 ALWAYS_FRACTION = 0.95
 _RULE_VERSION = "6"
 _SEED = 7
@@ -50,10 +50,9 @@ class BuiltAcm:
 
     Attributes:
         pairs: Rows (link, link, reason).
-        rounds: `samples_n` so far and the pairs that `changed` class.
+        rounds: `samples_n` so far, pairs that `changed` class.
         converged: False if the sample limit was reached.
-        rarest: The touching pair with fewest contacts.
-        rarest_n: Their number.
+        rarest, rarest_n: Touching pair with fewest contacts; their number.
     """
 
     pairs: list[list[str]]
@@ -73,7 +72,7 @@ class BuiltAcm:
         return self.rounds[-1]["samples_n"]
 
     def lines(self) -> list[str]:
-        """Return the history as text."""
+        """Return the history as lines."""
         steps = ", ".join(f"{r['samples_n']} ({len(r['changed'])} changed)" for r in self.rounds)
         never = f"a pair that never touched does so in less than {3.0 / self.samples_n:.1e} of all postures"
         return [
@@ -91,8 +90,7 @@ def default_acm(robot: Robot) -> AllowedCollisions:
 def acm_report(robot: Robot) -> BuiltAcm:
     """Return matrix and history from the user's cache, or build them (1 s).
 
-    The file starts with the digest of model and content; another digest means another model or a changed row, and the
-    matrix is built again.
+    They are built again if the digest of model and content in the file does not match.
     """
     model = model_hash(robot)
     root = os.environ.get("MINIDUAL_CACHE") or Path.home() / ".cache" / "minidual"
@@ -151,12 +149,12 @@ def build_acm(robot: Robot, samples_min: int = SAMPLES_MIN, samples_max: int = S
 
 
 def _left_links(robot: Robot) -> dict[str, int]:
-    """Return the number of joints before each link with collision geometry."""
+    """Return the number of joints before each colliding link."""
     return {n: link.joints_before for n, link in links_of(robot).items() if link.collides and link.side == SIDES[0]}
 
 
 def _structural_pairs(robot: Robot) -> dict[tuple[str, str], str]:
-    """Return reasons that need no samples; pairs are in the order of the links."""
+    """Return reasons that need no samples, by pair in the order of the links."""
     links = _left_links(robot)
     ruled_out = [{f"{SIDES[0]}_{link}" for link in pair} for pair in robot.arm.never_touch]
     first: dict[int, str] = {}  # by number of joints before it: the link that the last of them moves
@@ -175,7 +173,7 @@ def _structural_pairs(robot: Robot) -> dict[tuple[str, str], str]:
 
 
 def model_hash(robot: Robot) -> str:
-    """Hash the geometry (URDF, meshes), limits and home; installation paths do not matter."""
+    """Hash geometry (URDF, meshes), limits and home, without installation paths."""
     urdf = pair_urdf(robot)
     digest = hashlib.sha256(_RULE_VERSION.encode())
     digest.update(re.sub(r'filename="[^"]*/([^"/]+)"', r'filename="\1"', urdf).encode())

@@ -30,7 +30,7 @@ class AllowedCollisions:
         return AllowedCollisions(self._others(a, b) | {(first, second, reason)})
 
     def without_pair(self, a: str, b: str) -> AllowedCollisions:
-        """Return a copy that checks the pair; UsageError if already checked."""
+        """Return a copy checking the pair; UsageError if checked already."""
         if self.reason(a, b) is None:
             raise UsageError(f"the pair {a} and {b} is checked already; it has no entry to remove")
         return AllowedCollisions(self._others(a, b))

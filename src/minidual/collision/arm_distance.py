@@ -13,7 +13,7 @@ _WITHIN_M = 0.15
 class ArmDistance:
     """Nearest pair of parts of different arms.
 
-    Pairs within one arm are excluded: wrist neighbours are always 22 mm apart.
+    Not within one arm: wrist neighbours are always 22 mm apart.
     """
 
     def __init__(self, scene: PlanningScene | None = None) -> None:

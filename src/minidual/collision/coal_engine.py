@@ -20,7 +20,7 @@ _GJK_TOLERANCE = 1e-9
 
 
 class CoalEngine:
-    """Checks a scene or `Pairs`; `items` maps parts to geometry objects."""
+    """Checks a scene or `Pairs`; `items`: geometry objects by part."""
 
     def __init__(self, scene: Any) -> None:
         self.model = Kinematics(scene.robot).model

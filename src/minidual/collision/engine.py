@@ -1,4 +1,4 @@
-"""What collision engines are built from, and their table."""
+"""Table of collision engines, and what they take and return."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from minidual.robot.pair import Robot
 
 @dataclass(frozen=True)
 class Pairs:
-    """Chosen pairs of parts; engines take these or a `PlanningScene`."""
+    """Pairs of parts; engines take these or a `PlanningScene`."""
 
     robot: Robot
     checked_pairs: tuple[tuple[str, str], ...]
@@ -23,7 +23,7 @@ class Pairs:
 
 @dataclass(frozen=True)
 class PairDistance:
-    """Two parts and their distance [m], negative in penetration."""
+    """Two parts; distance negative in penetration."""
 
     first: str
     second: str
@@ -38,4 +38,4 @@ ENGINES: Registry[Callable[[Any], Any]] = Registry(
     "collision engine",
     {"mujoco": "minidual.collision.mujoco_engine:MujocoEngine", "coal": "minidual.collision.coal_engine:CoalEngine"},
 )
-"""Built from a scene; `collisions(Q)` returns contact (n,) bool for Q (n, dof). An audit asks all."""
+"""Built from a scene; `collisions(Q)` returns contact (n,) bool for Q (n, dof). Audits ask all."""

@@ -19,9 +19,9 @@ _EXTENT_MIN_M = 1e-4
 def load_mesh(
     path: Path, name: str, position_m: Vec3, quat_wxyz: Quat = IDENTITY, *, scale: float = 1.0, separate: bool = False
 ) -> tuple[Mesh, str]:
-    """Read a mesh file (STL, OBJ, PLY, OFF, Collada, glTF); return its cover and a note on its quality.
+    """Read a mesh file (STL, OBJ, PLY, OFF, Collada, glTF); return its cover and a note on its volume.
 
-    The cover is one hull, or one for each connected piece if `separate`. `scale` is metres per unit of the file.
+    The cover is one hull, or one per connected piece if `separate`. `scale` is metres per unit of the file.
 
     Raises:
         UsageError: Missing file, unknown extension, bad scale, size or number of pieces.

@@ -54,14 +54,14 @@ class MujocoEngine:
             self._margin_m = margin_m
 
     def contact_count(self, q: Array) -> int:
-        """Place the arms and count contacts, within the margin of the last call."""
+        """Count contacts at q (n,), within the last margin."""
         self.data.qpos[self._addresses] = q
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_collision(self.model, self.data)
         return self.data.ncon
 
     def in_collision(self, q: Array) -> bool:
-        """Return whether anything touches."""
+        """Return whether parts touch at q (n,)."""
         self._set_margin(0.0)
         return self.contact_count(q) > 0
 
@@ -87,7 +87,7 @@ class MujocoEngine:
 
 
 def _boxes_to_meshes(spec: mujoco.MjSpec) -> None:
-    """Replace boxes by meshes: MuJoCo's box-box test reports no distance for most separate pairs."""
+    """Replace boxes by meshes: MuJoCo's box-box test gives most separate pairs no distance."""
     corners = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
     for index, geom in enumerate(spec.geoms):
         if geom.type == _KIND.mjGEOM_BOX:

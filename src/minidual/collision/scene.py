@@ -1,4 +1,4 @@
-"""The immutable, hashable planning scene. Engines are built from its `checked_pairs`."""
+"""The immutable, hashable planning scene."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from minidual.robot.description import collision_links, links_of
 from minidual.robot.pair import Robot
 
 TABLE = Box("table", position_m=(0.38, 0.0, -0.2), size_m=(1.2, 1.6, 0.4))
-"""The simulated table, solid down to 0.4 m: no arm reaches under it."""
+"""The simulated table, solid down to -0.4 m: no arm reaches under it."""
 
 MIN_DISTANCE_MAX_M = 0.2
 
@@ -26,7 +26,7 @@ MIN_DISTANCE_MAX_M = 0.2
 class PlanningScene:
     """Obstacles, attached objects and allowed collisions.
 
-    The table is an obstacle: `PlanningScene(obstacles=())` is empty space. Pairs of immobile parts are never checked.
+    `PlanningScene(obstacles=())` lacks the table. Pairs of immobile parts are never checked.
 
     Raises:
         UsageError: A duplicate or unknown name, or bad `min_distance_m`.
@@ -37,7 +37,7 @@ class PlanningScene:
     allowed: AllowedCollisions = field(default=None)  # type: ignore[assignment]
     """The robot's own matrix by default."""
     min_distance_m: float = 0.0
-    """Distance [m] kept from obstacles, unless contact is allowed. Engines see obstacles grown by it."""
+    """Distance [m] from obstacles, which are grown by it, unless contact is allowed."""
     robot: Robot = DUAL_PANDA
 
     def __post_init__(self) -> None:
@@ -70,7 +70,7 @@ class PlanningScene:
 
     @cached_property
     def checked_pairs(self) -> tuple[tuple[str, str], ...]:
-        """In a fixed order."""
+        """Pairs that may not touch, in a fixed order."""
         return tuple(p for p in itertools.combinations(self.names, 2) if self._why_unchecked(*p) is None)
 
     def why_unchecked(self, a: str, b: str) -> str | None:
@@ -99,7 +99,7 @@ class PlanningScene:
 
     @cached_property
     def _moved_by(self) -> dict[str, tuple[str, int]]:
-        """(side, number of moving joints) by part; equal within a rigid piece."""
+        """(side, number of joints that move it) by part; equal within a rigid piece."""
         links = links_of(self.robot)
         moved = {name: (link.side, link.joints_before) for name, link in links.items()}
         return (

@@ -21,7 +21,7 @@ from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.pair import Robot
 
 Length = Annotated[float, Field(ge=1e-4, le=10.0)]
-"""The minimum is a mesh's: MuJoCo gets boxes as meshes, whose hulls need volume."""
+"""MuJoCo gets boxes as meshes, whose hulls need volume."""
 
 
 class _Held(StrictModel):
@@ -30,7 +30,7 @@ class _Held(StrictModel):
     link: str
     """Its frame places the shape."""
     touch_links: tuple[str, ...] = ()
-    """Links that may touch it, besides those rigid with `link`."""
+    """Others that may touch it, besides those rigid with `link`."""
 
 
 class _Entry(PlaceFields):
@@ -102,7 +102,7 @@ class SceneFile(StrictModel):
     allowed: tuple[AllowedEntry, ...] = ()
     """Added to the robot's own matrix."""
     checked: tuple[tuple[str, str], ...] = ()
-    """Pairs of the robot's own matrix to check anyway."""
+    """Pairs of that matrix to check anyway."""
 
 
 def load_scene(path: Path, robot: Robot = DUAL_PANDA) -> tuple[PlanningScene, list[str]]:

@@ -45,7 +45,7 @@ class _Shape:
 
     @property
     def T_parent_shape(self) -> Array:
-        """Pose (4, 4) in the world, or in an attached object's link."""
+        """Pose (4, 4) in the world, or the link that holds it."""
         return pose(rotation_from_quat(np.array(self.quat_wxyz)), np.array(self.position_m))
 
 
@@ -128,7 +128,7 @@ class Attached:
 def grown(shape: Shape, by_m: float) -> Shape:
     """Return a shape containing everything within `by_m`.
 
-    Spheres and capsules are exact. Others keep sharp edges, reaching up to 0.73 by_m further.
+    Spheres and capsules are exact; others keep sharp edges, up to 0.73 by_m farther.
     """
     if by_m <= 0.0:
         return shape

@@ -1,1 +1,1 @@
-"""Motion planning; start at `api.Planner` or `held.planner.HeldPlanner`. Importing the package imports no module."""
+"""Motion planning; start at `api.Planner` or `held.planner.HeldPlanner`."""

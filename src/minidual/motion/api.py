@@ -33,12 +33,12 @@ _TRIES_OF_FIRST = 4
 _CHECKS_MAX = 10_000_000
 _PADDING_MAX_M = 0.02
 _PATIENCE = 1.5
-"""Search times are heavy-tailed: several short searches beat one long one."""
+"""Growth of state checks per failed search: times are heavy-tailed, so several short searches beat a long one."""
 
 
 @dataclass(frozen=True)
 class Effort:
-    """How the next attempt searches: padding, steps between checks, checks until it gives up."""
+    """Settings of the next attempt: padding, check step, state checks until it gives up."""
 
     padding_m: float
     step_rad: float
@@ -46,7 +46,7 @@ class Effort:
     fruitless_n: int = 0
 
     def after_no_path(self) -> Effort:
-        """Return less padding (narrow passages) and more state checks."""
+        """Return less padding, for narrow passages, and more state checks."""
         return replace(
             self,
             padding_m=0.5 * self.padding_m,
@@ -55,7 +55,7 @@ class Effort:
         )
 
     def after_no_proof(self) -> Effort:
-        """Return more padding (up to 0.02 m, if it is less) and finer steps."""
+        """Return `more_padding` and finer steps."""
         return replace(self, padding_m=more_padding(self.padding_m), step_rad=max(0.5 * self.step_rad, 0.004))
 
     def planner(self, first: str, fallbacks: Sequence[str]) -> str:
@@ -65,14 +65,14 @@ class Effort:
 
 
 def more_padding(padding_m: float) -> float:
-    """Return half as much padding again, up to 0.02 m; more than that stays."""
+    """Return 1.5 times the padding, up to 0.02 m; larger ones stay."""
     return max(padding_m, min(1.5 * padding_m, _PADDING_MAX_M))
 
 
 class Planner:
     """Plans for left_arm, right_arm and both_arms. One instance per process; it holds workspaces.
 
-    `scene` is the default scene. Equal queries with equal seeds give equal trajectories.
+    Equal queries with equal seeds give equal trajectories.
 
     Example:
         planner = Planner()
@@ -118,7 +118,7 @@ class Planner:
         Planner._kernels_loaded = True
 
     def budget(self, budget_s: float | None) -> float:
-        """Return a checked time budget [s], by default the configuration's.
+        """Return a time budget [s], by default the configuration's.
 
         Raises:
             UsageError: Not finite and > 0.
@@ -204,7 +204,7 @@ class _Work:
         require_free(self.engines, self.q_start, "start")
 
     def run(self, goals: Sequence[Array]) -> PlanResult:
-        """Return the first proven plan to one of the goals (n,), or raise NoPathInTimeError."""
+        """Return the first proven plan to a goal (n,), or raise NoPathInTimeError."""
         config, times = self.config, self.times
         effort = Effort(config.padding_m, config.edge_step_rad, config.search_checks_n)
         notes: list[str] = []

@@ -1,7 +1,7 @@
 """Collision checks of configurations and straight edges.
 
-Checks keep `padding_m` because paths may touch between samples. Near an endpoint with less clearance the padding is 0.9
-of that clearance; it grows back within `RELAX_RAD` of joint motion.
+Checks keep `padding_m`, as paths may touch between samples. Near an endpoint with less clearance it is 0.9 of that
+clearance and grows back within `RELAX_RAD` of joint motion.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _KEEP_FRACTION = 0.9
 
 @cache
 def bisection_order(count: int) -> Array:
-    """Return k/count, k = 1..count, in bisection order, end first. The array is cached: read only."""
+    """Return k/count, k = 1..count, in bisection order, end first. Cached: read only."""
     order: list[int] = []
     seen = {0}
     step = count
@@ -39,8 +39,7 @@ def bisection_order(count: int) -> Array:
 class EdgeChecker:
     """Deterministic checks by separating planes; undecided counts as blocked.
 
-    The padding shrinks near the free `endpoints` (dof,). Edges are checked every `step_rad`. Only pairs with a part of
-    `arms` are checked.
+    The padding shrinks near the free `endpoints` (dof,). Only pairs with a part of `arms` are checked.
     """
 
     def __init__(
@@ -64,17 +63,17 @@ class EdgeChecker:
         self._geometry, self._rest = solids.geometry, (rows, keep, solids.workspace())
 
     def free(self, q: Array) -> bool:
-        """Return whether q (dof,) keeps its distance."""
+        """Return whether q (dof,) keeps the padding."""
         return self.all_free(np.asarray(q)[None])
 
     def all_free(self, Q: Array) -> bool:
-        """Return whether all rows of Q (n, dof) do; stops at the first failure."""
+        """Return whether all rows of Q (n, dof) keep it."""
         free_n = planes.survey(self._geometry, floats(Q), *self._rest)
         self.checks_n += min(free_n + 1, len(Q))
         return free_n == len(Q)
 
     def edge_free(self, a: Array, b: Array, step_rad: float | None = None) -> bool:
-        """Return whether the edge (dof,) is free; a itself is not checked."""
+        """Return whether the edge (dof,) is free, checked every `step_rad`; a itself is not."""
         count = math.ceil(np.abs(b - a).max() / (step_rad or self.step_rad))
         if count == 0:
             return True

@@ -1,4 +1,4 @@
-"""Goals as models, which are also the schema of goal files; see docs/planning-scenes.md.
+"""Goals; also the schema of goal files (docs/planning-scenes.md).
 
 poses:
   left: {position_m: [0.5, 0.25, 0.3], rpy_rad: [3.1416, 0, 0]}
@@ -24,14 +24,14 @@ _KINDS = ("state", "joints_rad", "joints_by_name_rad", "poses", "move")
 
 
 class TipPose(PlaceFields):
-    """Tcp pose; without an orientation that of the start is kept."""
+    """Tcp pose; a missing orientation is that of the start."""
 
     frame: str = "world"
     """"world", a link (where it is at the start), an obstacle or a held object."""
 
 
 class TipOffset(StrictModel):
-    """Shift and rotation vector about the tcp's origin."""
+    """Shift, and rotation vector about the tcp's origin."""
 
     offset_m: Finite3 = (0.0, 0.0, 0.0)
     rotation_rad: Finite3 = (0.0, 0.0, 0.0)
@@ -69,7 +69,7 @@ class Goal(StrictModel):
     linear: bool = False
     """Straight lines; only with poses or move."""
     fraction_min: float = Field(default=1.0, gt=0.0, le=1.0)
-    """Smallest acceptable part of the lines."""
+    """Part of the lines that suffices."""
 
     @model_validator(mode="after")
     def _one_kind(self) -> Goal:

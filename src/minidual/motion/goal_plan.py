@@ -23,7 +23,7 @@ from minidual.robot.poses import pose, rotation_from_quat
 
 
 class NamedStates(dict[str, dict[str, Array]]):
-    """Named postures {arm: joints [rad]} of arm model and configuration.
+    """Postures {arm: joints [rad]} of arm model and configuration, by name.
 
     Raises:
         ConfigError: A state does not fit the robot.
@@ -57,7 +57,7 @@ class NamedStates(dict[str, dict[str, Array]]):
             raise ConfigError(f"semantics.states.{name}: it gives neither left_rad nor right_rad")
 
     def joints(self, name: str, group: str, q_others: Array) -> Array:
-        """Return a state as q (n,), other arms from `q_others` (n,).
+        """Return a state as q (n,); arms outside the group from `q_others` (n,).
 
         Raises:
             UsageError: Unknown state, or it lacks an arm of the group.
@@ -76,7 +76,7 @@ class NamedStates(dict[str, dict[str, Array]]):
 
 
 class GoalPlanner:
-    """Resolves and plans goals. One instance per process; it holds workspaces."""
+    """Plans to a `Goal`. One instance per process; it holds workspaces."""
 
     def __init__(self, planner: Planner | None = None, semantics: SemanticsConfig | None = None) -> None:
         self.planner = planner or Planner()
@@ -146,7 +146,7 @@ class GoalPlanner:
     def start_joints(
         self, group: str, q_near: Array, start: Goal, scene: PlanningScene | None = None, *, seed: int = 0
     ) -> Array:
-        """Return a goal as start joints (n,); for poses the free IK solution nearest to q_near (n,)."""
+        """Return start joints (n,); for poses the free IK solution nearest to q_near (n,)."""
         resolved = self.resolve(group, q_near, start, scene)
         if not isinstance(resolved, dict):
             return resolved

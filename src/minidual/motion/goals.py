@@ -1,4 +1,4 @@
-"""Checked configurations from joints and poses."""
+"""Checks of configurations and goals; configurations at poses."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def group_arms(group: str) -> tuple[str, ...]:
 
 
 def check_joints(q: Array, what: str, robot: Robot = DUAL_PANDA) -> Array:
-    """Return q as (n,), rounding errors at limits clipped.
+    """Return q (n,), clipped to the limits within rounding.
 
     Raises:
         OutOfLimitsError: Wrong shape, not finite, or outside limits.
@@ -53,7 +53,7 @@ def check_joints(q: Array, what: str, robot: Robot = DUAL_PANDA) -> Array:
 
 
 def goal_joints(group: str, q_start: Array, q_goal: Array, robot: Robot = DUAL_PANDA) -> Array:
-    """Return the goal as (n,); a goal of the group's size is completed from the start.
+    """Return the goal (n,), one of the group's size completed from the start.
 
     Raises:
         OutOfLimitsError: See `check_joints`.
@@ -78,7 +78,7 @@ def require_free(engine: SceneEngines, q: Array, what: str) -> None:
     """Check that q (n,) is free.
 
     Raises:
-        StartInCollisionError, GoalInCollisionError: States pair and depth.
+        StartInCollisionError, GoalInCollisionError: It is not.
     """
     near = engine.closest(q, 0.001)
     if near and near[0].distance_m <= 0.0:

@@ -17,7 +17,7 @@ from minidual.robot.pair import Array
 from minidual.robot.vectors import cross, inner
 
 TOLERANCE = 1e-7
-"""SE(3) error norm (m and rad combined) that counts as reached."""
+"""Error norm (m and rad combined) that counts as reached."""
 _ITERATIONS = 80
 _DISTINCT_RAD = 0.1
 _SMALL = 1e-4
@@ -38,10 +38,10 @@ class IKSolution:
 
 
 def check_pose(T: Array, what: str) -> Array:
-    """Return T as a (4, 4) array.
+    """Return T (4, 4).
 
     Raises:
-        UsageError: Wrong shape, not finite, or not a rigid pose.
+        UsageError: Not a finite rigid pose.
     """
     T = np.asarray(T, dtype=float)
     if T.shape != (4, 4):
@@ -59,7 +59,7 @@ def check_pose(T: Array, what: str) -> Array:
 
 
 class ArmIK:
-    """Inverse kinematics of the "left" or "right" tcp in the world frame."""
+    """IK of the "left" or "right" tcp in the world frame."""
 
     def __init__(self, arm: str, kinematics: Kinematics | None = None) -> None:
         kinematics = kinematics or Kinematics()
@@ -80,7 +80,7 @@ class ArmIK:
         return T
 
     def error_and_jacobian(self, q: Array, T_world_tcp: Array) -> tuple[Array, Array]:
-        """Return log6(T_tcp_target) (6,) and its derivative by q (6, n)."""
+        """Return e = log6(T_tcp_target) (6,) and de/dq (6, n)."""
         error, J = np.empty(6), np.empty((6, self._n))
         measure(self._frames, floats(T_world_tcp).reshape(4, 4), floats(q).reshape(self._n), error, J)
         return error, J
@@ -95,7 +95,7 @@ class ArmIK:
     def nearest(self, T_world_tcp: Array, q_near: Array, wish: Array | None = None) -> Array | None:
         """Return joints (n,) at the pose (4, 4) by least-norm steps from q_near (n,), or None.
 
-        Ignores limits, so it is smooth in pose, q_near and `wish`, a preferred first step (n,) [rad].
+        Ignores limits, so smooth in pose, q_near and `wish`, a preferred first step (n,) [rad].
         """
         q = np.array(q_near, dtype=float)
         wish = np.zeros(self._n) if wish is None else floats(wish)
@@ -131,7 +131,7 @@ class ArmIK:
         """Yield distinct solutions (n,) from q_near, home, then random starts.
 
         Raises:
-            IKUnreachableError: None found; states the best residual.
+            IKUnreachableError: None found.
         """
         found: list[Array] = []
         best: IKSolution | None = None
@@ -159,10 +159,7 @@ class ArmIK:
 
 
 class PostureIK:
-    """IK of both hands near a reference posture (n,) [rad].
-
-    Solutions do not depend on history, so a policy can learn them.
-    """
+    """IK of both hands near a reference posture (n,) [rad]; independent of history, so a policy can learn it."""
 
     def __init__(self, kinematics: Kinematics, *, posture: Array, weights: Array | None = None) -> None:
         self._arms = tuple(ArmIK(side, kinematics) for side in kinematics.robot.sides)
@@ -170,10 +167,10 @@ class PostureIK:
         self._mobility = 1.0 / (np.ones(kinematics.robot.dof_per_arm) if weights is None else np.asarray(weights))
 
     def solve(self, T_world_left: Array, T_world_right: Array, q_start: Array) -> Array:
-        """Return q (n,) with both tcps at the poses (4, 4).
+        """Return q (n,) at both tcp poses (4, 4).
 
         Raises:
-            UsageError: A pose is out of reach within the limits.
+            UsageError: A pose is out of reach.
         """
         q = np.array(q_start, dtype=float)
         for arm, T in zip(self._arms, (T_world_left, T_world_right), strict=True):

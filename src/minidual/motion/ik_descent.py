@@ -17,7 +17,7 @@ from minidual.robot.compiled import BLOCKS, ROWS, VECTOR, kernel
 from minidual.robot.pair import Array
 
 _SMALL = 0.05
-"""Below this angle [rad] quotients lose digits; series replace them."""
+"""Below this angle [rad] series replace quotients, which lose digits."""
 _NEAR_HALF_TURN = math.pi - 1e-3
 """Above this angle [rad] a rotation's antisymmetric part loses digits."""
 _DAMPING_FIRST, _DAMPING_LEAST, _DAMPING_MOST = 1e-3, 1e-10, 1e4
@@ -26,7 +26,7 @@ _DAMPING_PROJECT = 1e-9
 
 
 def frames_of_arm(model: Any, joints: slice, tcp: int) -> Array:
-    """Return fixed poses (n + 1, 4, 4) between hinges (about z) and to the tcp.
+    """Return the fixed poses (n + 1, 4, 4) between hinges, which turn about z, and to the tcp.
 
     Raises:
         ValueError: No hinge chain.
@@ -176,7 +176,7 @@ def _jacobian(measured: Any, J: Array) -> None:
 
 @njit
 def _inner(J: Array, i: int, e: Array) -> float:
-    """Return the product of column i and e (6,)."""
+    """Return J[:, i] . e."""
     s = 0.0
     for k in range(6):
         s += J[k, i] * e[k]
@@ -185,7 +185,7 @@ def _inner(J: Array, i: int, e: Array) -> float:
 
 @njit
 def _solve(J: Array, blocked: Any, damping: float, e: Array, L: Array, y: Array) -> None:
-    """Fill y = (J J^T + damping I)^-1 e without blocked columns (Cholesky); NaN on failure."""
+    """Fill y = (J J^T + damping I)^-1 e without blocked columns; NaN on failure."""
     for i in range(6):
         for j in range(i + 1):
             s = damping if i == j else 0.0
@@ -228,7 +228,7 @@ def descend(
 ) -> tuple[float, float, float]:
     """Move q (n,) towards the pose (4, 4); return the error norm, distance [m] and angle [rad].
 
-    Levenberg-Marquardt for distant starts; joints pushed against a limit stay.
+    Levenberg-Marquardt; joints pushed against a limit stay.
     """
     n, damping = len(q), _DAMPING_FIRST
     J, L, y, q_new, blocked = np.empty((6, n)), np.zeros((6, 6)), np.empty(6), np.empty(n), np.empty(n, dtype=np.bool_)
@@ -265,7 +265,7 @@ def project(
 ) -> bool:
     """Move q (n,) to the pose (4, 4) by least-norm Newton steps, the first along `wish` (n,) where possible.
 
-    Ignores limits. Quadratic convergence makes the step from an error below `small` the last. Steps over `step_max`
+    Ignores limits. The step from an error below `small` is the last, as convergence is quadratic. Steps over `step_max`
     fail.
     """
     n, wished = len(q), (wish != 0.0).any()

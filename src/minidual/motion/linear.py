@@ -1,7 +1,4 @@
-"""Straight tcp motion, as far as arms and obstacles allow.
-
-IK follows the lines until a pose is out of reach, an arm would jump, or something collides.
-"""
+"""Straight tcp motion, until a pose is out of reach, an arm would jump, or something collides."""
 
 from __future__ import annotations
 
@@ -42,7 +39,7 @@ class LinearMove:
 
     Attributes:
         fraction: Part covered, 0 to 1.
-        reason: Why it ends early.
+        reason: Why it ends early, or "".
         deviation_m, deviation_rad: Largest tcp deviations.
     """
 
@@ -55,14 +52,14 @@ class LinearMove:
 
 
 class Line:
-    """Line between tcp poses (4, 4), rotating about one axis."""
+    """Line between tcp poses (4, 4), turning about one axis."""
 
     def __init__(self, T_start: Array, T_end: Array) -> None:
         self._start = T_start
         self._shift = T_end[:3, 3] - T_start[:3, 3]
         self._turn = pin.log3(T_start[:3, :3].T @ T_end[:3, :3])
         self.length_m = float(np.hypot(np.linalg.norm(self._shift), ROTATION_WEIGHT_M * np.linalg.norm(self._turn)))
-        """Includes weighted rotation."""
+        """Includes rotation, weighted."""
 
     def at(self, x: float) -> Array:
         """Return T_world_tcp (4, 4) at x in 0..1."""
@@ -78,7 +75,7 @@ class Line:
 
 
 class _Curve:
-    """Joints and s [m] as functions of s."""
+    """Columns over s [m]: joints and s."""
 
     def __init__(self, marks: Array, Q: Array) -> None:
         self._spline = CubicSpline(marks, Q, bc_type="natural")
@@ -113,7 +110,8 @@ class LinearPlanner:
         """Return the straight move from q_start (n,) to {arm: T_world_tcp (4, 4)}; tcps end together.
 
         Raises:
-            LinearMoveError: It covers less than `fraction_min`, deviates, or cannot be proven.
+            LinearMoveError: It covers less than `fraction_min`, deviates, or is not proven.
+            TimingError: The limits cannot be kept.
             UsageError, OutOfLimitsError, StartInCollisionError: Bad query.
         """
         checked = check_targets(group, targets)
@@ -185,7 +183,7 @@ class LinearPlanner:
         engines: SceneEngines,
         limits: PathLimits,
     ) -> LinearMove:
-        """Return the proven move, shortened after failed proofs, or raise LinearMoveError."""
+        """Return the proven move, shortened after failed proofs."""
         length = float(marks[-1])
         for back_off in range(_BACK_OFFS):
             keep = len(Q) - 2**back_off + 1

@@ -16,14 +16,14 @@ PHASES: tuple[str, ...] = ("scene", "ik", "search", "shortcut", "blend", "timing
 
 @dataclass
 class PhaseTimes:
-    """Wall time by phase [s]; repeated phases add up."""
+    """Wall time by phase [s], summed over attempts."""
 
     seconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(PHASES, 0.0))
     started: float = field(default_factory=perf_counter)
 
     @contextmanager
     def phase(self, name: str) -> Iterator[None]:
-        """Add the time of the block to a phase."""
+        """Add the block's time to a phase."""
         begin = perf_counter()
         try:
             yield
@@ -43,9 +43,9 @@ class PlanResult:
     Attributes:
         path: Polyline (n, dof) after shortcutting.
         q_goal: Goal reached (dof,).
-        attempts_n: Including the successful one.
+        attempts_n: Includes the successful one.
         direct: Whether `path` is one segment.
-        notes: Why earlier attempts failed, or where a straight move ends.
+        notes: Why earlier attempts failed, or a straight move ends early.
     """
 
     trajectory: Trajectory

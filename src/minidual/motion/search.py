@@ -1,7 +1,7 @@
 """Sampling search with OMPL.
 
 Only exact solutions count (`bool(status)` is also true for approximate ones). Limits count state checks, so results do
-not depend on machine speed.
+not depend on the machine.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from minidual.registry import Registry
 from minidual.robot.pair import Array
 
 PLANNERS: Registry[Callable[[Any], Any]] = Registry("planner", {"rrtconnect": og.RRTConnect, "kpiece": og.KPIECE1})
-"""OMPL planners by configuration name. PRM hangs: it evaluates the termination condition in its own threads."""
+"""OMPL planners. PRM hangs: it evaluates the termination condition in its own threads."""
 
 
 class Validity(ob.StateValidityChecker):
-    """Validity checker that calls a Python function."""
+    """Calls a Python function."""
 
     def __init__(self, si: Any, free: Callable[[Any], bool]) -> None:
         super().__init__(si)
@@ -56,7 +56,7 @@ def bounded_space(lower: Array, upper: Array) -> Any:
 
 
 def seeded(seed: int) -> None:
-    """Seed OMPL and silence it: a repeated setSeed works but logs an error."""
+    """Seed OMPL and silence it: repeated setSeed logs an error."""
     ou.setLogLevel(ou.LOG_NONE)
     ou.RNG.setSeed(max(1, subseed(seed, "ompl")))
 
@@ -83,7 +83,7 @@ def search(
 ) -> Array | None:
     """Return a polyline (n, dof) between configurations (dof,), or None.
 
-    Only `joints` move. `range_rad` is the longest tree edge (Euclidean), `deadline` a time.perf_counter().
+    Only `joints` move. `range_rad`: longest tree edge (Euclidean); `deadline`: by time.perf_counter().
     """
     seeded(seed)
     robot = checker.robot

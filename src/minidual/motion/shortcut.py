@@ -18,7 +18,7 @@ def path_length(path: Array) -> float:
 def shortcut(path: Array, checker: EdgeChecker, rng: np.random.Generator, rounds_n: int) -> Array:
     """Return a shorter free polyline (m, dof) after `rounds_n` random trials.
 
-    Every other round moves one arm alone: the arms may need detours at different times.
+    Every other round moves one arm alone, as detours may differ in time.
     """
     path = _drop_vertices(path, checker)
     whole, *arms = (checker.robot.groups[name] for name in ("both_arms", *(f"{side}_arm" for side in SIDES)))

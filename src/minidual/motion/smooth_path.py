@@ -30,7 +30,7 @@ class SmoothPath:
         return float(self.knots[-1])
 
     def at(self, s: Array, order: int = 0) -> Array:
-        """Return q or a derivative at (n,) parameters; the end pieces extrapolate."""
+        """Return q or a derivative at s (n,); the end pieces extrapolate."""
         piece = np.clip(np.searchsorted(self.knots, s, side="right") - 1, 0, len(self.knots) - 2)
         x = s - self.knots[piece]
         powers = np.empty((_TERMS - order, len(x)))

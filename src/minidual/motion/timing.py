@@ -1,7 +1,7 @@
 """Time parametrization within velocity, acceleration, jerk and torque limits, at 1 kHz.
 
-The speed profile exceeds its limits by 1 to 4 % between grid points (measured), so it is slowed down as a whole.
-Averaging s(t) over a window bounds jerk; k times slower means 1/k^3 of it.
+The speed profile exceeds its limits by 1 to 4 % between grid points, so it is slowed down as a whole. Averaging s(t)
+over a window bounds jerk; k times slower means 1/k^3 of it.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from minidual.robot.trajectory import Trajectory, largest
 DT_S = 0.001
 _SLOWDOWNS_MAX = 12
 _STEPS_MAX = 1e8
-"""More samples count as endless."""
+"""More samples are an error."""
 _TORQUE_EVERY = 8
 
 
 @dataclass(frozen=True)
 class PathLimits:
-    """Limits along a path in space, and of each of its coordinates; one radian counts as 0.2 m.
+    """Limits along a path in space and of each coordinate; one radian counts as 0.2 m.
 
     Raises:
         UsageError: Not finite and > 0.
@@ -46,16 +46,16 @@ class PathLimits:
 
 
 class Curve(Protocol):
-    """Twice differentiable curve."""
+    """Twice differentiable; s from 0 to `length`."""
 
     @property
     def length(self) -> float:
-        """End of the parameter interval; it begins at 0."""
+        """End of s."""
         ...
 
     @property
     def knots(self) -> Array:
-        """Parameters (k,); the curve is smooth between them."""
+        """Parameters (k,), smooth in between."""
         ...
 
     def at(self, s: Array, order: int = 0) -> Array:
@@ -120,7 +120,7 @@ def drive(
 
 
 def torque_ratio(q: Array, v: Array, a: Array, kinematics: Kinematics, every: int = _TORQUE_EVERY) -> float:
-    """Return the largest |torque| / limit of states (n, dof), subsampled by `every`."""
+    """Return the largest |torque| / limit of every `every`-th state (n, dof) and the last."""
     rows = np.append(np.arange(0, len(q), every), len(q) - 1)
     return float(np.max(largest(kinematics.torques(q[rows], v[rows], a[rows])) / kinematics.robot.tau_max))
 
@@ -144,7 +144,7 @@ def fastest_profile(path: Curve, columns: Indices, v_max: Array, a_max: Array) -
 
 
 def _grid(path: Curve) -> Array:
-    """Return a grid with all knots, 8 or more steps apiece, each at most 1/100 of the path."""
+    """Return a grid with all knots, 8 or more steps between two, each at most 1/100 of the path."""
     widths = np.diff(path.knots)
     counts = np.maximum(8, np.ceil(widths / (path.length / 100.0))).astype(int)
     within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -157,7 +157,7 @@ def sample_parameters(
 ) -> tuple[Array, Array, Array, Array]:
     """Return (times, s, ds/dt, d2s/dt2) every dt_s, stretched to whole steps.
 
-    Averaging over `smoothing_s` is a mean of delayed copies, so derivatives are exact.
+    Averaged over `smoothing_s` as a mean of delayed copies: derivatives are exact.
 
     Raises:
         TimingError: The duration is too long.

@@ -1,7 +1,7 @@
-"""Certificate: proves from few samples that a trajectory never touches anything.
+"""Certificate: proves from few samples that a trajectory touches nothing.
 
-On each stretch of motion every moving pair needs a plane that both ends clear by more than the parts can deviate in
-between (`minidual.proof.planes`). Unproven stretches are halved, down to the samples.
+On each stretch every moving pair needs a plane that both ends clear by more than the parts can deviate in between
+(`minidual.proof.planes`). Unproven stretches are halved, down to two neighbouring samples.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from minidual.robot.pair import SIDES, Array
 from minidual.robot.trajectory import Trajectory
 
 _SLACK_M = 2e-5
-"""Clearance for rounding; the engines' vertices differ by 1e-7 m."""
+"""For rounding; the engines' vertices differ by 1e-7 m."""
 _FIRST_RAD = 0.5
-"""First stretches' length, summed over joints."""
+"""Length of the first stretches, summed over joints."""
 _STRETCHES_MAX = 256
 
 
@@ -29,8 +29,8 @@ class Certificate:
     """Result of a proof.
 
     Attributes:
-        reason: The unproven pair and time, if any.
-        samples_n: Ends of stretches.
+        reason: Unproven pair and time, or "".
+        samples_n: Number of stretch ends.
     """
 
     ok: bool
@@ -68,7 +68,7 @@ def first_stretches(q: Array, length_rad: float) -> np.ndarray:
 
 
 def _refusal(solids: Solids, trajectory: Trajectory, samples: list[int], pair: int) -> Certificate:
-    """Distinguish contact from a failed proof."""
+    """Tell contact from a failed proof."""
     a, b = sorted(solids.pairs[pair])
     for k in samples:
         if not solids.clearance(trajectory.q[[k]], 1.0, np.array([pair])) > 0.0:

@@ -1,7 +1,7 @@
 """Compiled search for planes that separate two parts, at a state or throughout a stretch.
 
-A part is a union of convex solids: vertex hulls, thickened by a ball or disc (cylinders). Two solids are d apart if
-along some direction all of one lies d beyond the other. Checking a direction is independent of its search (Gilbert,
+A part is a union of convex solids: vertex hulls, thickened by a ball or (cylinders) a disc. Two solids are d apart if
+along some direction all of one lies d beyond the other. Checking a direction does not depend on its search (Gilbert,
 Johnson, Keerthi).
 
 A stretch is compared with the straight joint-space line between its ends. Along it a vertex's second derivative is at
@@ -9,8 +9,8 @@ most a sum over joint pairs: both steps times the distance from the outer axis. 
 from its chord. Leaving the line by e_j adds at most r_j e_j (r_j: reach). A plane clearing both ends by more than both
 deviations separates the solids throughout. Links of one arm are seen from the inner one.
 
-NaN counts as not proven: sums propagate it, comparisons drop it. Helpers share this file because numba's cache watches
-no other.
+NaN counts as not proven: sums propagate it, comparisons drop it. Helpers share this file: numba's cache watches no
+other.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from minidual.robot.pair import Array
 JOINT = np.dtype([("parent", "i8"), ("R", "f8", (3, 3)), ("p", "f8", 3)])
 """Parent frame (0: world, k + 1: joint k) and placement; the joint turns about z."""
 SOLID = np.dtype([("first", "i8"), ("end", "i8"), ("ball", "f8"), ("disc", "f8"), ("axis", "f8", 3)])
-"""Vertex rows, radii [m], disc axis."""
+"""Vertex rows, radii of ball and disc [m], disc axis."""
 PART = np.dtype([("first", "i8"), ("end", "i8"), ("frame", "i8"), ("centre", "f8", 3), ("radius", "f8")])
 """Solid rows, frame, bounding ball [m]."""
 PAIR = np.dtype([(name, "i8") for name in ("a", "b", "frame", "row", "moves_a", "moves_b")])
-"""Two parts, their planes' frame, first direction row, both parts' indices in `_deviate`'s flattened table."""
+"""Two parts, their planes' frame, first direction row, both indices in `_deviate`'s flattened table."""
 
 Rows = Any
 """Records or integers, (n,)."""
@@ -94,7 +94,7 @@ def _turned_back(R: Array, a: Any) -> Vector:
 
 @inlined
 def _place(geometry: Geometry, q: Array, n: int, work: Work) -> None:
-    """Write poses and centres into row n; the world's pose stands there already."""
+    """Write poses and centres into row n; the world's pose is there."""
     joints, parts = geometry[0], geometry[3]
     R, p, C = work[1][n], work[2][n], work[3][n]
     for j in range(len(joints)):
@@ -121,7 +121,7 @@ def _seen_from(work: Work, n: int, f: int, a: int, to: int) -> None:
 
 @inlined
 def _farthest(geometry: Geometry, k: int, R: Array, p: Array, way: Vector) -> tuple[float, Vector]:
-    """Return solid k's extent along `way`, without ball, and extreme point."""
+    """Return solid k's extent along `way`, without ball, and its extreme point."""
     vertices, solids = geometry[1], geometry[2]
     own = _turned_back(R, way)
     at = solids[k].first
@@ -247,7 +247,7 @@ def _nearest(S: Array, count: int) -> tuple[int, Vector]:
 def _separate(geometry: Geometry, a: int, b: int, ends: int, need: float, exact: bool, row: int, work: Work) -> float:
     """Return a lower bound on the solids' distance at all ends.
 
-    Stops when the bound exceeds `need` or cannot; if `exact`, within `_EXACT_M` of convergence.
+    Stops when it exceeds `need` or cannot; if `exact`, within `_EXACT_M` of convergence.
     """
     solids, directions, S = geometry[2], work[0], work[6]
     thick = solids[a].ball + solids[b].ball
@@ -278,7 +278,7 @@ def _separate(geometry: Geometry, a: int, b: int, ends: int, need: float, exact:
 
 @inlined
 def _between_balls(geometry: Geometry, pair: Any, i: int, j: int, work: Work) -> float:
-    """Return the bounding balls' smallest distance between states i and j."""
+    """Return the bounding balls' smallest distance at states i and j."""
     parts, R, C = geometry[3], work[1], work[3]
     a, b, f = pair.a, pair.b, pair.frame
     x = _minus(C[i, a], C[i, b])
@@ -337,7 +337,7 @@ def _apart(geometry: Geometry, pair: Any, i: int, j: int, need: float, exact: bo
 def _deviate(geometry: Geometry, step: Array, off: Array, table: Array) -> None:
     """Tabulate each part's largest deviation from its chords [m], seen from the link that joint i moves.
 
-    The last row is for fixed parts. `off` [rad]: departure from the straight line.
+    Last row: fixed parts. `off` [rad]: departure from the straight line.
     """
     parts, reach = geometry[3], geometry[5]
     n = reach.shape[1]
@@ -359,7 +359,7 @@ def _deviate(geometry: Geometry, step: Array, off: Array, table: Array) -> None:
 def _off_chord(q: Array, bend: Array, i: int, j: int, step: Array, off: Array) -> None:
     """Write the step from sample i to j and the largest departure from the straight line.
 
-    `bend` (n - 1, dof): departures between neighbouring samples.
+    `bend`: see `bends`.
     """
     square, total = 0.0, 0.0
     for c in range(q.shape[1]):
@@ -402,7 +402,7 @@ def prove(
         q: Samples (n, dof) [rad], n >= 2, joined by cubics.
         v: Velocities [rad/s].
         dt: Step [s].
-        stretches: First and last samples (s, 2) of the first stretches, which cover the motion.
+        stretches: First and last samples (s, 2), covering the motion.
         chosen: (c,) rows of `pairs`.
         need: [m], including rounding.
         work: For n states.
@@ -456,7 +456,7 @@ def prove(
 
 @inlined
 def _to_front(order: Rows, at: int) -> int:
-    """Move one element to the front and return it."""
+    """Move an element to the front; return it."""
     row = order[at]
     for k in range(at, 0, -1):
         order[k] = order[k - 1]
@@ -466,7 +466,7 @@ def _to_front(order: Rows, at: int) -> int:
 
 @inlined
 def _free(geometry: Geometry, q: Array, chosen: Rows, keep: Keep, work: Work) -> bool:
-    """Check one state for `survey`."""
+    """Return whether one state is free, see `survey`."""
     padding, tight, clearances, relax = keep
     pairs = geometry[4]
     need = padding
@@ -490,8 +490,8 @@ def _free(geometry: Geometry, q: Array, chosen: Rows, keep: Keep, work: Work) ->
 def survey(geometry: Geometry, Q: Array, chosen: Rows, keep: Keep, work: Work) -> int:
     """Return the first row of Q (n, dof) that is not free, or n.
 
-    Free: all pairs are proven farther apart than the padding. At a tight state its clearance suffices, growing linearly
-    to the padding within `relax`. `chosen` is reordered, blocking pairs first.
+    Free: all pairs are proven farther apart than the padding; near a tight state its clearance suffices (see `Keep`).
+    `chosen` is reordered, blocking pairs first.
     """
     for k in range(len(Q)):
         if not _free(geometry, Q[k], chosen, keep, work):

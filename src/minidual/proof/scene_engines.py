@@ -1,7 +1,7 @@
 """Geometry and engines of one scene; a plan succeeds only if `verify` passes it.
 
-The audit tests the certificate by dense sampling with two collision engines, too slow for every plan. A verified
-trajectory that fails an audit shows an error in the certificate.
+The audit tests the certificate by dense sampling with all collision engines, too slow for every plan: a collision on a
+verified trajectory is an error of the certificate.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from minidual.robot.trajectory import Trajectory
 STEP_RAD = 0.002
 """Largest joint step in audits."""
 CLEARANCE_MAX_M = 0.04
-"""Larger distances count as this."""
+"""Largest clearance reported."""
 
 
 @dataclass(frozen=True)
 class Verification(LimitUse, Certificate):
-    """Result of verification; `reason` is the first failure, if any."""
+    """Certificate and use of limits; `reason` tells what failed first, or ""."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Audit:
 
     Attributes:
         collisions_n: States in contact for any engine.
-        disagreements_n: States with disagreement.
+        disagreements_n: States on which engines disagree.
         clearance_m: See `SceneEngines.clearance`.
     """
 
@@ -49,7 +49,7 @@ class Audit:
 
 
 class SceneEngines:
-    """Planning geometry of one scene, built in a few ms; `step_rad` is an audit's largest joint step.
+    """Geometry of one scene, built in a few ms; `step_rad`: largest joint step in audits.
 
     A `kinematics` given is shared by scenes: making one costs 0.3 ms.
     """
@@ -70,7 +70,7 @@ class SceneEngines:
         return [] if self.solids.free(q, within_m) else self.engine("mujoco").closest(q, within_m)
 
     def verify(self, trajectory: Trajectory) -> Verification:
-        """Check limits and prove freedom from contact; bad trajectories raise nothing."""
+        """Check limits and prove freedom from contact; never raises."""
         use, broken = limit_use(trajectory, self._kinematics)
         proof = certify(self.solids, trajectory)
         reason = proof.reason or broken
@@ -79,7 +79,7 @@ class SceneEngines:
     def clearance(self, trajectory: Trajectory) -> float:
         """Return the smallest distance [m] at an audit's states, at most `CLEARANCE_MAX_M`.
 
-        At most 0.1 mm too small, never too large.
+        Up to 0.1 mm too small, never too large.
         """
         return self.solids.clearance(collision_samples(trajectory, self._step_rad), CLEARANCE_MAX_M)
 
@@ -90,7 +90,7 @@ class SceneEngines:
         return self._engines[name]
 
     def audit(self, trajectory: Trajectory) -> Audit:
-        """Sample densely; a proven trajectory must give no collisions."""
+        """Sample densely and ask all engines."""
         Q = collision_samples(trajectory, self._step_rad)
         seen = np.array([self.engine(name).collisions(Q) for name in ENGINES])
         return Audit(
@@ -105,7 +105,7 @@ class SceneEngines:
 def collision_samples(trajectory: Trajectory, step_rad: float = STEP_RAD) -> Array:
     """Return configurations (n, dof) with joint steps of at most `step_rad`.
 
-    Times divide the integrated bound on the fastest joint evenly.
+    Their times divide the integrated speed bound of the fastest joint evenly.
     """
     fastest = trajectory.variation_rates().max(axis=1) * trajectory.dt_s
     gone = np.concatenate([[0.0], np.cumsum(fastest)])

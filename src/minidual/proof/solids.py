@@ -1,6 +1,6 @@
 """The proof's geometry: convex solids on joint frames.
 
-If joint j turns by e, a point at distance r from its axis moves by at most r |e|. The reach bounds r in any posture by
+If a joint turns by e, a point at distance r from its axis moves by at most r |e|. The reach bounds r in any posture:
 link lengths plus the part's radius.
 """
 
@@ -28,7 +28,7 @@ _ENDS = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
 
 @dataclass(frozen=True)
 class _Part:
-    """Vertices (n, 3) [m] on a joint's frame; rows of `planes.SOLID` that count from 0, of `planes.PART` and reach."""
+    """Vertices (n, 3) [m] in a joint's frame; rows of `planes.SOLID`, counted from 0, of `planes.PART` and reach."""
 
     vertices: Array
     solids: tuple[tuple[Any, ...], ...]
@@ -101,7 +101,7 @@ class Solids:
         return np.zeros((self._directions_n, 3)), R, p, centres, np.empty((4, 3, 3)), np.empty((4, 3)), np.empty((4, 3))
 
     def keep(self, padding_m: float) -> planes.Keep:
-        """Return the same distance for every state."""
+        """Return one padding for every state."""
         return float(padding_m), np.zeros((0, self.robot.dof)), np.zeros(0), 1.0
 
     def free(self, q: Array, padding_m: float = 0.0) -> bool:
@@ -120,7 +120,7 @@ class Solids:
 
 @functools.cache
 def _chain(robot: Robot) -> tuple[np.ndarray, tuple[pin.SE3, ...]]:
-    """Return joints, their frames turned to have axis z, and the maps of original frames into turned ones.
+    """Return joints, frames turned to axis z, and the maps of original frames into turned ones.
 
     Raises:
         ValueError: A joint is not revolute.
@@ -155,7 +155,7 @@ def _robot_parts(robot: Robot) -> dict[str, _Part]:
 
 
 def _part(robot: Robot, frame: int, solids: Sequence[tuple[Any, pin.SE3]]) -> _Part:
-    """Return one part; solids are coal shapes with their poses in the frame."""
+    """Return one part of coal shapes with their poses in the frame."""
     points: list[Array] = []
     rows: list[tuple[Any, ...]] = []
     end = 0
@@ -183,7 +183,7 @@ def _part(robot: Robot, frame: int, solids: Sequence[tuple[Any, pin.SE3]]) -> _P
 
 
 def _corners(shape: Any) -> tuple[Array, float, float]:
-    """Return vertices (n, 3) [m] and the radii of the ball and the disc that thicken them."""
+    """Return vertices (n, 3) [m] and the radii of ball and disc that thicken them."""
     match shape:
         case coal.Sphere():
             return np.zeros((1, 3)), shape.radius, 0.0

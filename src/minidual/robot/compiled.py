@@ -1,7 +1,7 @@
 """Compile numeric loops with numba, cached on disk if possible.
 
-Without fastmath, operations keep their order and NaN propagates. numba's cache watches only the kernel's file, so
-helpers must share it.
+Without fastmath, operations keep their order and NaN propagates. Helpers share the kernel's file: numba's cache watches
+no other.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ VECTOR = types.float64[::1]
 ROWS = types.float64[:, ::1]
 BLOCKS = types.float64[:, :, ::1]
 UNCOUNTED: dict[str, bool] = {"_nrt": False} if hasattr(DefaultOptions, "_nrt") else {}
-"""Private numba flag: no reference counting, whose atomic operations take five times as long as the calls."""
+"""Private numba flag: no reference counting, which takes five times as long as the calls."""
 
 
 def kernel(signature: Any = None) -> Callable[[Callable[..., Any]], Any]:

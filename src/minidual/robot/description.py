@@ -1,4 +1,4 @@
-"""The URDF of two arms, composed from installed descriptions.
+"""The URDF of two arms, from installed descriptions.
 
 Links and joints are prefixed `left_` and `right_`; both bases are fixed to `world`.
 """
@@ -25,7 +25,7 @@ class Link:
     """One link of an arm or hand.
 
     Attributes:
-        joints_before: Joints of its arm (not fingers) that move it.
+        joints_before: Number of arm joints that move it, without fingers.
         collides: Has collision geometry.
     """
 
@@ -130,7 +130,7 @@ def materials(address: str) -> dict[str, tuple[float, float, float, float]]:
 
 @functools.cache
 def links_of(robot: Robot) -> dict[str, Link]:
-    """Return all links by name with side prefix, left arm first, base to tip."""
+    """Return all links by name, left arm first, base to tip."""
     elements = arm_elements(robot.arm)
     above = {_ends(e)[1]: e for e in elements if e.tag == "joint"}
 
@@ -155,7 +155,7 @@ def collision_links(robot: Robot) -> tuple[str, ...]:
 
 @functools.cache
 def never_touching(arm: ArmModel) -> tuple[tuple[str, str], ...]:
-    """Return link pairs that never touch, from SRDF files and arm model."""
+    """Return pairs that never touch, by SRDF files and arm model."""
     known = {e.attrib["name"] for e in arm_elements(arm) if e.tag == "link"}
     pairs: dict[tuple[str, str], None] = {}
     for address in filter(None, (arm.srdf, arm.hand.srdf)):
@@ -178,7 +178,7 @@ def _prefixed(element: ET.Element, prefix: str) -> ET.Element:
 def pair_urdf(robot: Robot) -> str:
     """Return the URDF with absolute mesh paths.
 
-    Visuals are dropped (MuJoCo reads no DAE), and the fingers' `mimic`: each has its own servo.
+    Without visuals (MuJoCo reads no DAE) and the fingers' `mimic` (each has its own servo).
     """
     root = ET.Element("robot", name=f"dual_{robot.arm.name}")
     ET.SubElement(root, "link", name="world")

@@ -17,7 +17,7 @@ _WORLD_ALIGNED = pin.LOCAL_WORLD_ALIGNED
 
 
 def full_model(robot: Robot) -> tuple[Any, list[int], Array]:
-    """Return Pinocchio's model with fingers, the fingers' joints, and a configuration with open hands."""
+    """Return Pinocchio's model with fingers, their joints, and a configuration with open hands."""
     full = pin.buildModelFromXML(pair_urdf(robot))
     fingers = [full.getJointId(name) for name in robot.finger_joint_names]
     q = pin.neutral(full)
@@ -37,7 +37,7 @@ def _shared_model(robot: Robot) -> Any:
 
 
 class Kinematics:
-    """Kinematics of all arm joints, fingers locked open.
+    """Of all arm joints, fingers locked open.
 
     Instances own a workspace: one per thread.
     """

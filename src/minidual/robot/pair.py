@@ -1,9 +1,8 @@
 """Two arms of one model on a table.
 
-`q` is (n,) [rad], left arm first; grippers are separate, (2,). Only the arm model fixes n. `T_a_b` is the pose (4, 4)
-of b in a, so inner names cancel: `T_world_rod = T_world_tcp @ T_tcp_rod`. Twists and wrenches are [linear; angular]
-(6,), world-aligned by default. Quaternions are wxyz. The world's origin is on the table top between the bases; x points
-away from them, left is +y.
+`q` is (n,) [rad], left arm first; grippers are separate, (2,). The arm model fixes n. `T_a_b` is the pose (4, 4) of b
+in a: `T_world_rod = T_world_tcp @ T_tcp_rod`. Twists and wrenches are [linear; angular] (6,), world-aligned by default.
+Quaternions are wxyz. The world's origin is on the table top between the bases; x points away from them, left is +y.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ class HandModel:
 
     Attributes:
         urdf, srdf: As in ArmModel; used from `palm_link` outwards.
-        travel_m: Per finger; the hand opens twice that.
+        travel_m: Per finger; the hand opens by twice that.
         force_max_n: Continuous, per finger.
         finger_armature_kg: Reflected rotor inertia.
         pad_height_m: z of the soft pad in the finger's frame.
@@ -53,13 +52,13 @@ class HandModel:
 
 @dataclass(frozen=True, kw_only=True)
 class ArmModel:
-    """One arm with its hand; limits per joint.
+    """One arm with its hand; names without side prefix, limits per joint.
 
     Attributes:
         urdf: Absolute path or package://DISTRIBUTION/path.
         srdf: Pairs of links that never collide.
-        never_touch: More such pairs, without prefix.
-        joints: Names, base first, without prefix.
+        never_touch: More such pairs.
+        joints: Names, base first.
         flange_link: Carries the hand.
         mount_rpy_rad: Palm in the flange's frame.
         base_xy_m: Left base; the right one mirrors y. Both face +x.
@@ -107,7 +106,7 @@ class ArmModel:
 
 
 def _of_both(name: str) -> cached_property[Array]:
-    """Return a property: the arm's values (n / 2,), for both arms (n,)."""
+    """Return a property (n,): the arm's values twice."""
 
     def values(robot: Robot) -> Array:
         array = np.array(getattr(robot.arm, name) * 2, dtype=float)

@@ -38,7 +38,7 @@ def rot_z(angle_rad: float) -> Array:
 def rotation_log(R: Array) -> Array:
     """Return the rotation vector (3,) [rad].
 
-    Near pi the antisymmetric part loses digits; the axis then comes from the symmetric part.
+    Near pi the axis comes from the symmetric part; the antisymmetric one loses digits.
     """
     vee = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
     cosine = 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0)

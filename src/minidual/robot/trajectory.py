@@ -21,20 +21,20 @@ def _all_finite(x: Array) -> bool:
 
 
 def largest(x: Array) -> Array:
-    """Return the largest |x| per column (transposed copy: ten times faster). NaN propagates."""
+    """Return the largest |x| per column. NaN propagates."""
     return np.abs(np.ascontiguousarray(x.T)).max(axis=1)
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Samples on a regular time grid.
+    """Samples at regular times.
 
     Attributes:
         times: (n,) [s], from 0; n >= 2.
         q: (n, dof) [rad].
         v: [rad/s].
         a: [rad/s^2].
-        group: Planning group that moves.
+        group: What moves.
     """
 
     times: Array
@@ -58,7 +58,7 @@ class Trajectory:
 
     @property
     def duration_s(self) -> float:
-        """Time of the last sample."""
+        """Last time [s]."""
         return float(self.times[-1])
 
     @property
@@ -67,7 +67,7 @@ class Trajectory:
         return float(self.times[1] - self.times[0])
 
     def sample(self, t: float) -> tuple[Array, Array, Array]:
-        """Return q, v, a (dof,) at time t, clamped to the ends."""
+        """Return q, v, a (dof,) at t, clamped to the ends."""
         q, v, a = self.sample_many(np.array([t]))
         return q[0], v[0], a[0]
 
@@ -92,7 +92,7 @@ class Trajectory:
         return q, v, a
 
     def variation_rates(self) -> Array:
-        """Return speed bounds (n - 1, dof) [rad/s] per step, from Bezier coefficients."""
+        """Return bounds on the speed within each step (n - 1, dof) [rad/s], from Bezier coefficients."""
         h = self.dt_s
         middle = 3.0 * np.diff(self.q, axis=0) / h - self.v[:-1] - self.v[1:]
         return np.abs([self.v[:-1], self.v[1:], middle]).max(axis=0)

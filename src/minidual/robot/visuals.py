@@ -16,7 +16,7 @@ from minidual.robot.description import arm_elements, materials
 from minidual.robot.pair import ArmModel, Array
 
 FACES_PER_ARM = 9000
-"""Target triangles per arm (the Panda's files: 134,300); CPU rendering cost grows with them."""
+"""Target triangles per arm (the Panda's files: 134,300), for rendering on a CPU."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class VisualMesh:
 
 _Colour = tuple[float, float, float, float]
 _SHRINK_MAX_M = 0.01
-"""A link shortened by more was cut."""
+"""A link that shrinks by more was cut."""
 _GREY: _Colour = (0.7, 0.7, 0.7, 1.0)
 
 
@@ -91,7 +91,7 @@ def _coloured(path: Path, colour: _Colour | None) -> list[tuple[_Colour, Array, 
 
 
 def _decimated(meshes: list[tuple[Any, Any]], reduction: float) -> list[tuple[Any, Any]]:
-    """Decimate one link, less aggressively if part was cut off."""
+    """Decimate one link, less if part was cut off."""
     import fast_simplification
 
     def size(parts: list[tuple[Any, Any]]) -> Array:

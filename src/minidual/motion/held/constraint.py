@@ -5,8 +5,8 @@ Jacobians (Sola, "A micro Lie theory for state estimation in robotics", 2018):
 
     dF/dq = Jlog6(E) [ -Ad(E^-1) J_left,  Ad(T_left_right) J_right ]
 
-OMPL needs (measured) both ends on the manifold, a box around them, and charts at them. It keeps F only to 1e-4, so
-its states need another projection.
+OMPL needs both ends on the manifold, a box around them, and charts at them. It keeps F only to 1e-4, so its states
+need another projection.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def search_manifold(
     checks_max: int,
     deadline: float,
 ) -> Array | None:
-    """Return configurations (m, n) between two on the manifold, F below 1e-4 between them, or None.
+    """Return configurations (m, n) on the manifold from start to goal, F below 1e-4 between them, or None.
 
     Joints stay within 0.7 rad of the ends.
 

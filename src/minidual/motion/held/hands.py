@@ -17,13 +17,13 @@ _RELAX_STEPS_N = 12
 _RELAX_STEP_M = 0.05
 _ARM_M = 0.2
 JUMP_MAX_RAD = 0.15
-"""Larger joint steps between path points count as jumps."""
+"""Larger joint steps between path points are jumps."""
 RESIDUAL_MAX_M = 1e-4
 RESIDUAL_MAX_RAD = float(np.deg2rad(0.05))
 
 
 class HandsIK:
-    """Solves both arms for a held object, given the grasps (4, 4).
+    """IK of both arms at the grasps T_object_tcp (4, 4).
 
     Solutions are projections without limits, hence smooth; those outside the limits are discarded.
 
@@ -50,7 +50,7 @@ class HandsIK:
         return bool(((q >= self.robot.q_lower) & (q <= self.robot.q_upper)).all())
 
     def solve(self, T_world_object: Array, q_near: Array, wish: Array | None = None) -> Array | None:
-        """Return q (n,) at the grasps within the limits, projected from q_near (n,), or None.
+        """Return q (n,) at the grasps, projected from q_near (n,), or None outside the limits.
 
         `wish` (n,) is a preferred step from q_near.
         """
@@ -67,16 +67,16 @@ class HandsIK:
         return step
 
     def off_limits(self, q: Array) -> Array:
-        """Return the preferred motion (n,) off joint limits [rad per metre of object motion].
+        """Return a preferred motion (n,) away from joint limits [rad per metre of object motion].
 
-        Zero beyond 0.35 rad from the limits, quadratic inside.
+        Zero beyond 0.35 rad from them, quadratic inside.
         """
         low = np.maximum(0.0, _LIMIT_BAND_RAD - (q - self.robot.q_lower)) / _LIMIT_BAND_RAD
         high = np.maximum(0.0, _LIMIT_BAND_RAD - (self.robot.q_upper - q)) / _LIMIT_BAND_RAD
         return _LIMIT_PUSH_RAD_PER_M * (low**2 - high**2)
 
     def relaxed(self, T_world_object: Array, q: Array) -> Array:
-        """Return a posture (n,) for the same pose, off joint limits where possible."""
+        """Return a posture (n,) at the same pose, farther from joint limits where possible."""
         for _ in range(_RELAX_STEPS_N):
             wish = _RELAX_STEP_M * self.off_limits(q)
             moved = self.solve(T_world_object, q, wish) if wish.any() else None
@@ -86,10 +86,10 @@ class HandsIK:
         return q
 
     def follow(self, Ts_world_object: Array, q_start: Array) -> tuple[Array, ClosedChainError | None]:
-        """Follow object poses (n, 4, 4) from q_start, which holds the first, keeping joints off limits.
+        """Follow object poses (n, 4, 4) from q_start at the first, away from joint limits.
 
         Returns:
-            Joints (m, n) and the error that ended it or None.
+            Joints (m, n) and what ended it, or None.
         """
         Q = np.empty((len(Ts_world_object), len(q_start)))
         Q[0] = q_start
@@ -133,7 +133,7 @@ class HandsIK:
         )
 
     def require_held(self, q: Array, T_world_object: Array) -> None:
-        """Check that q (n,) holds the object at a pose (4, 4) to 0.1 mm and 0.05 degrees.
+        """Check the grasps at q (n,) for an object pose (4, 4), to 0.1 mm and 0.05 degrees.
 
         Raises:
             ClosedChainError: A hand is off its grasp.
@@ -147,7 +147,7 @@ class HandsIK:
                 )
 
     def strays(self, Q: Array, Ts_world_object: Array) -> tuple[float, float]:
-        """Return the largest error of grasps and between hands ([m], [rad]); Q is (m, n)."""
+        """Return the largest error of grasps or between hands ([m], [rad]) at Q (m, n)."""
         left, right = (np.array([arm.tcp_pose(q) for q in Q[:, arm.joints]]) for arm in self.arms)
         T_left_right = inverse(self.grasps[0]) @ self.grasps[1]
         pairs = (

@@ -1,7 +1,4 @@
-"""Path, joints and timing of a held object.
-
-Joints are a spline through solved points, refined until the grasp error between them is small.
-"""
+"""Path, joints and timing of a held object."""
 
 from __future__ import annotations
 
@@ -38,13 +35,13 @@ _HOPELESS = 0.7
 
 
 class ObjectChart:
-    """Object poses as position and weighted rotation vector [m] from a reference (3, 3)."""
+    """Object poses as position and weighted rotation vector [m] from a reference orientation (3, 3)."""
 
     def __init__(self, R_world_reference: Array) -> None:
         self._R0 = np.array(R_world_reference)
 
     def coordinates(self, T: Array) -> Array:
-        """Return the coordinates (6,) of a pose (4, 4).
+        """Return (6,) of a pose (4, 4).
 
         Raises:
             UsageError: Rotation over 3 rad.
@@ -71,7 +68,7 @@ class ObjectChart:
 
 
 class ObjectPath:
-    """Curve T_world_object(s), s in [0, length] [m]; the first six columns of `curve` are chart coordinates."""
+    """T_world_object(s), s in [0, length] [m]; the first six columns of `curve` are chart coordinates."""
 
     def __init__(self, chart: ObjectChart, curve: SmoothPath) -> None:
         self.chart, self.curve, self.length = chart, curve, curve.length
@@ -164,7 +161,7 @@ class HeldCurve:
 
 
 def fine_curve(hands: HandsIK, path: ObjectPath, solve: Callable[[Array, Array], Array]) -> HeldCurve:
-    """Return a curve with errors below half the limits.
+    """Return a spline through solved points, refined until errors between them are below half the limits.
 
     `solve` maps marks (k,) and object poses to joints (k, n).
 

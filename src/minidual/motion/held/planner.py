@@ -1,7 +1,4 @@
-"""Planning for an object held by both hands, along waypoints or to a goal.
-
-For goals: straight motion, then RRT-Connect over object poses or OMPL on the constraint manifold.
-"""
+"""Planning for an object held by both hands, along waypoints or to a goal."""
 
 from __future__ import annotations
 
@@ -34,19 +31,19 @@ from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import inverse
 
 _LIMITS = MotionLimits(smoothing_s=0.1)
-"""Gentler starts and stops than with empty hands."""
+"""Gentler than with empty hands."""
 METHODS = ("object_rrt", "object_rrt", "object_rrt", "projected", "object_rrt", "object_rrt", "atlas")
-"""Methods by attempt, cyclic."""
+"""Search methods by attempt, cyclic; the straight motion comes first."""
 _CORNERS_M = (0.06, 0.02, 0.006)
 _SHORTEN_ROUNDS_N = 10
 _GOALS_N = 16
 _LIMIT_ROOM_RAD = 1e-4
 _MANIFOLD_GOALS_N = 4
 _MORE_GOALS = {1: 1, 2: 10}
-"""{attempt: multiple of usual IK restarts} for more goal postures, which cost more than the search."""
+"""Attempts that first look for more goal postures: {attempt: multiple of the usual IK restarts}."""
 _CANDIDATES_N = 400
 _SAME_RAD = 0.5
-"""Postures that differ less are duplicates."""
+"""Postures closer than this are duplicates."""
 
 
 def grasp_of(q: Array, T_world_object: Array, kinematics: Kinematics | None = None) -> tuple[Array, Array]:
@@ -71,9 +68,9 @@ def scene_holding(
     rests_on: Iterable[str] = ("table",),
     touching: Iterable[str] = (),
 ) -> PlanningScene:
-    """Return the scene with `shape` (placed in the object frame) attached to the first hand of `grasps`.
+    """Return the scene with `shape`, placed in the object frame, attached to the first hand of `grasps`.
 
-    `grasps` is {arm: T_object_tcp (4, 4)}. The object may touch these hands, those `touching` and what it `rests_on`.
+    `grasps` is {arm: T_object_tcp (4, 4)}. The object may touch these hands, those `touching`, and `rests_on`.
     """
     robot, first = scene.robot, next(iter(grasps))
     hands = tuple(link for arm in (*grasps, *touching) for link in robot.hand_links(arm))
@@ -104,7 +101,7 @@ class HeldQuery:
 
 
 class NotFreeError(ClosedChainError):
-    """The proof failed."""
+    """Not proven."""
 
     reason = "not_free"
 
@@ -129,10 +126,10 @@ class HeldPlanner:
         return HeldWork(self, query, budget_s).run()
 
     def prove(self, query: HeldQuery, points: Array) -> CarriedTrajectory:
-        """Return the proven trajectory along points (m, 6 + n) in the chart of the start orientation.
+        """Return the proven trajectory along points (m, 6 + n) in the chart at the start orientation.
 
         Raises:
-            ClosedChainError, TimingError: It cannot be followed, timed or proven.
+            ClosedChainError, TimingError: Not followed, timed or proven.
             StartInCollisionError, OutOfLimitsError, UsageError: Bad query.
         """
         return HeldWork(self, query).rounded(points, "given")
@@ -149,7 +146,7 @@ class HeldPlanner:
     ) -> CarriedTrajectory:
         """Return the trajectory along object waypoints (4, 4), at rest at both ends.
 
-        Collisions are checked only with a `scene` (see `scene_holding`); `along` limits the object.
+        It is proven only with a `scene` (see `scene_holding`); `along` limits the object.
 
         Raises:
             NotFreeError: No proof.
@@ -175,7 +172,7 @@ def _proven(motion: CarriedTrajectory, engines: SceneEngines) -> CarriedTrajecto
 
 
 def _continued(hands: HandsIK, path: ObjectPath, q_start: Array) -> HeldCurve:
-    """Return the curve along an object path from q_start (n,), or raise ClosedChainError."""
+    """Follow an object path from q_start (n,), or raise ClosedChainError."""
 
     def solve(_marks: Array, Ts_world_object: Array) -> Array:
         joints, ended = hands.follow(Ts_world_object, q_start)
@@ -197,7 +194,7 @@ class _Effort:
         return replace(self, padding_m=max(0.6 * self.padding_m, 0.001), checks_n=min(2 * self.checks_n, 100_000))
 
     def after(self, error: PlanningError) -> _Effort:
-        """Return finer steps for a path that cannot be followed, and more padding for one that is not proven."""
+        """Return finer steps, and more padding for a path that is not proven."""
         step_scale, unproven = max(0.5 * self.step_scale, 0.125), isinstance(error, NotFreeError | TimingError)
         return replace(
             self, step_scale=step_scale, padding_m=more_padding(self.padding_m) if unproven else self.padding_m
@@ -228,7 +225,6 @@ class HeldWork:
         self.notes: list[str] = []
 
     def _object_at(self, q: Array) -> Array:
-        """Return the object pose in the left hand."""
         return self._tools.kinematics.tcp_poses(q)[0] @ inverse(self._hands.grasps[0])
 
     def run(self) -> CarriedTrajectory:
@@ -281,7 +277,7 @@ class HeldWork:
         return EdgeChecker(self._engines, padding_m, (self._q_start, q_goal), self._config.edge_step_rad)
 
     def _touching(self, joints: Array) -> str:
-        """Return which parts come nearest along joints (m, n)."""
+        """Describe the nearest parts along joints (m, n)."""
         near = [
             (pair.distance_m, str(pair)) for q in joints for pair in self._engines.closest(q, self._config.padding_m)
         ]
@@ -332,7 +328,7 @@ class HeldWork:
         return found
 
     def more_goals(self, known: list[Array], end: Array | None, restarts_scale: int) -> list[Array]:
-        """Return more goal postures, or the known ones."""
+        """Return more goal postures, else the known ones."""
         try:
             return self.goal_postures(end, _GOALS_N, restarts_scale)
         except PlanningError as error:

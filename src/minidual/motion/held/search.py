@@ -1,7 +1,7 @@
 """Search over object poses; both hands follow by IK.
 
 A point z (6 + n,) holds `ObjectChart` coordinates and joints. Edges interpolate both and project the joints onto the
-grasps, so they depend only on their ends.
+grasps: they depend only on their ends.
 
 Sources: RRT-Connect (Kuffner and LaValle, ICRA 2000); leader-follower after Han and Amato, "A kinematics-based
 probabilistic roadmap method for closed chain systems", 2000.
@@ -40,7 +40,7 @@ _TURN_M = 0.12
 
 
 class HeldSpace:
-    """Points and edges of one held object; `step_scale` scales the check steps."""
+    """Points and edges; `step_scale` scales the check steps."""
 
     def __init__(self, hands: HandsIK, chart: ObjectChart, checker: EdgeChecker, step_scale: float = 1.0) -> None:
         self._step_m, self._step_rad = step_scale * _STEP_M, step_scale * _STEP_RAD
@@ -50,11 +50,11 @@ class HeldSpace:
         self.checker = checker
 
     def point(self, T_world_object: Array, q: Array) -> Array:
-        """Return the point (6 + n,)."""
+        """Return (6 + n,)."""
         return np.concatenate([self.chart.coordinates(T_world_object), q])
 
     def solved_free(self, z: Array) -> Array | None:
-        """Return z with projected joints if free, or None."""
+        """Return z with projected joints, None unless free."""
         q = self.hands.solve(self.chart.pose(z[X]), z[Q])
         return np.concatenate([z[X], q]) if q is not None and self.checker.free(q) else None
 
@@ -65,7 +65,7 @@ class HeldSpace:
         return np.linalg.norm(d[:, X], axis=1) + JOINT_WEIGHT_M * np.linalg.norm(d[:, Q], axis=1)
 
     def edge_free(self, a: Array, b: Array) -> bool:
-        """Return whether an edge is continuous and free between its ends."""
+        """Return whether an edge is continuous, and free between its ends."""
         step = b - a
         count = int(np.ceil(max(np.linalg.norm(step[X]) / self._step_m, np.abs(step[Q]).max() / self._step_rad)))
         count = max(count, 1)
@@ -86,7 +86,7 @@ class HeldSpace:
         )
 
     def _continuous(self, a: Array, step: Array, u: float, v: float, q_u: Array, q_v: Array) -> bool:
-        """Return whether joints are continuous between shares u, v."""
+        """Halve a joint step between shares u and v until it is small; False if it stays large."""
         jump = float(np.abs(q_v - q_u).max())
         if jump <= _SURE_RAD:
             return True
@@ -114,7 +114,7 @@ class _Tree:
         return int(np.argmin(space.distance(z, self.points)))
 
     def near_object(self, x: Array, rng: np.random.Generator, among: int) -> int:
-        """Return a random one of the `among` nearest points."""
+        """Return one of the `among` nearest points."""
         away = np.linalg.norm(self.points[:, X] - x, axis=1)
         if among == 1:
             return int(np.argmin(away))
@@ -181,7 +181,6 @@ def _extend(space: HeldSpace, tree: _Tree, x: Array, rng: np.random.Generator) -
 
 
 def _step_towards(space: HeldSpace, z: Array, x: Array, elbows: np.random.Generator | None) -> Array | None:
-    """Return a free point one step towards x, or None."""
     way = x - z[X]
     share = min(1.0, _EXTEND_M / max(float(np.linalg.norm(way)), _SAME_M))
     aim = z.copy()
@@ -194,7 +193,7 @@ def _step_towards(space: HeldSpace, z: Array, x: Array, elbows: np.random.Genera
 
 
 def _carry_to(space: HeldSpace, tree: _Tree, x: Array, rng: np.random.Generator) -> int | None:
-    """Grow straight to an object pose; return the point or None."""
+    """Grow straight to an object pose; return the index there, or None."""
     current = tree.near_object(x, rng, _NEXT_N)
     while True:
         point = tree.points[current]
@@ -207,7 +206,7 @@ def _carry_to(space: HeldSpace, tree: _Tree, x: Array, rng: np.random.Generator)
 
 
 def _connect(space: HeldSpace, tree: _Tree, z: Array) -> int | None:
-    """Grow towards z; return the meeting point or None."""
+    """Grow towards z; return the index where they meet, or None."""
     current = tree.nearest(space, z)
     while True:
         away = float(space.distance(z, tree.points[current][None])[0])
