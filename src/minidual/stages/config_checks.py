@@ -11,7 +11,7 @@ from minidual.trials.methods import METHODS
 
 
 def check_plan(config: Config) -> None:
-    """Refuse equal seeds of the query sets."""
+    """Raise UsageError for query sets with equal seeds."""
     plan = config.plan
     if plan.second_queries_n and config.seed == plan.second_seed:
         raise ConfigError(
@@ -21,18 +21,18 @@ def check_plan(config: Config) -> None:
 
 
 def check_leader(config: Config) -> None:
-    """Refuse an unknown leader."""
+    """Raise UsageError for an unknown leader."""
     LEADERS[config.teleop.leader]
 
 
 def check_policy(config: Config) -> None:
-    """Refuse an unknown policy without loading policy libraries."""
+    """Raise UsageError for an unknown policy; loads no policy library."""
     if config.train.policy not in POLICIES:
         raise unknown_name("policy", config.train.policy, POLICIES)
 
 
 def check_benchmark(config: Config) -> None:
-    """Refuse invalid methods, conditions and limits."""
+    """Raise UsageError for invalid methods, conditions and limits."""
     METHODS.names(config.benchmark.methods)
     for name in config.benchmark.success_rate_min:
         METHODS[name]

@@ -103,7 +103,7 @@ def group_checks(group: str, outcomes: Sequence[Outcome], config: PlanConfig, na
 
 
 def audit_checks(outcomes: Sequence[Outcome]) -> list[Check]:
-    """Return the audit's checks: dense sampling of solved queries must find nothing."""
+    """Return the audit's checks: dense samples of solved queries must be free."""
     audits = [o.audit for o in outcomes if o.audit is not None]
     solved_n, states_n = sum(o.ok for o in outcomes), sum(a.samples_n for a in audits)
     collisions_n, disagreements_n = sum(a.collisions_n for a in audits), sum(a.disagreements_n for a in audits)

@@ -23,11 +23,11 @@ FAULTS: dict[str, str] = {
     "exchanged": "not handed over",
     "carried": "slid on the table",
 }
-"""Words by failed success condition."""
+"""Words by violated condition of success."""
 
 
 def fault(name: str) -> str:
-    """Return a failed condition in words."""
+    """Return a violated condition in words."""
     return FAULTS.get(name, name.replace("_", " ") or "unnamed")
 
 

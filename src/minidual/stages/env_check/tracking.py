@@ -40,7 +40,7 @@ _STILL_RAD_S, _REST_MAX_S = 0.01, 2.0
 class Rig:
     """One command source, arbiter, controller, supervisor and world.
 
-    Measuring goes on after a fault.
+    Measuring continues after a fault.
 
     Attributes:
         target: (n,) [rad], proposed at every arbiter tick.
@@ -78,7 +78,7 @@ class Rig:
         self.stack.propose(_SOURCE, JointCommand(self.target.copy(), _OPEN, self.world.time, self._sequence))
 
     def swing(self, motion: Trajectory) -> None:
-        """Start a trajectory from the present posture."""
+        """Start a trajectory from the current posture."""
         self._sequence += 1
         self._swinging = True
         self.stack.propose(_SOURCE, TrajectoryCommand(motion, _OPEN, self.world.time, self._sequence))

@@ -26,7 +26,7 @@ _LINE_STEP_RAD = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Attempt[R]:
-    """What became of one request: a proven result, or why there is none; wall and processor time."""
+    """One request: a proven result or why there is none, and its wall and processor time."""
 
     result: R | None
     reason: str
@@ -41,7 +41,7 @@ class Attempt[R]:
 
 
 def attempted[R](plan: Callable[[], R]) -> Attempt[R]:
-    """Return what became of a request; a `PlanningError` is its reason."""
+    """Run a request; a `PlanningError` is the reason why there is no result."""
     begin, cpu_begin = perf_counter(), process_time()
     result, reason, message = None, "", ""
     try:
@@ -56,7 +56,7 @@ class Outcome(Attempt[PlanResult]):
     """Result of one query.
 
     Attributes:
-        scene_s: Building the scene; not in the other times.
+        scene_s: Time to build the scene; not in the other times.
         line_blocked: Whether the straight line to the planned goal posture collides.
     """
 
@@ -67,11 +67,11 @@ class Outcome(Attempt[PlanResult]):
 
     @property
     def first_plan_s(self) -> float:
-        """Building the scene and planning in it."""
+        """Time to build the scene and plan in it."""
         return self.scene_s + self.total_s
 
     def row(self) -> dict[str, object]:
-        """Return the queries.csv row; what was not found or audited is missing."""
+        """Return the queries.csv row; values not found or audited are missing."""
         query, result, audit = self.query, self.result, self.audit
         row: dict[str, object] = {
             "group": query.group,

@@ -67,7 +67,7 @@ class MoveOutcome(Attempt[CarriedTrajectory]):
 def timed_residual(plan: CarriedTrajectory, query: HeldQuery, kinematics: Kinematics) -> tuple[float, float]:
     """Return the largest error ([m], [rad]) of the hands along the trajectory.
 
-    At the samples (1 kHz), each hand against its grasp and the other hand; half-way between, hand against hand.
+    At the samples (1 kHz): each hand relative to its grasp and to the other; between samples: relative to the other.
     """
     hands = HandsIK(query.T_object_tcp_left, query.T_object_tcp_right, kinematics)
     at_samples = hands.strays(plan.q, plan.Ts_world_object)
@@ -81,7 +81,7 @@ def timed_residual(plan: CarriedTrajectory, query: HeldQuery, kinematics: Kinema
 
 
 def plan_move(planner: HeldPlanner, move: HeldMove) -> MoveOutcome:
-    """Plan and measure one move; its scene is built before."""
+    """Plan and measure one move; building its scene is not timed."""
     engines = planner.engines(move.query.scene)
     attempt = attempted(lambda: planner.plan(move.query))
     outcome, plan = MoveOutcome(**vars(attempt), move=move), attempt.result

@@ -1,7 +1,7 @@
 """Seeded moves of an object held in both hands.
 
 Goals are up to 0.5 m and 90 degrees away; in every second move obstacles block the straight path. Each move has a
-witness: a timed, proven path from long searches with their own random numbers. Other draws are counted and left out.
+witness, which proves that it is feasible: a timed, proven path of a long search. Other draws are counted and left out.
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ class HeldMove:
     Attributes:
         blocked: Whether the straight path collides or cannot be followed.
         witness: Points (m, 6 + n) of a proven path.
-        undecided_n: Earlier draws without a witness.
-        unreachable_n: Earlier draws without a free posture.
+        undecided_n: Draws left out before it, without a witness.
+        unreachable_n: Draws left out before it, without a free posture.
     """
 
     index: int

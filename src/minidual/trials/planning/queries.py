@@ -42,10 +42,10 @@ class Query:
     Attributes:
         seed: Planner seed.
         q_start: Free (n,) [rad].
-        q_goal: Free (n,). A goal of poses may be planned to another solution of `targets`.
+        q_goal: Free (n,) [rad]. For a goal of poses the plan may end in another IK solution of `targets`.
         kind: Why it is hard: the straight line runs into an obstacle ("past_obstacle") or the other arm ("past_arm"),
             or is blocked while the hands change sides ("crossing"); or "any".
-        attempt: Number of the scene.
+        attempt: Number of the scene, see `scene_of`.
     """
 
     group: str
@@ -196,7 +196,7 @@ def _touched_between(engine: MujocoEngine, start: Array, goal: Array) -> set[fro
 
 
 def _is_kind(kind: str, arms: tuple[str, ...], touched: set[frozenset[str]]) -> bool:
-    """Return whether contacts make this kind."""
+    """Return whether the contacts of the straight line are those of this kind."""
     mine = tuple(f"{arm}_" for arm in arms)
     theirs = tuple(f"{arm}_" for arm in SIDES if arm not in arms)
     fixed = ("left_", "right_", "table")

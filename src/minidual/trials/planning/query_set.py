@@ -1,7 +1,7 @@
 """Stored query sets: one hundred hard queries per group for two seeds, default robot.
 
-Each query has a witness: corners of a polyline that both engines find free every 0.002 rad, so failing it is the
-planner's failure. `python scripts/make_query_set.py SEED` makes a set.
+Each query has a witness, which proves that it is feasible: corners of a polyline that both engines find free every
+0.002 rad. `python scripts/make_query_set.py SEED` makes a set.
 """
 
 from __future__ import annotations
