@@ -33,7 +33,7 @@ _DRIVING = (ArbiterState.WAITING, ArbiterState.ALIGNING, ArbiterState.ACTIVE, Ar
 
 
 class CommandArbiter:
-    """Decides at each tick which joint target reaches the controllers.
+    """Decides which joint target reaches the controllers.
 
     Streamed targets move at most `switch_step_max_rad` a tick.
 
@@ -57,7 +57,7 @@ class CommandArbiter:
         self.on_confirm: Callable[[str], None] = lambda mode: None
         """Called with the mode at confirmation, before the source's first command."""
         self.on_flush: list[Callable[[str], None]] = []
-        """Called with the mode at every switch or halt ("hold"); sources must drop queued chunks."""
+        """Called with the mode at a switch, "hold" at a halt; sources must drop queued chunks."""
         self._mailboxes = {source: Mailbox(source, robot) for source in SOURCES}
         self._requested: str | None = None
         self._halt: tuple[str, Array | None] | None = None
@@ -77,7 +77,7 @@ class CommandArbiter:
     def propose(self, source: str, command: Command) -> Refusal | None:
         """Offer a command; return its refusal, or None.
 
-        Posture checks follow when a tick takes it. Commands of idle sources are kept until a flush.
+        A tick that takes it checks the posture. Commands of idle sources are kept until a flush.
 
         Raises:
             UsageError: Unknown source.
@@ -101,7 +101,7 @@ class CommandArbiter:
         self._requested = mode
 
     def halt(self, source: str, gripper: Array | None = None) -> None:
-        """Stop the arms at the next tick and end any driving or switching.
+        """Stop the arms at the next tick; end driving and switching.
 
         Openings `gripper` (2,) are accepted only from the driving source.
         """
@@ -118,7 +118,7 @@ class CommandArbiter:
         return self._mailboxes[source]
 
     def tick(self, now_s: float, q_measured: Array, v_measured: Array) -> ArbiterOutput:
-        """Return the output at now_s [s], q_measured (n,) [rad], v_measured (n,) [rad/s].
+        """Return the output at now_s [s] for measured q (n,) [rad] and v (n,) [rad/s].
 
         Raises:
             UsageError: Time runs backwards, or the first posture is not finite.
@@ -197,7 +197,7 @@ class CommandArbiter:
         self.state = ArbiterState.SETTLING
 
     def _begin_halt(self, now_s: float, posture: Array, v_measured: Array) -> bool:
-        """Carry out a pending halt; return whether there was one."""
+        """Carry out a pending halt; return whether one was."""
         if self._halt is None:
             return False
         (source, gripper), self._halt = self._halt, None
@@ -295,7 +295,7 @@ class CommandArbiter:
             bound = min(self.config.align_speed_rad_s * dt, self.config.switch_step_max_rad)
             wanted = self._held() + step * min(1.0, bound / largest)
         else:
-            # The hands do not move while aligning, lest they drop what they hold.
+            # The hands do not move while aligning, so that they keep what they hold.
             for arm, command in fresh.items():
                 self._gripper[arm] = command.gripper[arm]
         self._target = wanted
@@ -327,7 +327,7 @@ class CommandArbiter:
             self.state = ArbiterState.STALE
 
     def _where_they_stop(self, posture: Array, v_measured: Array) -> Array:
-        """Return the joints (n,) at which moving arms can stop."""
+        """Return where moving joints (n,) can stop."""
         robot = self._robot
         v = np.clip(v_measured, -robot.v_max, robot.v_max)
         if not np.isfinite(v).all():

@@ -20,7 +20,7 @@ _OBJECT_SAMPLES = 61
 
 
 def check(command: Command, robot: Robot) -> Reason | None:
-    """Return the first reason to refuse a command, or None."""
+    """Return the first reason for refusal, or None."""
     if isinstance(command, ObjectCommand):
         return _common(command) or _object(command)
     if command.group not in robot.groups:
@@ -36,13 +36,13 @@ def check(command: Command, robot: Robot) -> Reason | None:
 
 
 def own_columns(command: TrajectoryCommand, robot: Robot) -> slice:
-    """Return the motion's columns of the command's arms."""
+    """Return the columns of `motion` that the command drives."""
     width = np.shape(command.motion.q)[1]
     return robot.groups[command.group] if width == robot.dof else slice(0, width)
 
 
 def check_openings(gripper: Array) -> Reason | None:
-    """Return the reason to refuse openings (2,), or None."""
+    """Return why openings (2,) are refused, or None."""
     if np.shape(gripper) != (2,):
         return "wrong_shape", f"gripper {np.shape(gripper)}; it must be (2,)"
     if not np.isfinite(gripper).all():

@@ -33,7 +33,7 @@ class _OfGroup:
 
     @property
     def arms(self) -> tuple[int, ...]:
-        """Driven arms."""
+        """Indices of the driven arms."""
         return arms_of(self.group)
 
 
@@ -43,7 +43,7 @@ class JointCommand(_OfGroup):
 
     Attributes:
         q: [rad], (n,) left then right, or one arm's.
-        gripper: Openings (2,), 0 closed to 1 open; a single arm's command moves its hand only.
+        gripper: Openings (2,), 0 closed to 1 open; one arm's command moves its hand only.
         stamp_s: Creation time on the arbiter's clock.
         sequence: Increases with each command of the source.
         group: `both_arms`, `left_arm` or `right_arm`.
@@ -68,8 +68,8 @@ class TrajectoryCommand(_OfGroup):
     """A timed joint trajectory.
 
     Attributes:
-        motion: Of both arms' joints or one's, at rest at both ends; must start at the arms' posture.
-        stamp_s: Creation time; refused if not taken within `stale_s`.
+        motion: Of both arms or one, at rest at both ends; must start at the arms' posture.
+        stamp_s: Creation time; it must be taken within `stale_s`.
     """
 
     motion: Trajectory
@@ -88,7 +88,7 @@ class ObjectMotion(Protocol):
         ...
 
     def at(self, t_s: float) -> ObjectState:
-        """Return the object's state."""
+        """Return the state at a path time."""
         ...
 
 
@@ -112,7 +112,7 @@ class ObjectCommand:
 TimedCommand = TrajectoryCommand | ObjectCommand
 Command = JointCommand | TimedCommand
 Reason = tuple[str, str]
-"""Why a command or request is refused: stable name (docs/control.md), and detail with value and bound."""
+"""Why something is refused: stable name (docs/control.md), and detail with value and bound."""
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ class ArbiterState(StrEnum):
     """What the arbiter does.
 
     settling: waits for still arms. waiting: a source may drive, nothing runs. aligning: the target approaches the
-    source's at bounded rate. stale: source silent. stopped: halted, silent too long or not still in time.
+    source's at a bounded rate. stale: the source is silent. stopped: halted, silent too long or not still in time.
     """
 
     HOLDING = "holding"

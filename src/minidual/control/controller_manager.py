@@ -1,7 +1,6 @@
 """Strict, atomic controller switching: exactly one controller drives each joint.
 
-After a switch the torque difference fades, or changes at the drives' rate limit where it must go sooner (a squeeze that
-lost its object).
+After a switch the torque difference fades; after a halt it falls at the drives' rate limit, which is sooner.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ class ControllerManager:
 
     @property
     def active(self) -> tuple[str, ...]:
-        """Active controllers."""
+        """Names of the active controllers."""
         return tuple(c.name for c in self._active)
 
     def __getitem__(self, name: str) -> Controller:
@@ -79,7 +78,7 @@ class ControllerManager:
     def switch(self, names: Sequence[str], q: Array, v: Array, *, swiftly: bool = False) -> None:
         """Activate exactly these controllers at measured q, v (n,), or none of them if one raises.
 
-        `swiftly`: at the drives' rate limit instead of fading.
+        `swiftly`: change torques at the drives' rate limit instead of fading.
         """
         chosen = self.check(names)
         for controller in chosen:
@@ -91,7 +90,7 @@ class ControllerManager:
         self._active = chosen
 
     def refuses(self, command: Command) -> Reason | None:
-        """Return why the active controllers refuse a command, or None."""
+        """Return why a command is refused, or None."""
         of_arms = (c for c in self._active if set(c.arms) & set(command.arms))
         return next((reason for c in of_arms if (reason := c.refuses(command)) is not None), None)
 

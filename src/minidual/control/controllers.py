@@ -25,7 +25,7 @@ _BLEND_S = 0.5
 
 
 class Controller(ABC):
-    """Turns commands into torques of the arms it claims."""
+    """Turns commands into torques of its arms."""
 
     name: str
     arms: tuple[int, ...] = (0, 1)
@@ -34,10 +34,10 @@ class Controller(ABC):
     reference: Array
     """Last joint reference (n,) [rad]; measured joints if none."""
     acceleration: Array | None = None
-    """Last commanded reference acceleration (n,) [rad/s^2], without the fading offset; None while braking."""
+    """Last commanded acceleration (n,) [rad/s^2], without the fading offset; None while braking."""
 
     def refuses(self, command: Command) -> Reason | None:
-        """Return why it refuses a command now, or None."""
+        """Return why it refuses a command, or None."""
         if isinstance(command, self.takes):
             return None
         taken = " and ".join(kind.__name__ for kind in self.takes) or "no command: ask for a mode"
@@ -60,7 +60,7 @@ class Controller(ABC):
 
 
 class JointTrajectoryController(Controller):
-    """Follows streamed targets through the reference filter, and timed trajectories directly."""
+    """Follows streamed targets through the reference filter, timed trajectories directly."""
 
     takes = (JointCommand, TrajectoryCommand)
 

@@ -1,10 +1,10 @@
 """Running timed commands, each with its own clock.
 
-Braking slows the clock, so two hands that carry something keep their distance:
+Braking slows the clock to rate r, so two hands that carry something keep their distance:
 
     q(s),  s' = r from 1 to 0,  v = q' r,  a = q'' r^2 + q' dr/dt
 
-dr/dt is ramped, so the torques do not jump.
+dr/dt is ramped, so torques do not jump.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _LOOK_AHEAD_ROWS = 500
 
 
 class _Execution:
-    """A running timed command: its path time t_s, whose rate is 1 until braked."""
+    """A running timed command."""
 
     def __init__(self, arms: tuple[int, ...], duration_s: float, dt_s: float) -> None:
         self.arms = arms
@@ -43,7 +43,7 @@ class _Execution:
 
     @property
     def braking(self) -> bool:
-        """Whether it is braked."""
+        """Whether it brakes or has braked."""
         return self._slope_max > 0.0
 
     def brake(self) -> None:
@@ -56,7 +56,7 @@ class _Execution:
         return _OBJECT_BRAKE_SLOPE
 
     def step(self) -> None:
-        """Advance one control step, first to time zero."""
+        """Advance one control step; the first goes to time zero."""
         if self.braking:
             rise = self._slope + self._slope_max * self._dt / _BRAKE_RAMP_S
             # On this curve slope and rate reach zero together, within the ramp time.
@@ -71,7 +71,7 @@ class _Execution:
             self._t_s = min(self._k * self._dt, self._end_s)
 
     def _slowed(self, v: Array, a: Array) -> tuple[Array, Array]:
-        """Return velocity and acceleration along the path at the present rate."""
+        """Return velocity and acceleration at the present rate."""
         return v * self._rate, a * self._rate**2 - v * self._slope
 
 
@@ -80,7 +80,7 @@ class TrajectoryExecution(_Execution):
 
     Attributes:
         joints: Slice of the driven joints.
-        q, v, a: Their present reference.
+        q, v, a: Reference.
     """
 
     def __init__(self, command: TrajectoryCommand, dt_s: float, robot: Robot) -> None:
@@ -119,7 +119,7 @@ class ObjectExecution(_Execution):
         self.squeeze_n = command.squeeze_n(0.0)
 
     def step(self) -> None:
-        """Advance one control step; braked, the squeeze stays that of the point on the path."""
+        """Advance one control step; the squeeze follows path time."""
         super().step()
         self.desired = state = self.command.motion.at(self._t_s)
         self.squeeze_n = self.command.squeeze_n(self._t_s)
@@ -139,7 +139,7 @@ class ArbiterOutput:
         gripper: (2,), 0 closed to 1 open.
         active_source: Source whose command passed.
         switched_to: Mode confirmed now.
-        executions: Their arms ignore `q_target`.
+        executions: Running; their arms ignore `q_target`.
         halted: The arms must stop now.
     """
 

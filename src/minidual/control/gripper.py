@@ -1,9 +1,9 @@
-"""Close the hands to a force, without knowing what they hold.
+"""Close the hands to a force F, without knowing what they hold.
 
-    closing   target' = -sat(k (F - f), speed),  f measured closing force
+    closing   target' = -sat(k (F - f), speed),  f measured
     opening   target' = +speed
 
-The target stays within half the travel of the measured fingers, so it cannot run away where a motor cannot reach F.
+The target stays within half the travel of the fingers, so it cannot run away where a motor cannot reach F.
 """
 
 from __future__ import annotations
@@ -48,14 +48,11 @@ class Grippers:
 
     @property
     def is_open(self) -> Array:
-        """Commanded state (2,)."""
+        """Commanded state (2,), 0 or 1."""
         return np.array(self._is_open, dtype=float)
 
     def step(self, command: Array) -> Array:
-        """Advance towards command (2,); return finger targets (2,) [m].
-
-        Plain floats are five times faster than arrays here.
-        """
+        """Advance towards command (2,); return finger targets (2,) [m]."""
         is_open = self._is_open
         for hand, wanted in enumerate(command.tolist()):
             if wanted > OPEN_ABOVE:

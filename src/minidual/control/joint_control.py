@@ -2,8 +2,7 @@
 
     tau = M(q) [a_ref + 2 wn (v_ref - v) + wn^2 (q_ref - q)] + h(q, v) + d v + c tanh(v / v_s)
 
-Scaling by M gives every joint the same wn, though a shoulder carries over ten times a wrist's inertia. h: Coriolis,
-centrifugal and gravity torques.
+M gives every joint the same natural frequency wn. h: Coriolis, centrifugal and gravity torques.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from minidual.robot.pair import Array
 
 
 class Motors:
-    """Turns accelerations and loads into motor torques, with the model's inertia and friction."""
+    """Turns accelerations and loads into motor torques."""
 
     def __init__(self, kinematics: Kinematics) -> None:
         self._kinematics, arm = kinematics, kinematics.robot.arm

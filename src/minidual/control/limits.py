@@ -1,4 +1,4 @@
-"""The supervisor's bounds: the limits of `minidual.robot.arms`, which the configuration may only tighten."""
+"""The supervisor's bounds: the arms' limits, tightened by the configuration."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _WIDTH_M = 0.1
 
 
 class TickBounds:
-    """Centre and reciprocal half-width per row: `|x - centre| * scale > 1` needs a closer look.
+    """Bounds of ROWS: `|x - centre| * scale > 1` needs a closer check.
 
     Attributes:
         centre, scale: (6, n).
@@ -54,15 +54,15 @@ class TickBounds:
         self.scale = 1.0 / half
 
     def stopping_point(self, q: Array, v: Array) -> Array:
-        """Return where the joints (n,) [rad] stop under full braking."""
+        """Return where joints (n,) [rad] stop under full braking."""
         return q + v * np.abs(v) / (2.0 * self._a_brake)
 
 
 class Reach:
-    """Bounds on how far and fast arm points can move.
+    """Bounds on the motion of arm points.
 
     Attributes:
-        m: (n,) [m]; turning joint j by dq moves no point by more than m[j] |dq|.
+        m: (n,) [m]; a turn dq of joint j moves no point by more than m[j] |dq|.
     """
 
     def __init__(self, kinematics: Kinematics) -> None:
@@ -77,9 +77,9 @@ class Reach:
         self._acceleration = float(self.m @ robot.a_max)
 
     def safe_time_s(self, v: Array, gap_m: float) -> float:
-        """Return the time [s] in which no gap [m] can close.
+        """Return the time [s] in which a gap [m] cannot close.
 
-        In time h no gap shrinks by more than h sum_j m[j] (|v_j| + a_j h), over both arms.
+        In time h a gap shrinks by at most h sum_j m[j] (|v_j| + a_j h), over both arms.
         """
         speed = float(self.m @ np.abs(v))
         root = np.sqrt(speed * speed + 4.0 * self._acceleration * max(0.0, gap_m))

@@ -21,7 +21,7 @@ class JointLoop[P: Plant]:
         self.reset()
 
     def reset(self) -> None:
-        """Start at the measured posture, at rest, hands open."""
+        """Start at the measured posture, hands open."""
         self.reference.reset(self.world.q)
         self.grippers.reset()
 

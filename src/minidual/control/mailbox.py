@@ -10,7 +10,7 @@ from minidual.robot.pair import Robot
 class Mailbox:
     """Keeps the newest command per arm.
 
-    Commands stamped before a `flush` are refused afterwards, so a late action chunk never runs.
+    After a `flush` commands with earlier stamps are refused: a late action chunk never runs.
     """
 
     def __init__(self, source: str, robot: Robot) -> None:
@@ -43,7 +43,7 @@ class Mailbox:
         return None
 
     def flush(self, now_s: float) -> None:
-        """Forget all commands; refuse earlier stamps from now on."""
+        """Forget all commands and refuse earlier stamps."""
         self._latest.clear()
         self._timed.clear()
         self._sequence = None

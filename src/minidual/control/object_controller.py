@@ -37,7 +37,7 @@ class ObjectSensor(Protocol):
 
 
 class ObjectImpedanceController(Controller):
-    """Object impedance along a path, with servoed squeeze; `sensor` is required for activation."""
+    """Object impedance along a path; `sensor` is required for activation."""
 
     name = "object_impedance"
     takes = (ObjectCommand,)

@@ -1,11 +1,11 @@
 """Estimate the object's pose from delayed, noisy samples and the joint encoders.
 
 At rest it is the mean of all samples. When held, its pose X in a frame H of the hands is estimated: origin midway
-between the tool centre points, y from right to left, x the mean finger direction. Samples z correct X:
+between the tool centre points, y from right to left, x along the mean finger direction. Samples z correct X:
 
     X <- X + g (T_H(t - delay)^-1 z - X),  g = max(1 / n, sample period / memory)
 
-y uses positions because two pads let the object pivot about the line between the fingers.
+y comes from positions because an object can pivot between two pads.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class HeldEstimate:
     Args:
         q: Joints (n,) after closing.
         T_world_object: Pose (4, 4), weighted as five samples.
-        delay_ticks: Largest usable sample age.
+        delay_ticks: Largest sample age.
         least_gain: Smallest g.
 
     Attributes:
@@ -117,7 +117,7 @@ class HeldEstimate:
 
 
 def _towards(T: Array, sample: Array, gain: float) -> tuple[Array, tuple[float, float]]:
-    """Return T moved towards the sample, and their (distance [m], angle [rad])."""
+    """Return T moved towards the sample, and their innovation."""
     offset = sample[:3, 3] - T[:3, 3]
     turn = rotation_log(T[:3, :3].T @ sample[:3, :3])
     moved = pose(T[:3, :3] @ pin.exp3(gain * turn), T[:3, 3] + gain * offset)

@@ -1,4 +1,4 @@
-"""Object impedance: the held object behaves like a damped spring; the squeeze is servoed.
+"""Object impedance: the held object behaves like a damped spring; the squeeze (internal force) is servoed.
 
     e_p   = p_d - p                                                  position error, world axes
     w     = [K e_p + D (v_d - v) + m (a_d - g); I_w alpha_d + omega_d x I_w omega_d],  I_w = R I_o R^T
@@ -7,8 +7,8 @@
     tau_i = M qdd_ff + h + J_i^T f_i + friction,  J qdd_ff = a_hand - Jdot v
 
 e_i = log(R_d R_i^T), R_i the object's orientation by the grasp of hand i: each hand bears half of the rotational
-stiffness, which so also keeps hands from pivoting on opposed pads. D = 2 zeta sqrt(K M_eff), M_eff including the arms.
-Sources: Schneider and Cannon 1992; Caccavale et al. 2008; docs/force-control.md.
+stiffness, which also keeps it from pivoting on opposed pads. D = 2 zeta sqrt(K M_eff), M_eff including the arms.
+Sources: docs/force-control.md; Schneider and Cannon 1992; Caccavale et al. 2008.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from minidual.robot.pair import SIDES, Array
 SQUEEZE_CEILING_N = 80.0
 """Highest internal force."""
 POSTURE_STIFFNESS_PER_S2, POSTURE_DAMPING_PER_S = 20.0, 9.0
-"""Of the null space, which keeps the elbows where they were."""
+"""Of the null space: keeps the elbows in place."""
 _BENT = "keep the elbows bent: a stretched arm cannot carry"
 
 

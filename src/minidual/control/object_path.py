@@ -15,7 +15,7 @@ from minidual.robot.pair import Array
 
 
 def minimum_jerk(s: float) -> tuple[float, float, float]:
-    """Return the quintic rest-to-rest blend at s, clipped to 0..1, and two derivatives."""
+    """Return the quintic rest-to-rest blend at s, clipped to 0..1, and its first two derivatives."""
     s = min(1.0, max(0.0, s))
     return (s**3 * (10.0 + s * (6.0 * s - 15.0)), 30.0 * s**2 * (1.0 - s) ** 2, 60.0 * s * (1.0 + s * (2.0 * s - 3.0)))
 
@@ -39,11 +39,11 @@ class ObjectPath:
 
     @property
     def duration_s(self) -> float:
-        """Total time."""
+        """Total time [s]."""
         return self._ends[-1]
 
     def at(self, t_s: float) -> ObjectState:
-        """Return the state at time t."""
+        """See `ObjectMotion`."""
         i = min(max(bisect.bisect_right(self._ends, t_s) - 1, 0), len(self._ends) - 2)
         span = self._ends[i + 1] - self._ends[i]
         blend, rate, curvature = minimum_jerk((t_s - self._ends[i]) / span)

@@ -1,10 +1,10 @@
 """Pinch force with which two pads carry the squeeze F by friction.
 
-Each hand also carries half of the weight, across the squeeze:
+Each hand also carries half the weight:
 
     N >= safety sqrt(F^2 + (m g / 2)^2) / (2 mu)
 
-Torsional pad friction is neglected; the hands' torsional springs hold that rotation.
+Torsional friction is neglected; the hands' torsional springs hold that rotation.
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@
     v_want(e) = w e / 2                         for |e| <= d = 4 b / w^2
                 sign(e) sqrt(2 b (|e| - d / 2)) beyond, braking with b < a_max
 
-The braking curve prevents overshoot (0.2 rad after a jump of 1 rad). Recording and deployment must use the same
-numbers, else a policy runs on another plant than it was trained on.
+w is the bandwidth. Without the braking curve a jump of 1 rad would overshoot by 0.2 rad. Recording and deployment must
+use the same numbers.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _BRAKE_SHARE = 0.9
 
 
 class ReferenceFilter:
-    """Second-order tracking of joint targets, without differentiating them; the lag is 2 / w."""
+    """Second-order tracking of joint targets with lag 2 / w."""
 
     def __init__(self, dt_s: float, robot: Robot, *, bandwidth_rad_s: float = 30.0) -> None:
         self._w, self._dt = bandwidth_rad_s, dt_s
@@ -37,7 +37,7 @@ class ReferenceFilter:
         self.a = np.zeros_like(self.q) if a is None else np.array(a, dtype=float)
 
     def follow(self, q: Array, v: Array, a: Array) -> None:
-        """Take over an already smooth reference, each (n,); `a` is only stored."""
+        """Take over a smooth reference, each (n,); `a` is only stored."""
         self.q, self.v, self.a = q.copy(), v.copy(), a
 
     def step(self, target: Array) -> tuple[Array, Array, Array]:

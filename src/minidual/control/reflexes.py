@@ -1,4 +1,4 @@
-"""The supervisor's reflexes: what stops the arms, why, and the remedy."""
+"""The supervisor's reflexes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from minidual.robot.pair import Array
 
 @dataclass(frozen=True)
 class ReflexKind:
-    """A table row.
+    """A row of REFLEXES.
 
     Attributes:
         remedy: What to check.
@@ -101,9 +101,9 @@ class Reflex:
 
     Attributes:
         name: Key of REFLEXES.
-        where: Joint, hand, pair of parts, or source.
+        where: Joint, hand, pair of parts, or reason.
         value: NaN possible for `not_finite`.
-        details: That tick's measurements and request (JSON types).
+        details: Measurements and requested torque of that tick (JSON types).
     """
 
     name: str
@@ -120,7 +120,7 @@ class Reflex:
 
     @property
     def text(self) -> str:
-        """One-line description with value and bound."""
+        """One line with value and bound."""
         unit = f" {self.kind.unit}" if self.kind.unit else ""
         numbers = "" if self.bound is None else f" ({self.value:.6g}{unit}, bound {self.bound:.6g}{unit})"
         return f"reflex {self.name} at {self.time_s:.3f} s: {self.kind.cause}: {self.where}{numbers}"

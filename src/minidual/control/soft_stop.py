@@ -14,7 +14,7 @@ from minidual.robot.pair import Array, Robot
 STOP_SHARE = 0.5
 """Peak deceleration as share of the joints' limits."""
 _STOP_FREQUENCY_RAD_S = 8.0
-"""Soft: hands holding one object must not fight."""
+"""Soft: hands on one object must not fight."""
 
 
 class TorqueRate:
@@ -34,7 +34,7 @@ class TorqueRate:
 
 
 class SwitchedOff:
-    """Arms whose torque falls to zero at the drives' rate and stays there."""
+    """Ramps the torque of some arms to zero at the drives' rate."""
 
     def __init__(self, arms: Sequence[int], tau: Array, dt_s: float, robot: Robot) -> None:
         self._joints = np.repeat([arm in arms for arm in (0, 1)], robot.dof_per_arm)
@@ -45,15 +45,15 @@ class SwitchedOff:
         self._rate.limit(self._zero)
 
     def apply(self, tau: Array) -> Array:
-        """Return tau with the switched-off arms' torques replaced."""
+        """Return tau with these arms' torques replaced."""
         return np.where(self._joints, self._rate.tau, tau)
 
 
 class SoftStop:
     """Joint reference from (q, v) to rest.
 
-    All joints share v(t) = v_0 (1 - s)^2 (1 + 2 s), s = t/T, so two hands initially keep a common object's motion. Peak
-    deceleration: 1.5 |v_0| / T.
+    All joints share v(t) = v_0 (1 - s)^2 (1 + 2 s), s = t/T, so two hands initially move together. Peak deceleration:
+    1.5 |v_0| / T.
     """
 
     def __init__(self, q: Array, v: Array, deceleration: Array, *, least_s: float = 0.1) -> None:

@@ -1,4 +1,4 @@
-"""Control loop of arbiter, controllers, supervisor and plant.
+"""Control loop: arbiter, controllers, supervisor, plant.
 
     stack = ControlStack(plant, kinematics)
     stack.request("moveit")
@@ -134,8 +134,8 @@ class ControlStack[P: Plant]:
     def request(self, mode: str, controllers: Sequence[str] | None = None) -> None:
         """Request a source, or "hold".
 
-        At confirmation `controllers` are activated: by default `both_arms`, for "hold" the active set. If the mode
-        already drives, a named set takes over at once.
+        Confirmation activates `controllers`: by default `both_arms`, for "hold" the active set. If the mode already
+        drives, a named set takes over at once.
 
         Raises:
             UsageError: Unknown name, or a source requested during a reflex.
@@ -162,7 +162,7 @@ class ControlStack[P: Plant]:
         self._due = True
 
     def switch_controllers(self, names: Sequence[str]) -> None:
-        """Change the active controllers at once, keeping the mode.
+        """Change the controllers at once, keeping the mode.
 
         Raises:
             ControllerSwitchError: Refused set, or a running timed command.
@@ -178,14 +178,13 @@ class ControlStack[P: Plant]:
     def halt(self, source: str, gripper: Array | None = None) -> None:
         """Stop the arms in the next step; no source drives afterwards.
 
-        `soft_stop` drives until the next requested mode. Openings `gripper` (2,) are accepted only from the driving
-        source.
+        `soft_stop` drives until the next mode. Openings `gripper` (2,) are accepted only from the driving source.
         """
         self.arbiter.halt(source, gripper)
         self._due = True
 
     def switch_off(self, arms: Sequence[int]) -> None:
-        """Ramp exactly these arms' torque to zero until reset, in case dead drives return."""
+        """Ramp these arms' torque to zero until reset; replaces an earlier call. Dead drives may return."""
         self._off = SwitchedOff(arms, self.applied, self.plant.dt, self._robot)
 
     def on_flush(self, listener: Callable[[str], None]) -> None:
@@ -193,7 +192,7 @@ class ControlStack[P: Plant]:
         self._flush_listeners.append(listener)
 
     def recover(self) -> None:
-        """Resume after a reflex at the measured posture, without driving source."""
+        """Resume after a reflex at the measured posture; no source drives."""
         for name in self.manager.active:
             self.manager[name].activate(self.plant.q, self.plant.v)
         if self.supervisor is not None:
@@ -210,7 +209,7 @@ class ControlStack[P: Plant]:
 
     @property
     def state(self) -> ArbiterState:
-        """The arbiter's last state."""
+        """State of the arbiter."""
         return self.arbiter.state
 
     @property
@@ -278,7 +277,7 @@ class ControlStack[P: Plant]:
             raise stopped
 
     def _torque(self, q: Array, v: Array) -> tuple[Array, MinidualError | None]:
-        """Return this tick's torques (n,), and the error to raise or None."""
+        """Return torques (n,), and the error to raise or None."""
         failed: MinidualError | None = None
         tau = self.applied
         try:

@@ -1,8 +1,4 @@
-"""Controlled stop after a reflex.
-
-The reference brakes each joint at a fixed share of its limit, then holds; soft computed torque follows within the
-motors' rate limit.
-"""
+"""Controlled stop after a reflex: brake each joint at a share of its limit, then hold, within the torque rate."""
 
 from __future__ import annotations
 
@@ -16,7 +12,7 @@ from minidual.robot.pair import Array
 
 
 class SupervisedStop:
-    """Torques of the stop; kinematics must be its own workspace."""
+    """Torques of the stop; `kinematics` must not be the controllers'."""
 
     def __init__(self, kinematics: Kinematics, config: SupervisorConfig, dt_s: float) -> None:
         self._robot = kinematics.robot
@@ -34,7 +30,7 @@ class SupervisedStop:
     def torque(self, q: Array, v: Array) -> Array:
         """Return this tick's torque (n,) [Nm].
 
-        Non-finite measurements are replaced by the last finite posture at rest, so gravity stays compensated.
+        The last finite posture, at rest, replaces non-finite measurements, so gravity stays compensated.
         """
         if np.isfinite(q).all() and np.isfinite(v).all():
             self._q, self._v = np.array(q, dtype=float), np.array(v, dtype=float)

@@ -1,7 +1,7 @@
-"""The supervisor checks measurements and torques, and stops the arms at a violation.
+"""The supervisor checks measurements and torques, and stops the arms when a bound does not hold.
 
-Joint bounds are checked every tick, kinematic bounds at least every `slow_period_s`, with look-ahead. A violation
-raises `ReflexError` once; then `guard` returns soft-stop torques until `reset`. See docs/supervisor.md.
+Joint bounds are checked every tick, kinematic ones at least every `slow_period_s`, with look-ahead. A reflex raises
+`ReflexError` once; then `guard` returns soft-stop torques until `reset`. See docs/supervisor.md.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Supervisor:
     """Guards both arms.
 
     Args:
-        kinematics: Own workspace; created by default.
+        kinematics: Not the controllers'; created by default.
         self_distance: Without it self-collision is not checked.
     """
 
@@ -100,7 +100,7 @@ class Supervisor:
         self._estop = reason  # one assignment is atomic: no lock
 
     def fail(self, time_s: float, q: Array, v: Array, why: str) -> Array:
-        """Stop the arms when the controllers give no torque, instead of `guard`.
+        """Stop the arms; call instead of `guard` when controllers give no torque.
 
         Raises:
             ReflexError: Once; apply its `tau`.
@@ -111,7 +111,7 @@ class Supervisor:
         return self._stop.torque(q, v)
 
     def heard(self, time_s: float) -> None:
-        """Report a command; later silence for over `stale_s` is a reflex."""
+        """Report an arbiter tick; silence over `stale_s` is a reflex."""
         self._deadline_s = time_s + self.config.stale_s
 
     def guard(self, time_s: float, q: Array, v: Array, tau: Array, a_ref: Array | None = None) -> Array:
@@ -160,11 +160,11 @@ class Supervisor:
     # Checks --------------------------------------------------------------------------------------------------
 
     def _before_control(self, q: Array) -> Array:
-        """Return the gravity torque that drives apply before control."""
+        """Return the gravity torque, applied by the drives before control."""
         return np.array(self._kinematics.gravity(q if np.isfinite(q).all() else self._robot.home))
 
     def _look_closer(self) -> Array:
-        """Raise the violated bound's reflex, or return the torque to apply."""
+        """Raise the reflex, or return the torque to apply."""
         q, v, tau, step, a_ref, a_step = self._rows
         bounds = self.bounds
         for what, values in (("measured position", q), ("measured velocity", v), ("torque", tau), ("reference", a_ref)):

@@ -13,7 +13,7 @@ from minidual.robot.pair import SIDES, Array, Robot
 
 
 class Underway:
-    """Running timed commands, at most one per arm; `admit` returns why the controllers refuse a command, or None."""
+    """Running timed commands, at most one per arm; `admit` as in CommandArbiter."""
 
     def __init__(self, dt_s: float, robot: Robot, admit: Callable[[Command], Reason | None]) -> None:
         self._dt, self._robot, self.admit = dt_s, robot, admit
@@ -34,7 +34,7 @@ class Underway:
         return reason
 
     def busy(self, arms: tuple[int, ...]) -> Reason | None:
-        """Return the reason to refuse a command of these arms because one is driven, or None."""
+        """Return why these arms are busy, or None."""
         for execution in self.executions:
             shared = [SIDES[arm] for arm in arms if arm in execution.arms]
             if shared:

@@ -24,7 +24,7 @@ class JointAddresses:
 
 
 def map_joints(model: mujoco.MjModel, names: Sequence[str], *, torque: bool) -> JointAddresses:
-    """Return the addresses of `names`, in order, requiring torque motors (gear x gain = 1) or position servos.
+    """Return the addresses of `names`; require torque motors (gear x gain = 1) or position servos.
 
     Raises:
         UsageError: A joint or actuator is missing or of the other kind.

@@ -1,4 +1,4 @@
-"""True state of an object, and the hands' contacts on it."""
+"""True state of an object, and its contacts with the hands."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def contact_sensor(name: str, side: str, finger_link: str) -> str:
 
 
 class NamedObject:
-    """Reads one object through cached views; looking up an MjData field is slow."""
+    """Reads one object through cached views."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, name: str, robot: Robot) -> None:
         self.body = int(model.body(name).id)
@@ -55,11 +55,11 @@ class NamedObject:
             mujoco.mju_mat2Quat(self.qpos[3:], np.ascontiguousarray(pose[:3, :3]).ravel())
 
     def forces(self) -> Array:
-        """Return each hand's net force on the object (2, 3) [N], world axes."""
+        """Return each hand's net force (2, 3) [N] on the object, world axes."""
         return self._forces[:, 0] + self._forces[:, 1]
 
     def pinch(self) -> Array:
-        """Return each hand's pinch (2,) [N]: normal force of its weaker finger."""
+        """Return pinches (2,) [N]: normal force of each hand's weaker finger."""
         # The left finger (+y) pushes along -y, the right one along +y.
         along = (self._forces[arm].dot(axis).tolist() for arm, axis in enumerate(self._hand_axes))
         return np.array([max(0.0, min(-left, right)) for left, right in along])
@@ -67,8 +67,7 @@ class NamedObject:
     def internal_force(self) -> float:
         """Return the internal force along y [N]; the left hand is at the +y end.
 
-        It is the smaller of the hands' axial forces towards each other: negative under tension, at most zero with one
-        hand.
+        The smaller of the hands' axial forces towards each other: negative under tension, at most zero with one hand.
         """
         a, b, c, d = self._readings.dot(self._axis).tolist()
         return min(-a - b, c + d)

@@ -23,7 +23,7 @@ def _now(name: str) -> Any:
 class DelayedPlant:
     """Delays measurements by `delay_s`, rounded to control steps; commands, clock and health are immediate.
 
-    Until the delay has passed, the first measurements are returned.
+    Until then the first measurements are returned.
 
     Raises:
         UsageError: The delay is negative.
@@ -45,7 +45,7 @@ class DelayedPlant:
         self.forget()
 
     def forget(self) -> None:
-        """Clear the buffer; call after each reset."""
+        """Clear the buffer; call after a reset."""
         self._states.clear()
         self._note()
 

@@ -23,7 +23,7 @@ _URDF_COMPILER = (
 
 
 def build_spec(scene: SceneConfig, robot: Robot = DUAL_PANDA, *, visuals: bool = True) -> mujoco.MjSpec:
-    """Return the editable model; omitting `visuals` compiles faster."""
+    """Return the editable model; it compiles faster without `visuals`."""
     spec = mujoco.MjSpec.from_string(pair_urdf(robot).replace('<link name="world"', _URDF_COMPILER, 1))
     spec.modelname = "minidual"
     spec.compiler.discardvisual = False  # keep the non-colliding geoms added here
@@ -109,7 +109,7 @@ def _add_actuators(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> Non
 
 
 def _look_at(position: tuple[float, float, float], target: tuple[float, float, float]) -> list[float]:
-    """Return the quaternion wxyz of an upright camera (along -z, y up) facing `target`."""
+    """Return the quaternion wxyz of an upright camera facing `target`."""
     z = np.subtract(position, target)
     z = z / np.linalg.norm(z)
     x = np.cross([0.0, 0.0, 1.0], z)
@@ -133,7 +133,7 @@ def _add_cameras(spec: mujoco.MjSpec, robot: Robot) -> None:
 
 
 def _add_contact_sensors(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> None:
-    """Add one net force (3,) per finger and object, on the object, world axes."""
+    """Add each finger's net force (3,) on each object, world axes."""
     data = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)
     netforce = 3
     for name in scene.objects:

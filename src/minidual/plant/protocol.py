@@ -1,7 +1,4 @@
-"""Interface between the control stack and simulated or real arms.
-
-True object poses and contact forces are excluded.
-"""
+"""Interface between the control stack and simulated or real arms, without true object poses and contact forces."""
 
 from __future__ import annotations
 
@@ -29,7 +26,7 @@ class Plant(Protocol):
 
     @property
     def stamp_s(self) -> float:
-        """Measurement time [s], same clock; at most `time`."""
+        """Measurement time [s] on that clock; at most `time`."""
         ...
 
     @property
@@ -49,12 +46,12 @@ class Plant(Protocol):
 
     @property
     def fingers(self) -> Array:
-        """Distance (2,) [m] of the fingers from the middle."""
+        """Finger distances (2,) [m] from the middle."""
         ...
 
     @property
     def grip(self) -> Array:
-        """Closing force (2,) [N]: mean of the finger motors."""
+        """Closing force (2,) [N], mean of the finger motors."""
         ...
 
     @property
@@ -78,7 +75,7 @@ class Plant(Protocol):
 
 @dataclass(frozen=True)
 class PoseSample:
-    """A measured pose (4, 4); its age is in control steps."""
+    """A measured pose (4, 4) and its age in control steps."""
 
     T_world_object: Array
     age_ticks: int
@@ -86,7 +83,7 @@ class PoseSample:
 
 @dataclass(frozen=True)
 class Reading:
-    """Object measurements of one control step.
+    """Measurements of one control step.
 
     Attributes:
         pose: None between samples.
@@ -106,9 +103,9 @@ class ObjectSensors(Protocol):
 
     @property
     def delay_ticks(self) -> int:
-        """Age of a pose on arrival, in control steps."""
+        """Age of an arriving pose, in control steps."""
         ...
 
     def sense(self) -> Reading:
-        """Return new readings; call once a control step."""
+        """Return new readings; once a control step."""
         ...

@@ -23,8 +23,8 @@ _KEYFRAME_S, _KEYFRAME_TRIAL_S = 0.02, 0.1
 class Recorder:
     """Records each step of the world that has it as `recorder`; a reset starts over.
 
-    External forces and model changes before the first step are kept. State writes between steps are not, so their
-    replay deviates. `window_s` None keeps everything; without `folder` there are no dumps.
+    External forces and model changes before the first step are kept, state writes between steps are not: their replay
+    deviates. `window_s` None keeps a whole trial; without `folder` there are no dumps.
     """
 
     def __init__(
@@ -43,11 +43,11 @@ class Recorder:
         """Last failed dump's error."""
 
     def _continues(self) -> bool:
-        """Return whether one step lies between the last record and now: no reset, no divergence."""
+        """Return whether there was neither reset nor divergence since the last record."""
         return 0.0 < self._data.time - self._last_s < 1.5 * self._world.dt
 
     def before_step(self) -> None:
-        """Keep the next step's controls; `World.step` calls it."""
+        """See `StepRecorder`."""
         if not self._continues():
             self._stretches.clear()
             self._pushes.clear()
@@ -95,7 +95,7 @@ class Recorder:
     def dump(self, name: str, reason: str, *, details: Mapping[str, Any] | None = None) -> Path | None:
         """Write the window; return its file, or None.
 
-        Disk errors go to `write_error`, not raised: the arms must stop anyway.
+        Disk errors go to `write_error`: the arms must stop anyway.
         """
         if self._folder is None or self._count == 0:
             return None

@@ -3,7 +3,7 @@
 header      JSON: format, version, kind, reason, arm, scene, seed, libraries, details
 controls    (T, nu) `ctrl` of every step
 keyframes   (K, n) MuJoCo states before keyframe_steps[k], and at the end
-push_steps, pushes   external wrenches (nbody, 6), on change
+push_steps, pushes   external wrenches (nbody, 6) at each change
 model.*     physical model fields
 """
 
@@ -50,7 +50,7 @@ class Recording:
     """A replayable stretch of simulation.
 
     Attributes:
-        kind: "dump" (last second before a fault) or "trial".
+        kind: "dump" (last second before a reflex or divergence) or "trial".
         keyframe_steps: (K,), from 0 to T; T is missing after a reset or divergence.
         push_steps: (P,) first steps.
     """
@@ -96,13 +96,13 @@ class Recording:
 
 
 def versions() -> dict[str, str]:
-    """Return versions that affect bit-exactness."""
+    """Return versions that affect results to the bit."""
     own = {"minidual": minidual.__version__, "python": platform.python_version(), "machine": platform.machine()}
     return own | {name: importlib.metadata.version(name) for name in _LIBRARIES}
 
 
 def physical_fields(model: mujoco.MjModel) -> dict[str, Array]:
-    """Return copies of fields that trials may change."""
+    """Return copies of the fields that trials may change."""
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     fields = {name: np.array(getattr(model, name), dtype=float) for name in (*_BODY, *_JOINT, *_MOTOR)}
     fields |= {name: np.array(getattr(model, name)[solid], dtype=float) for name in _GEOM}
@@ -110,7 +110,7 @@ def physical_fields(model: mujoco.MjModel) -> dict[str, Array]:
 
 
 def apply_physical_fields(model: mujoco.MjModel, fields: Mapping[str, Array]) -> list[str]:
-    """Write recorded fields; return the names that differed.
+    """Write recorded fields; return which differed.
 
     Raises:
         DataError: A field is missing or of another shape.

@@ -28,7 +28,7 @@ Image = npt.NDArray[np.uint8]
 class Camera:
     """Renders images of one size; close it after use.
 
-    Shadows are several times slower in software; `supersample` is the anti-aliasing factor.
+    `supersample` is the anti-aliasing factor.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class Camera:
 def write_video(path: Path, frames: Iterable[Image], *, fps: int) -> int:
     """Write (H, W, 3) frames as H.264 mp4; return their number.
 
-    Renamed into place: an existing film is complete.
+    An existing film is complete.
     """
     import av
 

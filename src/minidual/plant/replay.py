@@ -1,4 +1,4 @@
-"""Replay a recording: bit-exactness, and what first exceeded a bound."""
+"""Replay a recording: does it repeat to the bit, and what left its bounds first."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from minidual.robot.pair import Array
 
 @dataclass(frozen=True)
 class Sign:
-    """First exceedance of a quantity."""
+    """First value of a quantity beyond its bound."""
 
     time_s: float
     what: str
@@ -46,9 +46,9 @@ class Replayed:
     """Result of a replay.
 
     Attributes:
-        compared: Keyframes, without the starting one.
+        compared: Number of keyframes after the first.
         largest_deviation: 0.0 is bit-exact.
-        first: Exceedances by time.
+        first: Signs by time.
         ended: Why it stopped early, or None.
     """
 
@@ -65,7 +65,7 @@ class Replayed:
 
     @property
     def exact(self) -> bool:
-        """Whether keyframes were compared and all matched."""
+        """Whether all compared keyframes, at least one, matched."""
         return self.compared > 0 and self.deviates is None
 
 
@@ -78,7 +78,7 @@ def replay(
 ) -> Replayed:
     """Run the recorded controls from the last keyframe at or before `from_s` and compare states.
 
-    `on_step` is called before the first and after each step.
+    `on_step` is called at the start and after each step.
 
     Raises:
         UsageError: Times outside the recording.
@@ -183,7 +183,7 @@ def _watch(
     signs: dict[str, Sign],
     tolerance: float = 1e-9,
 ) -> None:
-    """Note the joint that is farthest beyond its bounds, once a joint."""
+    """Note the joint that is farthest beyond its bounds, each joint once."""
     beyond = np.maximum(low - values, values - high)
     joint = int(np.argmax(beyond))
     if not beyond[joint] <= tolerance:

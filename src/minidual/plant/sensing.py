@@ -3,7 +3,7 @@
     pose      at the camera's rate:  p + b_p + n_p,  exp(b_R + n_R) R
     force     every control step:  f + n_f;  pinch:  max(0, F + n_F)
 
-n is white Gaussian, b a bias drawn once per trial; samples arrive `delay_s` late.
+n is white Gaussian noise, b a bias drawn once per trial; samples arrive `delay_s` late.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _FORCES = 8  # three components of two hands, then two pinches
 class Sensors:
     """Samples the world and delivers late; until then, the first sample.
 
-    Noise draws do not depend on amplitudes: smaller noise is the same noise scaled.
+    Smaller noise is the same noise scaled.
     """
 
     def __init__(self, world: World, config: SensingConfig, rng: np.random.Generator, name: str | None = None) -> None:
@@ -40,7 +40,7 @@ class Sensors:
         self._late: deque[tuple[Array | None, Array]] = deque()
 
     def sense(self) -> Reading:
-        """Sample the world and return what arrives; once a control step."""
+        """See `ObjectSensors`."""
         tick = self._tick
         forces = self._sample_forces()
         pose = self._sample_pose() if tick % self._period_ticks == 0 else None

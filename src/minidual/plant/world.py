@@ -19,14 +19,14 @@ from minidual.robot.pair import Array, Robot
 
 
 class StepRecorder(Protocol):
-    """Records steps for replay, as `Recorder` does."""
+    """Records steps for replay; see `Recorder`."""
 
     def before_step(self) -> None:
         """Keep the next step's controls."""
         ...
 
     def dump(self, name: str, reason: str, *, details: Mapping[str, Any] | None = None) -> Path | None:
-        """Write what was kept; return the file, if written."""
+        """Write what was kept; return its file, or None."""
         ...
 
 
@@ -46,8 +46,8 @@ _NOT_FINITE: tuple[tuple[mujoco.mjtWarning, str], ...] = (
 class World:
     """Two arms, a table and named objects; `command`, then `step`.
 
-    Readings are copies. Object name None means the only one. `visuals` are needed only for rendering; `model` reuses
-    one from `build_model`.
+    Readings are copies. Object name None means the only one. Rendering needs `visuals`; `model` reuses one from
+    `build_model`.
     """
 
     def __init__(
@@ -123,7 +123,7 @@ class World:
 
     @property
     def finger_targets(self) -> Array:
-        """Commanded targets (2,) [m]."""
+        """Targets (2,) [m]."""
         return self._ctrl[self._finger_ctrl[0]]
 
     def truth(self, name: str | None = None) -> NamedObject:
@@ -159,7 +159,7 @@ class World:
         ]
 
     def touches(self, geom: str) -> bool:
-        """Return whether anything touches a geom."""
+        """Return whether a geom has contacts."""
         index = self.model.geom(geom).id
         return bool((self.data.contact.geom[: self.data.ncon] == index).any())
 
@@ -196,7 +196,7 @@ class World:
         mujoco.mj_forward(self.model, self.data)
 
     def command(self, tau: Array, fingers: Array) -> None:
-        """Set torques (n,) [Nm], clipped at the motor limits, and finger targets (2,) [m]."""
+        """See `Plant`; torques are clipped at the motor limits."""
         self._ctrl[self.joints.ctrl] = tau
         left, right = self._finger_ctrl
         self._ctrl[left] = self._ctrl[right] = fingers
@@ -205,7 +205,7 @@ class World:
         """Advance by `dt`.
 
         Raises:
-            SimulationDivergedError: MuJoCo has reset the state or zeroed commands.
+            SimulationDivergedError: MuJoCo reset the state or zeroed commands.
         """
         before = self.data.time
         if self.recorder is not None:

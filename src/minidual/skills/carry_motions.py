@@ -1,4 +1,4 @@
-"""Motions of a carry, as fast as joints and object may move, its internal force, and the object model of controller C.
+"""Motions of a carry, as fast as `carry.pace` allows, its internal force, and the object model of controller C.
 
 Minimum jerk over distance d in time T peaks at speed 1.875 d / T and acceleration 5.7735 d / T^2, so
 
@@ -41,7 +41,7 @@ def _time(distance: float | Array, speed: float | Array, acceleration: float | A
 
 
 def joint_duration_s(q0: Array, q1: Array, pace: PaceConfig, robot: Robot) -> float:
-    """Return the time between two postures (n,)."""
+    """Return the time [s] between two postures (n,)."""
     speed, acceleration = pace.joint_speed_share * robot.v_max, pace.joint_acceleration_share * robot.a_max
     return max(_LEAST_S, _time(q1 - q0, speed, acceleration))
 
@@ -49,7 +49,7 @@ def joint_duration_s(q0: Array, q1: Array, pace: PaceConfig, robot: Robot) -> fl
 def object_duration_s(
     scene: SceneConfig, robot: Robot, start: Waypoint, end: Waypoint, q_near: Array, pace: PaceConfig
 ) -> tuple[float, Array]:
-    """Return the time of a straight held motion, and the end posture; waypoint times are ignored.
+    """Return the time [s] of a straight held motion, and the end posture; waypoint times are ignored.
 
     Raises:
         GraspUnreachableError: A hand cannot follow.
@@ -88,7 +88,7 @@ def joint_move(
 
 @dataclass(frozen=True)
 class HeldMotion:
-    """Object motion along level poses, tilted as grasped by `T_level_object` (`control.commands.ObjectMotion`).
+    """ObjectMotion along level poses, tilted as grasped by `T_level_object`.
 
     It begins at path time `start_s` and rests beyond the path's ends.
     """
@@ -99,7 +99,7 @@ class HeldMotion:
     duration_s: float
 
     def at(self, t_s: float) -> ObjectState:
-        """Return the object state at a time [s]."""
+        """See `ObjectMotion`."""
         state = self.path.at(self.start_s + t_s)
         return ObjectState(state.T_world_object @ self.T_level_object, state.twist, state.acceleration)
 
@@ -109,7 +109,7 @@ def held_motion(
 ) -> tuple[HeldMotion, Callable[[float], float]]:
     """Return a phase's object motion, and its internal force [N] by time [s].
 
-    squeeze: ramp up at the path's start; carry: the path, plus landing; unload: ramp down at its end. The ramps keep
+    squeeze: ramp up at the path's start; carry: the path, plus rest; unload: ramp down at its end. Ramps keep
     controller C's rate.
     """
     ramp_s = max(PHASES[phase].force_s, squeeze_n / SQUEEZE_RATE_N_PER_S)

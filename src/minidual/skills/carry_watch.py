@@ -1,7 +1,4 @@
-"""Object estimate and fault detection of a carry.
-
-Uses only encoders, motor torques and the sensors of `plant/sensing.py`, never the true state.
-"""
+"""Object estimate and fault detection of a carry, from encoders, motor torques and object sensors only."""
 
 from __future__ import annotations
 
@@ -21,13 +18,13 @@ from minidual.tasks.rod_carry import tilt_rad
 
 _GRIPPED = 0.9
 _EASED = 0.75
-"""Share of the force felt at slip onset that is requested afterwards."""
+"""Share of the force felt at slip onset, requested afterwards."""
 _EASE_MARGIN = 1.1
 """Lower bound of that request, relative to the task's need."""
 
 
 class CarryWatch:
-    """Object sensing of one carry, also for controller C; the world gives only joints and fingers.
+    """Object sensing of one carry, also for controller C; of the world it reads joints, fingers and motor torques.
 
     Raises:
         RuntimeError: The first reading has no pose.
@@ -82,7 +79,7 @@ class CarryWatch:
         return tuple(int(arm) for arm in np.flatnonzero(self._monitor.lost))
 
     def read(self) -> tuple[ObjectState, float]:
-        """Return object state and felt internal force [N]."""
+        """Return the object's state and measured internal force [N]."""
         return self.estimate, self._felt_n
 
     # Updates -----------------------------------------------------------------------------------------------
@@ -102,7 +99,7 @@ class CarryWatch:
             self._feel()
 
     def take_hold(self) -> None:
-        """Assume that the object follows the hands."""
+        """From now on, estimate an object that follows the hands."""
         world, sensing = self._world, self._config.sensing
         period = 1.0 / sensing.pose_rate_hz if sensing.pose_rate_hz > 0.0 else world.dt
         self._held = HeldEstimate(
@@ -116,14 +113,14 @@ class CarryWatch:
         self._feel()
 
     def let_go(self) -> None:
-        """Assume that the object rests where it is."""
+        """From now on, estimate an object at rest."""
         self._resting = RestingEstimate(self.T_world_object)
         self._held = None
 
     # Faults ------------------------------------------------------------------------------------------------
 
     def resting(self) -> Fault | None:
-        """Average a pose of the untouched object and check it."""
+        """Average a pose of the untouched object; check it."""
         if self._reading.pose is None:
             return None
         self._resting.add(self._reading.pose.T_world_object)
@@ -134,7 +131,7 @@ class CarryWatch:
         return self._monitor.closing(self._gaps_m(), self._pinch, t_s)
 
     def holding(self, *, steady: bool) -> Fault | None:
-        """Check a held object and ease its grip on slip; `steady` includes the force."""
+        """Check a held object, reducing the internal force on slip; `steady` also checks that force."""
         estimate, monitor = self._held, self._monitor
         if estimate is None:
             return None
@@ -155,15 +152,15 @@ class CarryWatch:
         return 2.0 * self._world.robot.hand.travel_m * self._world.gripper
 
     def _feel(self) -> None:
-        """Compute the smaller of the hands' opposing axial forces."""
+        """Measure the internal force."""
         left, right = self._forces.dot(self.T_world_object[:3, 1]).tolist()
         self._felt_n = float(np.minimum(-left, right))  # Python's min could drop a NaN
 
     def _ease(self, spread_m: float) -> None:
         """Reduce the internal force when the hands begin to slip.
 
-        Friction carries at most 2 mu times the pinch; the force felt at slip onset is that limit. The force rises on
-        the table, so low friction shows there.
+        The force felt then is what friction carries, 2 mu times the pinch. It rises on the table, so low
+        friction shows there.
         """
         if self._spread_m is None:
             self._spread_m = spread_m

@@ -1,4 +1,4 @@
-"""Convert a task to planner objects, scene and stages."""
+"""Convert a task to the planner's object, scene and stages."""
 
 from __future__ import annotations
 

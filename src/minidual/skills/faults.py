@@ -1,4 +1,4 @@
-"""Faults of a carry: detection, and what the hands do. All stop both arms softly; docs/carry.md lists latencies."""
+"""Faults of a carry: detection, and what the hands do. Latencies: docs/carry.md."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from minidual.robot.pair import SIDES, Array
 OPENING = ("missed_grasp", "knocked_away", "object_lost", "lost_arm", "unreachable")
 """Faults after which the hands open."""
 CLOSED = ("slip", "tilted", "reflex", "interrupted", "singular")
-"""Faults after which they keep their command."""
+"""Faults after which the hands keep their command."""
 
 
 class Fault(NamedTuple):
-    """A detected fault; `name` is in OPENING or CLOSED, `at_s` the time of its stop."""
+    """A fault; `name` is in OPENING or CLOSED, `at_s` the time of detection."""
 
     name: str
     detail: str
@@ -32,7 +32,7 @@ class Fault(NamedTuple):
 
 
 _SCATTERS = 2.9
-"""Threshold in RMS distances: five standard deviations per coordinate, exceeded by white noise twice in a row once in a
+"""Threshold in RMS scatters, five standard deviations per coordinate: white noise exceeds it twice in a row once in a
 billion samples."""
 _LEARNT = 10
 """Samples before the learnt scatter is used."""
@@ -46,7 +46,7 @@ class _Scatter:
         self._squares, self._count = np.zeros((2, 2))
 
     def exceeded(self, away: Sequence[float]) -> npt.NDArray[np.bool_]:
-        """Return which of away (2,) the noise does not explain; NaN is not explained."""
+        """Return which of away (2,) noise does not explain, such as NaN."""
         learnt = _SCATTERS * np.sqrt(self._squares / np.maximum(self._count, 1.0))
         limit = np.where(self._count < _LEARNT, 4.0 * self._least, np.maximum(self._least, learnt))
         return ~(np.asarray(away) <= limit)
@@ -59,10 +59,7 @@ class _Scatter:
 
 
 class FaultMonitor:
-    """Detects faults; call each method once a control step in its phases.
-
-    NaN counts as a fault: comparisons ask whether all is well.
-    """
+    """Detects faults; call each method once a control step in its phases. NaN counts as a fault."""
 
     def __init__(self, config: CarryFaultConfig, *, dt_s: float, width_m: float, pinch_n: float) -> None:
         self._config, self._width, self._pinch = config, width_m, pinch_n
@@ -75,7 +72,7 @@ class FaultMonitor:
         self._scatter = _Scatter((config.displaced_m, config.displaced_rad))
 
     def _lasts(self, key: str, now: bool, needed: int | None = None) -> bool:
-        """Return whether `now` has held for the needed calls in a row."""
+        """Return whether `now` held for the needed calls in a row."""
         if not now:
             self._counts[key] = 0
             return False

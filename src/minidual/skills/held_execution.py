@@ -1,6 +1,6 @@
 """Execute a held-object plan in simulation and measure the object's deviation.
 
-The hands close, then follow the plan by position. The true pose is used for scoring only.
+The hands close, then follow the plan by position. Only the score uses the true pose.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def deviation(T_world_object: Array, T_world_planned: Array) -> tuple[float, flo
 def execute(
     plan: CarriedTrajectory, scene: SceneConfig, *, world: World | None = None, close_s: float = PHASES["close"].hold_s
 ) -> Execution:
-    """Execute a plan that starts at rest, object level on the table, open hands round it.
+    """Execute a plan that starts at rest, with the object level on the table and open hands round it.
 
     Raises:
         ValueError: The object is tilted at the start.

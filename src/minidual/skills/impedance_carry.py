@@ -1,7 +1,7 @@
 """Carry an object under object impedance.
 
-Proposes joint motions for free hands and object motions for holding hands, as source `moveit`. Controllers A and C are
-switched after closing and after the internal force is gone. See docs/carry.md.
+Source `moveit` proposes joint motions for free hands (controller A) and object motions for holding hands (C). See
+docs/carry.md.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from minidual.tasks.task import Trial
 
 _OPEN, _CLOSED = np.ones(2), np.zeros(2)
 _BRAKED_S = 0.6
-"""Time within which the arbiter has braked along the path."""
+"""Longest braking along the path."""
 _STOPPED_S = 0.5
 
 
@@ -47,15 +47,15 @@ class _RefusedError(Exception):
 class ImpedanceCarry:
     """One trial; call `step` until `done`.
 
-    Object and start are sensed. The default supervisor has standard bounds and ignores the arm distance.
+    The default supervisor has standard bounds and ignores the arm distance.
 
-    A sensed fault halts the arms on the spot, lost motors also lose their torque. A reflex is the supervisor's own stop.
-    Another mode, a halt by another source, a refusal or silence is the fault `interrupted`: the arbiter stops the arms.
+    A sensed fault halts the arms; lost motors also lose their torque. After a reflex the supervisor stops them. Another
+    mode, a halt by another source, a refusal or silence is the fault `interrupted`: the arbiter stops them.
 
     Attributes:
         phase: Present phase; `stop` after a fault, then `done`.
         fault: The fault that stopped it, or None.
-        watch: What is sensed of the object.
+        watch: Object sensing.
     """
 
     name = "impedance"
@@ -135,7 +135,7 @@ class ImpedanceCarry:
     # Phases ---------------------------------------------------------------------------------------------
 
     def _advance(self) -> None:
-        """Go on with the cycle, or wait for the arms to stop."""
+        """Continue the cycle, or wait for the arms to stop."""
         self._stop_if_due()
         if self.phase == "stop":
             if self.world.time - self._began_s > self._stop_s + _STOPPED_S:
@@ -153,7 +153,7 @@ class ImpedanceCarry:
                 self._note("interrupted", str(error), _BRAKED_S)
 
     def _phases(self) -> Iterator[None]:
-        """Propose phase after phase; yields once a control step."""
+        """Propose the phases; yield once a control step."""
         world, watch, stack = self.world, self.watch, self.stack
         q_over = self._grasp(world.robot.home, above_m=PHASES["approach"].rise_m)
         self._grasp(q_over)  # before anything moves
@@ -226,7 +226,7 @@ class ImpedanceCarry:
         return self.stack.manager.active == OBJECT_CONTROLLERS
 
     def _sensed(self) -> Fault | None:
-        """Return the fault that the sensors show in this phase."""
+        """Return the phase's sensed fault, or None."""
         watch, phase = self.watch, self.phase
         if phase in ("approach", "descend"):
             return watch.resting()
@@ -239,7 +239,7 @@ class ImpedanceCarry:
         return None
 
     def _halt(self, fault: Fault | None) -> None:
-        """Halt on the spot if there is a fault."""
+        """Halt if there is a fault."""
         if fault is None or self._halted:
             return
         self._halted = True
@@ -248,7 +248,7 @@ class ImpedanceCarry:
         self._note(fault.name, fault.detail)
 
     def _heed_arbiter(self) -> None:
-        """Note why the arbiter lets the carry go no further."""
+        """Note why the arbiter stopped the carry."""
         stack = self.stack
         news, self._refusals_seen = stack.refusals[self._refusals_seen :], len(stack.refusals)
         refused = next((r for r in news if r.source == SOURCE), None)
@@ -264,7 +264,7 @@ class ImpedanceCarry:
             self._note("interrupted", f"the arbiter is {stack.state}: it has not heard of the carry", _BRAKED_S)
 
     def _note(self, name: str, detail: str, stop_s: float | None = None, at_s: float | None = None) -> None:
-        """Record the first fault and the time to rest."""
+        """Record the first fault and the time to stop."""
         if self.fault is not None:
             return
         world = self.world

@@ -1,6 +1,6 @@
 """Scripted operator: joint targets for the rod cycle.
 
-It reads only the rod's start; with fixed timing, its motion is a smooth, learnable function of that.
+With fixed timing its motion is a smooth, learnable function of the rod's start.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class ScriptedOperator:
     def phases(self) -> dict[str, tuple[float, float]]:
         """Return {name: (start, end) [s]}, the same in every trial.
 
-        They overlap over the rod: a policy without speed or time could learn to wait there for ever.
+        They overlap over the rod, where a policy without speed or time could learn to wait for ever.
         """
         phases, end = {}, 0.0
         for name in _ORDER:

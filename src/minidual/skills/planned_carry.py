@@ -1,7 +1,4 @@
-"""Plan the whole task, then execute it by position.
-
-Only joint positions are fed back; the internal force results from stiff joints.
-"""
+"""Plan the whole task, then execute it by position: the internal force results from stiff joints."""
 
 from __future__ import annotations
 
@@ -27,7 +24,7 @@ _GAP_MARGIN_M = 0.005
 class PlannedCarry(Drive):
     """One planned trial; call `step` until `done`.
 
-    `T_world_object` is the object's sensed pose; default: its true pose. The plan keeps the supervisor's minimum arm
+    `T_world_object` is the object's sensed pose, by default the true one. The plan keeps the supervisor's minimum arm
     distance plus a margin.
 
     Attributes:

@@ -28,7 +28,7 @@ def grasp_posture(
 ) -> Array:
     """Return joints (n,) with both hands `above_m` over their grasps.
 
-    `T_world_level` is level; the search starts at `q_near` to keep the arms' configuration.
+    `T_world_level` is the level object's pose; the search starts at `q_near` to keep the arms' configuration.
 
     Raises:
         GraspUnreachableError: No solution near `q_near`.

@@ -14,7 +14,7 @@ from minidual.robot.pair import Robot
 
 @cache
 def arm_distance(robot: Robot) -> ArmDistance:
-    """Return the arm distance; cached, as it compiles a model."""
+    """Return the arm distance, cached: it compiles a model."""
     return ArmDistance(PlanningScene(robot=robot))
 
 

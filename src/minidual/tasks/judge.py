@@ -1,4 +1,4 @@
-"""Judge of a trial: evaluates conditions on the true state."""
+"""Judge of a trial: evaluates the conditions of success."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ REST_S = 0.1
 
 @dataclass(frozen=True)
 class Fault:
-    """A violated condition and when it first was."""
+    """A violated condition, and when it first was violated."""
 
     name: str
     at_s: float
@@ -30,8 +30,8 @@ class Outcome:
     Attributes:
         success: Finished without violation.
         faults: Violations, each at its first instant.
-        duration_s: Time of the finish, or of the end.
-        measured: Numbers of the conditions, and `progress`, the share of stages reached.
+        duration_s: Time of the finish, else of the end.
+        measured: The conditions' numbers, and `progress`, the share of stages reached.
     """
 
     success: bool
@@ -53,7 +53,7 @@ class Outcome:
 
 
 def begin(world: World, task: Task, trial: Trial, demanding: Collection[str] = (), *, reset: bool = True) -> Judge:
-    """Return the judge of a trial that begins now, with the world reset to its start."""
+    """Return the judge of a trial that begins now; reset the world to its start."""
     if reset:
         world.reset(poses=trial.start)
     return Judge(task, trial, demanding)

@@ -1,6 +1,6 @@
 """Table of objects to carry, with internal force and stiffness.
 
-Parallel grippers hold them from above: 80 mm opening, pads 3 mm over the axis. Pinch force: control/pinch.py.
+Parallel grippers hold them from above: 80 mm opening, pads 3 mm over the axis.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ _PHASES = ("approach", "descend", "close", "squeeze", "lift", "carry", "lower", 
 def carry_config(config: Config) -> Config:
     """Return the configuration with object and motion applied; idempotent.
 
-    The required internal force drops to the low end of the object's range if lower: 10 N for the glass.
+    Lowers the required internal force to the low end of the object's range: 10 N for the glass.
 
     Raises:
         UsageError: Unknown object or motion.
@@ -35,7 +35,7 @@ def carry_config(config: Config) -> Config:
 
 
 def rod_carry(config: Config) -> Task:
-    """Return the task: both hands carry the object."""
+    """Return the task."""
     config = carry_config(config)
     body = config.scene.object
     return Task(
@@ -98,12 +98,12 @@ def level_pose(x: float, y: float, z: float, yaw_rad: float) -> Array:
 
 
 def level_part(T_world_object: Array) -> Array:
-    """Return the pose without tilt or roll: a cylinder may have rolled."""
+    """Return the pose without tilt or roll."""
     return pose(rot_z(placement(T_world_object)[2]), T_world_object[:3, 3])
 
 
 def grasp_offsets(scene: SceneConfig) -> tuple[Array, Array]:
-    """Return left and right T_object_tcp, pointing down; the left hand holds the +y end."""
+    """Return left and right T_object_tcp, pointing down; left is the +y end."""
     rotation, y, z = rot_z(np.pi / 2.0) @ rot_x(np.pi), scene.object.grasp_offset_m, scene.object.grasp_height_m
     return pose(rotation, (0.0, y, z)), pose(rotation, (0.0, -y, z))
 

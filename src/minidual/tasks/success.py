@@ -1,6 +1,6 @@
-"""Conditions of success on the true state of an object. Methods never read it.
+"""Conditions of success on the true state of an object, which methods never read.
 
-`observe` runs after every physics step, `end` once. A trial is finished when `holds` is true for all conditions.
+`observe` runs after every physics step, `end` once. A trial is finished when all conditions hold.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class ObjectTruth:
         self.pinch = self._object.pinch()
 
     def distance_m(self, xy: tuple[float, float]) -> float:
-        """Return the horizontal distance of its centre from a place."""
+        """Return the horizontal distance of its centre."""
         return math.hypot(self.T[0, 3] - xy[0], self.T[1, 3] - xy[1])
 
     @property
@@ -65,7 +65,6 @@ class ObjectTruth:
 
     @property
     def speed_m_per_s(self) -> float:
-        """Speed."""
         return float(np.linalg.norm(self._object.twist()[:3]))
 
     @property
@@ -80,14 +79,13 @@ class ObjectTruth:
 
     @property
     def on_table(self) -> bool:
-        """Contact with the table."""
         return self._world.on_table(self.name)
 
 
 class Truth:
     """True state of a task's objects.
 
-    duration_s is the time of the finish, or of now without one; the judge sets it before `end`.
+    duration_s is the time of the finish, else of now; the judge sets it before `end`.
     """
 
     def __init__(self, objects: Mapping[str, ObjectConfig]) -> None:
@@ -105,7 +103,7 @@ class Truth:
         return self._objects[name]
 
     def touches(self, geom: str) -> bool:
-        """Return whether anything touches a geom."""
+        """See `World`."""
         return self._world is not None and self._world.touches(geom)
 
 
@@ -194,9 +192,9 @@ class Clear(SuccessCondition):
 
 @dataclass
 class Held(SuccessCondition):
-    """From the first lift on, both hands pinch the object (`both=False`: one) wherever it is off the table or moves.
+    """From the first lift on, both hands pinch the object (`both=False`: one) while it is off the table or moves.
 
-    On the table it may slip or roll by `slip_m` from where it was let go.
+    On the table it may slip or roll by `slip_m` after its release.
     """
 
     name = "held"

@@ -37,7 +37,7 @@ class TaskObject:
 
     Attributes:
         grasps: T_object_tcp (4, 4) by hand.
-        symmetry: Yaws that look alike in a whole turn: 2 for a rod whose ends are equal.
+        symmetry: Yaws that look alike in a turn: 2 for a rod.
     """
 
     body: ObjectConfig
@@ -66,8 +66,8 @@ class Task:
     """A task.
 
     Attributes:
-        instruction: One sentence for people and language-conditioned policies.
-        objects: The first is carried, disturbed and measured.
+        instruction: For people and language-conditioned policies.
+        objects: By name; the first is carried, disturbed and measured.
         success: (task, trial) -> new conditions.
         draw: (task, rng, widen) -> start and goal, each {object: pose}.
     """

@@ -24,7 +24,7 @@ _TILT_EVERY = 10
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """A target pose (4, 4) of the object; `rests`: supported there."""
+    """A target pose (4, 4) of the object; `rests`: it is supported there."""
 
     label: str
     T_world_object: Array
@@ -35,8 +35,8 @@ class Place:
 class Carry(Stage):
     """Bring the held object to one of several places.
 
-    Two hands first try one motion without a stop. Then: straight up, across freely (one hand tries straight first),
-    straight down. A free motion may tilt the object by `tilt_max_rad`.
+    Two hands first try one motion without a stop. Then: straight up, across freely (one hand: straight first), straight
+    down. A free motion may tilt the object by `tilt_max_rad`.
     """
 
     def __init__(self, name: str, places: Sequence[Place], lift_m: float, tilt_max_rad: float = np.pi) -> None:

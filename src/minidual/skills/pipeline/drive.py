@@ -18,7 +18,7 @@ SOURCE = "moveit"
 class Drive:
     """Proposes each segment when the last has ended; call `step` until `done`.
 
-    The arms must be at the start of the first segment. `aborted` says why it stopped early.
+    The arms must be at the first segment's start. `aborted` says why it stopped early.
     """
 
     def __init__(self, stack: ControlStack, segments: Sequence[Segment]) -> None:
@@ -47,7 +47,7 @@ class Drive:
 
     @property
     def elapsed_s(self) -> float:
-        """Time since the segment was proposed [s]; zero before the first."""
+        """Time since the segment's proposal [s]; zero before the first."""
         return self.stack.plant.time - self._began_s if self._proposed else 0.0
 
     def step(self) -> None:

@@ -39,7 +39,7 @@ class OfArms(Stage):
 
 
 class Reach(OfArms):
-    """Free motion of open hands to the approach height over their grasps."""
+    """Free motion of open hands to the approach height."""
 
     def __init__(self, name: str, arms: Sequence[str], grips: Sequence[Grip]) -> None:
         super().__init__(name, arms)
@@ -129,7 +129,7 @@ class Retreat(OfArms):
 
 
 class Home(OfArms):
-    """Free motion of some arms, and what they hold, to their home."""
+    """Free motion of some arms, and what they hold, home."""
 
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
         """Yield the planned motion."""

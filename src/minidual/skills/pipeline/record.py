@@ -28,7 +28,7 @@ class StageRecord:
         return self.solved_n + self.failed_n
 
     def reasons(self) -> list[dict[str, Any]]:
-        """Return reasons with their count and first message, the most frequent first."""
+        """Return reasons with count and first message, most frequent first."""
         found = [{"reason": reason, "count": len(m), "first": m[0]} for reason, m in self.failures.items()]
         return sorted(found, key=lambda entry: -entry["count"])
 
@@ -42,7 +42,7 @@ class Record:
     ended: str = ""
 
     def deepest(self) -> StageRecord | None:
-        """Return the stage with most failures among those without success."""
+        """Return the stage without success that has most failures."""
         return max((s for s in self.stages if s.failures and not s.solved_n), key=lambda s: s.failed_n, default=None)
 
     def tree(self, title: str) -> str:

@@ -1,4 +1,4 @@
-"""Best-first search with backtracking over a task's stages; deepest first at equal cost."""
+"""Best-first search over a task's stages; deepest first at equal cost."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class Pipeline:
             raise UsageError(f"the task '{name}' has two stages called '{twice[0]}'")
 
     def solve(self, start: State, tools: Tools, *, budget_s: float = 60.0, tries_max: int = 2000) -> Solution:
-        """Return the first complete plan found within wall time and candidate limits.
+        """Return the first complete plan within the limits of wall time [s] and candidates.
 
         Raises:
             TaskFailedError: All candidates failed, or a limit was reached.

@@ -77,7 +77,7 @@ class Tools:
         self.holder = HeldPlanner(planner)
 
     def scene(self, state: State, *, touching: Iterable[str] = (), resting: bool = False) -> PlanningScene:
-        """Return the planning scene: the object is an obstacle, or attached to its first holder.
+        """Return the scene: the object is an obstacle, or attached to its first holder.
 
         Hands of the arms `touching` may touch the object; `resting` lets it touch what it rests on.
         """
@@ -107,7 +107,7 @@ class Stage(ABC):
 
 
 def failure(error: PlanningError, label: str) -> Failure:
-    """Convert a planner error to the failure of a labelled candidate."""
+    """Return a planner error as the failure of a labelled candidate."""
     return Failure(error.reason, f"{label}: {error.message}")
 
 
