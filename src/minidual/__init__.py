@@ -1,4 +1,4 @@
-"""minidual: two Franka Pandas, from an empty folder to a measured comparison of methods."""
+"""Two-arm manipulation in MuJoCo: plan, carry, teleoperate, record, train, deploy, compare."""
 
 import os
 

@@ -1,4 +1,4 @@
-"""Atomic files and folders: written under a temporary name with the writer's process id, synced (fsync) and renamed."""
+"""Atomic writes: files and folders get a temporary name with the process id, are synced (fsync) and renamed."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def partial_path(path: Path) -> Path:
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Generator[Path]:
-    """Yield a temporary name; publish it unless the block raises."""
+    """Yield a temporary path; publish it at `path` unless the block raises."""
     partial = partial_path(path)
     try:
         yield partial
@@ -34,13 +34,13 @@ def replacing(path: Path) -> Generator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Replace `path` by `text` (UTF-8) atomically."""
+    """Write `text` (UTF-8) atomically."""
     with replacing(path) as partial:
         partial.write_text(text, encoding="utf-8")
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, object]], *, missing: str = "") -> Path:
-    """Replace `path` by a table of `rows` atomically; `missing` fills absent values.
+    """Write a table atomically; `missing` fills absent values.
 
     Raises:
         NothingEvaluatedError: No rows.
@@ -58,10 +58,7 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, object]], *, missing: str 
 
 
 def publish(partial: Path, path: Path) -> None:
-    """Sync a temporary file or folder and rename it.
-
-    A file replaces an existing one; a folder's name must be free.
-    """
+    """Sync a file or folder and rename it to `path`, which must be free for a folder."""
     for folder, _, files in os.walk(partial):
         for name in files:
             sync(Path(folder) / name)
@@ -73,7 +70,7 @@ def publish(partial: Path, path: Path) -> None:
 
 
 def sync(path: Path) -> None:
-    """Sync a file's content, or a folder's entries, to the disk."""
+    """Sync a file's content or a folder's entries."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -84,7 +81,7 @@ def sync(path: Path) -> None:
 def is_stale(path: Path) -> bool:
     """Return whether `path` is a temporary name whose writer is dead.
 
-    A process that reuses the id started after the file was last written.
+    A living process with its id is another one if it started after the last write.
     """
     match = _PARTIAL.match(path.name)
     if match is None:
@@ -100,7 +97,7 @@ def is_stale(path: Path) -> bool:
 
 
 def remove_stale(path: Path) -> None:
-    """Remove temporary files of `path` whose writers are dead."""
+    """Remove stale temporary files of `path`."""
     for left in path.parent.glob(f".{path.name}.*.partial"):
         if is_stale(left):
             remove(left)
@@ -116,7 +113,7 @@ def remove(path: Path) -> None:
 
 
 def set_aside(path: Path, name: str) -> Path:
-    """Move a file or folder into `set-aside` beside it, under `name` and the UTC time; return the new path."""
+    """Move `path` into the folder `set-aside` beside it, as `name` and the UTC time; return the new path."""
     place = path.parent / "set-aside" / f"{name}-{datetime.now(UTC):%Y%m%d-%H%M%S-%f}"
     make_folder(place.parent)
     path.rename(place)
@@ -124,7 +121,7 @@ def set_aside(path: Path, name: str) -> Path:
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder and its parents; UsageError if that fails."""
+    """Make a folder and its parents, or raise UsageError."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:

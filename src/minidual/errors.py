@@ -1,7 +1,4 @@
-"""Errors that the command line turns into a message and an exit code.
-
-Messages name the thing, the bound and the alternatives; `remedy` says what to do.
-"""
+"""Errors with an exit code. Messages name thing, bound and alternatives; `remedy` says what to do."""
 
 from __future__ import annotations
 
@@ -24,7 +21,7 @@ class ExitCode(IntEnum):
 
 
 class MinidualError(Exception):
-    """Base of expected errors, shown without a traceback."""
+    """Expected error, shown without a traceback."""
 
     exit_code: ExitCode = ExitCode.USAGE
 
@@ -48,7 +45,7 @@ def _rebuild(cls: type[MinidualError], message: str, remedy: str | None) -> Mini
 
 
 class UsageError(MinidualError):
-    """A name, value or file given by the user is wrong."""
+    """A given name, value or file is wrong."""
 
 
 class ConfigError(UsageError):
@@ -78,7 +75,7 @@ class DataError(MinidualError):
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> UsageError:
-    """Return the error for an unknown name, listing the known ones and the closest."""
+    """Return an error that lists the known names and suggests the closest."""
     names = sorted(known)
     close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
     remedy = f"did you mean '{close[0]}'?" if close else None

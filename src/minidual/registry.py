@@ -1,7 +1,6 @@
 """Tables of named things.
 
-A value is the thing itself or a lazy target, "module:attribute", imported at first use. Entry points of other
-distributions are read at the first lookup.
+A value is the thing or its target "module:attribute", imported at first use. Entry points are read at the first lookup.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from minidual.errors import UsageError, unknown_name
 
 
 class Registry[T](Mapping[str, T]):
-    """A table of one kind of thing.
+    """Table of one kind of thing.
 
     Args:
         kind: Singular noun for messages ("task").
@@ -41,10 +40,10 @@ class Registry[T](Mapping[str, T]):
         self._rows[name] = value
 
     def __getitem__(self, name: str) -> T:
-        """Return a row, loading it at first use.
+        """Return a value, imported at first use.
 
         Raises:
-            UsageError: The row is unknown or cannot be loaded.
+            UsageError: Unknown name, or it cannot be imported.
         """
         rows = self._all()
         if name not in rows:
@@ -77,10 +76,10 @@ class Registry[T](Mapping[str, T]):
         return self._rows
 
     def names(self, text: str | Sequence[str]) -> tuple[str, ...]:
-        """Return the row names in "a,b" or in a sequence.
+        """Return the names in "a,b" or a sequence.
 
         Raises:
-            UsageError: A name is unknown or repeated, or none is given.
+            UsageError: Unknown, repeated or no name.
         """
         names = [n.strip() for n in (text.split(",") if isinstance(text, str) else text) if n.strip()]
         if not names:

@@ -1,4 +1,4 @@
-"""Worker processes with one numeric thread each. They end when the process that started them ends."""
+"""Worker processes with one numeric thread each. They end with the process that started them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _LOOK_S = 0.5
 def in_workers[Item, Result](
     function: Callable[[Item], Result], items: Sequence[Item], workers: int
 ) -> Iterator[Result]:
-    """Yield function(item) in the order of the items. One worker is this process."""
+    """Yield function(item) in the order of the items; with one worker, in this process."""
     # More than one numeric thread per process: they wait for each other on a busy machine.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"
@@ -34,7 +34,7 @@ def _call[Item, Result](starter: int, function: Callable[[Item], Result], item: 
 
 @functools.cache
 def _end_with(starter: int) -> None:
-    """Watch the starting process: one that is killed cannot stop its workers, which would wait for minutes."""
+    """End this worker when its starter is gone: a killed starter cannot stop it."""
 
     def watch() -> None:
         while os.getppid() == starter:

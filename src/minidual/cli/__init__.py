@@ -33,7 +33,7 @@ class _Explained:
 
 
 def _parameters(*groups: type[Any]) -> list[inspect.Parameter]:
-    """Return the fields of dataclasses of options as parameters."""
+    """Return fields of option dataclasses as parameters."""
     return [
         inspect.Parameter(f.name, inspect.Parameter.KEYWORD_ONLY, default=f.default, annotation=hints[f.name])
         for group in groups
@@ -43,7 +43,7 @@ def _parameters(*groups: type[Any]) -> list[inspect.Parameter]:
 
 
 def _option_parameters(options: Iterable[Option]) -> list[inspect.Parameter]:
-    """Return the rows' options as parameters; a later row of the same name replaces an earlier one."""
+    """Return options as parameters; the last of a name counts."""
     found: dict[str, inspect.Parameter] = {}
     for option in options:
         kind: Any = str if option.kind is tuple else option.kind
@@ -66,7 +66,7 @@ def _show_version(wanted: bool) -> None:
 
 
 def build_app(table: StageTable, tools: Sequence[ToolEntry] = ()) -> typer.Typer:
-    """Return the command line of the stages and tools."""
+    """Return the command line of stages and tools."""
     app = typer.Typer(
         name="minidual",
         help="From an empty folder to a measured dual-arm robot system. Each stage waits behind a gate.",
@@ -140,7 +140,7 @@ def run_command_line(arguments: Sequence[str], table: StageTable, tools: Sequenc
 
 
 def _on_termination(number: int, frame: FrameType | None) -> None:
-    """Treat SIGTERM and SIGHUP (the terminal was closed) like Ctrl-C."""
+    """Treat SIGTERM and SIGHUP (terminal closed) like Ctrl-C."""
     raise KeyboardInterrupt
 
 

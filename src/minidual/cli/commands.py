@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from minidual.gate.table import StageEntry, ToolEntry
 
 Body = Callable[[Session, Mapping[str, Any]], ExitCode]
-"""A command's function of session and own options. Its docstring is its help: a summary, then examples."""
+"""Runs a command with its own options. Its docstring is the help: a summary, then examples."""
 
 
 def stage_body(entry: StageEntry) -> Body:
@@ -81,7 +81,7 @@ def _was_typed(value: Any) -> bool:
 
 
 def _refuse_loose_options(entry: StageEntry, aside: ToolEntry | None, values: Mapping[str, Any]) -> None:
-    """Refuse options that what was asked for, the stage or an aside of it, does not take."""
+    """Refuse options that the chosen stage or aside does not take."""
     chosen = aside or entry
     takers: dict[str, list[StageEntry | ToolEntry]] = {}
     for command in (entry, *entry.asides):

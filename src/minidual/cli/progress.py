@@ -12,7 +12,7 @@ from minidual.gate.progress import Progress, Task
 
 
 class BarTask(Task):
-    """One bar; a task within a task draws its own below."""
+    """One bar; nested tasks draw theirs below."""
 
     def __init__(self, console: Console, description: str, total: float | None) -> None:
         columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
@@ -21,7 +21,7 @@ class BarTask(Task):
         self._bar = self._bars.add_task(description, total=total, note="")
 
     def advance(self, steps: float = 1, note: str = "") -> None:
-        """Count `steps` as done; `note` is shown beside the bar."""
+        """Count `steps`; `note` is shown beside the bar."""
         self._bars.update(self._bar, advance=steps)
         if note:
             self._bars.update(self._bar, note=note)
@@ -47,6 +47,6 @@ class BarProgress(Progress):
 
 
 def progress_for(console: Console) -> Progress:
-    """Return bars if `console` is a terminal, plain lines otherwise."""
+    """Return bars on a terminal, plain lines elsewhere."""
     bars = BarProgress(console)
     return bars if console.is_terminal else Progress(bars.note)

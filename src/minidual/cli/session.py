@@ -1,4 +1,4 @@
-"""State of one command: options, run and exit."""
+"""Options, run and exit of one command."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class Session:
 
     @cached_property
     def people(self) -> Console:
-        """Console on stderr, for people."""
+        """Console on stderr."""
         return _console(stderr=True)
 
     @cached_property
@@ -107,7 +107,7 @@ class Session:
         return RunStore(root, self.loaded.profile if self.typed.run is None else self.typed.run)
 
     def gate(self, options: Mapping[str, Mapping[str, Any]] | None = None) -> Gate:
-        """Return a gate for the present run."""
+        """Return a gate of this run."""
         from minidual.gate.gate import Gate
 
         return Gate(self.table, self.store, self.loaded, options or {})
@@ -123,9 +123,9 @@ class Session:
         return Runner(self.table, self.store, self.loaded, progress, self.typed.command, view)
 
     def spare_finished(self, names: Sequence[str], options: Mapping[str, Mapping[str, Any]], force: bool) -> None:
-        """Go to a run of its own if the command would replace stages that were finished with other options.
+        """Switch to another run if the command would replace stages finished with other options.
 
-        Stages that stay as they are come along, as hard links.
+        Stages that stay the same are hard-linked.
         """
         while replaced := (gate := self.gate(options)).replaced(names, force):
             base, first = self.store, next(iter(replaced))
@@ -141,7 +141,7 @@ class Session:
                     self.store.link(name, base)
 
     def _own_run(self, run: str, *options: Mapping[str, Any]) -> str:
-        """Return the run's name for what was typed, such as "standard-glass-over"."""
+        """Return a run name from what was typed, such as "standard-glass-over"."""
         from minidual.gate.canonical import digest
 
         typed = self.typed
@@ -154,7 +154,7 @@ class Session:
         return name if len(name) <= 80 else f"{name[:71]}-{digest(words)[:8]}"
 
     def following(self, gate: Gate | None = None, *, explained: bool = False) -> str:
-        """Return the next command to type: a failed stage is explained first."""
+        """Return the next command to type; `explain` first after a failure."""
         state = (gate or self.gate()).lowest()
         if state is None:
             return "every stage passes and is fresh"
@@ -162,18 +162,18 @@ class Session:
         return f"next: {self.typed.command(f'explain {state.name}' if explain else state.name)}"
 
     def say(self, text: str, style: str = "") -> None:
-        """Print a line for people."""
+        """Print a line to stderr."""
         self.people.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
 
     def finish(self, document: Mapping[str, Any], lines: Iterable[object]) -> None:
-        """Print the document with --json, the lines without, to stdout."""
+        """Print the document (--json) or the lines to stdout."""
         from minidual.gate.canonical import dumps
 
         for line in [dumps(document).rstrip("\n")] if self.typed.json else lines:
             print(line)
 
     def end(self, body: Callable[[Session], ExitCode]) -> int:
-        """Run `body`; turn exceptions into a message and an exit code."""
+        """Run `body`; return its exit code or that of its error."""
         try:
             code = body(self)
             sys.stdout.flush()

@@ -32,7 +32,7 @@ def state_text(state: str) -> Text:
 
 
 def margin_text(check: Check) -> str:
-    """Return the signed margin, and as a share of a nonzero limit."""
+    """Return the margin, also as a share of a nonzero limit."""
     margin = check.margin
     if margin is None or margin != margin:
         return ""
@@ -41,7 +41,7 @@ def margin_text(check: Check) -> str:
 
 
 def checks_table(checks: Sequence[Check], title: str, *, explained: bool = False) -> Table:
-    """Return the table of checks; with why and remedy if `explained`."""
+    """Return a table; with why and remedy if `explained`."""
     table = Table(title=title, title_justify="left", show_lines=explained)
     for header in ("check", "observed", "limit", "margin", "result"):
         table.add_column(header, justify="left" if header in ("check", "result") else "right", overflow="fold")
@@ -58,7 +58,7 @@ def checks_table(checks: Sequence[Check], title: str, *, explained: bool = False
 
 
 def label(verdict: Verdict) -> str:
-    """Return why a verdict is no acceptance, if so."""
+    """Return why a verdict is no acceptance; empty if it is."""
     words = [] if verdict.acceptance_profile else [f"profile '{verdict.profile}': wiring only, never acceptance"]
     if verdict.weakened:
         words.append(f"NO ACCEPTANCE, it asks for less than the profile: {'; '.join(verdict.weakened)}")
@@ -67,7 +67,7 @@ def label(verdict: Verdict) -> str:
 
 
 def print_outcome(console: Console, outcome: Outcome, following: str) -> None:
-    """Print checks, notes, artefacts and next command."""
+    """Print a result and the next command."""
     verdict = outcome.verdict
     took = f"{verdict.duration_s:.1f} s" if outcome.ran else "fresh"
     _print_verdict(console, outcome.state, verdict, f"{verdict.stage}: {verdict.status}, {took}")
@@ -75,7 +75,7 @@ def print_outcome(console: Console, outcome: Outcome, following: str) -> None:
 
 
 def print_explanation(console: Console, entry: StageEntry, state: StageState, upstream: Mapping[str, str]) -> None:
-    """Print all about one stage; `upstream` is {required stage: state}."""
+    """Print one stage; `upstream` is {required stage: state}."""
     console.print(Text.assemble((entry.name, "bold"), " is ", state_text(state.state), f". {entry.summary}."))
     for name, its in upstream.items():
         console.print(Text.assemble("  requires ", name, ": ", state_text(its)))
@@ -128,7 +128,7 @@ def print_status(console: Console, gate: Gate, title: str, following: str) -> No
 
 
 def print_lowest(console: Console, lowest: StageState | None, following: str) -> None:
-    """Print the lowest stage that does not pass, why, and the command: a fault propagates upwards."""
+    """Print the first stage that does not pass, why, and the next command."""
     if lowest is not None:
         _lines(console, [f"look at {lowest.name} first: the lowest stage that does not pass"], "bold")
         _lines(console, [f"  {line}" for line in lowest.because()])

@@ -1,4 +1,4 @@
-"""View options and the view they select."""
+"""Options of the live view."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def live_view(session: Session, values: Mapping[str, Any], default: str = "none"
     """Yield the selected view or None; close it at the end.
 
     Raises:
-        UsageError: An address without a web view, or an error of make_view.
+        UsageError: Host or port without a web view, or raised by make_view.
     """
     from minidual.config.loader import Override
     from minidual.show.view import make_view

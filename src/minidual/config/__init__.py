@@ -1,1 +1,1 @@
-"""Typed configuration: models, profiles and the loader. Imports no domain code."""
+"""Configuration models, profiles and their loader; no robotics."""

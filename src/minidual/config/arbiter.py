@@ -13,11 +13,11 @@ class ArbiterConfig(StrictModel):
     stale_s: float = Field(default=0.1, gt=0.0, le=1.0)
     """Older commands are stale and ignored."""
     stop_after_s: float = Field(default=1.0, gt=0.0, le=60.0)
-    """A source silent for this long must be requested again."""
+    """A source silent for this long must request its mode again."""
     still_speed_rad_s: float = Field(default=0.05, gt=0.0, le=0.5)
-    """Below this speed of the fastest joint the arms are still."""
+    """The arms are still if every joint is slower."""
     settle_timeout_s: float = Field(default=0.5, gt=0.0, le=10.0)
-    """A switch is refused if the arms are not still within this time."""
+    """A switch is refused if the arms do not settle within this time."""
     switch_step_max_rad: float = Field(default=0.1, gt=0.0, le=0.5)
-    """A larger step of a joint target is aligned first."""
+    """A larger first step of a joint target is ramped at `align_speed_rad_s`."""
     align_speed_rad_s: float = Field(default=1.0, gt=0.0, le=2.0)

@@ -1,4 +1,4 @@
-"""The strict base of every configuration model, and marks on fields that set how much acceptance asks for."""
+"""Base of the configuration models, and marks of fields that acceptance depends on."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 Value = TypeVar("Value")
 AtLeast = Annotated[Value, "at least"]
-"""A count or lower limit: less than the shipped profile's is no acceptance."""
+"""A count or lower limit; below the shipped profile's is no acceptance."""
 AtMost = Annotated[Value, "at most"]
-"""An upper limit: more than the shipped profile's is no acceptance."""
+"""An upper limit; above the shipped profile's is no acceptance."""
 Rate = Annotated[float, Field(ge=0.0, le=1.0)]
 
 

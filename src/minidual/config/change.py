@@ -12,7 +12,7 @@ from minidual.errors import unknown_name
 
 
 def changed(config: Config, settings: Mapping[str, Any]) -> Config:
-    """Return the configuration with values at dotted paths replaced, e.g. {"carry.sensing.delay_s": 0.02}.
+    """Return the configuration with {dotted path: value} applied, such as {"carry.sensing.delay_s": 0.02}.
 
     Raises:
         UsageError: There is no such path.
@@ -33,7 +33,7 @@ def changed(config: Config, settings: Mapping[str, Any]) -> Config:
 
 
 def preset[M: BaseModel](section: M, values: Mapping[str, Any]) -> M:
-    """Return a section with unset values filled in by dotted path, also inside parts that are set.
+    """Return a section with {dotted path: value} applied where the user set nothing.
 
     Raises:
         UsageError: There is no such path.
@@ -57,6 +57,6 @@ def preset[M: BaseModel](section: M, values: Mapping[str, Any]) -> M:
 
 
 def replaced[M: BaseModel](section: M, **values: Any) -> M:
-    """Return a validated copy with `values`; unset fields stay unset."""
+    """Return a validated copy with `values`; other unset fields stay unset."""
     known = {name: getattr(section, name) for name in section.model_fields_set}
     return type(section).model_validate({**known, **values})

@@ -8,7 +8,7 @@ from minidual.config.base import AtLeast, AtMost, StrictModel
 
 
 class EnvCheckConfig(StrictModel):
-    """Test motions and limits of the environment check."""
+    """Test motions and limits of `env-check`."""
 
     step_rad: float = Field(default=0.3, gt=0.0, le=0.5)
     """Outward step of joint 1 of each arm."""
@@ -25,7 +25,7 @@ class EnvCheckConfig(StrictModel):
     """From 10 % to 90 %."""
     overshoot_max_rad: AtMost[float] = Field(default=0.005, gt=0.0, le=0.02)
     latency_max_us: AtMost[float] = Field(default=1000.0, gt=0.0, le=10_000.0)
-    """From command to torques, without the wait for the arbiter."""
+    """Computing time from command to torques."""
     stop_rest_max_s: AtMost[float] = Field(default=0.5, gt=0.0, le=2.0)
     agreement_states_n: int = Field(default=20, ge=1, le=1000)
     agreement_max: AtMost[float] = Field(default=1e-10, gt=0.0, le=1e-6)
@@ -38,12 +38,12 @@ class ImpedanceConfig(StrictModel):
     stiffness_nm_per_rad: float = Field(default=20.0, ge=1.0, le=200.0)
     damping_ratio: float = Field(default=1.0, ge=0.1, le=3.0)
     internal_force_n: float = Field(default=40.0, ge=5.0, le=80.0)
-    """Squeeze along the object, at most 80 N."""
+    """Squeeze along the object."""
     force_gain: float = Field(default=0.5, ge=0.0, lt=1.0)
-    """Proportional force feedback; from 1 on the loop limit-cycles."""
+    """Proportional force feedback; the loop oscillates from 1 on."""
     force_correction_max_n: float = Field(default=15.0, ge=0.0, le=20.0)
     pinch_n: float = Field(default=60.0, gt=20.0, le=140.0)
-    """Finger force; friction needs internal_force < 2 mu pinch."""
+    """Finger force; friction mu requires internal_force < 2 mu pinch."""
 
 
 class CarryLimits(StrictModel):
@@ -51,37 +51,36 @@ class CarryLimits(StrictModel):
 
     success_rate_min: AtLeast[float] = Field(default=0.99, gt=0.8, le=1.0)
     tilt_max_rad: AtMost[float] = Field(default=0.0349, gt=0.0, le=0.08727)
-    """Two degrees; one trial allows five."""
+    """2 degrees."""
     duration_max_s: AtMost[float] = Field(default=8.0, gt=0.0, le=10.0)
     saturation_max_s: AtMost[float] = Field(default=0.02, gt=0.0, le=0.02)
-    """Longest time at a torque limit, failed trials included."""
+    """Time at a torque limit, failed trials included."""
 
 
 class SensingConfig(StrictModel):
     """Noise, delay and rate of sensing; zero disables each.
 
-    Noise is white Gaussian per sample and axis; a bias is drawn once per trial. Encoders are exact. See docs/carry.md
-    for the standard condition.
+    Noise is white and Gaussian for each sample and axis, a bias for each trial. Encoders are exact. See docs/carry.md.
     """
 
     pose_noise_m: float = Field(default=0.0005, ge=0.0, le=0.02)
     pose_noise_rad: float = Field(default=0.005236, ge=0.0, le=0.2)
-    """Standard deviation per rotation vector component (0.3 degrees)."""
+    """Standard deviation of each rotation vector component (0.3 degrees)."""
     pose_bias_m: float = Field(default=0.0, ge=0.0, le=0.02)
-    """Standard deviation per coordinate of the trial's constant offset."""
+    """Standard deviation of each coordinate of a trial's constant offset."""
     pose_bias_rad: float = Field(default=0.0, ge=0.0, le=0.2)
     pose_rate_hz: float = Field(default=100.0, ge=0.0, le=1000.0)
-    """Pose sample rate; 0 samples at every control step."""
+    """0 samples at every control step."""
     force_noise_n: float = Field(default=1.0, ge=0.0, le=50.0)
-    """Standard deviation per contact force component and pinch, at every control step."""
+    """Standard deviation of each contact force component and pinch, at every control step."""
     delay_s: float = Field(default=0.010, ge=0.0, le=0.5)
     force_filter_s: float = Field(default=0.010, ge=0.0, le=0.5)
     grasp_memory_s: float = Field(default=0.15, ge=0.0, le=5.0)
-    """Averaging time of the pose in the hands; 0 uses the last sample."""
+    """Averaging time of the object's pose between the hands; 0 uses the last sample."""
 
 
 class PaceConfig(StrictModel):
-    """Limits for the carry's durations; see skills/carry_motions.py."""
+    """Limits that set durations; see skills/carry_motions.py."""
 
     joint_speed_share: float = Field(default=0.85, gt=0.0, le=1.0)
     joint_acceleration_share: float = Field(default=0.5, gt=0.0, le=1.0)
@@ -90,38 +89,38 @@ class PaceConfig(StrictModel):
     object_turn_rad_per_s: float = Field(default=2.0, gt=0.0, le=10.0)
     object_turn_rad_per_s2: float = Field(default=5.0, gt=0.0, le=50.0)
     landing_m: float = Field(default=0.0, ge=0.0, le=0.05)
-    """Slow last part of the lowering; 0 lands in one motion."""
+    """Slow last part of the lowering, over `landing_s`; 0: none."""
     landing_s: float = Field(default=0.3, gt=0.0, le=5.0)
 
 
 class CarryFaultConfig(StrictModel):
-    """When a carry stops itself, by sensed quantities only; see skills/faults.py."""
+    """Bounds on sensed quantities beyond which a carry has a fault; see skills/faults.py."""
 
     displaced_m: float = Field(default=0.004, gt=0.0, le=0.1)
-    """Raised if the sensor scatters more while the object lies still."""
+    """Displacement of a resting object (more if its pose scatters more), or of hands along a held one."""
     displaced_rad: float = Field(default=0.045, gt=0.0, le=1.0)
     creep_m: float = Field(default=0.001, gt=0.0, le=0.1)
-    """Motion of the hands along the object at which the squeeze is reduced."""
+    """Motion of the hands along the object that reduces the squeeze."""
     gap_margin_m: float = Field(default=0.004, gt=0.0, le=0.03)
-    """A hand this much narrower than the object holds nothing."""
+    """A hand closed further than this below the object's width holds nothing."""
     grasp_timeout_s: float = Field(default=1.5, gt=0.1, le=10.0)
     lost_pinch_share: float = Field(default=0.25, gt=0.0, lt=1.0)
     squeeze_share: float = Field(default=0.4, gt=0.0, lt=1.0)
-    """Share of the wanted internal force below which the grip slips."""
+    """Share of the wanted internal force below which the grasp slips."""
     tilt_rad: float = Field(default=0.35, gt=0.0, le=1.5)
     motor_torque_n_m: float = Field(default=2.0, gt=0.0, le=50.0)
-    """Commanded minus measured torque of a dead drive."""
+    """Difference between commanded and measured torque of a dead drive."""
     persistence_s: float = Field(default=0.005, ge=0.0, le=0.05)
 
 
 class CarryConfig(StrictModel):
-    """Object, motion and limits of the carries."""
+    """Configuration of `carry`."""
 
     trials_n: AtLeast[int] = Field(default=20, ge=1, le=10000)
     object: str = "rod"
-    """Name from tasks/objects.py."""
+    """Row of tasks/objects.py."""
     motion: str = "straight"
-    """Name from tasks/motions.py."""
+    """Row of tasks/motions.py."""
     impedance: ImpedanceConfig = ImpedanceConfig()
     sensing: SensingConfig = SensingConfig()
     pace: PaceConfig = PaceConfig()

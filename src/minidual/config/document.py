@@ -1,7 +1,6 @@
 """Strict YAML with the line of every value.
 
-Scalars follow YAML 1.2, unlike PyYAML's: `1e-3` is a number; `on`, `yes`, `010` and `1:30` are text, which the models
-refuse where a number is expected.
+Scalars follow YAML 1.2, unlike PyYAML's: `1e-3` is a number; `on`, `yes`, `010` and `1:30` are text.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ _WORDS = {"": None, "~": None, "null": None, "true": True, "false": False}
 
 
 class _Loader(yaml.SafeLoader):
-    """Composes nodes without resolving types; `_scalar` does that."""
+    """Leaves types to `_scalar`."""
 
     yaml_implicit_resolvers = {}  # noqa: RUF012 - PyYAML's own way to declare it
 
@@ -34,7 +33,7 @@ _yaml_compose = cast(Callable[..., yaml.Node | None], yaml.compose)  # pyright: 
 
 @dataclass
 class Document:
-    """A tree of plain values; origins map dotted paths to "file.yaml:12"."""
+    """Plain values; `origins` is {dotted path: "file.yaml:12"}."""
 
     source: str
     tree: dict[str, Any]
@@ -42,7 +41,7 @@ class Document:
 
 
 def read_document(path: Path) -> Document:
-    """Read a YAML file; ConfigError names file and line of an error."""
+    """Read a YAML file; ConfigError names file and line."""
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -51,7 +50,7 @@ def read_document(path: Path) -> Document:
 
 
 def parse_document(text: str, source: str) -> Document:
-    """Parse YAML text; messages call it `source`."""
+    """Parse YAML text; errors call it `source`."""
     document = Document(source, {})
     node = _compose(text, source)
     if isinstance(node, yaml.MappingNode):

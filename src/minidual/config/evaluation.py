@@ -1,4 +1,4 @@
-"""Configuration of the `benchmark` and `report` stages."""
+"""Configuration of `benchmark` and `report`."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from minidual.config.base import AtLeast, Rate, StrictModel
 
 
 class BenchmarkConfig(StrictModel):
-    """Methods, conditions and numbers of trials."""
+    """Configuration of `benchmark`."""
 
     methods: AtLeast[tuple[str, ...]] = Field(default=("moveit", "impedance", "act"), min_length=1)
     conditions: AtLeast[tuple[str, ...]] = Field(default=("clean",), min_length=1)
-    """Names of conditions, `clean` among them, or `all`."""
+    """Conditions, with `clean`; or `all`."""
     trials_n: AtLeast[int] = Field(default=30, ge=1, le=10000)
-    """Undisturbed trials per method; limits apply to these."""
+    """Undisturbed trials of each method, which have limits."""
     perturbed_trials_n: AtLeast[int] = Field(default=20, ge=1, le=10000)
-    """Trials per method and other condition, on the first of the same starts."""
+    """Trials of each method under each other condition, on the first of the same starts."""
     success_rate_min: AtLeast[dict[str, Rate]] = Field(default={"moveit": 0.8, "impedance": 0.8, "act": 0.5})
-    """Least success rate by method; others are only reported."""
+    """By method; others are only reported."""
 
 
 class ReportConfig(StrictModel):
-    """Title of the report."""
+    """Configuration of `report`."""
 
     title: str = Field(default="minidual: a measured dual-arm system", min_length=1)

@@ -1,4 +1,4 @@
-"""Settings of `train-act` and of the policy runtime."""
+"""Configuration of `train-act` and `deploy`."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from minidual.config.base import AtLeast, AtMost, StrictModel
 
 
 class TrainConfig(StrictModel):
-    """Policy and training. Defaults are the CPU recipe; the gpu profile is full-size ACT."""
+    """Policy and training; defaults for the CPU."""
 
     # Architecture
     policy: str = Field(default="spatial_act", min_length=1)
-    """Row of the table of policies: spatial_act (keypoints, then ACT), act (LeRobot's stock ACT)."""
+    """Row of POLICIES: spatial_act (keypoints, then ACT) or act (LeRobot's stock ACT)."""
     chunk_size: int = Field(default=50, ge=1, le=500)
-    """Actions per inference, in ticks."""
+    """Ticks predicted by one inference."""
     dim_model: int = Field(default=128, ge=16, le=1024, multiple_of=16)
     dim_feedforward: int = Field(default=512, ge=16, le=8192)
     encoder_layers: int = Field(default=2, ge=1, le=12)
@@ -26,14 +26,14 @@ class TrainConfig(StrictModel):
     use_vae: bool = False
     kl_weight: float = Field(default=10.0, ge=0.0)
     keypoints: int = Field(default=32, ge=4, le=256)
-    """Spatial-softmax keypoints per camera."""
+    """Spatial-softmax keypoints of each camera."""
     keyframe_weight: float = Field(default=1.0, ge=0.0, le=100.0)
     """Weight of the grasp-posture loss (spatial_act only)."""
 
     # Optimisation
     steps: int = Field(default=12000, ge=1, le=10_000_000)
     time_limit_s: float = Field(default=1800.0, gt=0.0)
-    """Training beyond this is cut short and fails its check."""
+    """Training that takes longer is stopped and fails its check."""
     batch_size: int = Field(default=32, ge=1, le=4096)
     learning_rate: float = Field(default=1e-3, gt=0.0, le=1.0)
     weight_decay: float = Field(default=1e-4, ge=0.0, le=1.0)
@@ -42,7 +42,7 @@ class TrainConfig(StrictModel):
     ema_decay: float = Field(default=0.999, ge=0.0, lt=1.0)
     """Moving average of the weights; 0 switches it off."""
     precision: Literal["auto", "fp32", "bf16"] = "auto"
-    """Of the convolutions; auto is bf16 where the processor computes it natively."""
+    """Of the convolutions; auto: bf16 where the processor supports it."""
     device: Literal["cpu", "cuda"] = "cpu"
     threads: int = Field(default=2, ge=1, le=256)
     """Torch threads on the CPU."""
@@ -61,7 +61,7 @@ class TrainConfig(StrictModel):
     contrast_jitter: float = Field(default=0.15, ge=0.0, lt=1.0)
     """Multiplicative: 0.15 is 0.85 to 1.15."""
     std_floor: float = Field(default=1e-2, gt=0.0)
-    """Smallest normalisation std: some joints hardly move."""
+    """Least standard deviation for normalisation; some joints hardly move."""
 
     # Bookkeeping
     log_every_steps: int = Field(default=20, ge=1)
@@ -83,20 +83,20 @@ class TrainConfig(StrictModel):
 
 
 class DeployConfig(StrictModel):
-    """Policy runtime, and limits of the closed-loop trials."""
+    """Policy runtime and closed-loop trials."""
 
     n_action_steps: int = Field(default=25, ge=1, le=500)
-    """Ticks of a chunk that run before the next inference."""
+    """Ticks of a chunk run before the next inference."""
     blend_ticks: int = Field(default=8, ge=0, le=50)
     """Ticks over which a new chunk replaces the old one."""
     threads: int = Field(default=1, ge=1, le=64)
-    """Torch threads: more only costs on busy cores."""
+    """Torch threads."""
     device: Literal["cpu", "cuda"] = "cpu"
     trials: AtLeast[int] = Field(default=50, ge=1, le=10_000)
-    """Closed-loop trials on seeds held out from training."""
+    """Trials from starts held out from training."""
     training_trials: AtLeast[int] = Field(default=20, ge=0, le=10_000)
-    """Trials on training seeds."""
+    """Trials from training starts."""
     success_rate_min: AtLeast[float] = Field(default=0.5, ge=0.0, le=1.0)
     judge_success: bool = True
-    """Whether the success rate has a limit; smoke only reports it."""
+    """Whether the success rate has a limit."""
     inference_hz_min: AtLeast[float] = Field(default=30.0, gt=0.0)

@@ -21,7 +21,7 @@ from minidual.errors import ConfigError, UsageError
 
 @dataclass(frozen=True)
 class Override:
-    """A command-line value with its dotted path and quoted text."""
+    """A command-line value; `text` is what was typed."""
 
     path: str
     value: Any
@@ -39,7 +39,7 @@ def parse_override(text: str) -> Override:
 
 @dataclass(frozen=True)
 class LoadedConfig:
-    """A validated configuration and its origins."""
+    """A validated configuration with its origins."""
 
     config: Config
     profile: str
@@ -60,12 +60,12 @@ class LoadedConfig:
         )
 
     def reference(self) -> Config:
-        """Return the unchanged shipped profile that this one extends."""
+        """Return the shipped profile that this one extends."""
         shipped = [path.stem for path in self.sources if path.parent == SHIPPED_FOLDER]
         return load_config(shipped[-1] if shipped else DEFAULT_PROFILE).config
 
     def to_yaml(self) -> str:
-        """Return the resolved configuration as YAML, valid for --profile."""
+        """Return resolved YAML, valid for --profile."""
         head = f"# profile: {self.profile}\n" + "".join(f"# {item.text}\n" for item in self.overrides)
         return head + yaml.safe_dump(self.config.model_dump(mode="json"), sort_keys=False, allow_unicode=True)
 
@@ -107,7 +107,7 @@ def _read_chain(path: Path, below: tuple[Path, ...]) -> tuple[Document, tuple[Pa
 
 
 def _merge(base: dict[str, Any], over: Mapping[str, Any], location: tuple[str, ...]) -> None:
-    """Merge `over` into `base` by section; other mappings are replaced."""
+    """Merge `over` into `base` by section; replace other mappings."""
     for key, value in over.items():
         inner = (*location, key)
         if isinstance(value, dict) and isinstance(base.get(key), dict) and _keys_at(inner):
@@ -125,7 +125,7 @@ def _refuse_regained_acceptance(base: Mapping[str, Any], over: Mapping[str, Any]
 
 
 def _apply(document: Document, override: Override, resolved: dict[str, Any]) -> None:
-    """Set one value. A mapping that is one value keeps its other keys."""
+    """Set one value; other keys of a mapping stay."""
     if override.path == "acceptance":
         _refuse_regained_acceptance(document.tree, {"acceptance": override.value}, override.text)
     *sections, key = override.path.split(".")
@@ -194,7 +194,7 @@ def _origin(location: Sequence[str], document: Document) -> str:
 
 
 def _keys_at(location: Sequence[str | int], root: type[BaseModel] = Config) -> set[str]:
-    """Return the keys of the models at `location`, as typed or as pydantic gives it; empty if it is one value."""
+    """Return the keys of the models at a typed or pydantic location; empty for a value."""
     models: list[type[BaseModel]] = [root]
     for part in location:
         fields = [model.model_fields[part] for model in models if part in model.model_fields]
@@ -207,10 +207,7 @@ def _keys_at(location: Sequence[str | int], root: type[BaseModel] = Config) -> s
 
 
 def _typed_location(location: Sequence[str], tree: Any, *, missing: bool) -> list[str]:
-    """Return the location as typed, without pydantic's union members.
-
-    `missing` means that the last part is an absent key.
-    """
+    """Return the location as typed, without pydantic's union members; `missing`: its last key is absent."""
     typed: list[str] = []
     place: Any = tree
     for index, part in enumerate(location):

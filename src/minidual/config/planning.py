@@ -1,4 +1,4 @@
-"""Configuration of the `plan` stage and of the planner."""
+"""Configuration of `plan` and the planner."""
 
 from __future__ import annotations
 
@@ -20,35 +20,35 @@ class MotionLimits(StrictModel):
     jerk_scale: float = Field(default=0.95, gt=0.0, le=1.0)
     """Fraction of libfranka's jerk limits."""
     smoothing_s: float = Field(default=0.04, ge=0.0, le=1.0)
-    """Averaging window of the path position, for continuous acceleration."""
+    """Averaging window of the path position; makes acceleration continuous."""
 
 
 class PlannerConfig(MotionLimits):
-    """Settings of one plan. None weakens the final proof."""
+    """Settings of one plan; none weakens its proof."""
 
     planner: PlannerName = "rrtconnect"
     range_rad: float = Field(default=1.0, gt=0.0, le=10.0)
-    """Longest edge of a search tree, Euclidean."""
+    """Longest edge of a search tree (Euclidean)."""
     edge_step_rad: float = Field(default=0.08, gt=0.0, le=0.2)
-    """Largest joint step between collision checks in the search."""
+    """Largest joint step between checks in the search."""
     padding_m: float = Field(default=0.008, ge=0.0, le=0.1)
-    """Clearance in the search; relaxed near closer starts and goals."""
+    """Clearance in the search; less near a tight start or goal."""
     fallback_planners: tuple[PlannerName, ...] = ("rrtconnect", "kpiece")
     """Planners used in turn after four failed searches."""
     search_checks_n: int = Field(default=2_500, ge=100, le=100_000_000)
-    """State checks per search; each further attempt gets half as many more."""
+    """State checks of the first search; each further one gets half as many more."""
     shortcut_rounds_n: int = Field(default=10, ge=0, le=10_000)
     blend_radius_rad: float = Field(default=0.3, gt=0.001, le=2.0)
     ik_restarts_n: int = Field(default=30, ge=1, le=10_000)
     goal_candidates_n: int = Field(default=2, ge=1, le=100)
-    """Joint solutions of a pose goal to try, nearest first."""
+    """Joint solutions tried for a pose goal, nearest first."""
     verify_step_rad: float = Field(default=0.002, gt=0.0, le=0.002)
     """Largest joint step between audit samples."""
     budget_s: float = Field(default=10.0, gt=0.0, le=3600.0)
 
 
 class GroupTimes(StrictModel):
-    """Times per planning group [s]; None sets no limit."""
+    """Limits by group [s]; None: no limit."""
 
     left_arm: AtMost[float | None] = Field(default=None, gt=0.0)
     right_arm: AtMost[float | None] = Field(default=None, gt=0.0)
@@ -56,27 +56,27 @@ class GroupTimes(StrictModel):
 
 
 class HeldMovesConfig(StrictModel):
-    """Number and limits of the held-object moves."""
+    """Moves of an object in both hands."""
 
     moves_n: AtLeast[int] = Field(default=100, ge=2, le=10_000)
-    """Moves per generator seed."""
+    """Moves of each seed."""
     executed_n: AtLeast[int] = Field(default=6, ge=1, le=1000)
     cpu_time_median_max_s: AtMost[float | None] = Field(default=0.05, gt=0.0, le=3600.0)
-    """Median CPU time from query to proven trajectory; null sets no limit."""
+    """Median CPU time from query to proven trajectory; None: no limit."""
     executed_error_max_m: AtMost[float] = Field(default=0.002, gt=0.0, le=0.002)
     executed_error_max_rad: AtMost[float] = Field(default=0.01745, gt=0.0, le=0.01745)
-    """One degree."""
+    """1 degree."""
 
 
 class PlanConfig(StrictModel):
-    """Queries and limits of the stage."""
+    """Configuration of `plan`."""
 
     queries_n: AtLeast[int] = Field(default=20, ge=1, le=10000)
     second_seed: int = Field(default=20261, ge=0, lt=2**63)
     second_queries_n: AtLeast[int] = Field(default=0, ge=0, le=10000)
     obstacles_n: AtLeast[int] = Field(default=5, ge=0, le=50)
     blocked_fraction: float = Field(default=1.0, ge=0.0, le=1.0)
-    """Share of queries whose straight line is blocked."""
+    """Share of queries whose straight line in joint space is blocked."""
     agreement_states_n: AtLeast[int] = Field(default=2000, ge=100, le=1_000_000)
     success_rate_min: AtLeast[float] = Field(default=1.0, ge=0.0, le=1.0)
     time_max_s: AtMost[float] = Field(default=10.0, gt=0.0, le=3600.0)

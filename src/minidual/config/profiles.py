@@ -1,4 +1,4 @@
-"""Finds shipped profiles by name and others by file."""
+"""Finding profiles."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ def shipped_profiles() -> tuple[str, ...]:
 def find_profile(profile: str, relative_to: Path | None = None) -> tuple[str, Path]:
     """Return (name, file) of a shipped name or .yaml path.
 
-    UsageError for an unknown name; ConfigError for a missing file or a shipped profile's name, as verdicts could not be
-    told apart.
+    Raises:
+        UsageError: Unknown name.
+        ConfigError: Missing file, or one with a shipped profile's name.
     """
     if not profile.endswith((".yaml", ".yml")):
         if profile not in shipped_profiles():

@@ -1,4 +1,4 @@
-"""Configuration of the arms and of named postures."""
+"""Configuration of the arms and named postures."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from minidual.config.base import StrictModel
 
 
 class RobotConfig(StrictModel):
-    """Which arms are used."""
+    """The arms."""
 
     arm: str = Field(default="panda", min_length=1)
-    """Name in the table of arms (minidual.robot.arms)."""
+    """Row of robot.arms.ARM_MODELS."""
 
 
 class NamedStateConfig(StrictModel):
     """A posture of one or both arms."""
 
     left_rad: tuple[float, ...] | None = None
-    """Joints of the left arm, base first."""
+    """Base first."""
     right_rad: tuple[float, ...] | None = None
     description: str = ""
 
@@ -27,4 +27,4 @@ class SemanticsConfig(StrictModel):
     """Named states."""
 
     states: dict[str, NamedStateConfig] = Field(default={})
-    """Added to the arm model's states (`home` and others), replacing same names."""
+    """Added to the arm model's states (`home` and others), or replace them."""

@@ -21,11 +21,11 @@ class Config(StrictModel):
     """Resolved configuration of a run."""
 
     acceptance: bool = True
-    """Whether verdicts count as acceptance. Extending profiles cannot revert `false`."""
+    """Whether verdicts count as acceptance; extending profiles cannot revert `false`."""
     seed: int = Field(default=20260, ge=0, lt=2**63)
     """Seed of all named random streams."""
     workers: int = Field(default=2, ge=1, le=512)
-    """Processes per stage; results do not depend on it."""
+    """Processes of a stage; results do not depend on it."""
 
     robot: RobotConfig = RobotConfig()
     task: str = "rod_carry"

@@ -12,7 +12,7 @@ OBSTACLE = "obstacle"
 
 
 class PhysicsConfig(StrictModel):
-    """Solver settings under which a pinched object does not creep."""
+    """Solver settings; a pinched object must not creep."""
 
     timestep_s: float = Field(default=0.001, gt=0.0, le=0.002)
     impratio: float = Field(default=100.0, ge=1.0, le=1000.0)
@@ -22,10 +22,7 @@ class PhysicsConfig(StrictModel):
 
 
 class ObjectConfig(StrictModel):
-    """A carried or further object.
-
-    Its long axis is y, or z if upright. A cylinder has a radius; a box a width (x, between the fingers) and a height.
-    """
+    """An object; its long axis is y, or z if upright. A cylinder has a radius, a box width and height."""
 
     name: str = Field(default="rod", pattern=r"^[a-z][a-z0-9_]*$")
     shape: Literal["cylinder", "box"] = "cylinder"
@@ -33,18 +30,18 @@ class ObjectConfig(StrictModel):
     length_m: float = Field(default=0.30, gt=0.03, le=0.6)
     radius_m: float = Field(default=0.00887, gt=0.003, le=0.035)
     width_m: float = Field(default=0.05, gt=0.005, le=0.07)
-    """Width of a box; a hand opens to 80 mm."""
+    """Width of a box along x, between the fingers."""
     height_m: float = Field(default=0.05, gt=0.005, le=0.2)
     """Height of a box, or depth along y if upright."""
     mass_kg: float = Field(default=0.2, gt=0.01, le=3.0)
     friction: float = Field(default=0.5, gt=0.05, le=2.0)
     rolling_friction: float = Field(default=0.002, ge=0.0, le=0.1)
     grasp_offset_m: float = Field(default=0.12, ge=0.0, le=0.25)
-    """Distance of each hand from the centre, along the long axis."""
+    """Distance of each hand from the centre along the long axis."""
     grasp_height_m: float = Field(default=0.003, ge=-0.01, le=0.02)
-    """Height of the tool centre point above the axis of a lying object."""
+    """Tool centre point above the axis of a lying object."""
     break_force_n: float | None = Field(default=None, gt=0.0)
-    """Net force of one hand; None for unbreakable."""
+    """Net force of one hand; None: unbreakable."""
     break_pinch_n: float | None = Field(default=None, gt=0.0)
     """Of one hand."""
     colour: tuple[float, float, float, float] = (0.96, 0.45, 0.09, 1.0)
@@ -53,7 +50,7 @@ class ObjectConfig(StrictModel):
 
     @property
     def half_width_m(self) -> float:
-        """Half of the width between the fingers."""
+        """Half the width between the fingers."""
         return self.radius_m if self.shape == "cylinder" else self.width_m / 2
 
     @property
@@ -65,12 +62,12 @@ class ObjectConfig(StrictModel):
 
     @property
     def rest_height_m(self) -> float:
-        """Height of the resting centre over the table."""
+        """Height of the centre on the table."""
         return self.half_sizes_m[2]
 
     @property
     def inertia_kg_m2(self) -> tuple[float, float, float]:
-        """Principal moments about x, y, z at uniform density."""
+        """Principal moments about x, y, z; uniform density."""
         m, length = self.mass_kg, self.length_m
         if self.shape == "cylinder":
             across, along = m * (3 * self.radius_m**2 + length**2) / 12.0, 0.5 * m * self.radius_m**2
@@ -87,7 +84,7 @@ class ObjectConfig(StrictModel):
 
 
 class ObstacleConfig(StrictModel):
-    """A block on the table that nothing may touch."""
+    """A block on the table; touching it is a failure."""
 
     size_m: tuple[float, float, float] = (0.30, 0.04, 0.10)
     xy_m: tuple[float, float] = (0.5, 0.0)
@@ -99,22 +96,22 @@ class TaskConfig(StrictModel):
     start_xy_m: tuple[float, float] = (0.5, 0.25)
     goal_xy_m: tuple[float, float] = (0.5, -0.25)
     goal_yaw_rad: float = Field(default=0.0, ge=-3.2, le=3.2)
-    """Direction of the object at the goal."""
+    """Yaw of the object at the goal."""
     goal_range_m: float = Field(default=0.0, ge=0.0, le=0.1)
-    """Half width of the uniform goal range, drawn after the start."""
+    """Half width of the uniform range, drawn after the start."""
     goal_range_rad: float = Field(default=0.0, ge=0.0, le=0.6)
     yaw_tolerance_rad: AtMost[float] = Field(default=0.2618, gt=0.0, le=1.0)
-    """Largest direction error at the goal (15 degrees)."""
+    """15 degrees."""
     obstacle: ObstacleConfig | None = None
     lift_height_m: float = Field(default=0.12, gt=0.03, le=0.4)
     """Rise of the object's centre during the lift."""
     start_range_m: AtLeast[float] = Field(default=0.05, ge=0.0, le=0.1)
     start_range_rad: AtLeast[float] = Field(default=0.2618, ge=0.0, le=0.6)
-    """Half width of the uniform start range (15 degrees)."""
+    """Half width of the uniform range (15 degrees)."""
     clear_height_m: AtLeast[float] = Field(default=0.04, gt=0.0, le=0.3)
-    """Least rise of the object."""
+    """Least rise above the table."""
     tilt_max_rad: AtMost[float] = Field(default=0.08727, gt=0.0, le=0.3)
-    """Five degrees from the horizontal."""
+    """5 degrees."""
     goal_tolerance_m: AtMost[float] = Field(default=0.02, gt=0.0, le=0.1)
     pinch_min_n: AtLeast[float] = Field(default=20.0, gt=0.0)
     internal_force_min_n: AtLeast[float] = Field(default=20.0, gt=0.0)
@@ -128,11 +125,11 @@ class CameraConfig(StrictModel):
     width_px: int = Field(default=128, ge=32, le=1920)
     height_px: int = Field(default=96, ge=24, le=1080)
     supersample: int = Field(default=2, ge=1, le=4)
-    """Render this many times larger and average: edges within a pixel (8 mm) stay visible."""
+    """Images are rendered this many times larger and averaged, to show edges within a pixel (8 mm)."""
 
 
 class SceneConfig(StrictModel):
-    """Configuration of the world."""
+    """The world."""
 
     physics: PhysicsConfig = PhysicsConfig()
     object: ObjectConfig = ObjectConfig()

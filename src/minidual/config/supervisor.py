@@ -13,23 +13,22 @@ class SupervisorConfig(StrictModel):
     """Bounds beyond which the arms stop. Scales can only tighten the robot's limits."""
 
     position_margin_rad: float = Field(default=0.0, ge=0.0, le=0.3)
-    """Stopping distance from a joint limit, with 1 mrad tolerance."""
+    """Distance of the position bounds from the joint limits; tolerance 1 mrad."""
     velocity_scale: float = Field(default=1.0, gt=0.0, le=1.0)
     torque_scale: float = Field(default=1.0, gt=0.0, le=1.0)
     torque_rate_scale: float = Field(default=1.0, gt=0.0, le=1.0)
-    """Share of 1000 Nm/s that limits the torque rate."""
+    """Share of 1000 Nm/s."""
     torque_rate_excess: float = Field(default=3.0, ge=1.0, le=5.0)
-    """Multiple of the rate limit at which a requested torque counts as jumping in a tick.
+    """Multiple of the torque rate bound beyond which a requested torque jumps.
 
     Targets streamed at 50 Hz jump once in 20 ticks and reach 1.3 between; chatter jumps every tick.
     """
     torque_rate_patience_s: float = Field(default=0.05, gt=0.0, le=1.0)
-    """Stop when ticks with jumps outnumber others by this time."""
+    """Reflex when ticks with jumps outnumber others by this time."""
     saturation_s: float = Field(default=0.02, gt=0.0, le=1.0)
     acceleration_scale: float = Field(default=1.0, gt=0.0, le=1.0)
     jerk_reflex: bool = False
-    """Stop when the commanded reference exceeds the jerk limit, as the real arm does. The reference filter does not bound
-    jerk."""
+    """Reflex on the jerk of the commanded reference, as in the real arm; the reference filter does not bound it."""
     tcp_speed_max_m_per_s: float = Field(default=1.7, gt=0.0, le=1.7)
     workspace_m: Box = ((-0.9, 1.1), (-1.2, 1.2), (-0.005, 1.6))
     """Ranges of the tool centre points."""
@@ -39,7 +38,7 @@ class SupervisorConfig(StrictModel):
     slow_period_s: float = Field(default=0.01, ge=0.001, le=0.02)
     """Period of checks that need kinematics; see docs/supervisor.md."""
     stop_deceleration_scale: float = Field(default=0.4, gt=0.0, le=0.8)
-    """Share of the acceleration limits."""
+    """Share of the joints' acceleration limits."""
     stop_frequency_rad_s: float = Field(default=10.0, gt=0.0, le=30.0)
     """Closed-loop frequency of the damped hold after a stop."""
 

@@ -1,4 +1,4 @@
-"""Configuration of `teleop-record`: operator, mirror and recording."""
+"""Configuration of `teleop-record`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class OperatorConfig(StrictModel):
     overlap_s: float = Field(default=0.3, ge=0.0, le=1.0)
     """Overlap of the correction with the approach, and of the descent with the correction."""
     approach_noise_m: float = Field(default=0.010, ge=0.0, le=0.05)
-    """Standard deviation of the arrival error over the rod, corrected before the descent."""
+    """Standard deviation of the position error before the correction."""
     approach_noise_rad: float = Field(default=0.04, ge=0.0, le=0.2)
 
     @model_validator(mode="after")
@@ -43,16 +43,16 @@ class MirrorConfig(StrictModel):
 
 
 class TeleopConfig(StrictModel):
-    """What is demonstrated and recorded, and by whom."""
+    """Leader, recording and limits."""
 
     episodes_n: AtLeast[int] = Field(default=120, ge=1, le=10000)
     leader: str = Field(default="scripted", min_length=1)
     rate_hz: float = Field(default=50.0, ge=10.0, le=100.0)
     cameras: tuple[Literal["high", "left", "right"], ...] = ("high",)
     widen: float = Field(default=1.3, ge=1.0, le=2.0)
-    """Range of the starts, as a multiple of the tests' range."""
+    """Start range as a multiple of the tests'."""
     attempts_max_ratio: float = Field(default=1.5, ge=1.0, le=10.0)
-    """Most attempts per demonstration asked for."""
+    """Most attempts per requested episode."""
     jerk_max_rad_s3: AtMost[float] = Field(default=200.0, gt=0.0)
     """Episodes with a larger RMS jerk are rejected."""
     latency_max_s: AtMost[float] = Field(default=0.1, gt=0.0)

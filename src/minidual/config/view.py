@@ -8,11 +8,11 @@ from minidual.config.base import StrictModel
 
 
 class ViewConfig(StrictModel):
-    """Settings of a live view."""
+    """The web view."""
 
     host: str = Field(default="127.0.0.1", min_length=1)
-    """Interface of the web view; the default is local only (or ssh)."""
+    """Network interface; the default serves this machine only."""
     port: int = Field(default=8080, ge=1, le=65535)
     rate_hz: float = Field(default=30.0, ge=1.0, le=120.0)
     speed_max: float = Field(default=0.0, ge=0.0, le=100.0)
-    """Largest simulated seconds per wall second; 0 sets no limit."""
+    """Most simulated seconds per wall second; 0: no limit."""

@@ -1,1 +1,1 @@
-"""The gate: stages, checks, verdicts, fingerprints and the run store. No robotics."""
+"""Stages, checks, verdicts, fingerprints and the run store; no robotics."""

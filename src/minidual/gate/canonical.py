@@ -1,4 +1,4 @@
-"""Canonical strict JSON without NaN literals, and hashes of texts and files."""
+"""Canonical strict JSON without NaN, and hashes."""
 
 from __future__ import annotations
 
@@ -13,10 +13,12 @@ from typing import Any, cast
 
 
 def canonical(value: Any, where: str = "value") -> Any:
-    """Return `value` as plain JSON types; non-finite floats become "nan", "inf" or "-inf".
+    """Return `value` as JSON types; non-finite floats become "nan", "inf" or "-inf".
 
-    Takes pydantic models, mappings with string keys, sequences, sets (sorted), paths, enums, numpy scalars and arrays.
-    TypeError names the dotted place of anything else.
+    Takes pydantic models, mappings with string keys, sequences, sets (sorted), paths, enums and numpy values.
+
+    Raises:
+        TypeError: Anything else, with its dotted place.
     """
     if isinstance(value, enum.Enum):
         value = value.value
@@ -44,7 +46,7 @@ def canonical(value: Any, where: str = "value") -> Any:
 
 
 def digest(value: Any) -> str:
-    """Return the sha256 of the canonical JSON text, keys sorted."""
+    """Return the sha256 of the canonical JSON, keys sorted."""
     text = json.dumps(canonical(value), sort_keys=True, allow_nan=False, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -55,7 +57,7 @@ def dumps(value: Any) -> str:
 
 
 def file_sha256(path: Path) -> str:
-    """Return the sha256 of a file, cached in the process by inode, size, mtime and ctime."""
+    """Return the sha256 of a file, cached by inode, size, mtime and ctime."""
     stat = path.stat()
     return _sha256(path, stat.st_ino, stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns)
 

@@ -1,4 +1,4 @@
-"""One measured value against one limit. The result is always derived."""
+"""One observed value and its limit."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ def _plain_number(value: Any, what: str) -> Number:
 class Check:
     """A named observation with its limit.
 
-    Without `op` it is only reported and is no evidence. A non-finite `observed` fails every limit.
+    Without `op` it is only reported. A non-finite `observed` fails every limit.
 
     Attributes:
-        unit: Such as "rad"; "" for a ratio or count.
+        unit: Such as "rad"; "" for ratios and counts.
         why: What the limit protects.
         remedy: What to do on failure.
     """
@@ -79,9 +79,9 @@ class Check:
 
     @property
     def margin(self) -> float | None:
-        """Distance to the limit in `unit`, positive if it holds.
+        """Distance to the limit [`unit`], positive if it holds.
 
-        Minus the absolute deviation for "=="; None without a limit or for bools.
+        Minus the deviation for "=="; None without a limit or for bools.
         """
         if self.op is None or self.limit is None or isinstance(self.limit, bool):
             return None
@@ -99,12 +99,12 @@ class Check:
         return text
 
     def to_json(self) -> dict[str, Any]:
-        """Return the check, its result and its margin as strict JSON types."""
+        """Return JSON types, with result and margin."""
         return canonical({**asdict(self), "passed": self.passed, "margin": self.margin})
 
 
 def format_number(value: Number | None) -> str:
-    """Return a short text: four significant digits, yes or no for bools."""
+    """Return four significant digits; yes or no for bools."""
     if value is None:
         return ""
     if isinstance(value, bool):

@@ -1,6 +1,6 @@
-"""Code that a stage reaches: one digest per module, ignoring comments and docstrings.
+"""Code that a stage reaches: a digest per module, without comments and docstrings.
 
-Follows imports outside TYPE_CHECKING and lazy targets, within the target's package and minidual.
+Follows imports outside TYPE_CHECKING and "module:attribute" texts, within minidual and the target's package.
 """
 
 from __future__ import annotations
@@ -26,25 +26,20 @@ class Code:
 
     Attributes:
         modules: {module: digest of its syntax tree}.
-        sources: sha256 of the files. While it matches, no tree is built (5 ms instead of 1 s a stage).
+        sources: sha256 of the files. If it matches, no tree is built (5 ms instead of 1 s a stage).
     """
 
     modules: dict[str, str] = field(default_factory=dict[str, str])
     sources: str = ""
 
     def changes(self, now: Code) -> list[str]:
-        """Return the modules added, removed or changed."""
+        """Return the modules that differ."""
         names = self.modules.keys() | now.modules.keys()
         return sorted(name for name in names if self.modules.get(name) != now.modules.get(name))
 
 
 def code_of(targets: Iterable[str], known: Code | None = None) -> Code:
-    """Return the code that the targets ("module:attribute") reach.
-
-    Args:
-        targets: Starting points.
-        known: Earlier code, returned if its files are unchanged.
-    """
+    """Return the code that the targets ("module:attribute") reach; `known` if its files are unchanged."""
     if known is not None and known.modules and _sources(known.modules) == known.sources:
         return known
     modules: dict[str, str] = {}

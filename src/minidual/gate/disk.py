@@ -1,4 +1,4 @@
-"""Error messages for a full disk or missing permissions."""
+"""Errors of the disk."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _FORBIDDEN = (errno.EROFS, errno.EACCES, errno.EPERM)
 
 @contextmanager
 def disk_errors(folder: Path) -> Generator[None]:
-    """Turn OSError for a full disk or a missing permission into EnvironmentMissingError."""
+    """Turn an OSError of a full disk or missing permission into EnvironmentMissingError."""
     try:
         yield
     except OSError as error:

@@ -1,4 +1,4 @@
-"""What a verdict depends on, and how that differs from now."""
+"""What a verdict depends on, and what differs now."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ _FULL_HASH = re.compile(r"^([0-9a-f]{10})[0-9a-f]+")
 
 @dataclass(frozen=True)
 class Fingerprint:
-    """Everything that a verdict depends on.
+    """What a verdict depends on.
 
-    The last five fields are circumstances: a difference only warns.
+    A difference in the last five fields, the circumstances, only warns.
 
     Attributes:
-        options: Options outside the configuration.
+        options: Those outside the configuration.
         inputs: sha256 of input artefacts by "stage/path".
-        upstream: sha256 of all required verdicts; None if missing.
+        upstream: sha256 of every upstream verdict; None if missing.
     """
 
     parameters: dict[str, Any]
@@ -47,7 +47,7 @@ class Fingerprint:
     code: Code = field(default_factory=Code)
 
     def choices(self, now: Fingerprint) -> list[str]:
-        """Return how parameters, options, seed and profile differ."""
+        """Return differences of parameters, options, seed and profile."""
         typed = {"parameter": self.parameters, "option": self.options}
         current = {"parameter": canonical(now.parameters), "option": canonical(now.options)}
         reasons = [
@@ -60,7 +60,7 @@ class Fingerprint:
         return reasons
 
     def differences(self, now: Fingerprint) -> list[str]:
-        """Return the reasons why a result of `self` is stale."""
+        """Return why a verdict with this fingerprint is stale."""
         reasons = self.choices(now)
         for name, then, _ in changes(self.inputs, now.inputs):
             reasons.append(f"input {name} {'is new' if then == UNSEEN else 'changed or is gone'}")
@@ -72,7 +72,7 @@ class Fingerprint:
         return reasons
 
     def circumstances(self, now: Fingerprint) -> list[str]:
-        """Return one warning per changed circumstance; these do not make a result stale."""
+        """Return a warning per changed circumstance."""
         warnings: list[str] = []
         if self.version != now.version:
             warnings.append(f"made by minidual {self.version}, this is {now.version}")
@@ -106,7 +106,7 @@ def _short(value: Any) -> str:
 
 @cache
 def circumstances_now(libraries: tuple[str, ...]) -> dict[str, Any]:
-    """Return version, commit, machine and versions of `libraries` (distribution names)."""
+    """Return version, commit, machine and versions of distributions."""
     return {
         "version": minidual.__version__,
         "commit": _commit(),
@@ -129,7 +129,7 @@ def _library_version(name: str) -> str:
 
 
 def _commit() -> str | None:
-    """Return the commit of this package's checkout ("+changes" if edited), None outside one."""
+    """Return the commit of the checkout ("+changes" if edited), or None."""
     package = Path(minidual.__file__).parent
 
     def git(*words: str) -> str:

@@ -1,4 +1,4 @@
-"""State of each stage, and whether its gate is open; see docs/architecture.md for the states."""
+"""State of each stage and of its gate; see docs/architecture.md."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class StageState:
     folder: Path | None = None
 
     def because(self) -> list[str]:
-        """Return failed checks with why and remedy, or why the stage is not fresh."""
+        """Return failed checks with why and remedy, or the reasons."""
         if self.state != "fail" or self.verdict is None:
             return [f"{self.name} is {self.state}", *(f"  {reason}" for reason in self.reasons)]
         lines: list[str] = []
@@ -61,11 +61,11 @@ class StageState:
 
 @dataclass
 class Gate:
-    """Judges the stages of one run against one configuration.
+    """Determines the states of a run's stages under a configuration.
 
     Attributes:
-        options: Command-line options by stage. A stage without an entry is judged with its verdict's options, so
-            `teleop-record --episodes 10` stays fresh for `train-act`.
+        options: {stage: command-line options}; default: those of its verdict, so `teleop-record --episodes 10` stays
+            fresh for `train-act`.
     """
 
     table: StageTable
@@ -75,7 +75,7 @@ class Gate:
     _known: dict[str, StageState] = field(default_factory=dict[str, StageState])
 
     def state(self, name: str) -> StageState:
-        """Return the cached state of a stage."""
+        """Return the state of a stage (cached)."""
         if name not in self._known:
             self._known[name] = self._judge(name)
         return self._known[name]
@@ -85,11 +85,11 @@ class Gate:
         return [state for required in self.table[name].requires if (state := self.state(required)).state != "pass"]
 
     def lowest(self) -> StageState | None:
-        """Return the first stage that does not pass. Faults propagate upwards, so it is the one to look at."""
+        """Return the first stage that does not pass, or None."""
         return next((state for state in map(self.state, self.table.names) if state.state != "pass"), None)
 
     def rerun(self, names: Sequence[str], force: bool) -> list[str]:
-        """Return which of `names`, in table order, are not passing and fresh, or would not be after the others ran."""
+        """Return those of `names` (in table order) that would run: not passing and fresh, or downstream of one that runs."""
         found: list[str] = []
         for name in names:
             if force or self.state(name).state != "pass" or {*found} & {*self.table[name].requires}:
@@ -97,9 +97,9 @@ class Gate:
         return found
 
     def replaced(self, names: Sequence[str], force: bool) -> dict[str, str]:
-        """Return {stage: how it was made and what was typed} of finished stages that other options would replace.
+        """Return {finished stage: how it was made and what was typed} where other options would replace it.
 
-        A change of code, of a profile file or upstream alone is none: those stages run again on purpose.
+        Changed code, profile files or upstream stages alone do not count.
         """
         options = {name: self.options.get(name, {}) for name in names}
         gate = Gate(self.table, self.store, self.loaded, options, self._known)
@@ -114,13 +114,13 @@ class Gate:
         return found
 
     def typed(self, name: str) -> list[str]:
-        """Return profile, settings and options that `name` would run with, as typed."""
+        """Return profile, settings and options of `name` as typed."""
         options, loaded = self.effective(name, None)
         extras = [f"--{key} {value}" for key, value in self.table[name].extras(options).items()]
         return [f"--profile {loaded.profile}", *(item.text for item in loaded.overrides), *extras]
 
     def closed_error(self, name: str, command: CommandText) -> GateClosedError:
-        """Return the closed-gate error: cause, failed check and command to type."""
+        """Return the error with cause, failed check and command to type."""
         unfinished = [state for up in self.table.upstream(name) if (state := self.state(up)).state != "pass"]
         cause = unfinished[0]
         mend = command(cause.name if len(unfinished) == 1 else f"run --until {name}")
@@ -134,7 +134,7 @@ class Gate:
         return GateClosedError(text, remedy=f"{advice}{mend}")
 
     def code_changes(self, name: str) -> dict[str, list[str]]:
-        """Return {stage: changed modules} for stages above `name` whose verdicts other code made."""
+        """Return {upstream stage: modules changed since its verdict}."""
         found: dict[str, list[str]] = {}
         for upstream in self.table.upstream(name):
             verdict = self.state(upstream).verdict
@@ -151,7 +151,7 @@ class Gate:
         return options, self.loaded.with_overrides(overrides(entry.options, options))
 
     def fingerprint(self, name: str, verdict: Verdict | None = None) -> Fingerprint:
-        """Return the fingerprint that a new verdict of `name` would have."""
+        """Return the fingerprint of a new verdict."""
         entry = self.table[name]
         options, loaded = self.effective(name, verdict)
         inputs = {

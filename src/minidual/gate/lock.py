@@ -1,7 +1,6 @@
 """One writer at a time in a run folder.
 
-The kernel releases the lock when its process dies. Workers are started with exec, which closes the file: a fork would
-keep the lock.
+The kernel releases the lock when the process dies. Workers start with exec, which closes the file; a fork would keep it.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ LOCK_FILE = ".lock"
 
 @contextmanager
 def run_lock(folder: Path, command: str) -> Generator[None]:
-    """Hold the lock of a run folder; UsageError names the process that holds it."""
+    """Hold the lock of a run folder; UsageError if another process does."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError) as error:
@@ -54,7 +53,7 @@ def _acquired(stream: TextIO) -> bool:
 
 
 def lock_holder(folder: Path) -> str | None:
-    """Return who holds the lock of a run folder, "process 12 (minidual carry, since ...)", or None."""
+    """Return the holder, "process 12 (minidual carry, since ...)", or None."""
     try:
         with (folder / LOCK_FILE).open(encoding="utf-8") as stream:
             fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)

@@ -1,4 +1,4 @@
-"""Hashes of a stage's artefacts, which detect changes."""
+"""Hashes of a stage's artefacts."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def build_manifest(folder: Path) -> dict[str, Artefact]:
 
 
 def manifest_changes(folder: Path, manifest: Mapping[str, Artefact]) -> list[str]:
-    """Return one reason per missing or changed artefact."""
+    """Return a reason per missing or changed artefact."""
     reasons: list[str] = []
     for name, artefact in manifest.items():
         path = folder / name

@@ -1,4 +1,4 @@
-"""Progress of a stage: plain lines, or nothing. `minidual.cli.progress` draws bars."""
+"""Progress of a stage as plain lines; `minidual.cli.progress` draws bars."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Self
 
 
 class Task:
-    """Counted work, as a context manager; prints a line at most every `every_s` seconds, and one at the end."""
+    """Counted work, a context manager. Prints a line at most every `every_s` seconds, and one at the end."""
 
     def __init__(self, description: str, total: float | None, say: Callable[[str], None], every_s: float) -> None:
         self._description, self._total, self._say, self._every_s = description, total, say, every_s
@@ -16,7 +16,7 @@ class Task:
         self._started = self._last = time.monotonic()
 
     def advance(self, steps: float = 1, note: str = "") -> None:
-        """Count `steps` as done; `note` is shown beside the count ("loss 0.12")."""
+        """Count `steps`; `note` ("loss 0.12") is shown beside the count."""
         self._done += steps
         self._note = note or self._note
         now = time.monotonic()

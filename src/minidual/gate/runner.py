@@ -1,4 +1,4 @@
-"""Run one stage behind its gate, or all up to one."""
+"""Run stages whose gates are open."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ EXIT_OF_STATUS = {"pass": ExitCode.PASS, "fail": ExitCode.ACCEPTANCE_FAILED, "er
 
 
 class StageCrashedError(MinidualError):
-    """A stage raised an unforeseen exception; the traceback is in a file."""
+    """Unforeseen exception of a stage; the traceback is in a file."""
 
     exit_code = ExitCode.INTERNAL
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """State of a stage after a command, and whether it ran or was fresh."""
+    """State of a stage after a command, and whether it ran."""
 
     state: StageState
     ran: bool
@@ -57,8 +57,8 @@ class Runner:
     """Runs stages of one run.
 
     Attributes:
-        command: Turns "plan" into the full command, for remedies.
-        view: Passed on to the stages; with a view there is one worker, in this process.
+        command: Turns "plan" into the full command.
+        view: For the stages; requires one worker, in this process.
     """
 
     table: StageTable
@@ -71,12 +71,12 @@ class Runner:
     def run(
         self, name: str, options: Mapping[str, Any] | None = None, *, force: bool = False, waiver: str | None = None
     ) -> Outcome:
-        """Run one stage; a passing, fresh one is returned unless `force`. A `waiver` opens a closed gate.
+        """Run one stage unless it passes and is fresh; `force` runs it anyway. `waiver`: reason to open a closed gate.
 
         Raises:
             GateClosedError: An upstream stage does not pass.
             UsageError: Another process writes in this run.
-            StageCrashedError: The stage raised an unforeseen exception.
+            StageCrashedError: Unforeseen exception.
         """
         with disk_errors(self.store.folder), self.store.writing(self.command(name)):
             gate = self._gate({name: dict(options or {})})
@@ -86,7 +86,7 @@ class Runner:
     def run_until(
         self, last: str | None = None, *, force: bool = False, waiver: str | None = None
     ) -> Iterator[Outcome]:
-        """Run each stage up to `last` (default: all) unless passing and fresh; yield each outcome.
+        """Run `last` and all that it requires, or every stage, like `run`; yield each outcome.
 
         Stops at the first stage that does not pass, unless waived. Holds the run's lock throughout.
         """
@@ -121,7 +121,7 @@ class Runner:
         return Outcome(self._gate(gate.options).state(name), ran=True)
 
     def _waivers(self, gate: Gate, name: str, closed: list[StageState], reason: str | None) -> tuple[Waiver, ...]:
-        """Return the waivers that apply to `name`: inherited ones and its own."""
+        """Return inherited waivers and its own."""
         waivers: list[Waiver] = []
         for upstream in self.table.upstream(name):
             verdict = gate.state(upstream).verdict
@@ -133,7 +133,7 @@ class Runner:
         return tuple(waivers)
 
     def _weakened(self, gate: Gate, entry: StageEntry, loaded: LoadedConfig) -> tuple[str, ...]:
-        """Return what this and upstream stages ask for less than the shipped profile."""
+        """Return values weaker than the shipped profile's, here and upstream."""
         if not loaded.config.acceptance:
             return ()
         own = [f"{entry.name}: {line}" for line in entry.weaker(loaded.config, loaded.reference())]
@@ -206,7 +206,7 @@ class Runner:
 
 
 def _closing_checks(entry: StageEntry, checks: Sequence[Check], context: StageContext) -> list[Check]:
-    """Return the checks on waivers and code of a closing stage; they alone are no evidence."""
+    """Return checks of waivers and code for a closing stage with limits of its own."""
     if not entry.closing or not any(check.limited for check in checks):
         return []
     waived = ", ".join(waiver.stage for waiver in context.waivers)

@@ -1,7 +1,7 @@
 """Input and output of a stage.
 
 A stage is a function from `StageContext` to `StageResult` and a row in `minidual/stages/registry.py`. It writes only
-under `context.folder`, seeds randomness from `context.seed` and returns a limited check.
+in `context.folder`, derives randomness from `context.seed` and returns at least one check with a limit.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ class StageContext:
 
     Attributes:
         folder: Temporary artefact folder.
-        config: Resolved configuration, options applied.
-        upstream: {stage: finished folder} of all required stages.
-        code_changes: {stage: modules} changed since; closing stages only.
+        config: Resolved, with options.
+        upstream: {upstream stage: its folder}.
+        code_changes: {upstream stage: modules changed since}; closing stages only.
         waivers: Own and inherited waivers.
     """
 
@@ -48,10 +48,10 @@ class StageContext:
 
 @dataclass(frozen=True)
 class StageResult:
-    """Result of a stage; its status is derived.
+    """Result of a stage.
 
     Attributes:
-        checks: Unique names, at least one limit.
+        checks: Unique names; at least one limit.
         data: JSON types, under about 100 kB.
     """
 

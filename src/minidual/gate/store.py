@@ -1,6 +1,6 @@
 """Run folders on disk.
 
-runs/<run>/config.yaml      configuration of the latest command
+runs/<run>/config.yaml      configuration of the latest stage run
 runs/<run>/<stage>/         finished stage: artefacts, config.yaml, verdict.json
 runs/<run>/.<stage>.tmp/    unfinished stage
 runs/<run>/.<stage>.old/    previous result during replacement
@@ -35,7 +35,7 @@ _RUN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 @dataclass(frozen=True)
 class Attempt:
-    """A stage that began and has not finished."""
+    """An unfinished stage."""
 
     stage: str
     state: Literal["running", "interrupted", "error"]
@@ -72,18 +72,18 @@ class RunStore:
         return self.folder / f".{stage}.old"
 
     def stage_folder(self, stage: str) -> Path:
-        """Return the folder of the finished stage; it need not exist."""
+        """Return the folder of a finished stage; it need not exist."""
         folder = self.folder / stage
         if not (folder / VERDICT_FILE).is_file() and (self._old(stage) / VERDICT_FILE).is_file():
             return self._old(stage)
         return folder
 
     def verdict_path(self, stage: str) -> Path:
-        """Return where the verdict of `stage` is or would be."""
+        """Return the path of a verdict; it need not exist."""
         return self.stage_folder(stage) / VERDICT_FILE
 
     def verdict(self, stage: str) -> tuple[Verdict, str] | None:
-        """Return (verdict, sha256 of its file) or None; DataError if corrupt."""
+        """Return (verdict, sha256 of its file), or None; DataError if corrupt."""
         path = self.verdict_path(stage)
         try:
             found = read_verdict(path)
@@ -108,7 +108,7 @@ class RunStore:
 
     @contextmanager
     def writing(self, command: str) -> Generator[None]:
-        """Hold the run's lock and repair an interrupted replacement; UsageError if another process holds it."""
+        """Hold the run's lock and repair interrupted replacements; UsageError if another process holds it."""
         with run_lock(self.folder, command):
             for old in self.folder.glob(".*.old"):
                 self._mend(old.name[1 : -len(".old")])
@@ -123,7 +123,7 @@ class RunStore:
         old.rename(folder)
 
     def begin(self, stage: str, config_text: str, keeps: Sequence[str] = ()) -> Path:
-        """Clear the temporary folder of `stage` but for `keeps`, mark it as running and return it."""
+        """Clear the temporary folder except `keeps`, mark it as running and return it."""
         folder = self._temporary(stage)
         folder.mkdir(parents=True, exist_ok=True)
         for left in folder.iterdir():
@@ -138,7 +138,7 @@ class RunStore:
         write_text(self._temporary(attempt.stage) / ATTEMPT_FILE, dumps(asdict(attempt)))
 
     def abandon(self, stage: str, state: Literal["interrupted", "error"], message: str) -> None:
-        """Mark the attempt as ended without a verdict; its files stay until the next one."""
+        """Mark the attempt as ended without verdict; its files stay until the next one."""
         try:
             self._mark(Attempt(stage, state, os.getpid(), now_text(), message))
         except OSError:
@@ -146,7 +146,7 @@ class RunStore:
             return
 
     def publish(self, stage: str, verdict: Verdict, *, keep_old: bool = False) -> Path | None:
-        """Write the verdict last, then replace the previous folder; return where that is kept, if it is."""
+        """Write the verdict and replace the previous folder; return where that is kept, or None."""
         temporary, folder, old = self._temporary(stage), self.folder / stage, self._old(stage)
         (temporary / ATTEMPT_FILE).unlink(missing_ok=True)
         write_text(temporary / VERDICT_FILE, verdict.text())
@@ -162,7 +162,7 @@ class RunStore:
         return None
 
     def link(self, stage: str, other: RunStore) -> None:
-        """Take over a finished stage of another run by hard links, unless one stands here."""
+        """Hard-link a finished stage of another run, unless this one has it."""
         folder = self.folder / stage
         with self.writing(f"run {self.run}"):
             if not folder.exists():
@@ -170,7 +170,7 @@ class RunStore:
                     shutil.copytree(other.stage_folder(stage), partial, copy_function=_link)
 
     def write_crash(self, name: str, error: BaseException) -> Path:
-        """Write the traceback into the run folder and return its path."""
+        """Write the traceback; return its path."""
         self.folder.mkdir(parents=True, exist_ok=True)
         path = self.folder / f"crash-{name}-{datetime.now(UTC):%Y%m%d-%H%M%S}-{os.getpid()}.txt"
         path.write_text("".join(traceback.format_exception(error)), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Rows of the command line: options, stages and tools. Code is loaded on demand."""
+"""Rows of the command line: options, stages, tools. Code is imported on demand."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from minidual.config.root import Config
 
 CommandText = Callable[[str], str]
-"""Turns "plan" into the full command to type, with profile and run flags."""
+"""Turns "plan" into the full command, with profile and run."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Option:
     """Option of a command.
 
     Attributes:
-        kind: Type of the value; `bool` is a flag, `tuple` is typed as "a,b".
+        kind: Type; `bool` is a flag, `tuple` is typed "a,b".
         path: Configuration path that it overrides, or None.
         argument: Positional and required (`minidual replay FILE`).
     """
@@ -49,7 +49,7 @@ class Option:
 
 
 def overrides(options: Sequence[Option], values: Mapping[str, Any]) -> list[Override]:
-    """Return the overrides of the configuration that the options' values stand for."""
+    """Return the configuration overrides of options with a path."""
     found: list[Override] = []
     for option in options:
         value = typed = values.get(option.name)
@@ -62,12 +62,12 @@ def overrides(options: Sequence[Option], values: Mapping[str, Any]) -> list[Over
 
 @dataclass(frozen=True)
 class ToolEntry:
-    """A command without verdict; with a `trigger`, an aside: it runs instead of its stage.
+    """A command without verdict. With a `trigger` it is an aside: it runs instead of its stage.
 
     Attributes:
         name: Command, or an aside's output folder.
         target: "module:function", see `minidual.gate.tool`.
-        trigger: Option that selects it, one word.
+        trigger: Option that selects the aside, one word.
     """
 
     name: str
@@ -90,14 +90,14 @@ class StageEntry:
 
     Attributes:
         target: "module:function", see `minidual.gate.stage`.
-        reads: Configuration paths that the result depends on, besides seed and profile.
-        resolve: "module:function" from Config to Config that resolves names; must import quickly.
+        reads: Configuration paths that the result depends on.
+        resolve: "module:function" from Config to Config; resolves names; must import quickly.
         check: "module:function" that raises UsageError before a run.
         asides: Tools that run instead when triggered.
         watchable: Takes --view.
-        keeps: Names in its folder that a new attempt takes over from an interrupted one. If any, a replaced result is
-            set aside, never deleted.
-        closing: Ends the pipeline and checks waivers and code changes.
+        keeps: Names in its folder that an attempt takes over from an interrupted one. If any, a replaced result is set
+            aside.
+        closing: Also checks waivers and code changes.
         examples: For --help, such as "carry --trials 50".
     """
 
@@ -120,7 +120,7 @@ class StageEntry:
         return cast(StageFunction, _loaded(self.name, self.target))
 
     def code(self, known: Code | None = None) -> Code:
-        """Return the code that the stage reaches; for `known` see `code_of`."""
+        """Return the code that the stage reaches; see `code_of`."""
         return code_of([target for target in (self.target, self.resolve) if isinstance(target, str)], known)
 
     def resolved(self, config: Config, *, checked: bool = False) -> Config:
@@ -140,7 +140,7 @@ class StageEntry:
         return {path: attrgetter(path)(config) for path in self.reads}
 
     def weaker(self, config: Config, reference: Config) -> tuple[str, ...]:
-        """Return one line per count or limit weaker than `reference`, among the values that the stage reads."""
+        """Return a line per count or limit in `reads` that is weaker than in `reference`."""
         asked = {path: value for path, _, value in limits(reference)}
         return tuple(
             f"{path} is {_short(value)}, the profile asks for {_short(asked[path])}"
@@ -156,7 +156,7 @@ class StageEntry:
 
 
 def _as_strict(value: Any, asked: Any, mark: str) -> bool:
-    """Return whether a number, mapping of numbers or tuple of names is at least as strict as the profile's."""
+    """Return whether a number, mapping of numbers or tuple of names is at least as strict as asked."""
     if asked is None:
         return True
     if value is None:
@@ -188,7 +188,7 @@ class StageTable:
     """Stages in run order.
 
     Args:
-        entries: Rows with unique names; each requires only earlier ones (else ValueError).
+        entries: Unique names; each requires only earlier ones (else ValueError).
         libraries: Distributions whose versions verdicts record.
     """
 
@@ -206,10 +206,10 @@ class StageTable:
         self._entries.add(entry.name, entry)
 
     def plug_in(self, group: str) -> None:
-        """Add rows from entry points of `group`.
+        """Add rows from entry points.
 
         Raises:
-            UsageError: A row cannot be loaded, is not a StageEntry, or does not fit.
+            UsageError: A row cannot be imported or added, or is no StageEntry.
         """
         for point in importlib.metadata.entry_points(group=group):
             try:
@@ -235,11 +235,11 @@ class StageTable:
         return self._entries[name]
 
     def until(self, last: str | None) -> tuple[str, ...]:
-        """Return `last` and all that it requires, or every stage, in order."""
+        """Return `last` and its upstream stages, or all, in order."""
         return self.names if last is None else (*self.upstream(last), last)
 
     def upstream(self, name: str) -> tuple[str, ...]:
-        """Return all stages that `name` requires, directly or not, in order."""
+        """Return the stages that `name` requires, directly or not, in order."""
         needed: set[str] = set()
         wanted = list(self[name].requires)
         while wanted:

@@ -1,7 +1,6 @@
 """Tools: commands without verdict or gate.
 
-A tool is a function from `ToolContext` to `ToolResult`, with a row in `minidual/stages/registry.py`. `output` is
-temporary until the tool succeeds.
+A tool is a function from `ToolContext` to `ToolResult` and a row in `minidual/stages/registry.py`.
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ class ToolContext:
 
     @property
     def output(self) -> Path:
-        """Temporary output folder, created on first access."""
+        """Temporary folder for output, created on first access; `publish` moves it to `folder`."""
         temporary = self.run_folder / f".{self._name}.tmp"
         temporary.mkdir(parents=True, exist_ok=True)
         return temporary
@@ -57,7 +56,7 @@ class ToolContext:
         shutil.rmtree(self.run_folder / f".{self._name}.tmp", ignore_errors=True)
 
     def publish(self) -> None:
-        """Move the output to its final folder, if there is any."""
+        """Move output to its final folder; an earlier one is set aside."""
         temporary = self.run_folder / f".{self._name}.tmp"
         if temporary.is_dir():
             if self.folder.exists():
@@ -73,7 +72,7 @@ class ToolResult:
         lines: Printed to stdout without --json.
         notes: Printed to stderr.
         data: Printed by --json.
-        exit_code: ACCEPTANCE_FAILED if a limit of the tool does not hold.
+        exit_code: ACCEPTANCE_FAILED if a limit is exceeded.
     """
 
     lines: Sequence[str] = ()

@@ -1,4 +1,4 @@
-"""Verdict of a stage, derived from its checks, with fingerprint and digest."""
+"""Verdict of a stage, derived from its checks."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SCHEMA = 2
 
 @dataclass(frozen=True)
 class Waiver:
-    """A gate opened by hand; `blocking` is {stage: state}."""
+    """A gate opened by hand; `blocking` is {required stage: state}."""
 
     stage: str
     reason: str
@@ -44,7 +44,7 @@ class Verdict:
     """Result of a finished stage.
 
     Attributes:
-        weakened: Counts and limits, here and upstream, that ask for less than the shipped profile.
+        weakened: Values weaker than the shipped profile's, here and upstream.
     """
 
     stage: str
@@ -76,7 +76,7 @@ class Verdict:
 
     @property
     def acceptance(self) -> bool:
-        """Whether the profile counts as acceptance, with nothing weakened or waived here or upstream."""
+        """Whether it counts as acceptance: by its profile, and nothing weakened or waived here or upstream."""
         return self.acceptance_profile and not self.waivers and not self.weakened
 
     @property
@@ -89,7 +89,7 @@ class Verdict:
         return [check for check in self.checks if check.passed is False]
 
     def to_json(self) -> dict[str, Any]:
-        """Return JSON types, with what is derived and a digest."""
+        """Return JSON types, with derived values and a digest."""
         derived = {
             "schema": SCHEMA,
             "profile": self.profile,
@@ -107,7 +107,7 @@ class Verdict:
 
 
 def verdict_from_json(record: dict[str, Any]) -> Verdict:
-    """Rebuild a verdict; DataError if malformed, edited or inconsistent."""
+    """Return the verdict; DataError if malformed, edited or inconsistent."""
     if record.get("schema") != SCHEMA:
         raise DataError(f"schema {record.get('schema')} is not {SCHEMA}")
     if record.get("digest") != digest({key: record[key] for key in record if key != "digest"}):
@@ -126,7 +126,7 @@ def _by_name(record: dict[str, Any]) -> dict[str, Any]:
 
 
 def read_verdict(path: Path) -> tuple[Verdict, str]:
-    """Return the verdict in `path` and the file's sha256; DataError if corrupt."""
+    """Return (verdict, sha256 of its file); DataError if corrupt."""
     content = path.read_bytes()
     try:
         record = json.loads(content)
