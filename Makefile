@@ -44,7 +44,7 @@ format: $(READY) ## let ruff mend what it can
 	@$(BIN)/ruff check --fix .
 	@$(BIN)/ruff format .
 
-typecheck: $(READY) ## strict types on pipeline, config and cli
+typecheck: $(READY) ## types of src, strict in gate, config and cli
 	@$(BIN)/basedpyright
 
 wheel: $(READY) ## build dist/minidual-*.whl
