@@ -72,7 +72,7 @@ def more_padding(padding_m: float) -> float:
 class Planner:
     """Plans for left_arm, right_arm and both_arms. One instance per process; it holds workspaces.
 
-    Equal queries with equal seeds give equal trajectories.
+    `scene` is the default one. Equal queries with equal seeds give equal trajectories.
 
     Example:
         planner = Planner()

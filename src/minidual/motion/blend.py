@@ -1,6 +1,6 @@
 """Rounding of corners.
 
-In one of half length d, q' = u1 + (u2 - u1) S(x), x = (s - s0) / 2d, S(x) = 3 x^2 - 2 x^3. S is symmetric, so the
+In a corner of half length d, q' = u1 + (u2 - u1) S(x), x = (s - s0) / 2d, S(x) = 3 x^2 - 2 x^3. S is symmetric, so the
 corner meets both straight pieces, twice continuously differentiable.
 """
 
@@ -18,7 +18,7 @@ _OF_SEGMENT = 0.45
 
 
 def blended_path(path: Array, checker: EdgeChecker, radius_rad: float, step_rad: float) -> SmoothPath | None:
-    """Return the polyline (n >= 2, dof) with corners rounded, smaller until free; None if one stays blocked.
+    """Return the polyline (n >= 2, dof) with corners rounded, shrunk until free; None if one stays blocked.
 
     Vertices must not repeat. `radius_rad` is the largest half length of a corner.
     """

@@ -53,7 +53,7 @@ def check_joints(q: Array, what: str, robot: Robot = DUAL_PANDA) -> Array:
 
 
 def goal_joints(group: str, q_start: Array, q_goal: Array, robot: Robot = DUAL_PANDA) -> Array:
-    """Return the goal (n,), one of the group's size completed from the start.
+    """Return the goal (n,), completed from the start if of the group's size.
 
     Raises:
         OutOfLimitsError: See `check_joints`.

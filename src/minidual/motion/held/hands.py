@@ -50,7 +50,7 @@ class HandsIK:
         return bool(((q >= self.robot.q_lower) & (q <= self.robot.q_upper)).all())
 
     def solve(self, T_world_object: Array, q_near: Array, wish: Array | None = None) -> Array | None:
-        """Return q (n,) at the grasps, projected from q_near (n,), or None outside the limits.
+        """Return q (n,) at the grasps, projected from q_near (n,); None if unsolved or outside limits.
 
         `wish` (n,) is a preferred step from q_near.
         """
@@ -89,7 +89,7 @@ class HandsIK:
         """Follow object poses (n, 4, 4) from q_start at the first, away from joint limits.
 
         Returns:
-            Joints (m, n) and what ended it, or None.
+            Joints (m, n), and the error that ended it or None.
         """
         Q = np.empty((len(Ts_world_object), len(q_start)))
         Q[0] = q_start

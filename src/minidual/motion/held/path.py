@@ -41,7 +41,7 @@ class ObjectChart:
         self._R0 = np.array(R_world_reference)
 
     def coordinates(self, T: Array) -> Array:
-        """Return (6,) of a pose (4, 4).
+        """Return the coordinates (6,) of a pose (4, 4).
 
         Raises:
             UsageError: Rotation over 3 rad.
