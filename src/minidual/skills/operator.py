@@ -1,6 +1,6 @@
 """Scripted operator: joint targets for the rod cycle.
 
-With fixed timing its motion is a smooth, learnable function of the rod's start.
+It knows the rod's start and goal; fixed timing makes its motion a smooth, learnable function of them.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class ScriptedOperator:
         return phases
 
     def approach_error(self, seed: int, trial: Trial) -> Array:
-        """Return the trial's approach error (x [m], y [m], yaw [rad])."""
+        """Return the random error (x [m], y [m], yaw [rad]), corrected after the approach."""
         scale = np.array([self.config.approach_noise_m] * 2 + [self.config.approach_noise_rad])
         rng = stream(seed, f"operator/{trial.purpose}", trial.index)
         return scale * np.clip(rng.standard_normal(3), -2.0, 2.0)
