@@ -181,8 +181,6 @@ class Planner:
 
 
 class _Work:
-    """One query in progress."""
-
     def __init__(
         self,
         planner: Planner,

@@ -94,7 +94,7 @@ def _turned_back(R: Array, a: Any) -> Vector:
 
 @inlined
 def _place(geometry: Geometry, q: Array, n: int, work: Work) -> None:
-    """Write poses and centres into row n; the world's pose is there."""
+    """Write poses, except the world's, and centres into row n."""
     joints, parts = geometry[0], geometry[3]
     R, p, C = work[1][n], work[2][n], work[3][n]
     for j in range(len(joints)):
@@ -456,7 +456,6 @@ def prove(
 
 @inlined
 def _to_front(order: Rows, at: int) -> int:
-    """Move an element to the front; return it."""
     row = order[at]
     for k in range(at, 0, -1):
         order[k] = order[k - 1]

@@ -51,7 +51,7 @@ class Audit:
 class SceneEngines:
     """Geometry of one scene, built in a few ms; `step_rad`: largest joint step in audits.
 
-    A `kinematics` given is shared by scenes: making one costs 0.3 ms.
+    `kinematics` may be shared: making one costs 0.3 ms.
     """
 
     def __init__(self, scene: PlanningScene, step_rad: float = STEP_RAD, kinematics: Kinematics | None = None) -> None:

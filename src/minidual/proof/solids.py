@@ -143,7 +143,6 @@ def _chain(robot: Robot) -> tuple[np.ndarray, tuple[pin.SE3, ...]]:
 
 @functools.cache
 def _robot_parts(robot: Robot) -> dict[str, _Part]:
-    """Return the links' parts."""
     model, (_, turns) = Kinematics(robot).model, _chain(robot)
     pieces: dict[str, list[Any]] = {}
     for item in robot_geometry(robot).geometryObjects:

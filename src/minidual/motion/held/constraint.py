@@ -55,12 +55,12 @@ class GraspConstraint(ob.Constraint):
         return pin.log6(E).vector, pin.Jlog6(E) @ (self._adjoint @ J_right - E.actionInverse @ J_left)
 
     def function(self, x: Any, out: Any) -> None:
-        """Write F (6,) to out, for OMPL."""
+        """Write F (6,), for OMPL."""
         self.calls_n += 1
         out[:] = self.value_and_jacobian(np.asarray(x))[0]
 
     def jacobian(self, x: Any, out: Any) -> None:
-        """Write dF/dq to out, for OMPL."""
+        """Write dF/dq, for OMPL."""
         out[:] = self.value_and_jacobian(np.asarray(x))[1]
 
 
