@@ -179,6 +179,9 @@ def test_acm_prints_pairs_and_reasons(run, tmp_path):
     assert any(line.split()[:3] == ["left_panda_link5", "left_panda_link6", "adjacent"] for line in out.splitlines())
     assert "pairs of different arms always are" in err
     assert "converged" in err
+    kinds = {line.split()[2] for line in out.splitlines()}
+    assert kinds == {line.split()[1] for line in err.splitlines() if line.split()[0].isdigit()} - {"pairs"}
+    assert "allowed by the scene file" not in err
     document = json.loads(run("--acm", "--json")[1])
     assert len(document["allowed"]) == len(out.splitlines())
     assert document["built"]["converged"]

@@ -70,6 +70,14 @@ def test_the_hands_hold_the_rod_from_grasp_to_release(operator: ScriptedOperator
         assert np.linalg.norm(left[:3, 3] - right[:3, 3]) == pytest.approx(2 * scene.object.grasp_offset_m, abs=1e-6)
 
 
+def test_a_box_is_grasped_at_the_height_at_which_it_rests() -> None:
+    scene = SceneConfig.model_validate({"object": {"shape": "box", "length_m": 0.3, "width_m": 0.06, "height_m": 0.06}})
+    operator, place = ScriptedOperator(scene), (0.5, 0.25, 0.0)
+    demo = operator.plan(rod_trial("t", 0, place, (0.5, -0.25, 0.0)), seed=SEED)
+    left, _ = Kinematics().tcp_poses(demo.q[_tick(operator, "descend")])
+    np.testing.assert_allclose(left, level_pose(*place[:2], 0.03, 0.0) @ grasp_offsets(scene)[0], atol=1e-5)
+
+
 def test_grippers_close_once_and_open_once(operator: ScriptedOperator) -> None:
     demo = operator.plan(sample_trial(operator.scene, SEED, "demonstrations", 0), seed=SEED)
     closed = np.flatnonzero(demo.gripper[:, 0] == 0.0)

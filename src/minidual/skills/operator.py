@@ -128,7 +128,7 @@ class ScriptedOperator:
         x, y, yaw = start + (goal - start) * progress["carry"]
         above = PHASES["approach"].rise_m * (1.0 - progress["descend"] + progress["retreat"])
         raised = lift * (progress["lift"] - progress["lower"])
-        return level_pose(x, y, self.scene.object.radius_m + above + raised, yaw)
+        return level_pose(x, y, self.scene.object.rest_height_m + above + raised, yaw)
 
 
 def _between(T_from: Array, T_to: Array, s: float) -> Array:

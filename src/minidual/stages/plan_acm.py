@@ -15,6 +15,7 @@ from minidual.robot.arms import robot_from
 _MEANINGS = {
     "rigid": "carried by one joint: they cannot move against each other",
     "adjacent": "neighbours along the chain: their hulls overlap at the joint",
+    "model": "ruled out by the model of the arm or its hand",
     "always": "touch at home and in at least 95 % of the samples",
     "never": "touched in none of the samples",
 }
