@@ -38,7 +38,7 @@ def carried(config: Config, *, until: str | None = None) -> tuple[Outcome, Imped
     while not carry.done and not judge.finished:
         carry.step()
         judge.observe(world)
-        if until in {fault.name for fault in judge.faults}:
+        if until in {fault.name for fault in judge.failures}:
             break
     return judge.outcome(world), carry
 
@@ -164,7 +164,7 @@ def test_it_is_lifted_over_the_obstacle_and_lower_it_would_strike() -> None:
     low = carry_config(Config.model_validate({"carry": {"motion": "over"}, "scene": {"task": {"lift_height_m": 0.07}}}))
     outcome, _ = carried(low, until="clear")
     assert not outcome.success
-    assert "clear" in {fault.name for fault in outcome.faults}
+    assert "clear" in {fault.name for fault in outcome.failures}
 
 
 def test_only_the_way_over_has_an_obstacle() -> None:

@@ -13,14 +13,14 @@ import pytest
 
 from minidual.durable import write_csv
 from minidual.errors import DataError, NothingEvaluatedError, UsageError
-from minidual.tasks.judge import Fault, Outcome
+from minidual.tasks.judge import Failure, Outcome
 from minidual.trials.metrics import TrialMetrics, summarise, trial_metrics
 
 
-def outcome(*faults: Fault, **changes: Any) -> Outcome:
+def outcome(*failures: Failure, **changes: Any) -> Outcome:
     values = {
-        "success": not faults,
-        "faults": faults,
+        "success": not failures,
+        "failures": failures,
         "duration_s": 8.9,
         "goal_error_m": 0.003,
         "yaw_error_rad": 0.01,
@@ -30,7 +30,7 @@ def outcome(*faults: Fault, **changes: Any) -> Outcome:
         "internal_force_min_n": 38.0,
     }
     values |= changes
-    told = [values.pop(name) for name in ("success", "faults", "duration_s")]
+    told = [values.pop(name) for name in ("success", "failures", "duration_s")]
     return Outcome(*told, measured=values)
 
 
@@ -80,7 +80,7 @@ def test_a_trials_metrics_come_from_its_logs() -> None:
 
 
 def test_the_first_fault_names_a_failure_and_when() -> None:
-    faults = (Fault("arrived", 15.0, "80 mm from the goal"), Fault("held", 4.25, "left hand pinches 3 N"))
+    faults = (Failure("arrived", 15.0, "80 mm from the goal"), Failure("held", 4.25, "left hand pinches 3 N"))
     made = trial_metrics("act", 1, outcome(*faults), **logs())
     assert (made.success, made.failure, made.failed_at_s) == (False, "held", 4.25)
     assert made.reason == "left hand pinches 3 N"
@@ -93,7 +93,7 @@ def test_the_first_fault_names_a_failure_and_when() -> None:
 
 
 def test_a_trial_too_short_for_a_jerk_says_so() -> None:
-    made = trial_metrics("act", 1, outcome(Fault("level", 0.2, "tilt")), **logs(0.3))
+    made = trial_metrics("act", 1, outcome(Failure("level", 0.2, "tilt")), **logs(0.3))
     assert math.isnan(made.jerk_rms)
     assert made.to_row()["jerk_rms"] == "not measured"
 

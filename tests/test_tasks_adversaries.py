@@ -121,7 +121,7 @@ class Script:
 
 
 def failures(outcome: Outcome) -> set[str]:
-    return {fault.name for fault in outcome.faults}
+    return {fault.name for fault in outcome.failures}
 
 
 def first(outcome: Outcome) -> str:
@@ -253,7 +253,7 @@ def test_a_scripted_cheat_is_refused(name: str, cheat: Callable[[Script], None])
     assert not outcome.success
     failure = CHEATS[cheat][script.hand_over]
     assert failure in failures(outcome)
-    assert first(outcome) in {failure, "clear"}, outcome.faults  # a long board meets the obstacle first
+    assert first(outcome) in {failure, "clear"}, outcome.failures  # a long board meets the obstacle first
 
 
 TRIAL = Trial("adversary", 0, {"rod": (0.5, 0.25, 0.0)}, {"rod": (0.5, -0.25, 0.0)})
@@ -407,5 +407,5 @@ def test_real_hands_succeed_only_by_carrying(does: Callable[[Hands], None], tria
     hands = Hands(trial)
     does(hands)
     outcome = hands.end()
-    assert first(outcome) == failure, outcome.faults
+    assert first(outcome) == failure, outcome.failures
     assert outcome.success == (failure == "")

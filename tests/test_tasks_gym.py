@@ -66,7 +66,7 @@ def test_a_scripted_carry_succeeds_from_a_random_start_and_is_paid_for_it(env, k
     assert done
     assert not truncated
     assert info["success"]
-    assert info["faults"] == ()
+    assert info["failures"] == ()
     # The potential telescopes: at most its rise from start to end (under 2 m), and 1 for the success.
     assert 1.0 < total < 3.0
 
@@ -120,7 +120,7 @@ def test_time_runs_at_fifty_hertz_and_out_at_the_limit():
         assert info["time_s"] == pytest.approx(0.02 * k)
         assert not terminated
         assert truncated == (k == 75)
-    assert "rose" in info["faults"]
+    assert "rose" in info["failures"]
 
 
 def test_moving_the_hands_towards_the_rod_pays_and_moving_away_costs(env, kinematics):

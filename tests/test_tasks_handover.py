@@ -62,7 +62,7 @@ def test_the_bottle_changes_hands_in_the_air_and_stands_at_its_goal(bench: World
     ]
     outcome = drive(bench, judge, Drive(ControlStack(bench, Kinematics()), open_right))
     assert not outcome.success
-    assert {"held", "exchanged"} <= {fault.name for fault in outcome.faults}
+    assert {"held", "exchanged"} <= {fault.name for fault in outcome.failures}
 
 
 @pytest.mark.slow

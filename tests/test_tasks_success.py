@@ -85,14 +85,14 @@ def judge(instants: list[Instant], scene, **options: object):
 
 
 def faults(outcome) -> set[str]:
-    return {fault.name for fault in outcome.faults}
+    return {fault.name for fault in outcome.failures}
 
 
 def test_a_clean_cycle_succeeds(scene):
     referee, outcome = judge(cycle(), scene, demand_internal_force=True)
     assert outcome.success
     assert referee.finished
-    assert outcome.faults == ()
+    assert outcome.failures == ()
     assert outcome.reason == ""
     assert outcome.goal_error_m == pytest.approx(0.0, abs=1e-12)
     assert outcome.rise_m == pytest.approx(0.1)
@@ -127,7 +127,7 @@ def test_a_grip_lost_for_an_instant_in_the_air_counts(scene):
     instants[300] = replace(instants[300], pinches=(60.0, 3.0))
     _, outcome = judge(instants, scene)
     assert faults(outcome) == {"held"}
-    assert outcome.faults[0].at_s == pytest.approx(3.0)
+    assert outcome.failures[0].at_s == pytest.approx(3.0)
 
 
 @pytest.mark.parametrize("height", [0.004, 0.01, 0.02])
@@ -277,7 +277,7 @@ def test_a_broken_object_stays_broken(scene):
     instants[120] = replace(instants[120], pinches=(66.0, 60.0))  # for an instant, while it is lifted
     _, outcome = judge(instants, glass)
     assert faults(outcome) == {"whole"}
-    assert outcome.faults[0].at_s == pytest.approx(1.2)
+    assert outcome.failures[0].at_s == pytest.approx(1.2)
 
 
 def test_touching_the_obstacle_counts_where_there_is_one(scene):
@@ -309,9 +309,9 @@ def judged(instants: list[Instant], scene, *conditions) -> Judge:
 
 def test_one_hand_is_enough_where_the_task_says_so_and_none_is_not(scene):
     instants = cycle(pinches=(60.0, 0.0))
-    assert judged(instants, scene, Held("rod", 20.0, both=False)).faults == ()
-    assert [f.name for f in judged(instants, scene, Held("rod", 20.0)).faults] == ["held"]
-    assert "firmer hand" in judged(cycle(pinches=(5.0, 1.0)), scene, Held("rod", 20.0, both=False)).faults[0].detail
+    assert judged(instants, scene, Held("rod", 20.0, both=False)).failures == ()
+    assert [f.name for f in judged(instants, scene, Held("rod", 20.0)).failures] == ["held"]
+    assert "firmer hand" in judged(cycle(pinches=(5.0, 1.0)), scene, Held("rod", 20.0, both=False)).failures[0].detail
 
 
 def test_an_exchange_needs_both_hands_in_the_air_at_once(scene):

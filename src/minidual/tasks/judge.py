@@ -15,7 +15,7 @@ REST_S = 0.1
 
 
 @dataclass(frozen=True)
-class Fault:
+class Failure:
     """A violated condition, and when it first was violated."""
 
     name: str
@@ -25,24 +25,24 @@ class Fault:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The verdict.
+    """The result.
 
     Attributes:
         success: Finished without violation.
-        faults: Violations, each at its first instant.
+        failures: Violations, each at its first instant.
         duration_s: Time of the finish, else of the end.
         measured: The conditions' numbers, and `progress`, the share of stages reached.
     """
 
     success: bool
-    faults: tuple[Fault, ...]
+    failures: tuple[Failure, ...]
     duration_s: float
     measured: Mapping[str, float]
 
     @property
     def reason(self) -> str:
         """The first violation as one line."""
-        first = min(self.faults, key=lambda f: f.at_s, default=None)
+        first = min(self.failures, key=lambda f: f.at_s, default=None)
         return "" if first is None else f"{first.name} at {first.at_s:.2f} s: {first.detail}"
 
     def __getattr__(self, name: str) -> float:
@@ -80,7 +80,7 @@ class Judge:
         self._final = [c for c in self._conditions if type(c).holds is not SuccessCondition.holds]
         self._stages = [c for c in self._conditions if c.stage]
         self._reached = 0
-        self._faults: dict[str, Fault] = {}
+        self._failures: dict[str, Failure] = {}
         self._quiet_since: float | None = None
         self._done_at: float | None = None
 
@@ -95,9 +95,9 @@ class Judge:
         return tuple(c.name for c in self._stages[: self._reached])
 
     @property
-    def faults(self) -> tuple[Fault, ...]:
+    def failures(self) -> tuple[Failure, ...]:
         """Violations."""
-        return tuple(self._faults.values())
+        return tuple(self._failures.values())
 
     def observe(self, world: World) -> None:
         """Evaluate the state."""
@@ -106,7 +106,7 @@ class Judge:
         for condition in self._observing:
             detail = condition.observe(truth)
             if detail and condition.name not in self._muted:
-                self._faults.setdefault(condition.name, Fault(condition.name, now, detail))
+                self._failures.setdefault(condition.name, Failure(condition.name, now, detail))
         while self._reached < len(self._stages) and self._stages[self._reached].reached(truth):
             self._reached += 1
         if not all(c.holds(truth) for c in self._final):
@@ -118,7 +118,7 @@ class Judge:
 
     def outcome(self, world: World) -> Outcome:
         """Return the verdict."""
-        truth, faults = self._truth, dict(self._faults)
+        truth, failures = self._truth, dict(self._failures)
         truth.refresh(world)
         truth.duration_s = truth.time if self._done_at is None else self._done_at
         measured = {"progress": self._reached / max(1, len(self._stages))}
@@ -126,6 +126,6 @@ class Judge:
             measured.update(condition.measured(truth))
             detail = condition.end(truth)
             if detail and condition.name not in self._muted:
-                faults.setdefault(condition.name, Fault(condition.name, truth.time, detail))
+                failures.setdefault(condition.name, Failure(condition.name, truth.time, detail))
         done = self._done_at is not None
-        return Outcome(done and not faults, tuple(faults.values()), truth.duration_s, measured)
+        return Outcome(done and not failures, tuple(failures.values()), truth.duration_s, measured)

@@ -55,7 +55,7 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     [m], plus 1 on success. Source: Ng, Harada, Russell 1999 (keeps the optimal policy for a discount of 1).
 
     An episode is `terminated` when the trial is finished, the object has left the table or the simulation diverged, and
-    `truncated` at the time limit. `info` has `success`, and at the end `faults` (violated conditions) and `stages`.
+    `truncated` at the time limit. `info` has `success`, and at the end `failures` (violated conditions) and `stages`.
 
     Args:
         scene: Replaces the task's default.
@@ -164,7 +164,7 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         info: dict[str, Any] = {"success": success, "trial": judge.trial, "time_s": self._world.time}
         if terminated or truncated:
             info["outcome"], info["stages"] = outcome, judge.stages
-            info["faults"] = ("diverged",) if diverged else tuple(fault.name for fault in outcome.faults)
+            info["failures"] = ("diverged",) if diverged else tuple(failure.name for failure in outcome.failures)
         return self._observe(), reward, terminated, truncated, info
 
     def _measure_potential(self, trial: Trial) -> float:

@@ -156,7 +156,7 @@ def trial_metrics(
     Raises:
         DataError: `q` is not finite.
     """
-    first = min(outcome.faults, key=lambda fault: fault.at_s, default=None)
+    first = min(outcome.failures, key=lambda failure: failure.at_s, default=None)
     if outcome.success:
         failure, detail, failed_at = "", "", math.nan
     elif first is None:

@@ -21,7 +21,7 @@ from minidual.plant.world import SimulationDivergedError, World
 from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
-from minidual.tasks.judge import Fault, begin
+from minidual.tasks.judge import Failure, begin
 from minidual.tasks.success import ObjectTruth
 from minidual.tasks.task import Task, Trial, make_task
 from minidual.trials.conditions import CLEAN
@@ -150,7 +150,7 @@ class Bench:
             except tuple(_BROKEN) as error:
                 mujoco.mj_setState(world.model, world.data, last, _STATE)  # a diverged world has been reset
                 mujoco.mj_forward(world.model, world.data)
-                broken = Fault(_BROKEN[type(error)], world.time, error.message)
+                broken = Failure(_BROKEN[type(error)], world.time, error.message)
                 rows = rows or [self._sample(seen, method.phase)]
                 break
             mujoco.mj_getState(world.model, world.data, last, _STATE)
@@ -171,7 +171,7 @@ class Bench:
         log = TrialLog(*map(np.array, numbers), phase=list(phases))
         outcome = judge.outcome(world)
         if broken is not None:  # the cause comes before its consequences
-            outcome = replace(outcome, success=False, faults=(broken, *outcome.faults))
+            outcome = replace(outcome, success=False, failures=(broken, *outcome.failures))
         metrics = trial_metrics(
             self.method,
             trial.index,
