@@ -100,7 +100,7 @@ def test_a_second_view_takes_the_next_port_and_says_so(view: WebView) -> None:
     other = make_view("web", ViewConfig(port=view.port), say=said.append)
     assert isinstance(other, WebView)
     other.close()
-    assert other.port == view.port + 1
+    assert other.port > view.port  # the very next one may belong to another program
     assert said[0] == f"port {view.port} is taken; the view is at port {other.port}"
 
 
