@@ -8,6 +8,7 @@ import io
 import os
 import re
 import shutil
+import stat
 from collections.abc import Generator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -37,6 +38,21 @@ def write_text(path: Path, text: str) -> None:
     """Write `text` (UTF-8) atomically."""
     with replacing(path) as partial:
         partial.write_text(text, encoding="utf-8")
+
+
+def read_text(path: Path, most_bytes: int) -> str:
+    """Return the text (UTF-8) of a regular file; a pipe or device would never end.
+
+    Raises:
+        OSError: It cannot be read, is no regular file, or holds more than `most_bytes`.
+    """
+    if not stat.S_ISREG(path.stat().st_mode):
+        raise OSError(f"{path} is not a regular file")
+    with path.open("rb") as file:
+        content = file.read(most_bytes + 1)
+    if len(content) > most_bytes:
+        raise OSError(f"{path} holds {path.stat().st_size} bytes; at most {most_bytes} are read")
+    return content.decode("utf-8")
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, object]], *, missing: str = "") -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import io
 import signal
 import sys
 import warnings
@@ -148,6 +149,9 @@ def main() -> None:
     """Entry point of the `minidual` command."""
     from minidual.stages.registry import STAGES, TOOLS
 
+    for out in (sys.stdout, sys.stderr):
+        if isinstance(out, io.TextIOWrapper):
+            out.reconfigure(errors="backslashreplace")
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, _on_termination)
     # Some libraries' docstrings hold invalid escapes, which warn when compiled.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from minidual.config.base import AtLeast, AtMost, StrictModel
 
@@ -10,17 +10,17 @@ from minidual.config.base import AtLeast, AtMost, StrictModel
 class EnvCheckConfig(StrictModel):
     """Test motions and limits of `env-check`."""
 
-    step_rad: float = Field(default=0.3, gt=0.0, le=0.5)
+    step_rad: float = Field(default=0.3, ge=0.01, le=0.5)
     """Outward step of joint 1 of each arm."""
     step_duration_s: float = Field(default=2.0, ge=1.0, le=10.0)
     step_error_max_rad: AtMost[float] = Field(default=0.005, gt=0.0, le=0.05)
-    single_step_rad: float = Field(default=0.1, gt=0.0, le=0.3)
+    single_step_rad: float = Field(default=0.1, ge=0.01, le=0.3)
     single_duration_s: float = Field(default=0.6, ge=0.3, le=5.0)
-    sine_amplitude_rad: float = Field(default=0.3, gt=0.0, le=0.5)
-    sine_frequency_hz: float = Field(default=0.5, gt=0.0, le=1.0)
+    sine_amplitude_rad: float = Field(default=0.3, ge=0.01, le=0.5)
+    sine_frequency_hz: float = Field(default=0.5, ge=0.05, le=1.0)
     sine_duration_s: float = Field(default=10.0, ge=1.0, le=60.0)
     sine_rms_max_rad: AtMost[float] = Field(default=0.02, gt=0.0, le=0.05)
-    pulse_share: float = Field(default=0.1, gt=0.0, le=0.5)
+    pulse_share: float = Field(default=0.1, ge=0.01, le=0.5)
     rise_max_s: AtMost[float] = Field(default=0.25, gt=0.0, le=1.0)
     """From 10 % to 90 %."""
     overshoot_max_rad: AtMost[float] = Field(default=0.005, gt=0.0, le=0.02)
@@ -78,19 +78,26 @@ class SensingConfig(StrictModel):
     grasp_memory_s: float = Field(default=0.15, ge=0.0, le=5.0)
     """Averaging time of the object's pose between the hands; 0 uses the last sample."""
 
+    @field_validator("pose_rate_hz")
+    @classmethod
+    def _none_or_regular(cls, rate_hz: float) -> float:
+        if 0.0 < rate_hz < 1.0:
+            raise ValueError(f"{rate_hz:g} Hz is too slow; 0 (every control step), or 1 to 1000")
+        return rate_hz
+
 
 class PaceConfig(StrictModel):
     """Limits that set durations; see skills/carry_motions.py."""
 
-    joint_speed_share: float = Field(default=0.85, gt=0.0, le=1.0)
-    joint_acceleration_share: float = Field(default=0.5, gt=0.0, le=1.0)
-    object_speed_m_per_s: float = Field(default=0.6, gt=0.0, le=2.0)
-    object_acceleration_m_per_s2: float = Field(default=1.2, gt=0.0, le=10.0)
-    object_turn_rad_per_s: float = Field(default=2.0, gt=0.0, le=10.0)
-    object_turn_rad_per_s2: float = Field(default=5.0, gt=0.0, le=50.0)
+    joint_speed_share: float = Field(default=0.85, ge=0.05, le=1.0)
+    joint_acceleration_share: float = Field(default=0.5, ge=0.05, le=1.0)
+    object_speed_m_per_s: float = Field(default=0.6, ge=0.02, le=2.0)
+    object_acceleration_m_per_s2: float = Field(default=1.2, ge=0.02, le=10.0)
+    object_turn_rad_per_s: float = Field(default=2.0, ge=0.05, le=10.0)
+    object_turn_rad_per_s2: float = Field(default=5.0, ge=0.05, le=50.0)
     landing_m: float = Field(default=0.0, ge=0.0, le=0.05)
     """Slow last part of the lowering, over `landing_s`; 0: none."""
-    landing_s: float = Field(default=0.3, gt=0.0, le=5.0)
+    landing_s: float = Field(default=0.3, ge=0.05, le=5.0)
 
 
 class CarryFaultConfig(StrictModel):

@@ -13,18 +13,41 @@ from pathlib import Path
 from typing import Any, cast
 
 import yaml
+from yaml.composer import ComposerError
 
+from minidual.durable import read_text
 from minidual.errors import ConfigError
 
-_INT = re.compile(r"[-+]?(0|[1-9][0-9_]*)")
-_NUMBER = re.compile(r"[-+]?((0|[1-9][0-9_]*)(\.[0-9_]*)?|\.[0-9]+)([eE][-+]?[0-9]+)?")
+_INT = re.compile(r"[-+]?(0|[1-9](_?[0-9])*)")
+_NUMBER = re.compile(r"[-+]?((0|[1-9](_?[0-9])*)(\.([0-9](_?[0-9])*)?)?|\.[0-9]+)([eE][-+]?[0-9]+)?")
 _WORDS = {"": None, "~": None, "null": None, "true": True, "false": False}
+_BYTES_MAX = 256 * 1024
+_DEPTH_MAX = 32
+_NODES_MAX = 20_000
+"""Parsed within 1 s."""
+_MAGNITUDE_MIN, _MAGNITUDE_MAX = 1e-15, 2.0**63
+"""Of numbers other than 0; no quantity here is smaller or larger in its unit."""
 
 
 class _Loader(yaml.SafeLoader):
-    """Leaves types to `_scalar`."""
+    """Leaves types to `_scalar`. Bounds depth and nodes; refuses aliases, which could multiply them."""
 
     yaml_implicit_resolvers = {}  # noqa: RUF012 - PyYAML's own way to declare it
+    depth = nodes_n = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        """Compose one node and what it contains."""
+        self.depth, self.nodes_n = self.depth + 1, self.nodes_n + 1
+        for problem, found in (
+            ("aliases are not read here; write the value out", self.check_event(yaml.AliasEvent)),
+            (f"nested more than {_DEPTH_MAX} levels deep", self.depth > _DEPTH_MAX),
+            (f"more than {_NODES_MAX} values", self.nodes_n > _NODES_MAX),
+        ):
+            if found:
+                raise ComposerError(None, None, problem, self.peek_event().start_mark)
+        node = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
 
 
 # The type stubs of yaml.compose leave its result open.
@@ -43,7 +66,7 @@ class Document:
 def read_document(path: Path) -> Document:
     """Read a YAML file; ConfigError names file and line."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path, _BYTES_MAX)
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"cannot read {path}: {error}") from error
     return parse_document(text, path.name)
@@ -54,7 +77,7 @@ def parse_document(text: str, source: str) -> Document:
     document = Document(source, {})
     node = _compose(text, source)
     if isinstance(node, yaml.MappingNode):
-        document.tree = _build(node, "", document, ())
+        document.tree = _build(node, "", document)
     elif node is not None:
         kind = "a list" if isinstance(node, yaml.SequenceNode) else "a single value"
         raise ConfigError(f"{source}:1: a profile is a mapping of sections, not {kind}")
@@ -64,7 +87,7 @@ def parse_document(text: str, source: str) -> Document:
 def parse_value(text: str, source: str, path: str) -> Any:
     """Parse a value typed for `path`."""
     node = _compose(text, source)
-    return "" if node is None else _build(node, path, Document(source, {}), ())
+    return "" if node is None else _build(node, path, Document(source, {}))
 
 
 def _compose(text: str, source: str) -> yaml.Node | None:
@@ -72,19 +95,17 @@ def _compose(text: str, source: str) -> yaml.Node | None:
         return _yaml_compose(text, Loader=_Loader)
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
-        raise ConfigError(f"{source}:{line}: not YAML: {error.problem or error.context}") from error
+        kind = "" if isinstance(error, ComposerError) else "not YAML: "
+        raise ConfigError(f"{source}:{line}: {kind}{error.problem or error.context}") from error
     except yaml.YAMLError as error:
         raise ConfigError(f"{source}: not YAML: {error}") from error
 
 
-def _build(node: yaml.Node, path: str, document: Document, above: tuple[int, ...]) -> Any:
+def _build(node: yaml.Node, path: str, document: Document) -> Any:
     where = f"{document.source}:{node.start_mark.line + 1}"
     document.origins.setdefault(path, where)
-    if id(node) in above:
-        raise ConfigError(f"{where}: {path}: an alias that contains itself")
-    above = (*above, id(node))
     if isinstance(node, yaml.SequenceNode):
-        return [_build(item, f"{path}.{i}", document, above) for i, item in enumerate(node.value)]
+        return [_build(item, f"{path}.{i}", document) for i, item in enumerate(node.value)]
     if not isinstance(node, yaml.MappingNode):
         return _scalar(node, path, where)
     mapping: dict[str, Any] = {}
@@ -98,7 +119,7 @@ def _build(node: yaml.Node, path: str, document: Document, above: tuple[int, ...
             first = document.origins[inner]
             raise ConfigError(f"{where}: {inner}: stands twice (first at {first}); a second value would silently win")
         document.origins[inner] = where
-        mapping[key] = _build(value_node, inner, document, above)
+        mapping[key] = _build(value_node, inner, document)
     return mapping
 
 
@@ -110,9 +131,13 @@ def _scalar(node: yaml.Node, path: str, where: str) -> Any:
         return text
     if text in _WORDS or text in ("Null", "NULL", "True", "TRUE", "False", "FALSE"):
         return _WORDS[text.lower()]
-    if _INT.fullmatch(text):
-        return int(text)
-    number = float(text) if _NUMBER.fullmatch(text) else 0.0
+    is_number = _NUMBER.fullmatch(text) is not None
+    number = float(text) if is_number else 0.0
     if not math.isfinite(number) or text.lower().lstrip("+-.") in ("nan", "inf"):
-        raise ConfigError(f"{where}: {path}: {text} is not a finite number")
-    return number if _NUMBER.fullmatch(text) else text
+        raise ConfigError(f"{where}: {path}: {text[:40]} is not a finite number")
+    if number and not _MAGNITUDE_MIN <= abs(number) <= _MAGNITUDE_MAX:
+        raise ConfigError(
+            f"{where}: {path}: {text[:40]} is out of range; "
+            f"a number is 0, or from {_MAGNITUDE_MIN:g} to {_MAGNITUDE_MAX:.3g} in magnitude"
+        )
+    return int(text) if _INT.fullmatch(text) else number if is_number else text

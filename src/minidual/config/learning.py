@@ -24,7 +24,7 @@ class TrainConfig(StrictModel):
     heads: int = Field(default=8, ge=1, le=16)
     dropout: float = Field(default=0.0, ge=0.0, lt=1.0)
     use_vae: bool = False
-    kl_weight: float = Field(default=10.0, ge=0.0)
+    kl_weight: float = Field(default=10.0, ge=0.0, le=1e4)
     keypoints: int = Field(default=32, ge=4, le=256)
     """Spatial-softmax keypoints of each camera."""
     keyframe_weight: float = Field(default=1.0, ge=0.0, le=100.0)
@@ -32,13 +32,13 @@ class TrainConfig(StrictModel):
 
     # Optimisation
     steps: int = Field(default=12000, ge=1, le=10_000_000)
-    time_limit_s: float = Field(default=1800.0, gt=0.0)
+    time_limit_s: float = Field(default=1800.0, gt=0.0, le=1e7)
     """Training that takes longer is stopped and fails its check."""
     batch_size: int = Field(default=32, ge=1, le=4096)
-    learning_rate: float = Field(default=1e-3, gt=0.0, le=1.0)
+    learning_rate: float = Field(default=1e-3, ge=1e-8, le=1.0)
     weight_decay: float = Field(default=1e-4, ge=0.0, le=1.0)
     warmup_fraction: float = Field(default=0.03, ge=0.0, le=0.5)
-    gradient_clip: float = Field(default=1.0, gt=0.0)
+    gradient_clip: float = Field(default=1.0, ge=1e-3, le=1e6)
     ema_decay: float = Field(default=0.999, ge=0.0, lt=1.0)
     """Moving average of the weights; 0 switches it off."""
     precision: Literal["auto", "fp32", "bf16"] = "auto"
@@ -60,18 +60,18 @@ class TrainConfig(StrictModel):
     """Additive, in units of full scale."""
     contrast_jitter: float = Field(default=0.15, ge=0.0, lt=1.0)
     """Multiplicative: 0.15 is 0.85 to 1.15."""
-    std_floor: float = Field(default=1e-2, gt=0.0)
+    std_floor: float = Field(default=1e-2, ge=1e-6, le=10.0)
     """Least standard deviation for normalisation; some joints hardly move."""
 
     # Bookkeeping
-    log_every_steps: int = Field(default=20, ge=1)
-    validate_every_steps: int = Field(default=500, ge=1)
-    checkpoint_every_steps: int = Field(default=1000, ge=1)
+    log_every_steps: int = Field(default=20, ge=1, le=10_000_000)
+    validate_every_steps: int = Field(default=500, ge=1, le=10_000_000)
+    checkpoint_every_steps: int = Field(default=1000, ge=1, le=10_000_000)
 
     # Acceptance
     loss_ratio_max: AtMost[float] = Field(default=0.5, gt=0.0, le=1.0)
     actions_in_limits_min: AtLeast[float] = Field(default=0.999, gt=0.0, le=1.0)
-    train_s_max: AtMost[float] = Field(default=1800.0, gt=0.0)
+    train_s_max: AtMost[float] = Field(default=1800.0, gt=0.0, le=1e7)
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -99,4 +99,4 @@ class DeployConfig(StrictModel):
     success_rate_min: AtLeast[float] = Field(default=0.5, ge=0.0, le=1.0)
     judge_success: bool = True
     """Whether the success rate has a limit."""
-    inference_hz_min: AtLeast[float] = Field(default=30.0, gt=0.0)
+    inference_hz_min: AtLeast[float] = Field(default=30.0, gt=0.0, le=1e5)

@@ -14,10 +14,10 @@ PlannerName = Literal["rrtconnect", "kpiece"]
 class MotionLimits(StrictModel):
     """Limits of a timed motion, as fractions of the robot's."""
 
-    velocity_scale: float = Field(default=0.95, gt=0.0, le=1.0)
-    acceleration_scale: float = Field(default=0.9, gt=0.0, le=1.0)
-    torque_scale: float = Field(default=0.95, gt=0.0, le=1.0)
-    jerk_scale: float = Field(default=0.95, gt=0.0, le=1.0)
+    velocity_scale: float = Field(default=0.95, ge=0.01, le=1.0)
+    acceleration_scale: float = Field(default=0.9, ge=0.01, le=1.0)
+    torque_scale: float = Field(default=0.95, ge=0.01, le=1.0)
+    jerk_scale: float = Field(default=0.95, ge=0.01, le=1.0)
     """Fraction of libfranka's jerk limits."""
     smoothing_s: float = Field(default=0.04, ge=0.0, le=1.0)
     """Averaging window of the path position; makes acceleration continuous."""
@@ -27,9 +27,9 @@ class PlannerConfig(MotionLimits):
     """Settings of one plan; none weakens its proof."""
 
     planner: PlannerName = "rrtconnect"
-    range_rad: float = Field(default=1.0, gt=0.0, le=10.0)
+    range_rad: float = Field(default=1.0, ge=0.05, le=10.0)
     """Longest edge of a search tree (Euclidean)."""
-    edge_step_rad: float = Field(default=0.08, gt=0.0, le=0.2)
+    edge_step_rad: float = Field(default=0.08, ge=0.0005, le=0.2)
     """Largest joint step between checks in the search."""
     padding_m: float = Field(default=0.008, ge=0.0, le=0.1)
     """Clearance in the search; less near a tight start or goal."""
@@ -42,17 +42,17 @@ class PlannerConfig(MotionLimits):
     ik_restarts_n: int = Field(default=30, ge=1, le=10_000)
     goal_candidates_n: int = Field(default=2, ge=1, le=100)
     """Joint solutions tried for a pose goal, nearest first."""
-    verify_step_rad: float = Field(default=0.002, gt=0.0, le=0.002)
+    verify_step_rad: float = Field(default=0.002, ge=1e-4, le=0.002)
     """Largest joint step between audit samples."""
-    budget_s: float = Field(default=10.0, gt=0.0, le=3600.0)
+    budget_s: float = Field(default=10.0, ge=1e-6, le=3600.0)
 
 
 class GroupTimes(StrictModel):
     """Limits by group [s]; None: no limit."""
 
-    left_arm: AtMost[float | None] = Field(default=None, gt=0.0)
-    right_arm: AtMost[float | None] = Field(default=None, gt=0.0)
-    both_arms: AtMost[float | None] = Field(default=None, gt=0.0)
+    left_arm: AtMost[float | None] = Field(default=None, gt=0.0, le=3600.0)
+    right_arm: AtMost[float | None] = Field(default=None, gt=0.0, le=3600.0)
+    both_arms: AtMost[float | None] = Field(default=None, gt=0.0, le=3600.0)
 
 
 class HeldMovesConfig(StrictModel):
@@ -81,7 +81,7 @@ class PlanConfig(StrictModel):
     success_rate_min: AtLeast[float] = Field(default=1.0, ge=0.0, le=1.0)
     time_max_s: AtMost[float] = Field(default=10.0, gt=0.0, le=3600.0)
     time_median_max_s: GroupTimes = GroupTimes()
-    time_p99_max_s: AtMost[float | None] = Field(default=None, gt=0.0)
+    time_p99_max_s: AtMost[float | None] = Field(default=None, gt=0.0, le=3600.0)
     agreement_min: AtLeast[float] = Field(default=0.999, ge=0.0, le=1.0)
     planner: PlannerConfig = PlannerConfig()
     held: HeldMovesConfig = HeldMovesConfig()

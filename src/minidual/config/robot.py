@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from pydantic import Field
 
 from minidual.config.base import StrictModel
+
+Angle = Annotated[float, Field(ge=-100.0, le=100.0)]
 
 
 class RobotConfig(StrictModel):
@@ -17,9 +21,9 @@ class RobotConfig(StrictModel):
 class NamedStateConfig(StrictModel):
     """A posture of one or both arms."""
 
-    left_rad: tuple[float, ...] | None = None
+    left_rad: tuple[Angle, ...] | None = None
     """Base first."""
-    right_rad: tuple[float, ...] | None = None
+    right_rad: tuple[Angle, ...] | None = None
     description: str = ""
 
 

@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from minidual.config.base import AtLeast, AtMost, StrictModel
+from minidual.config.base import AtLeast, AtMost, Coordinate, Rate, Size, StrictModel
 
 OBSTACLE = "obstacle"
 
@@ -14,11 +14,11 @@ OBSTACLE = "obstacle"
 class PhysicsConfig(StrictModel):
     """Solver settings; a pinched object must not creep."""
 
-    timestep_s: float = Field(default=0.001, gt=0.0, le=0.002)
+    timestep_s: float = Field(default=0.001, ge=1e-5, le=0.002)
     impratio: float = Field(default=100.0, ge=1.0, le=1000.0)
-    finger_kp_n_per_m: float = Field(default=5000.0, gt=0.0, le=50000.0)
+    finger_kp_n_per_m: float = Field(default=5000.0, ge=1.0, le=50000.0)
     finger_kv_ns_per_m: float = Field(default=100.0, ge=0.0, le=5000.0)
-    finger_force_max_n: float = Field(default=70.0, gt=0.0, le=140.0)
+    finger_force_max_n: float = Field(default=70.0, ge=0.1, le=140.0)
 
 
 class ObjectConfig(StrictModel):
@@ -40,12 +40,12 @@ class ObjectConfig(StrictModel):
     """Distance of each hand from the centre along the long axis."""
     grasp_height_m: float = Field(default=0.003, ge=-0.01, le=0.02)
     """Tool centre point above the axis of a lying object."""
-    break_force_n: float | None = Field(default=None, gt=0.0)
+    break_force_n: float | None = Field(default=None, gt=0.0, le=1e4)
     """Net force of one hand; None: unbreakable."""
-    break_pinch_n: float | None = Field(default=None, gt=0.0)
+    break_pinch_n: float | None = Field(default=None, gt=0.0, le=1e4)
     """Of one hand."""
-    colour: tuple[float, float, float, float] = (0.96, 0.45, 0.09, 1.0)
-    xy_m: tuple[float, float] | None = None
+    colour: tuple[Rate, Rate, Rate, Rate] = (0.96, 0.45, 0.09, 1.0)
+    xy_m: tuple[Coordinate, Coordinate] | None = None
     """None uses the task's start."""
 
     @property
@@ -86,15 +86,15 @@ class ObjectConfig(StrictModel):
 class ObstacleConfig(StrictModel):
     """A block on the table; touching it is a failure."""
 
-    size_m: tuple[float, float, float] = (0.30, 0.04, 0.10)
-    xy_m: tuple[float, float] = (0.5, 0.0)
+    size_m: tuple[Size, Size, Size] = (0.30, 0.04, 0.10)
+    xy_m: tuple[Coordinate, Coordinate] = (0.5, 0.0)
 
 
 class TaskConfig(StrictModel):
     """Start, goal and limits of a trial."""
 
-    start_xy_m: tuple[float, float] = (0.5, 0.25)
-    goal_xy_m: tuple[float, float] = (0.5, -0.25)
+    start_xy_m: tuple[Coordinate, Coordinate] = (0.5, 0.25)
+    goal_xy_m: tuple[Coordinate, Coordinate] = (0.5, -0.25)
     goal_yaw_rad: float = Field(default=0.0, ge=-3.2, le=3.2)
     """Yaw of the object at the goal."""
     goal_range_m: float = Field(default=0.0, ge=0.0, le=0.1)
@@ -113,9 +113,9 @@ class TaskConfig(StrictModel):
     tilt_max_rad: AtMost[float] = Field(default=0.08727, gt=0.0, le=0.3)
     """5 degrees."""
     goal_tolerance_m: AtMost[float] = Field(default=0.02, gt=0.0, le=0.1)
-    pinch_min_n: AtLeast[float] = Field(default=20.0, gt=0.0)
-    internal_force_min_n: AtLeast[float] = Field(default=20.0, gt=0.0)
-    rest_speed_m_per_s: AtMost[float] = Field(default=0.02, gt=0.0)
+    pinch_min_n: AtLeast[float] = Field(default=20.0, gt=0.0, le=1000.0)
+    internal_force_min_n: AtLeast[float] = Field(default=20.0, gt=0.0, le=1000.0)
+    rest_speed_m_per_s: AtMost[float] = Field(default=0.02, gt=0.0, le=10.0)
     time_limit_s: AtMost[float] = Field(default=15.0, gt=1.0, le=60.0)
 
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from pydantic import Field, model_validator
 
-from minidual.config.base import StrictModel
+from minidual.config.base import Coordinate, StrictModel
 
-Box = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
+Span = tuple[Coordinate, Coordinate]
+Box = tuple[Span, Span, Span]
 
 
 class SupervisorConfig(StrictModel):
@@ -14,32 +15,32 @@ class SupervisorConfig(StrictModel):
 
     position_margin_rad: float = Field(default=0.0, ge=0.0, le=0.3)
     """Distance of the position bounds from the joint limits; tolerance 1 mrad."""
-    velocity_scale: float = Field(default=1.0, gt=0.0, le=1.0)
-    torque_scale: float = Field(default=1.0, gt=0.0, le=1.0)
-    torque_rate_scale: float = Field(default=1.0, gt=0.0, le=1.0)
+    velocity_scale: float = Field(default=1.0, ge=0.01, le=1.0)
+    torque_scale: float = Field(default=1.0, ge=0.01, le=1.0)
+    torque_rate_scale: float = Field(default=1.0, ge=0.01, le=1.0)
     """Share of 1000 Nm/s."""
     torque_rate_excess: float = Field(default=3.0, ge=1.0, le=5.0)
     """Multiple of the torque rate bound beyond which a requested torque jumps.
 
     Targets streamed at 50 Hz jump once in 20 ticks and reach 1.3 between; chatter jumps every tick.
     """
-    torque_rate_patience_s: float = Field(default=0.05, gt=0.0, le=1.0)
+    torque_rate_patience_s: float = Field(default=0.05, ge=0.001, le=1.0)
     """Reflex when ticks with jumps outnumber others by this time."""
-    saturation_s: float = Field(default=0.02, gt=0.0, le=1.0)
-    acceleration_scale: float = Field(default=1.0, gt=0.0, le=1.0)
+    saturation_s: float = Field(default=0.02, ge=0.001, le=1.0)
+    acceleration_scale: float = Field(default=1.0, ge=0.01, le=1.0)
     jerk_reflex: bool = False
     """Reflex on the jerk of the commanded reference, as in the real arm; the reference filter does not bound it."""
-    tcp_speed_max_m_per_s: float = Field(default=1.7, gt=0.0, le=1.7)
+    tcp_speed_max_m_per_s: float = Field(default=1.7, ge=0.01, le=1.7)
     workspace_m: Box = ((-0.9, 1.1), (-1.2, 1.2), (-0.005, 1.6))
     """Ranges of the tool centre points."""
-    self_collision_min_m: float = Field(default=0.01, gt=0.0, le=0.2)
-    stale_s: float = Field(default=0.1, gt=0.0, le=2.0)
+    self_collision_min_m: float = Field(default=0.01, ge=1e-4, le=0.2)
+    stale_s: float = Field(default=0.1, ge=0.001, le=2.0)
     """Longest silence of the arbiter."""
     slow_period_s: float = Field(default=0.01, ge=0.001, le=0.02)
     """Period of checks that need kinematics; see docs/supervisor.md."""
-    stop_deceleration_scale: float = Field(default=0.4, gt=0.0, le=0.8)
+    stop_deceleration_scale: float = Field(default=0.4, ge=0.01, le=0.8)
     """Share of the joints' acceleration limits."""
-    stop_frequency_rad_s: float = Field(default=10.0, gt=0.0, le=30.0)
+    stop_frequency_rad_s: float = Field(default=10.0, ge=0.1, le=30.0)
     """Closed-loop frequency of the damped hold after a stop."""
 
     @model_validator(mode="after")

@@ -37,7 +37,7 @@ class OperatorConfig(StrictModel):
 class MirrorConfig(StrictModel):
     """When a leader may drive the follower."""
 
-    start_error_max_rad: float = Field(default=0.1, gt=0.0, le=0.6)
+    start_error_max_rad: float = Field(default=0.1, ge=0.001, le=0.6)
     workspace_margin_rad: float = Field(default=0.0, ge=0.0, le=0.3)
     """Distance of mirrored targets from the joint limits."""
 
@@ -53,10 +53,10 @@ class TeleopConfig(StrictModel):
     """Start range as a multiple of the tests'."""
     attempts_max_ratio: float = Field(default=1.5, ge=1.0, le=10.0)
     """Most attempts per requested episode."""
-    jerk_max_rad_s3: AtMost[float] = Field(default=200.0, gt=0.0)
+    jerk_max_rad_s3: AtMost[float] = Field(default=200.0, gt=0.0, le=1e6)
     """Episodes with a larger RMS jerk are rejected."""
-    latency_max_s: AtMost[float] = Field(default=0.1, gt=0.0)
-    episodes_per_min: AtLeast[float] = Field(default=3.0, ge=0.0)
+    latency_max_s: AtMost[float] = Field(default=0.1, gt=0.0, le=60.0)
+    episodes_per_min: AtLeast[float] = Field(default=3.0, ge=0.0, le=1e4)
     person_time_limit_s: float = Field(default=120.0, ge=5.0, le=3600.0)
     operator: OperatorConfig = OperatorConfig()
     mirror: MirrorConfig = MirrorConfig()
