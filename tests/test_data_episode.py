@@ -19,7 +19,7 @@ from minidual.demos import schema
 from minidual.demos.episode import episode_paths, read_episode, read_meta
 from minidual.demos.schema import EpisodeMeta
 from minidual.demos.writer import EpisodeWriter
-from minidual.errors import DataError, UsageError
+from minidual.errors import DataError, EnvironmentMissingError, UsageError
 
 META = EpisodeMeta(fps=50.0, task="carry", seed=1, cameras=data_samples.CAMERAS)
 
@@ -171,9 +171,9 @@ def test_a_disk_that_refuses_leaves_a_clear_error_and_no_file(tmp_path: Path, mo
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(durable, "sync", refuse)
-    with pytest.raises(DataError, match="No space left") as caught:
+    with pytest.raises(EnvironmentMissingError, match="No space left") as caught:
         data_samples.write(tmp_path / "e.hdf5", data_samples.arrays(5))
-    assert "free space" in (caught.value.remedy or "")
+    assert "free some space" in (caught.value.remedy or "")
     assert list(tmp_path.iterdir()) == []
 
 

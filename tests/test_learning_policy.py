@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import load_file, save_file
 from test_learning_demonstrations import tiny
 from test_learning_train import SMALL
 
 from minidual.config.learning import TrainConfig
-from minidual.errors import DataError, EnvironmentMissingError, UsageError
+from minidual.errors import DataError, EnvironmentMissingError, ExitCode, UsageError
 from minidual.policies.kinds import POLICIES, ChunkPolicy, Image
 from minidual.policies.policy import PolicyRuntime
 
@@ -238,3 +239,88 @@ def test_cuda_without_a_device_is_an_environment_error(checkpoint: Path) -> None
         pytest.skip("there is a CUDA device here")
     with pytest.raises(EnvironmentMissingError, match="no CUDA device"):
         PolicyRuntime.load(checkpoint, "cuda")
+
+
+def changed_json(path: Path, change: Any) -> None:
+    record = json.loads(path.read_text())
+    change(record)
+    path.write_text(json.dumps(record))
+
+
+@pytest.mark.parametrize("name", ["policy_preprocessor.json", "policy_postprocessor.json"])
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda step, path: step.update({"class": "os.system", "config": {"command": f"touch {path}"}}), "class"),
+        (lambda step, path: (step.clear(), step.update({"class": "os.system", "config": {}})), "class 'os.system'"),
+        (lambda step, path: step.update(registry_name="reward_classifier_processor"), "registry_name"),
+        (lambda step, path: step.update(state_file="../other.safetensors"), "Invalid name"),
+        (lambda step, path: step.update(state_file="absent.safetensors"), "absent.safetensors"),
+        (lambda step, path: step.update(state_file=3), "cannot be read"),
+    ],
+)
+def test_a_processor_file_can_run_nothing_but_the_steps_of_act(
+    checkpoint: Path, tmp_path: Path, name: str, change: Any, words: str
+) -> None:
+    copy = shutil.copytree(checkpoint, tmp_path / "copy")
+    changed_json(copy / name, lambda record: change(record["steps"][0], tmp_path / "ran"))
+    with pytest.raises(DataError, match=words) as caught:
+        PolicyRuntime.load(copy)
+    assert caught.value.exit_code == ExitCode.USAGE
+    assert caught.value.remedy
+    assert not (tmp_path / "ran").exists()
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, "integers"])
+@pytest.mark.parametrize("pattern", ["model.safetensors", "policy_preprocessor_*", "policy_postprocessor_*"])
+def test_weights_and_statistics_must_be_finite_numbers(
+    checkpoint: Path, tmp_path: Path, pattern: str, value: float | str
+) -> None:
+    copy = shutil.copytree(checkpoint, tmp_path / "copy")
+    path = next(p for p in copy.glob(pattern) if p.suffix == ".safetensors")
+    tensors = load_file(path)
+    name = sorted(tensors)[-1]
+    tensors[name] = tensors[name].to(torch.int64) if value == "integers" else tensors[name].fill_(value)
+    save_file(tensors, path)
+    with pytest.raises(DataError, match=f"{path.name}: '{name}'.*finite floating-point numbers"):
+        PolicyRuntime.load(copy)
+
+
+def test_statistics_of_another_shape_are_refused_before_the_arms_move(checkpoint: Path, tmp_path: Path) -> None:
+    copy = shutil.copytree(checkpoint, tmp_path / "copy")
+    path = next(copy.glob("policy_preprocessor_*.safetensors"))
+    tensors = load_file(path)
+    save_file({**tensors, "observation.state.mean": torch.zeros(9)}, path)
+    with pytest.raises(DataError, match=r"cannot be read: .*9"):
+        PolicyRuntime.load(copy)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda c: c.update(dim_model=10**9), "dim_model"),
+        (lambda c: c.update(n_encoder_layers=10**9), "n_encoder_layers"),
+        (lambda c: c.update(chunk_size="many"), "many"),
+        (
+            lambda c: c["input_features"]["observation.images.cam_high"].update(shape=[3, 10**6, 10**6]),
+            "cam_high .* are 0 to 4096",
+        ),
+        (lambda c: c.update(type="act"), "another type|not valid"),
+        (lambda c: c.update(input_features=None), "checkpoint"),
+    ],
+)
+def test_a_configuration_that_asks_for_too_much_is_refused(
+    checkpoint: Path, tmp_path: Path, change: Any, words: str
+) -> None:
+    copy = shutil.copytree(checkpoint, tmp_path / "copy")
+    changed_json(copy / "config.json", change)
+    with pytest.raises(DataError, match=words):
+        PolicyRuntime.load(copy)
+
+
+def test_loading_a_checkpoint_leaves_no_temporary_file(
+    checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    PolicyRuntime.load(checkpoint, n_action_steps=5)
+    assert list(tmp_path.iterdir()) == []

@@ -1,10 +1,15 @@
-"""Atomic writes: files and folders get a temporary name with the process id, are synced (fsync) and renamed."""
+"""Files that survive: atomic writes, bounded reads, errors of the disk.
+
+Files and folders get a temporary name with the process id, are synced (fsync) and renamed.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import csv
+import errno
 import io
+import json
 import os
 import re
 import shutil
@@ -12,9 +17,13 @@ import stat
 from collections.abc import Generator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
-from minidual.errors import NothingEvaluatedError, UsageError
+from minidual.errors import DataError, EnvironmentMissingError, MinidualError, NothingEvaluatedError, UsageError
 
+JSON_BYTES_MAX = 2**24
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_FORBIDDEN = (errno.EROFS, errno.EACCES, errno.EPERM)
 _PARTIAL = re.compile(r"^\..+\.(?P<pid>\d+)\.partial$")
 
 
@@ -137,8 +146,60 @@ def set_aside(path: Path, name: str) -> Path:
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder and its parents, or raise UsageError."""
+    """Make a folder and its parents, or raise UsageError (EnvironmentMissingError if the disk refuses)."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UsageError(f"cannot make the folder {path}: {error}", remedy="choose another folder") from error
+        raise disk_error(error, path) or UsageError(
+            f"cannot make the folder {path}: {error}", remedy="choose another folder"
+        ) from error
+
+
+def disk_error(error: BaseException, path: Path) -> EnvironmentMissingError | None:
+    """Return the error of a full disk or missing permission at `path`, or None if `error` is another."""
+    code, what = getattr(error, "errno", None), getattr(error, "filename", None) or path
+    # Errors of HDF5, Arrow and safetensors carry the system's text but not always its number.
+    code = next((full for full in _FULL if os.strerror(full) in str(error)), code)
+    if code in _FULL:
+        message, remedy = (
+            f"no space left on the disk of {path} (writing {what}: {os.strerror(code)})",
+            "free some space",
+        )
+    elif code in _FORBIDDEN:
+        message, remedy = f"no permission for {what}: {os.strerror(code)}", "change its permissions"
+    else:
+        return None
+    remedy += ", or point --runs-dir or MINIDUAL_RUNS at another disk or folder, then run the command again"
+    return EnvironmentMissingError(message, remedy=remedy)
+
+
+@contextlib.contextmanager
+def disk_errors(folder: Path) -> Generator[None]:
+    """Turn the error of a full disk or missing permission into EnvironmentMissingError."""
+    try:
+        yield
+    except Exception as error:
+        if isinstance(error, MinidualError) or (found := disk_error(error, folder)) is None:
+            raise
+        raise found from error
+
+
+def regular_file(path: Path, bytes_max: int) -> Path:
+    """Return `path`; DataError unless it is a regular file of at most `bytes_max`: no folder, pipe or device."""
+    try:
+        found = path.stat()
+    except OSError as error:
+        raise DataError(f"{path} cannot be read: {error.strerror}") from error
+    if not stat.S_ISREG(found.st_mode):
+        raise DataError(f"{path} is no regular file")
+    if found.st_size > bytes_max:
+        raise DataError(f"{path} holds {found.st_size:,} bytes; at most {bytes_max:,} are read")
+    return path
+
+
+def read_json(path: Path, bytes_max: int = JSON_BYTES_MAX) -> Any:
+    """Parse a JSON file; DataError if it is none, or no regular file of at most `bytes_max`."""
+    try:
+        return json.loads(regular_file(path, bytes_max).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise DataError(f"{path} is not JSON: {error}") from error

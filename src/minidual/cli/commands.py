@@ -46,7 +46,7 @@ def stage_body(entry: StageEntry) -> Body:
 def run_tool(tool: ToolEntry, session: Session, values: Mapping[str, Any]) -> ExitCode:
     """Run a tool and print its result."""
     from minidual.cli.progress import progress_for
-    from minidual.gate.disk import disk_errors
+    from minidual.durable import disk_errors
     from minidual.gate.table import overrides
     from minidual.gate.tool import ToolContext
 

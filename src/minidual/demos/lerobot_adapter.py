@@ -70,8 +70,9 @@ def convert(
             _write_dataset(partial, out_dir.name, paths, robot, progress)
             verify_dataset(partial, paths, robot)
     except OSError as error:
-        remedy = "free space on the disk or choose another folder"
-        raise DataError(f"{out_dir} could not be written: {error}", remedy=remedy) from error
+        raise durable.disk_error(error, out_dir) or DataError(
+            f"{out_dir} could not be written: {error}", remedy="check the disk or choose another folder"
+        ) from error
     return read_dataset(out_dir)
 
 

@@ -166,8 +166,10 @@ class EpisodeWriter:
             yield
         except (OSError, RuntimeError) as error:
             self.abort()
-            remedy = "free space on the disk or choose another folder; nothing half-written was left"
-            raise DataError(f"{self.path} could not be written: {error}", remedy=remedy) from error
+            remedy = "check the disk or choose another folder; nothing half-written was left"
+            raise durable.disk_error(error, self.path) or DataError(
+                f"{self.path} could not be written: {error}", remedy=remedy
+            ) from error
 
     def _image_dataset(self, camera: str, shape: tuple[int, ...]) -> h5py.Dataset:
         options: dict[str, Any] = {"chunks": (1, *shape), "compression": "gzip", "compression_opts": 1}

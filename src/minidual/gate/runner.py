@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from minidual.durable import disk_errors
 from minidual.errors import ExitCode, MinidualError
 from minidual.gate.canonical import canonical
 from minidual.gate.check import Check
 from minidual.gate.clock import now_text
-from minidual.gate.disk import disk_errors
 from minidual.gate.gate import Gate, StageState
 from minidual.gate.manifest import build_manifest
 from minidual.gate.progress import Progress

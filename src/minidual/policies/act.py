@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import io
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import draccus
 import numpy as np
 import torch
 from draccus.utils import DecodingError, ParsingError
@@ -18,12 +18,13 @@ from lerobot.policies.factory import make_pre_post_processors
 from lerobot.policies.pretrained import PreTrainedPolicy
 from numpy.typing import NDArray
 from safetensors import SafetensorError
-from safetensors.torch import load_model
 
 from minidual import durable
 from minidual.config.learning import TrainConfig
 from minidual.demos.lerobot_reader import ACTION, IMAGE_PREFIX, STATE, camera_key
+from minidual.durable import read_json
 from minidual.errors import DataError, EnvironmentMissingError
+from minidual.policies.checkpoint import check_processor, check_sizes, read_tensors
 from minidual.policies.demonstrations import Demonstrations
 from minidual.policies.kinds import REMEDY, Advance, ChunkPolicy, Image, PolicyKind
 from minidual.policies.normalisation import Stats
@@ -34,7 +35,10 @@ from minidual.policies.train import Trained, threads, train
 
 REQUIRED = ("config.json", "model.safetensors", "policy_preprocessor.json", "policy_postprocessor.json")
 
-_UNREADABLE = (OSError, ValueError, KeyError, TypeError, RuntimeError, SafetensorError, DecodingError, ParsingError)
+_UNREADABLE = (
+    *(OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, AssertionError, ImportError),
+    *(RuntimeError, MemoryError, SafetensorError, DecodingError, ParsingError),
+)
 
 
 class ActKind(PolicyKind):
@@ -84,26 +88,40 @@ class ActKind(PolicyKind):
     def load(self, folder: Path, device: str, threads: int | None) -> ChunkPolicy:
         """See `PolicyKind.load`."""
         self.require(device)
-        return TorchChunkPolicy(self.read(folder, device), threads)
+        with _reading(folder):
+            policy = TorchChunkPolicy(self.read(folder, device), threads)
+            seen = {camera: np.zeros((*size, 3), np.uint8) for camera, size in policy.cameras.items()}
+            chunk = policy.predict(seen, np.zeros(policy.dim, np.float32))  # statistics may not fit the network
+            if chunk.shape != (policy.chunk_size, policy.dim):
+                raise ValueError(f"it emits {chunk.shape}, not {(policy.chunk_size, policy.dim)}")
+        return policy
 
     def read(self, folder: Path, device: str = "cpu") -> Trained:
         """Read policy (in evaluation mode) and processors."""
         if missing := [name for name in REQUIRED if not (folder / name).is_file()]:
             raise DataError(f"checkpoint {folder} lacks {', '.join(missing)}", remedy=f"{REMEDY} --force")
-        try:
-            config = _read_config(folder, device)
-            if not isinstance(config, self.config_class):
-                raise ValueError(f"its configuration is a {type(config).__name__}, not a {self.config_class.__name__}")
-            policy = self.policy_class(config)
-            load_model(policy, folder / "model.safetensors", strict=True, device=device)
+        with _reading(folder):
+            for name in REQUIRED[2:]:
+                check_processor(folder / name)
+            policy = self.policy_class(self._read_config(folder, device))
+            policy.load_state_dict(read_tensors(folder / "model.safetensors"))
+            policy.to(device)
+            policy.eval()
             overrides = {"device_processor": {"device": device}}
-            processors = make_pre_post_processors(config, pretrained_path=str(folder), preprocessor_overrides=overrides)
-        except _UNREADABLE as error:
-            first = str(error).splitlines()[0] if str(error) else type(error).__name__
-            raise DataError(f"checkpoint {folder} cannot be read: {first}", remedy=f"{REMEDY} --force") from error
-        policy.to(device)
-        policy.eval()
-        return Trained(policy, *processors)
+            return Trained(
+                policy,
+                *make_pre_post_processors(policy.config, pretrained_path=str(folder), preprocessor_overrides=overrides),
+            )
+
+    def _read_config(self, folder: Path, device: str) -> PreTrainedConfig:
+        record = read_json(folder / "config.json")
+        if record.pop("type") != self.config_class.get_choice_name(self.config_class):
+            raise ValueError("config.json describes a policy of another type")
+        # Weights to start training from would be downloaded; those of the checkpoint replace them.
+        record |= {"device": device} | ({"pretrained_backbone_weights": None} if self.config_class is ACTConfig else {})
+        config = draccus.decode(self.config_class, record)
+        check_sizes(config)
+        return config
 
 
 class SpatialActKind(ActKind):
@@ -118,6 +136,19 @@ class SpatialActKind(ActKind):
         policy = SpatialActPolicy(described)
         policy.model.use_precision(bf16=use_bf16(config))
         return policy
+
+
+@contextlib.contextmanager
+def _reading(folder: Path) -> Iterator[None]:
+    """Turn an error of a damaged checkpoint into DataError."""
+    try:
+        yield
+    except DataError as error:
+        error.remedy = error.remedy or f"{REMEDY} --force"
+        raise
+    except _UNREADABLE as error:
+        said = " ".join((str(error) or type(error).__name__).split())
+        raise DataError(f"checkpoint {folder} cannot be read: {said[:300]}", remedy=f"{REMEDY} --force") from error
 
 
 ACT_KIND, SPATIAL_ACT = ActKind(), SpatialActKind()
@@ -154,15 +185,6 @@ def use_bf16(config: TrainConfig) -> bool:
     # Emulated bfloat16 is several times slower than float32.
     can = torch.cpu.get_capabilities()
     return bool(can.get("avx512_bf16") or can.get("amx_tile"))
-
-
-def _read_config(folder: Path, device: str) -> PreTrainedConfig:
-    # LeRobot's command-line parser reports a bad file on stderr and exits.
-    with contextlib.redirect_stderr(io.StringIO()) as said:
-        try:
-            return PreTrainedConfig.from_pretrained(folder, cli_overrides=[f"--device={device}"])
-        except SystemExit as error:
-            raise ValueError(f"config.json does not parse: {said.getvalue()[:200]}") from error
 
 
 class TorchChunkPolicy(ChunkPolicy):
