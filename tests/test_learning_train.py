@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -95,24 +96,61 @@ def test_an_interrupted_training_goes_on_to_the_same_weights(
     assert resumed.curve == whole.curve
 
 
-@pytest.mark.parametrize("change", ["seed", "config", "data", "damage"])
+def interrupt(_steps: int, _loss: float) -> None:
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("change", ["seed", "config", "data"])
 def test_progress_of_another_training_is_not_used(demos: Demonstrations, tmp_path: Path, change: str) -> None:
     config, seed = TrainConfig(**SMALL), 5
-
-    def interrupt(_steps: int, _loss: float) -> None:
-        raise KeyboardInterrupt
-
     with pytest.raises(KeyboardInterrupt):
         train(demos, config, seed, tmp_path / "cut", resume_dir=tmp_path / "progress", advance=interrupt)
     if change == "seed":
         seed = 6
     elif change == "config":
         config = TrainConfig(**{**SMALL, "approach_weight": 1.0})
-    elif change == "data":
-        demos = tiny(seed=1)
     else:
-        (tmp_path / "progress" / "progress.pt").write_bytes(b"not a progress file")
-    assert train(demos, config, seed, tmp_path / "cut", resume_dir=tmp_path / "progress").resumed_from_step == 0
+        demos = tiny(seed=1)
+    result = train(demos, config, seed, tmp_path / "cut", resume_dir=tmp_path / "progress")
+    assert (result.resumed_from_step, result.set_aside) == (0, None)
+
+
+def truncated(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-100])
+
+
+def other_keys(path: Path) -> None:
+    torch.save({"fingerprint": "?"}, path)
+
+
+def flipped(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+
+
+def a_folder(path: Path) -> None:
+    path.unlink()
+    path.mkdir()
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [truncated, other_keys, flipped, a_folder, lambda path: path.write_bytes(b""), lambda p: p.write_text("\xff")],
+)
+def test_damaged_progress_is_set_aside_and_training_starts_anew(
+    demos: Demonstrations, tmp_path: Path, damage: Callable[[Path], Any]
+) -> None:
+    """It ended with KeyError, IndexError or UnicodeDecodeError, each time that the command was typed."""
+    config, folder = TrainConfig(**SMALL), tmp_path / ".train-act.progress"
+    with pytest.raises(KeyboardInterrupt):
+        train(demos, config, 5, tmp_path / "cut", resume_dir=folder, advance=interrupt)
+    damage(folder / "progress.pt")
+    result = train(demos, config, 5, tmp_path / "cut", resume_dir=folder)
+    assert (result.resumed_from_step, result.steps) == (0, config.steps)
+    assert result.set_aside is not None
+    assert result.set_aside.parent == tmp_path / "set-aside"
+    assert (result.set_aside / "progress.pt").exists()
 
 
 def test_a_loss_that_is_not_finite_stops_with_the_step_and_the_learning_rate(

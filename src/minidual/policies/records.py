@@ -46,6 +46,8 @@ class TrainResult:
     validation_keyframe_rad: float | None = None
     bf16: bool = False
     resumed_from_step: int = 0
+    set_aside: Path | None = None
+    """Damaged progress, moved here."""
     stopped_by: str = "steps"
     curve: list[LossRow] = field(default_factory=list)
 
@@ -66,7 +68,7 @@ def write_loss_csv(curve: Sequence[LossRow], path: Path) -> None:
 
 def write_train_json(result: TrainResult, extra: dict[str, Any], path: Path) -> dict[str, Any]:
     """Write and return the summary."""
-    record = {key: value for key, value in asdict(result).items() if key != "curve"} | extra
+    record = {key: value for key, value in asdict(result).items() if key not in ("curve", "set_aside")} | extra
     path.write_text(json.dumps(record, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     return record
 

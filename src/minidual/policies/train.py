@@ -6,9 +6,9 @@ Steps draw from the stream (seed, step), so resuming gives the same weights.
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import math
-import pickle
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -33,6 +33,8 @@ from minidual.policies.records import LossRow, TrainResult
 
 VALIDATION_ROWS = 512
 PROGRESS_FILE = "progress.pt"
+"""Begins with the SHA-256 of the rest."""
+DIGEST_BYTES = 32
 
 
 class Trained(NamedTuple):
@@ -120,7 +122,7 @@ class _Loop:
         self.average = [p.detach().clone() for p in self.parameters]
         self.state = _State()
         self.progress = None if resume_dir is None else resume_dir / PROGRESS_FILE
-        self.fingerprint = training_fingerprint(demos, config, seed)
+        self.fingerprint, self.set_aside = training_fingerprint(demos, config, seed, policy), None
 
     def learning_rate(self, step: int) -> float:
         """Linear warm-up, then cosine decay to one hundredth."""
@@ -237,20 +239,24 @@ class _Loop:
             "average": self.average,
             "optimiser": self.optimiser.state_dict(),
         }
-        self.progress.parent.mkdir(parents=True, exist_ok=True)
+        content = io.BytesIO()
+        torch.save(record, content)
+        durable.make_folder(self.progress.parent)
         with durable.replacing(self.progress) as partial:
-            torch.save(record, partial)
+            partial.write_bytes(hashlib.sha256(content.getbuffer()).digest() + content.getbuffer())
 
     def resume(self) -> int:
-        """Load matching progress; return its step."""
-        if self.progress is None or not self.progress.is_file():
+        """Load matching progress and return its step; move damaged progress to `set-aside` beside its folder."""
+        if self.progress is None or not self.progress.exists():
             return 0
-        try:
-            saved = torch.load(self.progress, map_location=self.config.device, weights_only=True)
-            if saved["fingerprint"] != self.fingerprint:
-                return 0
-        except (OSError, RuntimeError, EOFError, KeyError, TypeError, pickle.UnpicklingError):
-            return 0  # written atomically, so the damage is external: train from the start
+        content = self.progress.read_bytes() if self.progress.is_file() else b""
+        # The checksum comes first: a damaged file would fail anywhere below, or later in training.
+        if hashlib.sha256(content[DIGEST_BYTES:]).digest() != content[:DIGEST_BYTES]:
+            self.set_aside = durable.set_aside(self.progress.parent, "train-act.progress")
+            return 0
+        saved = torch.load(io.BytesIO(content[DIGEST_BYTES:]), map_location=self.config.device, weights_only=True)
+        if saved["fingerprint"] != self.fingerprint:
+            return 0
         self.policy.load_state_dict(saved["weights"])
         self.optimiser.load_state_dict(saved["optimiser"])
         self.average = saved["average"]
@@ -282,16 +288,18 @@ class _Loop:
             ticks=self.ticks,
             bf16=any(getattr(module, "bf16", False) for module in self.policy.modules()),
             resumed_from_step=resumed,
+            set_aside=self.set_aside,
             stopped_by=stopped_by,
             curve=curve,
         )
 
 
-def training_fingerprint(demos: Demonstrations, config: TrainConfig, seed: int) -> str:
+def training_fingerprint(demos: Demonstrations, config: TrainConfig, seed: int, policy: Any) -> str:
     """Return a hash of what determines the weights (images sampled)."""
     digest = hashlib.sha256()
     settings = config.model_dump(exclude={"time_limit_s", "loss_ratio_max", "actions_in_limits_min", "train_s_max"})
-    digest.update(json.dumps([seed, settings], sort_keys=True).encode())
+    layout = [(name, list(values.shape)) for name, values in policy.state_dict().items()]
+    digest.update(json.dumps([seed, settings, layout, torch.__version__], sort_keys=True).encode())
     for array in (demos.state, demos.action, demos.episode_index):
         digest.update(array.tobytes())
     for camera in demos.cameras:

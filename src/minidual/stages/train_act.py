@@ -94,4 +94,6 @@ def run(context: StageContext) -> StageResult:
     notes = [f"policy: {config.policy}, {'bfloat16' if result.bf16 else 'float32'} image encoder"]
     if result.resumed_from_step:
         notes.append(f"continued an interrupted training from step {result.resumed_from_step}")
+    if result.set_aside:
+        notes.append(f"the progress of an interrupted training was damaged; it was moved to {result.set_aside}")
     return StageResult(checks=train_checks(result, emitted, config, robot), data=record, notes=notes)
