@@ -4,6 +4,7 @@ import base64
 import io
 import json
 import shutil
+import socket
 import subprocess
 import time
 import urllib.request
@@ -31,6 +32,12 @@ FLAGS = (
     "--no-default-browser-check",
     "--remote-debugging-port=0",
 )
+
+
+def unused_port():
+    """Return a port that nobody listens to: fixed ones collide when two test processes run."""
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        return probe.getsockname()[1]
 
 
 def find_browser():

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
-from browser import Browser, find_browser
+from browser import Browser, find_browser, unused_port
 
 from minidual.config.view import ViewConfig
 from minidual.show.view import make_view
@@ -58,7 +58,7 @@ def process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[subprocess.Pop
         "400",
         "--json",
         "--view-port",
-        "8500",
+        str(unused_port()),
         "--set",
         "view.rate_hz=4",
         "--runs-dir",
@@ -92,7 +92,7 @@ def test_pages_without_the_scene_do_not_pass(browser: Browser) -> None:
     assert not shows_scene(browser.picture())
     assert browser.go("http://127.0.0.1:9/").get("errorText")
     assert not shows_scene(browser.picture())
-    empty = make_view("web", ViewConfig(port=8510), say=lambda _line: None)
+    empty = make_view("web", ViewConfig(port=unused_port()), say=lambda _line: None)
     assert empty is not None
     try:
         browser.go(str(empty.url))

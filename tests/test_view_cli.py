@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from browser import unused_port
 from pipeline_toys import Toy
 
 from minidual.cli import run_command_line
@@ -79,7 +80,7 @@ def test_a_fresh_stage_has_nothing_to_show_and_says_so(tmp_path: Path, capsys: p
     arguments = ["alpha", "--profile", "smoke", "--runs-dir", str(tmp_path)]
     assert run_command_line(arguments, _table(Toy("alpha"))) == ExitCode.PASS
     capsys.readouterr()
-    watched = [*arguments, "--view", "web", "--view-port", "8480", "--json"]
+    watched = [*arguments, "--view", "web", "--view-port", str(unused_port()), "--json"]
     assert run_command_line(watched, _table(Toy("alpha"))) == ExitCode.PASS
     shown = capsys.readouterr()
     assert "nothing to watch: alpha is passing and fresh; --force runs it again" in shown.err
@@ -87,11 +88,11 @@ def test_a_fresh_stage_has_nothing_to_show_and_says_so(tmp_path: Path, capsys: p
 
 
 def test_the_scene_shows_itself_for_the_time_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    common = ["--runs-dir", str(tmp_path), "--view-port", "8490"]
+    common = ["--runs-dir", str(tmp_path), "--view-port", str(unused_port())]
     assert run_command_line(["view", "--for-s", "0.6", "--json", *common], STAGES, TOOLS) == ExitCode.PASS
     shown = capsys.readouterr()
     document = json.loads(shown.out)
-    assert document["url"].startswith("http://127.0.0.1:84")
+    assert document["url"].startswith("http://127.0.0.1:")
     assert f"view: {document['url']}" in shown.err
     assert 0.6 <= document["wall_s"] < 5.0
     assert 0.0 < document["simulated_s"] <= document["wall_s"] + 0.05  # never faster than life

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 import psutil
 import pytest
+from browser import unused_port
 from carry_trials import sample_trial
 from websockets.sync.client import connect
 
@@ -34,10 +35,14 @@ def lines() -> list[str]:
 
 @pytest.fixture
 def view(lines: list[str]) -> Iterator[WebView]:
-    made = make_view("web", ViewConfig(port=8460), say=lines.append)
+    made = make_view("web", ViewConfig(port=unused_port()), say=lines.append)
     assert isinstance(made, WebView)
     yield made
     made.close()
+
+
+def _socket(view: WebView) -> str:
+    return str(view.url).replace("http:", "ws:")
 
 
 def _show(view: WebView, world: World, **words: object) -> None:
@@ -65,7 +70,7 @@ def test_only_the_loopback_interface_answers(view: WebView, lines: list[str]) ->
 
 def test_another_interface_must_be_asked_for_and_is_warned_of() -> None:
     said: list[str] = []
-    view = make_view("web", ViewConfig(host="0.0.0.0", port=8470), say=said.append)
+    view = make_view("web", ViewConfig(host="0.0.0.0", port=unused_port()), say=said.append)
     assert isinstance(view, WebView)
     try:
         assert _connects("127.0.0.2", view.port)  # the test above can fail
@@ -82,9 +87,9 @@ def test_page_and_socket_answer_and_the_port_is_free_afterwards(
     assert answer.status == 200
     assert "<script" in page
     with pytest.raises(urllib.error.HTTPError):
-        urllib.request.urlopen(f"{view.url}/../../etc/passwd", timeout=5)
+        urllib.request.urlopen(str(view.url).replace("/?", "/../../etc/passwd?"), timeout=5)
     view.open(visual_model(CONFIG.scene))
-    with connect(f"ws://127.0.0.1:{view.port}", subprotocols=[SUBPROTOCOL], max_size=None) as client:  # type: ignore[list-item]
+    with connect(_socket(view), subprotocols=[SUBPROTOCOL], max_size=None) as client:  # type: ignore[list-item]
         first = client.recv(timeout=5)
         assert isinstance(first, bytes)
         assert len(first) > 100
@@ -168,7 +173,7 @@ def test_clients_that_vanish_do_not_hold_the_run_up(view: WebView) -> None:
             if k % 150 == 0:
                 clients.append(socket.create_connection(("127.0.0.1", view.port)))
                 clients.append(
-                    connect(f"ws://127.0.0.1:{view.port}", subprotocols=[SUBPROTOCOL], max_size=None)  # type: ignore[list-item]
+                    connect(_socket(view), subprotocols=[SUBPROTOCOL], max_size=None)  # type: ignore[list-item]
                 )
             if k % 200 == 199:
                 gone = clients.pop()

@@ -63,6 +63,10 @@ class Panel:
         self._seen = (now, overlay.time_s)
         self._table.content = table_html(overlay, speed)
 
+    def note(self, text: str) -> None:
+        """Add a line below the state."""
+        self._gui.add_html(f"<div style='padding:4px 12px;font-size:13px;opacity:.6'>{html.escape(text)}</div>")
+
     def offer(self, sliders: Sequence[Slider]) -> None:
         """Add sliders, a folder per group."""
         self._offered += sliders

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import getpass
-import ipaddress
 import socket
 import time
 from collections.abc import Callable, Generator, Sequence
@@ -16,6 +15,7 @@ import viser
 
 from minidual.config.view import ViewConfig
 from minidual.errors import UsageError
+from minidual.show.view.guard import Guard, is_loopback
 from minidual.show.view.overlay import Array, Overlay, Slider
 from minidual.show.view.panel import Panel
 from minidual.show.view.scene import Scene
@@ -42,6 +42,7 @@ class WebView:
 
     Raises:
         UsageError: Unusable interface, or no free port.
+        EnvironmentMissingError: Another viser, which cannot be guarded.
     """
 
     name = "web"
@@ -49,10 +50,11 @@ class WebView:
     def __init__(self, config: ViewConfig, say: Callable[[str], None]) -> None:
         self._say = say
         self.speed_max = config.speed_max
-        self.port = free_port(config.host, config.port)
+        guard, port = Guard(config.host, config.remote_drives, say), free_port(config.host, config.port)
         with _quiet():
-            self._server = _Server(host=config.host, port=self.port, label="minidual", verbose=False)
-        self.url: str | None = url(config.host, self.port)
+            self._server = guard.start(lambda: _Server(config.host, port, "minidual", verbose=False))
+        self.port = self._server.get_port()
+        self.url: str | None = f"{url(config.host, self.port)}/?token={guard.token}"
         self.alive = True
         """Whether it is visible."""
         self._closed = False
@@ -69,14 +71,15 @@ class WebView:
             self._say(f"port {config.port} is taken; the view is at port {self.port}")
         self._say(f"view: {self.url}")
         if is_loopback(config.host):
-            self._say(
-                f"from another machine: {tunnel_command(self.port)}, then open http://127.0.0.1:{self.port} there"
-            )
-        else:
-            self._say(
-                f"warning: the view is bound to {config.host}: whoever reaches port {self.port} of this machine sees "
-                "it and can move its sliders; there is no password"
-            )
+            self._say(f"from another machine: {tunnel_command(self.port)}, then open the same address there")
+            return
+        others = "moves" if config.remote_drives else "cannot move"
+        self._say(
+            f"warning: the view is bound to {config.host}, without encryption: whoever has this address, with the name "
+            f"of this machine, sees the view and {others} its sliders"
+        )
+        if not config.remote_drives:
+            self._panel.note("only pages on the machine that runs the command move the sliders")
 
     def open(self, model: mujoco.MjModel) -> None:
         """Show `model`."""
@@ -148,14 +151,6 @@ def free_port(host: str, first: int, tries: int = _PORTS_TRIED) -> int:
     raise UsageError(
         f"no free port for the view among {first} to {last}", remedy="end the program that holds them, or --view-port N"
     )
-
-
-def is_loopback(host: str) -> bool:
-    """Return whether only this machine reaches `host`."""
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 def url(host: str, port: int) -> str:
