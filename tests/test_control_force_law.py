@@ -21,7 +21,7 @@ from minidual.control import kernels
 from minidual.control.object_impedance import HeldObject, ObjectImpedance, ObjectState, SingularPostureError
 from minidual.control.pinch import pinch_force
 from minidual.errors import UsageError
-from minidual.robot.kinematics import HandMotion, Kinematics
+from minidual.robot.kinematics import Hands, Kinematics
 from minidual.robot.poses import inverse, pose, rot_z, rotation_log
 from minidual.robot.vectors import cross, inner, minus, plus, times
 from scripts.bench.scenes import BenchScene, held_scene
@@ -193,7 +193,7 @@ class TestGrasp:
         f_int = np.concatenate([-squeeze, np.zeros(3), squeeze, np.zeros(3)])
         G = oracle.grasp_matrix(r_l, r_r)
         plain = np.linalg.pinv(G) @ w + oracle.split(G, f_int)[1]
-        f = kernels.hand_wrenches(force, moment, r_l, r_r, squeeze).ravel()
+        f = np.ravel(kernels.hand_wrenches(tuple(force), tuple(moment), tuple(r_l), tuple(r_r), tuple(squeeze)))
         assert np.allclose(f, plain, atol=1e-9)
         assert np.allclose(G @ f, w, atol=1e-9)
 
@@ -202,7 +202,7 @@ class TestGrasp:
     def test_a_squeeze_does_no_work_on_any_rigid_motion(
         self, r_l: np.ndarray, r_r: np.ndarray, squeeze: np.ndarray
     ) -> None:
-        f = kernels.hand_wrenches(np.zeros(3), np.zeros(3), r_l, r_r, squeeze).ravel()
+        f = np.ravel(kernels.hand_wrenches((0.0,) * 3, (0.0,) * 3, tuple(r_l), tuple(r_r), tuple(squeeze)))
         assert np.abs(oracle.grasp_matrix(r_l, r_r) @ f).max() < 1e-9
 
     @pytest.mark.parametrize("yaw", [np.pi / 2, -2.0])
@@ -336,24 +336,22 @@ class TestPinch:
             pinch_force(40.0, 0.5, safety=0.9)
 
 
-class TestHandMotion:
-    def test_poses_jacobian_and_acceleration(self, kinematics: Kinematics) -> None:
+class TestHands:
+    def test_poses_jacobian_and_drift(self, kinematics: Kinematics) -> None:
         rng = np.random.default_rng(4)
-        hands, h = HandMotion(kinematics), 1e-5
+        hands, J_hand = Hands(kinematics), np.empty((6, DOF // 2))
         for _ in range(10):
-            q, v, a = HOME + 0.3 * rng.normal(size=DOF), rng.normal(size=DOF), rng.normal(size=DOF)
-            hands.update(q, v, a)
-            J, acceleration = hands.J.copy(), hands.acceleration.copy()
-            poses = [(R.copy(), p.copy()) for R, p in zip(hands.R, hands.p, strict=True)]
-            for (R, p), T in zip(poses, kinematics.tcp_poses(q), strict=True):
-                assert np.allclose(R, T[:3, :3], atol=1e-12)
-                assert np.allclose(p, T[:3, 3], atol=1e-12)
-            assert np.allclose(J, np.vstack(kinematics.tcp_jacobians(q)), atol=1e-12)
-            ahead, behind = (
-                np.vstack(kinematics.tcp_jacobians(q + s * h * v + 0.5 * h**2 * a)) @ (v + s * h * a)
-                for s in (1.0, -1.0)
-            )
-            assert np.allclose((ahead - behind) / (2 * h), acceleration, atol=1e-6)
+            q, v = HOME + 0.3 * rng.normal(size=DOF), rng.normal(size=DOF)
+            hands.update(q)
+            jacobians, drifts = kinematics.tcp_jacobians(q), oracle.drift(kinematics, q, v).reshape(2, 6)
+            hands.update(q)  # `tcp_jacobians` works in the same memory
+            for i, T in enumerate(kinematics.tcp_poses(q)):
+                arm = slice(7 * i, 7 * i + 7)
+                assert np.allclose(hands.R[i], T[:3, :3], atol=1e-12)
+                assert np.allclose(hands.p[i], T[:3, 3], atol=1e-12)
+                drift = kernels.hand_motion(hands.J[:, arm], tuple(hands.p[i]), v[arm], J_hand)
+                assert np.allclose(J_hand, jacobians[i][:, arm], atol=1e-12)
+                assert np.allclose(np.concatenate(drift), drifts[i], atol=1e-6)
 
 
 class TestVectors:

@@ -9,7 +9,7 @@ import numpy as np
 
 from minidual.control.loop import JointLoop
 from minidual.control.object_impedance import ObjectState
-from minidual.robot.kinematics import HandMotion
+from minidual.robot.kinematics import Hands
 from scripts.bench.scenes import BenchScene, JointSample, free_scene, held_scene
 from scripts.bench.step import Step, StepCost, step_cost
 from scripts.bench.tables import BenchInputs, BenchRow, BenchTable
@@ -96,10 +96,10 @@ def object_impedance(scene: BenchScene) -> Case:
         world.command(tau, grippers.step(scene.gripper))
         world.step()
 
-    hands, kinematics, rest = HandMotion(scene.kinematics), scene.kinematics, np.zeros(len(scene.q_rest))
+    hands, kinematics, rest = Hands(scene.kinematics), scene.kinematics, np.zeros(len(scene.q_rest))
 
     def dynamics() -> None:
-        hands.update(scene.q_rest, rest, rest)
+        hands.update(scene.q_rest)
         kinematics.rnea(scene.q_rest, rest, rest)
 
     tau, targets = np.zeros(len(scene.q_rest)), np.zeros(2)

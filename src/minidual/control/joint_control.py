@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from minidual.control.kernels import add_friction
+from minidual.control.kernels import add_friction, servo
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 
@@ -21,7 +21,6 @@ class Motors:
     def __init__(self, kinematics: Kinematics) -> None:
         self._kinematics, arm = kinematics, kinematics.robot.arm
         self._limits = arm.damping, arm.friction, np.array(kinematics.robot.tau_max)
-        self._v = np.zeros(kinematics.robot.dof)
 
     def torque(self, q: Array, v: Array, a: Array, load: Array | None = None) -> Array:
         """Return torques (n,) [Nm] for accelerations a (n,) and load (n,), clipped to the limits; NaN stays NaN."""
@@ -29,8 +28,7 @@ class Motors:
         tau = pin.rnea(self._kinematics.model, self._kinematics.data, q, v, a)
         if load is not None:
             tau += load
-        self._v[:] = v
-        add_friction(tau, self._v, *self._limits)
+        add_friction(tau, v, *self._limits)
         return tau
 
 
@@ -38,14 +36,10 @@ class ComputedTorque:
     """Tracks joint references with natural frequency wn, critically damped."""
 
     def __init__(self, kinematics: Kinematics, *, natural_frequency_rad_s: float = 20.0) -> None:
-        self._motors = Motors(kinematics)
-        self._gains = np.array([natural_frequency_rad_s**2, 2.0 * natural_frequency_rad_s, 1.0])
-        self._errors = np.zeros((3, kinematics.robot.dof))
-        self._e, self._de, self._dde = self._errors
+        self._motors, self._w = Motors(kinematics), natural_frequency_rad_s
+        self._a = np.zeros(kinematics.robot.dof)
 
     def torque(self, q: Array, v: Array, q_ref: Array, v_ref: Array, a_ref: Array) -> Array:
         """Return motor torques (n,) [Nm], clipped to the limits."""
-        np.subtract(q_ref, q, self._e)
-        np.subtract(v_ref, v, self._de)
-        self._dde[:] = a_ref
-        return self._motors.torque(q, v, self._gains.dot(self._errors))
+        servo(q, v, q_ref, v_ref, a_ref, self._w, self._a)
+        return self._motors.torque(q, v, self._a)

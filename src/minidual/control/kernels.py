@@ -1,23 +1,40 @@
 """Compiled parts of the control laws.
 
+Vectors of three are tuples, which numba keeps in registers: arrays cost the object impedance four times as much.
 Import late: it imports numba.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
-from numba import njit
+from numba import from_dtype, njit
 from numba.core import types
 
-from minidual.robot.compiled import BLOCKS, ROWS, VECTOR, kernel
+from minidual.robot import vectors
+from minidual.robot.compiled import ROWS, VECTOR, kernel
 from minidual.robot.pair import Array
 
 _REAL = types.float64
-_VIEW = types.Array(_REAL, 1, "A")
+_VIEW = types.Array(_REAL, 1, "A", readonly=True)
 _TURNED = types.float64[::1, :]
 """Pinocchio's matrices are column-major."""
+
+LAW = np.dtype(
+    [
+        *((name, "f8", 6) for name in ("K", "D")),
+        *((name, "f8") for name in ("mass", "posture_stiffness", "posture_damping")),
+        *(("inertia", "f8", (3, 3)), ("axis", "f8", 3), ("R_tcps_object", "f8", (2, 3, 3))),
+    ]
+)
+"""What `impedance` knows before the first step; one argument instead of eight saves 0.5 us a call."""
+
+Vector = tuple[float, float, float]
+Elements = Any
+"""A vector of three, as a tuple or an array."""
+cross, plus, minus, times, inner = map(njit, (vectors.cross, vectors.plus, vectors.minus, vectors.times, vectors.inner))
 
 
 @njit
@@ -27,48 +44,89 @@ def within(x: float, low: float, high: float) -> float:
 
 
 @njit
-def cross(a: Array, b: Array) -> Array:
-    """Return a x b."""
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+def three(a: Elements, i: int) -> Vector:
+    """Return a[i : i + 3]."""
+    return a[i], a[i + 1], a[i + 2]
 
 
 @njit
-def turn(wanted: Array, actual: Array) -> Array:
+def apply(A: Array, x: Elements) -> Vector:
+    """Return A x."""
+    return inner(A[0], x), inner(A[1], x), inner(A[2], x)
+
+
+@njit
+def turn(wanted: Array, actual: Array) -> Vector:
     """Return log(wanted actual^T) [rad], below half a turn."""
-    E = wanted @ actual.T
-    axis = 0.5 * np.array([E[2, 1] - E[1, 2], E[0, 2] - E[2, 0], E[1, 0] - E[0, 1]])
-    sine = math.sqrt(axis @ axis)
-    angle = math.atan2(sine, 0.5 * (E[0, 0] + E[1, 1] + E[2, 2] - 1.0))
-    return (angle / sine if sine > 1e-12 else 1.0) * axis
+    X, Y, Z = apply(actual, wanted[0]), apply(actual, wanted[1]), apply(actual, wanted[2])  # rows
+    axis = (0.5 * (Z[1] - Y[2]), 0.5 * (X[2] - Z[0]), 0.5 * (Y[0] - X[1]))
+    sine = math.sqrt(inner(axis, axis))
+    angle = math.atan2(sine, 0.5 * (X[0] + Y[1] + Z[2] - 1.0))
+    return times(angle / sine if sine > 1e-12 else 1.0, axis)
 
 
 @njit
-def hand_wrenches(force: Array, moment: Array, r_left: Array, r_right: Array, squeeze: Array) -> Array:
-    """Return G^+ w + (I - G^+ G) [-squeeze; 0; squeeze; 0] as (2, 6) (docs/force-control.md)."""
-    m, h = 0.5 * (r_left + r_right), 0.5 * (r_left - r_right)
-    n = moment - cross(m, force) + 2.0 * cross(h, squeeze)
-    share = 0.5 / (1.0 + h @ h) * (n + (h @ n) * h)
-    press = cross(share, h) - squeeze
-    f = np.empty((2, 6))
-    f[0, :3], f[0, 3:] = 0.5 * force + press, share
-    f[1, :3], f[1, 3:] = 0.5 * force - press, share
-    return f
+def hand_wrenches(
+    force: Vector, moment: Vector, r_left: Vector, r_right: Vector, squeeze: Vector
+) -> tuple[tuple[Vector, Vector], tuple[Vector, Vector]]:
+    """Return G^+ w + (I - G^+ G) [-squeeze; 0; squeeze; 0] as (force, moment) of each hand (docs/force-control.md)."""
+    m, h = times(0.5, plus(r_left, r_right)), times(0.5, minus(r_left, r_right))
+    n = plus(moment, plus(cross(force, m), times(2.0, cross(h, squeeze))))
+    share = times(0.5 / (1.0 + inner(h, h)), plus(n, times(inner(h, n), h)))
+    press, half = minus(cross(share, h), squeeze), times(0.5, force)
+    return (plus(half, press), share), (minus(half, press), share)
+
+
+@njit
+def hand_motion(J: Array, p: Elements, v: Array, J_hand: Array) -> tuple[Vector, Vector]:
+    """Fill J_hand (6, n), [linear; angular] at p, and return Jdot v (linear, angular).
+
+    J (6, n) is of the points at the world's origin; each column turns with the joints before it.
+    """
+    V = omega = a = alpha = (0.0, 0.0, 0.0)
+    for j in range(len(v)):
+        linear, angular = three(J[:, j], 0), three(J[:, j], 3)
+        V, omega = plus(V, times(v[j], linear)), plus(omega, times(v[j], angular))
+        a = plus(a, times(v[j], plus(cross(omega, linear), cross(V, angular))))
+        alpha = plus(alpha, times(v[j], cross(omega, angular)))
+        J_hand[:3, j], J_hand[3:, j] = plus(linear, cross(angular, p)), angular
+    return plus(plus(a, cross(alpha, p)), cross(omega, plus(V, cross(omega, p)))), alpha
+
+
+@njit
+def least_norm(J: Array, b: Array, x: Array) -> bool:
+    """Add J^T (J J^T)^-1 b to x, J (6, n), by Cholesky factors; return False if J lost a rank."""
+    L, y = np.empty((6, 6)), b.copy()
+    for i in range(6):
+        for j in range(i + 1):
+            s = 0.0
+            for k in range(J.shape[1]):
+                s += J[i, k] * J[j, k]
+            for k in range(j):
+                s -= L[i, k] * L[j, k]
+            if i == j and s <= 0.0:  # NaN goes on: the supervisor must see it
+                return False
+            L[i, j] = math.sqrt(s) if i == j else s / L[j, j]
+            if j < i:
+                y[i] -= L[i, j] * y[j]
+        y[i] /= L[i, i]
+    for i in range(5, -1, -1):
+        for k in range(i + 1, 6):
+            y[i] -= L[k, i] * y[k]
+        y[i] /= L[i, i]
+        for k in range(J.shape[1]):
+            x[k] += J[i, k] * y[i]
+    return True
 
 
 @kernel(
-    types.void(
-        *(VECTOR, VECTOR, _REAL, ROWS, VECTOR, BLOCKS),
-        *(ROWS, _VIEW, ROWS, _VIEW, _VIEW, _REAL),
-        *(ROWS, VECTOR, VECTOR, VECTOR, _TURNED, _TURNED, VECTOR, VECTOR, VECTOR),
+    types.boolean(
+        *(types.Array(from_dtype(LAW), 1, "C"), ROWS, _VIEW, ROWS, _VIEW, _VIEW, _REAL),
+        *(_TURNED, VECTOR, VECTOR, _TURNED, _TURNED, VECTOR, VECTOR, VECTOR, VECTOR),
     )
 )
 def impedance(
-    K: Array,
-    D: Array,
-    mass: float,
-    inertia: Array,
-    axis: Array,
-    R_tcps_object: Array,
+    law: Array,
     T: Array,
     twist: Array,
     T_d: Array,
@@ -76,46 +134,71 @@ def impedance(
     a_d: Array,
     squeeze_n: float,
     J: Array,
-    a_hands: Array,
     p_left: Array,
     p_right: Array,
     R_left: Array,
     R_right: Array,
+    sag: Array,
     v: Array,
     qdd: Array,
     push: Array,
-) -> None:
-    """Add the hands' accelerations to qdd (n,) and fill push (n,) with J^T f; see `object_impedance`.
+) -> bool:
+    """Fill qdd (n,) and push (n,) = J^T f; see `object_impedance`.
 
-    Raises:
-        LinAlgError: A hand has lost a direction of motion.
+    law: (1,) of LAW. J, p, R: see `Hands`. sag: (n,), posture - q. Return False if a hand has lost a direction of motion.
     """
-    p, R, R_d = T[:3, 3], T[:3, :3].copy(), T_d[:3, :3].copy()
-    a, alpha, omega = a_d[:3], a_d[3:], twist_d[3:]
-    force = K[:3] * (T_d[:3, 3] - p) + D[:3] * (twist_d[:3] - twist[:3]) + mass * a
-    force[2] += 9.81 * mass
-    I_w = R @ inertia @ R.T
-    moment = I_w @ alpha.copy() + cross(omega, I_w @ omega.copy())
-    f = hand_wrenches(force, moment, p_left - p, p_right - p, squeeze_n * (R @ axis))
+    s = law[0]
+    K, D = s.K, s.D
+    force = np.empty(3)
+    for k in range(3):
+        force[k] = K[k] * (T_d[k, 3] - T[k, 3]) + D[k] * (twist_d[k] - twist[k]) + s.mass * a_d[k]
+    force[2] += 9.81 * s.mass
+    a, alpha, omega = three(a_d, 0), three(a_d, 3), three(twist_d, 3)
+    I_alpha = apply(T, apply(s.inertia, apply(T.T, alpha)))  # I_w = R I_o R^T
+    I_omega = apply(T, apply(s.inertia, apply(T.T, omega)))
+    moment = plus(I_alpha, cross(omega, I_omega))
+    p, p_hands = three(T[:, 3], 0), (three(p_left, 0), three(p_right, 0))
+    r = (minus(p_left, p), minus(p_right, p))
+    f = hand_wrenches(three(force, 0), moment, r[0], r[1], times(squeeze_n, apply(T, s.axis)))
     n = len(v) // 2
-    for i, (p_hand, R_hand) in enumerate(((p_left, R_left), (p_right, R_right))):
-        hand, arm = slice(6 * i, 6 * i + 6), slice(n * i, n * i + n)
-        J_hand, r = J[hand, arm].copy(), p_hand - p
+    J_hand, R, lacking, wrench = np.empty((6, n)), np.empty((3, 3)), np.empty(6), np.empty(6)
+    for i, R_hand in enumerate((R_left, R_right)):
+        drift = hand_motion(J[:, n * i : n * i + n], p_hands[i], v[n * i : n * i + n], J_hand)
         # Half the rotational stiffness, on the object's orientation as this hand's grasp implies it.
-        error = turn(R_d, np.ascontiguousarray(R_hand) @ R_tcps_object[i])
-        f[i, 3:] += 0.5 * (K[3:] * error + D[3:] * (omega - J_hand[3:] @ v[arm]))
-        push[arm] = J_hand.T @ f[i]
-        # J^+ (a_hand - J qdd - Jdot v), so that only the null space keeps the posture's acceleration.
-        lacking = -a_hands[hand]
-        lacking[:3] += a + cross(alpha, r) + cross(omega, cross(omega, r))
-        lacking[3:] += alpha
-        if np.isfinite(lacking).all():
-            qdd[arm] += J_hand.T @ np.linalg.solve(J_hand @ J_hand.T, lacking)
-        else:  # solve refuses NaN, which the supervisor must see
-            qdd[arm] = np.nan
+        for k in range(3):
+            R[k] = apply(s.R_tcps_object[i].T, R_hand[k])
+        error = turn(T_d, R)
+        wrench[:3], wrench[3:] = f[i]
+        for k in range(3):
+            slow = omega[k]
+            for j in range(n):
+                slow -= J_hand[3 + k, j] * v[n * i + j]
+            wrench[3 + k] += 0.5 * (K[3 + k] * error[k] + D[3 + k] * slow)
+        for j in range(n):
+            push[n * i + j] = 0.0
+            for k in range(6):
+                push[n * i + j] += J_hand[k, j] * wrench[k]
+        # qdd_posture + J^+ (a_hand - J qdd_posture - Jdot v): only the null space keeps the posture.
+        a_hand = plus(a, plus(cross(alpha, r[i]), cross(omega, cross(omega, r[i]))))
+        lacking[:3], lacking[3:] = minus(a_hand, drift[0]), minus(alpha, drift[1])
+        for j in range(n * i, n * i + n):
+            qdd[j] = s.posture_stiffness * sag[j] - s.posture_damping * v[j]
+        for k in range(6):
+            for j in range(n):
+                lacking[k] -= J_hand[k, j] * qdd[n * i + j]
+        if not least_norm(J_hand, lacking, qdd[n * i : n * i + n]):
+            return False
+    return True
 
 
-@kernel(types.void(VECTOR, VECTOR, _REAL, _REAL, VECTOR))
+@kernel(types.void(*[_VIEW] * 5, _REAL, VECTOR))
+def servo(q: Array, v: Array, q_ref: Array, v_ref: Array, a_ref: Array, w: float, a: Array) -> None:
+    """Fill a (n,) with a_ref + 2 w (v_ref - v) + w^2 (q_ref - q)."""
+    for j in range(len(a)):
+        a[j] = a_ref[j] + 2.0 * w * (v_ref[j] - v[j]) + w * w * (q_ref[j] - q[j])
+
+
+@kernel(types.void(VECTOR, _VIEW, _REAL, _REAL, _VIEW))
 def add_friction(tau: Array, v: Array, damping: float, dry: float, tau_max: Array) -> None:
     """Add d v + c tanh(v / v_s) to tau (n,) and clip; tanh, because near rest the sign of v is noise."""
     for j in range(len(tau)):
@@ -123,7 +206,7 @@ def add_friction(tau: Array, v: Array, damping: float, dry: float, tau_max: Arra
         tau[j] = within(tau[j], -tau_max[j], tau_max[j])
 
 
-@kernel(types.void(VECTOR, VECTOR, VECTOR, ROWS, _REAL, _REAL, ROWS))
+@kernel(types.void(_VIEW, VECTOR, VECTOR, ROWS, _REAL, _REAL, ROWS))
 def follow_target(target: Array, q: Array, v: Array, bounds: Array, w: float, dt: float, after: Array) -> None:
     """Fill `after` (3, n) with the next q, v, a; see `reference`.
 

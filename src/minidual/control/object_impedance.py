@@ -19,9 +19,9 @@ import numpy as np
 
 from minidual.config.control import ImpedanceConfig
 from minidual.control.joint_control import Motors
-from minidual.control.kernels import impedance, within
+from minidual.control.kernels import LAW, impedance, within
 from minidual.errors import MinidualError
-from minidual.robot.kinematics import HandMotion, Kinematics
+from minidual.robot.kinematics import Hands, Kinematics
 from minidual.robot.pair import SIDES, Array
 
 SQUEEZE_CEILING_N = 80.0
@@ -65,12 +65,14 @@ class ObjectImpedance:
 
     def __init__(self, kinematics: Kinematics, held: HeldObject, gains: ImpedanceConfig) -> None:
         self._kinematics, self.held, self.gains = kinematics, held, gains
-        self._K, self._D = np.repeat([gains.stiffness_n_per_m, gains.stiffness_nm_per_rad], 3), np.zeros(6)
-        R_tcps_object = np.array([T[:3, :3].T for T in held.T_object_tcps])
-        self._object = (held.mass_kg, np.array(held.inertia_kg_m2), np.array(held.axis), R_tcps_object)
+        K = np.repeat([gains.stiffness_n_per_m, gains.stiffness_nm_per_rad], 3)
+        posture = POSTURE_STIFFNESS_PER_S2, POSTURE_DAMPING_PER_S
+        R_tcps_object = [T[:3, :3].T for T in held.T_object_tcps]
+        data = (K, np.zeros(6), held.mass_kg, *posture, held.inertia_kg_m2, held.axis, R_tcps_object)
+        self._law = np.array([data], LAW)
         self._posture = kinematics.robot.home
-        self._hands = HandMotion(kinematics)
-        self._motors, self._push = Motors(kinematics), np.zeros(kinematics.robot.dof)
+        self._hands = Hands(kinematics)
+        self._motors, self._qdd, self._push = Motors(kinematics), *np.zeros((2, kinematics.robot.dof))
 
     def engage(self, q: Array) -> None:
         """Set damping and null-space posture from q (n,).
@@ -94,7 +96,7 @@ class ObjectImpedance:
             moving[:3] += np.diag(mass_at_hand)
             moving[3:] += lever**2 * float(np.mean(np.diag(mass_at_hand))) + np.diag(inertia_at_hand)
         self._posture = np.array(q, dtype=float)
-        self._D = 2.0 * self.gains.damping_ratio * np.sqrt(self._K * moving)
+        self._law["D"] = 2.0 * self.gains.damping_ratio * np.sqrt(self._law["K"] * moving)
 
     def torque(
         self,
@@ -117,18 +119,11 @@ class ObjectImpedance:
         limit = gains.force_correction_max_n
         correction = within(gains.force_gain * (internal_force_n - measured_internal_force_n), -limit, limit)
         squeeze = within(internal_force_n + correction, 0.0, SQUEEZE_CEILING_N)
-        # Posture first: the least-norm correction then cancels its effect on the hands.
-        qdd = POSTURE_STIFFNESS_PER_S2 * (self._posture - q) - POSTURE_DAMPING_PER_S * v
-        hands.update(q, v, qdd)
-        try:
-            impedance(
-                *(self._K, self._D, *self._object),
-                *(measured.T_world_object, measured.twist),
-                *(desired.T_world_object, desired.twist, desired.acceleration, squeeze),
-                *(hands.J, hands.acceleration, *hands.p, *hands.R, v, qdd, self._push),
-            )
-        except np.linalg.LinAlgError as error:
-            raise SingularPostureError(
-                "a hand has lost a direction of motion: J J^T is singular", remedy=_BENT
-            ) from error
-        return self._motors.torque(q, v, qdd, self._push)
+        hands.update(q)
+        if not impedance(
+            *(self._law, measured.T_world_object, measured.twist),
+            *(desired.T_world_object, desired.twist, desired.acceleration, squeeze),
+            *(hands.J, *hands.p, *hands.R, self._posture - q, v, self._qdd, self._push),
+        ):
+            raise SingularPostureError("a hand has lost a direction of motion: J J^T is singular", remedy=_BENT)
+        return self._motors.torque(q, v, self._qdd, self._push)

@@ -27,7 +27,6 @@ class ReferenceFilter:
         a_max = 0.8 * robot.a_max
         near = 4.0 * _BRAKE_SHARE * a_max / bandwidth_rad_s**2
         self._bounds = np.array([a_max, 0.95 * robot.v_max, near, robot.q_lower, robot.q_upper])
-        self._target = np.zeros(robot.dof)
         self.q, self.v, self.a = np.zeros((3, robot.dof))
 
     def reset(self, q: Array, v: Array | None = None, a: Array | None = None) -> None:
@@ -45,8 +44,7 @@ class ReferenceFilter:
 
         With s = min(1, d/|e|), a = w^2 e sqrt(s (2 - s)) - 2 w v.
         """
-        self._target[:] = target
-        after = np.empty((3, len(self._target)))
-        follow_target(self._target, self.q, self.v, self._bounds, self._w, self._dt, after)
+        after = np.empty((3, len(target)))
+        follow_target(target, self.q, self.v, self._bounds, self._w, self._dt, after)
         self.q, self.v, self.a = after
         return self.q, self.v, self.a

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from pinocchio import computeJointJacobians, forwardKinematics, getFrameClassicalAcceleration, getFrameJacobian
+from pinocchio import computeJointJacobians, getFrameJacobian, updateFramePlacement
 
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.description import pair_urdf
@@ -51,12 +51,12 @@ class Kinematics:
     def tcp_poses(self, q: Array) -> tuple[Array, Array]:
         """Return left and right T_world_tcp for q."""
         pin.forwardKinematics(self.model, self.data, q)
-        left, right = (pin.updateFramePlacement(self.model, self.data, i).homogeneous for i in self.tcp_ids)
+        left, right = (updateFramePlacement(self.model, self.data, i).homogeneous for i in self.tcp_ids)
         return left, right
 
     def tcp_jacobians(self, q: Array) -> tuple[Array, Array]:
         """Return Jacobians (6, n), [linear; angular], world-aligned."""
-        pin.computeJointJacobians(self.model, self.data, q)
+        computeJointJacobians(self.model, self.data, q)
         pin.updateFramePlacements(self.model, self.data)
         left, right = (getFrameJacobian(self.model, self.data, i, _WORLD_ALIGNED) for i in self.tcp_ids)
         return left, right
@@ -90,35 +90,25 @@ class Kinematics:
         return tau.T
 
 
-class HandMotion:
-    """Motion of both hands, updated in place: copy what you keep.
+class Hands:
+    """Placement of both hands, in Pinocchio's own memory: reading costs nothing, copy what you keep.
 
     Attributes:
         p: Left and right tcp positions (3,) [m].
         R: Orientations (3, 3) in the world.
-        J: (12, n), [linear; angular] left then right, world-aligned.
-        acceleration: (12,), J a + Jdot v.
+        J: (6, n), [linear; angular], of the moving bodies' points at the world's origin.
     """
 
     def __init__(self, kinematics: Kinematics) -> None:
-        self._model, self._data = kinematics.model, kinematics.data
-        self._left, self._right = kinematics.tcp_ids
-        frames = [self._data.oMf[i] for i in kinematics.tcp_ids]
-        # Views of Pinocchio's own memory, so reading them costs nothing.
-        self.p: tuple[Array, Array] = tuple(frame.translation for frame in frames)  # type: ignore[assignment]
-        self.R: tuple[Array, Array] = tuple(frame.rotation for frame in frames)  # type: ignore[assignment]
-        self.J = np.zeros((12, kinematics.robot.dof))
-        self.acceleration = np.zeros(12)
-        self._J_left, self._J_right = self.J[:6], self.J[6:]
-        self._a_left, self._a_right = self.acceleration[:6], self.acceleration[6:]
+        self._model, self._data, self._ids = kinematics.model, kinematics.data, kinematics.tcp_ids
+        left, right = (self._data.oMf[i] for i in self._ids)
+        self.p: tuple[Array, Array] = (left.translation, right.translation)
+        self.R: tuple[Array, Array] = (left.rotation, right.rotation)
+        self.J: Array = self._data.J
 
-    def update(self, q: Array, v: Array, a: Array) -> None:
+    def update(self, q: Array) -> None:
         """Update all arrays."""
-        model, data, left, right, frame = self._model, self._data, self._left, self._right, _WORLD_ALIGNED
-        forwardKinematics(model, data, q, v, a)
-        computeJointJacobians(model, data)
-        self._J_left[:] = getFrameJacobian(model, data, left, frame)  # also updates the frame's placement
-        self._J_right[:] = getFrameJacobian(model, data, right, frame)
-        # Classical: the second derivative of the point's position, not the spatial acceleration.
-        self._a_left[:] = getFrameClassicalAcceleration(model, data, left, frame).vector
-        self._a_right[:] = getFrameClassicalAcceleration(model, data, right, frame).vector
+        model, data = self._model, self._data
+        computeJointJacobians(model, data, q)
+        for frame in self._ids:
+            updateFramePlacement(model, data, frame)
