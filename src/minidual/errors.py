@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable
 from enum import IntEnum
+
+_UNSEEN = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ud800-\udfff]")
+"""Control, zero-width and direction characters but newline and tab, and half surrogates."""
 
 
 class ExitCode(IntEnum):
@@ -72,6 +76,11 @@ class NothingEvaluatedError(MinidualError):
 
 class DataError(MinidualError):
     """A file is corrupt, truncated or of another schema."""
+
+
+def printable(text: str) -> str:
+    r"""Return `text` with what a terminal would obey or hide written as \uXXXX, which JSON reads back."""
+    return _UNSEEN.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> UsageError:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from minidual.errors import ExitCode, MinidualError
+from minidual.errors import ExitCode, MinidualError, printable
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -80,12 +80,17 @@ class Session:
     @cached_property
     def people(self) -> Console:
         """Console on stderr."""
-        return _console(stderr=True)
+        return self._console(stderr=True)
 
     @cached_property
     def data(self) -> Console:
         """Console on stdout, for `status` and `explain`."""
-        return _console(stderr=False)
+        return self._console(stderr=False)
+
+    def _console(self, *, stderr: bool) -> Console:
+        from minidual.cli.console import console
+
+        return console(stderr=stderr)
 
     @cached_property
     def loaded(self) -> LoadedConfig:
@@ -170,7 +175,7 @@ class Session:
         from minidual.gate.canonical import dumps
 
         for line in [dumps(document).rstrip("\n")] if self.typed.json else lines:
-            print(line)
+            print(printable(str(line)))
 
     def end(self, body: Callable[[Session], ExitCode]) -> int:
         """Run `body`; return its exit code or that of its error."""
@@ -192,21 +197,17 @@ class Session:
             try:
                 message += f"; traceback in {self.store.write_crash('cli', error)}"
             except Exception:  # the crash may be in the very code that finds the run folder
-                traceback.print_exception(error, file=sys.stderr)
+                _print_error("".join(traceback.format_exception(error)))
             return self._fail(error, message, "please report it with the traceback", ExitCode.INTERNAL)
 
     def _fail(self, error: BaseException, message: str, remedy: str | None, code: ExitCode) -> int:
         if self.typed.debug:
-            traceback.print_exception(error, file=sys.stderr)
+            _print_error("".join(traceback.format_exception(error)))
         kind = {"kind": type(error).__name__, "message": message, "remedy": remedy}
         self.finish({"error": kind, "exit_code": int(code)}, ())
-        print(f"minidual: {message}", *([f"  remedy: {remedy}"] if remedy else []), sep="\n", file=sys.stderr)
+        _print_error(f"minidual: {message}" + (f"\n  remedy: {remedy}" if remedy else ""))
         return int(code)
 
 
-def _console(*, stderr: bool) -> Console:
-    from rich.console import Console
-
-    stream = sys.stderr if stderr else sys.stdout
-    # Off a terminal rich assumes 80 columns and would fold log lines.
-    return Console(stderr=stderr, highlight=False, width=None if stream.isatty() else 160)
+def _print_error(text: str) -> None:
+    print(printable(text), file=sys.stderr)
