@@ -38,8 +38,8 @@ class SupervisorConfig(StrictModel):
     """Longest silence of the arbiter."""
     slow_period_s: float = Field(default=0.01, ge=0.001, le=0.02)
     """Period of checks that need kinematics; see docs/supervisor.md."""
-    stop_deceleration_scale: float = Field(default=0.4, ge=0.01, le=0.8)
-    """Share of the joints' acceleration limits."""
+    stop_deceleration_scale: float = Field(default=0.9, ge=0.01, le=1.0)
+    """Largest share of the joints' acceleration limits in a stop."""
     stop_frequency_rad_s: float = Field(default=10.0, ge=0.1, le=30.0)
     """Closed-loop frequency of the damped hold after a stop."""
 

@@ -1,4 +1,8 @@
-"""Controlled stop after a reflex: brake each joint at a share of its limit, then hold, within the torque rate."""
+"""Controlled stop after a reflex: brake all joints on one profile, then hold, within the torque rate.
+
+v_ref = r v_0 with one r for both arms, so hands that hold one object keep together. A joint that would reach its
+position limit on the way brakes on its own.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +13,14 @@ from minidual.control.joint_control import ComputedTorque
 from minidual.control.soft_stop import TorqueRate
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
+
+_RAMP_S = 0.06
+"""Rise and fall time of the deceleration."""
+_LEAST_S = 0.05
+_TORQUE_SHARE = 0.9
+"""Share of the torque limits that braking may take, gravity included."""
+_SLOWER = (1.0, 0.75, 0.5)
+"""Shares of the largest deceleration, tried in turn until the torques suffice."""
 
 
 class SupervisedStop:
@@ -24,8 +36,22 @@ class SupervisedStop:
         """Start from finite posture, velocity and applied torque (n,)."""
         robot = self._robot
         self._q, self._v = q.copy(), v.copy()
-        self._q_ref, self._v_ref = q.copy(), np.clip(v, -robot.v_max, robot.v_max)
+        self._q_ref, self._v_0 = q.copy(), np.clip(v, -robot.v_max, robot.v_max)
+        self._r, self._slope = np.ones(robot.dof), np.zeros(robot.dof)
+        self._slope_max = self._largest_slope(q)
         self._rate = TorqueRate(np.clip(tau, -robot.tau_max, robot.tau_max), self._dt, robot.arm.tau_rate_max)
+
+    def _largest_slope(self, q: Array) -> Array:
+        """Return the largest decrease of r (n,) [1/s]."""
+        robot, v = self._robot, self._v_0
+        speed, own = np.abs(v), self._brake / np.maximum(np.abs(v), self._brake * _LEAST_S)
+        room = np.where(v > 0.0, robot.q_upper - q, q - robot.q_lower)
+        slope = np.where(speed * (0.5 / own.min() + _RAMP_S) > room, own, own.min())
+        for share in _SLOWER:
+            tau = self._servo.torque(q, v, q, v, -share * slope * v)
+            if (np.abs(tau) <= _TORQUE_SHARE * robot.tau_max).all():
+                break
+        return share * slope
 
     def torque(self, q: Array, v: Array) -> Array:
         """Return this tick's torque (n,) [Nm].
@@ -36,11 +62,14 @@ class SupervisedStop:
             self._q, self._v = np.array(q, dtype=float), np.array(v, dtype=float)
         else:
             self._v = np.zeros_like(self._v)
-        slower = np.sign(self._v_ref) * np.maximum(0.0, np.abs(self._v_ref) - self._dt * self._brake)
-        a_ref = (slower - self._v_ref) / self._dt
-        self._v_ref = slower
-        self._q_ref = np.clip(self._q_ref + self._dt * slower, self._robot.q_lower, self._robot.q_upper)
-        wanted = self._servo.torque(self._q, self._v, self._q_ref, slower, a_ref)
+        # Slope and r reach zero together, within the ramp time.
+        rise = self._slope + self._slope_max * self._dt / _RAMP_S
+        fall = np.sqrt(2.0 * self._r * self._slope_max / _RAMP_S)
+        self._slope = np.minimum(np.minimum(rise, fall), self._slope_max)
+        self._r = np.maximum(0.0, self._r - self._slope * self._dt)
+        v_ref, a_ref = self._r * self._v_0, -self._slope * self._v_0
+        self._q_ref = np.clip(self._q_ref + self._dt * v_ref, self._robot.q_lower, self._robot.q_upper)
+        wanted = self._servo.torque(self._q, self._v, self._q_ref, v_ref, a_ref)
         if np.isfinite(wanted).all():  # a posture far outside the joint limits overflows
             self._rate.limit(wanted)
         return self._rate.tau.copy()
