@@ -8,9 +8,8 @@ from panda import GROUPS, HOME
 from minidual.collision.errors import IKUnreachableError
 from minidual.errors import UsageError
 from minidual.motion.ik import ArmIK, check_pose
-from minidual.motion.ik_descent import frames_of_arm
-from minidual.robot.arms import ARM_MODELS
-from minidual.robot.kinematics import Kinematics
+from minidual.robot.arms import ARM_MODELS, DUAL_PANDA
+from minidual.robot.kinematics import Kinematics, hinges
 from minidual.robot.pair import Robot
 
 
@@ -204,13 +203,24 @@ def test_what_is_no_number_reaches_nothing(solver):
     assert not solver.solve(T, HOME[:7]).reached
 
 
-def test_an_arm_of_another_build_is_refused():
-    kinematics = Kinematics()
-    left, right = kinematics.tcp_ids
-    with pytest.raises(ValueError, match="a chain of hinges is needed"):
-        frames_of_arm(kinematics.model, slice(3, 10), left)
-    with pytest.raises(ValueError, match="not fixed to the last"):
-        frames_of_arm(kinematics.model, slice(0, 7), right)
+@pytest.mark.parametrize(
+    ("third", "tip", "error"),
+    [(pin.JointModelPZ(), 7, "arms need hinges"), (pin.JointModelRZ(), 6, "chains are needed"), (None, 7, "chains")],
+)
+def test_an_arm_of_another_build_is_refused(monkeypatch, third, tip, error):
+    """A sliding joint; a tcp before the last joint; a joint that hangs on the one before the last."""
+    model = pin.Model()
+    for side in DUAL_PANDA.sides:
+        chain = [0]
+        for i in range(7):
+            joint = third if i == 2 and third is not None else pin.JointModelRZ()
+            parent = chain[-2] if i == 2 and third is None else chain[-1]
+            chain.append(model.addJoint(parent, joint, pin.SE3.Identity(), f"{side}_joint{i}"))
+        frame = pin.Frame(f"{side}_panda_hand_tcp", chain[tip], 0, pin.SE3.Identity(), pin.FrameType.BODY)
+        model.addFrame(frame)
+    monkeypatch.setattr("minidual.robot.kinematics._shared_model", lambda robot: model)
+    with pytest.raises(ValueError, match=error):
+        hinges.__wrapped__(DUAL_PANDA)
 
 
 @pytest.mark.parametrize("name", ["xarm7", "ur5"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypedDict, Unpack
 
 import numpy as np
 
@@ -69,6 +70,17 @@ def more_padding(padding_m: float) -> float:
     return max(padding_m, min(1.5 * padding_m, _PADDING_MAX_M))
 
 
+class QueryOptions(TypedDict, total=False):
+    """Keyword arguments of every query."""
+
+    scene: PlanningScene | None
+    """By default the planner's."""
+    seed: int
+    """By default 0."""
+    budget_s: float | None
+    """By default the configuration's."""
+
+
 class Planner:
     """Plans for left_arm, right_arm and both_arms. One instance per process; it holds workspaces.
 
@@ -128,16 +140,7 @@ class Planner:
             raise UsageError(f"budget_s = {budget}; it must be a finite number > 0")
         return budget
 
-    def plan_to_joints(
-        self,
-        group: str,
-        q_start: Array,
-        q_goal: Array,
-        *,
-        scene: PlanningScene | None = None,
-        seed: int = 0,
-        budget_s: float | None = None,
-    ) -> PlanResult:
+    def plan_to_joints(self, group: str, q_start: Array, q_goal: Array, **options: Unpack[QueryOptions]) -> PlanResult:
         """Plan to all joints or the group's [rad]; the other arm stands still.
 
         Raises:
@@ -145,20 +148,13 @@ class Planner:
             NoPathInTimeError: Nothing proven within `budget_s`.
             UsageError: Bad group or budget, or a goal that moves the other arm.
         """
-        work = _Work(self, group, q_start, scene, seed, budget_s)
+        work = _Work(self, group, q_start, **options)
         goal = goal_joints(group, work.q_start, q_goal, self.robot)
         require_free(work.engines, goal, "goal")
         return work.run([goal])
 
     def plan_to_poses(
-        self,
-        group: str,
-        q_start: Array,
-        targets: Mapping[str, Array],
-        *,
-        scene: PlanningScene | None = None,
-        seed: int = 0,
-        budget_s: float | None = None,
+        self, group: str, q_start: Array, targets: Mapping[str, Array], **options: Unpack[QueryOptions]
     ) -> PlanResult:
         """Plan to tcp poses {arm: T_world_tcp} of exactly the group's arms.
 
@@ -166,14 +162,14 @@ class Planner:
             IKUnreachableError: A pose is out of reach.
             And what `plan_to_joints` raises.
         """
-        work = _Work(self, group, q_start, scene, seed, budget_s)
+        work = _Work(self, group, q_start, **options)
         with work.times.phase("ik"):
             goals = self.goals.candidates(
                 group,
                 work.q_start,
                 targets,
                 work.engines,
-                stream(seed, "motion/goals"),
+                stream(work.seed, "motion/goals"),
                 restarts_n=self.config.ik_restarts_n,
                 candidates_n=self.config.goal_candidates_n,
             )
@@ -186,9 +182,9 @@ class _Work:
         planner: Planner,
         group: str,
         q_start: Array,
-        scene: PlanningScene | None,
-        seed: int,
-        budget_s: float | None,
+        scene: PlanningScene | None = None,
+        seed: int = 0,
+        budget_s: float | None = None,
     ) -> None:
         if not Planner._kernels_loaded:
             planner.engines(scene)  # before the clock starts: no budget pays for loading machine code

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from time import perf_counter
+from typing import Unpack
 
 import numpy as np
 import pinocchio as pin
@@ -12,7 +13,7 @@ from minidual.collision.scene import PlanningScene
 from minidual.config.robot import SemanticsConfig
 from minidual.config.seeds import stream
 from minidual.errors import ConfigError, UsageError, unknown_name
-from minidual.motion.api import Planner
+from minidual.motion.api import Planner, QueryOptions
 from minidual.motion.goal import Goal, TipPose
 from minidual.motion.goals import check_joints, goal_joints, group_arms
 from minidual.motion.linear import LinearPlanner
@@ -156,28 +157,19 @@ class GoalPlanner:
             group, q_near, resolved, engines, rng, restarts_n=restarts_n, candidates_n=1
         )[0]
 
-    def plan(
-        self,
-        group: str,
-        q_start: Array,
-        goal: Goal,
-        *,
-        scene: PlanningScene | None = None,
-        seed: int = 0,
-        budget_s: float | None = None,
-    ) -> PlanResult:
+    def plan(self, group: str, q_start: Array, goal: Goal, **options: Unpack[QueryOptions]) -> PlanResult:
         """Plan to a goal; see `Planner.plan_to_joints`. Straight moves ignore `seed` and `budget_s`.
 
         Raises:
             LinearMoveError: A line ends before its fraction_min.
             And what `resolve` and the planner raise.
         """
+        scene = options.get("scene")
         resolved = self.resolve(group, q_start, goal, scene)
-        how = {"scene": scene, "seed": seed, "budget_s": budget_s}
         if not isinstance(resolved, dict):
-            return self.planner.plan_to_joints(group, q_start, resolved, **how)
+            return self.planner.plan_to_joints(group, q_start, resolved, **options)
         if not goal.linear:
-            return self.planner.plan_to_poses(group, q_start, resolved, **how)
+            return self.planner.plan_to_poses(group, q_start, resolved, **options)
         began, engines = perf_counter(), self.planner.engines(scene)
         move = self._linear.plan(group, q_start, resolved, engines, fraction_min=goal.fraction_min)
         took, path = perf_counter() - began, move.trajectory.q[[0, -1]]

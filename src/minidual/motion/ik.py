@@ -10,9 +10,9 @@ import numpy as np
 
 from minidual.collision.errors import IKUnreachableError
 from minidual.errors import UsageError, unknown_name
-from minidual.motion.ik_descent import descend, frames_of_arm, measure, project, tcp_pose
+from minidual.motion.ik_descent import descend, measure, project, tcp_pose
 from minidual.robot.compiled import floats
-from minidual.robot.kinematics import Kinematics
+from minidual.robot.kinematics import Kinematics, hinges
 from minidual.robot.pair import Array
 from minidual.robot.vectors import cross, inner
 
@@ -69,7 +69,10 @@ class ArmIK:
         self.arm = arm
         self.joints = robot.groups[f"{arm}_arm"]
         self._n = robot.dof_per_arm
-        self._frames = frames_of_arm(kinematics.model, self.joints, kinematics.tcp_ids[robot.sides.index(arm)])
+        placements, turns = hinges(robot)
+        tip = kinematics.model.frames[kinematics.tcp_ids[robot.sides.index(arm)]]
+        fixed = *placements[self.joints], turns[tip.parentJoint] * tip.placement
+        self._frames = np.array([T.homogeneous for T in fixed])
         self.lower, self.upper = robot.q_lower[self.joints].copy(), robot.q_upper[self.joints].copy()
         self._home = robot.home[self.joints].copy()
 

@@ -9,7 +9,6 @@ import math
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 from numba import njit
 from numba.core import types
 
@@ -23,33 +22,6 @@ _NEAR_HALF_TURN = math.pi - 1e-3
 _DAMPING_FIRST, _DAMPING_LEAST, _DAMPING_MOST = 1e-3, 1e-10, 1e4
 _DAMPING_DOWN, _DAMPING_UP = 0.2, 5.0
 _DAMPING_PROJECT = 1e-9
-
-
-def frames_of_arm(model: Any, joints: slice, tcp: int) -> Array:
-    """Return the fixed poses (n + 1, 4, 4) between hinges, which turn about z, and to the tcp.
-
-    Raises:
-        ValueError: No hinge chain.
-    """
-    data, neutral = model.createData(), pin.neutral(model)
-    frames, back = [], np.eye(4)
-    for i, column in enumerate(range(joints.start, joints.stop)):
-        joint, parent = column + 1, 0 if i == 0 else column  # joint 0 of the model is the world
-        motion = pin.computeJointJacobian(model, data, neutral, joint)[:, column]
-        hinge = model.nvs[joint] == 1 and not motion[:3].any()
-        if not hinge or model.parents[joint] != parent or model.idx_qs[joint] != column:
-            raise ValueError(
-                f"{model.names[joint]} is a {model.joints[joint].shortname()} on joint {model.parents[joint]}; "
-                "a chain of hinges is needed"
-            )
-        turned = np.eye(4)
-        if motion[5] != 1.0:
-            turned[:3, :3] = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), motion[3:]).toRotationMatrix()
-        frames.append(back @ model.jointPlacements[joint].homogeneous @ turned)
-        back = turned.T
-    if model.frames[tcp].parentJoint != joints.stop:
-        raise ValueError(f"{model.frames[tcp].name} is not fixed to the last of the joints {joints}")
-    return np.array([*frames, back @ model.frames[tcp].placement.homogeneous])
 
 
 @njit

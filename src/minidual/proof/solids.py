@@ -19,7 +19,7 @@ from minidual.collision.coal_engine import convex_solids, robot_geometry
 from minidual.collision.scene import PlanningScene
 from minidual.proof import planes
 from minidual.robot.compiled import floats
-from minidual.robot.kinematics import Kinematics
+from minidual.robot.kinematics import Kinematics, hinges
 from minidual.robot.pair import SIDES, Array, Robot
 
 _BOX_CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
@@ -41,7 +41,7 @@ class Solids:
 
     def __init__(self, scene: PlanningScene) -> None:
         self.robot, self.pairs = scene.robot, scene.checked_pairs
-        model, (joints, turns) = Kinematics(self.robot).model, _chain(self.robot)
+        model, turns = Kinematics(self.robot).model, hinges(self.robot)[1]
         parts = dict(_robot_parts(self.robot))
         for shape in scene.solid_obstacles:
             place = pin.SE3(shape.T_parent_shape)
@@ -60,7 +60,7 @@ class Solids:
             end += len(part.vertices)
         self._parts = np.array(balls, dtype=planes.PART)
         self.geometry = (
-            joints,
+            _joints(self.robot),
             np.vstack([parts[name].vertices for name in scene.names]),
             np.array(rows, dtype=planes.SOLID),
             self._parts,
@@ -119,31 +119,16 @@ class Solids:
 
 
 @functools.cache
-def _chain(robot: Robot) -> tuple[np.ndarray, tuple[pin.SE3, ...]]:
-    """Return joints, frames turned to axis z, and the maps of original frames into turned ones.
-
-    Raises:
-        ValueError: A joint is not revolute.
-    """
-    model = Kinematics(robot).model
-    turned = [pin.SE3.Identity()]
-    joints = np.zeros(robot.dof, dtype=planes.JOINT)
-    for k in range(1, robot.dof + 1):
-        data = model.joints[k].createData()
-        model.joints[k].calc(data, np.ones(model.nq))
-        axis = pin.log3(data.M.rotation)  # at one radian
-        if abs(float(np.linalg.norm(axis)) - 1.0) > 1e-9 or np.any(data.M.translation):
-            raise ValueError(f"{model.names[k]} is a {model.joints[k].shortname()}; arms need hinges")
-        to_axis = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).matrix()
-        turned.append(pin.SE3(to_axis, np.zeros(3)))
-        placement = turned[model.parents[k]].inverse() * model.jointPlacements[k] * turned[k]
-        joints[k - 1] = (model.parents[k], placement.rotation, placement.translation)
-    return joints, tuple(turn.inverse() for turn in turned)
+def _joints(robot: Robot) -> np.ndarray:
+    """Return rows of `planes.JOINT`."""
+    parents = Kinematics(robot).model.parents
+    rows = [(parents[k], T.rotation, T.translation) for k, T in enumerate(hinges(robot)[0], start=1)]
+    return np.array(rows, dtype=planes.JOINT)
 
 
 @functools.cache
 def _robot_parts(robot: Robot) -> dict[str, _Part]:
-    model, (_, turns) = Kinematics(robot).model, _chain(robot)
+    model, turns = Kinematics(robot).model, hinges(robot)[1]
     pieces: dict[str, list[Any]] = {}
     for item in robot_geometry(robot).geometryObjects:
         pieces.setdefault(model.frames[item.parentFrame].name, []).append(item)
@@ -173,7 +158,7 @@ def _part(robot: Robot, frame: int, solids: Sequence[tuple[Any, pin.SE3]]) -> _P
     vertices = np.vstack(points)
     # The mean of the vertices lies inside their hull, so it is no farther from any axis than the part reaches.
     centre = vertices.mean(axis=0)
-    joints, n, far = _chain(robot)[0], robot.dof_per_arm, radius(np.zeros(3))
+    joints, n, far = _joints(robot), robot.dof_per_arm, radius(np.zeros(3))
     reach = np.zeros(n)  # largest distances [m] from the arm's joints; 0 if not moved
     for k in range(frame, 0 if frame <= n else n, -1):
         reach[(k - 1) % n] = far

@@ -36,6 +36,30 @@ def _shared_model(robot: Robot) -> Any:
     return model
 
 
+@functools.cache
+def hinges(robot: Robot) -> tuple[tuple[pin.SE3, ...], tuple[pin.SE3, ...]]:
+    """Return placements (n,) of joint frames whose z is the hinge, and maps (n + 1,) of the model's frames into these.
+
+    Raises:
+        ValueError: The arms are no chains of hinges that end at their tcps.
+    """
+    model, n = _shared_model(robot), robot.dof_per_arm
+    ends = [model.frames[model.getFrameId(name)].parentJoint for name in robot.tcp_names]
+    if [*model.parents][1:] != [0, *range(1, n), 0, *range(n + 1, 2 * n)] or ends != [n, 2 * n]:
+        raise ValueError(f"{robot.arm.name}: joints on {[*model.parents][1:]}, tcps on {ends}; chains are needed")
+    turned, placements = [pin.SE3.Identity()], []
+    for k in range(1, robot.dof + 1):
+        data = model.joints[k].createData()
+        model.joints[k].calc(data, np.ones(model.nq))
+        axis = pin.log3(data.M.rotation)  # at one radian
+        if abs(float(np.linalg.norm(axis)) - 1.0) > 1e-9 or np.any(data.M.translation):
+            raise ValueError(f"{model.names[k]} is a {model.joints[k].shortname()}; arms need hinges")
+        to_axis = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).matrix()
+        turned.append(pin.SE3(to_axis, np.zeros(3)))
+        placements.append(turned[model.parents[k]].inverse() * model.jointPlacements[k] * turned[k])
+    return tuple(placements), tuple(turn.inverse() for turn in turned)
+
+
 class Kinematics:
     """Of all arm joints, fingers locked open.
 

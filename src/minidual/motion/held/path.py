@@ -148,14 +148,12 @@ class HeldCurve:
     ) -> CarriedTrajectory:
         """Return the fastest trajectory within the limits, unproven, or raise TimingError."""
         motion, s = time_path(self, "both_arms", limits, kinematics, along)
+        off_m, off_rad = self.residual
         return CarriedTrajectory(
-            motion.times,
-            motion.q,
-            motion.v,
-            motion.a,
-            motion.group,
-            self.path.poses(s),
-            *self.residual,
+            **vars(motion),
+            Ts_world_object=self.path.poses(s),
+            residual_m=off_m,
+            residual_rad=off_rad,
             found_by=found_by,
         )
 
