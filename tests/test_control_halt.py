@@ -20,6 +20,7 @@ from minidual.control.soft_stop import SwitchedOff
 from minidual.control.stack import OBJECT_CONTROLLERS, ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
+from minidual.plant.world import World
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.pair import Array
 
@@ -243,9 +244,55 @@ def test_the_supervisor_cannot_tell_a_dead_arm_anything(plant: ArmsPlant) -> Non
 
 def test_what_is_off_falls_at_the_rate_of_the_drives() -> None:
     off = SwitchedOff((1,), np.full(14, 2.5), 1e-3, DUAL_PANDA)
-    seen = []
-    for _ in range(4):
-        off.step()
-        seen.append(off.apply(np.full(14, 9.0)))
-    assert np.all(np.array(seen)[:, :7] == 9.0)
-    assert np.allclose(np.array(seen)[:, 7:], np.array([[1.5], [0.5], [0.0], [0.0]]))
+    seen = np.array([off.limit(np.full(14, 4.0)) for _ in range(4)])
+    assert np.allclose(seen[:, :7], np.array([[3.5], [4.0], [4.0], [4.0]]))
+    assert np.allclose(seen[:, 7:], np.array([[1.5], [0.5], [0.0], [0.0]]))
+
+
+@pytest.mark.parametrize("supervised", [True, False])
+def test_arms_that_take_turns_at_being_off_make_no_step_of_torque(plant: ArmsPlant, supervised: bool) -> None:
+    """A second call gave the first arm its whole torque back in one tick: 17 Nm here, 82 Nm at worst."""
+    stack = under_way(plant, supervisor=Supervisor(dt_s=1e-3) if supervised else None)
+    stack.halt("moveit")
+    began = len(plant.torques) - 1
+    for arms in ((0,), (1,), (), (0, 1)):
+        stack.switch_off(arms)
+        for _ in range(15):
+            stack.step()
+    assert np.abs(np.diff(plant.torques[began:], axis=0)).max() <= 1.0 + 1e-9
+
+
+# Recovery ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("after_s", [0.1, 0.4])
+def test_arms_recover_at_rest_where_they_are_and_without_a_step_of_torque(world: World, after_s: float) -> None:
+    """They went back 0.24 rad at 1.2 rad/s with no source, and the torque stepped by 9.4 Nm."""
+    supervisor = Supervisor(dt_s=world.dt)
+    stack = stack_on(world, supervisor=supervisor)
+    hand_over(stack, "moveit")
+    stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.6, 1.0)))
+    for _ in range(500):
+        stack.step()
+    supervisor.estop("pressed")
+    with pytest.raises(ReflexError, match="emergency_stop"):
+        stack.step()
+    fast = float(np.abs(world.v).max())
+    assert fast > 1.0
+    with pytest.raises(UsageError, match=f"may not recover while they move \\({fast:.3f} rad/s; at rest is below"):
+        stack.recover()
+    with pytest.raises(UsageError, match="may not drive: the supervisor stopped the arms"):
+        stack.request("moveit")
+    while np.abs(world.v).max() > 0.015:
+        stack.step()
+    for _ in range(round(after_s / world.dt)):
+        stack.step()
+    rest, told = world.q, [stack.applied]
+    stack.recover()
+    for _ in range(500):
+        stack.step()
+        told.append(stack.applied)
+    assert np.abs(world.q - rest).max() < 2e-3
+    assert np.abs(np.diff(told, axis=0)).max() <= 1.0 + 1e-9
+    assert (stack.state, stack.source, stack.reflex) == (ArbiterState.HOLDING, None, None)
+    hand_over(stack, "teleop")

@@ -24,29 +24,34 @@ class TorqueRate:
         self.tau = tau.copy()
         self._step = rate_nm_per_s * dt_s
 
-    def limit(self, tau: Array) -> Array:
+    def nearest(self, tau: Array) -> Array:
         """Return the reachable torques (n,) nearest to tau."""
         change = tau - self.tau
         np.minimum(change, self._step, change)
         np.maximum(change, -self._step, change)
-        self.tau = self.tau + change
+        return self.tau + change
+
+    def limit(self, tau: Array) -> Array:
+        """Go to the reachable torques (n,) nearest to tau; return them."""
+        self.tau = self.nearest(tau)
         return self.tau
 
 
-class SwitchedOff:
-    """Ramps the torque of some arms to zero at the drives' rate."""
+class SwitchedOff(TorqueRate):
+    """Ramps the torque of some arms to zero, and back if they return, at the drives' rate.
+
+    Attributes:
+        arms: Switched off at present.
+    """
 
     def __init__(self, arms: Sequence[int], tau: Array, dt_s: float, robot: Robot) -> None:
-        self._joints = np.repeat([arm in arms for arm in (0, 1)], robot.dof_per_arm)
-        self._rate, self._zero = TorqueRate(tau, dt_s, robot.arm.tau_rate_max), np.zeros_like(tau)
+        super().__init__(tau, dt_s, robot.arm.tau_rate_max)
+        self.arms, self._dof_per_arm = tuple(arms), robot.dof_per_arm
 
-    def step(self) -> None:
-        """Advance one control step."""
-        self._rate.limit(self._zero)
-
-    def apply(self, tau: Array) -> Array:
-        """Return tau with these arms' torques replaced."""
-        return np.where(self._joints, self._rate.tau, tau)
+    def nearest(self, tau: Array) -> Array:
+        """Return the reachable torques (n,) nearest to tau, or to zero."""
+        off = np.repeat([arm in self.arms for arm in (0, 1)], self._dof_per_arm)
+        return super().nearest(np.where(off, 0.0, tau))
 
 
 class SoftStop:

@@ -93,30 +93,38 @@ class ControlStack[P: Plant]:
         Flush listeners stay.
         """
         plant = self.plant
-        self.arbiter = CommandArbiter(
-            self._robot, self._config, control_dt_s=plant.dt, admit=lambda command: self.manager.refuses(command)
-        )
-        self.arbiter.on_flush = self._flush_listeners
-        self.arbiter.on_confirm = self._confirmed
+        q = plant.q
+        self._stand(np.ones(2))
         self.manager = ControllerManager(self._controllers, plant.dt, self._robot)
         self.impedance.forget()
         self.grippers.reset()
-        q = plant.q
         self.manager.switch(DEFAULT_CONTROLLERS, q, np.zeros_like(q))
-        self._wanted: dict[str, tuple[str, ...]] = {}
-        self._countdown = 0
-        self._due, self._pending = True, False
-        self.output = ArbiterOutput(q, np.ones(2), ArbiterState.HOLDING, None, None, ())
-        """The arbiter's last output."""
         self.refusals: list[Refusal] = []
         """All since the reset."""
-        self.reflex: MinidualError | None = None
-        """Error of the latched reflex, or None."""
         self.applied = np.zeros_like(q)
         """Last torques (n,) [Nm], after the supervisor."""
         self._off: SwitchedOff | None = None
         if self.supervisor is not None:
             self.supervisor.reset()
+
+    def _stand(self, gripper: Array) -> None:
+        """Begin anew at the measured posture with openings (2,), without commands, requests and reflex."""
+        self.arbiter = CommandArbiter(
+            self._robot,
+            self._config,
+            gripper=gripper,
+            control_dt_s=self.plant.dt,
+            admit=lambda command: self.manager.refuses(command),
+        )
+        self.arbiter.on_flush = self._flush_listeners
+        self.arbiter.on_confirm = self._confirmed
+        self._wanted: dict[str, tuple[str, ...]] = {}
+        self._countdown = 0
+        self._due, self._pending = True, False
+        self.output = ArbiterOutput(self.plant.q, gripper, ArbiterState.HOLDING, None, None, ())
+        """The arbiter's last output."""
+        self.reflex: MinidualError | None = None
+        """Error of the latched reflex, or None."""
 
     # Commands --------------------------------------------------------------------------------------------
 
@@ -185,19 +193,32 @@ class ControlStack[P: Plant]:
 
     def switch_off(self, arms: Sequence[int]) -> None:
         """Ramp these arms' torque to zero until reset; replaces an earlier call. Dead drives may return."""
-        self._off = SwitchedOff(arms, self.applied, self.plant.dt, self._robot)
+        if self._off is None:
+            self._off = SwitchedOff(arms, self.applied, self.plant.dt, self._robot)
+        self._off.arms = tuple(arms)
 
     def on_flush(self, listener: Callable[[str], None]) -> None:
         """Call `listener(mode)` at every switch or halt; sources must drop queued chunks."""
         self._flush_listeners.append(listener)
 
     def recover(self) -> None:
-        """Resume after a reflex at the measured posture; no source drives."""
+        """Resume after a reflex at the measured posture, from the torques applied last; no source drives.
+
+        Raises:
+            UsageError: The arms move, or are not measured.
+        """
+        q, v, still = self.plant.q, self.plant.v, self._config.still_speed_rad_s
+        speed = float(np.max(np.abs(v)))
+        if not (speed < still and np.isfinite(q).all()):
+            raise UsageError(
+                f"the arms may not recover while they move ({speed:.3f} rad/s; at rest is below {still} rad/s)",
+                remedy="go on with step() until they rest, then recover()",
+            )
+        self._stand(self.output.gripper)
         for name in self.manager.active:
-            self.manager[name].activate(self.plant.q, self.plant.v)
+            self.manager[name].activate(q, v)
         if self.supervisor is not None:
-            self.supervisor.reset()
-        self.reflex = None
+            self.supervisor.reset(self.applied)
         self.request(HOLD)
 
     # State -----------------------------------------------------------------------------------------------
@@ -265,11 +286,9 @@ class ControlStack[P: Plant]:
             if execution.finished:
                 self._due = True
         q, v = plant.q, plant.v
-        if self._off is not None:
-            self._off.step()
         tau, stopped = self._torque(q, v)
         if self._off is not None:
-            tau = self._off.apply(tau)
+            tau = self._off.limit(tau)
         self.applied = tau
         plant.command(tau, self.grippers.step(output.gripper))
         plant.step()
@@ -284,7 +303,7 @@ class ControlStack[P: Plant]:
             self._check_plant()
             tau = self.manager.update(q, v)
             if self._off is not None:  # guard only torques that reach motors
-                tau = self._off.apply(tau)
+                tau = self._off.nearest(tau)
         except MinidualError as error:
             failed = error
         if self.supervisor is None:

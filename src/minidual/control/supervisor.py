@@ -74,8 +74,8 @@ class Supervisor:
 
     # Interface -----------------------------------------------------------------------------------------------
 
-    def reset(self) -> None:
-        """Clear the latched reflex, last torque and clock.
+    def reset(self, tau: Array | None = None) -> None:
+        """Clear the latched reflex and the clock; the next torques follow tau (n,) [Nm], by default gravity's.
 
         An emergency stop that was not the latched reflex stays pending.
         """
@@ -86,7 +86,7 @@ class Supervisor:
         self._time_s = -math.inf
         self._tick = 0
         self._next_slow = 0
-        self._applied: Array | None = None
+        self._applied = None if tau is None else tau.copy()
         self._a_before: Array | None = None
         self._rows[:] = 0.0
         self._looked_tick = -2
