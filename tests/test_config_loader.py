@@ -112,7 +112,7 @@ def test_circle_of_profiles_is_refused(profile):
         ("plan: &a\n  b: *a\n", "mine.yaml:2: aliases are not read here"),
         ("seed: 1\nplan: " + "[" * 2000 + "]" * 2000, "mine.yaml:2: nested more than 32 levels deep"),
         ("seed: 1\nplan: [" + "1," * 21_000 + "]", "mine.yaml:2: more than 20000 values"),
-        ("report:\n  title: " + "x" * 300_000, "holds 300017 bytes; at most 262144 are read"),
+        ("report:\n  title: " + "x" * 300_000, "holds 300,017 bytes; at most 262,144 are read"),
         ("seed: 1__0\n", "mine.yaml:1: seed: must be a valid integer, is the text '1__0'"),
         ("seed: 1_\n", "mine.yaml:1: seed: must be a valid integer, is the text '1_'"),
         ("seed: 1" + "0" * 5000, "mine.yaml:1: seed: 1000"),
@@ -171,7 +171,7 @@ def test_missing_and_unreadable_files(tmp_path, profile):
     assert "no profile file" in refusal(str(tmp_path / "zero.yaml"))
     with (tmp_path / "large.yaml").open("wb") as file:
         file.truncate(3 * 1024**3)
-    assert "large.yaml holds 3221225472 bytes; at most 262144 are read" in refusal(str(tmp_path / "large.yaml"))
+    assert "large.yaml holds 3,221,225,472 bytes; at most 262,144 are read" in refusal(str(tmp_path / "large.yaml"))
 
 
 def test_overrides_apply_in_order_and_are_remembered():

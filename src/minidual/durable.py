@@ -24,6 +24,14 @@ from minidual.errors import DataError, EnvironmentMissingError, MinidualError, N
 JSON_BYTES_MAX = 2**24
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _FORBIDDEN = (errno.EROFS, errno.EACCES, errno.EPERM)
+_KINDS = {
+    stat.S_IFDIR: "folder",
+    stat.S_IFREG: "file",
+    stat.S_IFIFO: "FIFO",
+    stat.S_IFSOCK: "socket",
+    stat.S_IFCHR: "device",
+    stat.S_IFBLK: "device",
+}
 _PARTIAL = re.compile(r"^\..+\.(?P<pid>\d+)\.partial$")
 
 
@@ -47,21 +55,6 @@ def write_text(path: Path, text: str) -> None:
     """Write `text` (UTF-8) atomically."""
     with replacing(path) as partial:
         partial.write_text(text, encoding="utf-8")
-
-
-def read_text(path: Path, most_bytes: int) -> str:
-    """Return the text (UTF-8) of a regular file; a pipe or device would never end.
-
-    Raises:
-        OSError: It cannot be read, is no regular file, or holds more than `most_bytes`.
-    """
-    if not stat.S_ISREG(path.stat().st_mode):
-        raise OSError(f"{path} is not a regular file")
-    with path.open("rb") as file:
-        content = file.read(most_bytes + 1)
-    if len(content) > most_bytes:
-        raise OSError(f"{path} holds {path.stat().st_size} bytes; at most {most_bytes} are read")
-    return content.decode("utf-8")
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, object]], *, missing: str = "") -> Path:
@@ -184,16 +177,35 @@ def disk_errors(folder: Path) -> Generator[None]:
         raise found from error
 
 
-def regular_file(path: Path, bytes_max: int) -> Path:
-    """Return `path`; DataError unless it is a regular file of at most `bytes_max`: no folder, pipe or device."""
+def kind_of(path: Path) -> str:
+    """Return "file", "folder", "FIFO", "socket", "device" or "broken link" behind links; "" if nothing is there.
+
+    Raises:
+        DataError: No permission, a loop of links, or a name that is too long.
+    """
     try:
-        found = path.stat()
+        return _KINDS[stat.S_IFMT(path.stat().st_mode)]
+    except (FileNotFoundError, NotADirectoryError):
+        return "broken link" if path.is_symlink() else ""
     except OSError as error:
         raise DataError(f"{path} cannot be read: {error.strerror}") from error
-    if not stat.S_ISREG(found.st_mode):
-        raise DataError(f"{path} is no regular file")
-    if found.st_size > bytes_max:
-        raise DataError(f"{path} holds {found.st_size:,} bytes; at most {bytes_max:,} are read")
+
+
+def require(path: Path, kind: str) -> None:
+    """Raise DataError unless nothing or a readable `kind` ("file", "folder") is at `path`."""
+    found = kind_of(path)
+    if found not in ("", kind):
+        raise DataError(f"{path} is a {found}; minidual keeps a {kind} there", remedy="move it away or delete it")
+    if found and not os.access(path, os.R_OK | (os.X_OK if kind == "folder" else 0)):
+        raise DataError(f"no permission to read {path}", remedy="change its permissions")
+
+
+def regular_file(path: Path, bytes_max: int) -> Path:
+    """Return `path`; DataError unless it is a regular file of at most `bytes_max`: no folder, pipe or device."""
+    if (kind := kind_of(path)) != "file":
+        raise DataError(f"{path} {f'is a {kind}, not a file' if kind else 'does not exist'}")
+    if (size := path.stat().st_size) > bytes_max:
+        raise DataError(f"{path} holds {size:,} bytes; at most {bytes_max:,} are read")
     return path
 
 

@@ -15,8 +15,8 @@ from typing import Any, cast
 import yaml
 from yaml.composer import ComposerError
 
-from minidual.durable import read_text
-from minidual.errors import ConfigError
+from minidual.durable import regular_file
+from minidual.errors import ConfigError, DataError
 
 _INT = re.compile(r"[-+]?(0|[1-9](_?[0-9])*)")
 _NUMBER = re.compile(r"[-+]?((0|[1-9](_?[0-9])*)(\.([0-9](_?[0-9])*)?)?|\.[0-9]+)([eE][-+]?[0-9]+)?")
@@ -66,8 +66,8 @@ class Document:
 def read_document(path: Path) -> Document:
     """Read a YAML file; ConfigError names file and line."""
     try:
-        text = read_text(path, _BYTES_MAX)
-    except (OSError, UnicodeDecodeError) as error:
+        text = regular_file(path, _BYTES_MAX).read_text(encoding="utf-8")
+    except (DataError, OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"cannot read {path}: {error}") from error
     return parse_document(text, path.name)
 

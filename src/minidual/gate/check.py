@@ -27,6 +27,8 @@ def _plain_number(value: Any, what: str) -> Number:
         value = value.item()
     if not isinstance(value, bool | int | float):
         raise TypeError(f"{what} must be a number or a bool, not {type(value).__name__} ({value!r})")
+    if isinstance(value, int) and value.bit_length() > 1000:
+        raise ValueError(f"{what} has {value.bit_length()} bits, more than a float holds")
     return value
 
 

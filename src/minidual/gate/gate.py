@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from minidual.errors import DataError, GateClosedError
+from minidual.errors import DataError, GateClosedError, UsageError
 from minidual.gate.canonical import canonical
 from minidual.gate.code import Code
 from minidual.gate.fingerprint import Fingerprint, circumstances_now
-from minidual.gate.manifest import CONFIG_FILE, manifest_changes
+from minidual.gate.manifest import CONFIG_FILE, manifest_changes, strays
 from minidual.gate.store import RunStore
 from minidual.gate.table import CommandText, StageTable, overrides
 from minidual.gate.verdict import Verdict
@@ -181,8 +181,15 @@ class Gate:
         if found is None:
             return self._judge_unfinished(name)
         verdict, sha256 = found
-        now = self.fingerprint(name, verdict)
+        try:
+            now = self.fingerprint(name, verdict)
+        except UsageError as error:
+            reason = f"it was made with an option that is not valid now: {error.message}"
+            return StageState(name, "stale", (reason,), (), verdict, sha256, folder)
         reasons = manifest_changes(folder, verdict.artefacts)
+        extra = strays(folder, verdict.artefacts)
+        # Later stages read whole subfolders (episodes, data sets, checkpoints).
+        reasons += [f"{path} is not one of its artefacts; move it away" for path in extra if "/" in path]
         reasons += verdict.fingerprint.differences(now)
         if verdict.acceptance_profile != self.loaded.config.acceptance:
             reasons.append(f"acceptance of the profile was {verdict.acceptance_profile}, is not now")
@@ -193,7 +200,10 @@ class Gate:
         state: State = "stale" if reasons else verdict.status
         if state == "error":
             reasons = ["nothing was evaluated: no check with a limit"]
-        warnings = list(verdict.fingerprint.circumstances(now))
+        warnings = [
+            *verdict.fingerprint.circumstances(now),
+            *(f"{path} is not one of its artefacts" for path in extra if "/" not in path),
+        ]
         attempt = self.store.attempt(name)
         if attempt is not None:
             warnings.append(f"a later attempt ended as {attempt.state} ({attempt.message or 'under way'})")

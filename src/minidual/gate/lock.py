@@ -14,7 +14,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TextIO
 
-from minidual.errors import UsageError
+from minidual.durable import read_json, require
+from minidual.errors import DataError, UsageError
 from minidual.gate.clock import now_text
 
 LOCK_FILE = ".lock"
@@ -27,7 +28,7 @@ def run_lock(folder: Path, command: str) -> Generator[None]:
         folder.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError) as error:
         raise UsageError(f"runs cannot be kept in {folder}: {error}", remedy="give another --runs-dir") from error
-    with (folder / LOCK_FILE).open("a+", encoding="utf-8") as stream:
+    with _lock_file(folder).open("a+", encoding="utf-8") as stream:
         if not _acquired(stream):
             raise UsageError(
                 f"run '{folder.name}' is being written by {lock_holder(folder) or 'another process'}",
@@ -54,15 +55,24 @@ def _acquired(stream: TextIO) -> bool:
 
 def lock_holder(folder: Path) -> str | None:
     """Return the holder, "process 12 (minidual carry, since ...)", or None."""
+    path = _lock_file(folder)
     try:
-        with (folder / LOCK_FILE).open(encoding="utf-8") as stream:
+        with path.open(encoding="utf-8") as stream:
             fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return None
     except BlockingIOError:
         try:
-            record = json.loads((folder / LOCK_FILE).read_text(encoding="utf-8"))
+            record = read_json(path, 10_000)
             return f"process {record['pid']} ({record['command']}, since {record['since']})"
-        except (OSError, ValueError, KeyError, TypeError):
+        except (DataError, KeyError, TypeError):
             return "another process"
+    except OSError as error:
+        raise DataError(f"{path} cannot be read: {error.strerror}", remedy="change its permissions") from error
     return None
+
+
+def _lock_file(folder: Path) -> Path:
+    """Return the path of the lock; DataError if something else than a file is there."""
+    require(folder / LOCK_FILE, "file")
+    return folder / LOCK_FILE

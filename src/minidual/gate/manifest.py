@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from minidual.durable import kind_of
+from minidual.errors import DataError
 from minidual.gate.canonical import file_sha256
 
 VERDICT_FILE = "verdict.json"
@@ -36,10 +39,22 @@ def manifest_changes(folder: Path, manifest: Mapping[str, Artefact]) -> list[str
     reasons: list[str] = []
     for name, artefact in manifest.items():
         path = folder / name
-        if not path.is_file():
-            reasons.append(f"artefact {name} is gone")
-        elif path.stat().st_size != artefact.size_bytes:
-            reasons.append(f"artefact {name} changed (was {artefact.size_bytes} bytes, is {path.stat().st_size})")
-        elif file_sha256(path) != artefact.sha256:
-            reasons.append(f"artefact {name} changed (same size, other content)")
+        try:
+            if (kind := kind_of(path)) != "file":
+                reasons.append(f"artefact {name} is {f'now a {kind}' if kind else 'gone'}")
+            elif path.stat().st_size != artefact.size_bytes:
+                reasons.append(f"artefact {name} changed (was {artefact.size_bytes} bytes, is {path.stat().st_size})")
+            elif file_sha256(path) != artefact.sha256:
+                reasons.append(f"artefact {name} changed (same size, other content)")
+        except (DataError, OSError, ValueError) as error:  # ValueError: no name of a file
+            reasons.append(f"artefact {name} cannot be read: {error}")
     return reasons
+
+
+def strays(folder: Path, manifest: Mapping[str, Artefact]) -> list[str]:
+    """Return the relative paths of other files and links; a link to a folder counts as one."""
+    known = {*manifest, VERDICT_FILE}
+    found = {
+        path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_symlink() or not path.is_dir()
+    }
+    return [os.fsencode(name).decode(errors="replace") for name in sorted(found - known)]

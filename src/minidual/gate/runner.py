@@ -13,7 +13,7 @@ from minidual.gate.canonical import canonical
 from minidual.gate.check import Check
 from minidual.gate.clock import now_text
 from minidual.gate.gate import Gate, StageState
-from minidual.gate.manifest import build_manifest
+from minidual.gate.manifest import build_manifest, strays
 from minidual.gate.progress import Progress
 from minidual.gate.stage import StageContext
 from minidual.gate.store import RunStore
@@ -78,7 +78,7 @@ class Runner:
             UsageError: Another process writes in this run.
             StageCrashedError: Unforeseen exception.
         """
-        with disk_errors(self.store.folder), self.store.writing(self.command(name)):
+        with disk_errors(self.store.folder), self.store.writing(self.command(name), [name]):
             gate = self._gate({name: dict(options or {})})
             self._validate(gate, name)
             return self._run_locked(gate, name, force, waiver)
@@ -92,7 +92,7 @@ class Runner:
         """
         names = self.table.until(last)
         command = "run" if last is None else f"run --until {last}"
-        with disk_errors(self.store.folder), self.store.writing(self.command(command)):
+        with disk_errors(self.store.folder), self.store.writing(self.command(command), names):
             for name in names:
                 self._validate(self._gate(), name)
             for name in names:
@@ -183,7 +183,10 @@ class Runner:
                     data=canonical(result.data, f"{name}.data"),
                     notes=tuple(result.notes),
                 )
-                kept = self.store.publish(name, verdict, keep_old=bool(entry.keeps))
+                previous = gate.state(name)
+                made = previous.verdict.artefacts if previous.verdict else {}
+                keep_old = bool(entry.keeps or strays(self.store.stage_folder(name), made))
+                kept = self.store.publish(name, verdict, keep_old=keep_old)
                 if kept is not None:
                     self.progress.note(f"the earlier {name} is kept in {kept}")
         except KeyboardInterrupt:

@@ -1,16 +1,16 @@
 """Run folders on disk.
 
 runs/<run>/config.yaml      configuration of the latest stage run
-runs/<run>/<stage>/         finished stage: artefacts, config.yaml, verdict.json
+runs/<run>/<stage>/         finished stage: artefacts, config.yaml, verdict.json; may be a link to a folder elsewhere
 runs/<run>/.<stage>.tmp/    unfinished stage
-runs/<run>/.<stage>.old/    previous result during replacement
+runs/<run>/.<stage>.old/    previous result during replacement; both beside the target of a link
 runs/<run>/set-aside/       replaced recordings and tool outputs
 runs/<run>/crash-*.txt      tracebacks
 """
 
 from __future__ import annotations
 
-import json
+import contextlib
 import os
 import re
 import shutil
@@ -22,12 +22,15 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Literal
 
-from minidual.durable import remove, replacing, set_aside, sync, write_text
+from pydantic import TypeAdapter
+
+from minidual.durable import read_json, remove, replacing, require, set_aside, sync, write_text
 from minidual.errors import DataError, UsageError
 from minidual.gate.canonical import dumps
 from minidual.gate.clock import now_text
 from minidual.gate.lock import lock_holder, run_lock
 from minidual.gate.manifest import ATTEMPT_FILE, CONFIG_FILE, VERDICT_FILE
+from minidual.gate.place import Place
 from minidual.gate.verdict import Verdict, read_verdict
 
 _RUN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
@@ -64,67 +67,76 @@ class RunStore:
             raise UsageError(f"'{run}' cannot be a run's name: letters, digits, '.', '_' and '-', up to 100")
         self.run = run
         self.folder = root / run
+        for path in (root, self.folder):
+            require(path, "folder")
 
-    def _temporary(self, stage: str) -> Path:
-        return self.folder / f".{stage}.tmp"
-
-    def _old(self, stage: str) -> Path:
-        return self.folder / f".{stage}.old"
+    def _place(self, stage: str) -> Place:
+        return Place(self.folder / stage)
 
     def stage_folder(self, stage: str) -> Path:
         """Return the folder of a finished stage; it need not exist."""
-        folder = self.folder / stage
-        if not (folder / VERDICT_FILE).is_file() and (self._old(stage) / VERDICT_FILE).is_file():
-            return self._old(stage)
-        return folder
+        place = self._place(stage)
+        for folder in (place.name, place.old):
+            if os.path.lexists(folder / VERDICT_FILE):
+                return folder
+        return place.name
 
     def verdict_path(self, stage: str) -> Path:
         """Return the path of a verdict; it need not exist."""
         return self.stage_folder(stage) / VERDICT_FILE
 
     def verdict(self, stage: str) -> tuple[Verdict, str] | None:
-        """Return (verdict, sha256 of its file), or None; DataError if corrupt."""
+        """Return (verdict, sha256 of its file), or None; DataError if corrupt, or if its folder is none."""
+        self._place(stage).check(replacing=False)
         path = self.verdict_path(stage)
-        try:
-            found = read_verdict(path)
-        except (FileNotFoundError, NotADirectoryError):
+        if not os.path.lexists(path):
             return None
+        found = read_verdict(path)
         if found[0].stage != stage:
             raise DataError(f"{path} is corrupt: it is the verdict of stage {found[0].stage}, not of {stage}")
         return found
 
     def attempt(self, stage: str) -> Attempt | None:
         """Return the unfinished attempt at `stage`, or None."""
-        folder = self._temporary(stage)
+        folder = self._place(stage).temporary
         if not folder.is_dir():
             return None
         try:
-            attempt = Attempt(**json.loads((folder / ATTEMPT_FILE).read_bytes()))
-        except (OSError, ValueError, TypeError):
+            attempt = TypeAdapter(Attempt).validate_python(read_json(folder / ATTEMPT_FILE, 1_000_000))
+        except (ValueError, DataError):
             return Attempt(stage, "interrupted", 0, "", "killed as it began")
         if attempt.state == "running" and lock_holder(self.folder) is None:
             return Attempt(stage, "interrupted", attempt.pid, attempt.started_at, "the process was killed")
         return attempt
 
     @contextmanager
-    def writing(self, command: str) -> Generator[None]:
-        """Hold the run's lock and repair interrupted replacements; UsageError if another process holds it."""
+    def writing(self, command: str, stages: Sequence[str]) -> Generator[None]:
+        """Hold the run's lock and repair interrupted replacements of `stages`.
+
+        Raises:
+            UsageError: Another process holds the lock.
+            DataError: Something else than a folder is in the place of a stage.
+        """
         with run_lock(self.folder, command):
-            for old in self.folder.glob(".*.old"):
-                self._mend(old.name[1 : -len(".old")])
+            require(self.folder / CONFIG_FILE, "file")
+            for stage in stages:
+                place = self._place(stage)
+                place.check()
+                if place.old.is_dir():
+                    self._mend(place)
             yield
 
-    def _mend(self, stage: str) -> None:
-        old, folder = self._old(stage), self.folder / stage
+    def _mend(self, place: Place) -> None:
+        old, folder = place.old, place.folder
         if (folder / VERDICT_FILE).is_file() or not (old / VERDICT_FILE).is_file():
-            set_aside(old, stage)
+            set_aside(old, place.name.name)
             return
         remove(folder)
         old.rename(folder)
 
     def begin(self, stage: str, config_text: str, keeps: Sequence[str] = ()) -> Path:
         """Clear the temporary folder except `keeps`, mark it as running and return it."""
-        folder = self._temporary(stage)
+        folder = self._place(stage).temporary
         folder.mkdir(parents=True, exist_ok=True)
         for left in folder.iterdir():
             if left.name not in keeps:
@@ -135,7 +147,7 @@ class RunStore:
         return folder
 
     def _mark(self, attempt: Attempt) -> None:
-        write_text(self._temporary(attempt.stage) / ATTEMPT_FILE, dumps(asdict(attempt)))
+        write_text(self._place(attempt.stage).temporary / ATTEMPT_FILE, dumps(asdict(attempt)))
 
     def abandon(self, stage: str, state: Literal["interrupted", "error"], message: str) -> None:
         """Mark the attempt as ended without verdict; its files stay until the next one."""
@@ -147,7 +159,8 @@ class RunStore:
 
     def publish(self, stage: str, verdict: Verdict, *, keep_old: bool = False) -> Path | None:
         """Write the verdict and replace the previous folder; return where that is kept, or None."""
-        temporary, folder, old = self._temporary(stage), self.folder / stage, self._old(stage)
+        place = self._place(stage)
+        temporary, folder, old = place.temporary, place.folder, place.old
         (temporary / ATTEMPT_FILE).unlink(missing_ok=True)
         write_text(temporary / VERDICT_FILE, verdict.text())
         if folder.exists():
@@ -155,16 +168,16 @@ class RunStore:
                 set_aside(old, stage)
             folder.rename(old)
         temporary.rename(folder)
-        sync(self.folder)
-        if keep_old and old.exists():
-            return set_aside(old, stage)
-        remove(old)
-        return None
+        sync(folder.parent)
+        if old.exists() and not keep_old:
+            with contextlib.suppress(OSError):  # no permission inside it
+                remove(old)
+        return set_aside(old, stage) if old.exists() else None
 
     def link(self, stage: str, other: RunStore) -> None:
         """Hard-link a finished stage of another run, unless this one has it."""
         folder = self.folder / stage
-        with self.writing(f"run {self.run}"):
+        with self.writing(f"run {self.run}", [stage]):
             if not folder.exists():
                 with replacing(folder) as partial:
                     shutil.copytree(other.stage_folder(stage), partial, copy_function=_link)

@@ -55,7 +55,7 @@ def overrides(options: Sequence[Option], values: Mapping[str, Any]) -> list[Over
         value = typed = values.get(option.name)
         if option.path is not None and typed is not None:
             if option.kind is tuple:
-                value = [word.strip() for word in typed.split(",") if word.strip()]
+                value = [word.strip() for word in str(typed).split(",") if word.strip()]
             found.append(Override(option.path, value, f"--{option.name} {typed}"))
     return found
 

@@ -5,14 +5,14 @@ A tool is a function from `ToolContext` to `ToolResult` and a row in `minidual/s
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from minidual.durable import set_aside
+from minidual.durable import remove, set_aside
 from minidual.errors import ExitCode
+from minidual.gate.place import Place
 from minidual.gate.progress import Progress
 
 if TYPE_CHECKING:
@@ -47,21 +47,26 @@ class ToolContext:
     @property
     def output(self) -> Path:
         """Temporary folder for output, created on first access; `publish` moves it to `folder`."""
-        temporary = self.run_folder / f".{self._name}.tmp"
+        temporary = self._place.temporary
         temporary.mkdir(parents=True, exist_ok=True)
         return temporary
 
+    @property
+    def _place(self) -> Place:
+        return Place(self.folder)
+
     def begin(self) -> None:
-        """Remove output of an interrupted run."""
-        shutil.rmtree(self.run_folder / f".{self._name}.tmp", ignore_errors=True)
+        """Remove output of an interrupted run; DataError if something else than a folder is in its place."""
+        self._place.check()
+        remove(self._place.temporary)
 
     def publish(self) -> None:
         """Move output to its final folder; an earlier one is set aside."""
-        temporary = self.run_folder / f".{self._name}.tmp"
-        if temporary.is_dir():
-            if self.folder.exists():
-                self.progress.note(f"the earlier output is in {set_aside(self.folder, self._name)}")
-            temporary.rename(self.folder)
+        place = self._place
+        if place.temporary.is_dir():
+            if place.folder.exists():
+                self.progress.note(f"the earlier output is in {set_aside(place.folder, self._name)}")
+            place.temporary.rename(place.folder)
 
 
 @dataclass(frozen=True)

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal, cast
 
 from pydantic import TypeAdapter
+from pydantic_core import from_json
 
+from minidual.durable import regular_file
 from minidual.errors import DataError
 from minidual.gate.canonical import canonical, digest, dumps
 from minidual.gate.check import Check
@@ -19,6 +21,7 @@ from minidual.gate.manifest import Artefact
 
 Status = Literal["pass", "fail", "error"]
 SCHEMA = 2
+_BYTES_MAX = 100_000_000
 
 
 @dataclass(frozen=True)
@@ -106,6 +109,11 @@ class Verdict:
         return dumps(self.to_json())
 
 
+@cache
+def _adapter() -> TypeAdapter[Verdict]:
+    return TypeAdapter(Verdict)
+
+
 def verdict_from_json(record: dict[str, Any]) -> Verdict:
     """Return the verdict; DataError if malformed, edited or inconsistent."""
     if record.get("schema") != SCHEMA:
@@ -113,7 +121,7 @@ def verdict_from_json(record: dict[str, Any]) -> Verdict:
     if record.get("digest") != digest({key: record[key] for key in record if key != "digest"}):
         raise DataError("its content does not match its digest: it was edited after it was written")
     try:
-        verdict = TypeAdapter(Verdict).validate_python(record)
+        verdict = _adapter().validate_python(record)
     except (ValueError, TypeError) as error:
         raise DataError(f"malformed verdict ({type(error).__name__}: {error})") from error
     for key, says, derived in changes(_by_name(record), _by_name(verdict.to_json())):
@@ -126,12 +134,12 @@ def _by_name(record: dict[str, Any]) -> dict[str, Any]:
 
 
 def read_verdict(path: Path) -> tuple[Verdict, str]:
-    """Return (verdict, sha256 of its file); DataError if corrupt."""
-    content = path.read_bytes()
+    """Return (verdict, sha256 of its file); DataError if absent or corrupt."""
     try:
-        record = json.loads(content)
+        content = regular_file(path, _BYTES_MAX).read_bytes()
+        record: Any = from_json(content)  # unlike json: refuses deep nesting and characters that cannot be printed
         if not isinstance(record, dict):
             raise DataError("not a JSON object")
         return verdict_from_json(cast(dict[str, Any], record)), hashlib.sha256(content).hexdigest()
-    except (DataError, ValueError, RecursionError) as error:
+    except (DataError, OSError, ValueError) as error:
         raise DataError(f"{path} is corrupt: {getattr(error, 'message', error)}") from error

@@ -84,7 +84,7 @@ def print_bill(context: ToolContext) -> ToolResult:
         verdict, _ = read_verdict(context.run_folder / "env-check" / "verdict.json")
         status = f"env-check: **{verdict.status}** on {verdict.finished_at}, profile {verdict.profile}"
         lines += ["", status, *(f"- {check.sentence()}" for check in verdict.failed_checks())]
-    except (FileNotFoundError, DataError):
+    except DataError:
         lines += ["", "env-check has not run here."]
     data = {"about": about, "libraries": [asdict(library) for library in libraries]}
     return ToolResult(lines=lines, data={**data, "env_check": verdict.status if verdict else None})

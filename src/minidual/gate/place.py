@@ -1,0 +1,58 @@
+"""Where the result of a stage or tool lies while it is made, finished and replaced."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from minidual.durable import require
+from minidual.errors import DataError
+
+ASIDE = "set-aside"
+
+
+@dataclass(frozen=True)
+class Place:
+    """The place of one result.
+
+    Attributes:
+        name: `runs/<run>/<stage>`. If it is a link to a folder elsewhere, the result lies and is replaced there: renames
+            work only inside one file system.
+    """
+
+    name: Path
+
+    @cached_property
+    def folder(self) -> Path:
+        """Folder of the finished result; need not exist."""
+        return Path(os.path.realpath(self.name)) if self.name.is_symlink() else self.name
+
+    @property
+    def temporary(self) -> Path:
+        """Folder of the unfinished result."""
+        return self.folder.with_name(f".{self.folder.name}.tmp")
+
+    @property
+    def old(self) -> Path:
+        """Folder of the previous result during replacement."""
+        return self.folder.with_name(f".{self.folder.name}.old")
+
+    def check(self, *, replacing: bool = True) -> None:
+        """Raise DataError if links, files, mount points or permissions are in the way of reading, or `replacing`, it."""
+        aside = (self.folder.with_name(ASIDE),) if replacing else ()
+        for path in (self.folder, self.temporary, self.old, *aside):
+            require(self.name if path == self.folder and self.name.exists() else path, "folder")
+            if path.is_symlink():
+                raise DataError(f"{path} is a link; minidual keeps a folder there", remedy="remove the link")
+            if replacing and path.exists() and not os.access(path, os.W_OK):
+                raise DataError(f"no permission to write in {path}", remedy="change its permissions")
+        if self.folder != self.name and not self.folder.parent.is_dir():
+            remedy = f"make that folder (mount its disk), or remove the link {self.name}"
+            raise DataError(
+                f"{self.name} is a link to {self.folder}, but {self.folder.parent} is no folder", remedy=remedy
+            )
+        if replacing and self.folder.is_mount():
+            remedy = "mount that disk elsewhere and make a link to a folder on it"
+            raise DataError(f"{self.folder} is a mount point, which cannot be replaced", remedy=remedy)
