@@ -15,8 +15,9 @@ TEST_WORKERS ?= 2
 
 BIN := .venv/bin
 READY := .venv/.ready
+CAMPAIGN := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 HF_HUB_OFFLINE=1 MUJOCO_GL=egl $(BIN)/python -m scripts.campaign
 
-.PHONY: help all bench test test-slow lint format typecheck wheel setup egl clean
+.PHONY: help all bench campaign campaign-small test test-slow lint format typecheck wheel setup egl clean
 
 help: ## show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 20
@@ -34,6 +35,13 @@ test-slow: $(READY) egl ## run the tests marked slow
 
 bench: $(READY) ## time control steps, planning, a new scene and a cold start
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m scripts.bench $(ARGS)
+
+campaign: $(READY) egl ## kill, tamper, break and interrupt: 15 minutes; docs/reliability.md
+	@$(BIN)/minidual run --profile smoke
+	@$(CAMPAIGN) --log runs/campaign.jsonl $(ARGS)
+
+campaign-small: $(READY) egl ## the part of the campaign for every build, on a finished smoke run
+	@$(CAMPAIGN) --small $(ARGS)
 
 lint: $(READY) ## ruff, its formatter, and the direction of imports
 	@$(BIN)/ruff check .

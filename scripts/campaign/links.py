@@ -1,0 +1,125 @@
+"""Links, files and pipes where folders are expected: named before work starts, never after, and never for ever."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+
+from minidual.durable import remove
+from minidual.errors import ExitCode
+from scripts.campaign.case import Case, Place, Ran, Result, command, judge
+
+Strange = Callable[[Path], object]
+
+
+def _file(path: Path) -> None:
+    path.write_text("in the way\n")
+
+
+def _folder_link(path: Path) -> None:
+    target = path.parent / "elsewhere"
+    target.mkdir()
+    (target / "mine.txt").write_text("mine\n")
+    path.symlink_to(target)
+
+
+STRANGE: dict[str, Strange] = {
+    "file": _file,
+    "folder": Path.mkdir,
+    "link to a folder": _folder_link,
+    "link to a file": lambda path: path.symlink_to("/etc/hostname"),
+    "link to nothing": lambda path: path.symlink_to("nowhere"),
+    "link to itself": lambda path: path.symlink_to(path.name),
+    "link to its parent": lambda path: path.symlink_to(path.parent),
+    "FIFO": os.mkfifo,
+    "device": lambda path: path.symlink_to("/dev/zero"),
+}
+PLACES = {
+    "stage": "third",
+    "temporary": ".third.tmp",
+    "old": ".third.old",
+    "old of another": ".second.old",
+    "lock": ".lock",
+    "configuration": "config.yaml",
+    "set-aside": "set-aside",
+    "attempt": ".third.tmp/attempt.json",
+    "upstream": "second",
+    "upstream temporary": ".second.tmp",
+    "own configuration": "third/config.yaml",
+    "own verdict": "third/verdict.json",
+    "upstream verdict": "second/verdict.json",
+    "stray": "notes",
+}
+
+
+def warm(place: Place) -> None:
+    """Load the toys and a report."""
+    import pipeline_toys  # noqa: F401
+
+    command(place, "report", "--force", *place.options())
+
+
+def link_cases(source: Path) -> Iterator[Case]:
+    """Each strange thing in each place of a run."""
+    for where in PLACES:
+        for what in STRANGE:
+            yield Case(f"{what} as {where}", partial(_strange, where, what), limit_s=20.0)
+    for name in ("run", "runs", "stage", "upstream"):
+        yield Case(f"{name} linked from elsewhere", partial(_elsewhere, name), limit_s=20.0)
+
+
+def _toys(place: Place) -> tuple[Path, Callable[..., Ran]]:
+    """Return the folder of a finished run of three toy stages, and what runs a command on it."""
+    from pipeline_toys import Bench
+
+    bench = Bench(place.folder / "runs")
+    bench.run_all()
+    selecting = ("--run", "toys", "--runs-dir", str(bench.root))
+    return bench.store.folder, lambda *words: command(place, *words, *selecting, table=bench.table)
+
+
+def _strange(where: str, what: str, place: Place, result: Result) -> None:
+    run, toys = _toys(place)
+    path = run / PLACES[where]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    remove(path)
+    STRANGE[what](path)
+    for words in (("status",), ("explain", "third")):
+        judge(result, words[0], toys(*words), [ExitCode.PASS, ExitCode.USAGE])
+    codes = []
+    for time_ in ("first", "second"):
+        ran = toys("third", "--force")
+        allowed = [ExitCode.PASS, ExitCode.USAGE, ExitCode.ENVIRONMENT]
+        allowed += [ExitCode.GATE_CLOSED] if "upstream" in where else []
+        judge(result, f"{time_} time", ran, allowed)
+        codes.append(ran.code)
+        if where in ("upstream", "upstream verdict") and ran.code == ExitCode.PASS:
+            result.forbidden.append("a silent pass: the gate is open without the upstream stage")
+    if codes[0] == ExitCode.PASS and codes[1] != ExitCode.PASS:
+        result.forbidden.append(f"it passes the first time, the second ends with {codes[1]}")
+    if what == "link to a folder" and not (path.parent / "elsewhere" / "mine.txt").is_file():
+        result.forbidden.append("a file behind a link was deleted")
+    result.saw("refused" if codes[1] else "passes")
+    judge(result, "status", toys("status"), [ExitCode.PASS, ExitCode.USAGE])
+
+
+def _elsewhere(name: str, place: Place, result: Result) -> None:
+    """Results on another disk: what is linked works as if it lay here, and the link stays."""
+    run, toys = _toys(place)
+    path = {"run": run, "runs": run.parent, "stage": run / "third", "upstream": run / "second"}[name]
+    target = place.folder / "other disk" / path.name
+    target.parent.mkdir()
+    path.rename(target)
+    path.symlink_to(target)
+    for _ in range(2):
+        judge(result, "third", toys("third", "--force"), [ExitCode.PASS])
+    ran = toys("status", "--json")
+    if judge(result, "status", ran, [ExitCode.PASS]):
+        states = {row["name"]: row["state"] for row in ran.document()["stages"]}
+        if set(states.values()) != {"pass"}:
+            result.forbidden.append(f"not all pass: {states}")
+    if not path.is_symlink():
+        result.forbidden.append("the link was replaced by a folder")
+    result.saw("works")
