@@ -296,3 +296,24 @@ def test_finished_episodes_of_a_folder_come_in_order(tmp_path: Path) -> None:
 def test_the_same_episode_gives_the_same_bytes(tmp_path: Path) -> None:
     first, second = (data_samples.write(tmp_path / name, data_samples.arrays()) for name in ("a.hdf5", "b.hdf5"))
     assert first.read_bytes() == second.read_bytes()
+
+
+def test_a_disk_that_fills_while_recording_is_named_and_ends_no_process(tmp_path: Path) -> None:
+    """HDF5 crashed the process (SIGSEGV, exit 139) at its end; the file limit stands for a full disk."""
+    script = f"""
+import resource, sys
+sys.path.insert(0, {str(Path(__file__).parent)!r})
+import data_samples
+from pathlib import Path
+from minidual.errors import EnvironmentMissingError
+resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, resource.RLIM_INFINITY))
+try:
+    data_samples.write(Path({str(tmp_path)!r}) / "e.hdf5", data_samples.arrays(20))
+except EnvironmentMissingError as error:
+    print(error)
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert "no space left on the disk" in done.stdout
+    assert "File too large" in done.stdout
+    assert list(tmp_path.iterdir()) == []

@@ -10,11 +10,12 @@ import data_samples
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from PIL.Image import Image
 
 from minidual.demos import lerobot_adapter as adapter
 from minidual.demos.episode import read_episode
 from minidual.demos.lerobot_reader import LeRobotTables, read_dataset
-from minidual.errors import DataError, UsageError
+from minidual.errors import DataError, EnvironmentMissingError, UsageError
 from minidual.robot.arms import DUAL_PANDA
 
 HIGH = "observation.images.cam_high"
@@ -229,3 +230,17 @@ def test_the_same_recordings_give_the_same_bytes(made: tuple, tmp_path: Path) ->
     names = sorted(path.relative_to(root) for path in root.rglob("*") if path.is_file())
     assert names == sorted(path.relative_to(again) for path in again.rglob("*") if path.is_file())
     assert [name for name in names if (root / name).read_bytes() != (again / name).read_bytes()] == []
+
+
+def test_a_picture_that_lerobot_cannot_write_ends_the_conversion_with_one_message(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def full(self: Image, *_args: object, **_options: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    source = data_samples.write(tmp_path / "e.hdf5", data_samples.arrays(6))
+    monkeypatch.setattr(Image, "save", full)
+    with pytest.raises(EnvironmentMissingError, match="no space left on the disk of .*out"):
+        adapter.convert([source], tmp_path / "out", DUAL_PANDA)
+    assert caplog.records == []
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["e.hdf5"]

@@ -6,6 +6,7 @@ Videos are 4:4:4 at crf 12: the usual 4:2:0 at crf 30 loses the colour of a rod 
 from __future__ import annotations
 
 import json
+import logging
 import os
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -18,6 +19,7 @@ import av.logging
 import datasets
 import numpy as np
 from lerobot.configs.video import RGBEncoderConfig
+from lerobot.datasets import image_writer
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from numpy.typing import NDArray
 
@@ -104,6 +106,10 @@ def _write_dataset(
         if datasets.is_progress_bar_enabled():
             datasets.disable_progress_bars()
             stack.callback(datasets.enable_progress_bars)
+        # LeRobot reports a picture that it cannot write, and goes on without it.
+        image_log = logging.getLogger(image_writer.__name__)
+        image_log.addFilter(_raise_report)
+        stack.callback(image_log.removeFilter, _raise_report)
         dataset = LeRobotDataset.create(
             repo_id=f"local/{name}",
             fps=_common_rate(paths),
@@ -135,6 +141,10 @@ def _write_dataset(
         durable.remove(left)
     text = json.dumps({"episodes": records}, indent=1, sort_keys=True)
     (root / SOURCES_FILE).write_text(text + "\n", encoding="utf-8")
+
+
+def _raise_report(record: logging.LogRecord) -> bool:
+    raise OSError(record.getMessage())
 
 
 def _vectors(episode: Episode) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

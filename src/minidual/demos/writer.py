@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Iterator, Mapping
+import io
+from collections.abc import Buffer, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -20,6 +21,29 @@ from minidual import durable
 from minidual.demos import checks, schema
 from minidual.demos.schema import EpisodeMeta
 from minidual.errors import DataError, UsageError
+
+
+class _Disk(io.FileIO):
+    """A file that keeps the first error of a write in `error`: HDF5 crashes the process after a failed one."""
+
+    error: OSError | None = None
+
+    def write(self, data: Buffer, /) -> int:
+        left = memoryview(data).cast("B")
+        written = len(left)
+        try:
+            while left and self.error is None:
+                left = left[super().write(left) or 0 :]
+        except OSError as error:
+            self.error = error
+        return written
+
+    def truncate(self, size: int | None = None, /) -> int:
+        try:
+            return super().truncate(size)
+        except OSError as error:
+            self.error = self.error or error
+            return size or 0
 
 
 class EpisodeWriter:
@@ -41,7 +65,8 @@ class EpisodeWriter:
         self._rows: dict[str, list[NDArray[np.float64]]] = {field.name: [] for field in schema.FIELDS}
         self._images: dict[str, h5py.Dataset] = {}
         self._closed = False
-        self._file = h5py.File(self._partial, "w")
+        self._disk = _Disk(self._partial, "w+")
+        self._file = h5py.File(self._disk, "w")
 
     def __enter__(self) -> Self:
         return self
@@ -120,6 +145,7 @@ class EpisodeWriter:
                         self._file.create_dataset(field.key, data=np.stack(rows), dtype="float64", fletcher32=True)
                 self._file.attrs.update(self.meta.to_attrs(len(self)))
                 self._file.close()
+                self._disk.close()
         except BaseException:
             self.abort()
             raise
@@ -142,9 +168,9 @@ class EpisodeWriter:
     def abort(self) -> None:
         """Discard what is not published."""
         self._closed = True
-        # Closing fails on a full disk too; the file is removed next anyway.
         with contextlib.suppress(OSError, RuntimeError):
             self._file.close()
+        self._disk.close()
         durable.remove(self._partial)
 
     def _check_images(self, images: Mapping[str, NDArray[np.uint8]], tick: int) -> None:
@@ -164,6 +190,8 @@ class EpisodeWriter:
     def _writing(self) -> Iterator[None]:
         try:
             yield
+            if self._disk.error:
+                raise self._disk.error
         except (OSError, RuntimeError) as error:
             self.abort()
             remedy = "check the disk or choose another folder; nothing half-written was left"
