@@ -240,7 +240,7 @@ def test_a_picture_that_lerobot_cannot_write_ends_the_conversion_with_one_messag
 
     source = data_samples.write(tmp_path / "e.hdf5", data_samples.arrays(6))
     monkeypatch.setattr(Image, "save", full)
-    with pytest.raises(EnvironmentMissingError, match="no space left on the disk of .*out"):
+    with pytest.raises(EnvironmentMissingError, match=r"no space left on the disk of .*out"):
         adapter.convert([source], tmp_path / "out", DUAL_PANDA)
     assert caplog.records == []
     assert sorted(path.name for path in tmp_path.iterdir()) == ["e.hdf5"]
