@@ -89,7 +89,7 @@ def test_option_before_the_command_is_told_its_place(capsys):
 def test_file_in_place_of_the_runs_folder_exits_2(tmp_path, capsys):
     (tmp_path / "runs").write_text("")
     assert run_command_line(["first", "--runs-dir", str(tmp_path / "runs")], Bench(tmp_path).table) == 2
-    assert f"runs cannot be kept in {tmp_path / 'runs' / 'standard'}" in capsys.readouterr().err
+    assert f"{tmp_path / 'runs'} is a file; minidual keeps a folder there" in capsys.readouterr().err
 
 
 def test_closed_gate_exits_3_with_the_command_in_full(cli):

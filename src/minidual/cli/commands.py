@@ -10,6 +10,8 @@ from minidual.cli.viewing import live_view
 from minidual.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from minidual.gate.gate import StageState
     from minidual.gate.runner import Outcome
     from minidual.gate.table import StageEntry, ToolEntry
@@ -109,10 +111,14 @@ def run_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
 
     run
     run --until carry --profile smoke
+    run --sign ~/.ssh/id_ed25519
     """
     from minidual.cli.tables import print_outcome, print_status
+    from minidual.gate.signature import sign, signature
 
-    until, force = values["until"], values["force"]
+    until, force, key = values["until"], values["force"], values["sign"]
+    if key is not None:
+        signature(key, b"")  # a key that cannot sign is told before the work
     names = session.table.until(until)
     if not values["yes"]:
         session.spare_finished(names, {}, force)
@@ -127,6 +133,10 @@ def run_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
     code = next((o.exit_code for o in outcomes if o.exit_code != ExitCode.PASS), ExitCode.PASS)
     gate, store = session.gate(), session.store
     print_status(session.people, gate, f"run {store.run}", session.following(gate))
+    if key is not None:
+        session.say(
+            f"signed: {sign(gate, names, key)}" if code == ExitCode.PASS else "not signed: a stage does not pass"
+        )
     session.finish(
         {"run": store.run, "exit_code": int(code), "stages": [_outcome_json(o) for o in outcomes]},
         [store.verdict_path(outcome.state.name) for outcome in outcomes],
@@ -139,15 +149,18 @@ def status_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
 
     status
     status --profile smoke --json
+    status --verify ~/.ssh/id_ed25519.pub
     """
-    return _show_status(session, explained=False)
+    return _show_status(session, explained=False, key=values["verify"])
 
 
-def _show_status(session: Session, *, explained: bool) -> ExitCode:
+def _show_status(session: Session, *, explained: bool, key: Path | None = None) -> ExitCode:
     from minidual.cli.tables import print_lowest, print_status
     from minidual.gate.lock import lock_holder
+    from minidual.gate.signature import unverified
 
     gate, store = session.gate(), session.store
+    changed = None if key is None else unverified(gate, key)
     following, writer, lowest = session.following(gate, explained=explained), lock_holder(store.folder), gate.lowest()
     if not session.typed.json:
         title = f"run {store.run} (profile {session.loaded.profile}, {store.folder})"
@@ -156,6 +169,8 @@ def _show_status(session: Session, *, explained: bool) -> ExitCode:
             print_lowest(session.data, lowest, following)
         if writer is not None:
             session.say(f"being written by {writer}")
+    for line in ["the verdicts and artefacts are as signed"] if changed == [] else changed or ():
+        session.say(f"signature: {line}", "bold red" if changed else "green")
     document = {
         "run": store.run,
         "folder": store.folder,
@@ -165,9 +180,10 @@ def _show_status(session: Session, *, explained: bool) -> ExitCode:
         "lowest": lowest and lowest.name,
         "because": lowest.because() if lowest else (),
         "next": following,
+        "signature": {"key": key, "changed": changed} if key else None,
     }
     session.finish(document, ())
-    return ExitCode.PASS
+    return ExitCode.ACCEPTANCE_FAILED if changed else ExitCode.PASS
 
 
 def _state_json(state: StageState) -> dict[str, Any]:

@@ -1,0 +1,108 @@
+"""Signature over the verdicts of a run, made and verified by OpenSSH (`ssh-keygen -Y`).
+
+runs/<run>/signed.json      {stage: sha256 of its verdict.json}
+runs/<run>/signed.json.sig  signature over the bytes of signed.json, written last
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from pydantic import TypeAdapter
+
+from minidual.durable import regular_file, write_text
+from minidual.errors import DataError, EnvironmentMissingError, UsageError
+from minidual.gate.canonical import dumps
+from minidual.gate.gate import Gate
+from minidual.gate.manifest import manifest_changes
+
+SIGNED_FILE = "signed.json"
+_KEY_BYTES = 100_000
+_PUBLIC = re.compile(r"[a-z][\w@.-]+ AAAA[A-Za-z0-9+/]+=*")
+_NAMESPACE = ("-n", "minidual")
+
+
+def _keygen(*words: str | Path, content: bytes) -> subprocess.CompletedProcess[bytes]:
+    program = shutil.which("ssh-keygen")
+    if program is None:
+        raise EnvironmentMissingError(
+            "signatures need the program ssh-keygen", remedy="install OpenSSH's client (Debian: openssh-client)"
+        )
+    # In a session of its own it has no terminal on which it could ask for a passphrase and wait.
+    command = [program, "-Y", *map(str, words), *_NAMESPACE]
+    try:
+        return subprocess.run(
+            command, input=content, capture_output=True, check=False, timeout=60, start_new_session=True
+        )
+    except subprocess.TimeoutExpired as error:
+        raise UsageError("ssh-keygen gave no answer within 60 s") from error
+
+
+def signature(key: Path, content: bytes) -> str:
+    """Return the signature over `content` by a private key, or by the agent's key if `key` is a public one.
+
+    Raises:
+        UsageError: The key cannot be used.
+        EnvironmentMissingError: There is no ssh-keygen.
+    """
+    done = _keygen("sign", "-f", regular_file(key, _KEY_BYTES), content=content)
+    if done.returncode:
+        said = " ".join(done.stderr.decode(errors="replace").split())
+        raise UsageError(
+            f"cannot sign with {key}: {said}",
+            remedy="make a key with `ssh-keygen -t ed25519 -N '' -f FILE`; add one with a passphrase to ssh-agent and "
+            "give its .pub file",
+        )
+    return done.stdout.decode()
+
+
+def sign(gate: Gate, stages: Sequence[str], key: Path) -> Path:
+    """Sign the verdicts of `stages`; return the path of the signature."""
+    states = [gate.state(name) for name in stages]
+    text = dumps({state.name: state.verdict_sha256 for state in states if state.verdict_sha256})
+    path = gate.store.folder / SIGNED_FILE
+    made = signature(key, text.encode())
+    write_text(path, text)
+    write_text(path.with_name(f"{SIGNED_FILE}.sig"), made)
+    return path.with_name(f"{SIGNED_FILE}.sig")
+
+
+def unverified(gate: Gate, key: Path) -> list[str]:
+    """Return what differs from what the owner of the public key `key` has signed, or why that is not known.
+
+    Raises:
+        DataError: `key` is no public key of OpenSSH.
+    """
+    public = _PUBLIC.match(regular_file(key, _KEY_BYTES).read_text(encoding="utf-8", errors="replace"))
+    if public is None:
+        raise DataError(f"{key} is no public key of OpenSSH", remedy="give the .pub file of the key that signed")
+    path = gate.store.folder / SIGNED_FILE
+    sealed = path.with_name(f"{SIGNED_FILE}.sig")
+    try:
+        content = regular_file(path, 1_000_000).read_bytes()
+        regular_file(sealed, _KEY_BYTES)
+        with tempfile.NamedTemporaryFile("w", suffix=".allowed") as allowed:
+            allowed.write(f"minidual {public[0]}\n")
+            allowed.flush()
+            if _keygen("verify", "-f", allowed.name, "-I", "minidual", "-s", sealed, content=content).returncode:
+                intact = not _keygen("check-novalidate", "-s", sealed, content=content).returncode
+                return [f"{path} was {'signed by another key' if intact else 'changed after it was signed'}"]
+        signed = TypeAdapter(dict[str, str]).validate_json(content)
+    except (DataError, OSError, ValueError) as error:
+        return [f"no signature: {error}"]
+    found = [f"{name}: no such stage" for name in signed if name not in gate.table.names]
+    for state in map(gate.state, gate.table.names):
+        then, now = signed.get(state.name), state.verdict_sha256
+        if then != now:
+            what = (
+                "was not signed" if then is None else "was changed after it was signed" if now else "is gone or corrupt"
+            )
+            found.append(f"{state.name}: its verdict {what}")
+        elif state.folder and state.verdict:
+            found += [f"{state.name}: {reason}" for reason in manifest_changes(state.folder, state.verdict.artefacts)]
+    return found
