@@ -17,6 +17,7 @@ from minidual.robot.pair import Array
 OPEN_M = np.full(2, 0.04)
 Reference = Callable[[float], tuple[Array, Array, Array]]
 Torque = Callable[[float, Array], Array]
+Senses = Callable[[float, Array, Array], tuple[Array, Array]]
 
 
 class GuardedArms:
@@ -41,10 +42,15 @@ class GuardedArms:
         torque: Torque = lambda _t, tau: tau,
         before: Callable[[float], None] = lambda _t: None,
         tell_reference: bool = False,
+        senses: Senses = lambda _t, q, v: (q, v),
     ) -> ReflexError | None:
-        """Follow `reference` (home by default), changed by `torque`, until a reflex or the end; return the reflex."""
+        """Follow `reference` (home by default), changed by `torque`, until a reflex or the end; return the reflex.
+
+        `senses` changes the measurements (q, v).
+        """
         for _ in range(round(seconds / self.world.dt)):
-            t, q, v = self.world.time, self.world.q, self.world.v
+            t = self.world.time
+            q, v = senses(t, self.world.q, self.world.v)
             before(t)
             q_ref, v_ref, a_ref = hold(HOME)(t) if reference is None else reference(t)
             tau = torque(t, self.controller.torque(q, v, q_ref, v_ref, a_ref))
@@ -57,12 +63,18 @@ class GuardedArms:
                 break
         return self.error
 
-    def go_on(self, seconds: float, tau: Array | None = None, q: Array | None = None) -> None:
-        """Keep calling the supervisor after a reflex, with a mad request and, if given, a mad measurement."""
+    def go_on(
+        self, seconds: float, tau: Array | None = None, senses: Senses = lambda _t, q, v: (q, v)
+    ) -> tuple[Array, Array]:
+        """Keep calling the supervisor after a reflex, with a mad request; return each arm's peak speed and way (2,)."""
         mad = np.full(DOF, np.nan) if tau is None else tau
+        began, speeds, ways = self.world.q, [], []
         for _ in range(round(seconds / self.world.dt)):
-            seen = self.world.q if q is None else q
-            self._apply(self.supervisor.guard(self.world.time, seen, self.world.v, mad))
+            t = self.world.time
+            self._apply(self.supervisor.guard(t, *senses(t, self.world.q, self.world.v), mad))
+            speeds.append(np.abs(self.world.v).reshape(2, -1).max(axis=1))
+            ways.append(np.abs(self.world.q - began).reshape(2, -1).max(axis=1))
+        return np.max(speeds, axis=0), np.max(ways, axis=0)
 
     def _apply(self, tau: Array) -> None:
         self.applied.append(np.array(tau))
@@ -73,6 +85,18 @@ class GuardedArms:
 def hold(q: Array) -> Reference:
     """Stand still at q."""
     return lambda _t: (q, np.zeros(DOF), np.zeros(DOF))
+
+
+def swing(t: float) -> tuple[Array, Array, Array]:
+    """Swing all joints, at 0.9 rad/s at t = 0, for 0.2 s."""
+    w, ones = 3.0, np.ones(DOF)
+    return HOME - 0.3 * (1.0 + np.sin(w * t)) * ones, -0.9 * np.cos(w * t) * ones, 2.7 * np.sin(w * t) * ones
+
+
+def begin_swing(world: World) -> None:
+    """Put the arms into the swing."""
+    world.reset(swing(0.0)[0])
+    world.data.qvel[world.joints.qvel] = swing(0.0)[1]
 
 
 def accelerate(joint: int, acceleration: float, *, until_s: float = 10.0, q0: Array = HOME) -> Reference:

@@ -682,7 +682,9 @@ class _Guard:
 
     def heard(self, time_s: float) -> None: ...
 
-    def guard(self, time_s: float, q: Array, v: Array, tau: Array, a_ref: Array | None = None) -> Array:
+    def guard(
+        self, time_s: float, q: Array, v: Array, tau: Array, a_ref: Array | None = None, stamp_s: float | None = None
+    ) -> Array:
         self.seen.append((time_s, q, v, tau))
         if self.trip:
             self.trip = False

@@ -81,6 +81,21 @@ REFLEXES: dict[str, ReflexKind] = {
         "look at the sensors and at the controller's inputs: the first that is not finite is the cause",
         "",
     ),
+    "implausible_measurement": ReflexKind(
+        "position and velocity of a joint contradict one another, or do not answer its torque",
+        "look at the encoders of the named joint; supervisor.position_mismatch_rad and frozen_s are the bounds",
+        "",
+    ),
+    "stale_measurement": ReflexKind(
+        "nothing new is measured",
+        "see that the plant delivers its state; supervisor.measurement_age_max_s is how old it may be",
+        "s",
+    ),
+    "clock": ReflexKind(
+        "the control time does not grow",
+        "see to the plant's clock; call reset() of the supervisor whenever the world is reset",
+        "",
+    ),
     "controller_failed": ReflexKind(
         "a controller gives no torque",
         "remove what it names, or recover with controllers that need less, such as both_arms",

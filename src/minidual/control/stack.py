@@ -310,8 +310,9 @@ class ControlStack[P: Plant]:
             return (tau, None) if failed is None else (self._fall_back(failed, q, v), failed)
         try:
             if failed is not None:
-                return self.supervisor.fail(self.plant.time, q, v, failed.message), None
-            return self.supervisor.guard(self.plant.time, q, v, tau, self.manager.acceleration), None
+                return self.supervisor.fail(self.plant.time, q, v, failed.message, self.plant.stamp_s), None
+            acceleration = self.manager.acceleration
+            return self.supervisor.guard(self.plant.time, q, v, tau, acceleration, self.plant.stamp_s), None
         except MinidualError as error:
             if failed is not None:
                 error.__cause__ = failed

@@ -35,7 +35,6 @@ class SupervisedStop:
     def begin(self, q: Array, v: Array, tau: Array) -> None:
         """Start from finite posture, velocity and applied torque (n,)."""
         robot = self._robot
-        self._q, self._v = q.copy(), v.copy()
         self._q_ref, self._v_0 = q.copy(), np.clip(v, -robot.v_max, robot.v_max)
         self._r, self._slope = np.ones(robot.dof), np.zeros(robot.dof)
         self._slope_max = self._largest_slope(q)
@@ -53,15 +52,13 @@ class SupervisedStop:
                 break
         return share * slope
 
-    def torque(self, q: Array, v: Array) -> Array:
-        """Return this tick's torque (n,) [Nm].
+    @property
+    def tau(self) -> Array:
+        """Last torque (n,) [Nm]."""
+        return self._rate.tau
 
-        The last finite posture, at rest, replaces non-finite measurements, so gravity stays compensated.
-        """
-        if np.isfinite(q).all() and np.isfinite(v).all():
-            self._q, self._v = np.array(q, dtype=float), np.array(v, dtype=float)
-        else:
-            self._v = np.zeros_like(self._v)
+    def torque(self, q: Array, v: Array) -> Array:
+        """Return this tick's torque (n,) [Nm] at usable q, v (see `JointSense`)."""
         # Slope and r reach zero together, within the ramp time.
         rise = self._slope + self._slope_max * self._dt / _RAMP_S
         fall = np.sqrt(2.0 * self._r * self._slope_max / _RAMP_S)
@@ -69,7 +66,7 @@ class SupervisedStop:
         self._r = np.maximum(0.0, self._r - self._slope * self._dt)
         v_ref, a_ref = self._r * self._v_0, -self._slope * self._v_0
         self._q_ref = np.clip(self._q_ref + self._dt * v_ref, self._robot.q_lower, self._robot.q_upper)
-        wanted = self._servo.torque(self._q, self._v, self._q_ref, v_ref, a_ref)
+        wanted = self._servo.torque(q, v, self._q_ref, v_ref, a_ref)
         if np.isfinite(wanted).all():  # a posture far outside the joint limits overflows
             self._rate.limit(wanted)
         return self._rate.tau.copy()

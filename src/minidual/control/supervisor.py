@@ -15,9 +15,9 @@ import pinocchio as pin
 
 from minidual.config.supervisor import SupervisorConfig
 from minidual.control import limits
+from minidual.control.joint_sense import JointSense
 from minidual.control.reflexes import Reflex, ReflexError
 from minidual.control.supervised_stop import SupervisedStop
-from minidual.errors import UsageError
 from minidual.plant.world import StepRecorder
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array
@@ -61,11 +61,13 @@ class Supervisor:
         self.bounds = limits.TickBounds(self.config, dt_s, self._robot)
         self._reach = limits.Reach(self._kinematics)
         self._zero = np.zeros(self._robot.dof)
+        self._sense = JointSense(self._kinematics, self.config, dt_s)
         self._stop = SupervisedStop(self._kinematics, self.config, dt_s)
         self._self_distance = self_distance
         self._on_reflex = on_reflex
         self._slow_every = max(1, round(self.config.slow_period_s / dt_s))
         self._rows = np.zeros((len(limits.ROWS), self._robot.dof))
+        self._q, self._v, self._tau = self._rows[:3]  # views, kept: making one costs as much as a sum
         self._ratio = np.zeros_like(self._rows)
         self.reflex: Reflex | None = None
         """The latched reflex, or None."""
@@ -92,51 +94,45 @@ class Supervisor:
         self._looked_tick = -2
         self._saturated, self._jumps = np.zeros((2, self._robot.dof))
         self._asked = self._zero
-        self._q_good: Array | None = None
-        self._v_good = self._zero
+        self._stamp_s, self._usable = -math.inf, True
+        self._sense.reset()
 
     def estop(self, reason: str = "pressed") -> None:
         """Stop the arms in the next tick; thread-safe."""
         self._estop = reason  # one assignment is atomic: no lock
 
-    def fail(self, time_s: float, q: Array, v: Array, why: str) -> Array:
+    def fail(self, time_s: float, q: Array, v: Array, why: str, stamp_s: float | None = None) -> Array:
         """Stop the arms; call instead of `guard` when controllers give no torque.
 
         Raises:
             ReflexError: Once; apply its `tau`.
         """
         if self.reflex is None:
-            self._time_s, self._rows[0], self._rows[1] = time_s, q, v
+            self._note(time_s, q, v, self._tau, stamp_s)
             self._trip("controller_failed", why, 1.0, None)
-        return self._stop.torque(q, v)
+        return self._stopping(q, v, stamp_s)
 
     def heard(self, time_s: float) -> None:
         """Report an arbiter tick; silence over `stale_s` is a reflex."""
         self._deadline_s = time_s + self.config.stale_s
 
-    def guard(self, time_s: float, q: Array, v: Array, tau: Array, a_ref: Array | None = None) -> Array:
+    def guard(
+        self, time_s: float, q: Array, v: Array, tau: Array, a_ref: Array | None = None, stamp_s: float | None = None
+    ) -> Array:
         """Return the torques (n,) [Nm] to apply; finite and within limits.
 
-        `tau` must already be clipped; `a_ref` (n,) is the commanded reference acceleration.
+        `tau` must already be clipped; `a_ref` (n,) is the commanded reference acceleration; `stamp_s` the time at which
+        q and v were measured, by default now.
 
         Raises:
             ReflexError: Once; apply its `tau`.
-            UsageError: Time did not increase.
         """
         if self.reflex is not None:
-            return self._stop.torque(q, v)
-        if not time_s > self._time_s:
-            raise UsageError(
-                f"the supervisor's time does not grow: {time_s} s after {self._time_s} s",
-                remedy="call reset() of the supervisor whenever the world is reset",
-            )
-        self._time_s = time_s
+            return self._stopping(q, v, stamp_s)
+        before = self._note(time_s, q, v, tau, stamp_s)
         self._tick += 1
         rows, ratio = self._rows, self._ratio
-        rows[0], rows[1], rows[2] = q, v, tau
-        if self._applied is None:
-            self._applied = self._before_control(q)
-        np.subtract(rows[2], self._applied, rows[3])
+        np.subtract(rows[2], before, rows[3])
         if a_ref is not None:
             rows[4] = a_ref
             np.subtract(rows[4], rows[4] if self._a_before is None else self._a_before, rows[5])
@@ -148,16 +144,42 @@ class Supervisor:
         np.multiply(ratio, self.bounds.scale, ratio)
         np.abs(ratio, ratio)
         # argmax returns the first NaN, and NaN <= 1 is false: this also catches non-finite values.
-        if ratio.item(ratio.argmax()) <= 1.0 and self._estop is None and time_s <= self._deadline_s:
+        within = ratio.item(ratio.argmax()) <= 1.0
+        if within and self._usable and self._estop is None and time_s <= self._deadline_s:
             applied = rows[2]
         else:
             applied = self._look_closer()
         if self._tick >= self._next_slow:
             self._look_slowly()
-        self._applied[:] = applied
+        before[:] = applied
         return applied.copy()
 
     # Checks --------------------------------------------------------------------------------------------------
+
+    def _note(self, time_s: float, q: Array, v: Array, tau: Array, stamp_s: float | None) -> Array:
+        """Take this tick's time, measurements and requested torque; return the torque applied last."""
+        self._q[:], self._v[:], self._tau[:] = q, v, tau
+        if self._applied is None:
+            self._applied = self._before_control(q)
+        before_s, self._time_s = self._time_s, time_s
+        self._usable = self._sense.update(self._q, self._v, self._tau, self._applied, self._newer_s(time_s, stamp_s))
+        if not time_s > before_s:
+            self._time_s = before_s
+            self._trip("clock", f"{time_s} s after {before_s} s", 1.0, None)
+        return self._applied
+
+    def _newer_s(self, time_s: float, stamp_s: float | None) -> float:
+        """Return how much newer [s] the measurement is than the last."""
+        before_s, self._stamp_s = self._stamp_s, time_s if stamp_s is None else stamp_s
+        return self.dt_s if before_s == -math.inf else self._stamp_s - before_s
+
+    def _stopping(self, q: Array, v: Array, stamp_s: float | None) -> Array:
+        """Return this tick's torque of the latched stop."""
+        known = stamp_s is not None and self.reflex is not None and self.reflex.name != "clock"
+        newer_s = self._newer_s(self._time_s, stamp_s) if known else self.dt_s
+        self._q[:], self._v[:], tau = q, v, self._stop.tau
+        self._sense.update(self._q, self._v, tau, tau, newer_s)
+        return self._stop.torque(self._sense.q, self._sense.v)
 
     def _before_control(self, q: Array) -> Array:
         """Return the gravity torque, applied by the drives before control."""
@@ -177,6 +199,11 @@ class Supervisor:
         if self._time_s > self._deadline_s:
             silent = self._time_s - self._deadline_s + self.config.stale_s
             self._trip("stale_command", "no command", silent, self.config.stale_s)
+        if not self._usable:
+            age_s, age_max_s = self._sense.age_s, self.config.measurement_age_max_s
+            if age_s > age_max_s:
+                self._trip("stale_measurement", "joint positions and velocities", age_s, age_max_s)
+            self._trip("implausible_measurement", self._sense.why, 1.0, None)
         if self._ratio[0].max() > 1.0:
             self._trip_position(q)
         self._trip_ratio("joint_velocity", v, bounds.v_max)
@@ -213,7 +240,6 @@ class Supervisor:
     def _look_slowly(self) -> None:
         self._next_slow = self._tick + self._slow_every
         q, v = self._rows[0], self._rows[1]
-        self._q_good, self._v_good = q.copy(), v.copy()
         rest = self.bounds.stopping_point(q, v)
         if not np.abs((rest - self.bounds.centre[0]) * self.bounds.scale[0]).max() <= 1.0:
             self._trip_position(rest)
@@ -275,12 +301,10 @@ class Supervisor:
             if not (name == "controller_failed" and key == "asked_torque_nm")  # no torque was requested
         }
         reflex = Reflex(name, self._time_s, where, value, bound, details)
-        q, v = self._rows[0].copy(), self._rows[1].copy()
-        if not (np.isfinite(q).all() and np.isfinite(v).all()):
-            q, v = (self._zero, self._zero) if self._q_good is None else (self._q_good, self._v_good)
-        self._stop.begin(q, v, self._before_control(q) if self._applied is None else self._applied)
+        sense, applied = self._sense, self._applied
+        self._stop.begin(sense.q, sense.v, self._before_control(sense.q) if applied is None else applied)
         self.reflex = reflex
-        tau = self._stop.torque(self._rows[0], self._rows[1])
+        tau = self._stop.torque(sense.q, sense.v)
         try:
             dump = None if self._on_reflex is None else self._on_reflex(reflex)
         except Exception as error:  # the callback must not lose this tick's torque

@@ -1,0 +1,160 @@
+"""Joint measurements checked against one another, and replaced joint by joint where they fail.
+
+    r <- r exp(-dt / 0.1 s) + q - q_before - v dt        position and velocity must agree
+
+A value that stands still while the other moves is frozen. Lost positions follow the integral of v, lost velocities the
+slope of q; a joint that lost both follows forward dynamics under the applied torque.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+import numpy.typing as npt
+import pinocchio as pin
+from numba.core import types
+
+from minidual.config.supervisor import SupervisorConfig
+from minidual.robot.compiled import ROWS, VECTOR, kernel
+from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array
+
+_FORGET_S = 0.1
+_SLOPE_S = 0.005
+"""Time constant of a velocity from positions."""
+_FROZEN_SHARE = 0.025
+"""Of the torque limits: a change of torque that must move a joint's readings."""
+_KEPT = 64
+"""Applied torques kept, in steps: the longest time from a loss to its detection."""
+
+_Q, _V, _R, _Q_SAME, _V_SAME, _TAU = range(6)
+
+
+@kernel(types.float64(VECTOR, VECTOR, VECTOR, types.float64, types.float64, types.float64, VECTOR, ROWS))
+def compare(
+    q: Array, v: Array, tau: Array, dt: float, mismatch: float, frozen_s: float, tau_moves: Array, kept: Array
+) -> float:
+    """Update `kept` (6, n): q, v, r, seconds unchanged of q and of v, torque when both last changed.
+
+    Returns the largest ratio to a bound; infinite for values that are not finite.
+    """
+    worst, keep = 0.0, math.exp(-dt / _FORGET_S)
+    for j in range(len(q)):
+        if not (math.isfinite(q[j]) and math.isfinite(v[j])):
+            worst = math.inf
+            continue
+        moved = q[j] - kept[_Q, j]
+        kept[_Q_SAME, j] = kept[_Q_SAME, j] + dt if moved == 0.0 else 0.0
+        kept[_V_SAME, j] = kept[_V_SAME, j] + dt if v[j] == kept[_V, j] else 0.0
+        kept[_R, j] = keep * kept[_R, j] + moved - dt * v[j]
+        kept[_Q, j], kept[_V, j] = q[j], v[j]
+        worst = max(worst, abs(kept[_R, j]) / mismatch)
+        if kept[_Q_SAME, j] == 0.0 or kept[_V_SAME, j] == 0.0:
+            kept[_TAU, j] = tau[j]
+        elif min(kept[_Q_SAME, j], kept[_V_SAME, j]) >= frozen_s:
+            worst = max(worst, abs(tau[j] - kept[_TAU, j]) / tau_moves[j])
+    return worst
+
+
+class JointSense:
+    """Usable joint measurements.
+
+    Attributes:
+        q: (n,) [rad], measured or replaced.
+        v: (n,) [rad/s].
+        lost: (2, n) positions and velocities not to be used; latched until `reset`.
+    """
+
+    def __init__(self, kinematics: Kinematics, config: SupervisorConfig, dt_s: float) -> None:
+        self._model, self._robot = pin.Model(kinematics.model), kinematics.robot
+        # Implicit in the damping, as in the simulator: without readings an error grows as a pendulum falls.
+        self._model.armature = self._model.armature + dt_s * self._robot.arm.damping
+        self._data = self._model.createData()
+        self._config, self._dt = config, dt_s
+        self._tau_moves = _FROZEN_SHARE * self._robot.tau_max
+        self._applied: deque[Array] = deque(maxlen=_KEPT)
+        self.reset()
+
+    def reset(self) -> None:
+        """Trust everything again; start at the next measurement."""
+        n = self._robot.dof
+        self.q, self.v = np.array(self._robot.home), np.zeros(n)
+        self.lost: npt.NDArray[np.bool_] = np.zeros((2, n), dtype=bool)
+        self.why = ""
+        """Which values of which joint disagreed first, and by how much."""
+        self.age_s = 0.0
+        """Time without a new measurement."""
+        self._kept, self._started, self._any_lost = np.zeros((6, n)), False, False
+        self._applied.clear()
+
+    def update(self, q: Array, v: Array, tau: Array, applied: Array, new_s: float) -> bool:
+        """Take measurements q, v (n,) that are `new_s` newer than the last; return whether all are usable.
+
+        tau: requested torque [Nm]. applied: the torque since the last tick. `new_s` 0: nothing new was measured.
+        """
+        config, kept, usable = self._config, self._kept, True
+        self._applied.append(applied.copy())
+        if not new_s > 0.0:
+            self.age_s += self._dt
+            usable = self.age_s <= config.measurement_age_max_s
+            if not usable:
+                self._lose(np.ones_like(self.lost), self.age_s)
+        else:
+            if not self._started:
+                kept[_Q], kept[_V], kept[_TAU], self._started = q - new_s * v, v, tau, True
+            self.age_s, bounds = 0.0, (config.position_mismatch_rad, config.frozen_s, self._tau_moves)
+            usable = bool(compare(q, v, tau, new_s, *bounds, kept) <= 1.0)
+            if not usable:
+                self._judge(q, v, tau)
+        if self._any_lost:
+            self._replace(q, v, max(new_s, self._dt))
+        else:
+            self.q[:], self.v[:] = q, v
+        return usable
+
+    def _judge(self, q: Array, v: Array, tau: Array) -> None:
+        """Find which values are lost, and since when."""
+        kept, bad = self._kept, ~np.isfinite(np.stack([q, v]))
+        finite, same = ~bad.any(axis=0), kept[[_Q_SAME, _V_SAME]]
+        apart = finite & (np.abs(kept[_R]) > self._config.position_mismatch_rad)
+        still = finite & (same.min(axis=0) >= self._config.frozen_s) & (np.abs(tau - kept[_TAU]) > self._tau_moves)
+        frozen = apart & (same > 0.0)
+        which_unknown = apart & (frozen[0] == frozen[1])
+        if (apart | still).any() and not self.why:
+            joint = int(np.argmax(apart | still))
+            both = still[joint] or which_unknown[joint]
+            what = "position and velocity" if both else "position" if frozen[0, joint] else "velocity"
+            far = f"they differ by {abs(kept[_R, joint]):.4f} rad"
+            same_s = float(same[:, joint].max())
+            held = f"unchanged for {1e3 * same_s:.0f} ms, " if same_s else ""
+            self.why = f"{what} of {self._robot.joint_names[joint]}: {held}{far}"
+        self._lose(bad | frozen | which_unknown | still, float(same.min(axis=0)[apart | still].max(initial=0.0)))
+        kept[_R, self.lost.any(axis=0)] = 0.0
+
+    def _lose(self, lost: npt.NDArray[np.bool_], since_s: float) -> None:
+        """Stop using values; joints that have lost both begin to follow the model, from `since_s` ago."""
+        seen = ~self.lost.all(axis=0)
+        self.lost |= lost
+        self._any_lost = True
+        newly, steps = seen & self.lost.all(axis=0), min(round(since_s / self._dt), len(self._applied)) - 1
+        if newly.any() and steps > 0:  # all but the last step, which `_replace` adds
+            q, v = self._moved(list(self._applied)[-1 - steps : -1])
+            self.q[newly], self.v[newly] = q[newly], v[newly]
+
+    def _replace(self, q: Array, v: Array, step_s: float) -> None:
+        q_lost, v_lost = self.lost
+        q_model, v_model = self._moved([self._applied[-1]])
+        slope = self.v + min(1.0, step_s / _SLOPE_S) * ((q - self.q) / step_s - self.v)
+        self.v = np.where(q_lost & v_lost, v_model, np.where(v_lost, slope, v))
+        self.q = np.where(q_lost & v_lost, q_model, np.where(q_lost, self.q + step_s * self.v, q))
+
+    def _moved(self, torques: list[Array]) -> tuple[Array, Array]:
+        """Return (q, v) after steps under these torques, by forward dynamics."""
+        q, v, arm = self.q, self.v, self._robot.arm
+        for tau in torques:
+            friction = arm.damping * v + arm.friction * np.tanh(v / 0.02)
+            v = v + self._dt * np.array(pin.aba(self._model, self._data, q, v, tau - friction))
+            q = q + self._dt * v
+        return q, v
