@@ -38,13 +38,14 @@ class _Loader(yaml.SafeLoader):
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         """Compose one node and what it contains."""
         self.depth, self.nodes_n = self.depth + 1, self.nodes_n + 1
+        event = cast(Any, self.peek_event())  # pyright: ignore[reportUnknownMemberType]
         for problem, found in (
-            ("aliases are not read here; write the value out", self.check_event(yaml.AliasEvent)),
+            ("aliases are not read here; write the value out", type(event) is yaml.AliasEvent),
             (f"nested more than {_DEPTH_MAX} levels deep", self.depth > _DEPTH_MAX),
             (f"more than {_NODES_MAX} values", self.nodes_n > _NODES_MAX),
         ):
             if found:
-                raise ComposerError(None, None, problem, self.peek_event().start_mark)
+                raise ComposerError(None, None, problem, event.start_mark)
         node = super().compose_node(parent, index)
         self.depth -= 1
         return node
