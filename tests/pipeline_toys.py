@@ -92,8 +92,11 @@ def _sleepy(context: StageContext) -> None:
 
 
 if __name__ == "__main__":
-    from minidual.cli import run_command_line
+    from minidual import cli
+    from minidual.cli.app import run_command_line
 
     bench = Bench(Path(sys.argv[1]))
     bench.first.behaviour = _sleepy
-    sys.exit(run_command_line(["first", "--run", "toys", "--runs-dir", sys.argv[1], *sys.argv[3:]], bench.table))
+    words = ["first", "--run", "toys", "--runs-dir", sys.argv[1], *sys.argv[3:]]
+    cli._run = lambda: run_command_line(words, bench.table)
+    cli.main()

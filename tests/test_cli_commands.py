@@ -12,7 +12,7 @@ import pytest
 from pipeline_toys import Bench
 
 import minidual
-from minidual.cli import run_command_line
+from minidual.cli.app import run_command_line
 from minidual.gate.table import StageEntry
 from minidual.stages.registry import STAGES, TOOLS
 
@@ -361,7 +361,7 @@ HEAVY = (
 def test_light_commands_import_nothing_heavy(arguments):
     script = (
         "import sys\n"
-        "from minidual.cli import run_command_line\n"
+        "from minidual.cli.app import run_command_line\n"
         "from minidual.stages.registry import STAGES\n"
         "code = run_command_line(sys.argv[1:], STAGES)\n"
         f"heavy = [name for name in {HEAVY!r} if name in sys.modules]\n"

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from pipeline_toys import KNOB, Bench, Toy
 
-from minidual.cli import run_command_line
+from minidual.cli.app import run_command_line
 from minidual.config.loader import load_config
 from minidual.gate.runner import Runner
 from minidual.gate.store import RunStore

@@ -7,7 +7,7 @@ import json
 import pytest
 from pipeline_toys import Toy
 
-from minidual.cli import run_command_line
+from minidual.cli.app import run_command_line
 from minidual.config.loader import load_config
 from minidual.gate.check import Check
 from minidual.gate.runner import Runner

@@ -5,7 +5,7 @@ import json
 import pytest
 from pipeline_toys import Toy
 
-from minidual.cli import run_command_line
+from minidual.cli.app import run_command_line
 from minidual.errors import DataError, ExitCode
 from minidual.gate.table import Option, StageEntry, StageTable, ToolEntry
 from minidual.gate.tool import ToolContext, ToolResult

@@ -12,7 +12,7 @@ import pytest
 from pydantic import BaseModel
 from typer.testing import CliRunner
 
-from minidual.cli import build_app
+from minidual.cli.app import build_app
 from minidual.config.loader import load_config, parse_override
 from minidual.config.root import Config
 from minidual.errors import MinidualError

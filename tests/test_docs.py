@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import typer
 
-from minidual.cli import build_app
+from minidual.cli.app import build_app
 from minidual.stages.registry import STAGES, TOOLS
 
 ROOT = Path(__file__).resolve().parent.parent

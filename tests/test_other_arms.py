@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from minidual.cli import run_command_line
+from minidual.cli.app import run_command_line
 from minidual.config.robot import RobotConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.loop import JointLoop

@@ -70,8 +70,9 @@ def test_killed_stage_is_incomplete_and_the_rerun_mends_it(bench, sleeper):
     assert not (bench.store.folder / ".first.tmp").exists()
 
 
-def test_ctrl_c_exits_130_with_one_line(bench, sleeper):
-    sleeper.send_signal(signal.SIGINT)
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_signals_exit_130_with_one_line_and_leave_a_mark(bench, sleeper, number):
+    sleeper.send_signal(number)
     stdout, stderr = sleeper.communicate(timeout=20)
     assert sleeper.returncode == ExitCode.INTERRUPTED
     assert stdout == ""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from pipeline_toys import KNOB, Bench
 
-from minidual.cli import run_command_line
+from minidual.cli.app import run_command_line
 from minidual.config.base import limits
 from minidual.config.loader import load_config
 from minidual.errors import ConfigError

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from panda import HOME, JOINT_NAMES
 
-from minidual.cli import run_command_line
+from minidual.cli.app import run_command_line
 from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, Sphere
 from minidual.motion.api import Planner

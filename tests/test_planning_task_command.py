@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from minidual.cli import run_command_line
+from minidual.cli.app import run_command_line
 from minidual.stages import plan_task
 from minidual.stages.registry import STAGES
 

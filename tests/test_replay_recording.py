@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from panda import DOF, HOME
 
-from minidual.cli import run_command_line
+from minidual.cli.app import run_command_line
 from minidual.config.supervisor import SupervisorConfig
 from minidual.control.loop import JointLoop
 from minidual.control.reflexes import ReflexError

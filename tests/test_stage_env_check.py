@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import minidual
-from minidual.cli import run_command_line
+from minidual.cli.app import run_command_line
 from minidual.config.arbiter import ArbiterConfig
 from minidual.config.control import EnvCheckConfig
 from minidual.config.root import Config

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from recording_toys import TICKS, ToyRig, hang_in_conversion, job
 
-from minidual.cli import run_command_line
+from minidual.cli.app import run_command_line
 from minidual.config.root import Config
 from minidual.config.scene import SceneConfig
 from minidual.config.teleop import TeleopConfig

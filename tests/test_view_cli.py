@@ -8,7 +8,7 @@ import pytest
 from browser import unused_port
 from pipeline_toys import Toy
 
-from minidual.cli import run_command_line
+from minidual.cli.app import run_command_line
 from minidual.config.loader import load_config
 from minidual.errors import ExitCode
 from minidual.gate.runner import Runner

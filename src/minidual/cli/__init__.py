@@ -1,171 +1,110 @@
-"""The command line: parse, call one stage, print. Heavy imports wait until a command runs."""
+"""The `minidual` command. Importing it is cheap: signals and output are in order before anything else is imported."""
 
 from __future__ import annotations
 
-import inspect
 import io
+import os
 import signal
 import sys
+import time
 import warnings
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
-from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import Annotated, Any, get_type_hints
 
-import typer
-
-import minidual
-from minidual.cli.commands import Body, config_body, explain_body, run_body, run_tool, stage_body, status_body
-from minidual.cli.session import Running, Session, Typed
-from minidual.cli.viewing import Watching
-from minidual.errors import ExitCode, UsageError, unknown_name
-from minidual.gate.table import Option, StageTable, ToolEntry
+_IMPORT_PATIENCE_S = 1.0
+_INTERRUPTED = "minidual: interrupted\n"
 
 
-@dataclass(frozen=True)
-class _Until:
-    until: Annotated[str | None, typer.Option(metavar="STAGE", help="Last stage to run.")] = None
-    sign: Annotated[Path | None, typer.Option(metavar="KEY", help="Sign the verdicts with this OpenSSH key.")] = None
+class Output(io.TextIOWrapper):
+    """Standard output or error whose writes never raise. After an error, kept in `lost`, text is dropped."""
+
+    lost: OSError | None = None
+
+    def write(self, text: str, /) -> int:
+        """Write or drop `text`."""
+        try:
+            return super().write(text)
+        except OSError as error:
+            self._drop(error)
+            return len(text)
+
+    def flush(self) -> None:
+        """Write or drop what is buffered."""
+        try:
+            super().flush()
+        except OSError as error:
+            self._drop(error)
+
+    def _drop(self, error: OSError) -> None:
+        self.lost = self.lost or error
+        os.dup2(os.open(os.devnull, os.O_WRONLY), self.fileno())
 
 
-@dataclass(frozen=True)
-class _Verified:
-    verify: Annotated[Path | None, typer.Option(metavar="KEY", help="Verify the signature with this .pub file.")] = None
+def _open_output() -> None:
+    """Open closed standard streams on /dev/null, so that no file gets their numbers; make writes safe."""
+    for name in ("stdin", "stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            stream = Path(os.devnull).open("r" if name == "stdin" else "w", encoding="utf-8")  # noqa: SIM115 - for good
+            setattr(sys, f"__{name}__", stream)
+        if name != "stdin":
+            at_once = stream.line_buffering, stream.write_through
+            stream = Output(stream.buffer, stream.encoding, "backslashreplace", None, *at_once)
+        setattr(sys, name, stream)
 
 
-@dataclass(frozen=True)
-class _Explained:
-    stage: Annotated[str | None, typer.Argument(help="Name of a stage; none shows what to look at first.")] = None
+class _Interrupt:
+    """Signal handler that raises KeyboardInterrupt.
 
+    Imports turn that into other errors. So it waits for their end, and ends the process if they take too long.
+    """
 
-def _parameters(*groups: type[Any]) -> list[inspect.Parameter]:
-    """Return fields of option dataclasses as parameters."""
-    return [
-        inspect.Parameter(f.name, inspect.Parameter.KEYWORD_ONLY, default=f.default, annotation=hints[f.name])
-        for group in groups
-        for hints in [get_type_hints(group, include_extras=True)]
-        for f in fields(group)
-    ]
+    asked_s: float | None = None
 
-
-def _option_parameters(options: Iterable[Option]) -> list[inspect.Parameter]:
-    """Return options as parameters; the last of a name counts."""
-    found: dict[str, inspect.Parameter] = {}
-    for option in options:
-        kind: Any = str if option.kind is tuple else option.kind
-        default: Any = inspect.Parameter.empty if option.argument else False if option.kind is bool else None
-        if option.argument:
-            declared: Any = typer.Argument(metavar=option.name.upper(), help=option.help)
-        else:
-            declared = typer.Option(f"--{option.name}", help=option.help)
-        annotation = Annotated[kind if default is not None else kind | None, declared]
-        found[option.key] = inspect.Parameter(
-            option.key, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation
-        )
-    return list(found.values())
-
-
-def _show_version(wanted: bool) -> None:
-    if wanted:
-        print(f"minidual {minidual.__version__}")
-        raise typer.Exit
-
-
-def build_app(table: StageTable, tools: Sequence[ToolEntry] = ()) -> typer.Typer:
-    """Return the command line of stages and tools."""
-    app = typer.Typer(
-        name="minidual",
-        help="From an empty folder to a measured dual-arm robot system. Each stage waits behind a gate.",
-        no_args_is_help=True,
-        pretty_exceptions_enable=False,
-        rich_markup_mode="rich",
-    )
-    config = typer.Typer(help="The resolved configuration.", no_args_is_help=True)
-
-    def add(
-        name: str, summary: str, examples: Sequence[str], body: Body, own: list[inspect.Parameter], panel: str
-    ) -> None:
-        parameters = [*own, *_parameters(Typed)]
-
-        def command(**values: Any) -> None:
-            session = Session(Typed(**{f.name: values.pop(f.name) for f in fields(Typed)}), table)
-            raise typer.Exit(session.end(lambda s: body(s, values)))
-
-        command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-        command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-        epilog = "\n\n".join(["Examples:", *(f"minidual {example}" for example in examples)])
-        owner = config if name == "show" else app
-        owner.command(name, help=f"{summary}.", epilog=epilog if examples else None, rich_help_panel=panel)(command)
-
-    @app.callback()
-    def root(  # pyright: ignore[reportUnusedFunction] - registered by the decorator
-        version: Annotated[bool, typer.Option("--version", callback=_show_version, is_eager=True)] = False,
-    ) -> None:
-        del version
-
-    for entry in table:
-        own = _option_parameters(option for command in (*entry.asides, entry) for option in command.options)
-        if any(command.watchable for command in (entry, *entry.asides)):
-            own += _parameters(Watching)
-        own += _parameters(Running)
-        add(entry.name, entry.summary, entry.examples, stage_body(entry), own, "Stages, in order")
-    for name, body, groups in (
-        ("run", run_body, (_Until, Watching, Running)),
-        ("status", status_body, (_Verified,)),
-        ("explain", explain_body, (_Explained,)),
-        ("show", config_body, ()),
-    ):
-        summary, _, *examples = inspect.cleandoc(body.__doc__ or "").splitlines()
-        add(name, summary.rstrip("."), examples, body, _parameters(*groups), "The run")
-    app.add_typer(config, name="config", rich_help_panel="The run")
-    for tool in tools:
-        own = _option_parameters(tool.options) + (_parameters(Watching) if tool.watchable else [])
-        add(tool.name, tool.summary, tool.examples, partial(run_tool, tool), own, "Tools, without gate and verdict")
-    return app
-
-
-def run_command_line(arguments: Sequence[str], table: StageTable, tools: Sequence[ToolEntry] = ()) -> int:
-    """Run one command and return its exit code."""
-    app = build_app(table, tools)
-    commands = {command.name or "" for command in app.registered_commands} | {"config"}
-    first = arguments[0].split("=")[0] if arguments else "--help"
-    if first in {"--set", *(f"--{f.name.replace('_', '-')}" for f in fields(Typed))}:
-        print(f"minidual: {first} stands after the command: minidual COMMAND {first} ...", file=sys.stderr)
-        return int(ExitCode.USAGE)
-    if not first.startswith("-") and first not in commands:
-        print(f"minidual: {unknown_name('command', first, commands)}", file=sys.stderr)
-        return int(ExitCode.USAGE)
-    try:
-        app(list(arguments), prog_name="minidual")
-    except SystemExit as stop:
-        return stop.code if isinstance(stop.code, int) else int(ExitCode.PASS)
-    except KeyboardInterrupt:
-        print("minidual: interrupted", file=sys.stderr)
-        return int(ExitCode.INTERRUPTED)
-    return int(ExitCode.PASS)
-
-
-def _on_termination(number: int, frame: FrameType | None) -> None:
-    """Treat SIGTERM and SIGHUP (terminal closed) like Ctrl-C."""
-    raise KeyboardInterrupt
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        self.asked_s = self.asked_s or time.monotonic()
+        while frame is not None:
+            if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
+                if time.monotonic() - self.asked_s > _IMPORT_PATIENCE_S:
+                    os.write(2, _INTERRUPTED.encode())
+                    os._exit(130)
+                signal.setitimer(signal.ITIMER_REAL, 0.02)
+                return
+            frame = frame.f_back
+        self.asked_s = None
+        raise KeyboardInterrupt
 
 
 def main() -> None:
     """Entry point of the `minidual` command."""
+    _open_output()
+    interrupt = _Interrupt()
+    for number in (signal.SIGALRM, signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is not signal.SIG_IGN:  # nohup
+            signal.signal(number, interrupt)
+    try:
+        code = _run()
+    except KeyboardInterrupt:
+        sys.stderr.write(_INTERRUPTED)
+        code = 130
+    sys.stdout.flush()
+    lost = getattr(sys.stdout, "lost", None)
+    if lost is not None and not isinstance(lost, BrokenPipeError):  # the reader closed the pipe (`| head`)
+        print(f"minidual: cannot write the output: {lost.strerror}", file=sys.stderr)
+        code = code or 4
+    sys.exit(code)
+
+
+def _run() -> int:
+    from minidual.cli.app import run_command_line
+    from minidual.errors import UsageError
     from minidual.stages.registry import STAGES, TOOLS
 
-    for out in (sys.stdout, sys.stderr):
-        if isinstance(out, io.TextIOWrapper):
-            out.reconfigure(errors="backslashreplace")
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, _on_termination)
     # Some libraries' docstrings hold invalid escapes, which warn when compiled.
     warnings.simplefilter("ignore", SyntaxWarning)
     try:
         STAGES.plug_in("minidual.stages")
     except UsageError as error:
         print(f"minidual: {error}", file=sys.stderr)
-        sys.exit(int(error.exit_code))
-    sys.exit(run_command_line(sys.argv[1:], STAGES, TOOLS))
+        return int(error.exit_code)
+    return run_command_line(sys.argv[1:], STAGES, TOOLS)

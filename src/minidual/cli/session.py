@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from minidual.errors import ExitCode, MinidualError, printable
+from minidual.errors import EnvironmentMissingError, ExitCode, MinidualError, printable
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -180,13 +180,8 @@ class Session:
     def end(self, body: Callable[[Session], ExitCode]) -> int:
         """Run `body`; return its exit code or that of its error."""
         try:
-            code = body(self)
-            sys.stdout.flush()
-            return int(code)
-        except BrokenPipeError:
-            # The reader closed the pipe (`| head`).
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            return int(ExitCode.PASS)
+            _check_working_directory()
+            return int(body(self))
         except KeyboardInterrupt as error:
             message = "interrupted; nothing half-written counts, the same command goes on from here"
             return self._fail(error, message, None, ExitCode.INTERRUPTED)
@@ -211,3 +206,10 @@ class Session:
 
 def _print_error(text: str) -> None:
     print(printable(text), file=sys.stderr)
+
+
+def _check_working_directory() -> None:
+    try:
+        Path.cwd()
+    except FileNotFoundError:
+        raise EnvironmentMissingError("the working directory was deleted", remedy="cd to another one") from None

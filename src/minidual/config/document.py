@@ -20,6 +20,7 @@ from minidual.errors import ConfigError, DataError
 
 _INT = re.compile(r"[-+]?(0|[1-9](_?[0-9])*)")
 _NUMBER = re.compile(r"[-+]?((0|[1-9](_?[0-9])*)(\.([0-9](_?[0-9])*)?)?|\.[0-9]+)([eE][-+]?[0-9]+)?")
+_HALF = re.compile("[\ud800-\udfff]")
 _WORDS = {"": None, "~": None, "null": None, "true": True, "false": False}
 _BYTES_MAX = 256 * 1024
 _DEPTH_MAX = 32
@@ -41,6 +42,7 @@ class _Loader(yaml.SafeLoader):
         event = cast(Any, self.peek_event())  # pyright: ignore[reportUnknownMemberType]
         for problem, found in (
             ("aliases are not read here; write the value out", type(event) is yaml.AliasEvent),
+            ("half of a surrogate pair is no character", bool(_HALF.search(getattr(event, "value", None) or ""))),
             (f"nested more than {_DEPTH_MAX} levels deep", self.depth > _DEPTH_MAX),
             (f"more than {_NODES_MAX} values", self.nodes_n > _NODES_MAX),
         ):

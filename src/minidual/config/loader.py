@@ -32,7 +32,7 @@ def parse_override(text: str) -> Override:
     """Parse "a.b=value" of --set; ConfigError if malformed."""
     path, equals, value = text.partition("=")
     path = path.strip()
-    if not equals or not all(path.split(".")):
+    if not equals or not all(path.split(".")) or not path.isprintable():
         raise ConfigError(f"--set {text}: not of the form section.key=value", remedy="--set plan.queries_n=30")
     return Override(path, parse_value(value, f"--set {text}", path), f"--set {text}")
 
