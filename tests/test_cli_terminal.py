@@ -12,7 +12,7 @@ from rich.progress import Progress
 from rich.table import Table
 from rich.text import Text
 
-from minidual.cli import run_command_line
+from minidual.cli.app import run_command_line
 from minidual.cli.console import SafeConsole
 from minidual.errors import DataError, ExitCode, printable
 from minidual.gate.stage import StageResult

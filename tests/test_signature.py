@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from pipeline_toys import Bench
 
-from minidual.cli import run_command_line
+from minidual.cli.app import run_command_line
 from minidual.gate.canonical import digest
 
 

@@ -15,7 +15,7 @@ import pytest
 from pipeline_toys import Bench
 from rich.console import Console
 
-from minidual.cli import run_command_line
+from minidual.cli.app import run_command_line
 from minidual.cli.tables import print_explanation
 from minidual.durable import remove
 from minidual.errors import DataError, GateClosedError

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from minidual.cli import run_command_line
+from minidual.cli.app import run_command_line
 from minidual.errors import ExitCode
 from minidual.gate.table import StageTable
 from minidual.stages.registry import STAGES, TOOLS

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from functools import partial
+from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
 import typer
@@ -22,6 +23,12 @@ from minidual.gate.table import Option, StageTable, ToolEntry
 @dataclass(frozen=True)
 class _Until:
     until: Annotated[str | None, typer.Option(metavar="STAGE", help="Last stage to run.")] = None
+    sign: Annotated[Path | None, typer.Option(metavar="KEY", help="Sign the verdicts with this OpenSSH key.")] = None
+
+
+@dataclass(frozen=True)
+class _Verified:
+    verify: Annotated[Path | None, typer.Option(metavar="KEY", help="Verify the signature with this .pub file.")] = None
 
 
 @dataclass(frozen=True)
@@ -102,7 +109,7 @@ def build_app(table: StageTable, tools: Sequence[ToolEntry] = ()) -> typer.Typer
         add(entry.name, entry.summary, entry.examples, stage_body(entry), own, "Stages, in order")
     for name, body, groups in (
         ("run", run_body, (_Until, Watching, Running)),
-        ("status", status_body, ()),
+        ("status", status_body, (_Verified,)),
         ("explain", explain_body, (_Explained,)),
         ("show", config_body, ()),
     ):
