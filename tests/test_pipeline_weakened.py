@@ -37,6 +37,25 @@ def test_a_shipped_profile_asks_for_itself(profile):
         ("plan", "plan.time_p99_max_s=null", "plan.time_p99_max_s is None, the profile asks for 0.5"),
         ("benchmark", "benchmark.success_rate_min.act=0.1", "'act': 0.1"),
         ("benchmark", "benchmark.methods=[moveit]", "benchmark.methods is moveit"),
+        (
+            "benchmark",
+            "benchmark.conditions=[clean]",
+            "benchmark.conditions is clean, the profile asks for clean, friction",
+        ),
+        ("benchmark", "benchmark.trials_n=1", "benchmark.trials_n is 1, the profile asks for 50"),
+        (
+            "benchmark",
+            "benchmark.success_rate_min={}",
+            "benchmark.success_rate_min is {}, the profile asks for {'moveit'",
+        ),
+        ("deploy", "deploy.judge_success=false", "deploy.judge_success is False, the profile asks for True"),
+        ("env-check", "env_check.sine_amplitude_rad=0.01", "env_check.sine_amplitude_rad is 0.01"),
+        ("env-check", "env_check.step_rad=0.05", "env_check.step_rad is 0.05, the profile asks for 0.3"),
+        ("env-check", "env_check.step_duration_s=10", "env_check.step_duration_s is 10.0, the profile asks for 2.0"),
+        ("plan", "plan.blocked_fraction=0", "plan.blocked_fraction is 0.0"),
+        ("carry", "carry.sensing.pose_noise_m=0", "carry.sensing.pose_noise_m is 0.0, the profile asks for 0.0005"),
+        ("carry", "carry.sensing.delay_s=0", "carry.sensing.delay_s is 0.0, the profile asks for 0.01"),
+        ("carry", "scene.task.goal_xy_m=[0.5, 0.2]", "scene.task.distance_m is 0.05, the profile asks for 0.5"),
     ],
 )
 def test_less_is_said(stage, override, line):

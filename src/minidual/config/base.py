@@ -24,13 +24,19 @@ class StrictModel(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=False, validate_default=True)
 
+    def demands(self) -> dict[str, float]:
+        """Return what several fields together ask for; less than in the shipped profile is no acceptance."""
+        return {}
 
-def limits(model: BaseModel, prefix: str = "") -> Iterator[tuple[str, Literal["at least", "at most"], Any]]:
+
+def limits(model: StrictModel, prefix: str = "") -> Iterator[tuple[str, Literal["at least", "at most"], Any]]:
     """Yield (dotted path, mark, value) of each marked field."""
     for name, field in type(model).model_fields.items():
         value = getattr(model, name)
         for mark in ("at least", "at most"):
             if mark in field.metadata:
                 yield f"{prefix}{name}", mark, value
-        if isinstance(value, BaseModel):
+        if isinstance(value, StrictModel):
             yield from limits(value, f"{prefix}{name}.")
+    for name, value in model.demands().items():
+        yield f"{prefix}{name}", "at least", value

@@ -10,15 +10,15 @@ from minidual.config.base import AtLeast, AtMost, StrictModel
 class EnvCheckConfig(StrictModel):
     """Test motions and limits of `env-check`."""
 
-    step_rad: float = Field(default=0.3, ge=0.01, le=0.5)
+    step_rad: AtLeast[float] = Field(default=0.3, ge=0.01, le=0.5)
     """Outward step of joint 1 of each arm."""
-    step_duration_s: float = Field(default=2.0, ge=1.0, le=10.0)
+    step_duration_s: AtMost[float] = Field(default=2.0, ge=1.0, le=10.0)
     step_error_max_rad: AtMost[float] = Field(default=0.005, gt=0.0, le=0.05)
-    single_step_rad: float = Field(default=0.1, ge=0.01, le=0.3)
-    single_duration_s: float = Field(default=0.6, ge=0.3, le=5.0)
-    sine_amplitude_rad: float = Field(default=0.3, ge=0.01, le=0.5)
-    sine_frequency_hz: float = Field(default=0.5, ge=0.05, le=1.0)
-    sine_duration_s: float = Field(default=10.0, ge=1.0, le=60.0)
+    single_step_rad: AtLeast[float] = Field(default=0.1, ge=0.01, le=0.3)
+    single_duration_s: AtMost[float] = Field(default=0.6, ge=0.3, le=5.0)
+    sine_amplitude_rad: AtLeast[float] = Field(default=0.3, ge=0.01, le=0.5)
+    sine_frequency_hz: AtLeast[float] = Field(default=0.5, ge=0.05, le=1.0)
+    sine_duration_s: AtLeast[float] = Field(default=10.0, ge=1.0, le=60.0)
     sine_rms_max_rad: AtMost[float] = Field(default=0.02, gt=0.0, le=0.05)
     pulse_share: float = Field(default=0.1, ge=0.01, le=0.5)
     rise_max_s: AtMost[float] = Field(default=0.25, gt=0.0, le=1.0)
@@ -27,7 +27,7 @@ class EnvCheckConfig(StrictModel):
     latency_max_us: AtMost[float] = Field(default=1000.0, gt=0.0, le=10_000.0)
     """Computing time from command to torques."""
     stop_rest_max_s: AtMost[float] = Field(default=0.5, gt=0.0, le=2.0)
-    agreement_states_n: int = Field(default=20, ge=1, le=1000)
+    agreement_states_n: AtLeast[int] = Field(default=20, ge=1, le=1000)
     agreement_max: AtMost[float] = Field(default=1e-10, gt=0.0, le=1e-6)
 
 
@@ -63,17 +63,17 @@ class SensingConfig(StrictModel):
     Noise is white and Gaussian for each sample and axis, a bias for each trial. Encoders are exact. See docs/carry.md.
     """
 
-    pose_noise_m: float = Field(default=0.0005, ge=0.0, le=0.02)
-    pose_noise_rad: float = Field(default=0.005236, ge=0.0, le=0.2)
+    pose_noise_m: AtLeast[float] = Field(default=0.0005, ge=0.0, le=0.02)
+    pose_noise_rad: AtLeast[float] = Field(default=0.005236, ge=0.0, le=0.2)
     """Standard deviation of each rotation vector component (0.3 degrees)."""
-    pose_bias_m: float = Field(default=0.0, ge=0.0, le=0.02)
+    pose_bias_m: AtLeast[float] = Field(default=0.0, ge=0.0, le=0.02)
     """Standard deviation of each coordinate of a trial's constant offset."""
-    pose_bias_rad: float = Field(default=0.0, ge=0.0, le=0.2)
+    pose_bias_rad: AtLeast[float] = Field(default=0.0, ge=0.0, le=0.2)
     pose_rate_hz: float = Field(default=100.0, ge=0.0, le=1000.0)
     """0 samples at every control step."""
-    force_noise_n: float = Field(default=1.0, ge=0.0, le=50.0)
+    force_noise_n: AtLeast[float] = Field(default=1.0, ge=0.0, le=50.0)
     """Standard deviation of each contact force component and pinch, at every control step."""
-    delay_s: float = Field(default=0.010, ge=0.0, le=0.5)
+    delay_s: AtLeast[float] = Field(default=0.010, ge=0.0, le=0.5)
     force_filter_s: float = Field(default=0.010, ge=0.0, le=0.5)
     grasp_memory_s: float = Field(default=0.15, ge=0.0, le=5.0)
     """Averaging time of the object's pose between the hands; 0 uses the last sample."""

@@ -97,6 +97,6 @@ class DeployConfig(StrictModel):
     training_trials: AtLeast[int] = Field(default=20, ge=0, le=10_000)
     """Trials from training starts."""
     success_rate_min: AtLeast[float] = Field(default=0.5, ge=0.0, le=1.0)
-    judge_success: bool = True
+    judge_success: AtLeast[bool] = True
     """Whether the success rate has a limit."""
     inference_hz_min: AtLeast[float] = Field(default=30.0, gt=0.0, le=1e5)

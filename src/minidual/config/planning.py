@@ -75,7 +75,7 @@ class PlanConfig(StrictModel):
     second_seed: int = Field(default=20261, ge=0, lt=2**63)
     second_queries_n: AtLeast[int] = Field(default=0, ge=0, le=10000)
     obstacles_n: AtLeast[int] = Field(default=5, ge=0, le=50)
-    blocked_fraction: float = Field(default=1.0, ge=0.0, le=1.0)
+    blocked_fraction: AtLeast[float] = Field(default=1.0, ge=0.0, le=1.0)
     """Share of queries whose straight line in joint space is blocked."""
     agreement_states_n: AtLeast[int] = Field(default=2000, ge=100, le=1_000_000)
     success_rate_min: AtLeast[float] = Field(default=1.0, ge=0.0, le=1.0)

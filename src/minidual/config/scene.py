@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 from pydantic import Field, model_validator
@@ -117,6 +118,10 @@ class TaskConfig(StrictModel):
     internal_force_min_n: AtLeast[float] = Field(default=20.0, gt=0.0, le=1000.0)
     rest_speed_m_per_s: AtMost[float] = Field(default=0.02, gt=0.0, le=10.0)
     time_limit_s: AtMost[float] = Field(default=15.0, gt=1.0, le=60.0)
+
+    def demands(self) -> dict[str, float]:
+        """Return the distance from start to goal [m] and the turn [rad]."""
+        return {"distance_m": round(math.dist(self.start_xy_m, self.goal_xy_m), 6), "turn_rad": abs(self.goal_yaw_rad)}
 
 
 class CameraConfig(StrictModel):
