@@ -52,6 +52,15 @@ def a_link_to_a_device(path: Path) -> None:
     path.symlink_to("/dev/zero")
 
 
+def a_link_to_the_run(path: Path) -> None:
+    path.symlink_to(path.parent)
+
+
+def a_link_to_another_stage(path: Path) -> None:
+    (path.parent / "second").mkdir(exist_ok=True)
+    path.symlink_to(path.parent / "second")
+
+
 def a_link_to_nothing(path: Path) -> None:
     path.symlink_to(path.parent.parent / "not" / "there")
 
@@ -71,7 +80,11 @@ NO_FILE = {
     a_folder: "is a folder",
 }
 IN_THE_WAY = {
-    "first": NO_FOLDER,
+    "first": {
+        **NO_FOLDER,
+        a_link_to_the_run: "in or above its own run",
+        a_link_to_another_stage: "in or above its own run",
+    },
     **{
         name: {**NO_FOLDER, a_link_to_a_folder: "is a link", a_link_to_nothing: "is a broken link"}
         for name in (".first.tmp", ".first.old", "set-aside")
@@ -119,12 +132,12 @@ def test_what_is_in_the_way_is_named_before_work_starts(run, name):
             state = bench.gate().state("first")
             assert state.state == "error"
             assert said in state.reasons[0]
-        if make is not a_folder:
-            path.unlink()
-            remove(run.folder.parent / "elsewhere")
-    code, out, err = run("first") if make is a_folder else (2, "", said)
+        remove(path)
+        remove(run.folder.parent / "elsewhere")
+    os.mkfifo(path)
+    code, out, err = run("first")
     assert (code, out) == (2, "")
-    assert said in err
+    assert "is a FIFO" in err
     remove(path)
     assert run("first")[0] == 0, "once it is moved away, the stage runs"
 

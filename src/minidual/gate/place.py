@@ -48,6 +48,11 @@ class Place:
                 raise DataError(f"{path} is a link; minidual keeps a folder there", remedy="remove the link")
             if replacing and path.exists() and not os.access(path, os.W_OK):
                 raise DataError(f"no permission to write in {path}", remedy="change its permissions")
+        run = self.name.parent.resolve()
+        if self.folder != self.name and (self.folder.is_relative_to(run) or run.is_relative_to(self.folder)):
+            raise DataError(
+                f"{self.name} is a link to {self.folder}, in or above its own run", remedy="remove the link"
+            )
         if self.folder != self.name and not self.folder.parent.is_dir():
             remedy = f"make that folder (mount its disk), or remove the link {self.name}"
             raise DataError(
