@@ -417,3 +417,18 @@ def test_a_place_of_a_tool_is_checked_too(tmp_path, make):
     context = ToolContext(load_config().config, 0, 1, "standard", tmp_path / "run", _name="modes")
     with pytest.raises(DataError, match=r"\.modes\.tmp is a"):
         context.begin()
+
+
+@pytest.mark.parametrize("target", ["mine", "run"])
+def test_a_link_to_files_that_are_no_result_is_refused_and_keeps_them(run, target):
+    place = run.folder / "first"
+    remove(place)
+    mine = run.folder.parent / "mine" if target == "mine" else run.folder
+    mine.mkdir(exist_ok=True)
+    (mine / "mine.txt").write_text("mine")
+    place.symlink_to(mine)
+    code, _, err = run("first", "--force")
+    assert (code, (mine / "mine.txt").read_text()) == (2, "mine")
+    assert f"{place} is a link to {mine}, whose files are no result of minidual" in err
+    place.unlink()
+    assert run("first")[0] == 0
