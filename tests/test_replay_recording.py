@@ -11,6 +11,7 @@ import pytest
 from panda import DOF, HOME
 
 from minidual.cli.app import run_command_line
+from minidual.config.scene import ObstacleConfig
 from minidual.config.supervisor import SupervisorConfig
 from minidual.control.loop import JointLoop
 from minidual.control.reflexes import ReflexError
@@ -330,13 +331,13 @@ class TestFiles:
 
     def test_another_version_of_the_format_is_named(self, trial, tmp_path):
         path = edit_header(trial[0], tmp_path, version=99)
-        with pytest.raises(DataError, match="version 99 of the format; this minidual reads version 2") as caught:
+        with pytest.raises(DataError, match="version 99 of the format; this minidual reads version 3") as caught:
             read_recording(path)
         assert "minidual 0." in caught.value.remedy
 
     def test_a_scene_of_another_version_is_named(self, trial, tmp_path):
         path = edit_header(trial[0], tmp_path, scene={"planet": "Mars"})
-        with pytest.raises(DataError, match="a scene that this version does not know"):
+        with pytest.raises(DataError, match=r"values that this version does not know: scene\.planet"):
             read_recording(path)
 
     def test_another_robot_is_refused(self, trial):
@@ -346,12 +347,149 @@ class TestFiles:
             replay(other)
 
 
+class TestHostileFiles:
+    @pytest.mark.parametrize(
+        ("field", "value", "said"),
+        [
+            ("opt.cone", 9.0, "opt.cone is 9; it must be one of 0, 1"),  # a SIGSEGV
+            ("opt.cone", 0.5, "opt.cone is 0.5"),
+            ("opt.integrator", 7.0, "opt.integrator is 7; it must be one of 0, 1, 2, 3, 4"),
+            ("opt.solver", -1.0, "opt.solver is -1"),
+            ("opt.iterations", 1e9, "opt.iterations is 1e[+]09"),
+            ("opt.timestep", 0.0, "opt.timestep is 0; it must be the scene's 0.001"),
+            ("opt.timestep", np.nan, "opt.timestep is nan"),
+            ("opt.tolerance", np.inf, "opt.tolerance is inf"),
+            ("opt.gravity", np.nan, "opt.gravity is nan"),
+            ("body_mass", np.nan, "body_mass is nan; it must be from 0 to 1e[+]10"),
+            ("body_mass", -1.0, "body_mass is -1"),
+            ("body_inertia", 1e300, "body_inertia is 1e[+]300"),
+            ("geom_condim", 5.0, "geom_condim is 5; it must be one of 1, 3, 4, 6"),
+            ("geom_size", -0.1, "geom_size is -0.1"),
+            ("actuator_gainprm", np.inf, "actuator_gainprm is inf"),
+        ],
+    )
+    def test_physics_that_no_model_has_is_refused_by_name(self, trial, field, value, said):
+        recorded = read_recording(trial[0])
+        values = recorded.model[field].copy()
+        values.flat[-1] = value
+        changed = module.Recording(**{**vars(recorded), "model": {**recorded.model, field: values}})
+        with pytest.raises(DataError, match=f"the recording's {said}"):
+            replay(changed)
+
+    def test_a_change_that_physics_allows_is_told_by_the_digest(self, trial, tmp_path):
+        """Every array and the header, changed as little as possible; without a digest all of these would be read."""
+        with np.load(trial[0]) as stored:
+            arrays = dict(stored)
+        read = []
+        for name, values in arrays.items():
+            bytes_ = bytearray(values.tobytes())
+            bytes_[len(bytes_) // 2] ^= 1
+            changed = np.frombuffer(bytes(bytes_), values.dtype).reshape(values.shape)
+            np.savez(tmp_path / "changed.npz", **{**arrays, name: changed})
+            with pytest.raises(DataError, match=r"changed\.npz"):
+                read_recording(tmp_path / "changed.npz")
+            read.append(name)
+        assert {"controls", "keyframes", "pushes", "header", "digest", "model.body_mass", "model.opt.cone"} <= {*read}
+        np.savez(tmp_path / "changed.npz", **{**arrays, "model.opt.cone": np.array(0.0)})
+        with pytest.raises(DataError, match="its content does not fit its digest") as caught:
+            read_recording(tmp_path / "changed.npz")
+        assert "record it again" in caught.value.remedy
+        del arrays["digest"]
+        np.savez(tmp_path / "changed.npz", **arrays)
+        with pytest.raises(DataError, match="it lacks 'digest'"):
+            read_recording(tmp_path / "changed.npz")
+
+    @pytest.mark.parametrize(
+        ("name", "change", "said"),
+        [
+            ("controls", lambda a: a[:0], "lacks controls"),
+            ("controls", lambda a: a.astype(np.complex128), "controls is 2-dimensional complex128"),
+            ("controls", lambda a: a[:, None], "controls is 3-dimensional"),
+            ("keyframe_steps", lambda a: a[:0], "or the state before the first"),
+            ("keyframe_steps", lambda a: np.r_[a[:1], a[:0:-1]], "its keyframe steps do not grow from 0 to 700"),
+            ("keyframe_steps", lambda a: np.r_[a[:-1], 2**62], "its keyframe steps do not grow"),
+            ("keyframes", lambda a: a[1:], "one for each of 7 rows"),
+            ("keyframes", lambda a: a[:, :0], "lacks controls, or the state before the first"),
+            ("keyframes", lambda a: a * 1e300, "the times of its keyframes are not 0.001 s a step apart"),
+            ("push_steps", lambda a: a - 1000, "its push steps do not grow"),
+            ("pushes", lambda a: a[..., 0], "pushes is 2-dimensional"),
+        ],
+    )
+    def test_arrays_that_do_not_fit_each_other_are_refused_by_name(self, trial, tmp_path, name, change, said):
+        recorded = read_recording(trial[0])
+        with np.errstate(all="ignore"):
+            changed = {**vars(recorded), name: change(getattr(recorded, name))}
+        path = write_recording(tmp_path / "forged.npz", module.Recording(**changed))
+        with pytest.raises(DataError, match=said):
+            read_recording(path)
+
+    @pytest.mark.parametrize(
+        ("name", "change", "said"),
+        [
+            ("controls", lambda a: a[:, :3], "a row of the model's controls has shape"),
+            ("keyframes", lambda a: a[:, :9], "a row of the model's keyframes has shape"),
+            ("pushes", lambda a: a[:, :2], "a row of the model's pushes has shape"),
+            ("keyframes", lambda a: np.where(np.arange(a.shape[1]) == 3, np.nan, a), "the state at 0 s is not finite"),
+        ],
+    )
+    def test_states_that_do_not_fit_the_model_are_refused_by_name(self, trial, name, change, said):
+        recorded = read_recording(trial[0])
+        with pytest.raises(DataError, match=said):
+            replay(module.Recording(**{**vars(recorded), name: change(getattr(recorded, name))}))
+
+    def test_a_scene_that_mujoco_cannot_build_is_one_message(self, trial):
+        recorded = read_recording(trial[0])
+        block = ObstacleConfig.model_construct(size_m=(-1.0, 0.04, 0.1), xy_m=(0.5, 0.0))
+        scene = recorded.scene.model_copy(update={"task": recorded.scene.task.model_copy(update={"obstacle": block})})
+        with pytest.raises(DataError, match="the recording's scene cannot be built"):
+            replay(module.Recording(**{**vars(recorded), "scene": scene}))
+
+    def test_a_state_that_ends_where_the_recording_goes_on_does_not_repeat(self, trial):
+        recorded = read_recording(trial[0])
+        mass = recorded.model["body_mass"].copy()
+        mass[:] = 0.0
+        inertia = np.zeros_like(recorded.model["body_inertia"])
+        armature = np.zeros_like(recorded.model["dof_armature"])
+        weightless = {"body_mass": mass, "body_inertia": inertia, "dof_armature": armature}
+        found = replay(module.Recording(**{**vars(recorded), "model": {**recorded.model, **weightless}}))
+        assert found.ended.startswith("the state is not finite")
+        assert not found.exact
+        assert found.deviates.what == "the state, which goes on in the recording,"
+
+    @pytest.mark.parametrize(
+        "header",
+        [{"kind": "\x1b[2J"}, {"seed": "x"}, {"libraries": {"minidual": 3}}, {"details": [1]}, {"reason": None}],
+    )
+    def test_headers_of_another_type_are_refused_by_name(self, trial, tmp_path, header):
+        with pytest.raises(DataError, match=f"does not know: {next(iter(header))}"):
+            read_recording(edit_header(trial[0], tmp_path, **header))
+
+    def test_archives_that_no_one_writes_are_one_message(self, trial, tmp_path, monkeypatch):
+        path = tmp_path / "odd.npz"
+        for compression in (zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2):
+            with zipfile.ZipFile(path, "w", compression) as archive:
+                archive.writestr("header.npy", b"\x93NUMPY" + bytes(300))
+            content = bytearray(path.read_bytes())
+            content[60:90] = bytes(30)
+            path.write_bytes(content)
+            with pytest.raises(DataError, match="is no whole recording"):
+                read_recording(path)
+        deep = np.frombuffer(b"[" * 100_000, np.uint8)
+        np.savez(path, header=deep)
+        with pytest.raises(DataError, match="is no whole recording"):
+            read_recording(path)
+        monkeypatch.setattr(module, "_BYTES_MAX", 1000)
+        with pytest.raises(DataError, match=r"unpacked it has \d+ bytes, more than 1000"):
+            read_recording(trial[0])
+
+
 def edit_header(path, folder, **changes):
     """Write a copy of a recording whose header says something else."""
     with np.load(path) as stored:
         arrays = dict(stored)
     header = json.loads(arrays["header"].tobytes()) | changes
     arrays["header"] = np.frombuffer(json.dumps(header).encode(), np.uint8)
+    arrays["digest"] = module._digest({name: values for name, values in arrays.items() if name != "digest"})
     edited = folder / "edited.npz"
     np.savez(edited, **arrays)
     return edited
@@ -391,9 +529,17 @@ class TestCommand:
 
     def test_it_says_that_nothing_was_compared(self, run, trial):
         code, out, _ = run(trial[0], "--from-s", "0.31", "--to-s", "0.39")
-        assert code == 0
+        assert code == 5
         assert "repeats   nothing compared" in out
         assert "to the bit" not in out
+
+    def test_what_a_file_says_does_not_steer_the_terminal(self, run, trial, tmp_path):
+        told = {"reason": "\x1b]0;owned\x07\u202e", "kind": "dump", "details": {"\x1b[2J": ["\x9b31m"]}}
+        code, out, err = run(edit_header(trial[0], tmp_path, **told))
+        assert code == 0
+        assert "why       \\u001b]0;owned\\u0007\\u202e" in out
+        assert "\\u001b[2J: \\u009b31m" in out
+        assert not set("\x1b\x07\x9b\u202e") & set(out + err)
 
     def test_json_is_one_document(self, run, trial):
         code, out, _ = run(trial[0], "--from-s", "0.2", "--json")

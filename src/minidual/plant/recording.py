@@ -5,19 +5,20 @@ controls    (T, nu) `ctrl` of every step
 keyframes   (K, n) MuJoCo states before keyframe_steps[k], and at the end
 push_steps, pushes   external wrenches (nbody, 6) at each change
 model.*     physical model fields
+digest      sha256 of the others: finds damage, not forgery
 """
 
 from __future__ import annotations
 
+import hashlib
 import importlib.metadata
 import json
 import platform
 import zipfile
-import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
@@ -25,6 +26,7 @@ import numpy.typing as npt
 from pydantic import ValidationError
 
 import minidual
+from minidual.config.base import StrictModel
 from minidual.config.robot import RobotConfig
 from minidual.config.scene import SceneConfig
 from minidual.durable import replacing
@@ -33,7 +35,8 @@ from minidual.robot.arms import robot_from
 from minidual.robot.pair import Array, Robot
 
 FORMAT = "minidual-recording"
-VERSION = 2
+VERSION = 3
+_BYTES_MAX = 2**30
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 """Everything the next step depends on, including the solver's warm start."""
 
@@ -43,6 +46,15 @@ _JOINT = ("dof_armature", "dof_damping", "dof_frictionloss", "dof_invweight0", "
 _MOTOR = ("actuator_gainprm", "actuator_biasprm", "actuator_ctrlrange", "actuator_forcerange")
 _GEOM = ("geom_size", "geom_friction", "geom_solref", "geom_solimp", "geom_margin", "geom_condim")
 _OPTIONS = ("timestep", "gravity", "impratio", "integrator", "cone", "solver", "iterations", "tolerance")
+_CHOICES: dict[str, Sequence[int]] = {
+    "geom_condim": (1, 3, 4, 6),
+    "opt.integrator": range(len(mujoco.mjtIntegrator.__members__)),
+    "opt.cone": range(len(mujoco.mjtCone.__members__)),
+    "opt.solver": range(len(mujoco.mjtSolver.__members__)),
+    "opt.iterations": range(1, 1001),
+}
+_SIGNED = ("body_ipos", "body_iquat", "jnt_range", *_MOTOR, "geom_solref", "opt.gravity")
+"""Fields that may be negative."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +125,7 @@ def apply_physical_fields(model: mujoco.MjModel, fields: Mapping[str, Array]) ->
     """Write recorded fields; return which differed.
 
     Raises:
-        DataError: A field is missing or of another shape.
+        DataError: A field is missing, of another shape, or holds a value that no model has.
     """
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     now = physical_fields(model)
@@ -121,11 +133,8 @@ def apply_physical_fields(model: mujoco.MjModel, fields: Mapping[str, Array]) ->
     for name, values in now.items():
         recorded = fields.get(name)
         if recorded is None or recorded.shape != values.shape:
-            shape = None if recorded is None else recorded.shape
-            raise DataError(
-                f"the model's {name} has shape {values.shape}, the recording's {shape}",
-                remedy="it was made with another robot or scene; replay it with the version that made it",
-            )
+            raise _misfit(f"the model's {name}", values.shape, None if recorded is None else recorded.shape)
+        _check_field(name, recorded, float(model.opt.timestep))
         if np.array_equal(recorded, values):
             continue
         changed.append(name)
@@ -139,17 +148,72 @@ def apply_physical_fields(model: mujoco.MjModel, fields: Mapping[str, Array]) ->
     return changed
 
 
-_HEADER = ("kind", "reason", "arm", "libraries", "seed", "details")
-_ARRAYS = ("controls", "keyframe_steps", "keyframes", "push_steps", "pushes")
+def _check_field(name: str, values: Array, timestep_s: float) -> None:
+    """Refuse what MuJoCo would not survive, or would turn into another experiment."""
+    low = -mujoco.mjMAXVAL if name in _SIGNED else 0.0
+    fits, bound = (low <= values) & (values <= mujoco.mjMAXVAL), f"from {low:g} to {mujoco.mjMAXVAL:g}"  # NaN does not
+    if name in _CHOICES:
+        fits, bound = np.isin(values, _CHOICES[name]), f"one of {', '.join(map(str, _CHOICES[name]))}"
+    elif name == "opt.timestep":
+        fits, bound = values == timestep_s, f"the scene's {timestep_s:g}"
+    if not fits.all():
+        raise DataError(f"the recording's {name} is {values[~fits].flat[0]:g}; it must be {bound}", remedy=_TAMPERED)
+
+
+def _misfit(what: str, shape: tuple[int, ...], recorded: tuple[int, ...] | None) -> DataError:
+    return DataError(
+        f"{what} has shape {shape}, the recording's {recorded}",
+        remedy="it was made with another robot or scene; replay it with the version that made it",
+    )
+
+
+def check_shapes(model: mujoco.MjModel, recording: Recording) -> None:
+    """Raise DataError if controls, keyframes or pushes do not fit the model."""
+    size = mujoco.mj_stateSize(model, STATE)
+    for name, shape in (("controls", (model.nu,)), ("keyframes", (size,)), ("pushes", (model.nbody, 6))):
+        if getattr(recording, name).shape[1:] != shape:
+            raise _misfit(f"a row of the model's {name}", shape, getattr(recording, name).shape[1:])
+
+
+_TAMPERED = "the file was changed after it was written; record it again"
+_ARRAYS = {
+    "controls": (np.float64, 2),
+    "keyframe_steps": (np.int64, 1),
+    "keyframes": (np.float64, 2),
+    "push_steps": (np.int64, 1),
+    "pushes": (np.float64, 3),
+}
+
+
+class _Header(StrictModel):
+    format: Literal["minidual-recording"]
+    version: int
+    kind: Literal["dump", "trial"]
+    reason: str
+    arm: str
+    scene: SceneConfig
+    libraries: dict[str, str]
+    seed: int | None
+    details: dict[str, Any]
+
+
+def _digest(arrays: Mapping[str, npt.NDArray[Any]]) -> npt.NDArray[np.uint8]:
+    """Return the sha256 (32,) of the arrays with their names, types and shapes."""
+    found = hashlib.sha256()
+    for name, values in sorted(arrays.items()):
+        found.update(f"{name} {values.dtype.str} {values.shape}".encode())
+        found.update(values.tobytes())
+    return np.frombuffer(found.digest(), dtype=np.uint8)
 
 
 def write_recording(path: Path, recording: Recording) -> Path:
     """Write a recording durably."""
-    header = {name: getattr(recording, name) for name in _HEADER}
+    header = {name: getattr(recording, name) for name in ("kind", "reason", "arm", "libraries", "seed", "details")}
     header |= {"format": FORMAT, "version": VERSION, "scene": recording.scene.model_dump(mode="json")}
-    arrays = {name: getattr(recording, name) for name in _ARRAYS}
+    arrays: dict[str, npt.NDArray[Any]] = {name: getattr(recording, name) for name in _ARRAYS}
     arrays |= {f"model.{name}": values for name, values in recording.model.items()}
     arrays["header"] = np.frombuffer(json.dumps(header, default=dict).encode(), dtype=np.uint8)
+    arrays["digest"] = _digest(arrays)
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as partial, partial.open("wb") as stream:
         np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
@@ -157,33 +221,69 @@ def write_recording(path: Path, recording: Recording) -> Path:
 
 
 def read_recording(path: Path) -> Recording:
-    """Read a recording.
+    """Read a recording; `check_shapes` and `apply_physical_fields` compare it with the model.
 
     Raises:
-        DataError: Missing, damaged, or of another version.
+        DataError: Missing, damaged, changed, or of another version.
     """
     if not path.is_file():
         raise DataError(f"there is no file {path}", remedy="dumps lie in the folder that the error message named")
     remedy = "record it again, or check that the copy is complete"
+    arrays = _read_arrays(path, remedy)
     try:
-        with np.load(path, allow_pickle=False) as stored:
-            arrays = dict(stored)
         header = json.loads(arrays["header"].tobytes())
         if header["format"] != FORMAT:
             raise ValueError(f"its format is '{header['format']}', not '{FORMAT}'")
         remedy = f"replay it with minidual {header['libraries']['minidual']}, which made it"
         if header["version"] != VERSION:
             raise ValueError(f"it has version {header['version']} of the format; this minidual reads version {VERSION}")
-        return Recording(
-            scene=SceneConfig.model_validate(header["scene"]),
-            model={name[6:]: values for name, values in arrays.items() if name.startswith("model.")},
-            **{name: header[name] for name in _HEADER},
+        known = _Header.model_validate(header)
+        remedy = _TAMPERED
+        if arrays.pop("digest").tobytes() != _digest(arrays).tobytes():
+            raise ValueError("its content does not fit its digest")
+        for name, (kind, rank) in _ARRAYS.items():
+            if (arrays[name].dtype, arrays[name].ndim) != (kind, rank):
+                raise ValueError(f"{name} is {arrays[name].ndim}-dimensional {arrays[name].dtype}")
+        recording = Recording(
+            model={name[6:]: values.astype(float) for name, values in arrays.items() if name.startswith("model.")},
             **{name: arrays[name] for name in _ARRAYS},
+            **{name: getattr(known, name) for name in _Header.model_fields if name not in ("format", "version")},
         )
+        _check_steps(recording)
+        return recording
     except ValidationError as error:
         settings = ", ".join(".".join(map(str, item["loc"])) for item in error.errors())
-        raise DataError(f"{path} has a scene that this version does not know: {settings}", remedy=remedy) from error
+        raise DataError(f"{path} has values that this version does not know: {settings}", remedy=remedy) from error
     except KeyError as error:
         raise DataError(f"{path} is no recording: it lacks {error}", remedy=remedy) from error
-    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, TypeError, ValueError, NotImplementedError) as error:
+    except (TypeError, ValueError, RecursionError) as error:
         raise DataError(f"{path} is no whole recording: {error}", remedy=remedy) from error
+
+
+def _read_arrays(path: Path, remedy: str) -> dict[str, npt.NDArray[Any]]:
+    try:
+        with zipfile.ZipFile(path) as archive:
+            size = sum(item.file_size for item in archive.infolist())
+        if size > _BYTES_MAX:
+            raise ValueError(f"unpacked it has {size} bytes, more than {_BYTES_MAX}")
+        with np.load(path, allow_pickle=False) as stored:
+            return dict(stored)
+    except Exception as error:  # zipfile, its decompressors and numpy each raise their own
+        raise DataError(f"{path} is no whole recording: {error}", remedy=remedy) from error
+
+
+def _check_steps(recording: Recording) -> None:
+    """Raise ValueError unless steps grow within the recording and keyframes have their times."""
+    steps, pushed, count = recording.keyframe_steps, recording.push_steps, recording.steps
+    if not (count and len(steps) and steps[0] == 0 and recording.keyframes.size):
+        raise ValueError("it lacks controls, or the state before the first")
+    for name, numbers, rows in (("keyframe", steps, recording.keyframes), ("push", pushed, recording.pushes)):
+        if (
+            len(numbers) != len(rows)
+            or not ((numbers >= 0) & (numbers <= count)).all()
+            or (np.diff(numbers) <= 0).any()
+        ):
+            raise ValueError(f"its {name} steps do not grow from 0 to {count}, one for each of {len(rows)} rows")
+    times_s = recording.start_s + steps * recording.dt_s
+    if not np.abs(recording.keyframes[:, 0] - times_s).max() <= 1e-6:
+        raise ValueError(f"the times of its keyframes are not {recording.dt_s:g} s a step apart")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -9,9 +10,9 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from minidual.errors import UsageError
+from minidual.errors import DataError, UsageError
 from minidual.plant.model import build_model
-from minidual.plant.recording import STATE, Recording, apply_physical_fields, versions
+from minidual.plant.recording import STATE, Recording, apply_physical_fields, check_shapes, versions
 from minidual.plant.world import World
 from minidual.robot.pair import Array
 
@@ -82,7 +83,7 @@ def replay(
 
     Raises:
         UsageError: Times outside the recording.
-        DataError: Physical fields do not fit the model.
+        DataError: Scene, states or physical fields do not fit a model.
     """
     start, end = recording.start_s, recording.end_s
     begin, stop = start if from_s is None else from_s, end if to_s is None else to_s
@@ -91,13 +92,21 @@ def replay(
             f"cannot replay from {begin:g} s to {stop:g} s: the recording runs from {start:.3f} s to {end:.3f} s",
             remedy="choose --from-s and --to-s inside it",
         )
-    model = build_model(recording.scene, recording.robot, visuals=False)
+    try:
+        model = build_model(recording.scene, recording.robot, visuals=False)
+    except ValueError as error:  # MuJoCo's compiler
+        raise DataError(f"the recording's scene cannot be built: {error}", remedy="record it again") from error
+    check_shapes(model, recording)
     changed = apply_physical_fields(model, recording.model)
     world = World(recording.scene, recording.robot, model=model)
     data = world.data
     keyframe = np.searchsorted(recording.keyframe_steps, round((begin - start) / recording.dt_s), side="right") - 1
     first, last = int(recording.keyframe_steps[keyframe]), round((stop - start) / recording.dt_s)
     frames = dict(zip(recording.keyframe_steps.tolist(), recording.keyframes, strict=True))
+    if not (np.abs(frames[first][: 1 + model.nq + model.nv]) <= mujoco.mjMAXVAL).all():
+        raise DataError(
+            f"the state at {frames[first][0]:g} s is not finite", remedy="choose another --from-s, or record it again"
+        )
     mujoco.mj_setState(model, data, frames[first], STATE)
     mujoco.mj_forward(model, data)
     mujoco.mj_setState(model, data, frames[first], STATE)  # forward changes the warm start
@@ -135,6 +144,11 @@ def replay(
             done = step + 1
             if world.time <= before:  # MuJoCo resets a non-finite state
                 ended = f"the state is not finite after {before:.3f} s"
+                if deviates is None and any(step < later <= last for later in frames):
+                    largest, deviates = (
+                        math.inf,
+                        Deviation(before, "the state, which goes on in the recording,", math.inf),
+                    )
                 break
             v_max = world.robot.v_max
             _watch(world, "velocity of", world.v, -v_max, v_max, "rad/s", signs)

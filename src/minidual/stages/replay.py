@@ -15,7 +15,7 @@ from minidual.stages.plan_once import target_file
 
 
 def replay_tool(context: ToolContext) -> ToolResult:
-    """Replay the file; exit 1 if equal versions do not reproduce it."""
+    """Replay the file; exit 1 if equal versions do not reproduce it, 5 if there was nothing to compare."""
     options = context.options
     camera = options.get("camera", "overview")
     if camera not in CAMERAS:
@@ -42,12 +42,13 @@ def replay_tool(context: ToolContext) -> ToolResult:
             count = sheet_of_postures(model, postures, picture, frames=frames, camera=camera)
             notes.append(f"sheet of {count} frames: {picture}")
     broken = found.deviates is not None and not found.versions_differ
+    code = ExitCode.PASS if found.compared else ExitCode.NOTHING_EVALUATED
     told = {name: getattr(recording, name) for name in ("kind", "reason", "seed", "details")}
     return ToolResult(
         lines=_lines(path, recording, found),
         notes=notes,
         data={"file": str(path), **told, "made_by": recording.libraries, "exact": found.exact, **asdict(found)},
-        exit_code=ExitCode.ACCEPTANCE_FAILED if broken else ExitCode.PASS,
+        exit_code=ExitCode.ACCEPTANCE_FAILED if broken else code,
     )
 
 
