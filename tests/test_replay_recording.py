@@ -437,6 +437,15 @@ class TestHostileFiles:
         with pytest.raises(DataError, match=said):
             replay(module.Recording(**{**vars(recorded), name: change(getattr(recorded, name))}))
 
+    def test_physics_of_another_type_is_refused_by_name(self, trial, tmp_path):
+        recorded = read_recording(trial[0])
+        mass = {"body_mass": recorded.model["body_mass"].astype("S8")}
+        path = write_recording(
+            tmp_path / "forged.npz", module.Recording(**{**vars(recorded), "model": {**recorded.model, **mass}})
+        )
+        with pytest.raises(DataError, match=r"model\.body_mass is 1-dimensional \|S8"):
+            read_recording(path)
+
     def test_a_scene_that_mujoco_cannot_build_is_one_message(self, trial):
         recorded = read_recording(trial[0])
         block = ObstacleConfig.model_construct(size_m=(-1.0, 0.04, 0.1), xy_m=(0.5, 0.0))
@@ -455,6 +464,7 @@ class TestHostileFiles:
         assert found.ended.startswith("the state is not finite")
         assert not found.exact
         assert found.deviates.what == "the state, which goes on in the recording,"
+        assert found.compared == 0  # and the command exits with 1, not with 5
 
     @pytest.mark.parametrize(
         "header",

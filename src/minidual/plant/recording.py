@@ -241,11 +241,12 @@ def read_recording(path: Path) -> Recording:
         remedy = _TAMPERED
         if arrays.pop("digest").tobytes() != _digest(arrays).tobytes():
             raise ValueError("its content does not fit its digest")
-        for name, (kind, rank) in _ARRAYS.items():
-            if (arrays[name].dtype, arrays[name].ndim) != (kind, rank):
+        fields = {name[6:]: values for name, values in arrays.items() if name.startswith("model.")}
+        for name, (kind, rank) in (_ARRAYS | {f"model.{name}": (np.float64, None) for name in fields}).items():
+            if arrays[name].dtype != kind or rank not in (None, arrays[name].ndim):
                 raise ValueError(f"{name} is {arrays[name].ndim}-dimensional {arrays[name].dtype}")
         recording = Recording(
-            model={name[6:]: values.astype(float) for name, values in arrays.items() if name.startswith("model.")},
+            model=fields,
             **{name: arrays[name] for name in _ARRAYS},
             **{name: getattr(known, name) for name in _Header.model_fields if name not in ("format", "version")},
         )

@@ -83,7 +83,7 @@ def _row(values: object) -> str:
 
 
 def _repeats(found: Replayed) -> str:
-    if found.compared == 0:
+    if found.deviates is None and found.compared == 0:
         return "nothing compared: no check point lies in this stretch"
     if found.deviates is None:
         return f"to the bit, at {found.compared} of {found.compared} check points"
