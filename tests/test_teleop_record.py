@@ -359,6 +359,34 @@ def test_a_damaged_file_is_set_aside_and_recorded_again(tmp_path: Path, toys: No
     assert len(list((tmp_path / "episodes" / "set-aside").glob("episode_000000.hdf5-*"))) == 1
 
 
+@pytest.mark.parametrize("content", [b"", b"\xff{", b"[1]", b'{"success": true, "path": "../../elsewhere"}'])
+def test_a_damaged_attempt_is_set_aside_with_its_episode_and_recorded_again(
+    tmp_path: Path, toys: None, content: bytes
+) -> None:
+    task = job(tmp_path, episodes_n=2)
+    before = record(task, workers=1)
+    wanted = _files(tmp_path)
+    (tmp_path / "attempts" / "000000.json").write_bytes(content)
+    again = record(task, workers=1)
+    assert [a.adopted for a in again.attempts] == [False, True, True]
+    assert [a.row() for a in again.attempts] == [a.row() for a in before.attempts]
+    assert _files(tmp_path) == wanted
+    assert len(list(tmp_path.glob("attempts/set-aside/000000.json-*"))) == 1
+    assert len(list(tmp_path.glob("*/set-aside/episode_000000.hdf5-*"))) == 1
+
+
+@pytest.mark.parametrize("content", [b"", b"\xff{", b"[1]"])
+def test_damaged_inputs_set_the_recording_aside(tmp_path: Path, toys: None, content: bytes) -> None:
+    folder = tmp_path / "work"
+    folder.mkdir()
+    claim(folder, {"seed": 1}, "old")
+    record(job(folder, episodes_n=1), workers=1)
+    (folder / "inputs.json").write_bytes(content)
+    assert "was moved to" in claim(folder, {"seed": 1}, "old")
+    assert not (folder / "episodes").exists()
+    assert claim(folder, {"seed": 1}, "old") == ""
+
+
 def test_a_recording_of_other_inputs_is_set_aside_and_named(tmp_path: Path, toys: None) -> None:
     folder = tmp_path / "new"
     folder.mkdir()

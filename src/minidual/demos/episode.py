@@ -18,6 +18,8 @@ from minidual.errors import DataError
 from minidual.robot.pair import Robot
 
 Array = NDArray[np.float64]
+ARRAY_BYTES_MAX = 2**32
+"""Limit of one array in memory."""
 
 
 @dataclass(frozen=True)
@@ -71,9 +73,13 @@ def read_episode(path: Path | str, *, cameras: Sequence[str] | None = None) -> E
 
 
 def inspect_episode(
-    path: Path | str, *, cameras: Sequence[str] | None = None, robot: Robot | None = None
+    path: Path | str,
+    *,
+    cameras: Sequence[str] | None = None,
+    size: tuple[int, int] | None = None,
+    robot: Robot | None = None,
 ) -> tuple[Episode | None, list[EpisodeFault]]:
-    """Return an episode (None if unreadable) and every fault; None skips the check of `cameras` or `robot`.
+    """Return an episode (None if unreadable) and every fault; None skips the check of `cameras`, `size` or `robot`.
 
     All arrays are read, to verify their checksums.
     """
@@ -84,14 +90,16 @@ def inspect_episode(
     if cameras is not None and tuple(cameras) != e.meta.cameras:
         detail = f"cameras are {_list(e.meta.cameras)}; expected {_list(cameras)}"
         faults.append(EpisodeFault("cameras_wrong", detail))
+    for camera, frames in e.images.items():
+        if size not in (None, frames.shape[1:3]):
+            detail = f"camera '{camera}' has pictures of {frames.shape[1:3]}; expected {size} (height, width)"
+            faults.append(EpisodeFault("images_size", detail))
     if len(e) < 2:
         faults.append(EpisodeFault("too_short", f"{len(e)} ticks; an episode has at least 2"))
     if faults:
         return e, faults
-    arrays = {f.key: v for f in schema.FIELDS if (v := getattr(e, f.name)) is not None}
-    faults += checks.check_finite(arrays)
-    for key in ("timestamps", "image_timestamps"):
-        faults += checks.check_monotonic(arrays[key], key) if key in arrays else ()
+    for key, stamps in (("timestamps", e.timestamps), ("image_timestamps", e.image_timestamps)):
+        faults += () if stamps is None else checks.check_monotonic(stamps, key)
     faults += checks.check_action_is_command(e.qpos, e.action)
     if faults:
         return e, faults
@@ -128,9 +136,10 @@ def _load(
                 elif field.required:
                     faults.append(EpisodeFault("field_missing", f"{field.key} is missing"))
             images = _images(file, meta, ticks, cameras, faults)
+            faults += () if faults else checks.check_finite({f.key: arrays[f.name] for f in fields if f.name in arrays})
     except DataError as error:
         return None, [EpisodeFault("attributes_wrong", f"{path.name}: {error.message}")]
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError) as error:
+    except (OSError, RuntimeError, LookupError, ValueError, TypeError, AttributeError, ArithmeticError) as error:
         return None, [EpisodeFault("file_corrupt", f"{path.name} is truncated or corrupt: {error}")]
     return (None if faults else Episode(meta, images, path=path, **arrays)), faults
 
@@ -163,6 +172,14 @@ def _array(
     """Return a dataset; append a fault if its shape (-1: any length) or type is another."""
     found: Any = file[key]
     is_array = isinstance(found, h5py.Dataset)
+    # Checked before anything is read: a sparse file declares terabytes, and a link leads to another file.
+    if is_array and (found.size * found.dtype.itemsize > ARRAY_BYTES_MAX or found.external or found.is_virtual):
+        faults.append(
+            EpisodeFault(
+                "field_too_large", f"{key} {found.shape} takes over {ARRAY_BYTES_MAX} bytes, or lies in another file"
+            )
+        )
+        return np.empty(0, dtype)
     if is_array and np.can_cast(found.dtype, dtype) and len(found.shape) == len(shape):
         fits = [wanted in (-1, n) for n, wanted in zip(found.shape, shape, strict=True)]
         if all(fits):

@@ -5,8 +5,8 @@ Decoding once into memory is 30 to 60 times faster than random access to videos.
 
 from __future__ import annotations
 
+import contextlib
 import itertools
-import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +19,7 @@ import pyarrow.parquet as pq
 from av.error import FFmpegError
 from numpy.typing import NDArray
 
+from minidual.durable import read_json, regular_file
 from minidual.errors import DataError, unknown_name
 
 STATE = "observation.state"
@@ -28,6 +29,13 @@ IMAGE_PREFIX = "observation.images.cam_"
 Image = NDArray[np.uint8]
 Rows = NDArray[np.int64]
 _AGAIN = "convert the episodes again: minidual teleop-record --force"
+_VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
+_BAD = (OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, MemoryError)
+PIXELS_MAX, ROWS_MAX = 4096, 10_000_000
+"""Limits of a picture's sides and of a dataset's rows, checked before memory is taken."""
+BYTES_MAX = 2**36
+BRIGHTNESS_MAX = 0.03
+"""Limit of a video's difference to the mean that LeRobot recorded, by colour; 1 is full scale."""
 
 
 def camera_key(camera: str) -> str:
@@ -59,7 +67,6 @@ class LeRobotTables:
     frame_index: Rows
     starts: Rows
     stops: Rows
-    _video_path: str
     _episodes: Any
 
     def __len__(self) -> int:
@@ -74,7 +81,9 @@ class LeRobotTables:
         """
         if camera not in self.cameras:
             raise unknown_name("camera", camera, self.cameras)
-        videos, size = self._videos(camera_key(camera)), self.cameras[camera]
+        size = self.cameras[camera]
+        with _reading(f"{self.root}: the table of videos"):
+            videos = self._videos(camera_key(camera))
         parts = (zip(rows.tolist(), _decode(self.root / n, len(rows), size), strict=True) for n, rows in videos.items())
         return itertools.chain.from_iterable(parts)
 
@@ -89,16 +98,27 @@ class LeRobotTables:
             result[row] = image
             if progress is not None and (count % 1000 == 0 or count == len(self)):
                 progress((count - 1) % 1000 + 1)
+        recorded = f"stats/{camera_key(camera)}/mean"
+        if recorded in self._episodes.column_names:
+            for e, (start, stop) in enumerate(zip(self.starts, self.stops, strict=True)):
+                mean = result[start:stop:8].mean(axis=(0, 1, 2)) / 255.0
+                apart = float(np.abs(mean - np.ravel(self._episodes[recorded][e].as_py())).max())
+                if not apart <= BRIGHTNESS_MAX:
+                    raise DataError(
+                        f"{self.root}: camera '{camera}' of episode {e} shows other pictures than were recorded (mean "
+                        f"colour {apart:.3f} apart, limit {BRIGHTNESS_MAX:g})",
+                        remedy=_AGAIN,
+                    )
         return result
 
     def _videos(self, key: str) -> dict[str, Rows]:
-        places = [f"videos/{key}/{name}" for name in ("chunk_index", "file_index", "from_timestamp")]
-        chunk, file, begin = (self._episodes[place].to_numpy() for place in places)
+        chunk, file = (_integers(self._episodes, f"videos/{key}/{name}") for name in ("chunk_index", "file_index"))
+        begin = np.asarray(self._episodes[f"videos/{key}/from_timestamp"].to_numpy(), dtype=float)
         parts: dict[str, list[Rows]] = {}
         for e in np.lexsort((begin, file, chunk)):
-            name = self._video_path.format(video_key=key, chunk_index=int(chunk[e]), file_index=int(file[e]))
+            name = _VIDEO_PATH.format(video_key=key, chunk_index=int(chunk[e]), file_index=int(file[e]))
             expected = sum(map(len, parts.setdefault(name, [])))
-            if round(float(begin[e]) * self.fps) != expected:
+            if not abs(begin[e] * self.fps - expected) <= 0.5:
                 raise DataError(f"{name}: episode {int(e)} does not begin at frame {expected} as the tables say")
             parts[name].append(np.arange(self.starts[e], self.stops[e]))
         return {name: np.concatenate(rows) for name, rows in parts.items()}
@@ -110,42 +130,59 @@ def read_dataset(root: Path | str) -> LeRobotTables:
     path = root / "meta" / "info.json"
     if not path.is_file():
         raise DataError(f"no LeRobot dataset at {root} (meta/info.json is missing)", remedy=_AGAIN)
-    try:
-        info = json.loads(path.read_text(encoding="utf-8"))
-        version, features = str(info["codebase_version"]), info["features"]
-        fps, video_path = float(info["fps"]), str(info["video_path"])
+    with _reading(path):
+        info = read_json(path)
+        version, features, fps = str(info["codebase_version"]), info["features"], float(info["fps"])
         declared = (int(info["total_frames"]), int(info["total_episodes"]))
-        names, action_names = (tuple(features[key]["names"]) for key in (STATE, ACTION))
+        names, action_names = (tuple(map(str, features[key]["names"])) for key in (STATE, ACTION))
         shapes = {key.removeprefix(IMAGE_PREFIX): f["shape"] for key, f in features.items() if IMAGE_PREFIX in key}
         cameras = {camera: (int(shape[0]), int(shape[1])) for camera, shape in shapes.items()}
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise DataError(f"{path} is corrupt: {error!r}", remedy=_AGAIN) from error
+        if not (0.0 < fps < 1e5 and 0 <= declared[0] <= ROWS_MAX and info["video_path"] == _VIDEO_PATH):
+            raise ValueError(f"fps {fps:g}, {declared[0]} frames or the video path is out of bounds")
+        if large := [camera for camera, size in cameras.items() if not all(0 < n <= PIXELS_MAX for n in size)]:
+            raise ValueError(f"camera '{large[0]}' has a size outside 1 to {PIXELS_MAX} pixels")
     if not version.startswith("v3"):
         raise DataError(f"{root} is a LeRobot dataset of version {version}; this program reads v3")
     table, episodes = _read_parquet(root, "data"), _read_parquet(root, "meta/episodes")
-    try:
+    with _reading(f"{root}: a table"):
         state, action = (np.stack(table[key].to_numpy()).astype(np.float32) for key in (STATE, ACTION))
         index, episode, frame = (_integers(table, key) for key in ("index", "episode_index", "frame_index"))
         starts, stops = (_integers(episodes, key) for key in ("dataset_from_index", "dataset_to_index"))
-    except (KeyError, ValueError, TypeError) as error:
-        raise DataError(f"{root}: a table lacks a column: {error}", remedy=_AGAIN) from error
+        if not all(
+            values.shape == (len(index), len(names)) and np.isfinite(values).all() for values in (state, action)
+        ):
+            raise ValueError(f"state {state.shape} or action {action.shape} is not finite or not as declared")
     if declared != (len(index), len(starts)):
         raise DataError(
             f"{root}: info.json declares {declared[0]} frames in {declared[1]} episodes, the tables hold {len(index)} "
             f"in {len(starts)}",
             remedy=_AGAIN,
         )
-    counted = np.concatenate([np.arange(stop - start) for start, stop in zip(starts, stops, strict=True)])
-    if not (np.array_equal(index, np.arange(len(index))) and np.array_equal(frame, counted)):
+    runs = (
+        np.array_equal(starts, np.r_[0, stops][: len(starts)]) and np.all(stops > starts) and stops[-1:] == len(index)
+    )
+    counted = (
+        np.concatenate([np.arange(stop - start) for start, stop in zip(starts, stops, strict=True)]) if runs else 0
+    )
+    if not (runs and np.array_equal(index, np.arange(len(index))) and np.array_equal(frame, counted)):
         raise DataError(f"{root}: row or frame indices do not run without gaps", remedy=_AGAIN)
     if action_names != names:
         raise DataError(f"{root}: action is named {action_names}, state {names}", remedy=_AGAIN)
     columns = (state, action, episode, frame, starts, stops)
-    return LeRobotTables(root, fps, names, cameras, *columns, video_path, episodes)
+    return LeRobotTables(root, fps, names, cameras, *columns, episodes)
 
 
 def _integers(table: Any, key: str) -> Rows:
     return np.asarray(table[key].to_numpy(), dtype=np.int64)
+
+
+@contextlib.contextmanager
+def _reading(what: Path | str) -> Iterator[None]:
+    """Turn an error of damaged content into DataError."""
+    try:
+        yield
+    except (*_BAD, pa.ArrowException, FFmpegError) as error:
+        raise DataError(f"{what} is missing, truncated or corrupt: {error!r:.300}", remedy=_AGAIN) from error
 
 
 def _read_parquet(root: Path, folder: str) -> Any:
@@ -154,24 +191,25 @@ def _read_parquet(root: Path, folder: str) -> Any:
         raise DataError(f"{root} holds no parquet tables under {folder}", remedy=_AGAIN)
     tables: list[Any] = []
     for path in paths:
-        try:
-            tables.append(pq.read_table(path))
-        except (pa.ArrowException, OSError) as error:
-            raise DataError(f"{path} is truncated or corrupt: {error}", remedy=_AGAIN) from error
-    return pa.concat_tables(tables, promote_options="default")
+        with _reading(path), pq.ParquetFile(regular_file(path, BYTES_MAX)) as file:
+            if file.metadata.num_rows > ROWS_MAX:
+                raise ValueError(f"{file.metadata.num_rows} rows; at most {ROWS_MAX}")
+            tables.append(file.read())
+    with _reading(root / folder):
+        return pa.concat_tables(tables, promote_options="default")
 
 
 def _decode(path: Path, expected: int, size: tuple[int, int]) -> Iterator[Image]:
-    """Yield images; DataError at the end for a wrong count."""
+    """Yield images; DataError for another size, and at the end for a wrong count."""
     count = 0
-    try:
-        with av.open(str(path)) as container:
-            for frame in container.decode(video=0):
-                count += 1
-                if count <= expected:
-                    shown: Any = frame.to_ndarray(format="rgb24", width=size[1], height=size[0], interpolation="AREA")
-                    yield shown
-    except (FFmpegError, OSError) as error:
-        raise DataError(f"{path} is missing or corrupt: {error}", remedy=_AGAIN) from error
+    with _reading(path), av.open(str(regular_file(path, BYTES_MAX)), format="mp4") as container:
+        for count, frame in enumerate(container.decode(video=0), start=1):
+            if (frame.height, frame.width) != size:
+                raise ValueError(f"its pictures are {frame.height} x {frame.width}, declared {size[0]} x {size[1]}")
+            if count > expected:
+                break
+            shown: Any = frame.to_ndarray(format="rgb24", width=size[1], height=size[0], interpolation="AREA")
+            yield shown
     if count != expected:
-        raise DataError(f"{path} holds {count} frames; the table has {expected} rows for it", remedy=_AGAIN)
+        held = f"more than {expected}" if count > expected else count
+        raise DataError(f"{path} holds {held} frames; the table has {expected} rows for it", remedy=_AGAIN)

@@ -6,6 +6,7 @@ have known size.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import time
@@ -22,6 +23,7 @@ from minidual.demos.checks import camera_references, check_swapped
 from minidual.demos.leader import LEADERS
 from minidual.demos.rig import ATTEMPTS, KEPT, MEASURES, REJECTED, Attempt, Job, Rig
 from minidual.demos.smoothness import JERK_FILTER
+from minidual.errors import DataError
 from minidual.workers import in_workers
 
 INPUTS_FILE = "inputs.json"
@@ -42,7 +44,10 @@ def claim(folder: Path, inputs: Mapping[str, Any], name: str) -> str:
     path, gathered = folder / INPUTS_FILE, folder.with_name(f".{name}.aside")
     if gathered.exists():  # killed while it was set aside
         durable.set_aside(gathered, name)
-    before = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    before: Any = {}
+    with contextlib.suppress(DataError):  # missing or damaged: the recording is set aside
+        before = durable.read_json(path)
+    before = before if isinstance(before, dict) else {}
     note, begun = "", any((folder / part).exists() for part in (KEPT, REJECTED, ATTEMPTS))
     if begun and before != inputs:
         gathered.mkdir()

@@ -11,9 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import Field, ValidationError
 
 from minidual import durable
 from minidual.config.arbiter import ArbiterConfig
+from minidual.config.base import StrictModel
 from minidual.config.supervisor import SupervisorConfig
 from minidual.config.teleop import TeleopConfig
 from minidual.demos.checks import Thumbnails, thumbnails
@@ -25,7 +27,7 @@ from minidual.demos.schema import EpisodeMeta
 from minidual.demos.session import SessionResult, TeleopSession, Tick
 from minidual.demos.smoothness import rms_jerk
 from minidual.demos.writer import EpisodeWriter
-from minidual.errors import MinidualError
+from minidual.errors import DataError, MinidualError
 from minidual.plant.render import Camera, Image, write_video
 from minidual.plant.world import SimulationDivergedError, World
 from minidual.robot.arms import robot_from
@@ -41,6 +43,17 @@ KEPT, REJECTED, ATTEMPTS = "episodes", "rejected", "attempts"
 """Folders of a recording: demonstrations, other episodes, and one JSON file for each attempt."""
 MEASURES = ("completion_s", "goal_error_m", "tilt_max_rad")
 FILM_SIZE = (640, 480)
+
+
+class _Said(StrictModel):
+    """An attempt's JSON file."""
+
+    success: bool
+    reason: str
+    measures: dict[str, float]
+    latencies_s: tuple[float, ...]
+    wall_s: float
+    path: str | None = Field(pattern=rf"^({KEPT}|{REJECTED})/episode_\d{{6}}\.hdf5$")
 
 
 class OrphanedError(MinidualError):
@@ -142,12 +155,17 @@ class Rig:
         return self._adopted(trial) or self._recorded(trial)
 
     def _adopted(self, trial: Trial) -> Attempt | None:
-        try:
-            said = json.loads(self._attempt_path(trial).read_text(encoding="utf-8"))
-        except FileNotFoundError:
+        record = self._attempt_path(trial)
+        if not record.exists():
             return None
-        path = said.pop("path")
-        attempt = Attempt(trial, **said, path=path and self.job.folder / path, adopted=True)
+        try:
+            said = _Said.model_validate(durable.read_json(record))
+        except (DataError, ValidationError):  # damaged since
+            for path in (record, *self.job.folder.glob(f"*/episode_{trial.index:06d}.hdf5")):
+                durable.set_aside(path, path.name)
+            return None
+        path = said.path and self.job.folder / said.path
+        attempt = Attempt(trial, **(dict(said) | {"path": path}), adopted=True)
         if attempt.path is None:
             return attempt
         if not attempt.path.exists():  # killed before the file got its name
@@ -197,7 +215,9 @@ class Rig:
 
     def _read_back(self, attempt: Attempt, path: Path) -> Attempt:
         """Judge the file; an episode with faults is no demonstration."""
-        episode, found = inspect_episode(path, cameras=self.job.teleop.cameras, robot=self.job.robot)
+        camera = self.job.task.config.scene.camera
+        size = (camera.height_px, camera.width_px)
+        episode, found = inspect_episode(path, cameras=self.job.teleop.cameras, size=size, robot=self.job.robot)
         faults = tuple(map(str, found))
         attempt = replace(attempt, faults=faults, reason=attempt.reason or next(iter(faults), ""))
         if episode is None:

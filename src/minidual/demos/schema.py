@@ -140,6 +140,8 @@ class EpisodeMeta:
                 success=bool(attrs["success"]),
                 extra=json.loads(attrs.get("extra", "{}")),
             )
-            return meta, int(attrs[TICKS])
-        except (ValueError, TypeError) as error:
+            if (ticks := int(attrs[TICKS])) < 0:
+                raise DataError(f"{TICKS} is {ticks}")
+            return meta, ticks
+        except (ValueError, TypeError, OverflowError, RecursionError) as error:
             raise DataError(f"unreadable attributes: {error}") from error
