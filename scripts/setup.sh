@@ -44,7 +44,7 @@ if ! is_312 "$venv/bin/python"; then
     fi
 fi
 
-# uv is 10 times faster than pip on these 6 GB. It comes from the same lock, by the same hashes.
+# uv is 10 times faster than pip on these 7 GB. It comes from the same lock, by the same hashes.
 uv=$venv/bin/uv
 awk '/^[^ #]/ {inside = /^uv==/} inside' "$lock" >"$venv/uv.txt"
 if ! "$uv" --version 2>/dev/null | grep -qF "$(sed -n 's/^uv==\([^ ]*\).*/\1/p' "$venv/uv.txt")"; then
@@ -52,7 +52,7 @@ if ! "$uv" --version 2>/dev/null | grep -qF "$(sed -n 's/^uv==\([^ ]*\).*/\1/p' 
         -r "$venv/uv.txt" || echo "setup: no uv, going on with pip (slower)" >&2
 fi
 
-echo "setup: installing the locked dependencies (about 6 GB on disk)"
+echo "setup: installing the locked dependencies (about 7 GB on disk)"
 if "$uv" --version >/dev/null 2>&1; then
     "$uv" pip sync --quiet --python "$venv/bin/python" --require-hashes "$lock"
     "$uv" pip install --quiet --python "$venv/bin/python" --no-deps --no-build-isolation --editable .

@@ -27,7 +27,7 @@ METHODS = ("moveit", "impedance", "act")
 STAGES = (
     ("env-check", "Simulation and joints: every joint read, mapped and driven, tracking, contacts, libraries"),
     ("plan", "Plan collision-free motions for left_arm, right_arm and both_arms"),
-    ("carry", "Carry the rod with both arms under object impedance control"),
+    ("carry", "Carry an object with both arms under object impedance control"),
     ("teleop-record", "Teleoperate, record demonstrations, convert and grade the dataset"),
     ("train-act", "Train the ACT policy on the recorded dataset"),
     ("deploy", "Let the policy drive the arms on seeds it never saw"),

@@ -38,7 +38,7 @@ def test_what_the_leader_did_is_recorded_and_named(page: dict[str, Any]) -> None
 
 
 def test_the_row_is_refused_twice_and_suggested_for_a_slip(page: dict[str, Any]) -> None:
-    with pytest.raises(ValueError, match="'sway' stands twice"):
+    with pytest.raises(ValueError, match="'sway' is in the table already"):
         LEADERS.add("sway", page["Sway"])
     with pytest.raises(UsageError, match=r"(?s)no leader 'swag'.*did you mean 'sway'"):
         LEADERS["swag"]

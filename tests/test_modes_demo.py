@@ -83,7 +83,7 @@ def test_planner_leader_and_planner_again_carry_the_rod_within_every_bound(world
     demo = ModesDemo(stage.stack, [stage.moveit(home=False, share=0.5), stage.teleop(), stage.moveit(home=True)])
     steps = [turn.mode for turn in demo.steps()]
     assert demo.ended is None
-    assert demo.faults(ArbiterConfig()) == []
+    assert demo.exceeded(ArbiterConfig()) == []
     first, second, third = demo.switches
     assert first.speed_at_request_rad_s == 0.0
     assert second.speed_at_request_rad_s > 0.5, "the leader is to interrupt arms in motion"
@@ -111,7 +111,7 @@ def test_without_a_supervisor_the_torque_steps_are_over_their_bound_and_named(wo
     steps = demo.steps()
     for _ in range(800):
         next(steps)
-    assert any("torque_step_nm" in fault and "policy" in fault for fault in demo.faults(ArbiterConfig()))
+    assert any("torque_step_nm" in text and "policy" in text for text in demo.exceeded(ArbiterConfig()))
     assert demo.switches[0].torque_step_nm == demo.switches[0].torque_step_asked_nm
 
 
@@ -128,10 +128,10 @@ def test_without_a_supervisor_the_torque_steps_are_over_their_bound_and_named(wo
 )
 def test_every_bound_can_fail(name: str, changes: dict[str, float]) -> None:
     fine = {"first_step_rad": 0.01, "reference_step_ratio": 0.9, "torque_step_nm": 0.9, "target_step_rad": 0.01}
-    assert Switch("teleop", 1.0, **fine).faults(ArbiterConfig()) == []
-    faults = Switch("teleop", 1.0, **{**fine, **changes}).faults(ArbiterConfig())
-    assert len(faults) == 1
-    assert faults[0].startswith(f"switch to teleop at 1.00 s: {name}")
+    assert Switch("teleop", 1.0, **fine).exceeded(ArbiterConfig()) == []
+    exceeded = Switch("teleop", 1.0, **{**fine, **changes}).exceeded(ArbiterConfig())
+    assert len(exceeded) == 1
+    assert exceeded[0].startswith(f"switch to teleop at 1.00 s: {name}")
 
 
 def test_the_policy_gets_its_turn_and_its_queue_is_dropped_at_every_switch(world: World) -> None:

@@ -88,5 +88,5 @@ class TestPlugIn:
     def test_a_name_that_is_taken_is_refused(self, monkeypatch):
         table = self.point(monkeypatch, "plugged_in_stage:ENTRY")
         table.plug_in("minidual.stages")
-        with pytest.raises(UsageError, match="stands twice"):
+        with pytest.raises(UsageError, match="is in the table already"):
             table.plug_in("minidual.stages")

@@ -169,7 +169,7 @@ def test_option_that_is_no_configuration_enters_the_fingerprint(bench):
 
 
 def test_table_refuses_duplicates_and_forward_requirements(bench):
-    with pytest.raises(ValueError, match="stands twice"):
+    with pytest.raises(ValueError, match="is in the table already"):
         StageTable([StageEntry("a", bench.first, (), ""), StageEntry("a", bench.first, (), "")])
     with pytest.raises(ValueError, match="requires 'b', which does not stand above"):
         StageTable([StageEntry("a", bench.first, ("b",), "")])

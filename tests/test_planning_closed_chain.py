@@ -46,7 +46,7 @@ def waypoints():
 
 @pytest.fixture(scope="module")
 def carried(q_start, waypoints):
-    return HeldPlanner().follow(q_start, waypoints, *GRASPS, scene=scene_holding(PlanningScene(), ROD, HELD))
+    return HeldPlanner().follow(q_start, waypoints, GRASPS, scene=scene_holding(PlanningScene(), ROD, HELD))
 
 
 def test_grasps_hold_on_a_much_finer_grid_than_was_solved(carried):
@@ -95,19 +95,19 @@ def test_the_proof_covers_the_rod(carried, q_start, waypoints):
     # A block that only the rod would hit, under its way between the hands:
     blocked = PlanningScene().with_obstacles(Box("block", (0.5, 0.0, 0.06), size_m=(0.02, 0.02, 0.13)))
     with pytest.raises(ClosedChainError, match=r"not free: .*block"):
-        HeldPlanner().follow(q_start, waypoints, *GRASPS, scene=scene_holding(blocked, ROD, HELD))
+        HeldPlanner().follow(q_start, waypoints, GRASPS, scene=scene_holding(blocked, ROD, HELD))
 
 
 def test_slower_object_takes_longer(carried, q_start, waypoints):
-    slow = HeldPlanner().follow(q_start, waypoints, *GRASPS, along=PathLimits(0.1, 0.5))
+    slow = HeldPlanner().follow(q_start, waypoints, GRASPS, along=PathLimits(0.1, 0.5))
     assert slow.duration_s > 1.8 * carried.duration_s
     assert slow.verification is None
     with pytest.raises(UsageError, match="speed limit along the path is 0"):
-        HeldPlanner().follow(q_start, waypoints, *GRASPS, along=PathLimits(0.0, 0.5))
+        HeldPlanner().follow(q_start, waypoints, GRASPS, along=PathLimits(0.0, 0.5))
 
 
 def test_same_query_same_bytes(carried, q_start, waypoints):
-    again = HeldPlanner().follow(q_start, waypoints, *GRASPS)
+    again = HeldPlanner().follow(q_start, waypoints, GRASPS)
     assert again.digest() == carried.digest()
 
 
@@ -117,7 +117,7 @@ def test_rotation_while_carrying(q_start):
     q = planner.plan_to_poses(
         "both_arms", q_start, {"left": turned[0] @ GRASPS[0], "right": turned[0] @ GRASPS[1]}
     ).q_goal
-    plan = HeldPlanner().follow(q, turned, *GRASPS)
+    plan = HeldPlanner().follow(q, turned, GRASPS)
     assert plan.residual_m < 1e-4
     assert np.abs(plan.Ts_world_object[-1] - turned[1]).max() < 1e-9
 
@@ -126,29 +126,28 @@ def test_start_off_the_grasp_is_refused(q_start, waypoints):
     off = [T.copy() for T in waypoints]
     off[0][0, 3] += 0.01
     with pytest.raises(ClosedChainError, match=r"left hand is 10.00 mm and 0.0000 rad off its grasp"):
-        HeldPlanner().follow(q_start, off, *GRASPS)
-    left, right = grasp_of(q_start, off[0])
-    assert HeldPlanner().follow(q_start, off, left, right).residual_m < 1e-4
+        HeldPlanner().follow(q_start, off, GRASPS)
+    assert HeldPlanner().follow(q_start, off, grasp_of(q_start, off[0])).residual_m < 1e-4
 
 
 def test_out_of_reach_names_the_hand_and_the_place(q_start, waypoints):
     far = [waypoints[0], rod_at(1.4, 0.25, 0.3, 0.2)]
     with pytest.raises(ClosedChainError, match=r"the \w+ hand cannot follow.*\(0\.\d+, 0\.\d+, 0\.\d+\) m"):
-        HeldPlanner().follow(q_start, far, *GRASPS)
+        HeldPlanner().follow(q_start, far, GRASPS)
 
 
 def test_bad_input_is_named(q_start, waypoints):
     planner = HeldPlanner()
     with pytest.raises(UsageError, match="two or more"):
-        planner.follow(q_start, waypoints[:1], *GRASPS)
+        planner.follow(q_start, waypoints[:1], GRASPS)
     with pytest.raises(UsageError, match="same pose"):
-        planner.follow(q_start, [waypoints[0], waypoints[0]], *GRASPS)
+        planner.follow(q_start, [waypoints[0], waypoints[0]], GRASPS)
     with pytest.raises(UsageError, match="waypoint 1 of the object holds a value that is not finite"):
-        planner.follow(q_start, [waypoints[0], waypoints[1] * np.nan], *GRASPS)
+        planner.follow(q_start, [waypoints[0], waypoints[1] * np.nan], GRASPS)
     with pytest.raises(UsageError, match="the left grasp is no rigid pose"):
-        planner.follow(q_start, waypoints, 2.0 * GRASPS[0], GRASPS[1])
+        planner.follow(q_start, waypoints, (2.0 * GRASPS[0], GRASPS[1]))
     with pytest.raises(OutOfLimitsError, match="left_panda_joint4"):
-        planner.follow(np.zeros(14), waypoints, *GRASPS)
+        planner.follow(np.zeros(14), waypoints, GRASPS)
 
 
 def test_object_path_is_smooth_and_passes_near_its_corners(waypoints):

@@ -333,16 +333,8 @@ class _NeverProvenFree:
 
 
 def test_a_goal_that_no_plane_separates_is_refused_and_not_searched_for_ever():
-    poses = PoseGoals()
+    poses = PoseGoals(Kinematics(), 2)
     home = DUAL_PANDA.home
     target = Kinematics(DUAL_PANDA).tcp_poses(home)[0]
     with pytest.raises(GoalInCollisionError, match="too close to contact"):
-        poses.candidates(
-            "left_arm",
-            home,
-            {"left": target},
-            _NeverProvenFree(),
-            np.random.default_rng(0),
-            restarts_n=2,
-            candidates_n=1,
-        )
+        poses.candidates("left_arm", home, {"left": target}, _NeverProvenFree(), np.random.default_rng(0))

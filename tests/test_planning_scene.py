@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from minidual.collision import acm as acm_module
-from minidual.collision.acm import acm_report, build_acm, default_acm
+from minidual.collision.acm import acm_report, build_acm
 from minidual.collision.allowed import AllowedCollisions
 from minidual.collision.engine import Pairs
 from minidual.collision.mujoco_engine import MujocoEngine
@@ -79,13 +79,13 @@ def test_cross_arm_pairs_are_always_checked():
 
 
 def test_every_allowed_pair_has_a_reason_and_stays_within_one_arm():
-    for first, second, reason in default_acm(DUAL_PANDA).table():
+    for first, second, reason in acm_report(DUAL_PANDA).acm.table():
         assert side_of(first) == side_of(second)
         assert reason.split(" ")[0] in ("rigid", "adjacent", "always", "never")
 
 
 def test_both_arms_have_the_same_matrix():
-    table = default_acm(DUAL_PANDA).table()
+    table = acm_report(DUAL_PANDA).acm.table()
     left = {(a[5:], b[5:], r) for a, b, r in table if a.startswith("left_")}
     right = {(a[6:], b[6:], r) for a, b, r in table if a.startswith("right_")}
     assert left == right
@@ -96,7 +96,7 @@ def test_the_pairs_of_the_published_srdf_that_may_touch_cover_ours_that_always_d
     published = {frozenset(p) for p in never_touching(PANDA)}
     ours = {
         frozenset((a[5:], b[5:]))
-        for a, b, r in default_acm(DUAL_PANDA).table()
+        for a, b, r in acm_report(DUAL_PANDA).acm.table()
         if a.startswith("left_") and r in ("adjacent", "rigid")
     }
     fingers = frozenset(("panda_leftfinger", "panda_rightfinger"))
@@ -108,13 +108,13 @@ def test_few_samples_would_drop_pairs_that_collide():
     """Why the default takes tens of thousands: a thousand samples call pairs `never` that do touch."""
     few = build_acm(DUAL_PANDA, samples_min=500, samples_max=1000).acm
     never_few = {(a, b) for a, b, r in few.table() if r.startswith("never")}
-    never = {(a, b) for a, b, r in default_acm(DUAL_PANDA).table() if r.startswith("never")}
+    never = {(a, b) for a, b, r in acm_report(DUAL_PANDA).acm.table() if r.startswith("never")}
     assert never <= never_few
     assert len(never_few) > len(never)
 
 
 def test_what_is_called_never_does_not_touch_in_fresh_samples():
-    matrix = default_acm(DUAL_PANDA)
+    matrix = acm_report(DUAL_PANDA).acm
     never = [(a, b) for a, b, r in matrix.table() if r.startswith("never") and a.startswith("left_")]
     engine = MujocoEngine(Pairs(DUAL_PANDA, tuple(never)))
     rng = np.random.default_rng(99)

@@ -160,8 +160,8 @@ def test_notes_tell_of_both_seeds(outcomes):
 
 def test_a_warm_up_that_is_not_solved_does_not_end_the_set():
     """No budget solves nothing; every query then says so itself."""
-    config = PlanConfig(planner=PlannerConfig(budget_s=1e-6))
-    outcomes = run_queries(config, 3, queries_n=1)
+    config = Config(plan=PlanConfig(planner=PlannerConfig(budget_s=1e-6)))
+    outcomes = run_queries(config, 3, 1)
     assert [o.reason for done in outcomes.values() for o in done] == ["no_path_in_time"] * 3
 
 
@@ -230,7 +230,7 @@ def test_each_query_pays_for_its_scene(monkeypatch):
             super().__init__(scene, *more)
 
     monkeypatch.setattr("minidual.motion.api.SceneEngines", Counted)
-    outcomes = run_queries(PlanConfig(), 20260, queries_n=1)
+    outcomes = run_queries(Config(), 20260, 1)
     for done in outcomes.values():
         assert built.count(done[0].query.scene) == 2
 

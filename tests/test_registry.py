@@ -25,7 +25,7 @@ def test_a_row_is_itself_or_what_its_target_names():
 
 def test_a_name_twice_is_refused():
     table = Registry("number", {"two": 2})
-    with pytest.raises(ValueError, match="number 'two' stands twice"):
+    with pytest.raises(ValueError, match="number 'two' is in the table already"):
         table.add("two", 3)
 
 

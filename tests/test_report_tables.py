@@ -26,7 +26,7 @@ from minidual.show.report.model import Report
 from minidual.show.report.page import build_report
 from minidual.show.report.tables import Tables, tabulate
 from minidual.show.report.wording import FAULTS, duration, joined, percent, points
-from minidual.tasks.success import SuccessCondition
+from minidual.tasks.success import OfObject, SuccessCondition
 
 KEYS = [indicator.key for indicator in INDICATORS]
 
@@ -113,7 +113,8 @@ def test_a_method_that_never_succeeds_is_best_and_excellent_in_nothing(table: di
 
 
 def test_every_condition_of_the_success_test_has_words() -> None:
-    names = {condition.name for condition in SuccessCondition.__subclasses__() if hasattr(condition, "name")}
+    kinds = (*SuccessCondition.__subclasses__(), *OfObject.__subclasses__())
+    names = {kind.name for kind in kinds if hasattr(kind, "name")}
     assert len(names) > 5
     assert names <= set(FAULTS)
 

@@ -61,13 +61,15 @@ def test_numba_loads_without_scipy_linalg_and_still_multiplies_matrices():
 import sys
 import minidual.robot.compiled
 from numba.np import arraymath
-assert "scipy.linalg" not in sys.modules
-assert "_HAVE_BLAS" in Path(arraymath.__file__).read_text()
+print("scipy.linalg" in sys.modules, "_HAVE_BLAS" in Path(arraymath.__file__).read_text())
 import numpy as np
 from numba import njit
-assert njit(lambda a: a @ a)(2.0 * np.eye(2))[1, 1] == 4.0
+print(njit(lambda a: a @ a)(2.0 * np.eye(2))[1, 1])
 """
-    subprocess.run([sys.executable, "-c", f"from pathlib import Path{program}"], check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", f"from pathlib import Path{program}"], check=True, capture_output=True, text=True
+    )
+    assert done.stdout.split() == ["False", "True", "4.0"]
 
 
 def test_no_caller_makes_the_planes_compile_again():

@@ -15,12 +15,12 @@ import pytest
 
 import minidual
 from minidual.cli.app import run_command_line
-from minidual.config.arbiter import ArbiterConfig
 from minidual.config.control import EnvCheckConfig
 from minidual.config.root import Config
 from minidual.config.scene import PhysicsConfig, SceneConfig
 from minidual.config.supervisor import SupervisorConfig
 from minidual.control.arbiter import CommandArbiter
+from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.errors import EnvironmentMissingError
 from minidual.gate.stage import StageContext
@@ -104,7 +104,7 @@ class TestStage:
             "latency.wall_median_us",
             "stop.ticks",
             "stop.rest_s",
-            "control.faults",
+            "control.stopped",
         } <= names
 
     def test_its_limits_are_the_goals_not_the_baselines(self, passed):
@@ -283,7 +283,7 @@ class TestTracking:
     def test_the_step_is_reached_to_rounding(self, rig):
         step = tracking.step_response(rig, tracking.outward_step(DUAL_PANDA, 0.3), 2.0)
         assert step.settled < 1e-6
-        assert step.fault == ""
+        assert step.stopped == ""
         assert step.error_norm[0] == pytest.approx(0.3 * np.sqrt(2), rel=1e-3)
         assert step.reference[-1][[0, 7]] == pytest.approx(HOME[[0, 7]] + [0.3, -0.3])
 
@@ -292,8 +292,8 @@ class TestTracking:
         monkeypatch.setattr(rig.world, "command", lambda tau, fingers: command(0.0 * tau, fingers))
         step = tracking.step_response(rig, tracking.outward_step(DUAL_PANDA, 0.3), 1.0)
         assert step.settled > 0.3
-        assert step.fault
-        assert judged(step=step)["control.faults"].passed is False
+        assert step.stopped
+        assert judged(step=step)["control.stopped"].passed is False
 
     def test_an_error_that_crosses_zero_is_still_an_error(self):
         t = np.arange(1000) * 1e-3
@@ -317,7 +317,7 @@ class TestTracking:
     def test_the_swing_is_followed_in_real_time(self, rig):
         sine = tracking.sine_response(rig, 0.3, 0.5, 2.0)
         assert sine.rms < 0.002
-        assert (sine.contacts, sine.fault) == (0, "")
+        assert (sine.contacts, sine.stopped) == (0, "")
         assert np.ptp(sine.measured, axis=0) == pytest.approx(np.full(DOF, 0.6), abs=0.01)
         assert 0.0 < sine.step_us < 1000.0
 
@@ -401,7 +401,7 @@ class TestLatency:
     def test_a_controller_that_lags_a_step_is_seen(self, rig):
         guard, late = rig.supervisor.guard, []
 
-        def lagging(t, q, v, tau, a_ref=None):
+        def lagging(t, q, v, tau, *_):
             late.append(tau.copy())
             return guard(t, q, v, late[max(0, len(late) - 3)])
 
@@ -415,10 +415,11 @@ class TestLatency:
         monkeypatch.setattr(CommandArbiter, "propose", lambda *_: None)
         assert set(command_latency(rig, repeats_n=1).ticks) == {60}
 
-    def test_a_source_that_does_not_get_the_arms_is_a_fault(self, world, kinematics):
-        never = tracking.Rig(world, kinematics, Config(arbiter=ArbiterConfig(still_speed_rad_s=1e-30)))
+    def test_a_source_that_does_not_get_the_arms_is_told(self, world, kinematics, monkeypatch):
+        monkeypatch.setattr(ControlStack, "request", lambda *_: None)
+        never = tracking.Rig(world, kinematics, Config())
         step = tracking.step_response(never, HOME, 0.1)
-        check = judged(step=step)["control.faults"]
+        check = judged(step=step)["control.stopped"]
         assert check.passed is False
         assert "the arms were not given" in check.remedy
 

@@ -95,9 +95,8 @@ def test_a_reflex_ends_the_trial_of_a_policy(world: World, trial: Trial, config:
 
 def test_a_reflex_ends_a_planned_trial(world: World, trial: Trial) -> None:
     planner = Planner()
-    carry = PlannedCarry(
-        world, Kinematics(), planner, TASK, trial, SEED, supervisor=trial_supervisor(FRAIL, world.dt, DUAL_PANDA)
-    )
+    stack = ControlStack(world, Kinematics(), supervisor=trial_supervisor(FRAIL, world.dt, DUAL_PANDA))
+    carry = PlannedCarry(stack, planner, TASK, trial, SEED)
     assert _steps(carry, 2000) < 2000
     assert "phase 'approach': reflex joint_velocity" in (carry.aborted or "")
 
@@ -105,7 +104,7 @@ def test_a_reflex_ends_a_planned_trial(world: World, trial: Trial) -> None:
 def test_a_planned_trial_keeps_the_distance_that_the_supervisor_watches(world: World, trial: Trial) -> None:
     planner = Planner()
     supervisor = trial_supervisor(SupervisorConfig(), world.dt, DUAL_PANDA)
-    carry = PlannedCarry(world, Kinematics(), planner, TASK, trial, SEED, supervisor=supervisor)
+    carry = PlannedCarry(ControlStack(world, Kinematics(), supervisor=supervisor), planner, TASK, trial, SEED)
     assert carry.solution is not None
     distance = arm_distance(DUAL_PANDA)
     gaps = [distance(q)[1] for segment in carry.solution.segments for q in segment.trajectory.q]
@@ -114,7 +113,7 @@ def test_a_planned_trial_keeps_the_distance_that_the_supervisor_watches(world: W
     # What no plan keeps is said, and nothing moves.
     world.reset(poses=trial.start)
     wide = trial_supervisor(SupervisorConfig(self_collision_min_m=0.14), world.dt, DUAL_PANDA)
-    carry = PlannedCarry(world, Kinematics(), planner, TASK, trial, SEED, supervisor=wide)
+    carry = PlannedCarry(ControlStack(world, Kinematics(), supervisor=wide), planner, TASK, trial, SEED)
     assert carry.done
     assert "they must keep 145" in (carry.aborted or "")
 

@@ -37,7 +37,7 @@ def run(world: World, planner: Planner, seed: int) -> tuple[Outcome, PlannedCarr
     trial = TASK.trial(seed, "plan", 0)
     judge = begin(world, TASK, trial)
     supervisor = trial_supervisor(TASK.config.supervisor, world.dt, world.robot)
-    carry = PlannedCarry(world, Kinematics(), planner, TASK, trial, seed, supervisor=supervisor)
+    carry = PlannedCarry(ControlStack(world, Kinematics(), supervisor=supervisor), planner, TASK, trial, seed)
     return drive(world, judge, carry), carry
 
 
@@ -77,7 +77,7 @@ def test_each_end_is_out_of_the_other_hand_s_reach(planner: Planner) -> None:
         phases = ("approach", "descend", "close", "lift", "carry", "lower", "open")
         alone = dataclasses.replace(TASK, steps=tuple(Step(phase, (hand,)) for phase in phases))
         trial = TASK.trial(1, "plan", 0)
-        carry = PlannedCarry(World(TASK.scene), Kinematics(), planner, alone, trial, 1)
+        carry = PlannedCarry(ControlStack(World(TASK.scene), Kinematics()), planner, alone, trial, 1)
         assert carry.solution is None
         assert "cannot reach" in (carry.aborted or "")
 

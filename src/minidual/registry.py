@@ -36,7 +36,7 @@ class Registry[T](Mapping[str, T]):
             ValueError: The name is taken.
         """
         if name in self._rows:
-            raise ValueError(f"{self.kind} '{name}' stands twice in the table")
+            raise ValueError(f"{self.kind} '{name}' is in the table already")
         self._rows[name] = value
 
     def __getitem__(self, name: str) -> T:

@@ -63,7 +63,10 @@ class Running:
     force: Annotated[bool, typer.Option("--force", help="Run even if fresh. Never opens a gate.")] = False
     waive_gate: Annotated[
         str | None,
-        typer.Option(metavar="REASON", help="Open a closed gate; written down, taints everything downstream."),
+        typer.Option(
+            metavar="REASON",
+            help="Open a closed gate; the reason is recorded, and nothing built on it counts as acceptance.",
+        ),
     ] = None
     yes: Annotated[bool, typer.Option("--yes", help="Replace finished stages that were run with other options.")] = (
         False

@@ -81,11 +81,6 @@ class BuiltAcm:
         ]
 
 
-def default_acm(robot: Robot) -> AllowedCollisions:
-    """Return the matrix."""
-    return acm_report(robot).acm
-
-
 @cache
 def acm_report(robot: Robot) -> BuiltAcm:
     """Return matrix and history from the user's cache, or build them (1 s).

@@ -8,7 +8,7 @@ import math
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from minidual.collision.acm import default_acm
+from minidual.collision.acm import acm_report
 from minidual.collision.allowed import AllowedCollisions
 from minidual.collision.shapes import Attached, Box, Shape, grown
 from minidual.errors import UsageError, unknown_name
@@ -42,7 +42,7 @@ class PlanningScene:
 
     def __post_init__(self) -> None:
         if self.allowed is None:
-            object.__setattr__(self, "allowed", default_acm(self.robot))
+            object.__setattr__(self, "allowed", acm_report(self.robot).acm)
         names = self.names
         twice = sorted({n for n in names if names.count(n) > 1})
         if twice:

@@ -101,7 +101,7 @@ class Planner:
         self.scene = scene or PlanningScene(robot=robot)
         self.robot = self.scene.robot
         self.kinematics = Kinematics(self.robot)
-        self.goals = PoseGoals(self.kinematics)
+        self.goals = PoseGoals(self.kinematics, self.config.ik_restarts_n)
         self._engines: OrderedDict[PlanningScene, SceneEngines] = OrderedDict()
 
     def engines(self, scene: PlanningScene | None = None) -> SceneEngines:
@@ -164,15 +164,8 @@ class Planner:
         """
         work = _Work(self, group, q_start, **options)
         with work.times.phase("ik"):
-            goals = self.goals.candidates(
-                group,
-                work.q_start,
-                targets,
-                work.engines,
-                stream(work.seed, "motion/goals"),
-                restarts_n=self.config.ik_restarts_n,
-                candidates_n=self.config.goal_candidates_n,
-            )
+            rng, most_n = stream(work.seed, "motion/goals"), self.config.goal_candidates_n
+            goals = self.goals.candidates(group, work.q_start, targets, work.engines, rng, most_n)
         return work.run(goals)
 
 

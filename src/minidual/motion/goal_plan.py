@@ -151,11 +151,8 @@ class GoalPlanner:
         resolved = self.resolve(group, q_near, start, scene)
         if not isinstance(resolved, dict):
             return resolved
-        rng, restarts_n = stream(seed, "motion/start"), self.planner.config.ik_restarts_n
-        engines = self.planner.engines(scene)
-        return self.planner.goals.candidates(
-            group, q_near, resolved, engines, rng, restarts_n=restarts_n, candidates_n=1
-        )[0]
+        engines, rng = self.planner.engines(scene), stream(seed, "motion/start")
+        return self.planner.goals.candidates(group, q_near, resolved, engines, rng)[0]
 
     def plan(self, group: str, q_start: Array, goal: Goal, **options: Unpack[QueryOptions]) -> PlanResult:
         """Plan to a goal; see `Planner.plan_to_joints`. Straight moves ignore `seed` and `budget_s`.

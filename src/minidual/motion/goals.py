@@ -107,9 +107,9 @@ def check_targets(group: str, targets: Mapping[str, Array]) -> dict[str, Array]:
 class PoseGoals:
     """Finds joint configurations for tcp poses."""
 
-    def __init__(self, kinematics: Kinematics | None = None) -> None:
-        kinematics = kinematics or Kinematics()
+    def __init__(self, kinematics: Kinematics, restarts_n: int) -> None:
         self.solvers = {side: ArmIK(side, kinematics) for side in SIDES}
+        self._restarts_n = restarts_n
 
     def candidates(
         self,
@@ -118,9 +118,8 @@ class PoseGoals:
         targets: Mapping[str, Array],
         engine: SceneEngines,
         rng: np.random.Generator,
-        *,
-        restarts_n: int,
-        candidates_n: int,
+        candidates_n: int = 1,
+        restarts_scale: int = 1,
     ) -> list[Array]:
         """Return free configurations (n,), nearest to the start first.
 
@@ -129,6 +128,7 @@ class PoseGoals:
             IKUnreachableError: A pose is out of reach.
             GoalInCollisionError: All solutions collide.
         """
+        restarts_n = restarts_scale * self._restarts_n
         solutions = {
             arm: self.solvers[arm].solutions(T, q_start[self.solvers[arm].joints], rng, restarts_n)
             for arm, T in check_targets(group, targets).items()

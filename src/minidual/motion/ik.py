@@ -139,12 +139,7 @@ class ArmIK:
         found: list[Array] = []
         best: IKSolution | None = None
         for attempt in range(restarts_n):
-            if attempt == 0:
-                start = q_near
-            elif attempt == 1:
-                start = self._home
-            else:
-                start = rng.uniform(self.lower, self.upper)
+            start = (q_near, self._home)[attempt] if attempt < 2 else rng.uniform(self.lower, self.upper)
             solution = self.solve(T_world_tcp, start)
             if solution.reached:
                 if all(np.max(np.abs(solution.q - q)) > _DISTINCT_RAD for q in found):

@@ -7,7 +7,7 @@ not depend on the machine.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -61,8 +61,11 @@ def seeded(seed: int) -> None:
     ou.RNG.setSeed(max(1, subseed(seed, "ompl")))
 
 
-def exact_path(worker: Any, definition: Any, enough: Callable[[], bool]) -> Any:
-    """Return the exact solution, or None if `enough` came first."""
+def exact_path(worker: Any, range_rad: float, ends: Sequence[Any], enough: Callable[[], bool]) -> Any:
+    """Return the exact solution between two states, or None if `enough` came first."""
+    definition = ob.ProblemDefinition(worker.getSpaceInformation())
+    definition.setStartAndGoalStates(*ends)
+    worker.setRange(range_rad)
     worker.setProblemDefinition(definition)
     worker.setup()
     status = worker.solve(ob.PlannerTerminationCondition(lambda: definition.hasExactSolution() or enough()))
@@ -95,28 +98,19 @@ def search(
         q[joints] = [state[i] for i in indices]
         return q
 
-    def edge_free(s1: Any, s2: Any) -> bool:
-        return checker.edge_free(full(s1), full(s2))
-
     validity = Validity(si, lambda state: checker.free(full(state)))
-    motion = _Motion(si, edge_free)
+    motion = _Motion(si, lambda s1, s2: checker.edge_free(full(s1), full(s2)))
     si.setStateValidityChecker(validity)
     si.setMotionValidator(motion)
     si.setup()
-    definition = ob.ProblemDefinition(si)
-    ends = []
-    for q in (q_start, q_goal):
-        state: Any = si.allocState()
+    ends: list[Any] = [si.allocState(), si.allocState()]
+    for state, q in zip(ends, (q_start, q_goal), strict=True):
         for i, value in enumerate(q[joints]):
             state[i] = float(value)
-        ends.append(state)
-    definition.setStartAndGoalStates(ends[0], ends[1])
     checks_end = checker.checks_n + checks_max
 
     def enough() -> bool:
         return checker.checks_n >= checks_end or time.perf_counter() > deadline
 
-    worker = PLANNERS[planner](si)
-    worker.setRange(range_rad)
-    path = exact_path(worker, definition, enough)
+    path = exact_path(PLANNERS[planner](si), range_rad, ends, enough)
     return None if path is None else np.array([full(path.getState(i)) for i in range(path.getStateCount())])

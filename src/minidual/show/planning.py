@@ -39,9 +39,7 @@ def scene_model(config: SceneConfig, scene: PlanningScene) -> mujoco.MjModel:
     for name in config.objects:
         for geom in spec.body(name).geoms:
             geom.rgba = [0.0, 0.0, 0.0, 0.0]
-    for shape in scene.obstacles:
-        if shape == TABLE:
-            continue
+    for shape in (shape for shape in scene.obstacles if shape != TABLE):
         add_body(spec, spec.worldbody, shape, "shown_", rgba=_OBSTACLE_RGBA, **_LOOK)
     for held in scene.attached:
         add_body(spec, spec.body(held.link), held.shape, "shown_", rgba=_HELD_RGBA, **_LOOK)

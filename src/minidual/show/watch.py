@@ -25,7 +25,7 @@ from minidual.robot.pair import Array, Robot
 from minidual.show.view import NO_PREVIEW, Arrow, Overlay, PathLine, Preview, View
 from minidual.show.view.overlay import ARM_RGB
 from minidual.trials.methods import Method
-from minidual.trials.runner import Bench, StepHook, Watch
+from minidual.trials.runner import StepHook, Watch
 
 _ASIDE_M = np.array([0.05, 0.0, 0.0])
 """Offset of force arrows from the hands, where the object would hide them."""
@@ -112,10 +112,7 @@ def watch_trials(view: View | None) -> Watch | None:
     if view is None:
         return None
 
-    def watch(bench: Bench, title: str) -> StepHook:
-        return trial_hook(view, bench.world, bench.kinematics, bench.method, title)
-
-    return watch
+    return lambda bench, title: trial_hook(view, bench.world, bench.kinematics, bench.method, title)
 
 
 def trial_hook(view: View, world: World, kinematics: Kinematics, name: str, title: str) -> StepHook:
@@ -131,14 +128,11 @@ def trial_hook(view: View, world: World, kinematics: Kinematics, name: str, titl
             if isinstance(stack, ControlStack):
                 narrator = StackNarrator(stack, kinematics, title, lambda: (method.phase, method.aborted))
             else:  # the method computes torques itself
-                narrator = functools.partial(_narrate, method, name, title)
+                told = functools.partial(Overlay, title=title, mode=name, source=name)
+                narrator = lambda: told(state=method.phase, status=method.aborted or "")  # noqa: E731
         watcher(world)
 
     return hook
-
-
-def _narrate(method: Method, name: str, title: str) -> Overlay:
-    return Overlay(title=title, mode=name, source=name, state=method.phase, status=method.aborted or "")
 
 
 def watch_recording(view: View | None) -> Observe | None:

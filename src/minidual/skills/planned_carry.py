@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from minidual.config.arbiter import ArbiterConfig
 from minidual.control.stack import ControlStack
-from minidual.control.supervisor import Supervisor
 from minidual.motion.api import Planner
 from minidual.plant.world import World
-from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 from minidual.skills.cycle import around, pipeline_of, thing_of
 from minidual.skills.pipeline.drive import Drive
@@ -33,18 +30,16 @@ class PlannedCarry(Drive):
 
     def __init__(
         self,
-        world: World,
-        kinematics: Kinematics,
+        stack: ControlStack[World],
         planner: Planner,
         task: Task,
         trial: Trial,
         seed: int,
-        arbiter: ArbiterConfig | None = None,
         *,
         T_world_object: Array | None = None,
-        supervisor: Supervisor | None = None,
     ) -> None:
-        self.world, body = world, task.objects[task.carried].body
+        world = self.world = stack.plant
+        body, supervisor = task.objects[task.carried].body, stack.supervisor
         self.T_world_object = world.object_pose(body.name) if T_world_object is None else T_world_object
         start = level_part(self.T_world_object)
         gap = None
@@ -58,6 +53,5 @@ class PlannedCarry(Drive):
             self.record = self.solution.record
         except TaskFailedError as error:
             why, self.record = error.summary, error.record
-        stack = ControlStack(world, kinematics, arbiter, supervisor=supervisor)
         super().__init__(stack, () if self.solution is None else self.solution.segments)
         self.aborted = why

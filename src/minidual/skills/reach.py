@@ -19,8 +19,9 @@ class GraspUnreachableError(MinidualError):
 
 
 @functools.cache
-def _solvers(robot: Robot) -> tuple[ArmIK, ...]:
-    return tuple(ArmIK(side, Kinematics(robot)) for side in robot.sides)
+def solvers(robot: Robot) -> dict[str, ArmIK]:
+    """Return the inverse kinematics of both arms."""
+    return {side: ArmIK(side, Kinematics(robot)) for side in robot.sides}
 
 
 def grasp_posture(
@@ -34,7 +35,7 @@ def grasp_posture(
         GraspUnreachableError: No solution near `q_near`.
     """
     q = np.array(q_near)
-    for solver, T_object_tcp in zip(_solvers(robot), grasp_offsets(scene), strict=True):
+    for solver, T_object_tcp in zip(solvers(robot).values(), grasp_offsets(scene), strict=True):
         T_world_tcp = T_world_level @ T_object_tcp
         T_world_tcp[2, 3] += above_m
         columns = solver.joints

@@ -7,7 +7,7 @@ from functools import cache
 from minidual.collision.arm_distance import ArmDistance
 from minidual.collision.scene import PlanningScene
 from minidual.config.supervisor import SupervisorConfig
-from minidual.control.supervisor import Supervisor
+from minidual.control.supervisor import OnReflex, Supervisor
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Robot
 
@@ -18,6 +18,9 @@ def arm_distance(robot: Robot) -> ArmDistance:
     return ArmDistance(PlanningScene(robot=robot))
 
 
-def trial_supervisor(config: SupervisorConfig, dt_s: float, robot: Robot) -> Supervisor:
+def trial_supervisor(
+    config: SupervisorConfig, dt_s: float, robot: Robot, on_reflex: OnReflex | None = None
+) -> Supervisor:
     """Return a supervisor that also watches the arm distance."""
-    return Supervisor(config, dt_s=dt_s, kinematics=Kinematics(robot), self_distance=arm_distance(robot))
+    distance = arm_distance(robot)
+    return Supervisor(config, dt_s=dt_s, kinematics=Kinematics(robot), self_distance=distance, on_reflex=on_reflex)

@@ -63,7 +63,7 @@ def deploy_checks(held_out: MethodSummary, seen_n: int, inference_hz: float, set
         Check("success_high", held_out["success_high"], why="upper end of its 95 % Wilson interval"),
         Check("trials", held_out.trials_n, ">=", settings.trials, why="every held-out trial was run"),
         Check("held_out_starts_seen", seen_n, "==", 0, why="held-out trials whose start and goal were demonstrated"),
-        Check("inference_hz", inference_hz, ">", hz_min, "hz", fast, lighter),
+        Check("inference_hz", inference_hz, ">", hz_min, "Hz", fast, lighter),
     ]
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from minidual.control.stack import ControlStack
-from minidual.control.supervisor import Supervisor, dumping
+from minidual.control.supervisor import dumping
 from minidual.durable import write_csv, write_text
 from minidual.errors import ExitCode, GateClosedError, UsageError
 from minidual.gate.canonical import canonical, dumps
@@ -27,7 +27,7 @@ from minidual.show.figures.film import FILM_FPS
 from minidual.show.figures.modes_film import FILM_SIZE, filmed
 from minidual.show.watch import StackNarrator, watched
 from minidual.skills.operator import ScriptedOperator
-from minidual.skills.supervised import arm_distance
+from minidual.skills.supervised import trial_supervisor
 from minidual.tasks.task import make_task
 from minidual.trials import modes_turns
 from minidual.trials.modes import DEFAULT_MODES, ModesDemo, parse_modes
@@ -54,7 +54,7 @@ def modes(context: ToolContext) -> ToolResult:
         ):
             pictures = filmed(_counted(demo, bar), demo.stack, camera)
             write_video(context.output / "modes.mp4", pictures, fps=FILM_FPS)
-    passed = demo.ended is None and not demo.faults(config.arbiter)
+    passed = demo.ended is None and not demo.exceeded(config.arbiter)
     record = {
         "modes": list(wanted),
         "checkpoint": str(checkpoint) if checkpoint else None,
@@ -105,13 +105,7 @@ def _demo(
     world.reset(poses=trial.goal)  # as the last carry left it
     recorder = Recorder(world, window_s=1.0, seed=seed, folder=context.run_folder / "dumps")
     world.recorder = recorder
-    supervisor = Supervisor(
-        config.supervisor,
-        dt_s=world.dt,
-        kinematics=Kinematics(robot),
-        self_distance=arm_distance(robot),
-        on_reflex=dumping(recorder),
-    )
+    supervisor = trial_supervisor(config.supervisor, world.dt, robot, dumping(recorder))
     rate_hz = config.teleop.rate_hz
     stack = ControlStack(world, Kinematics(robot), config.arbiter, rate_hz=rate_hz, supervisor=supervisor)
     planner = Planner(config=config.plan.planner, robot=robot)
@@ -151,4 +145,4 @@ def _notes(demo: ModesDemo, context: ToolContext) -> list[str]:
         notes.append(f"{outcome['mode']}: {', '.join(said)}")
     refused = [r.name for r in demo.stack.refusals]
     notes += [f"refused as {name}: {refused.count(name)}" for name in sorted(set(refused))]
-    return [*notes, *(f"OVER ITS BOUND: {fault}" for fault in demo.faults(arbiter))]
+    return [*notes, *(f"OVER ITS BOUND: {text}" for text in demo.exceeded(arbiter))]

@@ -61,17 +61,17 @@ class HeldResults:
 
 def run_held(context: StageContext) -> HeldResults:
     """Plan the moves of both seeds, drive some, and write held_moves.csv."""
-    plan, scene, seed = context.config.plan, context.config.scene, context.seed
-    held, outcomes, executions, robot = plan.held, {}, [], robot_from(context.config.robot)
+    config, seed, outcomes, executions = context.config, context.seed, {}, []
+    held = config.plan.held
     with context.progress.task("held moves", 2 * held.moves_n + held.executed_n) as task:
         for name, own in {"first": seed, "second": subseed(seed, "held-move/second")}.items():
-            outcomes[name] = run_moves(plan, scene, own, lambda _, name=name: task.advance(note=name), robot)
-        world = World(scene, robot=robot)
-        driven, undriven = table_plans(plan, scene, held.executed_n, seed, robot)
+            outcomes[name] = run_moves(config, own, lambda _, name=name: task.advance(note=name))
+        world = World(config.scene, robot=robot_from(config.robot))
+        driven, undriven = table_plans(config, seed)
         words = Overlay(title="plan, held-object move", mode="joint", source="plan")
         for trajectory in driven:
             with watched(context.view, world, lambda: words):
-                executions.append(execute(trajectory, scene, world=world))
+                executions.append(execute(trajectory, config.scene, world=world))
             task.advance(note="driven")
     write_csv(context.folder / "held_moves.csv", [o.row(name) for name, done in outcomes.items() for o in done])
     return HeldResults(outcomes, executions, undriven)

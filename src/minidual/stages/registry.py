@@ -83,7 +83,7 @@ STAGES = StageTable(
             "carry",
             "minidual.stages.carry:run",
             ("plan",),
-            "Carry the rod with both arms under object impedance control",
+            "Carry an object with both arms under object impedance control",
             reads=("robot", "task", "carry", "scene", "arbiter", "supervisor"),
             resolve="minidual.tasks.task:task_config",
             options=(_CARRIES, _OBJECT, _MOTION),

@@ -8,7 +8,7 @@ from minidual.config.change import preset
 from minidual.config.root import Config
 from minidual.robot.poses import pose, rot_x, rot_z
 from minidual.tasks import success
-from minidual.tasks.rod_carry import draw_on_table, placement
+from minidual.tasks.rod_carry import draw_on_table, transported
 from minidual.tasks.task import Step, Task, TaskObject, Trial
 
 _L, _R = ("left",), ("right",)
@@ -75,17 +75,6 @@ def handover(config: Config) -> Task:
 
 def handed_over(task: Task, trial: Trial) -> tuple[success.SuccessCondition, ...]:
     """Return the conditions."""
-    asked, name = task.scene.task, task.carried
-    start, (x, y, yaw) = placement(trial.start[name]), placement(trial.goal[name])
-    return (
-        success.Level(name, asked.tilt_max_rad),
-        success.Held(name, asked.pinch_min_n, both=False),
-        success.Carried(name, start[:2], (x, y)),
-        success.Rose(name, asked.clear_height_m),
-        success.Exchanged(name, asked.pinch_min_n),
-        success.Arrived(name, (x, y), asked.goal_tolerance_m),
-        success.Turned(name, yaw, asked.yaw_tolerance_rad),
-        success.Released(name),
-        success.AtRest(name, asked.rest_speed_m_per_s),
-        success.OnTime(asked.time_limit_s),
-    )
+    level, held, carried, rose, *rest = transported(task, trial, both=False)
+    exchanged = success.Exchanged(task.carried, task.scene.task.pinch_min_n)
+    return level, held, carried, rose, exchanged, *rest

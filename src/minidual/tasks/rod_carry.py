@@ -66,13 +66,20 @@ def draw_on_table(
 def carried_by_both(task: Task, trial: Trial) -> tuple[success.SuccessCondition, ...]:
     """Return the conditions."""
     asked, name, body = task.scene.task, task.carried, task.scene.object
+    level, held, carried, *rest = transported(task, trial)
+    whole = success.Whole(name, body.break_pinch_n, body.break_force_n)
+    clear = () if asked.obstacle is None else (success.Clear(OBSTACLE),)
+    return level, whole, *clear, held, carried, success.Squeezed(name, asked.internal_force_min_n), *rest
+
+
+def transported(task: Task, trial: Trial, *, both: bool = True) -> list[success.SuccessCondition]:
+    """Return the conditions of bringing the object to its goal, held by both hands or one."""
+    asked, name = task.scene.task, task.carried
     start, (x, y, yaw) = placement(trial.start[name]), placement(trial.goal[name])
-    conditions: list[success.SuccessCondition] = [
+    return [
         success.Level(name, asked.tilt_max_rad),
-        success.Whole(name, body.break_pinch_n, body.break_force_n),
-        success.Held(name, asked.pinch_min_n),
+        success.Held(name, asked.pinch_min_n, both),
         success.Carried(name, start[:2], (x, y)),
-        success.Squeezed(name, asked.internal_force_min_n),
         success.Rose(name, asked.clear_height_m),
         success.Arrived(name, (x, y), asked.goal_tolerance_m),
         success.Turned(name, yaw, asked.yaw_tolerance_rad, task.objects[name].symmetry),
@@ -80,9 +87,6 @@ def carried_by_both(task: Task, trial: Trial) -> tuple[success.SuccessCondition,
         success.AtRest(name, asked.rest_speed_m_per_s),
         success.OnTime(asked.time_limit_s),
     ]
-    if asked.obstacle is not None:
-        conditions.insert(2, success.Clear(OBSTACLE))
-    return tuple(conditions)
 
 
 def placement(pose: ObjectPose) -> tuple[float, float, float]:

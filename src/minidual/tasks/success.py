@@ -139,11 +139,17 @@ class SuccessCondition:
 
 
 @dataclass
-class Level(SuccessCondition):
+class OfObject(SuccessCondition):
+    """A condition of one object, by its name."""
+
+    object: str
+
+
+@dataclass
+class Level(OfObject):
     """Tilt limit."""
 
     name = "level"
-    object: str
     limit_rad: float
     _largest: float = 0.0
 
@@ -159,11 +165,10 @@ class Level(SuccessCondition):
 
 
 @dataclass
-class Whole(SuccessCondition):
+class Whole(OfObject):
     """Pinch and hand force limits of a fragile object."""
 
     name = "whole"
-    object: str
     pinch_max_n: float | None
     force_max_n: float | None
 
@@ -191,7 +196,7 @@ class Clear(SuccessCondition):
 
 
 @dataclass
-class Held(SuccessCondition):
+class Held(OfObject):
     """From the first lift on, both hands pinch the object (`both=False`: one) while it is off the table or moves.
 
     On the table it may slip or roll by `slip_m` after its release.
@@ -199,7 +204,6 @@ class Held(SuccessCondition):
 
     name = "held"
     stage = True
-    object: str
     limit_n: float
     both: bool = True
     slip_m: float = 0.02
@@ -234,11 +238,10 @@ class Held(SuccessCondition):
 
 
 @dataclass
-class Carried(SuccessCondition):
+class Carried(OfObject):
     """The object is off the table all the way between start and goal, (x, y) [m] each."""
 
     name = "carried"
-    object: str
     start: tuple[float, float]
     goal: tuple[float, float]
 
@@ -253,12 +256,11 @@ class Carried(SuccessCondition):
 
 
 @dataclass
-class Exchanged(SuccessCondition):
+class Exchanged(OfObject):
     """Both hands pinch the object off the table."""
 
     name = "exchanged"
     stage = True
-    object: str
     limit_n: float
     _seen: bool = False
 
@@ -275,12 +277,11 @@ class Exchanged(SuccessCondition):
 
 
 @dataclass
-class Squeezed(SuccessCondition):
+class Squeezed(OfObject):
     """Least internal force off the table."""
 
     name = "squeezed"
     optional = True
-    object: str
     limit_n: float
     _least: float = math.inf
 
@@ -297,12 +298,11 @@ class Squeezed(SuccessCondition):
 
 
 @dataclass
-class Rose(SuccessCondition):
+class Rose(OfObject):
     """The object rises and comes down again."""
 
     name = "rose"
     stage = True
-    object: str
     limit_m: float
     _most: float = 0.0
 
@@ -324,12 +324,11 @@ class Rose(SuccessCondition):
 
 
 @dataclass
-class Arrived(SuccessCondition):
+class Arrived(OfObject):
     """The object is near its goal (x, y) [m]."""
 
     name = "arrived"
     stage = True
-    object: str
     goal: tuple[float, float]
     limit_m: float
 
@@ -348,11 +347,10 @@ class Arrived(SuccessCondition):
 
 
 @dataclass
-class Turned(SuccessCondition):
+class Turned(OfObject):
     """The yaw is near the goal; 1 / `symmetry` of a turn is equal."""
 
     name = "turned"
-    object: str
     goal_rad: float
     limit_rad: float
     symmetry: int = 1
@@ -372,12 +370,11 @@ class Turned(SuccessCondition):
 
 
 @dataclass
-class Released(SuccessCondition):
+class Released(OfObject):
     """No hand touches it."""
 
     name = "released"
     stage = True
-    object: str
 
     def holds(self, truth: Truth) -> bool:
         item = truth[self.object]
@@ -388,11 +385,10 @@ class Released(SuccessCondition):
 
 
 @dataclass
-class AtRest(SuccessCondition):
+class AtRest(OfObject):
     """It rests on the table."""
 
     name = "at_rest"
-    object: str
     limit_m_per_s: float
 
     def holds(self, truth: Truth) -> bool:

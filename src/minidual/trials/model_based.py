@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from minidual.config.seeds import stream, subseed
+from minidual.control.stack import ControlStack
 from minidual.motion.api import Planner
 from minidual.plant.sensing import Sensors
 from minidual.plant.world import World
@@ -37,16 +38,8 @@ def planned(inputs: MethodInputs) -> Factory:
         seen = Sensors(world, config.carry.sensing, rng).sense().pose
         if seen is None:
             raise RuntimeError("the first reading of the sensors holds a pose")
-        return PlannedCarry(
-            world,
-            kinematics,
-            planner,
-            task,
-            trial,
-            subseed(inputs.seed, f"planner/{trial.purpose}", trial.index),
-            config.arbiter,
-            T_world_object=seen.T_world_object,
-            supervisor=supervisor,
-        )
+        stack = ControlStack(world, kinematics, config.arbiter, supervisor=supervisor)
+        own = subseed(inputs.seed, f"planner/{trial.purpose}", trial.index)
+        return PlannedCarry(stack, planner, task, trial, own, T_world_object=seen.T_world_object)
 
     return make

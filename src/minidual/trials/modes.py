@@ -78,7 +78,7 @@ class Switch:
             "torque_step_nm": (self.torque_step_nm, self.torque_step_max_nm),
         }
 
-    def faults(self, arbiter: ArbiterConfig) -> list[str]:
+    def exceeded(self, arbiter: ArbiterConfig) -> list[str]:
         """Return the exceeded bounds; NaN exceeds all."""
         return [
             f"switch to {self.mode} at {self.requested_s:.2f} s: {name} {value:.4g}, bound {bound:g}"
@@ -140,9 +140,9 @@ class ModesDemo:
             self._step()
             yield turn
 
-    def faults(self, arbiter: ArbiterConfig) -> list[str]:
+    def exceeded(self, arbiter: ArbiterConfig) -> list[str]:
         """Return the exceeded bounds of all switches."""
-        return [text for switch in self.switches for text in switch.faults(arbiter)]
+        return [text for switch in self.switches for text in switch.exceeded(arbiter)]
 
     def record(self, arbiter: ArbiterConfig) -> dict[str, Any]:
         """Return the measurements as plain data."""
@@ -151,7 +151,7 @@ class ModesDemo:
             "switches": [asdict(s) for s in self.switches],
             "bounds": [{"mode": s.mode, **b} for s, b in zip(self.switches, bounds, strict=True)],
             "outcomes": self.outcomes,
-            "faults": self.faults(arbiter),
+            "exceeded": self.exceeded(arbiter),
             "refusals": [asdict(r) for r in self.stack.refusals],
             "duration_s": self.stack.plant.time,
             "ended": self.ended,

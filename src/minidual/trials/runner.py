@@ -114,10 +114,9 @@ class Bench:
         rng = stream(self.seed, f"disturbance/{trial.purpose}/{spec.name}", trial.index)
         disturb = None if spec.act is None else spec.act(self.task, rng)
         with spec.applied(self.world.model, self.task, trial.index):
-            result, log = self._run(trial, spec.name, disturb, on_step)
-        if disturb is not None:
-            result = replace(result, metrics=replace(result.metrics, disturbed=disturb.took_place))
-        return result, log
+            result, log = self._run(trial, disturb, on_step)
+        took_place = None if disturb is None else disturb.took_place
+        return replace(result, metrics=replace(result.metrics, condition=spec.name, disturbed=took_place)), log
 
     def record(self, trial: Trial, path: Path) -> tuple[TrialResult, TrialLog]:
         """Run a trial and write it to `path` (.npz) for replay."""
@@ -132,7 +131,7 @@ class Bench:
         return result, log
 
     def _run(
-        self, trial: Trial, condition: str, disturb: Callable[[World], None] | None, on_step: StepHook | None
+        self, trial: Trial, disturb: Callable[[World], None] | None, on_step: StepHook | None
     ) -> tuple[TrialResult, TrialLog]:
         world = self.world
         judge = begin(world, self.task, trial, self.spec.demands)
@@ -180,7 +179,6 @@ class Bench:
             tcp_positions=log.tcp,
             rate_hz=LOG_RATE_HZ,
             torque_ratio_max=peak,
-            condition=condition,
             aborted=method.aborted or "",
         )
         return TrialResult(metrics, longest * world.dt, outcome.measured), log

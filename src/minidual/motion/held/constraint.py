@@ -98,15 +98,11 @@ def search_manifold(
     validity = Validity(si, lambda state: checker.free(joints(state)))
     si.setStateValidityChecker(validity)
     si.setup()
-    definition = ob.ProblemDefinition(si)
     ends: list[Any] = [si.allocState(), si.allocState()]
     for state, q in zip(ends, (q_start, q_goal), strict=True):
         state.copy(np.array(q))
         if space == "atlas":
             states.anchorChart(state)
-    definition.setStartAndGoalStates(*ends)
-    planner = og.RRTConnect(si)
-    planner.setRange(1.0)
     checks_end, calls_end = checker.checks_n + checks_max, constraint.calls_n + _CALLS_A_CHECK * checks_max
 
     def enough() -> bool:
@@ -114,7 +110,7 @@ def search_manifold(
         spent = checker.checks_n >= checks_end or constraint.calls_n >= calls_end
         return spent or time.perf_counter() > deadline
 
-    path = exact_path(planner, definition, enough)
+    path = exact_path(og.RRTConnect(si), 1.0, ends, enough)
     if path is None:
         return None
     path.interpolate()

@@ -31,8 +31,9 @@ class HandsIK:
         UsageError: A grasp is no rigid pose.
     """
 
-    def __init__(self, T_object_tcp_left: Array, T_object_tcp_right: Array, kinematics: Kinematics) -> None:
-        self.grasps = check_pose(T_object_tcp_left, "the left grasp"), check_pose(T_object_tcp_right, "the right grasp")
+    def __init__(self, grasps: tuple[Array, Array], kinematics: Kinematics) -> None:
+        left, right = grasps
+        self.grasps = check_pose(left, "the left grasp"), check_pose(right, "the right grasp")
         self.robot = kinematics.robot
         self.arms = tuple(ArmIK(side, kinematics) for side in self.robot.sides)
 

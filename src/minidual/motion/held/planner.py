@@ -88,14 +88,13 @@ class HeldQuery:
     Attributes:
         q_start: All joints (n,), hands at their grasps.
         T_world_goal: Object pose (4, 4).
-        T_object_tcp_left, T_object_tcp_right: Grasps (4, 4).
+        grasps: Left and right T_object_tcp (4, 4).
         scene: From `scene_holding`.
     """
 
     q_start: Array
     T_world_goal: Array
-    T_object_tcp_left: Array
-    T_object_tcp_right: Array
+    grasps: tuple[Array, Array]
     scene: PlanningScene
     seed: int = 0
 
@@ -138,8 +137,7 @@ class HeldPlanner:
         self,
         q_start: Array,
         Ts_world_object: Sequence[Array],
-        T_object_tcp_left: Array,
-        T_object_tcp_right: Array,
+        grasps: tuple[Array, Array],
         *,
         along: PathLimits | None = None,
         scene: PlanningScene | None = None,
@@ -155,7 +153,7 @@ class HeldPlanner:
             OutOfLimitsError, UsageError: Bad arguments.
         """
         q_start = check_joints(q_start, "start", self.planner.robot)
-        hands = HandsIK(T_object_tcp_left, T_object_tcp_right, self.kinematics)
+        hands = HandsIK(grasps, self.kinematics)
         path = ObjectPath.through(Ts_world_object)
         hands.require_held(q_start, path.poses(np.zeros(1))[0])
         curve = _continued(hands, path, q_start)
@@ -214,7 +212,7 @@ class HeldWork:
         budget_s = tools.planner.budget(budget_s)
         self._tools, self._config, self._query = tools, tools.planner.config, query
         self._q_start = check_joints(query.q_start, "start", tools.planner.robot)
-        self._hands = HandsIK(query.T_object_tcp_left, query.T_object_tcp_right, tools.kinematics)
+        self._hands = HandsIK(query.grasps, tools.kinematics)
         T_goal = check_pose(query.T_world_goal, "the goal of the object")
         self._engines = tools.engines(query.scene)
         self._deadline = time.perf_counter() + budget_s
@@ -295,15 +293,10 @@ class HeldWork:
         roomy = bool(goals) and not engines.closest(goals[0], config.padding_m)
         if not (roomy and wanted_n == 1):
             try:
-                goals += self._tools.planner.goals.candidates(
-                    "both_arms",
-                    self._q_start,
-                    {arm: T_goal @ grasp for arm, grasp in zip(SIDES, self._hands.grasps, strict=True)},
-                    engines,
-                    stream(self._query.seed, "held/goals"),
-                    restarts_n=restarts_scale * config.ik_restarts_n,
-                    candidates_n=1 if wanted_n == 1 else _CANDIDATES_N,
-                )
+                targets = {arm: T_goal @ grasp for arm, grasp in zip(SIDES, self._hands.grasps, strict=True)}
+                rng, most_n = stream(self._query.seed, "held/goals"), 1 if wanted_n == 1 else _CANDIDATES_N
+                search = self._tools.planner.goals.candidates
+                goals += search("both_arms", self._q_start, targets, engines, rng, most_n, restarts_scale)
             except PlanningError:
                 if not goals:
                     raise
@@ -342,27 +335,20 @@ class HeldWork:
     def search(self, method: str, goals: Sequence[Array], effort: _Effort, attempt: int) -> Array | None:
         """Return points (m, 6 + n) to a goal, or None."""
         query, space = self._query, self._space(goals, effort)
+        limits = {"checks_max": effort.checks_n, "deadline": self._deadline}
         if method == "object_rrt":
             start = space.point(self._T_start, self._q_start)
             ends = [space.point(query.T_world_goal, q) for q in goals]
             rng = stream(query.seed, "held/search", attempt)
-            return search_object(space, start, ends, rng, checks_max=effort.checks_n, deadline=self._deadline)
+            return search_object(space, start, ends, rng, **limits)
         left, right = self._hands.grasps
         constraint = GraspConstraint(inverse(left) @ right, self._tools.kinematics)
         start = self._hands.solve(self._T_start, self._q_start)
         for goal in goals[:_MANIFOLD_GOALS_N]:
             if start is None or time.perf_counter() > self._deadline:
                 break
-            found = search_manifold(
-                constraint,
-                space.checker,
-                start,
-                goal,
-                space=method,
-                seed=subseed(query.seed, "held/manifold", attempt),
-                checks_max=effort.checks_n,
-                deadline=self._deadline,
-            )
+            seed = subseed(query.seed, "held/manifold", attempt)
+            found = search_manifold(constraint, space.checker, start, goal, space=method, seed=seed, **limits)
             if found is not None:
                 points = [space.solved_free(space.point(self._object_at(q), q)) for q in found]
                 kept = [z for z in points if z is not None]

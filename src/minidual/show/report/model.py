@@ -31,24 +31,15 @@ def report_checks(given: StageContext, tables: Tables) -> list[Check]:
     """Return the report's checks: complete tables, passing stages."""
     holes, short = tables.missing(), not_passing(given)
     shown = f"; missing: {shortened(holes)}" if holes else ""
+    whole = (
+        "every method has every indicator as a finite number with its interval, undisturbed and under every condition "
+        f"that applies to it{shown}"
+    )
+    again = "run minidual benchmark again, with every method and condition that the tables should hold"
+    built = "a report is built on passing verdicts" + (f"; without one: {', '.join(short)}" if short else "")
     return [
-        Check(
-            "missing_cells",
-            len(holes),
-            "==",
-            0,
-            why="every method has every indicator as a finite number with its interval, undisturbed and under every "
-            f"condition that applies to it{shown}",
-            remedy="run minidual benchmark again, with every method and condition that the tables should hold",
-        ),
-        Check(
-            "stages_not_passing",
-            len(short),
-            "==",
-            0,
-            why="a report is built on passing verdicts" + (f"; without one: {', '.join(short)}" if short else ""),
-            remedy="minidual status says what to run",
-        ),
+        Check("missing_cells", len(holes), "==", 0, why=whole, remedy=again),
+        Check("stages_not_passing", len(short), "==", 0, why=built, remedy="minidual status says what to run"),
     ]
 
 

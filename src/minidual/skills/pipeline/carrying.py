@@ -65,15 +65,10 @@ class Carry(Stage):
 
     def _check(self, place: Place, index: int, start: State, tools: Tools) -> None:
         """Raise PlanningError for places out of reach or in collision."""
-        tools.planner.goals.candidates(
-            group_of(start.held_by),
-            start.q,
-            _hands_at(place.T_world_object, start),
-            tools.planner.engines(tools.scene(start, resting=place.rests)),
-            stream(tools.seed, "pipeline/place", index),
-            restarts_n=tools.planner.config.ik_restarts_n,
-            candidates_n=1,
-        )
+        group, hands = group_of(start.held_by), _hands_at(place.T_world_object, start)
+        engines = tools.planner.engines(tools.scene(start, resting=place.rests))
+        rng = stream(tools.seed, "pipeline/place", index)
+        tools.planner.goals.candidates(group, start.q, hands, engines, rng)
 
     def _at_once(self, place: Place, start: State, tools: Tools) -> Offer:
         height = self._heights[0]
@@ -124,17 +119,15 @@ class Carry(Stage):
         return straight(tools, phase, state, _hands_at(T_world_goal, state), tools.scene(state, resting=resting))
 
     def _in_both_hands(self, way: list[Array], state: State, tools: Tools, phase: str = "carry") -> Segment:
-        grasps, scene = (state.held_by[arm] for arm in SIDES), tools.scene(state, resting=True)
-        motion = tools.holder.follow(state.q, way, *grasps, along=PHASES[phase].limits, scene=scene)
+        scene = tools.scene(state, resting=True)
+        motion = tools.holder.follow(state.q, way, _grasps(state), along=PHASES[phase].limits, scene=scene)
         return Segment(phase, motion, state.openings, scene, motion.verification)
 
     def _freely(self, T_world_goal: Array, state: State, tools: Tools) -> Segment:
         """Return a collision-free motion to a pose in the air that keeps the object level."""
         scene, budget_s = tools.scene(state), _BUDGET_S
         if len(state.held_by) == len(SIDES):
-            left, right = (state.held_by[arm] for arm in SIDES)
-            query = HeldQuery(state.q, T_world_goal, left, right, scene, tools.seed)
-            motion = tools.holder.plan(query, budget_s)
+            motion = tools.holder.plan(HeldQuery(state.q, T_world_goal, _grasps(state), scene, tools.seed), budget_s)
             proof, Ts_world_object = motion.verification, motion.Ts_world_object
         else:
             group, targets = group_of(state.held_by), _hands_at(T_world_goal, state)
@@ -147,6 +140,10 @@ class Carry(Stage):
         if tilt > self._tilt_max_rad:
             raise Failure("tilted", f"the object tilts by {tilt:.2f} rad on the way; at most {self._tilt_max_rad:.2f}")
         return Segment("carry", motion, state.openings, scene, proof)
+
+
+def _grasps(state: State) -> tuple[Array, Array]:
+    return state.held_by[SIDES[0]], state.held_by[SIDES[1]]
 
 
 def _hands_at(T_world_object: Array, state: State) -> dict[str, Array]:

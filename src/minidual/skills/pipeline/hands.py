@@ -30,15 +30,7 @@ class Grip:
     cost: float = 0.0
 
 
-class OfArms(Stage):
-    """A stage of some arms."""
-
-    def __init__(self, name: str, arms: Sequence[str]) -> None:
-        super().__init__(name)
-        self.arms = tuple(arms)
-
-
-class Reach(OfArms):
+class Reach(Stage):
     """Free motion of open hands to the approach height."""
 
     def __init__(self, name: str, arms: Sequence[str], grips: Sequence[Grip]) -> None:
@@ -68,7 +60,7 @@ class Reach(OfArms):
                 yield Candidate(label, grip.cost + 0.5 * attempt, end, (segment,))
 
 
-class Descend(OfArms):
+class Descend(Stage):
     """Straight motion to the grasps."""
 
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
@@ -78,7 +70,7 @@ class Descend(OfArms):
         yield Candidate("", 0.0, replace(start, q=segment.trajectory.q[-1]), (segment,))
 
 
-class Close(OfArms):
+class Close(Stage):
     """Close the hands; from then on they hold the object."""
 
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
@@ -89,7 +81,7 @@ class Close(OfArms):
         yield Candidate("", 0.0, end, (still("close", start.q, PHASES["close"].hold_s, end.openings),))
 
 
-class Open(OfArms):
+class Open(Stage):
     """Open hands; the object stays in place or with the other hand."""
 
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
@@ -108,7 +100,7 @@ class Open(OfArms):
         yield Candidate("", 0.0, end, segments)
 
 
-class Retreat(OfArms):
+class Retreat(Stage):
     """Straight motion away from the released object."""
 
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
@@ -128,7 +120,7 @@ class Retreat(OfArms):
             yield Candidate(label, 1.0 - share, replace(start, q=segment.trajectory.q[-1]), (segment,))
 
 
-class Home(OfArms):
+class Home(Stage):
     """Free motion of some arms, and what they hold, home."""
 
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,10 +92,10 @@ class Tools:
 
 
 class Stage(ABC):
-    """One step of a task; `name` is unique in a pipeline."""
+    """One step of a task by some arms; `name` is unique in a pipeline."""
 
-    def __init__(self, name: str) -> None:
-        self.name = name
+    def __init__(self, name: str, arms: Sequence[str] = SIDES) -> None:
+        self.name, self.arms = name, tuple(arms)
 
     @abstractmethod
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:

@@ -52,7 +52,7 @@ _WHY = {
     "contacts.sine": "nothing may touch while the arms swing",
     "joints.rise_max_s": "time from 10 % to 90 % of a joint's own step, slowest joint",
     "joints.overshoot_max_rad": "how far any joint goes beyond its own step",
-    "control.faults": "the arbiter must give the arms, and the supervisor must not stop arms that follow their commands",
+    "control.stopped": "the arbiter must give the arms, and the supervisor must not stop arms that follow their commands",
     "contacts.home": "no link may touch anything at home, or every plan would start in collision",
     "model.agreement_max": "MuJoCo and Pinocchio must describe one robot, or controllers cancel the wrong dynamics",
     "control.step_median_us": "arbiter, control, supervisor and physics of one step must fit into 1 ms for 1 kHz in real time",
@@ -76,7 +76,7 @@ _REMEDY = {
     "contacts.sine": "reduce env_check.sine_amplitude_rad or clear the table",
     "joints.rise_max_s": "{slowest}: look at its inertia, its motor's limit and the bandwidth of the reference filter",
     "joints.overshoot_max_rad": "{farthest}: its inertia in the model is not the simulated one (model.agreement_max), or gains changed",
-    "control.faults": "{faults}: the joint, motor or contact it names comes first",
+    "control.stopped": "{stops}: the joint, motor or contact it names comes first",
     "contacts.home": "{touching}: allow the pair if it is adjacent, else move the base or the obstacle",
     "model.agreement_max": "the URDF feeds both: look for an inertia, armature or frame that was changed on one side only",
     "control.step_median_us": "close other programs; OMP_NUM_THREADS=1 keeps the linear algebra from fighting over cores",
@@ -115,14 +115,14 @@ def measured_checks(m: Measured, limits: EnvCheckConfig, robot: Robot) -> list[C
     astray = [str(j + 1) for j, joint in enumerate(m.moved) if joint != j]
     late = [str(j + 1) for j, row in enumerate(m.responses) if not row["settled_rad"] < _REACHED_RAD]
     rise, overshoot = ([row[name] for row in m.responses] for name in ("rise_s", "overshoot_rad"))
-    faults = [tracking.fault for tracking in (*m.steps, m.step, m.sine) if tracking.fault]
+    stops = [tracking.stopped for tracking in (*m.steps, m.step, m.sine) if tracking.stopped]
     names = {
         "astray": ", ".join(astray),
         "late": ", ".join(late),
         "slowest": m.responses[int(np.argmax(rise))]["joint"],
         "farthest": m.responses[int(np.argmax(overshoot))]["joint"],
         "touching": ", ".join(f"{a} with {b}" for a, b, _ in m.contacts),
-        "faults": "; ".join(dict.fromkeys(faults)),
+        "stops": "; ".join(dict.fromkeys(stops)),
     }
     rows: _Rows = {
         "joints.mapped": (robot.dof - len(astray), "==", robot.dof),
@@ -132,7 +132,7 @@ def measured_checks(m: Measured, limits: EnvCheckConfig, robot: Robot) -> list[C
         "contacts.sine": (m.sine.contacts, "==", 0),
         "joints.rise_max_s": (float(np.max(rise)), "<", limits.rise_max_s),
         "joints.overshoot_max_rad": (float(np.max(overshoot)), "<", limits.overshoot_max_rad),
-        "control.faults": (len(faults), "==", 0),
+        "control.stopped": (len(stops), "==", 0),
         "contacts.home": (len(m.contacts), "==", 0),
         "model.agreement_max": (float(np.max(list(m.agreement.values()))), "<=", limits.agreement_max),
         "control.step_median_us": (m.sine.step_us, "<", _REAL_TIME_US),

@@ -40,7 +40,7 @@ _STILL_RAD_S, _REST_MAX_S = 0.01, 2.0
 class Rig:
     """One command source, arbiter, controller, supervisor and world.
 
-    Measuring continues after a fault.
+    Measuring continues after a stop.
 
     Attributes:
         target: (n,) [rad], proposed at every arbiter tick.
@@ -66,7 +66,7 @@ class Rig:
                 self.step()
 
     @property
-    def fault(self) -> str:
+    def stopped(self) -> str:
         """The supervisor's reflex, or why the source does not drive; "" if it does."""
         if self.stack.reflex is not None:
             return self.stack.reflex.message
@@ -113,7 +113,7 @@ class Tracking:
         start: (n,) [rad] before the first step.
         contacts: Checks, every tenth step, with an arm in contact.
         step_us: Median wall time of a step [us].
-        fault: See Rig.
+        stopped: See Rig.
     """
 
     t: Array
@@ -122,7 +122,7 @@ class Tracking:
     start: Array
     contacts: int = 0
     step_us: float = 0.0
-    fault: str = ""
+    stopped: str = ""
 
     @property
     def error_norm(self) -> Array:
@@ -165,7 +165,7 @@ def track(rig: Rig, reference: Array, on_step: Callable[[World], None] | None = 
         if on_step is not None:
             on_step(world)
     t = np.arange(1, len(reference) + 1) * np.float64(world.dt)
-    return Tracking(t, reference, measured, start, touching, float(np.median(cost)), rig.fault)
+    return Tracking(t, reference, measured, start, touching, float(np.median(cost)), rig.stopped)
 
 
 def step_response(rig: Rig, target: Array, duration_s: float) -> Tracking:

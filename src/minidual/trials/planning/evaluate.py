@@ -11,12 +11,13 @@ import numpy as np
 from minidual.collision.errors import PlanningError
 from minidual.collision.scene import PlanningScene
 from minidual.config.planning import PlanConfig
+from minidual.config.root import Config
 from minidual.config.seeds import stream
 from minidual.motion.api import Planner
 from minidual.motion.result import PHASES, PlanResult
 from minidual.motion.shortcut import path_length
 from minidual.proof.scene_engines import Audit
-from minidual.robot.arms import DUAL_PANDA
+from minidual.robot.arms import DUAL_PANDA, robot_from
 from minidual.robot.pair import Robot
 from minidual.trials.planning.queries import Query, QueryGenerator
 from minidual.trials.planning.query_set import OBSTACLES_N, ROBOT, polyline_states, stored_set
@@ -64,11 +65,6 @@ class Outcome(Attempt[PlanResult]):
     scene_s: float
     line_blocked: bool
     audit: Audit | None = None
-
-    @property
-    def first_plan_s(self) -> float:
-        """Time to build the scene and plan in it."""
-        return self.scene_s + self.total_s
 
     def row(self) -> dict[str, object]:
         """Return the queries.csv row; values not found or audited are missing."""
@@ -136,23 +132,19 @@ def query_source(
 
 
 def run_queries(
-    config: PlanConfig,
-    seed: int,
-    on_query: Callable[[Outcome], None] = lambda _: None,
-    queries_n: int | None = None,
-    robot: Robot = DUAL_PANDA,
+    config: Config, seed: int, queries_n: int, on_query: Callable[[Outcome], None] = lambda _: None
 ) -> dict[str, list[Outcome]]:
     """Plan and audit queries of every group, in one process for comparable times."""
-    planner = Planner(config=config.planner, robot=robot)
-    source = query_source(seed, config.obstacles_n, config.blocked_fraction, robot)
+    plan, robot = config.plan, robot_from(config.robot)
+    planner, warm = (Planner(config=plan.planner, robot=robot) for _ in range(2))
+    source = query_source(seed, plan.obstacles_n, plan.blocked_fraction, robot)
     outcomes: dict[str, list[Outcome]] = {group: [] for group in planner.robot.groups}
     # Warm up: the first plans load machine code, or compile it on a new machine (40 s); `make bench` times them.
     # They have a planner of their own: the first scene is then built for its query, and timed.
-    warm = Planner(config=config.planner, robot=robot)
     for group in outcomes:
         plan_query(warm, source(group, 0))
     for group, done in outcomes.items():
-        for index in range(config.queries_n if queries_n is None else queries_n):
+        for index in range(queries_n):
             outcome = plan_query(planner, source(group, index))
             if outcome.result is not None:
                 verifier = planner.engines(outcome.query.scene)

@@ -9,17 +9,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from minidual.collision.errors import PlanningError
-from minidual.config.planning import PlanConfig
 from minidual.config.root import Config
-from minidual.config.scene import SceneConfig
 from minidual.config.seeds import subseed
 from minidual.motion.api import Planner
 from minidual.motion.held.hands import HandsIK
 from minidual.motion.held.path import CarriedTrajectory
 from minidual.motion.held.planner import HeldPlanner, HeldQuery
-from minidual.robot.arms import DUAL_PANDA
+from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Robot
 from minidual.robot.poses import inverse
 from minidual.skills.cycle import around, pipeline_of, pose_of, thing_of
 from minidual.skills.pipeline.search import TaskFailedError
@@ -69,10 +66,10 @@ def timed_residual(plan: CarriedTrajectory, query: HeldQuery, kinematics: Kinema
 
     At the samples (1 kHz): each hand relative to its grasp and to the other; between samples: relative to the other.
     """
-    hands = HandsIK(query.T_object_tcp_left, query.T_object_tcp_right, kinematics)
+    hands = HandsIK(query.grasps, kinematics)
     at_samples = hands.strays(plan.q, plan.Ts_world_object)
     between, _, _ = plan.sample_many(plan.times[:-1] + 0.5 * plan.dt_s)
-    T_tcp_object = inverse(query.T_object_tcp_left)
+    T_tcp_object = inverse(query.grasps[0])
     # The object's pose follows from the left hand, so the error is that of the right hand against it.
     objects = np.array([kinematics.tcp_poses(q)[0] @ T_tcp_object for q in between])
     halfway = hands.strays(between, objects)
@@ -91,51 +88,47 @@ def plan_move(planner: HeldPlanner, move: HeldMove) -> MoveOutcome:
     return replace(outcome, residual_m=off_m, residual_rad=off_rad, clearance_m=engines.clearance(plan))
 
 
-def run_moves(
-    config: PlanConfig,
-    scene: SceneConfig,
-    seed: int,
-    on_move: Callable[[MoveOutcome], None] = lambda _: None,
-    robot: Robot = DUAL_PANDA,
-) -> list[MoveOutcome]:
-    """Plan `config.held.moves_n` moves."""
-    planner = HeldPlanner(Planner(config=config.planner, robot=robot))
-    generator = HeldMoveGenerator(seed, scene, robot)
+def _planner(config: Config) -> Planner:
+    return Planner(config=config.plan.planner, robot=robot_from(config.robot))
+
+
+def run_moves(config: Config, seed: int, on_move: Callable[[MoveOutcome], None] = lambda _: None) -> list[MoveOutcome]:
+    """Plan `config.plan.held.moves_n` moves."""
+    planner = HeldPlanner(_planner(config))
+    generator, first = (
+        HeldMoveGenerator(s, config.scene, planner.planner.robot) for s in (seed, subseed(seed, "held-move/warm-up"))
+    )
     # Warm up imports and compilation, so that the first move is not charged for them.
     with suppress(PlanningError):
-        planner.plan(HeldMoveGenerator(subseed(seed, "held-move/warm-up"), scene, robot).move(0).query)
+        planner.plan(first.move(0).query)
     outcomes = []
-    for index in range(config.held.moves_n):
+    for index in range(config.plan.held.moves_n):
         outcomes.append(plan_move(planner, generator.move(index)))
         on_move(outcomes[-1])
     return outcomes
 
 
-def table_plans(
-    config: PlanConfig, scene: SceneConfig, count: int, seed: int, robot: Robot = DUAL_PANDA
-) -> tuple[list[CarriedTrajectory], list[str]]:
-    """Return plans of `count` moves from the table, and a line for each failure."""
-    planner = HeldPlanner(Planner(config=config.planner, robot=robot))
-    generator = HeldMoveGenerator(seed, scene, robot, from_table=True)
-    tried = [attempted(lambda k=k: planner.plan(generator.move(k).query)) for k in range(count)]
+def table_plans(config: Config, seed: int) -> tuple[list[CarriedTrajectory], list[str]]:
+    """Return plans of the moves to be driven, from the table, and a line for each failure."""
+    planner = HeldPlanner(_planner(config))
+    generator = HeldMoveGenerator(seed, config.scene, planner.planner.robot, from_table=True)
+    moves = range(config.plan.held.executed_n)
+    tried = [attempted(lambda k=k: planner.plan(generator.move(k).query)) for k in moves]
     failures = [f"held move {k} off the table cannot be driven: {t.message}" for k, t in enumerate(tried) if not t.ok]
     return [t.result for t in tried if t.result is not None], failures
 
 
-def failed_carries(
-    config: PlanConfig, scene: SceneConfig, count: int, seed: int, robot: Robot = DUAL_PANDA
-) -> list[str]:
+def failed_carries(config: Config, count: int) -> list[str]:
     """Plan `count` carries as method moveit does; return a line for each failure."""
-    task = rod_carry(Config(scene=scene))
-    body, planner = scene.object, Planner(config=config.planner, robot=robot)
+    task, seed, planner = rod_carry(Config(scene=config.scene)), config.seed, _planner(config)
+    body, room = config.scene.object, around(config.scene, planner.robot)
     failures = []
     for k in range(count):
         trial = task.trial(seed, "plan", k)
-        start = State(robot.home, pose_of(body, trial.start[body.name]))
+        start = State(planner.robot.home, pose_of(body, trial.start[body.name]))
+        tools = Tools(room, thing_of(body), planner, subseed(seed, "planner/plan", k))
         try:
-            pipeline_of(task, trial).solve(
-                start, Tools(around(scene, robot), thing_of(body), planner, subseed(seed, "planner/plan", k))
-            )
+            pipeline_of(task, trial).solve(start, tools)
         except TaskFailedError as error:
             failures.append(f"carry {k}: {error.summary}")
     return failures

@@ -95,7 +95,7 @@ class HeldMoveGenerator:
         self._shape = thing_of(scene.object).shape
         self._prover = HeldPlanner(Planner(robot=robot))
         self._robot = robot
-        self._hands = HandsIK(*self._grasps, self._prover.kinematics)
+        self._hands = HandsIK(self._grasps, self._prover.kinematics)
 
     def move(self, index: int) -> HeldMove:
         """Return move `index`; odd ones have obstacles.
@@ -126,7 +126,7 @@ class HeldMoveGenerator:
                 blocked = self._blocked(engine, start, T_goal)
                 if with_obstacles and not blocked:
                     continue
-                query = HeldQuery(start[1], T_goal, *self._grasps, scene, int(rng.integers(2**31)))
+                query = HeldQuery(start[1], T_goal, self._grasps, scene, int(rng.integers(2**31)))
                 witness = self._witness(rng, engines, query, start, goal)
                 if witness is None:
                     undecided += 1

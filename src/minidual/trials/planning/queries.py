@@ -6,7 +6,6 @@ IK solves poses over the table. Except for kind "any", the straight line in join
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,11 +18,10 @@ from minidual.collision.scene import TABLE, PlanningScene
 from minidual.collision.shapes import Box, Cylinder, Shape
 from minidual.config.seeds import stored_stream
 from minidual.motion.goals import group_arms
-from minidual.motion.ik import ArmIK
 from minidual.robot.arms import DUAL_PANDA
-from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array, Robot
 from minidual.robot.poses import pose, rot_x, rot_z
+from minidual.skills.reach import solvers
 
 _ROOM_M = 0.01
 _TILT_RAD = 0.6
@@ -167,12 +165,6 @@ class QueryGenerator:
             if solution.reached:
                 return solution.q
         return None
-
-
-@functools.cache
-def solvers(robot: Robot) -> dict[str, ArmIK]:
-    """Return the IK of both arms."""
-    return {side: ArmIK(side, Kinematics(robot)) for side in SIDES}
 
 
 def goal_targets(group: str, q: Array, robot: Robot) -> dict[str, Array]:
