@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import json
 import zipfile
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 
 import av
 import numpy as np
 import pytest
+import replay_mutations
 from panda import DOF, HOME
+from replay_mutations import mutate, write
 
 from minidual.cli.app import run_command_line
 from minidual.config.scene import ObstacleConfig
@@ -491,6 +495,29 @@ class TestHostileFiles:
         monkeypatch.setattr(module, "_BYTES_MAX", 1000)
         with pytest.raises(DataError, match=r"unpacked it has \d+ bytes, more than 1000"):
             read_recording(trial[0])
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize("forged", [False, True])
+def test_no_mutation_kills_the_command_or_passes_unseen(trial, tmp_path, forged):
+    """300 mutations of arrays and header, with the old digest or one that fits, in processes of their own."""
+    with np.load(trial[0]) as stored:
+        arrays = dict(stored)
+    cases, files = [], []
+    for seed in range(300):
+        mutated, what = mutate(arrays, [seed, forged])
+        files.append(tmp_path / f"{seed}.npz")
+        write(files[-1], mutated, forged=forged)
+        same = all(np.array_equal(arrays[n], mutated[n]) and arrays[n].dtype == mutated[n].dtype for n in arrays)
+        cases.append((what, same))
+    with ProcessPoolExecutor(2, get_context("spawn")) as pool:  # raises if a signal ends one of them
+        found = list(pool.map(replay_mutations.run, files))
+    for (what, same), (code, out) in zip(cases, found, strict=True):
+        assert code in ({0, 1, 2, 5} if forged else {0} if same else {2}), (what, code, out)
+        assert "\x1b" not in out
+        model_changed = what.startswith("model.") and not same
+        assert not (code == 0 and model_changed) or "changed from the scene's" in out, (what, out)
 
 
 def edit_header(path, folder, **changes):

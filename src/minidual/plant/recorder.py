@@ -7,7 +7,7 @@ import re
 from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
@@ -68,7 +68,9 @@ class Recorder:
         mujoco.mj_getState(self._model, self._data, state, STATE)
         return state
 
-    def recording(self, reason: str, *, kind: str = "trial", details: Mapping[str, Any] | None = None) -> Recording:
+    def recording(
+        self, reason: str, *, kind: Literal["dump", "trial"] = "trial", details: Mapping[str, Any] | None = None
+    ) -> Recording:
         """Return what was kept."""
         first = self._stretches[0][0]
         frames = [(step - first, state) for step, state, _ in self._stretches]

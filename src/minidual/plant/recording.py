@@ -16,14 +16,13 @@ import json
 import platform
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
-from pydantic import ValidationError
+from pydantic import Field, SkipValidation, ValidationError
 
 import minidual
 from minidual.config.base import StrictModel
@@ -57,8 +56,7 @@ _SIGNED = ("body_ipos", "body_iquat", "jnt_range", *_MOTOR, "geom_solref", "opt.
 """Fields that may be negative."""
 
 
-@dataclass(frozen=True)
-class Recording:
+class Recording(StrictModel, arbitrary_types_allowed=True):
     """A replayable stretch of simulation.
 
     Attributes:
@@ -67,19 +65,19 @@ class Recording:
         push_steps: (P,) first steps.
     """
 
-    kind: str
+    kind: Literal["dump", "trial"]
     reason: str
     arm: str
     scene: SceneConfig
-    controls: Array
-    keyframe_steps: npt.NDArray[np.int64]
-    keyframes: Array
-    push_steps: npt.NDArray[np.int64]
-    pushes: Array
-    model: Mapping[str, Array]
-    libraries: Mapping[str, str]
+    libraries: dict[str, str]
     seed: int | None = None
-    details: Mapping[str, Any] = field(default_factory=dict)
+    details: dict[str, Any] = Field(default_factory=dict)
+    controls: SkipValidation[Array]
+    keyframe_steps: SkipValidation[npt.NDArray[np.int64]]
+    keyframes: SkipValidation[Array]
+    push_steps: SkipValidation[npt.NDArray[np.int64]]
+    pushes: SkipValidation[Array]
+    model: SkipValidation[Mapping[str, Array]]
 
     @property
     def robot(self) -> Robot:
@@ -185,18 +183,6 @@ _ARRAYS = {
 }
 
 
-class _Header(StrictModel):
-    format: Literal["minidual-recording"]
-    version: int
-    kind: Literal["dump", "trial"]
-    reason: str
-    arm: str
-    scene: SceneConfig
-    libraries: dict[str, str]
-    seed: int | None
-    details: dict[str, Any]
-
-
 def _digest(arrays: Mapping[str, npt.NDArray[Any]]) -> npt.NDArray[np.uint8]:
     """Return the sha256 (32,) of the arrays with their names, types and shapes."""
     found = hashlib.sha256()
@@ -208,8 +194,8 @@ def _digest(arrays: Mapping[str, npt.NDArray[Any]]) -> npt.NDArray[np.uint8]:
 
 def write_recording(path: Path, recording: Recording) -> Path:
     """Write a recording durably."""
-    header = {name: getattr(recording, name) for name in ("kind", "reason", "arm", "libraries", "seed", "details")}
-    header |= {"format": FORMAT, "version": VERSION, "scene": recording.scene.model_dump(mode="json")}
+    header = recording.model_dump(exclude={*_ARRAYS, "model", "details"}) | {"details": recording.details}
+    header |= {"format": FORMAT, "version": VERSION}
     arrays: dict[str, npt.NDArray[Any]] = {name: getattr(recording, name) for name in _ARRAYS}
     arrays |= {f"model.{name}": values for name, values in recording.model.items()}
     arrays["header"] = np.frombuffer(json.dumps(header, default=dict).encode(), dtype=np.uint8)
@@ -237,19 +223,15 @@ def read_recording(path: Path) -> Recording:
         remedy = f"replay it with minidual {header['libraries']['minidual']}, which made it"
         if header["version"] != VERSION:
             raise ValueError(f"it has version {header['version']} of the format; this minidual reads version {VERSION}")
-        known = _Header.model_validate(header)
+        fields = {name[6:]: values for name, values in arrays.items() if name.startswith("model.")}
+        told = {name: value for name, value in header.items() if name not in ("format", "version")}
+        recording = Recording.model_validate(told | {"model": fields} | {name: arrays[name] for name in _ARRAYS})
         remedy = _TAMPERED
         if arrays.pop("digest").tobytes() != _digest(arrays).tobytes():
             raise ValueError("its content does not fit its digest")
-        fields = {name[6:]: values for name, values in arrays.items() if name.startswith("model.")}
         for name, (kind, rank) in (_ARRAYS | {f"model.{name}": (np.float64, None) for name in fields}).items():
             if arrays[name].dtype != kind or rank not in (None, arrays[name].ndim):
                 raise ValueError(f"{name} is {arrays[name].ndim}-dimensional {arrays[name].dtype}")
-        recording = Recording(
-            model=fields,
-            **{name: arrays[name] for name in _ARRAYS},
-            **{name: getattr(known, name) for name in _Header.model_fields if name not in ("format", "version")},
-        )
         _check_steps(recording)
         return recording
     except ValidationError as error:
