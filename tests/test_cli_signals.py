@@ -77,7 +77,7 @@ def test_commands_are_interrupted_at_any_time(words: tuple[str, ...], number: in
         time.sleep(delay_s)
         process.send_signal(number)
         _, err = process.communicate(timeout=60)
-        assert process.returncode in (0, 130), err
+        assert process.returncode in (0, 130, -number), err  # the last: Python was ending already
         assert "Traceback" not in err
 
 

@@ -9,12 +9,59 @@ import sys
 import time
 from pathlib import Path
 
+import psutil
+import pytest
+
 from minidual.workers import in_workers
 
 
 def test_results_come_in_order_and_one_worker_is_this_process() -> None:
     assert list(in_workers(lambda item: (item, os.getpid()), [3, 1, 2], 1)) == [(n, os.getpid()) for n in (3, 1, 2)]
     assert list(in_workers(lambda item: 2 * item, [], 4)) == []
+
+
+def test_signals_to_the_group_are_left_to_the_starter() -> None:
+    signals = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    for blocked in in_workers(lambda _: signal.pthread_sigmask(signal.SIG_BLOCK, ()), [0, 1], 2):
+        assert signals <= blocked
+        assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == before
+
+
+INTERRUPTED = """
+import pathlib, sys, time
+from minidual import cli
+folder = pathlib.Path(sys.argv[1])
+
+def work(item):
+    (folder / str(item)).touch()
+    time.sleep(0.1)
+
+def _run():
+    from minidual.workers import in_workers
+    (folder / "begun").touch()
+    list(in_workers(work, range(10_000), 2))
+
+cli._run = _run
+cli.main()
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_group_that_is_interrupted_at_any_time_ends_in_130_without_traceback(number: int, tmp_path: Path) -> None:
+    for delay_s in (0.0, 0.1, 0.3, 0.6, 1.0, 1.5, 3.0):
+        folder = tmp_path / str(delay_s)
+        folder.mkdir()
+        command = [sys.executable, "-c", INTERRUPTED, str(folder)]
+        with subprocess.Popen(command, start_new_session=True, stderr=subprocess.PIPE, text=True) as starter:
+            _until((folder / "begun").exists, 30.0)
+            time.sleep(delay_s)
+            children = psutil.Process(starter.pid).children(recursive=True)
+            os.killpg(starter.pid, number)
+            _, err = starter.communicate(timeout=30.0)
+        assert (starter.returncode, err) == (130, "minidual: interrupted\n")
+        _until(lambda pids=[child.pid for child in children]: not any(map(_running, pids)), 10.0)
 
 
 PROGRAM = """

@@ -1,16 +1,23 @@
-"""Worker processes with one numeric thread each. They end with the process that started them."""
+"""Worker processes with one numeric thread each.
+
+They end with the process that started them, and leave Ctrl-C, SIGTERM and a closed terminal to it.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
+import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
+from multiprocessing import resource_tracker
 
 import joblib
+from joblib.externals.loky.backend import resource_tracker as loky_tracker
 
-_LOOK_S = 0.5
+_LOOK_S = 0.2
 
 
 def in_workers[Item, Result](
@@ -21,9 +28,27 @@ def in_workers[Item, Result](
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"
     processes = min(workers, max(1, len(items)))
-    yield from joblib.Parallel(n_jobs=processes, return_as="generator", batch_size=1)(
-        joblib.delayed(_call)(os.getpid(), function, item) for item in items
-    )
+    parallel = joblib.Parallel(n_jobs=processes, return_as="generator", batch_size=1)
+    with _unsignalled_children():
+        results = parallel(joblib.delayed(_call)(os.getpid(), function, item) for item in items)
+    yield from results
+
+
+@contextlib.contextmanager
+def _unsignalled_children() -> Generator[None]:
+    """Start processes that signals to their group do not reach: blocked signals are inherited.
+
+    This process gets what came meanwhile when it unblocks them.
+    """
+    signals = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
+    try:
+        for tracker in (resource_tracker, loky_tracker):
+            tracker.ensure_running()  # unblocks signals when it starts one
+        signal.pthread_sigmask(signal.SIG_BLOCK, signals)
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _call[Item, Result](starter: int, function: Callable[[Item], Result], item: Item) -> Result:

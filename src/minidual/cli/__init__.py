@@ -82,6 +82,9 @@ def main() -> None:
     for number in (signal.SIGALRM, signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:  # nohup
             signal.signal(number, interrupt)
+    # Some libraries' docstrings hold invalid escapes, which warn when compiled.
+    warnings.simplefilter("ignore", SyntaxWarning)
+    warnings.filterwarnings("ignore", ".* tasks which were still being processed by the workers")  # when interrupted
     try:
         code = _run()
     except KeyboardInterrupt:
@@ -100,8 +103,6 @@ def _run() -> int:
     from minidual.errors import UsageError
     from minidual.stages.registry import STAGES, TOOLS
 
-    # Some libraries' docstrings hold invalid escapes, which warn when compiled.
-    warnings.simplefilter("ignore", SyntaxWarning)
     try:
         STAGES.plug_in("minidual.stages")
     except UsageError as error:
