@@ -10,6 +10,7 @@ import argparse
 import gc
 import hashlib
 import json
+import math
 import os
 import shutil
 import sys
@@ -33,6 +34,7 @@ def main(words: list[str]) -> int:
     parser = argparse.ArgumentParser(prog="make campaign ARGS=", description=__doc__)
     parser.add_argument("kinds", nargs="*", help=f"what to try: {', '.join(KINDS)} (default: everything)")
     parser.add_argument("--small", action="store_true", help="the part for every build")
+    parser.add_argument("--share", type=float, default=1.0, help="of the cases of each kind, drawn with the seed")
     parser.add_argument("--list", action="store_true", help="say how many cases there are")
     parser.add_argument("--only", default="", help="only cases whose name contains this")
     parser.add_argument("--seed", type=int, default=20261)
@@ -43,8 +45,8 @@ def main(words: list[str]) -> int:
     unknown = [kind for kind in options.kinds if kind not in KINDS]
     if unknown:
         parser.error(f"no kind {unknown[0]}; there are {', '.join(KINDS)}")
-    if not (options.source / "report" / "verdict.json").is_file():
-        parser.error(f"{options.source} is no finished smoke run: minidual run --profile smoke")
+    if stale := _fresh(options.source):
+        parser.error(f"{options.source} is no finished smoke run of this code ({stale[0]}): minidual run --profile smoke")
     with tempfile.TemporaryDirectory(prefix="campaign-source-") as folder:
         source = Path(folder) / "smoke"
         shutil.copytree(options.source, source)
@@ -64,7 +66,7 @@ class Campaign:
         self.rows: dict[str, Row] = {}
         self._digest = _tree_digest(source)
         commit = circumstances_now(())["commit"]
-        self.head = {"seed": options.seed, "small": options.small, "commit": commit}
+        self.head = {"seed": options.seed, "small": options.small, "share": options.share, "commit": commit}
         if options.log and options.log.is_file():
             head, *lines = [json.loads(line) for line in options.log.read_text(encoding="utf-8").splitlines()]
             if head == self.head:
@@ -77,10 +79,11 @@ class Campaign:
     def run(self, name: str, kind: Kind) -> None:
         """Run one kind."""
         cases = [case for case in kind.load()(self.source) if self.options.only in case.name]
-        count = kind.small if self.options.small else kind.most
+        count = kind.small if self.options.small else kind.most or len(cases)
         seed = (self.options.seed, zlib.crc32(name.encode()))
         chosen = list(enumerate(cases))
-        if count is not None and count < len(cases):
+        count = math.ceil(self.options.share * min(count, len(cases)))
+        if count < len(cases):
             picked = np.random.default_rng(seed).permutation(len(cases))[:count]
             chosen = [(int(index), cases[index]) for index in sorted(picked)]
         row = self.rows[name] = Row()
@@ -138,6 +141,17 @@ class Row:
         self.cases += result.count
         self.forbidden += result.forbidden
         self.outcomes.update(result.outcomes)
+
+
+def _fresh(source: Path) -> list[str]:
+    """Return the stages of a run that do not pass and are fresh under this code."""
+    with tempfile.TemporaryDirectory() as folder:
+        ran = command(Place(Path(folder), source, np.random.default_rng(0)), "status", "--json", *_selecting(source))
+    return [row["name"] for row in ran.document()["stages"] if row["state"] != "pass"]
+
+
+def _selecting(run: Path) -> tuple[str, ...]:
+    return ("--profile", "smoke", "--run", run.name, "--runs-dir", str(run.parent))
 
 
 def _warm(source: Path, kind: Kind) -> None:

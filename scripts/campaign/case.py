@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import faulthandler
 import json
 import os
@@ -26,6 +27,7 @@ from minidual.gate.table import StageTable
 from minidual.stages.registry import STAGES, TOOLS
 
 _MEMORY_BYTES = 8 << 30
+_PR_SET_PDEATHSIG = 1
 WAIT = 4.0
 """Other work on the machine may slow a case down by so much."""
 _TRACEBACK = re.compile(r"Traceback \(most recent call last\)|^\s+File \".*\", line \d+", re.MULTILINE)
@@ -212,6 +214,7 @@ def _innermost(path: Path) -> str:
 def _live(case: Case, place: Place, pipe: int) -> None:
     """Run the case in the forked child and leave it."""
     os.setpgid(0, 0)
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)  # a campaign that is killed leaves nothing behind
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     spent = resource.getrusage(resource.RUSAGE_SELF)
     limit = int(spent.ru_utime + spent.ru_stime + case.limit_s) + 1

@@ -38,16 +38,16 @@ class Kind:
 
 KINDS = {
     "links": Kind("scripts.campaign.links:link_cases", 10, warm="scripts.campaign.links:warm"),
-    "recordings": Kind("scripts.campaign.files:recording_cases", 15, warm="scripts.campaign.files:warm_recordings"),
+    "recordings": Kind("scripts.campaign.files:recording_cases", 15, 600, warm="scripts.campaign.files:warm_recordings"),
     "scenes": Kind("scripts.campaign.files:scene_cases", 15, 300, warm="scripts.campaign.files:warm_scenes"),
     "readers": Kind("scripts.campaign.files:library_cases", 20, 300, warm="scripts.campaign.files:warm_readers"),
     "caches": Kind("scripts.campaign.files:cache_cases", 2, warm="scripts.campaign.files:warm_scenes"),
     "publish-kills": Kind("scripts.campaign.kills:publish_cases", 25, warm="scripts.campaign.kills:warm"),
     "stage-kills": Kind("scripts.campaign.kills:stage_cases", 0),
     "signals": Kind("scripts.campaign.processes:signal_cases", 4),
-    "streams": Kind("scripts.campaign.processes:stream_cases", 4),
+    "streams": Kind("scripts.campaign.processes:stream_cases", 4, 120),
     "configuration": Kind("scripts.campaign.configuration:override_cases", 17),
     "profiles": Kind("scripts.campaign.configuration:profile_cases", 60),
     "tampering": Kind("scripts.campaign.tampering:tamper_cases", 60, warm="scripts.campaign.links:warm"),
-    "verdicts": Kind("scripts.campaign.tampering:verdict_cases", 20, 1200),
+    "verdicts": Kind("scripts.campaign.tampering:verdict_cases", 20, 600),
 }
