@@ -46,7 +46,9 @@ def main(words: list[str]) -> int:
     if unknown:
         parser.error(f"no kind {unknown[0]}; there are {', '.join(KINDS)}")
     if stale := _fresh(options.source):
-        parser.error(f"{options.source} is no finished smoke run of this code ({stale[0]}): minidual run --profile smoke")
+        parser.error(
+            f"{options.source} is no finished smoke run of this code ({stale[0]}): minidual run --profile smoke"
+        )
     with tempfile.TemporaryDirectory(prefix="campaign-source-") as folder:
         source = Path(folder) / "smoke"
         shutil.copytree(options.source, source)

@@ -38,7 +38,9 @@ class Kind:
 
 KINDS = {
     "links": Kind("scripts.campaign.links:link_cases", 10, warm="scripts.campaign.links:warm"),
-    "recordings": Kind("scripts.campaign.files:recording_cases", 15, 600, warm="scripts.campaign.files:warm_recordings"),
+    "recordings": Kind(
+        "scripts.campaign.files:recording_cases", 15, 600, warm="scripts.campaign.files:warm_recordings"
+    ),
     "scenes": Kind("scripts.campaign.files:scene_cases", 15, 300, warm="scripts.campaign.files:warm_scenes"),
     "readers": Kind("scripts.campaign.files:library_cases", 20, 300, warm="scripts.campaign.files:warm_readers"),
     "caches": Kind("scripts.campaign.files:cache_cases", 2, warm="scripts.campaign.files:warm_scenes"),
