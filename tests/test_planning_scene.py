@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from minidual.collision import acm as acm_module
-from minidual.collision.acm import acm_report, build_acm
-from minidual.collision.allowed import AllowedCollisions
+from minidual.collision.acm import AllowedCollisions, acm_report, build_acm
 from minidual.collision.engine import Pairs
 from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import TABLE, Attached, PlanningScene

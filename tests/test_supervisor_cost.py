@@ -7,10 +7,10 @@ import time
 import mujoco
 import numpy as np
 
-from minidual.collision.arm_distance import ArmDistance
 from minidual.control.joint_control import ComputedTorque
 from minidual.control.supervisor import Supervisor
 from minidual.robot.arms import DUAL_PANDA
+from minidual.skills.supervised import arm_distance
 from minidual.stages.env_check.tracking import sine_reference
 
 STEPS, BLOCK = 4000, 50
@@ -43,7 +43,7 @@ def tick_cost(world, kinematics, self_distance) -> tuple[float, float, float]:
 
 def test_a_tick_costs_a_fraction_of_physics(world, kinematics) -> None:
     plain = tick_cost(world, kinematics, None)
-    watched = tick_cost(world, kinematics, ArmDistance())
+    watched = tick_cost(world, kinematics, arm_distance(DUAL_PANDA))
     for name, (median, mean, bare) in (("joints and hands", plain), ("with self-collision", watched)):
         print(f"{name}: median {median:.1f} us, mean with the slow looks {mean:.1f} us, mj_step {bare:.1f} us")
     assert plain[0] < 0.5 * plain[2]

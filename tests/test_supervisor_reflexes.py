@@ -15,7 +15,6 @@ import pytest
 from guarded_arms import GuardedArms, Senses, accelerate, begin_swing, swing
 from panda import A_MAX, DOF, HOME, JOINT_NAMES, Q_LOWER, Q_UPPER, TAU_MAX, TAU_RATE_MAX, V_MAX
 
-from minidual.collision.arm_distance import ArmDistance
 from minidual.config.supervisor import SupervisorConfig
 from minidual.control.limits import Reach
 from minidual.control.loop import JointLoop
@@ -24,6 +23,7 @@ from minidual.control.supervised_stop import SupervisedStop
 from minidual.control.supervisor import Supervisor
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
+from minidual.skills.supervised import arm_distance
 from minidual.stages.env_check.tracking import sine_reference
 
 REACH = Reach(Kinematics())
@@ -81,7 +81,7 @@ def arms(world):
 @pytest.fixture(scope="module")
 def nearest():
     """Return the distance between parts of the arms, from the planner's collision engine."""
-    return ArmDistance()
+    return arm_distance(DUAL_PANDA)
 
 
 def must_trip(error: ReflexError | None, name: str, where: str = "") -> Reflex:

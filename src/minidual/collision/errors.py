@@ -10,50 +10,37 @@ class PlanningError(MinidualError):
 
     reason = "planning_failed"
 
+    def __init_subclass__(cls, reason: str | None = None) -> None:
+        cls.reason = reason or cls.reason
 
-class IKUnreachableError(PlanningError):
+
+class IKUnreachableError(PlanningError, reason="ik_unreachable"):
     """No collision-free configuration reaches the pose."""
 
-    reason = "ik_unreachable"
 
-
-class StartInCollisionError(PlanningError):
+class StartInCollisionError(PlanningError, reason="start_in_collision"):
     """The start is in collision."""
 
-    reason = "start_in_collision"
 
-
-class GoalInCollisionError(PlanningError):
+class GoalInCollisionError(PlanningError, reason="goal_in_collision"):
     """The goal is in collision."""
 
-    reason = "goal_in_collision"
 
-
-class OutOfLimitsError(PlanningError):
+class OutOfLimitsError(PlanningError, reason="out_of_limits"):
     """A configuration is outside the limits, not finite, or misshapen."""
 
-    reason = "out_of_limits"
 
-
-class NoPathInTimeError(PlanningError):
+class NoPathInTimeError(PlanningError, reason="no_path_in_time"):
     """No verified path within the time budget."""
 
-    reason = "no_path_in_time"
 
-
-class TimingError(PlanningError):
+class TimingError(PlanningError, reason="timing_failed"):
     """No timing within the limits."""
 
-    reason = "timing_failed"
 
-
-class ClosedChainError(PlanningError):
+class ClosedChainError(PlanningError, reason="closed_chain"):
     """The hands cannot keep their grasps."""
 
-    reason = "closed_chain"
 
-
-class LinearMoveError(PlanningError):
+class LinearMoveError(PlanningError, reason="linear_blocked"):
     """A straight motion ends early."""
-
-    reason = "linear_blocked"

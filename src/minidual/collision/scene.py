@@ -8,8 +8,7 @@ import math
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from minidual.collision.acm import acm_report
-from minidual.collision.allowed import AllowedCollisions
+from minidual.collision.acm import AllowedCollisions, acm_report
 from minidual.collision.shapes import Attached, Box, Shape, grown
 from minidual.errors import UsageError, unknown_name
 from minidual.robot.arms import DUAL_PANDA

@@ -35,7 +35,7 @@ class NamedObject:
         first = int(model.sensor(contact_sensor(name, robot.sides[0], hand.finger_links[0])).adr[0])
         self._readings = data.sensordata[first : first + 12].reshape(4, 3)
         self._forces = self._readings.reshape(2, 2, 3)  # arm, finger, force
-        palms = [int(model.body(palm).id) for palm in robot.palm_names]
+        palms = [int(model.body(palm).id) for palm in robot.both(robot.hand.palm_link)]
         self._hand_axes = [data.xmat[palm].reshape(3, 3)[:, 1] for palm in palms]  # finger axes
 
     def pose(self) -> Array:

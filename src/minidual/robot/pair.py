@@ -161,11 +161,6 @@ class Robot:
         """Tool centre points."""
         return self.both(self.hand.tcp_link)
 
-    @cached_property
-    def palm_names(self) -> tuple[str, str]:
-        """Finger carriers."""
-        return self.both(self.hand.palm_link)
-
     def hand_links(self, side: str) -> tuple[str, str, str]:
         """Return palm and fingers."""
         first, second = self.hand.finger_links

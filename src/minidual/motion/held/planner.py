@@ -99,10 +99,8 @@ class HeldQuery:
     seed: int = 0
 
 
-class NotFreeError(ClosedChainError):
+class NotFreeError(ClosedChainError, reason="not_free"):
     """Not proven."""
-
-    reason = "not_free"
 
 
 class HeldPlanner:

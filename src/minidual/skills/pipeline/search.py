@@ -15,10 +15,8 @@ from minidual.skills.pipeline.stage import Candidate, Failure, Offer, Stage, Too
 from minidual.skills.pipeline.state import Segment, State
 
 
-class TaskFailedError(PlanningError):
+class TaskFailedError(PlanningError, reason="task_failed"):
     """No way through all stages."""
-
-    reason = "task_failed"
 
     def __init__(self, name: str, record: Record) -> None:
         blocking = record.deepest()

@@ -47,6 +47,10 @@ _EDGE_STEP_RAD = 0.03
 _LOW, _HIGH = np.array([0.35, -0.3, 0.08]), np.array([0.6, 0.3, 0.4])
 
 
+type _Held = tuple[Array, Array]
+"""Object pose (4, 4), posture (n,) of the hands on it."""
+
+
 @dataclass(frozen=True, eq=False)
 class HeldMove:
     """One move.
@@ -147,8 +151,8 @@ class HeldMoveGenerator:
 
     def _held(
         self, rng: np.random.Generator, engine: MujocoEngine, T_world_object: Array, q_near: Array, room_m: float
-    ) -> tuple[Array, Array] | None:
-        """Return (pose, posture (n,)) of the first free posture, or None."""
+    ) -> _Held | None:
+        """Return the first free posture, or None."""
         for k in range(_IK_STARTS_N):
             q = np.array(q_near)
             for arm, grasp in zip(self._hands.arms, self._grasps, strict=True):
@@ -163,19 +167,14 @@ class HeldMoveGenerator:
                     return T_world_object, solved
         return None
 
-    def _blocked(self, engine: MujocoEngine, start: tuple[Array, Array], T_goal: Array) -> bool:
+    def _blocked(self, engine: MujocoEngine, start: _Held, T_goal: Array) -> bool:
         path = ObjectPath.through([start[0], T_goal])
         marks = np.linspace(0.0, path.length, max(8, int(path.length / 0.01)), dtype=np.float64)
         Q, ended = self._hands.follow(path.poses(marks), start[1])
         return ended is not None or bool(engine.collisions(Q).any())
 
     def _witness(
-        self,
-        rng: np.random.Generator,
-        engines: SceneEngines,
-        query: HeldQuery,
-        start: tuple[Array, Array],
-        goal: tuple[Array, Array],
+        self, rng: np.random.Generator, engines: SceneEngines, query: HeldQuery, start: _Held, goal: _Held
     ) -> Array | None:
         """Return a proven path, searched from the goal, or None."""
         for padding_m, step_scale in _WITNESS_TRIES:

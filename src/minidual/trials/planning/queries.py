@@ -118,10 +118,10 @@ class QueryGenerator:
         crossed_at_goal = bool(rng.integers(2))
         for _ in range(_PAIRS_TRIES_N):
             crossed = kind == "crossing"
-            start = self._configuration(rng, engine, self._robot.home, SIDES, crossed=crossed and not crossed_at_goal)
+            start = self._configuration(rng, engine, self._robot.home, SIDES, crossed and not crossed_at_goal)
             if start is None:
                 continue
-            goal = self._configuration(rng, engine, start, arms, crossed=crossed and crossed_at_goal)
+            goal = self._configuration(rng, engine, start, arms, crossed and crossed_at_goal)
             if goal is None:
                 continue
             between = _touched_between(engine, start, goal)
@@ -133,15 +133,9 @@ class QueryGenerator:
         return None
 
     def _configuration(
-        self,
-        rng: np.random.Generator,
-        engine: MujocoEngine,
-        q_base: Array,
-        arms: tuple[str, ...],
-        *,
-        crossed: bool = False,
+        self, rng: np.random.Generator, engine: MujocoEngine, q_base: Array, arms: tuple[str, ...], crossed: bool
     ) -> Array | None:
-        """Return a free configuration, or None."""
+        """Return a free configuration, `crossed` with the hands on the other's side, or None."""
         for _ in range(_POSE_TRIES_N):
             q = np.array(q_base)
             for arm in arms:
