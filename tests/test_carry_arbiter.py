@@ -514,12 +514,115 @@ def force_is_nan(*hands: int) -> Callable[[Reading], Reading]:
 
 DEAD = {
     "a camera that gives no number": pose_is_nan,
-    "force sensors that give no number": force_is_nan(0, 1),
     "a left force sensor that gives no number": force_is_nan(0),
     "a right force sensor that gives no number": force_is_nan(1),
     "force sensors that give nothing": lambda r: replace(r, hand_forces=np.zeros((2, 3))),
     "fingers that feel nothing": lambda r: replace(r, pinch=np.zeros(2)),
 }
+
+
+def frozen_pose() -> Callable[[Reading], Reading]:
+    """Repeat the first pose, on time."""
+    seen: list[Any] = []
+
+    def lies(reading: Reading) -> Reading:
+        if reading.pose is None:
+            return reading
+        seen.append(reading.pose)
+        return replace(reading, pose=seen[0])
+
+    return lies
+
+
+def silent_force() -> Callable[[Reading], Reading]:
+    """Deliver the first forces again and again."""
+    seen: list[Reading] = []
+
+    def lies(reading: Reading) -> Reading:
+        seen.append(reading)
+        return replace(seen[0], pose=reading.pose)
+
+    return lies
+
+
+def frozen_left_force() -> Callable[[Reading], Reading]:
+    """Repeat the first force of the left hand."""
+    seen: list[Array] = []
+
+    def lies(reading: Reading) -> Reading:
+        seen.append(reading.hand_forces[0].copy())
+        return replace(reading, hand_forces=np.array([seen[0], reading.hand_forces[1]]))
+
+    return lies
+
+
+LYING: dict[str, tuple[str, str, Callable[[], Callable[[Reading], Reading]]]] = {
+    "a silent camera": ("approach", "no pose for 5", lambda: lambda r: replace(r, pose=None)),
+    "force sensors that are silent": ("approach", "no usable force for 4", silent_force),
+    "a camera that repeats its picture": ("carry", "the pose stays the same", frozen_pose),
+    "a force sensor that repeats its value": ("carry", "the left hand's force stays the same", frozen_left_force),
+}
+
+
+@pytest.mark.parametrize("what", LYING)
+def test_a_sensor_that_is_silent_or_frozen_is_named(world: World, what: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before, a silent camera and a frozen force ended in "success", a frozen camera in "slip"."""
+    phase, named, make = LYING[what]
+    sense, lies = Sensors.sense, make()
+
+    def begin(_seen: Ride) -> None:
+        monkeypatch.setattr(Sensors, "sense", lambda self: lies(sense(self)))
+
+    seen = ride(world, at=(phase, 0.6), do=begin)
+    fault = seen.carry.fault
+    assert fault is not None
+    assert (fault.name, fault.detail.startswith(named)) == ("sensor_lost", True), fault.text
+    assert fault.at_s - seen.onset_s <= 0.05
+    assert seen.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
+    assert np.abs(world.v).max() < 0.05
+
+
+def test_a_force_glitch_of_one_step_does_not_end_a_carry(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before, 1 kN for 1 ms ended it as a slip, NaN for 1 ms as a reflex."""
+    sense, glitches = Sensors.sense, iter((1e3, -1e3, np.nan))
+    due: list[float] = []
+
+    def glitch(reading: Reading) -> Reading:
+        if not due or reading.stamp_s < due[0]:
+            return reading
+        due[0] += 0.15
+        value = next(glitches, None)
+        return (
+            reading if value is None else replace(reading, hand_forces=np.full((2, 3), value), pinch=np.full(2, value))
+        )
+
+    monkeypatch.setattr(Sensors, "sense", lambda self: glitch(sense(self)))
+    seen = ride(world, at=("carry", 0.3), do=lambda seen: due.append(seen.onset_s))
+    assert next(glitches, None) is None, "a glitch was not tried"
+    assert seen.carry.fault is None, seen.carry.aborted
+
+
+def test_a_program_error_in_a_sensor_stops_the_arms_and_is_then_raised(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before, it left the tick without torque."""
+
+    def breaks(self: Sensors) -> Reading:
+        raise ZeroDivisionError("no driver")
+
+    seen: list[Ride] = []
+
+    def begin(ride: Ride) -> None:
+        seen.append(ride)
+        monkeypatch.setattr(Sensors, "sense", breaks)
+
+    with pytest.raises(ZeroDivisionError, match="no driver"):
+        ride(world, at=("approach", 0.5), do=begin)
+    carry = seen[0].carry
+    assert carry.fault is not None
+    assert "ZeroDivisionError: no driver" in carry.fault.detail
+    assert seen[0].torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
+    assert np.abs(world.v).max() < 0.05
 
 
 @pytest.mark.parametrize("what", DEAD)
@@ -533,7 +636,7 @@ def test_a_sensor_that_dies_in_the_air_stops_the_carry_by_name(
 
     seen = ride(world, at=("carry", 1.0), do=dies)
     assert seen.carry.fault is not None
-    assert seen.carry.fault.name in ("slip", "object_lost", "reflex")
+    assert seen.carry.fault.name in ("slip", "object_lost", "sensor_lost")
     assert seen.carry.fault.at_s - seen.onset_s <= 0.05
     assert np.isfinite(seen.told).all()
     assert seen.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9

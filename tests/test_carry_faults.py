@@ -269,12 +269,17 @@ def test_every_row_of_the_table_can_be_told(monitor: FaultMonitor) -> None:
         "object_lost": _until_told(lambda: monitor.holding(**{**holds, "pinch_n": np.array([60.0, 3.0])})),
         "slip": _until_told(lambda: monitor.squeezing(40.0, 10.0)),
         "tilted": _until_told(lambda: monitor.holding(**{**holds, "tilt_rad": 0.5})),
+        "sensor_lost": _until_told(lambda: monitor.silent("pose", 0.06, 0.05)),
         "lost_arm": _until_told(lambda: monitor.motors(np.full(DOF, 5.0), np.r_[np.full(7, 5.0), np.zeros(7)])),
     }
     for name, (said, calls) in told.items():
         assert said == name
         assert calls <= 5
     assert set(told) | {"unreachable", "singular", "reflex", "interrupted"} == {*OPENING, *CLOSED}
+    assert monitor.silent("pose", 0.05, 0.05) is None
+    assert _until_told(lambda: monitor.silent("pose", float("nan"), 0.05))[0] == "sensor_lost"
+    assert _until_told(lambda: monitor.frozen("the pinch", True, 3)) == ("sensor_lost", 3)
+    assert monitor.frozen("the pinch", False, 3) is None
     assert _until_told(lambda: monitor.held_pose((0.0, 0.1)))[0] == "slip"
     assert _until_told(lambda: monitor.holding(**{**holds, "spread_m": 0.25}))[0] == "slip"
     assert monitor.closing(gaps, np.array([60.0, 3.0]), 1.6) is not None  # a finger that stands on the object

@@ -118,6 +118,10 @@ class CarryFaultConfig(StrictModel):
     motor_torque_n_m: float = Field(default=2.0, gt=0.0, le=50.0)
     """Difference between commanded and measured torque of a dead drive."""
     persistence_s: float = Field(default=0.005, ge=0.0, le=0.05)
+    sensor_age_max_s: float = Field(default=0.03, gt=0.0, le=0.5)
+    """Age of an object reading, beyond delay and sampling period, at which its sensor is silent."""
+    force_glitch_n: float = Field(default=100.0, gt=0.0, le=1000.0)
+    """A force this far from the filtered one is ignored for up to `persistence_s`."""
 
 
 class CarryConfig(StrictModel):

@@ -110,7 +110,7 @@ class CommandArbiter:
         if reason is not None:
             self._refuse(source, *reason)
             gripper = None
-        self._halt = (source, gripper)
+        self._halt = (source, None if gripper is None else np.array(gripper, dtype=float))
 
     def _mailbox(self, source: str) -> Mailbox:
         if source not in self._mailboxes:

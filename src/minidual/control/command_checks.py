@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from minidual.control.commands import Command, ObjectCommand, Reason, TrajectoryCommand
-from minidual.control.object_impedance import SQUEEZE_CEILING_N
+from minidual.control.object_impedance import SQUEEZE_CEILING_N, ObjectState
 from minidual.robot.pair import Array, Robot
+from minidual.robot.poses import rotation_log
 
 OBJECT_SPEED_MAX_M_PER_S = 1.0
 """Just below the arms' own limits."""
@@ -16,7 +19,10 @@ _SPEED_TOLERANCE = 1.02
 _ZERO_RAD = 1e-12
 _REST_RAD_PER_S = 0.01
 _REST_OBJECT = 0.005
-_OBJECT_SAMPLES = 61
+_OBJECT_SAMPLES, _SAMPLE_S = 61, 0.1
+"""Least number of samples, and longest time between two."""
+_JUMP_M, _JUMP_RAD = 0.02, 0.1
+"""Between two samples; a path with bounded jerk stays an order below."""
 
 
 def check(command: Command, robot: Robot) -> Reason | None:
@@ -106,16 +112,32 @@ def _object(command: ObjectCommand) -> Reason | None:
     duration = command.motion.duration_s
     if not (np.isfinite(duration) and duration > 0.0):
         return "not_finite", f"duration {duration} s; it must be finite and > 0"
-    for t in np.linspace(0.0, duration, _OBJECT_SAMPLES):
+    before: ObjectState | None = None
+    samples = max(_OBJECT_SAMPLES, math.ceil(duration / _SAMPLE_S) + 1)
+    for t in np.linspace(0.0, duration, samples):
         state, squeeze = command.motion.at(float(t)), command.squeeze_n(float(t))
         values = (state.T_world_object, state.twist, state.acceleration)
         if not (all(np.isfinite(x).all() for x in values) and np.isfinite(squeeze)):
             return "not_finite", f"object path or squeeze at {t:.3f} s"
         if not 0.0 <= squeeze <= SQUEEZE_CEILING_N:
             return ("squeeze_out_of_range", f"{squeeze:.1f} N at {t:.3f} s; 0 to {SQUEEZE_CEILING_N:.0f} N")
+        jump_m, jump_rad = (0.0, 0.0) if before is None else _jump(before, state, duration / (samples - 1))
+        if not (jump_m <= _JUMP_M and jump_rad <= _JUMP_RAD):
+            return (
+                "pose_jump",
+                f"{1e3 * jump_m:.0f} mm, {jump_rad:.2f} rad by {t:.3f} s that its twist does not explain",
+            )
+        before = state
         speed = float(np.linalg.norm(state.twist[:3]))
         if speed > OBJECT_SPEED_MAX_M_PER_S:
             return "too_fast", f"object at {speed:.2f} m/s; limit {OBJECT_SPEED_MAX_M_PER_S}"
         if t in (0.0, duration) and float(np.abs(state.twist).max()) > _REST_OBJECT:
             return "not_at_rest", f"the object moves at {t:.3f} s; a path must begin and end at rest"
     return None
+
+
+def _jump(before: ObjectState, after: ObjectState, span_s: float) -> tuple[float, float]:
+    """Return how far [m], [rad] the pose has moved beyond the mean twist."""
+    T, T_before, way = after.T_world_object, before.T_world_object, 0.5 * span_s * (before.twist + after.twist)
+    turned = rotation_log(T[:3, :3] @ T_before[:3, :3].T)
+    return float(np.linalg.norm(T[:3, 3] - T_before[:3, 3] - way[:3])), float(np.linalg.norm(turned - way[3:]))

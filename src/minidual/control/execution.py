@@ -16,6 +16,7 @@ import numpy as np
 from minidual.control.command_checks import own_columns
 from minidual.control.commands import ArbiterState, ObjectCommand, Refusal, TrajectoryCommand
 from minidual.control.object_impedance import ObjectState
+from minidual.errors import UsageError
 from minidual.robot.pair import Array, Robot
 
 BRAKE_SHARE = 0.8
@@ -23,6 +24,8 @@ BRAKE_SHARE = 0.8
 _BRAKE_SLOPE_MIN, _BRAKE_SLOPE_MAX = 2.0, 20.0
 _OBJECT_BRAKE_SLOPE = 4.0
 _BRAKE_RAMP_S = 0.03
+_OBJECT_STEP_PER_S = np.array([[8.0] * 3 + [2.0]] * 4)
+"""Largest rate of the entries of a pose: rotation [1/s], position [m/s]; twice what is accepted."""
 _STOPPED_RATE = 1e-4
 _LOOK_AHEAD_ROWS = 500
 
@@ -121,7 +124,10 @@ class ObjectExecution(_Execution):
     def step(self) -> None:
         """Advance one control step; the squeeze follows path time."""
         super().step()
-        self.desired = state = self.command.motion.at(self._t_s)
+        state, before = self.command.motion.at(self._t_s), self.desired.T_world_object
+        if not (np.abs(state.T_world_object - before) <= _OBJECT_STEP_PER_S * self._dt).all():
+            raise UsageError(f"the object path jumps at {self._t_s:.3f} s", remedy="check its poses; none may be NaN")
+        self.desired = state
         self.squeeze_n = self.command.squeeze_n(self._t_s)
         if self.braking:
             self.desired = ObjectState(state.T_world_object, *self._slowed(state.twist, state.acceleration))

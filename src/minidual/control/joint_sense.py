@@ -97,12 +97,13 @@ class JointSense:
         config, kept, usable = self._config, self._kept, True
         self._applied.append(applied.copy())
         if not new_s > 0.0:
+            q, v = self.q, self.v
             self.age_s += self._dt
             usable = self.age_s <= config.measurement_age_max_s
             if not usable:
                 self._lose(np.ones_like(self.lost), self.age_s)
         else:
-            if not self._started:
+            if not self._started or new_s > config.measurement_age_max_s:  # nothing to compare with
                 kept[_Q], kept[_V], kept[_TAU], self._started = q - new_s * v, v, tau, True
             self.age_s, bounds = 0.0, (config.position_mismatch_rad, config.frozen_s, self._tau_moves)
             usable = bool(compare(q, v, tau, new_s, *bounds, kept) <= 1.0)

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import copy
+from dataclasses import replace
+
+import numpy as np
+
 from minidual.control.command_checks import check
-from minidual.control.commands import Command, JointCommand, Refusal, TimedCommand
+from minidual.control.commands import Command, JointCommand, ObjectCommand, Refusal, TimedCommand
 from minidual.robot.pair import Robot
 
 
@@ -30,7 +35,7 @@ class Mailbox:
             reason = "out_of_order", f"sequence {command.sequence} after {self._sequence}"
         if reason is not None:
             return Refusal(self.source, *reason)
-        self._sequence = command.sequence
+        self._sequence, command = command.sequence, _own(command)
         arms = set(command.arms)
         self._timed = [c for c in self._timed if not arms & set(c.arms)]
         if isinstance(command, JointCommand):
@@ -84,3 +89,10 @@ class Mailbox:
             return None
         stamped = f"stamped {command.stamp_s:.4f} s, {ahead_s:.4f} s ahead of the clock"
         return Refusal(self.source, "from_future", f"{type(command).__name__}: {stamped}")
+
+
+def _own(command: Command) -> Command:
+    """Return a copy: what a source does to its arrays later changes nothing. Object paths are called, not copied."""
+    if isinstance(command, ObjectCommand):
+        return replace(command, gripper=np.array(command.gripper, dtype=float))
+    return copy.deepcopy(command)

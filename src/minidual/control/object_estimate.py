@@ -55,6 +55,7 @@ class HeldEstimate:
     Attributes:
         innovation: (distance [m], angle [rad]) of the last sample.
         spread_m: Distance between the hands.
+        moved_m: Distance that they moved between the last two samples.
     """
 
     def __init__(
@@ -68,9 +69,9 @@ class HeldEstimate:
         self._least_gain, self._samples_n = least_gain, 5
         self._history: deque[Array] = deque(maxlen=delay_ticks + 1)
         self.innovation = (0.0, 0.0)
-        self.spread_m = 0.0
+        self.spread_m = self.moved_m = 0.0
         T_world_hands, _, _ = self._hands(q, np.zeros_like(q))
-        self._T_hands_object = inverse(T_world_hands) @ T_world_object
+        self._T_hands_object, self._sampled_m = inverse(T_world_hands) @ T_world_object, T_world_hands[:3, 3]
         self.state = ObjectState(T_world_object)
 
     def update(self, q: Array, v: Array, sample: Array | None, age_ticks: int = 0) -> ObjectState:
@@ -83,7 +84,9 @@ class HeldEstimate:
         if sample is not None and age_ticks < len(self._history):
             self._samples_n += 1
             gain = max(1.0 / self._samples_n, self._least_gain)
-            seen = inverse(self._history[-1 - age_ticks]) @ sample
+            T_then = self._history[-1 - age_ticks]
+            self.moved_m, self._sampled_m = float(np.linalg.norm(T_then[:3, 3] - self._sampled_m)), T_then[:3, 3]
+            seen = inverse(T_then) @ sample
             self._T_hands_object, self.innovation = _towards(self._T_hands_object, seen, gain)
         T = T_world_hands.dot(self._T_hands_object)
         lever = minus(T[:3, 3].tolist(), T_world_hands[:3, 3].tolist())

@@ -97,7 +97,7 @@ REFLEXES: dict[str, ReflexKind] = {
         "",
     ),
     "controller_failed": ReflexKind(
-        "a controller gives no torque",
+        "a controller, a source, a sensor or a monitor has failed",
         "remove what it names, or recover with controllers that need less, such as both_arms",
         "",
     ),

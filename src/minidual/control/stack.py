@@ -125,6 +125,7 @@ class ControlStack[P: Plant]:
         """The arbiter's last output."""
         self.reflex: MinidualError | None = None
         """Error of the latched reflex, or None."""
+        self._failed: Exception | None = None
 
     # Commands --------------------------------------------------------------------------------------------
 
@@ -199,7 +200,7 @@ class ControlStack[P: Plant]:
 
     def on_flush(self, listener: Callable[[str], None]) -> None:
         """Call `listener(mode)` at every switch or halt; sources must drop queued chunks."""
-        self._flush_listeners.append(listener)
+        self._flush_listeners.append(lambda mode: self._attempt(lambda: listener(mode), None))
 
     def recover(self) -> None:
         """Resume after a reflex at the measured posture, from the torques applied last; no source drives.
@@ -258,8 +259,30 @@ class ControlStack[P: Plant]:
         self._countdown -= 1
         self.advance()
 
+    def fail(self, error: Exception) -> None:
+        """Stop the arms in the next tick: a source, a sensor or whatever else the loop calls has failed.
+
+        Raises:
+            Exception: `error`, without a supervisor.
+        """
+        if self.supervisor is None:
+            raise error
+        if self._failed is None:
+            self._failed = error
+
+    def _attempt[T](self, part: Callable[[], T], otherwise: T) -> T:
+        """Run a part of a tick; what it raises stops the arms and never leaves the tick without torque."""
+        try:
+            return part()
+        except Exception as error:
+            self.fail(error)
+            return otherwise
+
     def arbitrate(self) -> ArbiterOutput:
         """Run an arbiter tick now, for callers with their own timing."""
+        return self._attempt(self._arbitrate, self.output)
+
+    def _arbitrate(self) -> ArbiterOutput:
         plant = self.plant
         output = self.arbiter.tick(plant.time, plant.q, plant.v)
         self.output = output
@@ -280,61 +303,66 @@ class ControlStack[P: Plant]:
         Raises:
             ReflexError: Once, after the step; without a supervisor the controller's or plant's error.
         """
-        plant, output = self.plant, self.output
-        for execution in output.executions:
-            execution.step()
-            if execution.finished:
-                self._due = True
-        q, v = plant.q, plant.v
-        tau, stopped = self._torque(q, v)
+        plant, attempt = self.plant, self._attempt
+        attempt(self._step_executions, None)
+        nothing = np.full(self._robot.dof, np.nan)
+        time_s, stamp_s = attempt(lambda: plant.time, np.nan), attempt(lambda: plant.stamp_s, None)
+        tau, stopped = self._torque(
+            time_s, stamp_s, attempt(lambda: plant.q, nothing), attempt(lambda: plant.v, nothing)
+        )
         if self._off is not None:
             tau = self._off.limit(tau)
         self.applied = tau
-        plant.command(tau, self.grippers.step(output.gripper))
+        plant.command(tau, attempt(lambda: self.grippers.step(self.output.gripper), self.grippers.targets_m))
         plant.step()
         if stopped is not None:
             raise stopped
 
-    def _torque(self, q: Array, v: Array) -> tuple[Array, MinidualError | None]:
+    def _step_executions(self) -> None:
+        for execution in self.output.executions:
+            execution.step()
+            if execution.finished:
+                self._due = True
+
+    def _torque(self, time_s: float, stamp_s: float | None, q: Array, v: Array) -> tuple[Array, MinidualError | None]:
         """Return torques (n,), and the error to raise or None."""
-        failed: MinidualError | None = None
-        tau = self.applied
-        try:
-            self._check_plant()
-            tau = self.manager.update(q, v)
-            if self._off is not None:  # guard only torques that reach motors
-                tau = self._off.nearest(tau)
-        except MinidualError as error:
-            failed = error
         if self.supervisor is None:
-            return (tau, None) if failed is None else (self._fall_back(failed, q, v), failed)
+            try:
+                return self._asked(q, v)[0], None
+            except MinidualError as error:
+                return self._fall_back(error, q, v), error
+        tau, acceleration = self.applied, None
+        if self._failed is None:
+            tau, acceleration = self._attempt(lambda: self._asked(q, v), (tau, acceleration))
+        failed, self._failed = self._failed, None
         try:
-            if failed is not None:
-                return self.supervisor.fail(self.plant.time, q, v, failed.message, self.plant.stamp_s), None
-            acceleration = self.manager.acceleration
-            return self.supervisor.guard(self.plant.time, q, v, tau, acceleration, self.plant.stamp_s), None
-        except MinidualError as error:
-            if failed is not None:
-                error.__cause__ = failed
-            return self._stop(error), error
+            if failed is None:
+                return self.supervisor.guard(time_s, q, v, tau, acceleration, stamp_s), None
+            why = failed.message if isinstance(failed, MinidualError) else f"{type(failed).__name__}: {failed}"
+            return self.supervisor.fail(time_s, q, v, why, stamp_s), None
+        except ReflexError as error:
+            error.__cause__ = failed or error.__cause__
+            self.reflex = error
+            self._attempt(lambda: self.request(HOLD), None)
+            return error.tau, error
+
+    def _asked(self, q: Array, v: Array) -> tuple[Array, Array | None]:
+        """Return the controllers' torques and reference acceleration (n,)."""
+        self._check_plant()
+        tau = self.manager.update(q, v)
+        # Only torques that reach motors are guarded.
+        return (tau if self._off is None else self._off.nearest(tau)), self.manager.acceleration
 
     def _check_plant(self) -> None:
         plant, limit_s = self.plant, self._config.stale_s
         if plant.health:
             raise PlantError(f"the plant cannot be driven: {plant.health}")
         age_s = plant.time - plant.stamp_s
-        if age_s > limit_s:
+        if not age_s <= limit_s:
             raise PlantError(
                 f"the measurements are {age_s:.3f} s old; limit {limit_s} s",
                 remedy="see that the plant delivers its state; arbiter.stale_s is how old it may be",
             )
-
-    def _stop(self, error: MinidualError) -> Array:
-        if not isinstance(error, ReflexError):
-            raise error
-        self.reflex = error
-        self.request(HOLD)
-        return error.tau
 
     def _fall_back(self, error: MinidualError, q: Array, v: Array) -> Array:
         if self.manager.active == DEFAULT_CONTROLLERS:  # no other controller could hold the arms

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 import pinocchio as pin
@@ -94,7 +95,7 @@ class Supervisor:
         self._looked_tick = -2
         self._saturated, self._jumps = np.zeros((2, self._robot.dof))
         self._asked = self._zero
-        self._stamp_s, self._usable = -math.inf, True
+        self._stamp_s, self._usable = math.nan, True
         self._sense.reset()
 
     def estop(self, reason: str = "pressed") -> None:
@@ -162,23 +163,22 @@ class Supervisor:
         if self._applied is None:
             self._applied = self._before_control(q)
         before_s, self._time_s = self._time_s, time_s
-        self._usable = self._sense.update(self._q, self._v, self._tau, self._applied, self._newer_s(time_s, stamp_s))
+        self._usable = self._sense.update(self._q, self._v, self._tau, self._applied, self._newer_s(stamp_s))
         if not time_s > before_s:
             self._time_s = before_s
             self._trip("clock", f"{time_s} s after {before_s} s", 1.0, None)
         return self._applied
 
-    def _newer_s(self, time_s: float, stamp_s: float | None) -> float:
-        """Return how much newer [s] the measurement is than the last."""
-        before_s, self._stamp_s = self._stamp_s, time_s if stamp_s is None else stamp_s
-        return self.dt_s if before_s == -math.inf else self._stamp_s - before_s
+    def _newer_s(self, stamp_s: float | None) -> float:
+        """Return how much newer [s] the measurement is than the last; one period where stamps tell nothing."""
+        before_s, self._stamp_s = self._stamp_s, math.nan if stamp_s is None else stamp_s
+        failed = self.reflex is not None and self.reflex.name == "clock"
+        return self.dt_s if stamp_s is None or math.isnan(before_s) or failed else stamp_s - before_s
 
     def _stopping(self, q: Array, v: Array, stamp_s: float | None) -> Array:
         """Return this tick's torque of the latched stop."""
-        known = stamp_s is not None and self.reflex is not None and self.reflex.name != "clock"
-        newer_s = self._newer_s(self._time_s, stamp_s) if known else self.dt_s
         self._q[:], self._v[:], tau = q, v, self._stop.tau
-        self._sense.update(self._q, self._v, tau, tau, newer_s)
+        self._sense.update(self._q, self._v, tau, tau, self._newer_s(stamp_s))
         return self._stop.torque(self._sense.q, self._sense.v)
 
     def _before_control(self, q: Array) -> Array:
@@ -259,7 +259,10 @@ class Supervisor:
             if not (x0 <= x <= x1 and y0 <= y <= y1 and z0 <= z <= z1):
                 self._trip_workspace(arm, (x, y, z))
         if self._self_distance is not None:
-            pair, distance = self._self_distance(q)
+            try:
+                pair, distance = self._self_distance(q)
+            except Exception as error:  # a monitor must not take this tick's torque away
+                self._trip("controller_failed", f"self_distance: {type(error).__name__}: {error}", 1.0, None)
             if not distance >= self.config.self_collision_min_m:
                 self._trip("self_collision", pair, distance, self.config.self_collision_min_m)
             # Check again before the gap can close to the bound at full acceleration.
@@ -294,7 +297,7 @@ class Supervisor:
         _, axis, value, bound = max(excess)
         self._trip("workspace", f"{axis} of the {SIDES[arm]} hand", value, bound)
 
-    def _trip(self, name: str, where: str, value: float, bound: float | None) -> None:
+    def _trip(self, name: str, where: str, value: float, bound: float | None) -> NoReturn:
         details = {
             key: [x if math.isfinite(x) else str(x) for x in values.tolist()]  # JSON has no NaN
             for key, values in zip(SEEN, self._rows[:3], strict=True)

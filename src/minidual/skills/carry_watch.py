@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,6 +18,10 @@ from minidual.skills.faults import Fault, FaultMonitor
 from minidual.tasks.rod_carry import tilt_rad
 
 _GRIPPED = 0.9
+_MOVED_M = 0.0005
+"""Motion of the hands between two poses that the second must show."""
+_COMPARE_S = 0.01
+_FORCES = ("the left hand's force", "the right hand's force", "the pinch")
 _EASED = 0.75
 """Share of the force felt at slip onset, requested afterwards."""
 _EASE_MARGIN = 1.1
@@ -41,8 +46,13 @@ class CarryWatch:
         self._reading: Reading = sensors.sense()
         if self._reading.pose is None:
             raise RuntimeError("the first reading of the sensors holds a pose")
-        self._sensed_s = world.time
-        self._forces, self._pinch = self._reading.hand_forces.copy(), self._reading.pinch.copy()
+        self._sensed_s = self._posed_s = world.time
+        self._raw = np.concatenate([self._reading.hand_forces.ravel(), self._reading.pinch])
+        self._felt = self._raw.copy()
+        self._forces, self._pinch = self._felt[:6].reshape(2, 3), self._felt[6:]  # views
+        self._odd_n, self._forces_s = 0, world.time
+        self._odd_max_n = round(config.faults.persistence_s / world.dt)
+        self._posed, self._compared = self._reading.pose.T_world_object, (self._raw, world.time)
         self._filter_share = world.dt / (config.sensing.force_filter_s + world.dt)
         self._resting = RestingEstimate(self._reading.pose.T_world_object)
         self._held: HeldEstimate | None = None
@@ -89,14 +99,32 @@ class CarryWatch:
         world = self._world
         if world.time > self._sensed_s:  # the constructor sensed the first step
             self._reading = self._sensors.sense()
-        reading, share = self._reading, self._filter_share
-        self._forces += share * (reading.hand_forces - self._forces)
-        self._pinch += share * (reading.pinch - self._pinch)
+        reading = self._reading
+        if reading.pose is not None:
+            if np.isfinite(reading.pose.T_world_object).all():
+                self._posed_s = world.time - reading.pose.age_ticks * world.dt
+            else:
+                self._reading = reading = replace(reading, pose=None)
+        self._feel_forces(reading)
         if self._held is not None:
             pose = reading.pose
             sample = (None, 0) if pose is None else (pose.T_world_object, pose.age_ticks)
             self._held.update(world.q, world.v, *sample)
             self._feel()
+
+    def _feel_forces(self, reading: Reading) -> None:
+        """Filter the forces, without readings that are not finite and short glitches."""
+        self._raw = raw = np.concatenate([reading.hand_forces.ravel(), reading.pinch])
+        change = raw - self._felt
+        near = np.abs(change) <= self._config.faults.force_glitch_n
+        if near.all():
+            self._odd_n, self._forces_s = 0, reading.stamp_s
+        else:
+            self._odd_n += 1
+            usable = near if self._odd_n <= self._odd_max_n else np.isfinite(raw)
+            change[~usable] = 0.0
+            self._forces_s = reading.stamp_s if np.isfinite(raw).all() else self._forces_s
+        self._felt += self._filter_share * change
 
     def take_hold(self) -> None:
         """From now on, estimate an object that follows the hands."""
@@ -118,6 +146,25 @@ class CarryWatch:
         self._held = None
 
     # Faults ------------------------------------------------------------------------------------------------
+
+    def sensors(self, *, moving: bool) -> Fault | None:
+        """Check that poses and forces arrive and, while a held object moves, change."""
+        now_s, dt, monitor, sensing = self._world.time, self._world.dt, self._monitor, self._config.sensing
+        bound_s = self._sensors.delay_ticks * dt + self._config.faults.sensor_age_max_s
+        period_s = 1.0 / sensing.pose_rate_hz if sensing.pose_rate_hz > 0.0 else dt
+        found = monitor.silent("pose", now_s - self._posed_s, bound_s + period_s)
+        found = found or monitor.silent("usable force", now_s - self._forces_s, bound_s)
+        pose, held = self._reading.pose, self._held
+        if pose is not None:
+            same, self._posed = bool((pose.T_world_object == self._posed).all()), pose.T_world_object
+            if held is not None and moving:
+                found = found or monitor.frozen("the pose", same and held.moved_m > _MOVED_M, 2)
+        before, compared_s = self._compared
+        if now_s - compared_s >= _COMPARE_S:
+            same, self._compared = self._raw == before, (self._raw, now_s)
+            for name, part in zip(_FORCES, (slice(0, 3), slice(3, 6), slice(6, 8)), strict=True):
+                found = found or monitor.frozen(name, moving and bool(same[part].any()), 3)
+        return found
 
     def resting(self) -> Fault | None:
         """Average a pose of the untouched object; check it."""

@@ -14,7 +14,7 @@ from minidual.robot.pair import SIDES, Array
 
 OPENING = ("missed_grasp", "knocked_away", "object_lost", "lost_arm", "unreachable")
 """Faults after which the hands open."""
-CLOSED = ("slip", "tilted", "reflex", "interrupted", "singular")
+CLOSED = ("slip", "tilted", "sensor_lost", "reflex", "interrupted", "singular")
 """Faults after which the hands keep their command."""
 
 
@@ -93,6 +93,18 @@ class FaultMonitor:
                 self.lost[arm] = True
                 found.append(f"{name} arm: a motor gives {missing[arm]:.1f} Nm less than it was told")
         return Fault("lost_arm", "; ".join(found)) if found else None
+
+    def silent(self, what: str, age_s: float, bound_s: float) -> Fault | None:
+        """Check the age of a sensor's last usable reading."""
+        if age_s <= bound_s:
+            return None
+        return Fault("sensor_lost", f"no {what} for {1e3 * age_s:.0f} ms; bound {1e3 * bound_s:.0f} ms")
+
+    def frozen(self, what: str, same: bool, needed: int) -> Fault | None:
+        """Check a sensor whose readings must change; `same` to the bit as the last."""
+        if self._lasts(f"frozen {what}", same, needed):
+            return Fault("sensor_lost", f"{what} stays the same to the bit while the object moves")
+        return None
 
     def resting(self, innovation: tuple[float, float]) -> Fault | None:
         """Check a pose sample of an untouched object."""

@@ -19,6 +19,7 @@ from minidual.control.reflexes import ReflexError
 from minidual.control.soft_stop import STOP_SHARE, SoftStop
 from minidual.control.stack import DEFAULT_CONTROLLERS, OBJECT_CONTROLLERS, ControlStack
 from minidual.control.supervisor import Supervisor
+from minidual.errors import MinidualError
 from minidual.plant.protocol import ObjectSensors
 from minidual.plant.sensing import Sensors
 from minidual.plant.world import World
@@ -89,6 +90,7 @@ class ImpedanceCarry:
         self.fault: Fault | None = None
         self._halted, self._stop_s = False, 0.0
         self._told: Array | None = None
+        self._broken: BaseException | None = None
         self._asked_for: str | None = None
         self._refusals_seen = 0
         self._cycle = self._phases()
@@ -110,20 +112,24 @@ class ImpedanceCarry:
         return self.stack.impedance.desired if self._law_drives else None
 
     def step(self) -> None:
-        """Run one control step."""
-        self.watch.sense()
-        lost = None if self._told is None else self.watch.motors(self._told)
-        if lost is not None:
-            self._halt(lost)
-            self.stack.switch_off(self.watch.lost_arms)
-        self._halt(self._sensed())
-        self._advance()
+        """Run one control step.
+
+        Raises:
+            Exception: What failed in a sensor, a controller or here, once the arms have stopped.
+        """
+        for part in (self._look, self._advance):
+            try:
+                part()
+            except Exception as error:  # must not take this tick's torque away
+                self.stack.fail(error)
         if self.fault is None:
             self.stack.affirm(SOURCE)
         try:
             self.stack.step()
         except ReflexError as error:
             self._halted, cause = True, error.__cause__
+            if error.reflex.name == "controller_failed" and not isinstance(cause, MinidualError):
+                self._broken = cause
             singular = isinstance(cause, SingularPostureError)
             text = cause.message if singular else error.reflex.text
             self._note("singular" if singular else "reflex", text, at_s=error.reflex.time_s)
@@ -131,6 +137,8 @@ class ImpedanceCarry:
             self._heed_arbiter()
         self._told = self.stack.applied
         self._stop_if_due()
+        if self.done and self._broken is not None:
+            raise self._broken
 
     # Phases ---------------------------------------------------------------------------------------------
 
@@ -225,9 +233,22 @@ class ImpedanceCarry:
     def _law_drives(self) -> bool:
         return self.stack.manager.active == OBJECT_CONTROLLERS
 
+    def _look(self) -> None:
+        """Sense, and halt on a fault."""
+        self.watch.sense()
+        lost = None if self._told is None else self.watch.motors(self._told)
+        if lost is not None:
+            self._halt(lost)
+            self.stack.switch_off(self.watch.lost_arms)
+        self._halt(self._sensed())
+
     def _sensed(self) -> Fault | None:
         """Return the phase's sensed fault, or None."""
         watch, phase = self.watch, self.phase
+        if phase not in ("open", "retreat", "stop", "done"):
+            lost = watch.sensors(moving=phase in ("squeeze", "carry"))
+            if lost is not None:
+                return lost
         if phase in ("approach", "descend"):
             return watch.resting()
         if phase == "close":

@@ -1,0 +1,265 @@
+"""Whatever fails in the control loop, the tick has its torque, the arms stop softly and the fault has its name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from control_plant import ArmsPlant, HandsObject
+from panda import HOME, TAU_RATE_MAX
+from test_control_controllers import hand_over, move, stack_on, trajectory
+
+from minidual.config.scene import SceneConfig
+from minidual.control.commands import JointCommand, ObjectCommand, TrajectoryCommand
+from minidual.control.object_impedance import ObjectState
+from minidual.control.object_path import ObjectPath, Waypoint
+from minidual.control.reflexes import ReflexError
+from minidual.control.stack import OBJECT_CONTROLLERS, ControlStack
+from minidual.control.supervisor import Supervisor
+from minidual.errors import UsageError
+from minidual.robot.pair import Array
+
+CLOSED = np.zeros(2)
+
+
+class FailingPlant(ArmsPlant):
+    """Arms whose readings can be replaced: `lies[name]` gets the true one and may raise."""
+
+    def __init__(self, scene: SceneConfig) -> None:
+        self.lies: dict[str, Callable[[Any], Any]] = {}
+        super().__init__(scene)
+
+    def __getattribute__(self, name: str) -> Any:
+        value = super().__getattribute__(name)
+        if name in ("lies", "__dict__"):
+            return value
+        return self.lies[name](value) if name in self.lies else value
+
+    def step(self) -> None:
+        kept, self.lies = self.lies, {}  # physics does not read the sensors
+        super().step()
+        self.lies = kept
+
+
+@pytest.fixture
+def plant(scene: SceneConfig) -> FailingPlant:
+    return FailingPlant(scene)
+
+
+def breaks(*_args: object, **_kwargs: object) -> Any:
+    raise ZeroDivisionError("the bus is gone")
+
+
+def under_way(plant: FailingPlant) -> ControlStack:
+    """Return a supervised stack in the middle of a motion."""
+    distance: list[Callable[[Array], tuple[str, float]]] = [lambda q: ("a with b", 1.0)]
+    supervisor = Supervisor(dt_s=plant.dt, self_distance=lambda q: distance[0](q))
+    supervisor.distance = distance  # type: ignore[attr-defined]
+    stack = stack_on(plant, supervisor=supervisor)
+    hand_over(stack, "moveit")
+    assert stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.4, 0.8), gripper=CLOSED)) is None
+    for _ in range(400):
+        stack.step()
+    assert np.abs(plant.v).max() > 0.5
+    return stack
+
+
+def stopped(plant: FailingPlant, stack: ControlStack, steps: int = 1500) -> ReflexError:
+    """Step on; return the only reflex. Every tick must have its torque, near the last one."""
+    caught: list[ReflexError] = []
+    told, fastest = len(plant.torques), np.abs(plant.v).max()
+    for _ in range(steps):
+        try:
+            stack.affirm("moveit")
+            stack.step()
+        except ReflexError as error:
+            caught.append(error)
+    torques = np.array(plant.torques[told - 1 :])
+    assert len(torques) == steps + 1, "a tick without torque"
+    assert np.isfinite(torques).all()
+    assert np.abs(np.diff(torques, axis=0)).max() <= TAU_RATE_MAX * plant.dt + 1e-9
+    plant.lies.clear()
+    assert np.abs(np.diff(torques, axis=0)).max() > 0.0
+    assert np.abs(plant.v).max() < 0.05 < fastest, "not at rest"
+    assert len(caught) == 1
+    return caught[0]
+
+
+def controller(plant: FailingPlant, stack: ControlStack) -> None:
+    stack.manager["both_arms"].update = breaks  # type: ignore[method-assign]
+
+
+def acceleration(plant: FailingPlant, stack: ControlStack) -> None:
+    stack.manager.update = breaks  # type: ignore[method-assign]
+
+
+def reading(name: str) -> Callable[[FailingPlant, ControlStack], None]:
+    def fail(plant: FailingPlant, stack: ControlStack) -> None:
+        plant.lies[name] = breaks
+
+    return fail
+
+
+def monitor(plant: FailingPlant, stack: ControlStack) -> None:
+    stack.supervisor.distance[0] = breaks  # type: ignore[union-attr]
+
+
+def listener(plant: FailingPlant, stack: ControlStack) -> None:
+    stack.on_flush(breaks)
+    stack.request("teleop")
+
+
+def source(plant: FailingPlant, stack: ControlStack) -> None:
+    stack.fail(ZeroDivisionError("the bus is gone"))
+
+
+def trajectory_in_braking(plant: FailingPlant, stack: ControlStack) -> None:
+    motion = stack.output.executions[0].command.motion
+    object.__setattr__(motion, "sample", breaks)
+    stack.request("hold")
+
+
+FAILURES: dict[str, Callable[[FailingPlant, ControlStack], None]] = {
+    "a controller": controller,
+    "the controller manager": acceleration,
+    "positions": reading("q"),
+    "the stamp": reading("stamp_s"),
+    "the health": reading("health"),
+    "the gripper's force": reading("grip"),
+    "a monitor": monitor,
+    "a flush listener": listener,
+    "a source": source,
+    "a trajectory": trajectory_in_braking,
+}
+
+
+@pytest.mark.parametrize("what", FAILURES)
+def test_an_exception_in_the_loop_is_a_soft_stop_and_leaves_no_tick_without_torque(
+    plant: FailingPlant, what: str
+) -> None:
+    """Before, each of these left `step` by its exception, before the plant was commanded."""
+    stack = under_way(plant)
+    FAILURES[what](plant, stack)
+    error = stopped(plant, stack)
+    assert error.reflex.name == "controller_failed"
+    assert "ZeroDivisionError: the bus is gone" in error.message
+    assert stack.reflex is error
+
+
+CLOCKS: dict[str, Callable[[float], Callable[[float], float]]] = {
+    "stands": lambda began: lambda t: min(t, began + 0.05),
+    "jumps back": lambda began: lambda t: t - 0.3 * (t > began + 0.05),
+    "is NaN": lambda began: lambda t: np.nan if t > began + 0.05 else t,
+    "fails": lambda began: lambda t: breaks() if t > began + 0.05 else t,
+}
+
+
+@pytest.mark.parametrize("what", CLOCKS)
+def test_a_clock_that_fails_is_a_soft_stop(plant: FailingPlant, what: str) -> None:
+    """Before, UsageError left the tick without torque."""
+    stack = under_way(plant)
+    plant.lies["time"] = CLOCKS[what](plant.time)
+    error = stopped(plant, stack)
+    assert error.reflex.name == "clock"
+
+
+def test_a_clock_that_jumps_ahead_is_a_soft_stop(plant: FailingPlant) -> None:
+    stack = under_way(plant)
+    began = plant.time
+    plant.lies["time"] = plant.lies["stamp_s"] = lambda t: t + 0.5 * (t > began + 0.05)
+    assert stopped(plant, stack).reflex.name == "stale_command"
+
+
+class Path:
+    """A straight lift whose poses can be replaced."""
+
+    def __init__(self, here: Array) -> None:
+        x, y, z = (float(value) for value in here[:3, 3])
+        self._path = ObjectPath(Waypoint((x, y, z), 0.0, 0.0), [Waypoint((x, y, z + 0.1), 0.0, 0.8)])
+        self.duration_s = self._path.duration_s
+        self.lie: Callable[[ObjectState, float], ObjectState] = lambda state, t: state
+
+    def at(self, t_s: float) -> ObjectState:
+        return self.lie(self._path.at(t_s), t_s)
+
+
+def jumps(state: ObjectState, t_s: float) -> ObjectState:
+    T = state.T_world_object.copy()
+    T[0, 3] += 0.05 * (t_s > 0.42)
+    return ObjectState(T, state.twist, state.acceleration)
+
+
+def carrying(plant: FailingPlant) -> tuple[ControlStack, Path]:
+    here = HandsObject(plant)
+    stack = stack_on(plant, sensor=here, supervisor=Supervisor(dt_s=plant.dt))
+    stack.impedance.configure(here.held())
+    hand_over(stack, "moveit", OBJECT_CONTROLLERS)
+    return stack, Path(here.pose())
+
+
+@pytest.mark.parametrize(("lie", "named"), [(breaks, "ZeroDivisionError: the bus is gone"), (jumps, "path jumps")])
+def test_an_object_path_that_changes_after_it_was_accepted_is_a_soft_stop(
+    plant: FailingPlant, lie: Any, named: str
+) -> None:
+    stack, path = carrying(plant)
+    assert stack.propose("moveit", ObjectCommand(path, lambda t: 0.0, CLOSED, plant.time, 1)) is None
+    for _ in range(300):
+        stack.affirm("moveit")
+        stack.step()
+    assert np.abs(plant.v).max() > 0.1
+    path.lie = lie
+    error = stopped(plant, stack)
+    assert error.reflex.name == "controller_failed"
+    assert named in error.message
+
+
+def test_an_object_path_that_jumps_is_refused(plant: FailingPlant) -> None:
+    stack, path = carrying(plant)
+    path.lie = jumps
+    refusal = stack.propose("moveit", ObjectCommand(path, lambda t: 0.0, CLOSED, plant.time, 1))
+    assert refusal is not None
+    assert refusal.name == "pose_jump"
+    assert refusal.detail.startswith("50 mm")
+
+
+def test_what_a_source_does_to_its_arrays_after_the_proposal_changes_nothing(plant: FailingPlant) -> None:
+    """Before, the target moved to NaN or past the limits without a check."""
+    stack = stack_on(plant, supervisor=Supervisor(dt_s=plant.dt))
+    hand_over(stack, "teleop")
+    q, gripper = HOME + 0.01, np.zeros(2)
+    assert stack.propose("teleop", JointCommand(q, gripper, plant.time, 1)) is None
+    q[:], gripper[:] = np.nan, 5.0
+    for _ in range(20):
+        stack.step()
+    assert np.array_equal(stack.output.q_target, HOME + 0.01)
+    assert np.array_equal(stack.output.gripper, CLOSED)
+    openings = np.ones(2)
+    stack.halt("teleop", openings)
+    openings[:] = np.nan
+    stack.step()
+    assert np.array_equal(stack.output.gripper, np.ones(2))
+
+
+def test_a_trajectory_is_the_arbiters_own(plant: FailingPlant) -> None:
+    stack = stack_on(plant, supervisor=Supervisor(dt_s=plant.dt))
+    hand_over(stack, "moveit")
+    command = trajectory(stack, move(HOME, HOME + 0.1, 0.5))
+    assert isinstance(command, TrajectoryCommand)
+    assert stack.propose("moveit", command) is None
+    for values in (command.motion.q, command.motion.v, command.motion.a, command.gripper):
+        values[:] = np.nan
+    for _ in range(700):
+        stack.affirm("moveit")
+        stack.step()
+    assert np.abs(plant.q - HOME - 0.1).max() < 1e-3
+
+
+def test_without_a_supervisor_the_error_is_the_callers(plant: FailingPlant) -> None:
+    stack = stack_on(plant)
+    plant.lies["q"] = breaks
+    with pytest.raises(ZeroDivisionError):
+        stack.step()
+    with pytest.raises(UsageError):
+        stack.fail(UsageError("a source gave up"))
