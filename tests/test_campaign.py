@@ -33,7 +33,7 @@ def test_what_a_command_may_not_do_is_noted(ran, noted):
 def outcomes(tmp_path, **bodies) -> dict[str, Result]:
     found: dict[str, Result] = {}
     cases = [(i, Case(name, body, limit_s=0.2)) for i, (name, body) in enumerate(bodies.items())]
-    run_cases(cases, tmp_path, (1,), 2, lambda index, case, result, seconds: found.update({case.name: result}))
+    run_cases(cases, tmp_path, 1, "test", 2, lambda index, case, result, seconds: found.update({case.name: result}))
     return found
 
 

@@ -16,12 +16,10 @@ import shutil
 import sys
 import tempfile
 import time
-import zlib
 from collections import Counter
 from pathlib import Path
 
-import numpy as np
-
+from minidual.config.seeds import stream
 from minidual.gate.fingerprint import circumstances_now
 from scripts.campaign.case import Case, Place, Result, command, run_cases
 from scripts.campaign.kinds import KINDS, Kind
@@ -82,11 +80,10 @@ class Campaign:
         """Run one kind."""
         cases = [case for case in kind.load()(self.source) if self.options.only in case.name]
         count = kind.small if self.options.small else kind.most or len(cases)
-        seed = (self.options.seed, zlib.crc32(name.encode()))
         chosen = list(enumerate(cases))
         count = math.ceil(self.options.share * min(count, len(cases)))
         if count < len(cases):
-            picked = np.random.default_rng(seed).permutation(len(cases))[:count]
+            picked = stream(self.options.seed, f"campaign.{name}.drawn").permutation(len(cases))[:count]
             chosen = [(int(index), cases[index]) for index in sorted(picked)]
         row = self.rows[name] = Row()
         if self.options.list:
@@ -111,7 +108,7 @@ class Campaign:
                 with self.options.log.open("a", encoding="utf-8") as stream:
                     stream.write(f"{json.dumps(line)}\n")
 
-        run_cases(todo, self.source, seed, self.options.workers, done)
+        run_cases(todo, self.source, self.options.seed, name, self.options.workers, done)
         row.seconds = time.monotonic() - began
 
     def end(self) -> int:
@@ -148,7 +145,7 @@ class Row:
 def _fresh(source: Path) -> list[str]:
     """Return the stages of a run that do not pass and are fresh under this code."""
     with tempfile.TemporaryDirectory() as folder:
-        ran = command(Place(Path(folder), source, np.random.default_rng(0)), "status", "--json", *_selecting(source))
+        ran = command(Place(Path(folder), source, stream(0, "campaign.warm")), "status", "--json", *_selecting(source))
     return [row["name"] for row in ran.document()["stages"] if row["state"] != "pass"]
 
 
@@ -159,7 +156,7 @@ def _selecting(run: Path) -> tuple[str, ...]:
 def _warm(source: Path, kind: Kind) -> None:
     """Import and cache what every case needs, before the first fork."""
     with tempfile.TemporaryDirectory() as folder:
-        place = Place(Path(folder), source, np.random.default_rng(0))
+        place = Place(Path(folder), source, stream(0, "campaign.warm"))
         command(place, "status", "--json", *place.options())
         kind.prepare(place)
     gc.freeze()

@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from minidual.cli.app import run_command_line
+from minidual.config.seeds import stream
 from minidual.errors import ExitCode
 from minidual.gate.table import StageTable
 from minidual.stages.registry import STAGES, TOOLS
@@ -139,7 +140,7 @@ def judge(result: Result, what: str, ran: Ran, allowed: Iterable[int]) -> bool:
 
 
 def run_cases(
-    cases: Sequence[tuple[int, Case]], source: Path, seed: Sequence[int], workers: int, done: Callable
+    cases: Sequence[tuple[int, Case]], source: Path, seed: int, kind: str, workers: int, done: Callable
 ) -> None:
     """Run each (index, case) in a child process; `done(index, case, result, seconds)` is called as they end."""
     waiting, running = list(reversed(cases)), dict[int, _Child]()
@@ -147,7 +148,7 @@ def run_cases(
         while waiting or running:
             while waiting and len(running) < workers:
                 index, case = waiting.pop()
-                child = _Child(index, case, source, (*seed, index))
+                child = _Child(index, case, Place(_folder(), source, stream(seed, f"campaign.{kind}", index)))
                 running[child.pipe] = child
             first = min(child.deadline for child in running.values())
             ready, _, _ = select.select(list(running), [], [], max(0.0, first - time.monotonic()))
@@ -163,19 +164,22 @@ def run_cases(
             child.result(hang=True)
 
 
+def _folder() -> Path:
+    return Path(tempfile.mkdtemp(prefix="campaign-"))
+
+
 class _Child:
     """A forked process that runs one case and writes its result into a pipe."""
 
-    def __init__(self, index: int, case: Case, source: Path, seed: Sequence[int]) -> None:
-        self.index, self.case = index, case
-        self.folder = Path(tempfile.mkdtemp(prefix="campaign-"))
+    def __init__(self, index: int, case: Case, place: Place) -> None:
+        self.index, self.case, self.folder = index, case, place.folder
         self._began, self._text = time.monotonic(), b""
         self.deadline = self._began + WAIT * case.limit_s
         self.pipe, theirs = os.pipe()
         self.pid = os.fork()
         if self.pid == 0:
             os.close(self.pipe)
-            _live(case, Place(self.folder, source, np.random.default_rng(seed)), theirs)
+            _live(case, place, theirs)
         os.close(theirs)
 
     def read(self) -> bool:

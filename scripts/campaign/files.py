@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from minidual.config.seeds import stream
 from minidual.errors import ExitCode, MinidualError
 from scripts.campaign.case import Case, Place, Result, command, judge
 from scripts.campaign.tampering import append, burst, device, flip, folder, foreign, loop, noise, pipe, truncate
@@ -319,7 +320,7 @@ def _look(kind: str, name: str, place: Place, result: Result) -> None:
             from minidual.policies.kinds import load_policy
 
             policy = load_policy(run / "train-act" / "checkpoint", threads=1)
-            rng = np.random.default_rng(0)
+            rng = stream(0, "campaign.pictures")
             images = {camera: rng.integers(0, 255, (*size, 3), np.uint8) for camera, size in policy.cameras.items()}
             chunk = policy.predict(images, np.zeros(policy.dim, np.float32))
             if not np.isfinite(chunk).all():
