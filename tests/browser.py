@@ -134,6 +134,13 @@ class Browser:
                 return picture
             time.sleep(pause_s)
 
+    def until(self, holds, limit_s=30.0):
+        """Return whether `holds()` becomes true in time."""
+        end = time.monotonic() + limit_s
+        while not holds() and time.monotonic() < end:
+            time.sleep(0.2)
+        return holds()
+
     def close(self):
         """End the browser."""
         self._socket.close()

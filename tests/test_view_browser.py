@@ -3,27 +3,39 @@
 Needs Chromium (Debian package `chromium`); skipped, with that reason, where there is none.
 """
 
+import functools
 import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import pytest
+import viser
 from browser import Browser, find_browser, unused_port
 
 from minidual.config.view import ViewConfig
 from minidual.show.view import make_view
+from minidual.show.view.web import WebView
 
 BROWSER = find_browser()
 pytestmark = pytest.mark.skipif(
     BROWSER is None, reason="no browser: none of chromium, chromium-browser, google-chrome is in PATH"
 )
 Picture = npt.NDArray[np.uint8]
+
+
+class QuietHandler(SimpleHTTPRequestHandler):
+    """Serves a folder without a log."""
+
+    def log_message(self, *_: object) -> None:
+        """Print nothing."""
 
 
 def shows_scene(picture: Picture) -> bool:
@@ -102,6 +114,34 @@ def test_pages_without_the_scene_do_not_pass(browser: Browser) -> None:
         assert not shows_scene(browser.picture())
     finally:
         empty.close()
+
+
+def test_a_page_of_another_program_on_this_machine_is_refused_though_it_has_the_cookie(
+    browser: Browser, tmp_path: Path
+) -> None:
+    """Cookies know no ports: the browser sends the view's cookie along, and Origin tells the pages apart."""
+    said: list[str] = []
+    view = make_view("web", ViewConfig(port=unused_port()), say=said.append)
+    assert isinstance(view, WebView)
+    script = f"""<h1 id=h>waiting</h1><script>const s = new WebSocket("ws://127.0.0.1:{view.port}", ["viser-v{viser.__version__}"]);
+        s.onopen = () => h.innerText = "open"; s.onclose = () => h.innerText = "refused"</script>"""
+    (tmp_path / "index.html").write_text(script)
+    handler = functools.partial(QuietHandler, directory=str(tmp_path))
+    stranger = ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    threading.Thread(target=stranger.serve_forever, daemon=True).start()
+    try:
+        browser.go(str(view.url))
+        assert browser.until(lambda: bool(view._server.get_clients()))  # its own page is let in
+        assert said[2:] == []
+        browser.go(f"http://127.0.0.1:{stranger.server_port}/")
+        assert browser.until(lambda: browser.text() in ("refused", "open"))
+        assert browser.text() == "refused"
+        assert f"it comes from a page of http://127.0.0.1:{stranger.server_port}" in said[2]
+    finally:
+        browser.go("about:blank")
+        stranger.shutdown()
+        stranger.server_close()
+        view.close()
 
 
 @pytest.mark.timeout(400)  # drawn in software, on a busy machine, a picture can take half a minute
