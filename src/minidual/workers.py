@@ -17,6 +17,8 @@ from multiprocessing import resource_tracker
 import joblib
 from joblib.externals.loky.backend import resource_tracker as loky_tracker
 
+from minidual import emergency
+
 _LOOK_S = 0.2
 
 
@@ -31,7 +33,9 @@ def in_workers[Item, Result](
     parallel = joblib.Parallel(n_jobs=processes, return_as="generator", batch_size=1)
     with _unsignalled_children():
         results = parallel(joblib.delayed(_call)(os.getpid(), function, item) for item in items)
-    yield from results
+    for result in results:
+        emergency.check()
+        yield result
 
 
 @contextlib.contextmanager
@@ -53,6 +57,7 @@ def _unsignalled_children() -> Generator[None]:
 
 def _call[Item, Result](starter: int, function: Callable[[Item], Result], item: Item) -> Result:
     if os.getpid() != starter:
+        emergency.listen()
         _end_with(starter)
     return function(item)
 

@@ -99,6 +99,9 @@ def main() -> None:
 
 
 def _run() -> int:
+    from minidual import emergency
+
+    emergency.listen()  # before anything starts a thread
     from minidual.cli.app import run_command_line
     from minidual.errors import UsageError
     from minidual.stages.registry import STAGES, TOOLS

@@ -13,7 +13,16 @@ from typing import Annotated, Any, get_type_hints
 import typer
 
 import minidual
-from minidual.cli.commands import Body, config_body, explain_body, run_body, run_tool, stage_body, status_body
+from minidual.cli.commands import (
+    Body,
+    config_body,
+    explain_body,
+    run_body,
+    run_tool,
+    stage_body,
+    status_body,
+    stop_body,
+)
 from minidual.cli.session import Running, Session, Typed
 from minidual.cli.viewing import Watching
 from minidual.errors import ExitCode, unknown_name
@@ -29,6 +38,11 @@ class _Until:
 @dataclass(frozen=True)
 class _Verified:
     verify: Annotated[Path | None, typer.Option(metavar="KEY", help="Verify the signature with this .pub file.")] = None
+
+
+@dataclass(frozen=True)
+class _Stopped:
+    name: Annotated[str | None, typer.Argument(metavar="RUN", help="Name of a run; none stops all.")] = None
 
 
 @dataclass(frozen=True)
@@ -111,6 +125,7 @@ def build_app(table: StageTable, tools: Sequence[ToolEntry] = ()) -> typer.Typer
         ("run", run_body, (_Until, Watching, Running)),
         ("status", status_body, (_Verified,)),
         ("explain", explain_body, (_Explained,)),
+        ("stop", stop_body, (_Stopped,)),
         ("show", config_body, ()),
     ):
         summary, _, *examples = inspect.cleandoc(body.__doc__ or "").splitlines()

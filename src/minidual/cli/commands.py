@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext, suppress
 from typing import TYPE_CHECKING, Any
 
+from minidual import emergency
 from minidual.cli.session import Session
 from minidual.cli.viewing import live_view
 from minidual.errors import ExitCode, UsageError
@@ -49,18 +52,23 @@ def run_tool(tool: ToolEntry, session: Session, values: Mapping[str, Any]) -> Ex
     """Run a tool and print its result."""
     from minidual.cli.progress import progress_for
     from minidual.durable import disk_errors
+    from minidual.gate.lock import run_lock
     from minidual.gate.table import overrides
     from minidual.gate.tool import ToolContext
 
     typed = {option.name: values[option.key] for option in tool.options if _was_typed(values[option.key])}
     config = session.loaded.with_overrides(overrides(tool.options, typed)).config
-    with live_view(session, values, tool.view_default) as view:
+    folder = session.store.folder
+    lock = nullcontext()
+    if tool.moves:  # so that `stop` finds it
+        lock = run_lock(folder, session.typed.command(tool.name), f".{tool.name}-{os.getpid()}.lock")
+    with live_view(session, values, tool.view_default) as view, disk_errors(folder), lock:
         context = ToolContext(
             config,
             config.seed,
             config.workers if view is None else 1,
             session.loaded.profile,
-            session.store.folder,
+            folder,
             typed,
             progress_for(session.people),
             session.typed.command,
@@ -68,9 +76,9 @@ def run_tool(tool: ToolEntry, session: Session, values: Mapping[str, Any]) -> Ex
             view,
         )
         context.begin()
-        with disk_errors(session.store.folder):
-            result = tool.load()(context)
-            context.publish()
+        result = tool.load()(context)
+        emergency.check()
+        context.publish()
     for note in result.notes:
         session.say(note)
     session.finish({"tool": tool.name, "exit_code": int(result.exit_code), **result.data}, result.lines)
@@ -231,6 +239,31 @@ def explain_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
         "lowest": lowest and lowest.name,
     }
     session.finish(document, ())
+    return ExitCode.PASS
+
+
+def stop_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
+    """Emergency stop: the arms of running commands stop, and the commands end; without a name, in every run.
+
+    stop
+    stop standard
+    """
+    from minidual.gate.lock import lock_holders
+
+    root, named = session.root, values["name"] or session.typed.run
+    folders = [root / named] if named else sorted(root.glob("*/"))
+    holders = {pid: text for folder in folders for pid, text in lock_holders(folder).items()}
+    for pid in holders:
+        with suppress(ProcessLookupError):  # it has just ended
+            os.kill(pid, emergency.SIGNAL)
+    if not holders:
+        where = f"run '{named}' of {root}" if named else f"the runs in {root}"
+        raise UsageError(
+            f"nothing to stop: no command is working in {where}",
+            remedy="--runs-dir DIR names another folder of runs; kill -USR1 PID stops any minidual process",
+        )
+    said = [f"emergency stop sent to {text}" for text in holders.values()]
+    session.finish({"stopped": sorted(holders), "exit_code": int(ExitCode.PASS)}, said)
     return ExitCode.PASS
 
 

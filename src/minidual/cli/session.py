@@ -107,12 +107,16 @@ class Session:
         return load_config(self.typed.profile, overrides)
 
     @property
+    def root(self) -> Path:
+        """Folder of all runs."""
+        return self.typed.runs_dir or Path(os.environ.get("MINIDUAL_RUNS") or "runs").expanduser()
+
+    @property
     def store(self) -> RunStore:
         """The run's folder."""
         from minidual.gate.store import RunStore
 
-        root = self.typed.runs_dir or Path(os.environ.get("MINIDUAL_RUNS") or "runs").expanduser()
-        return RunStore(root, self.loaded.profile if self.typed.run is None else self.typed.run)
+        return RunStore(self.root, self.loaded.profile if self.typed.run is None else self.typed.run)
 
     def gate(self, options: Mapping[str, Mapping[str, Any]] | None = None) -> Gate:
         """Return a gate of this run."""
@@ -186,7 +190,7 @@ class Session:
             _check_working_directory()
             return int(body(self))
         except KeyboardInterrupt as error:
-            message = "interrupted; nothing half-written counts, the same command goes on from here"
+            message = f"{str(error) or 'interrupted'}; nothing half-written counts, the same command goes on from here"
             return self._fail(error, message, None, ExitCode.INTERRUPTED)
         except MinidualError as error:
             return self._fail(error, error.message, error.remedy, error.exit_code)

@@ -18,6 +18,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from minidual import emergency
 from minidual.config.arbiter import ArbiterConfig
 from minidual.control.arbiter import CommandArbiter
 from minidual.control.commands import HOLD, ArbiterState, Command, JointCommand, Refusal
@@ -39,6 +40,7 @@ DEFAULT_CONTROLLERS: tuple[str, ...] = ("both_arms",)
 OBJECT_CONTROLLERS: tuple[str, ...] = ("object_impedance",)
 """Set for an object in both hands."""
 _STOPPING: tuple[str, ...] = ("soft_stop",)
+_STOP_MAX_S = 2.0
 
 
 class PlantError(MinidualError):
@@ -215,11 +217,11 @@ class ControlStack[P: Plant]:
                 f"the arms may not recover while they move ({speed:.3f} rad/s; at rest is below {still} rad/s)",
                 remedy="go on with step() until they rest, then recover()",
             )
+        if self.supervisor is not None:
+            self.supervisor.reset(self.applied)
         self._stand(self.output.gripper)
         for name in self.manager.active:
             self.manager[name].activate(q, v)
-        if self.supervisor is not None:
-            self.supervisor.reset(self.applied)
         self.request(HOLD)
 
     # State -----------------------------------------------------------------------------------------------
@@ -233,6 +235,13 @@ class ControlStack[P: Plant]:
     def state(self) -> ArbiterState:
         """State of the arbiter."""
         return self.arbiter.state
+
+    @property
+    def stopping(self) -> bool:
+        """Whether a reflex is bringing the arms to rest, for 2 s at most."""
+        if not isinstance(self.reflex, ReflexError) or self.plant.time - self.reflex.reflex.time_s > _STOP_MAX_S:
+            return False
+        return not np.max(np.abs(self.plant.v)) < self._config.still_speed_rad_s
 
     @property
     def executing(self) -> bool:
@@ -279,11 +288,17 @@ class ControlStack[P: Plant]:
             return otherwise
 
     def arbitrate(self) -> ArbiterOutput:
-        """Run an arbiter tick now, for callers with their own timing."""
+        """Run an arbiter tick now, for callers with their own timing.
+
+        Raises:
+            EmergencyStop: It was pressed, and no supervisor answers it.
+        """
         return self._attempt(self._arbitrate, self.output)
 
     def _arbitrate(self) -> ArbiterOutput:
         plant = self.plant
+        if self.supervisor is None:  # nothing could brake the arms
+            emergency.check()
         output = self.arbiter.tick(plant.time, plant.q, plant.v)
         self.output = output
         if self.supervisor is not None:  # so that a silent arbiter triggers stale_command

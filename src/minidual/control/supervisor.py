@@ -14,6 +14,7 @@ from typing import NoReturn
 import numpy as np
 import pinocchio as pin
 
+from minidual import emergency
 from minidual.config.supervisor import SupervisorConfig
 from minidual.control import limits
 from minidual.control.joint_sense import JointSense
@@ -72,7 +73,7 @@ class Supervisor:
         self._ratio = np.zeros_like(self._rows)
         self.reflex: Reflex | None = None
         """The latched reflex, or None."""
-        self._estop: str | None = None
+        self._estop = ""
         self.reset()
 
     # Interface -----------------------------------------------------------------------------------------------
@@ -81,9 +82,13 @@ class Supervisor:
         """Clear the latched reflex and the clock; the next torques follow tau (n,) [Nm], by default gravity's.
 
         An emergency stop that was not the latched reflex stays pending.
+
+        Raises:
+            EmergencyStop: The one of the process was pressed (see minidual.emergency).
         """
+        emergency.check()
         if self.reflex is not None and self.reflex.name == "emergency_stop":
-            self._estop = None
+            self._estop = ""
         self.reflex = None
         self._deadline_s = math.inf
         self._time_s = -math.inf
@@ -101,6 +106,11 @@ class Supervisor:
     def estop(self, reason: str = "pressed") -> None:
         """Stop the arms in the next tick; thread-safe."""
         self._estop = reason  # one assignment is atomic: no lock
+
+    @property
+    def _stop_asked(self) -> str:
+        """Reason of a pressed emergency stop, or ""."""
+        return self._estop or emergency.pressed()
 
     def fail(self, time_s: float, q: Array, v: Array, why: str, stamp_s: float | None = None) -> Array:
         """Stop the arms; call instead of `guard` when controllers give no torque.
@@ -146,7 +156,7 @@ class Supervisor:
         np.abs(ratio, ratio)
         # argmax returns the first NaN, and NaN <= 1 is false: this also catches non-finite values.
         within = ratio.item(ratio.argmax()) <= 1.0
-        if within and self._usable and self._estop is None and time_s <= self._deadline_s:
+        if within and self._usable and not self._stop_asked and time_s <= self._deadline_s:
             applied = rows[2]
         else:
             applied = self._look_closer()
@@ -194,8 +204,8 @@ class Supervisor:
             if not finite.all():
                 joint = int(np.argmin(finite))
                 self._trip("not_finite", f"{what} of {self._robot.joint_names[joint]}", float(values[joint]), None)
-        if self._estop is not None:
-            self._trip("emergency_stop", self._estop, 1.0, None)
+        if self._stop_asked:
+            self._trip("emergency_stop", self._stop_asked, 1.0, None)
         if self._time_s > self._deadline_s:
             silent = self._time_s - self._deadline_s + self.config.stale_s
             self._trip("stale_command", "no command", silent, self.config.stale_s)

@@ -11,6 +11,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
+from minidual import emergency
 from minidual.demos.leader import Leader, LeaderSetup
 from minidual.errors import EnvironmentMissingError, UsageError
 from minidual.motion.ik import PostureIK
@@ -28,6 +29,8 @@ _MOVES: dict[str, tuple[int, int]] = {
     for axis, keys in enumerate(("ws", "ad", "rf", "qe"))
     for key, sign in zip(keys, (1, -1), strict=True)
 }
+_ESCAPE = "\x1b"
+"""The key alone; arrow keys send it with more."""
 _SELECTIONS: tuple[list[int], ...] = ([0, 1], [0], [1])
 
 
@@ -41,7 +44,7 @@ class KeyboardLeader(Leader):
     realtime: ClassVar[bool] = True
     usage: ClassVar[str] = (
         "keys: w/s away/back  a/d left/right  r/f up/down  q/e turn  space open/close  tab left/right/both hands  "
-        "enter ends the episode"
+        "enter ends the episode  x or escape: EMERGENCY STOP"
     )
 
     def __init__(self, kinematics: Kinematics, *, descriptor: int | None = None) -> None:
@@ -66,7 +69,10 @@ class KeyboardLeader(Leader):
     def read(self, now_s: float) -> tuple[Array, Array] | None:
         """Process keys; return joints (n,) and openings (2,)."""
         if select.select([self._fd], [], [], 0.0)[0]:
-            for key in os.read(self._fd, 256).decode(errors="ignore"):
+            keys = os.read(self._fd, 256).decode(errors="ignore")
+            if keys == _ESCAPE or "x" in keys.lower():
+                emergency.press("key of the keyboard leader")
+            for key in keys:
                 self._press(key)
         bound, self._last_s = max(now_s - self._last_s, 0.0) * _SPEED, now_s
         wanted = self._offset + np.clip(self._goal - self._offset, -bound, bound)

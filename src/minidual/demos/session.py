@@ -146,6 +146,9 @@ class TeleopSession:
             if stack.reflex is not None:
                 ended_by = "reflex"
                 break
+        while stack.stopping:
+            stack.advance()
+            judge.observe(world)
         reflex = "" if stack.reflex is None else stack.reflex.message
         return SessionResult(np.array(measured), judge.outcome(world), latencies, stack.refusals, ended_by, reflex)
 

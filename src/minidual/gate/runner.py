@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from minidual import emergency
 from minidual.durable import disk_errors
 from minidual.errors import ExitCode, MinidualError
 from minidual.gate.canonical import canonical
@@ -166,6 +167,7 @@ class Runner:
         try:
             with disk_errors(self.store.folder):
                 result = run(context)
+                emergency.check()
                 verdict = Verdict(
                     stage=name,
                     run=self.store.run,
@@ -189,8 +191,8 @@ class Runner:
                 kept = self.store.publish(name, verdict, keep_old=keep_old)
                 if kept is not None:
                     self.progress.note(f"the earlier {name} is kept in {kept}")
-        except KeyboardInterrupt:
-            self.store.abandon(name, "interrupted", "interrupted at the keyboard")
+        except KeyboardInterrupt as stop:
+            self.store.abandon(name, "interrupted", str(stop) or "interrupted at the keyboard")
             raise
         except MinidualError as error:
             self.store.abandon(name, "error", error.message)

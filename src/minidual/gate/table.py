@@ -76,6 +76,7 @@ class ToolEntry:
     options: tuple[Option, ...] = ()
     trigger: str = ""
     watchable: bool = False
+    moves: bool = False
     view_default: str = "none"
     examples: tuple[str, ...] = ()
 

@@ -94,8 +94,8 @@ class PolicyPilot:
 
     @property
     def done(self) -> bool:
-        """Whether a reflex or invalid data ended the trial."""
-        return self.aborted is not None
+        """Whether a reflex or invalid data ended the trial, and the arms rest after a reflex."""
+        return self.aborted is not None and not self.stack.stopping
 
     def step(self) -> None:
         """Run one control step, after a policy tick if due."""

@@ -96,6 +96,7 @@ STAGES = StageTable(
                         *(_CARRIES, _OBJECT, _MOTION),
                     ),
                     trigger="perturb",
+                    moves=True,
                     watchable=True,
                 ),
                 ToolEntry(
@@ -106,6 +107,7 @@ STAGES = StageTable(
                         *(_OBJECT, _MOTION),
                     ),
                     trigger="tune",
+                    moves=True,
                 ),
             ),
             watchable=True,
@@ -179,6 +181,7 @@ TOOLS: tuple[ToolEntry, ...] = (
         "Show the scene in real time in a browser, with a slider for each joint",
         (Option("for-s", "End by itself after this many seconds (default: Ctrl-C ends it).", float),),
         watchable=True,
+        moves=True,
         view_default="web",
         examples=("view", "view --set robot.arm=xarm7 --for-s 60"),
     ),
@@ -210,6 +213,7 @@ TOOLS: tuple[ToolEntry, ...] = (
             Option("checkpoint", "Folder of the policy (default: the run's train-act)."),
         ),
         watchable=True,
+        moves=True,
         examples=("modes", "modes --modes moveit,teleop,moveit --view web"),
     ),
 )

@@ -118,6 +118,8 @@ class ModesDemo:
                 yield from self._drive(turn)
         except (SwitchError, ReflexError) as error:
             self.ended = str(error)
+            while self.stack.stopping:
+                self.stack.step()
 
     def _drive(self, turn: Turn) -> Iterator[Turn]:
         stack, world = self.stack, self.stack.plant

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from minidual import emergency
 from minidual.show.view.overlay import ARM_RGB, OBJECT_RGB, Array, Overlay, Slider
 
 _FORCES = (
@@ -51,6 +52,8 @@ class Panel:
         self._gui.configure_theme(show_logo=False, show_share_button=False)
         self._gui.set_panel_label("minidual")
         self._table = self._gui.add_html("starting ...")
+        self._stop = self._gui.add_button("Emergency stop", color="red")
+        self._stop.on_click(lambda _: emergency.press("button of the view"))
         self._seen = (0.0, math.inf)
         self._sliders: list[Any] = []
         self._offered: list[Slider] = []

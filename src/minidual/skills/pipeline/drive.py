@@ -42,8 +42,8 @@ class Drive:
 
     @property
     def done(self) -> bool:
-        """Whether no segment is left."""
-        return not self._left
+        """Whether no segment is left, and the arms rest after a reflex."""
+        return not (self._left or self.stack.stopping)
 
     @property
     def elapsed_s(self) -> float:
