@@ -94,6 +94,8 @@ class ControlStack[P: Plant]:
 
         Flush listeners stay.
         """
+        if self.supervisor is not None:
+            self.supervisor.reset()
         plant = self.plant
         q = plant.q
         self._stand(np.ones(2))
@@ -106,8 +108,6 @@ class ControlStack[P: Plant]:
         self.applied = np.zeros_like(q)
         """Last torques (n,) [Nm], after the supervisor."""
         self._off: SwitchedOff | None = None
-        if self.supervisor is not None:
-            self.supervisor.reset()
 
     def _stand(self, gripper: Array) -> None:
         """Begin anew at the measured posture with openings (2,), without commands, requests and reflex."""
@@ -128,6 +128,7 @@ class ControlStack[P: Plant]:
         self.reflex: MinidualError | None = None
         """Error of the latched reflex, or None."""
         self._failed: Exception | None = None
+        self._stop_ticks = 0
 
     # Commands --------------------------------------------------------------------------------------------
 
@@ -192,7 +193,7 @@ class ControlStack[P: Plant]:
         `soft_stop` drives until the next mode. Openings `gripper` (2,) are accepted only from the driving source.
         """
         self.arbiter.halt(source, gripper)
-        self._due = True
+        self._due, self._stop_ticks = True, round(_STOP_MAX_S / self.plant.dt)
 
     def switch_off(self, arms: Sequence[int]) -> None:
         """Ramp these arms' torque to zero until reset; replaces an earlier call. Dead drives may return."""
@@ -238,10 +239,9 @@ class ControlStack[P: Plant]:
 
     @property
     def stopping(self) -> bool:
-        """Whether a reflex is bringing the arms to rest, for 2 s at most."""
-        if not isinstance(self.reflex, ReflexError) or self.plant.time - self.reflex.reflex.time_s > _STOP_MAX_S:
-            return False
-        return not np.max(np.abs(self.plant.v)) < self._config.still_speed_rad_s
+        """Whether a reflex or a halt is bringing the arms to rest, for 2 s at most."""
+        still = bool(np.max(np.abs(self.plant.v)) < self._config.still_speed_rad_s)
+        return self._stop_ticks > 0 and not still
 
     @property
     def executing(self) -> bool:
@@ -319,6 +319,7 @@ class ControlStack[P: Plant]:
             ReflexError: Once, after the step; without a supervisor the controller's or plant's error.
         """
         plant, attempt = self.plant, self._attempt
+        self._stop_ticks -= 1
         attempt(self._step_executions, None)
         nothing = np.full(self._robot.dof, np.nan)
         time_s, stamp_s = attempt(lambda: plant.time, np.nan), attempt(lambda: plant.stamp_s, None)
@@ -357,7 +358,7 @@ class ControlStack[P: Plant]:
             return self.supervisor.fail(time_s, q, v, why, stamp_s), None
         except ReflexError as error:
             error.__cause__ = failed or error.__cause__
-            self.reflex = error
+            self.reflex, self._stop_ticks = error, round(_STOP_MAX_S / self.plant.dt)
             self._attempt(lambda: self.request(HOLD), None)
             return error.tau, error
 

@@ -12,7 +12,7 @@ from minidual.config.arbiter import ArbiterConfig
 from minidual.control.commands import SOURCES, ArbiterState
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
-from minidual.errors import UsageError, unknown_name
+from minidual.errors import DataError, UsageError, unknown_name
 from minidual.plant.world import World
 from minidual.robot.pair import Array
 from minidual.trials.modes_turns import SwitchError, Turn
@@ -116,8 +116,10 @@ class ModesDemo:
         try:
             for turn in self._turns:
                 yield from self._drive(turn)
-        except (SwitchError, ReflexError) as error:
+        except (SwitchError, ReflexError, DataError) as error:
             self.ended = str(error)
+            if self.stack.reflex is None and self.turn is not None:
+                self.stack.halt(self.turn.mode)
             while self.stack.stopping:
                 self.stack.step()
 
