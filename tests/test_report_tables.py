@@ -146,13 +146,15 @@ def test_the_figures_read_the_undisturbed_trials(tmp_path: Path) -> None:
         lambda data: data.update(losses={"a": 1}),
         lambda data: data["comparisons"][0].pop("p_value"),
         lambda data: data["methods"]["act"].update(failures=3),
+        lambda data: data["methods"]["act"].update(failures={"x": None}),
+        lambda data: data["comparisons"][0].update(rate_difference="nan"),
     ],
 )
 def test_damaged_data_of_the_benchmark_is_named(tmp_path: Path, damage: Callable[[dict], object]) -> None:
     given = samples.make_run(tmp_path)
     data = copy.deepcopy(dict(given.verdicts["benchmark"].data))
     damage(data)
-    with pytest.raises(DataError, match=r"the benchmark's data or benchmark\.csv is damaged"):
+    with pytest.raises(DataError, match=r"the data of a verdict, or benchmark\.csv, is damaged"):
         build_report(samples.with_data(given, data), tmp_path)
 
 

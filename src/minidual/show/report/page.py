@@ -35,25 +35,26 @@ def build_report(given: StageContext, folder: Path) -> Report:
     """
     benchmark, wanted = given.verdicts.get("benchmark"), given.config.benchmark
     media: list[Medium] = []
-    for stage, verdict in given.verdicts.items():
-        captions = verdict.data.get("captions", {})
-        media += collect_media(stage, given.upstream[stage], verdict.artefacts, captions, folder)
     try:
+        for stage, verdict in given.verdicts.items():
+            captions = verdict.data.get("captions", {})
+            media += collect_media(stage, given.upstream[stage], verdict.artefacts, captions, folder)
         data = benchmark.data if benchmark else {}
         tables = tabulate(wanted.methods, parse_conditions(wanted.conditions), data)
         trials = read_trials(given.upstream["benchmark"] / TRIALS_FILE) if benchmark else []
         facts, figures = gather(given.verdicts, tables), benchmark_figures(tables, trials)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        report = Report(given, tables, facts, figures, media)
+        content, page = dumps(document(report)), render_page(report)
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, jinja2.UndefinedError) as error:
         raise DataError(
-            f"the benchmark's data or {TRIALS_FILE} is damaged: {type(error).__name__}: {error}",
+            f"the data of a verdict, or {TRIALS_FILE}, is damaged: {type(error).__name__}: {error}",
             remedy="minidual benchmark --force",
         ) from error
-    report = Report(given, tables, facts, figures, media)
     (folder / "figures").mkdir()
     for figure in figures:
         (folder / "figures" / f"{figure.name}.svg").write_text(figure.svg, encoding="utf-8")
-    (folder / "report.json").write_text(dumps(document(report)), encoding="utf-8")
-    (folder / "report.html").write_text(render_page(report), encoding="utf-8")
+    (folder / "report.json").write_text(content, encoding="utf-8")
+    (folder / "report.html").write_text(page, encoding="utf-8")
     return report
 
 
