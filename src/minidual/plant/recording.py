@@ -220,7 +220,7 @@ def read_recording(path: Path) -> Recording:
         header = json.loads(arrays["header"].tobytes())
         if header["format"] != FORMAT:
             raise ValueError(f"its format is '{header['format']}', not '{FORMAT}'")
-        remedy = f"replay it with minidual {header['libraries']['minidual']}, which made it"
+        remedy = f"record it again, or replay it with the minidual {header['libraries']['minidual']} that made it"
         if header["version"] != VERSION:
             raise ValueError(f"it has version {header['version']} of the format; this minidual reads version {VERSION}")
         fields = {name[6:]: values for name, values in arrays.items() if name.startswith("model.")}
