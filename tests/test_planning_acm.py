@@ -3,6 +3,8 @@
 import dataclasses
 import itertools
 import json
+import os
+from pathlib import Path
 
 import pytest
 
@@ -61,6 +63,80 @@ def test_history_survives_the_cache(built, tmp_path, monkeypatch):
     (file,) = tmp_path.glob("acm-*.json")
     assert json.loads(file.read_text().splitlines()[1])["rounds"] == built.rounds
     assert fresh(DUAL_PANDA) == built
+
+
+def _rows_added(file: Path) -> None:
+    """Pairs of one arm that touch, declared to be allowed."""
+    digest, content = file.read_text().split("\n")
+    record = json.loads(content)
+    checked = [["left_panda_hand", f"left_panda_link{k}", "never in 80000 samples"] for k in range(5)]
+    file.write_text(f"{digest}\n{json.dumps({**record, 'pairs': record['pairs'] + checked})}")
+
+
+def _rows_edited(file: Path) -> None:
+    file.write_text(file.read_text().replace("never in", "always in", 1))
+
+
+def _of_another_robot(file: Path) -> None:
+    content = file.read_text().split("\n")[1].replace("panda_link", "panda_lonk")
+    digest = acm._digest("another model", content)
+    file.write_text(f"{digest}\n{content}")
+
+
+def _without_fields(file: Path) -> None:
+    (name,) = {file.name}
+    model = acm.model_hash(DUAL_PANDA)
+    assert name == f"acm-{model[:20]}.json"
+    file.write_text(f"{acm._digest(model, '[]')}\n[]")
+
+
+def _replaced_by(make):
+    def damage(file: Path) -> None:
+        file.unlink()
+        make(file)
+
+    return damage
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        _rows_added,
+        _rows_edited,
+        _of_another_robot,
+        _without_fields,
+        lambda file: file.write_text(""),
+        lambda file: file.write_bytes(file.read_bytes()[:-1000]),
+        lambda file: file.write_bytes(b"\xff" * 100),
+        lambda file: os.truncate(file, 3 * 1024**3),
+        _replaced_by(os.mkfifo),
+        _replaced_by(lambda file: file.symlink_to("/dev/zero")),
+        _replaced_by(lambda file: file.symlink_to(file)),
+    ],
+    ids=["added", "edited", "other", "fields", "empty", "cut", "bytes", "3 GB", "pipe", "device", "loop"],
+)
+def test_a_damaged_cache_is_built_again(built, tmp_path, monkeypatch, damage):
+    monkeypatch.setenv("MINIDUAL_CACHE", str(tmp_path))
+    builds: list[Robot] = []
+    monkeypatch.setattr(acm, "build_acm", lambda robot: builds.append(robot) or built)
+    fresh = acm_report.__wrapped__
+    fresh(DUAL_PANDA)
+    (file,) = tmp_path.glob("acm-*.json")
+    good = file.read_bytes()
+    damage(file)
+    assert fresh(DUAL_PANDA).acm.table() == built.acm.table()
+    assert len(builds) == 2, "the damaged file was believed"
+    assert not file.is_symlink()
+    assert file.read_bytes() == good
+    fresh(DUAL_PANDA)
+    assert len(builds) == 2, "the mended file was not"
+
+
+def test_a_cache_that_cannot_be_written_costs_only_time(built, tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("MINIDUAL_CACHE", str(tmp_path / "file"))
+    monkeypatch.setattr(acm, "build_acm", lambda _: built)
+    assert acm_report.__wrapped__(DUAL_PANDA) == built
 
 
 def test_pairs_that_the_model_rules_out_count_in_either_order():

@@ -30,8 +30,8 @@ import numpy as np
 
 from minidual.collision.engine import ENGINES, Pairs
 from minidual.config.seeds import stream
-from minidual.durable import write_text
-from minidual.errors import UsageError
+from minidual.durable import regular_file, write_text
+from minidual.errors import DataError, UsageError
 from minidual.robot.description import links_of, pair_urdf
 from minidual.robot.pair import SIDES, Robot
 
@@ -41,6 +41,7 @@ QUIET_DOUBLINGS = 2
 """Unchanged doublings in a row that end the sampling."""
 ALWAYS_FRACTION = 0.95
 _RULE_VERSION = "6"
+_CACHE_BYTES_MAX = 2**20
 _SEED = 7
 
 
@@ -120,13 +121,13 @@ class BuiltAcm:
 def acm_report(robot: Robot) -> BuiltAcm:
     """Return matrix and history from the user's cache, or build them (1 s).
 
-    They are built again if the digest of model and content in the file does not match.
+    They are built again if the digest of model and content in the file does not match, or if it is no such file.
     """
     model = model_hash(robot)
-    root = os.environ.get("MINIDUAL_CACHE") or Path.home() / ".cache" / "minidual"
+    root = os.environ.get("MINIDUAL_CACHE") or os.path.expanduser("~/.cache/minidual")  # noqa: PTH111 - never raises
     path = Path(root) / f"acm-{model[:20]}.json"
-    with contextlib.suppress(OSError, ValueError):
-        digest, _, content = path.read_text(encoding="utf-8").partition("\n")
+    with contextlib.suppress(DataError, OSError, ValueError, TypeError):
+        digest, _, content = regular_file(path, _CACHE_BYTES_MAX).read_text(encoding="utf-8").partition("\n")
         if digest == _digest(model, content):
             return BuiltAcm(**json.loads(content))
     built = build_acm(robot)
