@@ -75,7 +75,7 @@ def test_the_file_is_what_the_scene_holds(folder):
     [
         ("size_m: [0.06", "size: [0.06", r"bench.yaml:3: obstacles.0.size: no such key; obstacles.0 has .*size_m"),
         ("shape: box", "shape: bocks", r"bench.yaml:3: obstacles.0: .*'bocks'.*'box', 'cylinder'"),
-        ("part.stl", "gone.stl", r"bench.yaml:4: obstacles.1: mesh 'part': there is no file .*gone.stl"),
+        ("part.stl", "gone.stl", r"bench.yaml:4: obstacles.1: mesh 'part': .*gone.stl does not exist"),
         ("part.stl", "broken.stl", r"obstacles.1: mesh 'part': broken.stl (does not load|holds no triangles)"),
         ("part.stl", "rubbish.obj", r"obstacles.1: mesh 'part': rubbish.obj (does not load|holds no triangles)"),
         ("part.stl", "flat.stl", r"obstacles.1: mesh 'part' \(flat.stl\) is flat"),

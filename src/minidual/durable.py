@@ -177,6 +177,11 @@ def disk_errors(folder: Path) -> Generator[None]:
         raise found from error
 
 
+def expanded(text: str) -> Path:
+    """Return the path with the home folder for "~", which stays where none is known."""
+    return Path(os.path.expanduser(text))  # noqa: PTH111 - Path.expanduser raises RuntimeError
+
+
 def kind_of(path: Path) -> str:
     """Return "file", "folder", "FIFO", "socket", "device" or "broken link" behind links; "" if nothing is there.
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from minidual.durable import expanded
 from minidual.errors import EnvironmentMissingError, ExitCode, MinidualError, printable
 
 if TYPE_CHECKING:
@@ -109,7 +110,7 @@ class Session:
     @property
     def root(self) -> Path:
         """Folder of all runs."""
-        return self.typed.runs_dir or Path(os.environ.get("MINIDUAL_RUNS") or "runs").expanduser()
+        return self.typed.runs_dir or expanded(os.environ.get("MINIDUAL_RUNS") or "runs")
 
     @property
     def store(self) -> RunStore:

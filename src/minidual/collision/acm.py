@@ -30,7 +30,7 @@ import numpy as np
 
 from minidual.collision.engine import ENGINES, Pairs
 from minidual.config.seeds import stream
-from minidual.durable import regular_file, write_text
+from minidual.durable import expanded, regular_file, write_text
 from minidual.errors import DataError, UsageError
 from minidual.robot.description import links_of, pair_urdf
 from minidual.robot.pair import SIDES, Robot
@@ -124,8 +124,8 @@ def acm_report(robot: Robot) -> BuiltAcm:
     They are built again if the digest of model and content in the file does not match, or if it is no such file.
     """
     model = model_hash(robot)
-    root = os.environ.get("MINIDUAL_CACHE") or os.path.expanduser("~/.cache/minidual")  # noqa: PTH111 - never raises
-    path = Path(root) / f"acm-{model[:20]}.json"
+    root = expanded(os.environ.get("MINIDUAL_CACHE") or "~/.cache/minidual")
+    path = root / f"acm-{model[:20]}.json"
     with contextlib.suppress(DataError, OSError, ValueError, TypeError):
         digest, _, content = regular_file(path, _CACHE_BYTES_MAX).read_text(encoding="utf-8").partition("\n")
         if digest == _digest(model, content):

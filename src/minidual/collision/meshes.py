@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 
 from minidual.collision.shapes import IDENTITY, Mesh, Quat, Vec3
+from minidual.durable import regular_file
 from minidual.errors import DataError, UsageError
 
 SUFFIXES = (".stl", ".obj", ".ply", ".off", ".dae", ".glb", ".gltf")
+_BYTES_MAX = 2**26
 _PIECES_MAX = 64
 _EXTENT_MAX_M = 10.0
 _EXTENT_MIN_M = 1e-4
@@ -58,8 +60,10 @@ def _read(path: Path, name: str) -> Any:
         raise UsageError(
             f"mesh '{name}': {path.name} has the extension '{path.suffix}'; known are {', '.join(SUFFIXES)}"
         )
-    if not path.is_file():
-        raise UsageError(f"mesh '{name}': there is no file {path}")
+    try:
+        regular_file(path, _BYTES_MAX)
+    except DataError as error:
+        raise UsageError(f"mesh '{name}': {error.message}") from None
     try:
         mesh = trimesh.load(path, force="mesh")
     except Exception as error:  # trimesh's readers raise errors of many types

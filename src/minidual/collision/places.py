@@ -9,9 +9,9 @@ import pinocchio as pin
 from pydantic import model_validator
 
 from minidual.collision.shapes import Quat
-from minidual.config.base import StrictModel
+from minidual.config.base import Coordinate, StrictModel
 
-Finite3 = tuple[float, float, float]
+Finite3 = tuple[Coordinate, Coordinate, Coordinate]
 _LENGTH_TOLERANCE = 1e-3
 
 

@@ -14,7 +14,7 @@ AtMost = Annotated[Value, "at most"]
 """An upper limit; above the shipped profile's is no acceptance."""
 Rate = Annotated[float, Field(ge=0.0, le=1.0)]
 Coordinate = Annotated[float, Field(ge=-10.0, le=10.0)]
-"""Of a place near the robot [m]."""
+"""Of a place near the robot [m], or of a rotation [rad]."""
 Size = Annotated[float, Field(ge=1e-3, le=10.0)]
 """Of a thing [m]."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from minidual.durable import expanded, kind_of
 from minidual.errors import ConfigError, unknown_name
 
 SHIPPED_FOLDER = Path(__file__).resolve().parent.parent / "configs"
@@ -28,9 +29,12 @@ def find_profile(profile: str, relative_to: Path | None = None) -> tuple[str, Pa
             error.remedy = error.remedy or "or give the path of a profile file that ends in .yaml"
             raise error
         return profile, SHIPPED_FOLDER / f"{profile}.yaml"
-    path = (relative_to or Path.cwd()) / Path(profile).expanduser()
-    if not path.is_file():
-        raise ConfigError(f"no profile file {path}", remedy=f"shipped profiles are {', '.join(shipped_profiles())}")
+    path = (relative_to or Path.cwd()) / expanded(profile)
+    if (kind := kind_of(path)) != "file":
+        what = f": it is a {kind}" if kind else ""
+        raise ConfigError(
+            f"no profile file {path}{what}", remedy=f"shipped profiles are {', '.join(shipped_profiles())}"
+        )
     if path.resolve().parent == SHIPPED_FOLDER:
         return path.stem, path.resolve()
     if path.stem in shipped_profiles():

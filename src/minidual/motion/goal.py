@@ -7,7 +7,6 @@ linear: true
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Literal
@@ -18,9 +17,12 @@ from minidual.collision.places import Finite3, PlaceFields
 from minidual.config.base import StrictModel
 from minidual.config.document import read_document
 from minidual.config.loader import validate_document
+from minidual.durable import kind_of, read_json
 from minidual.errors import ConfigError, DataError, UsageError, unknown_name
 
 _KINDS = ("state", "joints_rad", "joints_by_name_rad", "poses", "move")
+_BYTES_MAX = 2**26
+"""A minute of motion."""
 
 
 class TipPose(PlaceFields):
@@ -112,7 +114,7 @@ def goal_of(word: str, state_names: Iterable[str]) -> Goal:
         return Goal(state=word)
     path = Path(word)
     if path.suffix.lower() in (".yaml", ".yml", ".json"):
-        if not path.is_file():
+        if not kind_of(path):
             raise UsageError(f"there is no file {path}")
         return load_goal(path)
     error = unknown_name("named state", word, names)
@@ -121,7 +123,7 @@ def goal_of(word: str, state_names: Iterable[str]) -> Goal:
 
 def _end_of_trajectory(path: Path) -> Goal:
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = read_json(path, _BYTES_MAX)
         return Goal(joints_by_name_rad=dict(zip(content["joint_names"], content["q_rad"][-1], strict=True)))
-    except (OSError, ValueError, TypeError, KeyError, IndexError) as error:
+    except (ValueError, TypeError, KeyError, IndexError) as error:
         raise DataError(f"{path} is no trajectory of `minidual plan --out`: {type(error).__name__}: {error}") from error

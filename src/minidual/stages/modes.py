@@ -11,7 +11,7 @@ import numpy as np
 
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import dumping
-from minidual.durable import write_csv, write_text
+from minidual.durable import expanded, write_csv, write_text
 from minidual.errors import ExitCode, GateClosedError, UsageError
 from minidual.gate.canonical import canonical, dumps
 from minidual.gate.progress import Task as Bar
@@ -84,7 +84,7 @@ def find_checkpoint(context: ToolContext) -> Path:
         GateClosedError: The run has no trained policy.
     """
     named = context.options.get("checkpoint")
-    folder = context.run_folder / "train-act" / "checkpoint" if named is None else Path(named).expanduser()
+    folder = context.run_folder / "train-act" / "checkpoint" if named is None else expanded(named)
     if (folder / "config.json").is_file():
         return folder
     if named is not None:
