@@ -43,7 +43,7 @@ KINDS = {
     ),
     "scenes": Kind("scripts.campaign.files:scene_cases", 15, 300, warm="scripts.campaign.files:warm_scenes"),
     "readers": Kind("scripts.campaign.files:library_cases", 20, 300, warm="scripts.campaign.files:warm_readers"),
-    "caches": Kind("scripts.campaign.files:cache_cases", 2, warm="scripts.campaign.files:warm_scenes"),
+    "caches": Kind("scripts.campaign.files:cache_cases", 2, warm="scripts.campaign.files:warm_caches"),
     "publish-kills": Kind("scripts.campaign.kills:publish_cases", 25, warm="scripts.campaign.kills:warm"),
     "stage-kills": Kind("scripts.campaign.kills:stage_cases", 0),
     "signals": Kind("scripts.campaign.processes:signal_cases", 4),

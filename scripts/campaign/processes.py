@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -38,14 +39,29 @@ def start(place: Place, words: Sequence[str], **options: Any) -> subprocess.Pope
     )
 
 
-def ended(process: subprocess.Popen[bytes], timeout_s: float = 20.0) -> int | None:
-    """Return the exit code, or None after killing what hangs."""
-    try:
-        return process.wait(timeout=timeout_s)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
-        return None
+def ended(process: subprocess.Popen[bytes], idle_s: float = 30.0, busy_s: float = 90.0) -> int | None:
+    """Return the exit code, or None after killing what hangs: no CPU time in `idle_s`, or more than `busy_s` of it."""
+    used_s, moved = 0.0, time.monotonic()
+    while (code := process.poll()) is None:
+        now_s = _cpu_s(process.pid)
+        if now_s > used_s:
+            used_s, moved = now_s, time.monotonic()
+        if time.monotonic() - moved > idle_s or used_s > busy_s:
+            process.kill()
+            process.wait()
+            return None
+        time.sleep(0.05)
+    return code
+
+
+def _cpu_s(session: int) -> float:
+    """Return the CPU time of a session's processes [s]."""
+    total = 0.0
+    for process in _members(session):
+        with contextlib.suppress(psutil.NoSuchProcess):
+            times = process.cpu_times()
+            total += times.user + times.system
+    return total
 
 
 def said(place: Place, code: int) -> Ran:
@@ -103,7 +119,7 @@ def signal_cases(source: Path) -> Iterator[Case]:
     for name in SIGNALLED:
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             for time_ in range(6):
-                yield Case(f"{name} {number.name} {time_}", partial(_signalled, name, number), limit_s=45.0)
+                yield Case(f"{name} {number.name} {time_}", partial(_signalled, name, number), limit_s=60.0)
 
 
 def _signalled(name: str, number: signal.Signals, place: Place, result: Result) -> None:
@@ -123,7 +139,7 @@ def _signalled(name: str, number: signal.Signals, place: Place, result: Result) 
     if code is None:
         result.forbidden.append(f"a hang after {number.name} at {delay:.2f} s")
         return
-    if time.monotonic() - began > 10.0:
+    if time.monotonic() - began > 20.0:
         result.forbidden.append(f"ends {time.monotonic() - began:.1f} s after {number.name} at {delay:.2f} s")
     ran = said(place, code)
     allowed: list[int] = [ExitCode.PASS, ExitCode.INTERRUPTED]
@@ -191,7 +207,7 @@ def stream_cases(source: Path) -> Iterator[Case]:
     """Each command with each kind of broken streams and environment."""
     for environment in ENVIRONMENTS:
         for name in COMMANDS:
-            yield Case(f"{name}, {environment}", partial(_streams, name, environment), limit_s=40.0)
+            yield Case(f"{name}, {environment}", partial(_streams, name, environment), limit_s=60.0)
 
 
 def _streams(name: str, environment: str, place: Place, result: Result) -> None:
@@ -202,7 +218,7 @@ def _streams(name: str, environment: str, place: Place, result: Result) -> None:
         process = subprocess.Popen(
             ["bash", "-c", script], stdout=out, stderr=err, start_new_session=True, cwd=place.folder
         )
-    code = ended(process, 100.0)
+    code = ended(process)
     if code is None:
         orphans(process.pid, 0.0)
         result.forbidden.append("a hang")
