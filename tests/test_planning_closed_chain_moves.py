@@ -356,7 +356,7 @@ def test_the_manifold_search_keeps_the_grasps(planner, q_start, method):
     """A goal off the manifold finds nothing; the way to one on it holds the object and joins free edges."""
     asked = query(q_start)
     end = planner.plan(asked).q[-1]
-    work = HeldWork(planner, asked)
+    work = HeldWork(planner, asked, 60.0)  # its state checks end it, not a busy machine
     effort = _Effort(0.0, checks_n=1500)
     assert work.search(method, [end + 0.3], replace(effort, checks_n=50), 1) is None
     points = work.search(method, [end + 0.3, end], effort, 1)

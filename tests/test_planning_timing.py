@@ -11,8 +11,7 @@ from minidual.collision.errors import TimingError
 from minidual.config.planning import MotionLimits
 from minidual.errors import DataError
 from minidual.motion import timing
-from minidual.motion.blend import rounded
-from minidual.motion.smooth_path import SmoothPath
+from minidual.motion.blend import SmoothPath, rounded
 from minidual.motion.timing import drive, fastest_profile, sample_parameters
 from minidual.proof.limits import limit_use
 from minidual.robot.arms import DUAL_PANDA

@@ -24,16 +24,8 @@ READS = ("robot", "task", "teleop", "scene", "arbiter", "supervisor")
 
 
 _WORDS = {
-    "episodes": (
-        "",
-        "demonstrations kept",
-        "`reason` in quality.csv names what failed; raise teleop.attempts_max_ratio",
-    ),
-    "schema_ok": (
-        "",
-        "every file, opened again, is whole, sound and inside the limits",
-        "read `faults` in the verdict",
-    ),
+    "episodes": ("", "demonstrations kept", "see `reason` in quality.csv; raise teleop.attempts_max_ratio"),
+    "schema_ok": ("", "every file, opened again, is sound and inside the limits", "read `faults` in the verdict"),
     "jerk_rms_max": ("rad/s^3", "roughest demonstration kept", "lengthen the phases under teleop.operator"),
     "latency_p99_s": ("s", "wall time from reading the leader to its torque, 99th percentile", "use fewer workers"),
     "episodes_per_min": ("1/min", "demonstrations kept, conversion included", "use more workers, or fewer cameras"),

@@ -12,10 +12,9 @@ from scipy.interpolate import CubicSpline
 from minidual.collision.errors import ClosedChainError
 from minidual.config.planning import MotionLimits
 from minidual.errors import UsageError
-from minidual.motion.blend import rounded
+from minidual.motion.blend import SmoothPath, rounded
 from minidual.motion.held.hands import RESIDUAL_MAX_M, RESIDUAL_MAX_RAD, HandsIK
 from minidual.motion.ik import check_pose
-from minidual.motion.smooth_path import SmoothPath
 from minidual.motion.timing import PathLimits, time_path
 from minidual.proof.scene_engines import Verification
 from minidual.robot.kinematics import Kinematics
