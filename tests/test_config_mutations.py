@@ -19,7 +19,7 @@ from minidual.errors import MinidualError
 from minidual.stages.registry import STAGES, TOOLS
 
 SEED, CASES_N, COMMANDS_N = 20261122, 2000, 60
-LIMIT_S = 1.0
+LIMIT_S = 1.0  # of CPU time: the machine may be busy
 HOSTILE = [
     *("-1", "0", "-0.0", "1e-300", "1e-9", "1e300", "1" + "0" * 400, "1" + "0" * 5000, "9223372036854775808", "0.5"),
     *(".nan", "nan", "inf", "-.inf", "1__0", "1_", "1e", "0x10", "1:30", "true", "null", "''", "' '", "text"),
@@ -56,12 +56,12 @@ def test_mutated_configurations_are_read_or_refused_by_name_in_time() -> None:
     loaded = load_config("smoke")
     refusals: list[MinidualError] = []
     for case in cases():
-        began = time.perf_counter()
+        began = time.process_time()
         try:
             loaded.with_overrides([parse_override(case)])
         except MinidualError as error:
             refusals.append(error)
-        assert time.perf_counter() - began < LIMIT_S, case[:80]
+        assert time.process_time() - began < LIMIT_S, case[:80]
     assert CASES_N / 2 < len(refusals) < CASES_N - 50
     assert {error.exit_code for error in refusals} == {2}
 
@@ -70,10 +70,10 @@ def test_mutated_configurations_are_read_or_refused_by_name_in_time() -> None:
 def test_commands_survive_mutated_configurations(command: tuple[str, ...], tmp_path: Path) -> None:
     app, runner = build_app(STAGES, TOOLS), CliRunner()
     for case in random.Random(SEED).sample(cases(), COMMANDS_N // 3):
-        began = time.perf_counter()
+        began = time.process_time()
         result = runner.invoke(app, [*command, "--profile", "smoke", "--runs-dir", str(tmp_path), "--set", case])
         assert result.exit_code in (0, 2), (case[:80], result.output[-2000:])
-        assert time.perf_counter() - began < LIMIT_S, case[:80]
+        assert time.process_time() - began < LIMIT_S, case[:80]
 
 
 def test_every_number_has_two_bounds() -> None:
