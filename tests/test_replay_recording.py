@@ -457,7 +457,8 @@ class TestHostileFiles:
         with pytest.raises(DataError, match="the recording's scene cannot be built"):
             replay(module.Recording(**{**vars(recorded), "scene": scene}))
 
-    def test_a_state_that_ends_where_the_recording_goes_on_does_not_repeat(self, trial):
+    def test_a_state_that_ends_where_the_recording_goes_on_does_not_repeat(self, trial, tmp_path, monkeypatch):
+        monkeypatch.chdir(tmp_path)
         recorded = read_recording(trial[0])
         mass = recorded.model["body_mass"].copy()
         mass[:] = 0.0
@@ -469,6 +470,7 @@ class TestHostileFiles:
         assert not found.exact
         assert found.deviates.what == "the state, which goes on in the recording,"
         assert found.compared == 0  # and the command exits with 1, not with 5
+        assert list(tmp_path.iterdir()) == []  # MuJoCo would write its warnings to a file here
 
     @pytest.mark.parametrize(
         "header",

@@ -70,6 +70,18 @@ class Replayed:
         return self.compared > 0 and self.deviates is None
 
 
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Silence MuJoCo's warnings."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda _message: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
+
+
+@_quiet()
 def replay(
     recording: Recording,
     *,
@@ -114,47 +126,46 @@ def replay(
     signs: dict[str, Sign] = {}
     deviates: Deviation | None = None
     largest, compared, ended, done = 0.0, 0, None, first
-    with _quiet():
+    if on_step is not None:
+        on_step(world)
+    for step in range(first, last + 1):
+        if step > first and step in frames:
+            compared += 1
+            mujoco.mj_getState(model, data, state, STATE)
+            difference = np.abs(state - frames[step])[: len(names)]
+            index = int(np.argmax(difference))  # the first NaN, if there is one
+            largest = float(np.maximum(largest, difference[index]))
+            if difference[index] != 0.0 and deviates is None:
+                deviates = Deviation(world.time, names[index], float(difference[index]))
+        if step == last:
+            break
+        controls = recording.controls[step]
+        data.ctrl[:] = controls
+        push = int(np.searchsorted(recording.push_steps, step, side="right")) - 1
+        data.xfrc_applied[:] = recording.pushes[push] if push >= 0 else 0.0
+        finite = np.isfinite(controls)
+        if not finite.all():
+            motor = model.actuator(int(np.argmin(finite))).name
+            ended = f"the command of {motor} is not finite at {world.time:.3f} s"
+            break
+        tau_max = world.robot.tau_max
+        _watch(world, "torque asked of", controls[world.joints.ctrl], -tau_max, tau_max, "Nm", signs)
+        before = world.time
+        mujoco.mj_step(model, data)
+        done = step + 1
+        if world.time <= before:  # MuJoCo resets a non-finite state
+            ended = f"the state is not finite after {before:.3f} s"
+            if deviates is None and any(step < later <= last for later in frames):
+                largest, deviates = (
+                    math.inf,
+                    Deviation(before, "the state, which goes on in the recording,", math.inf),
+                )
+            break
+        v_max = world.robot.v_max
+        _watch(world, "velocity of", world.v, -v_max, v_max, "rad/s", signs)
+        _watch(world, "position of", world.q, world.robot.q_lower, world.robot.q_upper, "rad", signs, 1e-3)
         if on_step is not None:
             on_step(world)
-        for step in range(first, last + 1):
-            if step > first and step in frames:
-                compared += 1
-                mujoco.mj_getState(model, data, state, STATE)
-                difference = np.abs(state - frames[step])[: len(names)]
-                index = int(np.argmax(difference))  # the first NaN, if there is one
-                largest = float(np.maximum(largest, difference[index]))
-                if difference[index] != 0.0 and deviates is None:
-                    deviates = Deviation(world.time, names[index], float(difference[index]))
-            if step == last:
-                break
-            controls = recording.controls[step]
-            data.ctrl[:] = controls
-            push = int(np.searchsorted(recording.push_steps, step, side="right")) - 1
-            data.xfrc_applied[:] = recording.pushes[push] if push >= 0 else 0.0
-            finite = np.isfinite(controls)
-            if not finite.all():
-                motor = model.actuator(int(np.argmin(finite))).name
-                ended = f"the command of {motor} is not finite at {world.time:.3f} s"
-                break
-            tau_max = world.robot.tau_max
-            _watch(world, "torque asked of", controls[world.joints.ctrl], -tau_max, tau_max, "Nm", signs)
-            before = world.time
-            mujoco.mj_step(model, data)
-            done = step + 1
-            if world.time <= before:  # MuJoCo resets a non-finite state
-                ended = f"the state is not finite after {before:.3f} s"
-                if deviates is None and any(step < later <= last for later in frames):
-                    largest, deviates = (
-                        math.inf,
-                        Deviation(before, "the state, which goes on in the recording,", math.inf),
-                    )
-                break
-            v_max = world.robot.v_max
-            _watch(world, "velocity of", world.v, -v_max, v_max, "rad/s", signs)
-            _watch(world, "position of", world.q, world.robot.q_lower, world.robot.q_upper, "rad", signs, 1e-3)
-            if on_step is not None:
-                on_step(world)
     then, now = recording.libraries, versions()
     return Replayed(
         from_s=start + first * recording.dt_s,
@@ -204,14 +215,3 @@ def _watch(
         name = f"{what} {world.robot.joint_names[joint]}"
         bound = float((low if values[joint] < low[joint] else high)[joint])
         signs.setdefault(name, Sign(world.time, name, float(values[joint]), bound, unit))
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Silence MuJoCo's warnings."""
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda _message: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(before)
