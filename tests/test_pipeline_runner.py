@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from pipeline_toys import KNOB, Bench
+from safetensors import SafetensorError
 
 from minidual.errors import (
     ConfigError,
@@ -210,6 +211,10 @@ def test_stage_error_keeps_its_kind(bench):
     [
         (OSError(errno.ENOSPC, "No space left on device", "big.h5"), "no space left on the disk .* big.h5"),
         (OSError("HDF5: write failed, errno = 28, No space left on device"), "no space left on the disk"),
+        (OSError(errno.EDQUOT, "Disk quota exceeded", "big.h5"), "no space left on the disk .*quota"),
+        (OSError(errno.EFBIG, "File too large", "big.h5"), "no space left on the disk .*File too large"),
+        (OSError(errno.EROFS, "Read-only file system", "out.mp4"), "no permission for out.mp4: Read-only"),
+        (SafetensorError("I/O error: No space left on device (os error 28)"), "no space left on the disk"),
         (PermissionError(errno.EACCES, "Permission denied", "out.mp4"), "no permission for out.mp4"),
     ],
 )

@@ -101,7 +101,8 @@ class LeRobotTables:
         recorded = f"stats/{camera_key(camera)}/mean"
         if recorded in self._episodes.column_names:
             for e, (start, stop) in enumerate(zip(self.starts, self.stops, strict=True)):
-                mean = result[start:stop:8].mean(axis=(0, 1, 2)) / 255.0
+                every = max(1, (stop - start) // 100)  # LeRobot samples as many
+                mean = result[start:stop:every].mean(axis=(0, 1, 2)) / 255.0
                 apart = float(np.abs(mean - np.ravel(self._episodes[recorded][e].as_py())).max())
                 if not apart <= BRIGHTNESS_MAX:
                     raise DataError(
@@ -119,7 +120,9 @@ class LeRobotTables:
             name = _VIDEO_PATH.format(video_key=key, chunk_index=int(chunk[e]), file_index=int(file[e]))
             expected = sum(map(len, parts.setdefault(name, [])))
             if not abs(begin[e] * self.fps - expected) <= 0.5:
-                raise DataError(f"{name}: episode {int(e)} does not begin at frame {expected} as the tables say")
+                raise DataError(
+                    f"{self.root / name}: episode {int(e)} does not begin at frame {expected} as the tables say"
+                )
             parts[name].append(np.arange(self.starts[e], self.stops[e]))
         return {name: np.concatenate(rows) for name, rows in parts.items()}
 
@@ -173,7 +176,8 @@ def read_dataset(root: Path | str) -> LeRobotTables:
 
 
 def _integers(table: Any, key: str) -> Rows:
-    return np.asarray(table[key].to_numpy(), dtype=np.int64)
+    with np.errstate(invalid="raise"):
+        return np.asarray(table[key].to_numpy(), dtype=np.int64)
 
 
 @contextlib.contextmanager
@@ -181,6 +185,9 @@ def _reading(what: Path | str) -> Iterator[None]:
     """Turn an error of damaged content into DataError."""
     try:
         yield
+    except DataError as error:
+        error.remedy = error.remedy or _AGAIN
+        raise
     except (*_BAD, pa.ArrowException, FFmpegError) as error:
         raise DataError(f"{what} is missing, truncated or corrupt: {error!r:.300}", remedy=_AGAIN) from error
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minidual.config.learning import TrainConfig
+from minidual.durable import read_json
 from minidual.errors import DataError, unknown_name
 from minidual.policies.demonstrations import Demonstrations
 from minidual.policies.records import TrainResult
@@ -94,10 +94,10 @@ def load_policy(folder: Path, device: str = "cpu", threads: int | None = None) -
     path = folder / "config.json"
     if not path.is_file():
         raise DataError(f"checkpoint {folder} lacks config.json", remedy=f"{REMEDY} --force")
-    try:
-        kind = json.loads(path.read_text(encoding="utf-8"))["type"]
-    except (ValueError, KeyError, TypeError) as error:
-        raise DataError(f"{path} names no policy type", remedy=f"{REMEDY} --force") from error
+    record = read_json(path)
+    kind = record.get("type") if isinstance(record, dict) else None
+    if not isinstance(kind, str):
+        raise DataError(f"{path} names no policy type", remedy=f"{REMEDY} --force")
     if kind not in POLICIES:
-        raise DataError(f"checkpoint {folder}: {unknown_name('policy', str(kind), POLICIES).message}", remedy=REMEDY)
+        raise DataError(f"checkpoint {folder}: {unknown_name('policy', kind, POLICIES).message}", remedy=REMEDY)
     return POLICIES[kind].load(folder, device, threads)
