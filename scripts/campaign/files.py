@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import os
+import pickle
 import shutil
 import zipfile
 from collections.abc import Callable, Iterator
@@ -18,7 +19,19 @@ import yaml
 from minidual.config.seeds import stream
 from minidual.errors import ExitCode, MinidualError
 from scripts.campaign.case import Case, Place, Result, command, judge
-from scripts.campaign.tampering import append, burst, device, flip, folder, foreign, loop, noise, pipe, truncate
+from scripts.campaign.tampering import (
+    append,
+    burst,
+    device,
+    flip,
+    folder,
+    foreign,
+    loop,
+    noise,
+    pipe,
+    rewrite,
+    truncate,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
 BYTES = (flip, burst, truncate, append, noise, folder, loop, foreign, pipe, device)
@@ -278,6 +291,51 @@ def library_cases(source: Path) -> Iterator[Case]:
                         text = ".".join(map(str, path))
                         case = partial(_json_value, kind, name, path, strange)
                         yield Case(f"{kind} {Path(name).name} {text} {strange!r}", case, limit_s=40.0)
+
+    for file in ("policy_preprocessor.json", "policy_postprocessor.json"):
+        for number in range(len(PROGRAMS)):
+            yield Case(f"checkpoint {file} program {number}", partial(_program, file, number), limit_s=40.0)
+    yield Case("checkpoint weights as pickle", _pickled, limit_s=40.0)
+
+
+PROGRAMS: tuple[dict[str, Any], ...] = (
+    {"class": "os.system", "config": {"command": "touch {}"}},
+    {"class": "subprocess.Popen", "config": {"args": ["touch", "{}"]}},
+    {"class": "builtins.exec", "config": {"source": "open('{}', 'w')"}},
+    {"registry_name": "rename_observations_processor", "class": "os.system", "config": {"command": "touch {}"}},
+    {"registry_name": "os.system", "config": {"command": "touch {}"}},
+)
+"""Steps of a processor that would make a file."""
+
+
+def _program(file: str, number: int, place: Place, result: Result) -> None:
+    made = place.folder / "made"
+    path = place.runs / "smoke" / "train-act" / "checkpoint" / file
+    record = json.loads(path.read_bytes())
+    record["steps"][0] = json.loads(json.dumps(PROGRAMS[number]).replace("{}", str(made)))
+    rewrite(path, json.dumps(record).encode())
+    _look("checkpoint", file, place, result)
+    if made.exists():
+        result.forbidden.append("a checkpoint ran a program")
+    if "refused" not in result.outcomes:
+        result.forbidden.append("a silent pass: the step is taken")
+
+
+class _Touch:
+    def __init__(self, made: Path) -> None:
+        self.made = made
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (Path.touch, (self.made,))
+
+
+def _pickled(place: Place, result: Result) -> None:
+    made = place.folder / "made"
+    path = place.runs / "smoke" / "train-act" / "checkpoint" / "model.safetensors"
+    rewrite(path, pickle.dumps(_Touch(made)))
+    _look("checkpoint", path.name, place, result)
+    if made.exists() or "refused" not in result.outcomes:
+        result.forbidden.append("pickled weights are read")
 
 
 def _files(source: Path, name: str) -> list[str]:

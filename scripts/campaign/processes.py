@@ -143,10 +143,11 @@ def _signalled(name: str, number: signal.Signals, place: Place, result: Result) 
         result.forbidden.append(f"ends {time.monotonic() - began:.1f} s after {number.name} at {delay:.2f} s")
     ran = said(place, code)
     allowed: list[int] = [ExitCode.PASS, ExitCode.INTERRUPTED]
-    if delay < BEFORE_PYTHON_S or (twice and "minidual: interrupted" in ran.err):
+    if twice and "minidual: interrupted" in ran.err:
         allowed.append(-number)
-    if code == -number and delay < BEFORE_PYTHON_S and "minidual" not in ran.err:
-        ran = Ran(code, ran.out, "")
+    if delay < BEFORE_PYTHON_S and ran.code in (1, -number) and "/minidual/" not in ran.err:
+        result.saw("before the program began")
+        return
     judge(result, f"{number.name} at {delay:.2f} s", ran, allowed)
     result.saw(f"exit {code}" if was_running else "ended before")
     if left := orphans(process.pid):
