@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from pipeline_toys import Bench
 
 from minidual.cli.app import run_command_line
 from minidual.gate.canonical import digest
+from minidual.gate.signature import sign
 
 
 def make_key(path: Path, passphrase: str = "") -> Path:
@@ -24,7 +26,7 @@ class Signed:
 
     def __init__(self, root: Path, capsys) -> None:
         self.bench, self._capsys = Bench(root / "runs"), capsys
-        self.folder, self.key = self.bench.store.folder, make_key(root / "key")
+        self.folder, self.key = self.bench.store.folder, root / "key"
         self.public = root / "key.pub"
 
     def __call__(self, *words: str | Path) -> tuple[int, str, str]:
@@ -40,15 +42,24 @@ class Signed:
 
 @pytest.fixture
 def unsigned(tmp_path, capsys):
+    make_key(tmp_path / "key")
     return Signed(tmp_path, capsys)
 
 
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A signed run and its keys, to copy."""
+    root = tmp_path_factory.mktemp("made")
+    bench = Bench(root / "runs")
+    bench.run_all()
+    sign(bench.gate(), bench.table.names, make_key(root / "key"))
+    return root
+
+
 @pytest.fixture
-def signed(unsigned):
-    code, _, err = unsigned("run", "--sign", unsigned.key)
-    assert code == 0, err
-    assert f"signed: {unsigned.folder / 'signed.json.sig'}" in err
-    return unsigned
+def signed(tmp_path, capsys, made):
+    shutil.copytree(made, tmp_path, dirs_exist_ok=True)
+    return Signed(tmp_path, capsys)
 
 
 def forge(path: Path) -> None:
@@ -120,7 +131,9 @@ def test_a_stage_that_ran_since_is_named_and_signed_with_the_next_run(signed):
 
 
 def test_a_part_of_a_run(unsigned):
-    assert unsigned("run", "--until", "second", "--sign", unsigned.key)[0] == 0
+    code, _, err = unsigned("run", "--until", "second", "--sign", unsigned.key)
+    assert code == 0
+    assert f"signed: {unsigned.folder / 'signed.json.sig'}" in err
     assert unsigned.verify()[0] == 0
     assert unsigned("third")[0] == 0
     assert unsigned.verify() == (1, "signature: third: its verdict was not signed")

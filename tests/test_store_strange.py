@@ -20,6 +20,7 @@ from minidual.cli.tables import print_explanation
 from minidual.durable import remove
 from minidual.errors import DataError, GateClosedError
 from minidual.gate.canonical import digest
+from minidual.gate.lock import lock_holders
 from minidual.stages.registry import STAGES
 
 
@@ -145,6 +146,8 @@ def test_what_is_in_the_way_is_named_before_work_starts(run, name):
 @pytest.mark.parametrize("make", [os.mkfifo, a_link_to_itself])
 def test_a_lock_that_is_no_file_does_not_hang_status(run, make):
     make(run.folder / ".lock")
+    with pytest.raises(DataError, match="lock"):
+        lock_holders(run.folder)
     code, out, err = run("status")
     assert (code, out) == (2, "")
     assert ".lock" in err
@@ -219,10 +222,18 @@ def test_a_mount_point_is_named(run, monkeypatch):
     assert run.stages()["first"]["state"] == "missing", "it can be read"
 
 
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A finished run, to copy."""
+    bench = Bench(tmp_path_factory.mktemp("made") / "runs")
+    bench.run_all()
+    return bench.root
+
+
 @pytest.fixture
-def finished(run):
-    assert run("run")[0] == 0
-    return run
+def finished(tmp_path, capsys, made):
+    shutil.copytree(made, tmp_path / "runs")
+    return Run(tmp_path, capsys)
 
 
 def forbid(monkeypatch, place: Path) -> None:
@@ -332,7 +343,7 @@ WRONG = [None, [], {}, "", -1, 10**400, 1e308, True, [1, "a", None], {"a": {"b":
 
 
 def test_wrong_values_in_a_verdict_never_crash(run):
-    """Every field of a verdict with a matching digest, replaced: 120 drawn of about 1,000 (seed 0)."""
+    """Every field of a verdict with a matching digest, replaced: 80 drawn of about 1,000 (seed 0)."""
     run.bench.runner().run("first", {"queries": 3, "mood": "good"})
     path = run.folder / "first" / "verdict.json"
     good = json.loads(path.read_bytes())
@@ -344,7 +355,7 @@ def test_wrong_values_in_a_verdict_never_crash(run):
     ]
     named = 0
     huge = [(("checks", 0, "limit"), 10**400), (("checks", 0, "observed"), 10**400)]
-    for place, wrong in random.Random(0).sample(cases, 120) + huge:
+    for place, wrong in random.Random(0).sample(cases, 80) + huge:
         record = copy.deepcopy(good)
         inner = record
         for key in place[:-1]:
@@ -356,7 +367,7 @@ def test_wrong_values_in_a_verdict_never_crash(run):
         print_explanation(Console(file=io.StringIO()), run.bench.table["first"], state, {})
         named += state.state in ("error", "stale")
         assert (state.state == "error") == any(str(path) in reason for reason in state.reasons), (place, wrong)
-    assert named > 80
+    assert named > 50
 
 
 def test_a_recorded_option_that_is_not_valid_now_is_stale(run):
@@ -429,6 +440,7 @@ def test_a_link_to_files_that_are_no_result_is_refused_and_keeps_them(run, targe
     place.symlink_to(mine)
     code, _, err = run("first", "--force")
     assert (code, (mine / "mine.txt").read_text()) == (2, "mine")
-    assert f"{place} is a link to {mine}, whose files are no result of minidual" in err
+    why = "whose files are no result of minidual" if target == "mine" else "in or above its own run"
+    assert f"{place} is a link to {mine}, {why}" in err
     place.unlink()
     assert run("first")[0] == 0

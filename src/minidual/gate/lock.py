@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TextIO, cast
 
-from minidual.durable import read_json, require
+from minidual.durable import make_folder, read_json, require
 from minidual.errors import DataError, UsageError
 from minidual.gate.clock import now_text
 
@@ -24,10 +24,7 @@ LOCK_FILE = ".lock"
 @contextmanager
 def run_lock(folder: Path, command: str, name: str = LOCK_FILE) -> Generator[None]:
     """Hold the lock `name` of a run folder; UsageError if another process does."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except (FileExistsError, NotADirectoryError) as error:
-        raise UsageError(f"runs cannot be kept in {folder}: {error}", remedy="give another --runs-dir") from error
+    make_folder(folder)
     with _lock_file(folder, name).open("a+", encoding="utf-8") as stream:
         if not _acquired(stream):
             raise UsageError(
@@ -75,7 +72,7 @@ def lock_holders(folder: Path) -> dict[int, str]:
 
     found: dict[int, str] = {}
     for path in sorted(folder.glob(".*lock")):
-        record = _record(path) or {}
+        record = _record(_lock_file(folder, path.name)) or {}
         with suppress(psutil.Error, KeyError, TypeError):
             process = psutil.Process(record["pid"])
             if str(path.resolve()) in {opened.path for opened in process.open_files()}:

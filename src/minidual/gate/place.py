@@ -9,6 +9,7 @@ from pathlib import Path
 
 from minidual.durable import require
 from minidual.errors import DataError
+from minidual.gate.manifest import VERDICT_FILE
 
 ASIDE = "set-aside"
 
@@ -48,16 +49,20 @@ class Place:
                 raise DataError(f"{path} is a link; minidual keeps a folder there", remedy="remove the link")
             if replacing and path.exists() and not os.access(path, os.W_OK):
                 raise DataError(f"no permission to write in {path}", remedy="change its permissions")
-        run = self.name.parent.resolve()
-        if self.folder != self.name and (self.folder.is_relative_to(run) or run.is_relative_to(self.folder)):
-            raise DataError(
-                f"{self.name} is a link to {self.folder}, in or above its own run", remedy="remove the link"
-            )
-        if self.folder != self.name and not self.folder.parent.is_dir():
-            remedy = f"make that folder (mount its disk), or remove the link {self.name}"
-            raise DataError(
-                f"{self.name} is a link to {self.folder}, but {self.folder.parent} is no folder", remedy=remedy
-            )
+        if self.folder != self.name and (why := self._unfit_target()):
+            remedy = "make it a link to an empty folder elsewhere"
+            raise DataError(f"{self.name} is a link to {self.folder}, {why}", remedy=remedy)
         if replacing and self.folder.is_mount():
             remedy = "mount that disk elsewhere and make a link to a folder on it"
             raise DataError(f"{self.folder} is a mount point, which cannot be replaced", remedy=remedy)
+
+    def _unfit_target(self) -> str:
+        """Return why the target of the link cannot hold the result, or ""."""
+        run = self.name.parent.resolve()
+        if self.folder.is_relative_to(run) or run.is_relative_to(self.folder):
+            return "in or above its own run"
+        if not self.folder.parent.is_dir():
+            return f"but {self.folder.parent} is no folder (is its disk mounted?)"
+        if self.folder.is_dir() and any(self.folder.iterdir()) and not (self.folder / VERDICT_FILE).exists():
+            return "whose files are no result of minidual"
+        return ""

@@ -24,7 +24,6 @@ from minidual.gate.manifest import manifest_changes
 SIGNED_FILE = "signed.json"
 _KEY_BYTES = 100_000
 _PUBLIC = re.compile(r"[a-z][\w@.-]+ AAAA[A-Za-z0-9+/]+=*")
-_NAMESPACE = ("-n", "minidual")
 
 
 def _keygen(*words: str | Path, content: bytes) -> subprocess.CompletedProcess[bytes]:
@@ -34,13 +33,8 @@ def _keygen(*words: str | Path, content: bytes) -> subprocess.CompletedProcess[b
             "signatures need the program ssh-keygen", remedy="install OpenSSH's client (Debian: openssh-client)"
         )
     # In a session of its own it has no terminal on which it could ask for a passphrase and wait.
-    command = [program, "-Y", *map(str, words), *_NAMESPACE]
-    try:
-        return subprocess.run(
-            command, input=content, capture_output=True, check=False, timeout=60, start_new_session=True
-        )
-    except subprocess.TimeoutExpired as error:
-        raise UsageError("ssh-keygen gave no answer within 60 s") from error
+    command = [program, "-Y", *map(str, words), "-n", "minidual"]
+    return subprocess.run(command, input=content, capture_output=True, check=False, start_new_session=True)
 
 
 def signature(key: Path, content: bytes) -> str:
@@ -53,11 +47,8 @@ def signature(key: Path, content: bytes) -> str:
     done = _keygen("sign", "-f", regular_file(key, _KEY_BYTES), content=content)
     if done.returncode:
         said = " ".join(done.stderr.decode(errors="replace").split())
-        raise UsageError(
-            f"cannot sign with {key}: {said}",
-            remedy="make a key with `ssh-keygen -t ed25519 -N '' -f FILE`; add one with a passphrase to ssh-agent and "
-            "give its .pub file",
-        )
+        remedy = "`ssh-keygen -t ed25519 -N '' -f FILE` makes a key; of one in ssh-agent, give the .pub file"
+        raise UsageError(f"cannot sign with {key}: {said}", remedy=remedy)
     return done.stdout.decode()
 
 
@@ -65,11 +56,10 @@ def sign(gate: Gate, stages: Sequence[str], key: Path) -> Path:
     """Sign the verdicts of `stages`; return the path of the signature."""
     states = [gate.state(name) for name in stages]
     text = dumps({state.name: state.verdict_sha256 for state in states if state.verdict_sha256})
-    path = gate.store.folder / SIGNED_FILE
-    made = signature(key, text.encode())
-    write_text(path, text)
-    write_text(path.with_name(f"{SIGNED_FILE}.sig"), made)
-    return path.with_name(f"{SIGNED_FILE}.sig")
+    sealed, made = gate.store.folder / f"{SIGNED_FILE}.sig", signature(key, text.encode())
+    write_text(sealed.with_name(SIGNED_FILE), text)
+    write_text(sealed, made)
+    return sealed
 
 
 def unverified(gate: Gate, key: Path) -> list[str]:

@@ -122,10 +122,6 @@ class RunStore:
             for stage in stages:
                 place = self._place(stage)
                 place.check()
-                linked = place.folder if place.name.is_symlink() and place.folder.is_dir() else None
-                if linked and any(linked.iterdir()) and not (linked / VERDICT_FILE).is_file():
-                    message = f"{place.name} is a link to {linked}, whose files are no result of minidual"
-                    raise DataError(message, remedy="make it a link to an empty folder")
                 if place.old.is_dir():
                     self._mend(place)
             yield
