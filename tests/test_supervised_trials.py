@@ -79,7 +79,7 @@ def test_a_reflex_ends_the_trial_of_a_policy(world: World, trial: Trial, config:
         world,
         Kinematics(),
         runtime,
-        lambda name: np.zeros((1, 1, 3), np.uint8),
+        lambda name: (np.zeros((1, 1, 3), np.uint8), world.time),
         ArbiterConfig(),
         50.0,
         supervisor=supervisor,

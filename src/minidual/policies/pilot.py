@@ -17,11 +17,14 @@ from minidual.control.supervisor import Supervisor
 from minidual.errors import DataError
 from minidual.plant.world import World
 from minidual.policies.kinds import Image
+from minidual.policies.plausible import PolicyStoppedError
 from minidual.policies.policy import PolicyRuntime
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Robot
 
 SOURCE = "policy"
+PICTURE_AGE_MAX_S = 0.1
+"""Three periods of a 30 Hz camera."""
 
 
 def load_runtime(checkpoint: Path, config: DeployConfig, robot: Robot) -> PolicyRuntime:
@@ -41,15 +44,33 @@ def load_runtime(checkpoint: Path, config: DeployConfig, robot: Robot) -> Policy
     )
 
 
-def next_command(runtime: PolicyRuntime, world: World, picture: Callable[[str], Image], sequence: int) -> JointCommand:
+Picture = Callable[[str], tuple[Image, float]]
+"""Returns a camera's image (H, W, 3) and when it was taken [s], on the control clock."""
+
+
+def next_command(runtime: PolicyRuntime, world: World, picture: Picture, sequence: int) -> JointCommand:
     """Return the policy's command for the current images and state.
 
     Raises:
         DataError: An image or state does not fit the policy.
+        PolicyStoppedError: A camera fails or is late, or what the policy sees or emits is broken.
     """
-    images = {name: partial(picture, name) for name in runtime.cameras}
+    images = {name: partial(_taken, picture, name, world) for name in runtime.cameras}
     action, n = runtime.act(images, np.concatenate([world.q, world.gripper])), runtime.joints_n
     return JointCommand(action[:n], np.clip(action[n:], 0.0, 1.0), world.time, sequence)
+
+
+def _taken(picture: Picture, name: str, world: World) -> Image:
+    try:
+        image, stamp_s = picture(name)
+    except Exception as error:  # drivers raise anything
+        why = f"camera '{name}' gives no picture ({type(error).__name__}: {error})"
+        raise PolicyStoppedError("camera_failed", why, remedy="look at that camera and its driver") from error
+    age_s = world.time - stamp_s
+    if not -PICTURE_AGE_MAX_S <= age_s <= PICTURE_AGE_MAX_S:
+        why = f"the picture of camera '{name}' is {age_s:.3f} s old; limit {PICTURE_AGE_MAX_S} s"
+        raise PolicyStoppedError("stale_picture", why, remedy="look at that camera and its driver")
+    return image
 
 
 class PolicyPilot:
@@ -57,7 +78,7 @@ class PolicyPilot:
 
     Args:
         world: Already reset.
-        picture: Renders a camera, (H, W, 3).
+        picture: See Picture.
         rate_hz: Of policy and arbiter, as recorded.
         supervisor: Its reflex ends the trial.
     """
@@ -67,7 +88,7 @@ class PolicyPilot:
         world: World,
         kinematics: Kinematics,
         runtime: PolicyRuntime,
-        picture: Callable[[str], Image],
+        picture: Picture,
         arbiter: ArbiterConfig,
         rate_hz: float,
         *,
@@ -94,7 +115,7 @@ class PolicyPilot:
 
     @property
     def done(self) -> bool:
-        """Whether a reflex or invalid data ended the trial, and the arms rest after a reflex."""
+        """Whether a reflex or invalid data ended the trial, and the arms rest."""
         return self.aborted is not None and not self.stack.stopping
 
     def step(self) -> None:
@@ -113,7 +134,7 @@ class PolicyPilot:
                 command = next_command(self._runtime, self.world, self._picture, self._sequence + 1)
             except DataError as error:
                 self.aborted = error.message
-                self.stack.request("hold")
+                self.stack.halt(SOURCE)
             else:
                 self._sequence += 1
                 if self.stack.propose(SOURCE, command) is not None:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from minidual.demos.schema import GRIPPERS_N
 from minidual.errors import DataError, UsageError
 from minidual.policies.kinds import ChunkPolicy, Image, load_policy
+from minidual.policies.plausible import Plausible
 
 Floats = NDArray[np.float64]
 
@@ -57,6 +58,7 @@ class PolicyRuntime:
                     remedy="choose the arm that was recorded: --set robot.arm=NAME",
                 )
             self._lower[: self.joints_n], self._upper[: self.joints_n] = low, high
+        self._plausible = Plausible(self._lower[: self.joints_n], self._upper[: self.joints_n])
         self.times_s: list[float] = []
         """Inference times without rendering."""
         self.reset()
@@ -82,6 +84,7 @@ class PolicyRuntime:
         self._chunk: Floats | None = None
         self._old: Floats | None = None
         self._cursor = 0
+        self._plausible.reset()
 
     def act(self, images: Mapping[str, Image | Callable[[], Image]], state: Floats) -> Floats:
         """Return this tick's action (dim,): joint targets [rad], then openings.
@@ -90,10 +93,14 @@ class PolicyRuntime:
 
         Raises:
             DataError: Missing or wrong image, or non-finite value.
+            PolicyStoppedError: A frozen picture, or actions that no clamp may hide.
         """
+        n = self.joints_n
         if self._chunk is None or self._cursor >= self._steps:
             seen: dict[str, Any] = {c: i() if callable(i) and c in self.cameras else i for c, i in images.items()}
             chunk = self.predict_chunk(seen, state)
+            self._plausible.pictures({camera: seen[camera] for camera in self.cameras}, np.asarray(state)[:n])
+            self._plausible.chunk(chunk[: self._steps + self._blend, :n])
             if self._chunk is not None:
                 left = self._chunk[self._cursor :]
                 # Without overlap the last action is held while the new chunk is blended in.
@@ -104,6 +111,7 @@ class PolicyRuntime:
             share = (self._cursor + 1) / (self._blend + 1)
             action = share * action + (1 - share) * self._old[self._cursor]
         self._cursor += 1
+        self._plausible.action(action[:n])
         return np.clip(action, self._lower, self._upper)
 
     def predict_chunk(self, images: Mapping[str, Image], state: Floats) -> Floats:

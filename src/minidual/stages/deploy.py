@@ -116,6 +116,7 @@ def measure_inference(checkpoint: Path, context: StageContext) -> float:
     rng = stream(context.seed, "deploy/inference")
     state = np.concatenate([robot.home, np.ones(2)])
     for _ in range(_INFERENCES_N):
-        runtime.reset()
-        runtime.act({c: rng.integers(0, 255, (*size, 3), dtype=np.uint8) for c, size in runtime.cameras.items()}, state)
+        runtime.predict_chunk(
+            {c: rng.integers(0, 255, (*size, 3), dtype=np.uint8) for c, size in runtime.cameras.items()}, state
+        )
     return runtime.inference_hz

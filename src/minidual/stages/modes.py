@@ -120,7 +120,7 @@ def _demo(
             turns.append(modes_turns.teleop(stack, operator, trial, seed, rate_hz))
         elif checkpoint is not None:
             runtime = load_runtime(checkpoint, config.deploy, robot)
-            picture = lambda name: eyes.picture(world.data, name)  # noqa: E731
+            picture = lambda name: (eyes.picture(world.data, name), world.time)  # noqa: E731
             turns.append(modes_turns.policy(stack, runtime, picture, task, trial))
     return ModesDemo(stack, turns)
 

@@ -31,7 +31,7 @@ def policy(inputs: MethodInputs) -> Factory:
             world,
             kinematics,
             runtime,
-            lambda name: camera.picture(world.data, name),
+            lambda name: (camera.picture(world.data, name), world.time),
             config.arbiter,
             config.teleop.rate_hz,
             supervisor=supervisor,

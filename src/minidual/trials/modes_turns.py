@@ -13,8 +13,7 @@ from minidual.control.stack import DEFAULT_CONTROLLERS, ControlStack
 from minidual.errors import ExitCode, MinidualError
 from minidual.motion.api import Planner
 from minidual.plant.world import World
-from minidual.policies.kinds import Image
-from minidual.policies.pilot import next_command
+from minidual.policies.pilot import Picture, next_command
 from minidual.policies.policy import PolicyRuntime
 from minidual.robot.pair import Array
 from minidual.skills.operator import ScriptedOperator
@@ -117,12 +116,10 @@ def teleop(stack: ControlStack[World], operator: ScriptedOperator, target: Trial
     return Turn("teleop", "scripted leader: fetches the object, puts it at a new start", drive)
 
 
-def policy(
-    stack: ControlStack[World], runtime: PolicyRuntime, picture: Callable[[str], Image], task: Task, trial: Trial
-) -> Turn:
+def policy(stack: ControlStack[World], runtime: PolicyRuntime, picture: Picture, task: Task, trial: Trial) -> Turn:
     """Let the policy drive until the trial has been finished for 0.5 s, or its time is over.
 
-    `picture` returns the (H, W, 3) image of a camera.
+    `picture` as in `next_command`.
     """
     world = stack.plant
     stack.on_flush(lambda mode: runtime.reset())

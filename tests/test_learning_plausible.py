@@ -1,0 +1,145 @@
+"""What a policy sees and emits is checked before the clamp: a broken one is stopped by name, with the arms at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+from panda import HOME, Q_LOWER, Q_UPPER
+
+from minidual.config.arbiter import ArbiterConfig
+from minidual.control.supervisor import Supervisor
+from minidual.plant.world import World
+from minidual.policies.kinds import ChunkPolicy, Image
+from minidual.policies.pilot import Picture, PolicyPilot
+from minidual.policies.plausible import SWING_RAD, TURNS_MAX, Plausible, PolicyStoppedError
+from minidual.policies.policy import PolicyRuntime
+from minidual.robot.arms import DUAL_PANDA
+from minidual.robot.kinematics import Kinematics
+
+CHUNK = 5
+AWAY = np.eye(14)[0]
+
+
+class Scripted(ChunkPolicy):
+    """Emits what `target` says of each tick."""
+
+    def __init__(self, target: Callable[[int], np.ndarray]) -> None:
+        self.chunk_size, self.dim, self.cameras = CHUNK, 16, {"high": (4, 4)}
+        self._target, self._tick = target, 0
+
+    def predict(self, images: Mapping[str, Image], state: np.ndarray) -> np.ndarray:
+        rows = [np.r_[self._target(self._tick + k), 1.0, 1.0] for k in range(CHUNK)]
+        self._tick += CHUNK
+        return np.array(rows)
+
+
+def _fly(world: World, target: Callable[[int], np.ndarray], picture: Picture, seconds: float = 3.0) -> PolicyPilot:
+    runtime = PolicyRuntime(Scripted(target), n_action_steps=CHUNK, blend_ticks=0, limits=(Q_LOWER, Q_UPPER))
+    supervisor = Supervisor(dt_s=world.dt, kinematics=Kinematics())
+    pilot = PolicyPilot(world, Kinematics(), runtime, picture, ArbiterConfig(), 50.0, supervisor=supervisor)
+    while not pilot.done and world.time < seconds:
+        pilot.step()
+    return pilot
+
+
+def _ramp(tick: int) -> np.ndarray:
+    return HOME + min(0.4, 0.01 * tick) * AWAY
+
+
+def _seen(world: World) -> Picture:
+    """A camera whose picture changes with the arms."""
+    return lambda name: (np.full((4, 4, 3), int(1e4 * world.q[0]) % 251, np.uint8), world.time)
+
+
+OUTPUTS: dict[str, Callable[[int], np.ndarray]] = {
+    "all_zero": lambda tick: np.zeros(14),
+    "out_of_bounds": lambda tick: HOME + (1e6 if tick > 20 else 0.0) * AWAY,
+    "oscillation": lambda tick: HOME + (0.04 if tick % 2 else -0.04) * AWAY,
+}
+
+
+@pytest.mark.parametrize("name", OUTPUTS)
+def test_a_broken_output_stops_the_trial_by_name(world: World, name: str) -> None:
+    """Zeros drove both arms 2.29 rad, 1e6 rad was followed to the limit, alternating targets shook for ever."""
+    pilot = _fly(world, OUTPUTS[name], _seen(world))
+    assert pilot.aborted is not None
+    assert pilot.aborted.startswith(f"{name}: ")
+    assert pilot.stack.reflex is None
+    assert np.abs(world.q - HOME).max() < 0.05
+    assert np.abs(world.v).max() < 0.05
+    assert pilot.stack.source is None
+
+
+def test_slow_swings_are_noticed_too_and_a_task_is_not() -> None:
+    check = Plausible(Q_LOWER, Q_UPPER)
+
+    def swing() -> None:
+        for tick in range(2000):  # one turn in 20 ticks
+            check.action(HOME + 0.6 * SWING_RAD * (1.0 if tick % 40 < 20 else -1.0) * AWAY)
+
+    with pytest.raises(PolicyStoppedError, match=rf"joint 1 of 14 turned back 9 times .* bound {TURNS_MAX}"):
+        swing()
+    check.reset()
+    for tick in range(2000):  # there and back four times in 20 s
+        check.action(HOME + 0.5 * np.sin(2.0 * np.pi * tick / 500) * AWAY)
+    for tick in range(2000):  # noise within the swing
+        check.action(HOME + 0.4 * SWING_RAD * (1.0 if tick % 2 else -1.0) * AWAY)
+
+
+def test_a_sound_policy_flies_on(world: World) -> None:
+    pilot = _fly(world, _ramp, _seen(world), 1.5)
+    assert pilot.aborted is None
+    assert world.q[0] == pytest.approx(HOME[0] + 0.4, abs=0.01)
+
+
+def _frozen(world: World) -> Picture:
+    return lambda name: (np.full((4, 4, 3), 7, np.uint8), world.time)
+
+
+def _late(world: World) -> Picture:
+    return lambda name: (_seen(world)(name)[0], min(world.time, 0.6))
+
+
+def _ahead(world: World) -> Picture:
+    return lambda name: (_seen(world)(name)[0], world.time + (1.0 if world.time > 0.6 else 0.0))
+
+
+def _broken(world: World) -> Picture:
+    def picture(name: str) -> tuple[Image, float]:
+        if world.time > 0.6:
+            raise OSError("no frame within 100 ms")
+        return _seen(world)(name)
+
+    return picture
+
+
+@pytest.mark.parametrize(
+    ("camera", "said"),
+    [
+        (_frozen, "frozen_picture: camera 'high' gives the same picture after 0."),
+        (_late, "stale_picture: the picture of camera 'high' is 0.1"),
+        (_ahead, "stale_picture: the picture of camera 'high' is -1.000 s old"),
+        (_broken, "camera_failed: camera 'high' gives no picture (OSError: no frame within 100 ms)"),
+    ],
+)
+def test_a_broken_camera_stops_the_trial_by_name(world: World, camera: Callable[[World], Any], said: str) -> None:
+    pilot = _fly(world, _ramp, camera(world))
+    assert (pilot.aborted or "").startswith(said)
+    assert np.abs(world.v).max() < 0.05
+    assert 0.02 < world.q[0] - HOME[0] < 0.35
+    before = world.q
+    for _ in range(200):
+        pilot.step()
+    assert np.abs(world.q - before).max() < 0.02
+
+
+def test_arms_that_stand_may_see_the_same_picture() -> None:
+    check = Plausible(DUAL_PANDA.q_lower, DUAL_PANDA.q_upper)
+    image = {"high": np.zeros((4, 4, 3), np.uint8)}
+    for _ in range(100):
+        check.pictures(image, HOME)
+    with pytest.raises(PolicyStoppedError, match="frozen_picture"):
+        check.pictures(image, HOME + 0.11)
