@@ -165,6 +165,14 @@ def test_a_clock_that_fails_is_a_soft_stop(plant: FailingPlant, what: str) -> No
     assert error.reflex.name == "clock"
 
 
+def test_a_clock_that_fails_after_the_encoders_leaves_a_stop_that_sees(plant: FailingPlant) -> None:
+    """Before, a stamp of NaN made the replaced positions NaN, and the stop kept its last torque."""
+    stack = under_way(plant)
+    plant.lies["q"], began = breaks, plant.time
+    plant.lies["time"] = plant.lies["stamp_s"] = lambda t: np.nan if t > began + 0.1 else t
+    assert stopped(plant, stack).reflex.name == "controller_failed"
+
+
 def test_a_clock_that_jumps_ahead_is_a_soft_stop(plant: FailingPlant) -> None:
     stack = under_way(plant)
     began = plant.time

@@ -110,7 +110,7 @@ class JointSense:
             if not usable:
                 self._judge(q, v, tau)
         if self._any_lost:
-            self._replace(q, v, max(new_s, self._dt))
+            self._replace(q, v, new_s if new_s > 0.0 else self._dt)  # the stamp may be NaN
         else:
             self.q[:], self.v[:] = q, v
         return usable
