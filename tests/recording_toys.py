@@ -49,7 +49,8 @@ class ToyRig(Rig):
         phase = np.random.default_rng(trial.index).uniform(0.0, 2.0 * np.pi, 14)
         times = np.arange(TICKS) / 50.0
         q = DUAL_PANDA.home + 0.05 * np.sin(2.0 * np.pi * 0.5 * times[:, None] + phase)
-        pixels = np.random.default_rng(7).integers(90, 110, (32, 32, 3), dtype=np.uint8)
+        camera = self.job.task.scene.camera
+        pixels = np.random.default_rng(7).integers(90, 110, (camera.height_px, camera.width_px, 3), dtype=np.uint8)
         for k, t in enumerate(times):
             images = {camera: pixels + np.uint8(k) for camera in self.job.teleop.cameras}
             seen = Observation(t, t + self.late_s, q[k], np.zeros(14), np.ones(2), images)

@@ -253,7 +253,7 @@ def test_what_a_source_does_to_its_arrays_after_the_proposal_changes_nothing(pla
 def test_a_trajectory_is_the_arbiters_own(plant: FailingPlant) -> None:
     stack = stack_on(plant, supervisor=Supervisor(dt_s=plant.dt))
     hand_over(stack, "moveit")
-    command = trajectory(stack, move(HOME, HOME + 0.1, 0.5))
+    command = trajectory(stack, move(HOME, HOME + 0.1, 0.5), gripper=np.ones(2))
     assert isinstance(command, TrajectoryCommand)
     assert stack.propose("moveit", command) is None
     for values in (command.motion.q, command.motion.v, command.motion.a, command.gripper):

@@ -38,7 +38,7 @@ class Arms(FailingPlant):
 
     def __init__(self, scene: SceneConfig) -> None:
         super().__init__(scene)
-        model = self._kinematics.model
+        model = self._kinematics.model = self._kinematics.model.copy()  # all workspaces share the original
         model.armature = model.armature + self.dt * JOINT_DAMPING
 
 

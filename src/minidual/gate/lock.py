@@ -40,6 +40,8 @@ def run_lock(folder: Path, command: str, name: str = LOCK_FILE) -> Generator[Non
             stream.truncate(0)
             if name != LOCK_FILE:
                 (folder / name).unlink(missing_ok=True)
+                with suppress(OSError):  # of a tool that wrote nothing else
+                    folder.rmdir()
 
 
 def _acquired(stream: TextIO) -> bool:
