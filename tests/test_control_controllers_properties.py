@@ -111,7 +111,7 @@ class Witness:
     def _offer(self, source: str, command: Any) -> None:
         if self.stack.propose(source, command) is None:
             self._offered_s = self.plant.time
-            self.taken[id(command)] = source
+            self.taken[command.sequence] = source
             self._kept.append(command)  # so that no other command gets its id
 
     def stream(self, source: str, group: str, offset: float, age: float, fault: str, ticks: int) -> None:
@@ -174,7 +174,7 @@ class Witness:
             assert not out.executions, "a command runs on through a halt"
             assert self.turn is None
         for execution in out.executions:
-            source = self.taken.get(id(execution.command))
+            source = self.taken.get(execution.command.sequence)
             assert execution.braking or source == self.turn, "a command of another turn runs"
             # The last sign is heard at the next tick, and the silence noticed at one.
             silent_s = self.plant.time - max(self._alive_s, self._offered_s)
