@@ -206,7 +206,7 @@ def require(path: Path, kind: str) -> None:
 
 
 def regular_file(path: Path, bytes_max: int) -> Path:
-    """Return `path`; DataError unless it is a regular file of at most `bytes_max`: no folder, pipe or device."""
+    """Return `path`; DataError unless it is a regular file of at most `bytes_max`."""
     if (kind := kind_of(path)) != "file":
         raise DataError(f"{path} {f'is a {kind}, not a file' if kind else 'does not exist'}")
     if (size := path.stat().st_size) > bytes_max:

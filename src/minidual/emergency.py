@@ -47,12 +47,10 @@ def check() -> None:
 
 @functools.cache
 def listen() -> None:
-    """Press at SIGUSR1 from now on; call before other threads and processes start.
-
-    They inherit the blocked signal, which would end them, and leave it to one thread, which no long call delays.
-    """
+    """Press at SIGUSR1 from now on; call before other threads and processes start."""
     global _listening
     _listening = True
+    # inherited by threads and processes, which the signal would end; no long call delays the thread that takes it
     signal.pthread_sigmask(signal.SIG_BLOCK, {SIGNAL})
     threading.Thread(target=_wait, daemon=True, name="emergency-stop").start()
 

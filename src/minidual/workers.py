@@ -40,10 +40,7 @@ def in_workers[Item, Result](
 
 @contextlib.contextmanager
 def _unsignalled_children() -> Generator[None]:
-    """Start processes that signals to their group do not reach: blocked signals are inherited.
-
-    This process gets what came meanwhile when it unblocks them.
-    """
+    """Start processes that signals to their group do not reach: blocked signals are inherited."""
     signals = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
     before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
     try:

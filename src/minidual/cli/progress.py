@@ -21,7 +21,7 @@ class BarTask(Task):
         self._bar = self._bars.add_task(description, total=total, note="")
 
     def advance(self, steps: float = 1, note: str = "") -> None:
-        """Count `steps`; `note` is shown beside the bar."""
+        """See `Task`."""
         self._bars.update(self._bar, advance=steps)
         if note:
             self._bars.update(self._bar, note=note)

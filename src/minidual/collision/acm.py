@@ -119,10 +119,7 @@ class BuiltAcm:
 
 @cache
 def acm_report(robot: Robot) -> BuiltAcm:
-    """Return matrix and history from the user's cache, or build them (1 s).
-
-    They are built again if the digest of model and content in the file does not match, or if it is no such file.
-    """
+    """Return matrix and history from the user's cache, or build them (1 s) if it lacks the model or is damaged."""
     model = model_hash(robot)
     root = expanded(os.environ.get("MINIDUAL_CACHE") or "~/.cache/minidual")
     path = root / f"acm-{model[:20]}.json"

@@ -46,7 +46,7 @@ class CoalEngine:
             request.gjk_tolerance = _GJK_TOLERANCE
 
     def collisions(self, Q: Array) -> np.ndarray:
-        """Return contact (n,) bool for Q (n, dof)."""
+        """See `ENGINES`."""
         if len(Q) == 0:
             return np.zeros(0, dtype=bool)
         columns = np.asfortranarray(np.asarray(Q, dtype=float).T)

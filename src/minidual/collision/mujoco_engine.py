@@ -66,7 +66,7 @@ class MujocoEngine:
         return self.contact_count(q) > 0
 
     def collisions(self, Q: Array) -> np.ndarray:
-        """Return contact (n,) bool for Q (n, dof)."""
+        """See `ENGINES`."""
         return np.fromiter((self.in_collision(q) for q in Q), dtype=bool, count=len(Q))
 
     def closest(self, q: Array, within_m: float = _CLOSEST_WITHIN_M) -> list[PairDistance]:

@@ -1,4 +1,4 @@
-"""Planning scenes in YAML (docs/planning-scenes.md). Messages name file, line and dotted path."""
+"""Planning scenes in YAML (docs/planning-scenes.md)."""
 
 from __future__ import annotations
 

@@ -24,8 +24,7 @@ _HALF = re.compile("[\ud800-\udfff]")
 _WORDS = {"": None, "~": None, "null": None, "true": True, "false": False}
 _BYTES_MAX = 256 * 1024
 _DEPTH_MAX = 32
-_NODES_MAX = 20_000
-"""Parsed within 1 s."""
+_NODES_MAX = 20_000  # parsed within 1 s
 _MAGNITUDE_MIN, _MAGNITUDE_MAX = 1e-15, 2.0**63
 """Of numbers other than 0; no quantity here is smaller or larger in its unit."""
 

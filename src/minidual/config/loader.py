@@ -1,4 +1,4 @@
-"""Load and validate configurations; messages name file and line."""
+"""Load and validate configurations."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def load_config(profile: str = DEFAULT_PROFILE, overrides: Sequence[Override | s
     """Load a profile (shipped name or .yaml file), apply overrides, and validate.
 
     Raises:
-        ConfigError: All problems, with file, line and dotted path.
+        ConfigError: All problems.
         UsageError: There is no such profile.
     """
     name, path = find_profile(profile)
@@ -150,7 +150,7 @@ def validate_document[Model: BaseModel](document: Document, model: type[Model]) 
     """Return the document as a model.
 
     Raises:
-        ConfigError: All problems, with file, line and dotted path.
+        ConfigError: All problems.
     """
     try:
         return model.model_validate_json(json.dumps(document.tree, allow_nan=False), strict=True)

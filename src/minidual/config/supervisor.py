@@ -19,11 +19,9 @@ class SupervisorConfig(StrictModel):
     torque_scale: float = Field(default=1.0, ge=0.01, le=1.0)
     torque_rate_scale: float = Field(default=1.0, ge=0.01, le=1.0)
     """Share of 1000 Nm/s."""
+    # targets streamed at 50 Hz jump once in 20 ticks and reach 1.3 between; chatter jumps every tick
     torque_rate_excess: float = Field(default=3.0, ge=1.0, le=5.0)
-    """Multiple of the torque rate bound beyond which a requested torque jumps.
-
-    Targets streamed at 50 Hz jump once in 20 ticks and reach 1.3 between; chatter jumps every tick.
-    """
+    """Multiple of the torque rate bound beyond which a requested torque jumps."""
     torque_rate_patience_s: float = Field(default=0.05, ge=0.001, le=1.0)
     """Reflex when ticks with jumps outnumber others by this time."""
     saturation_s: float = Field(default=0.02, ge=0.001, le=1.0)

@@ -11,8 +11,7 @@ from minidual.control.object_impedance import SQUEEZE_CEILING_N, ObjectState
 from minidual.robot.pair import Array, Robot
 from minidual.robot.poses import rotation_log
 
-OBJECT_SPEED_MAX_M_PER_S = 1.0
-"""Just below the arms' own limits."""
+OBJECT_SPEED_MAX_M_PER_S = 1.0  # just below the arms' own limits
 
 _LIMIT_TOLERANCE_RAD = 1e-6
 _SPEED_TOLERANCE = 1.02
@@ -21,8 +20,7 @@ _REST_RAD_PER_S = 0.01
 _REST_OBJECT = 0.005
 _OBJECT_SAMPLES, _SAMPLE_S = 61, 0.1
 """Least number of samples, and longest time between two."""
-_JUMP_M, _JUMP_RAD = 0.02, 0.1
-"""Between two samples; a path with bounded jerk stays an order below."""
+_JUMP_M, _JUMP_RAD = 0.02, 0.1  # between two samples; a path with bounded jerk stays an order below
 
 
 def check(command: Command, robot: Robot) -> Reason | None:

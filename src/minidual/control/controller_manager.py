@@ -47,7 +47,6 @@ class ControllerManager:
         return tuple(c.name for c in self._active)
 
     def __getitem__(self, name: str) -> Controller:
-        """Return a controller by name."""
         if name not in self._all:
             raise unknown_name("controller", name, self._all)
         return self._all[name]

@@ -90,7 +90,7 @@ class JointTrajectoryController(Controller):
                 self._executions[execution] = (offset, 0 if np.abs(offset).max() > 1e-12 else -1)
 
     def update(self, q: Array, v: Array) -> Array:
-        """Run one control step."""
+        """See `Controller`."""
         if self._executions:
             braking = any(execution.braking for execution in self._executions)
             q_ref, v_ref, a_ref = self._trajectory_reference()

@@ -31,8 +31,6 @@ _LOOK_AHEAD_ROWS = 500
 
 
 class _Execution:
-    """A running timed command."""
-
     def __init__(self, arms: tuple[int, ...], duration_s: float, dt_s: float) -> None:
         self.arms = arms
         self._steps, self._k = max(1, int(np.ceil(duration_s / dt_s - 1e-6))), -1

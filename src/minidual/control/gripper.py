@@ -17,8 +17,7 @@ CLOSE_BELOW, OPEN_ABOVE = 0.4, 0.6
 """Hysteresis against opening commands wavering about the middle."""
 JOINT_PINCH_N = 60.0
 """Pinch force in joint-space modes: 1.5 times the internal force a stiff pair can demand."""
-_COMPLIANCE_M_PER_NS = 0.01
-"""k: a 5000 N/m servo settles with a 20 ms time constant."""
+_COMPLIANCE_M_PER_NS = 0.01  # k: a 5000 N/m servo settles with a 20 ms time constant
 _NEAR = 0.9
 
 

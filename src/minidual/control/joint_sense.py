@@ -135,7 +135,7 @@ class JointSense:
         kept[_R, self.lost.any(axis=0)] = 0.0
 
     def _lose(self, lost: npt.NDArray[np.bool_], since_s: float) -> None:
-        """Stop using values; joints that have lost both begin to follow the model, from `since_s` ago."""
+        """Stop using values; joints that have lost both follow the model from `since_s` ago."""
         seen = ~self.lost.all(axis=0)
         self.lost |= lost
         self._any_lost = True
@@ -152,7 +152,7 @@ class JointSense:
         self.q = np.where(q_lost & v_lost, q_model, np.where(q_lost, self.q + step_s * self.v, q))
 
     def _moved(self, torques: list[Array]) -> tuple[Array, Array]:
-        """Return (q, v) after steps under these torques, by forward dynamics."""
+        """Return (q, v) after steps under these torques."""
         q, v, arm = self.q, self.v, self._robot.arm
         for tau in torques:
             friction = arm.damping * v + arm.friction * np.tanh(v / 0.02)

@@ -19,17 +19,16 @@ from minidual.robot.pair import Array
 
 _REAL = types.float64
 _VIEW = types.Array(_REAL, 1, "A", readonly=True)
-_TURNED = types.float64[::1, :]
-"""Pinocchio's matrices are column-major."""
+_TURNED = types.float64[::1, :]  # Pinocchio's matrices are column-major
 
-LAW = np.dtype(
+LAW = np.dtype(  # one argument instead of eight saves 0.5 us a call
     [
         *((name, "f8", 6) for name in ("K", "D")),
         *((name, "f8") for name in ("mass", "posture_stiffness", "posture_damping")),
         *(("inertia", "f8", (3, 3)), ("axis", "f8", 3), ("R_tcps_object", "f8", (2, 3, 3))),
     ]
 )
-"""What `impedance` knows before the first step; one argument instead of eight saves 0.5 us a call."""
+"""What `impedance` knows before the first step."""
 
 Vector = tuple[float, float, float]
 Elements = Any

@@ -11,10 +11,8 @@ from minidual.robot.pair import Array, Robot
 ROWS: tuple[str, ...] = ("position", "velocity", "torque", "torque_step", "acceleration", "acceleration_step")
 """Quantities compared each tick, per joint; a step is a difference between ticks."""
 
-POSITION_TOLERANCE_RAD = 1e-3
-"""Targets may lie on the bound; tracking is imperfect."""
-TORQUE_TOLERANCE = 1e-6
-"""Relative excess accepted as rounding."""
+POSITION_TOLERANCE_RAD = 1e-3  # targets may lie on the bound; tracking is imperfect
+TORQUE_TOLERANCE = 1e-6  # relative excess accepted as rounding
 SATURATED = 0.999
 """Share of the torque limit that counts as saturated; controllers clip at 1."""
 _WIDTH_M = 0.1

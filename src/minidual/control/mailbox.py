@@ -92,7 +92,7 @@ class Mailbox:
 
 
 def _own(command: Command) -> Command:
-    """Return a copy: what a source does to its arrays later changes nothing. Object paths are called, not copied."""
+    """Return a copy, safe from the source; object paths are called, not copied."""
     if isinstance(command, ObjectCommand):
         return replace(command, gripper=np.array(command.gripper, dtype=float))
     return copy.deepcopy(command)

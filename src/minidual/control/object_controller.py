@@ -74,7 +74,7 @@ class ObjectImpedanceController(Controller):
         return "far_start", f"{start}; bounds {_START_M} m, {_START_RAD} rad"
 
     def not_ready(self) -> str:
-        """Return why it cannot be activated, or ""."""
+        """See `Controller`."""
         if self._next is None:
             return "it has not been told what is held"
         return "" if self._sensor is not None else "no sensor tells it of an object"
@@ -97,7 +97,7 @@ class ObjectImpedanceController(Controller):
                 self._execution = execution
 
     def update(self, q: Array, v: Array) -> Array:
-        """Run one control step."""
+        """See `Controller`."""
         law, sensor = self._ready()
         if self._execution is not None:
             self.desired, self._squeeze_wanted = self._execution.desired, self._execution.squeeze_n

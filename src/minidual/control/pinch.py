@@ -13,8 +13,7 @@ import math
 
 from minidual.errors import UsageError
 
-SAFETY = 1.5
-"""Friction varies by some tenths between pads and days."""
+SAFETY = 1.5  # friction varies by some tenths between pads and days
 _GRAVITY = 9.81
 
 

@@ -15,8 +15,7 @@ import numpy as np
 from minidual.control.kernels import follow_target
 from minidual.robot.pair import Array, Robot
 
-_BRAKE_SHARE = 0.9
-"""b / a_max; the rest serves to track the curve."""
+_BRAKE_SHARE = 0.9  # b / a_max; the rest serves to track the curve
 
 
 class ReferenceFilter:

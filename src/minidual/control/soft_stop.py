@@ -13,8 +13,7 @@ from minidual.robot.pair import Array, Robot
 
 STOP_SHARE = 0.5
 """Peak deceleration as share of the joints' limits."""
-_STOP_FREQUENCY_RAD_S = 8.0
-"""Soft: hands on one object must not fight."""
+_STOP_FREQUENCY_RAD_S = 8.0  # soft: hands on one object must not fight
 
 
 class TorqueRate:
@@ -90,7 +89,7 @@ class SoftStopController(Controller):
         self.reference = np.array(q, dtype=float)
 
     def update(self, q: Array, v: Array) -> Array:
-        """Run one control step."""
+        """See `Controller`."""
         q_ref, v_ref, a_ref = self._motion.at(self._steps * self._dt)
         self._steps += 1
         self.reference = q_ref

@@ -110,7 +110,7 @@ class ControlStack[P: Plant]:
         self._off: SwitchedOff | None = None
 
     def _stand(self, gripper: Array) -> None:
-        """Begin anew at the measured posture with openings (2,), without commands, requests and reflex."""
+        """Begin anew at the measured posture with openings (2,)."""
         self.arbiter = CommandArbiter(
             self._robot,
             self._config,
@@ -269,7 +269,7 @@ class ControlStack[P: Plant]:
         self.advance()
 
     def fail(self, error: Exception) -> None:
-        """Stop the arms in the next tick: a source, a sensor or whatever else the loop calls has failed.
+        """Stop the arms in the next tick: something that the loop calls has failed.
 
         Raises:
             Exception: `error`, without a supervisor.
@@ -280,7 +280,7 @@ class ControlStack[P: Plant]:
             self._failed = error
 
     def _attempt[T](self, part: Callable[[], T], otherwise: T) -> T:
-        """Run a part of a tick; what it raises stops the arms and never leaves the tick without torque."""
+        """Run a part of a tick; if it raises, stop the arms and return `otherwise`."""
         try:
             return part()
         except Exception as error:

@@ -168,7 +168,7 @@ class Supervisor:
     # Checks --------------------------------------------------------------------------------------------------
 
     def _note(self, time_s: float, q: Array, v: Array, tau: Array, stamp_s: float | None) -> Array:
-        """Take this tick's time, measurements and requested torque; return the torque applied last."""
+        """Take this tick's values; return the torque applied last."""
         self._q[:], self._v[:], self._tau[:] = q, v, tau
         if self._applied is None:
             self._applied = self._before_control(q)

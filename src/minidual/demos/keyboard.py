@@ -29,8 +29,7 @@ _MOVES: dict[str, tuple[int, int]] = {
     for axis, keys in enumerate(("ws", "ad", "rf", "qe"))
     for key, sign in zip(keys, (1, -1), strict=True)
 }
-_ESCAPE = "\x1b"
-"""The key alone; arrow keys send it with more."""
+_ESCAPE = "\x1b"  # the key alone; arrow keys send it with more
 _SELECTIONS: tuple[list[int], ...] = ([0, 1], [0], [1])
 
 
@@ -67,7 +66,7 @@ class KeyboardLeader(Leader):
         return cls(Kinematics(setup.robot))
 
     def read(self, now_s: float) -> tuple[Array, Array] | None:
-        """Process keys; return joints (n,) and openings (2,)."""
+        """Process keys; see `Leader`."""
         if select.select([self._fd], [], [], 0.0)[0]:
             keys = os.read(self._fd, 256).decode(errors="ignore")
             if keys == _ESCAPE or "x" in keys.lower():

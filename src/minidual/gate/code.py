@@ -98,8 +98,6 @@ def _source(name: str) -> Path | None:
 
 
 class _Strip(ast.NodeTransformer):
-    """Removes docstrings and blocks under TYPE_CHECKING."""
-
     def visit_Expr(self, node: ast.Expr) -> ast.AST | None:
         return None if isinstance(node.value, ast.Constant) and isinstance(node.value.value, str) else node
 

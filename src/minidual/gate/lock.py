@@ -68,7 +68,7 @@ def lock_holder(folder: Path, name: str = LOCK_FILE) -> str | None:
 def lock_holders(folder: Path) -> dict[int, str]:
     """Return the holders of all locks in a run folder, as `lock_holder` names them, by process id.
 
-    A process counts if it has the file of its lock open: an id alone may be of another container, or of a later process.
+    A process counts if it has the file of its lock open.
     """
     import psutil  # 40 ms that other commands do not need
 

@@ -19,8 +19,7 @@ class Place:
     """The place of one result.
 
     Attributes:
-        name: `runs/<run>/<stage>`. If it is a link to a folder elsewhere, the result lies and is replaced there: renames
-            work only inside one file system.
+        name: `runs/<run>/<stage>`. If it is a link to a folder elsewhere, the result lies and is replaced there.
     """
 
     name: Path

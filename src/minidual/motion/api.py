@@ -33,8 +33,8 @@ _SAME_RAD = 1e-9
 _TRIES_OF_FIRST = 4
 _CHECKS_MAX = 10_000_000
 _PADDING_MAX_M = 0.02
+# more state checks per failed search: times are heavy-tailed, so several short searches beat a long one
 _PATIENCE = 1.5
-"""Growth of state checks per failed search: times are heavy-tailed, so several short searches beat a long one."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class QueryOptions(TypedDict, total=False):
 
 
 class Planner:
-    """Plans for left_arm, right_arm and both_arms. One instance per process; it holds workspaces.
+    """Plans for left_arm, right_arm and both_arms. One instance per process.
 
     `scene` is the default one. Equal queries with equal seeds give equal trajectories.
 

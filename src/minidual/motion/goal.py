@@ -21,8 +21,7 @@ from minidual.durable import kind_of, read_json
 from minidual.errors import ConfigError, DataError, UsageError, unknown_name
 
 _KINDS = ("state", "joints_rad", "joints_by_name_rad", "poses", "move")
-_BYTES_MAX = 2**26
-"""A minute of motion."""
+_BYTES_MAX = 2**26  # a minute of motion
 
 
 class TipPose(PlaceFields):

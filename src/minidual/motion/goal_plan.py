@@ -77,7 +77,7 @@ class NamedStates(dict[str, dict[str, Array]]):
 
 
 class GoalPlanner:
-    """Plans to a `Goal`. One instance per process; it holds workspaces."""
+    """Plans to a `Goal`. One instance per process."""
 
     def __init__(self, planner: Planner | None = None, semantics: SemanticsConfig | None = None) -> None:
         self.planner = planner or Planner()

@@ -15,10 +15,8 @@ from numba.core import types
 from minidual.robot.compiled import BLOCKS, ROWS, VECTOR, kernel
 from minidual.robot.pair import Array
 
-_SMALL = 0.05
-"""Below this angle [rad] series replace quotients, which lose digits."""
-_NEAR_HALF_TURN = math.pi - 1e-3
-"""Above this angle [rad] a rotation's antisymmetric part loses digits."""
+_SMALL = 0.05  # below this angle [rad] series replace quotients, which lose digits
+_NEAR_HALF_TURN = math.pi - 1e-3  # above this angle [rad] a rotation's antisymmetric part loses digits
 _DAMPING_FIRST, _DAMPING_LEAST, _DAMPING_MOST = 1e-3, 1e-10, 1e4
 _DAMPING_DOWN, _DAMPING_UP = 0.2, 5.0
 _DAMPING_PROJECT = 1e-9
@@ -148,7 +146,6 @@ def _jacobian(measured: Any, J: Array) -> None:
 
 @njit
 def _inner(J: Array, i: int, e: Array) -> float:
-    """Return J[:, i] . e."""
     s = 0.0
     for k in range(6):
         s += J[k, i] * e[k]

@@ -89,7 +89,7 @@ class _Curve:
 
 
 class LinearPlanner:
-    """Plans straight tcp moves. One instance per process; it holds workspaces."""
+    """Plans straight tcp moves. One instance per process."""
 
     def __init__(self, limits: MotionLimits | None = None, kinematics: Kinematics | None = None) -> None:
         self._kinematics = kinematics or Kinematics()

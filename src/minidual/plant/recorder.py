@@ -16,8 +16,7 @@ from minidual.plant.recording import STATE, Recording, physical_fields, versions
 from minidual.plant.world import World
 from minidual.robot.pair import Array
 
-_KEYFRAME_S, _KEYFRAME_TRIAL_S = 0.02, 0.1
-"""Keyframe spacing: dense in dumps, sparse in whole trials."""
+_KEYFRAME_S, _KEYFRAME_TRIAL_S = 0.02, 0.1  # dense in dumps, sparse in whole trials
 
 
 class Recorder:

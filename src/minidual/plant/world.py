@@ -91,12 +91,12 @@ class World:
 
     @property
     def q(self) -> Array:
-        """Joint positions (n,) [rad]."""
+        """See `Plant`."""
         return self._qpos[self.joints.qpos]
 
     @property
     def v(self) -> Array:
-        """Joint velocities (n,) [rad/s]."""
+        """See `Plant`."""
         return self._qvel[self.joints.qvel]
 
     @property

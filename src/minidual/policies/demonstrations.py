@@ -59,7 +59,6 @@ class Demonstrations:
         object.__setattr__(self, "last_tick", last)
 
     def __len__(self) -> int:
-        """Number of ticks."""
         return int(self.state.shape[0])
 
     @property

@@ -23,8 +23,7 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Robot
 
 SOURCE = "policy"
-PICTURE_AGE_MAX_S = 0.1
-"""Three periods of a 30 Hz camera."""
+PICTURE_AGE_MAX_S = 0.1  # three periods of a 30 Hz camera
 
 
 def load_runtime(checkpoint: Path, config: DeployConfig, robot: Robot) -> PolicyRuntime:

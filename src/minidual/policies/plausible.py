@@ -13,8 +13,7 @@ from minidual.errors import DataError
 
 Floats = NDArray[np.float64]
 
-OVERSHOOT_RAD = 0.3
-"""Networks regress to targets at a limit with some error; beyond this it is no target."""
+OVERSHOOT_RAD = 0.3  # networks regress to targets at a limit with some error
 _ZERO_RAD = 1e-9
 SWING_RAD = 0.05
 """A joint target turns back when it leaves its last extreme by this much."""

@@ -17,8 +17,7 @@ from minidual.robot.compiled import floats
 from minidual.robot.pair import SIDES, Array
 from minidual.robot.trajectory import Trajectory
 
-_SLACK_M = 2e-5
-"""For rounding; the engines' vertices differ by 1e-7 m."""
+_SLACK_M = 2e-5  # for rounding; the engines' vertices differ by 1e-7 m
 _FIRST_RAD = 0.5
 """Length of the first stretches, summed over joints."""
 _STRETCHES_MAX = 256

@@ -13,10 +13,8 @@ from minidual.robot.trajectory import Trajectory, largest
 _ROUNDING = 1e-9
 _REST_RAD_S = 1e-6
 _TORQUE_EVERY = 4
-_BLOCK = 500
-"""Samples at a time; longer blocks leave the processor's cache."""
-_MISFIT = 0.05
-"""Allowed mismatch as a fraction of the acceleration limit; plans of 300 stored queries reach 0.016."""
+_BLOCK = 500  # samples at a time; longer blocks leave the processor's cache
+_MISFIT = 0.05  # share of the acceleration limit; plans of 300 stored queries reach 0.016
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,7 @@ most a sum over joint pairs: both steps times the distance from the outer axis. 
 from its chord. Leaving the line by e_j adds at most r_j e_j (r_j: reach). A plane clearing both ends by more than both
 deviations separates the solids throughout. Links of one arm are seen from the inner one.
 
-NaN counts as not proven: sums propagate it, comparisons drop it. Helpers share this file: numba's cache watches no
-other.
+NaN counts as not proven: sums propagate it, comparisons drop it.
 """
 
 from __future__ import annotations

@@ -118,7 +118,7 @@ def _of_both(name: str) -> cached_property[Array]:
 
 @dataclass(frozen=True)
 class Robot:
-    """Two arms of one model."""
+    """Two arms of one model; limits are (n,), units as in ArmModel."""
 
     arm: ArmModel
 
@@ -183,16 +183,9 @@ class Robot:
         return slice(arm * n, (arm + 1) * n)
 
     home = _of_both("home")
-    """Home posture [rad]."""
     q_lower = _of_both("q_lower")
-    """Position limits [rad]."""
     q_upper = _of_both("q_upper")
-    """Position limits [rad]."""
     v_max = _of_both("v_max")
-    """Velocity limits [rad/s]."""
     a_max = _of_both("a_max")
-    """Acceleration limits [rad/s^2]."""
     jerk_max = _of_both("jerk_max")
-    """Jerk limits [rad/s^3]."""
     tau_max = _of_both("tau_max")
-    """Torque limits [Nm]."""

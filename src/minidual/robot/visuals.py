@@ -37,8 +37,7 @@ class VisualMesh:
 
 
 _Colour = tuple[float, float, float, float]
-_SHRINK_MAX_M = 0.01
-"""A link that shrinks by more was cut."""
+_SHRINK_MAX_M = 0.01  # a link that shrinks by more was cut
 _GREY: _Colour = (0.7, 0.7, 0.7, 1.0)
 
 

@@ -27,8 +27,7 @@ from minidual.show.view.overlay import ARM_RGB
 from minidual.trials.methods import Method
 from minidual.trials.runner import StepHook, Watch
 
-_ASIDE_M = np.array([0.05, 0.0, 0.0])
-"""Offset of force arrows from the hands, where the object would hide them."""
+_ASIDE_M = np.array([0.05, 0.0, 0.0])  # from the hands, where the object would hide the arrows
 _BRAKE_EVERY_S, _LOST_S = 0.01, 0.1
 _PATH_POINTS = 60
 _STATIC_M = 1e-3

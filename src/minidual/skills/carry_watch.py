@@ -206,8 +206,7 @@ class CarryWatch:
     def _ease(self, spread_m: float) -> None:
         """Reduce the internal force when the hands begin to slip.
 
-        The force felt then is what friction carries, 2 mu times the pinch. It rises on the table, so low
-        friction shows there.
+        The force felt then is what friction carries, 2 mu times the pinch.
         """
         if self._spread_m is None:
             self._spread_m = spread_m

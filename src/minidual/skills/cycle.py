@@ -24,8 +24,7 @@ from minidual.tasks.task import Task, Trial
 _ALONG_Y = (0.5**0.5, -(0.5**0.5), 0.0, 0.0)
 _BY_FORCE = ("squeeze", "settle", "unload")
 _CARRYING = ("lift", "carry", "lower")
-_PLANNED_TILT = 0.9
-"""Share of the task's tilt limit that a plan may use: driven, the object tilts a little more."""
+_PLANNED_TILT = 0.9  # share of the task's limit; driven, the object tilts a little more than planned
 _OF_HANDS = {"descend": Descend, "close": Close, "open": Open, "retreat": Retreat, "home": Home}
 
 

@@ -243,7 +243,6 @@ class ImpedanceCarry:
         self._halt(self._sensed())
 
     def _sensed(self) -> Fault | None:
-        """Return the phase's sensed fault, or None."""
         watch, phase = self.watch, self.phase
         if phase not in ("open", "retreat", "stop", "done"):
             lost = watch.sensors(moving=phase in ("squeeze", "carry"))
@@ -260,7 +259,6 @@ class ImpedanceCarry:
         return None
 
     def _halt(self, fault: Fault | None) -> None:
-        """Halt if there is a fault."""
         if fault is None or self._halted:
             return
         self._halted = True

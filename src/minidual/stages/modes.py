@@ -126,7 +126,6 @@ def _demo(
 
 
 def _counted(demo: ModesDemo, bar: Bar) -> Iterator[Turn]:
-    """Yield the steps and count turns."""
     for turn, steps in itertools.groupby(demo.steps()):
         yield from steps
         bar.advance(note=f"{turn.mode} done")

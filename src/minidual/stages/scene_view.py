@@ -24,8 +24,7 @@ from minidual.show.view import Slider
 from minidual.show.watch import Brake, StackNarrator, watched
 
 _SOURCE = "teleop"
-_SLICE_S = 0.02
-"""Time between targets from the sliders: one tick of the arbiter, which limits their speed."""
+_SLICE_S = 0.02  # one tick of the arbiter, which limits the sliders' speed
 
 
 def joint_sliders(robot: Robot) -> list[Slider]:

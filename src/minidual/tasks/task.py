@@ -18,7 +18,7 @@ from minidual.robot.pair import SIDES, Array
 from minidual.tasks.success import SuccessCondition
 
 ObjectPose = Array | tuple[float, float, float]
-"""A pose (4, 4), or (x, y, yaw) [m, m, rad] resting on the table."""
+"""As in minidual.plant.bodies."""
 
 
 @dataclass(frozen=True)

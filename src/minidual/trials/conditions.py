@@ -38,8 +38,7 @@ _ALOFT_M = 0.01
 DRY_NM = 0.36
 """Coulomb friction of a Panda's joint, mean of seven: half of phi_1 (0.30 to 1.28 Nm) in Gaz et al., IEEE RA-L 4(4),
 2019."""
-_MOVED_AT_S = 0.5
-"""When the object is moved: the hands have left home and are not yet near."""
+_MOVED_AT_S = 0.5  # the hands have left home and are not yet near
 
 
 class Disturbance(Protocol):

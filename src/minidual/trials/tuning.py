@@ -33,8 +33,7 @@ PURPOSE = "tuning"
 """Random stream of the starts, not used for acceptance."""
 CARRIES_N = 5
 FORCES_N = (10.0, 20.0, 30.0, 40.0)
-STIFFNESSES_N_PER_M = (150.0, 300.0, 450.0, 600.0)
-"""The last is the largest recommended."""
+STIFFNESSES_N_PER_M = (150.0, 300.0, 450.0, 600.0)  # the last is the largest recommended
 FORCE_FACTOR, STIFFNESS_FACTOR = 1.5, 0.8
 OSCILLATION_MAX_M = 0.0003
 """Limit of `oscillation_m`."""

@@ -30,8 +30,7 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import inverse
 
-_LIMITS = MotionLimits(smoothing_s=0.1)
-"""Gentler than with empty hands."""
+_LIMITS = MotionLimits(smoothing_s=0.1)  # gentler than with empty hands
 METHODS = ("object_rrt", "object_rrt", "object_rrt", "projected", "object_rrt", "object_rrt", "atlas")
 """Search methods by attempt, cyclic; the straight motion comes first."""
 _CORNERS_M = (0.06, 0.02, 0.006)
@@ -104,7 +103,7 @@ class NotFreeError(ClosedChainError, reason="not_free"):
 
 
 class HeldPlanner:
-    """Plans moves of held objects. One instance per process; it holds workspaces."""
+    """Plans moves of held objects. One instance per process."""
 
     def __init__(self, planner: Planner | None = None) -> None:
         self.planner = planner or Planner()
@@ -198,13 +197,7 @@ class _Effort:
 
 
 class HeldWork:
-    """One query in progress.
-
-    Raises:
-        ClosedChainError: Hands off their grasps.
-        StartInCollisionError: The start collides.
-        OutOfLimitsError, UsageError: Bad query.
-    """
+    """One query in progress; raises as `HeldPlanner.plan`."""
 
     def __init__(self, tools: HeldPlanner, query: HeldQuery, budget_s: float | None = None) -> None:
         budget_s = tools.planner.budget(budget_s)

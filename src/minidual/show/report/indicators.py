@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-_UNSEEN = 0.0005
-"""Smaller displayed values are rounding error."""
+_UNSEEN = 0.0005  # smaller displayed values are rounding error
 
 
 @dataclass(frozen=True)

@@ -30,8 +30,6 @@ _Numbers = tuple[float, ...]
 
 
 class _Camera(msgspec.Struct, tag_field="type", tag="ViewerCameraMessage"):
-    """Where a page looks from."""
-
     wxyz: _Numbers
     position: _Numbers
     look_at: _Numbers
@@ -49,12 +47,12 @@ _DECODER = msgspec.msgpack.Decoder(_Camera | _Change)
 
 
 class _Connection(ServerConnection):
-    """Gives the server only the messages that this page may send."""
+    """Drops messages that this page may not send."""
 
     drives = False
 
     async def recv(self, decode: bool | None = None) -> Data:
-        """Return the next permitted message; others are dropped."""
+        """Return the next permitted message."""
         while True:
             raw = await super().recv(decode)
             try:
@@ -80,11 +78,10 @@ class Guard:
     def start(self, make: Callable[[], viser.ViserServer]) -> viser.ViserServer:
         """Return the server that `make` starts, guarded.
 
-        viser takes no hooks for requests; the public `serve` of websockets, which it calls, does.
-
         Raises:
             EnvironmentMissingError: viser did not call it; the server is stopped.
         """
+        # viser takes no hooks for requests; the public `serve` of websockets, which it calls, does
         plain, hooked = websockets_server.serve, False
 
         def serve(*arguments: Any, process_request: Any, **settings: Any) -> websockets_server.serve:

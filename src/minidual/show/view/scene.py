@@ -11,18 +11,15 @@ import numpy as np
 from minidual.show.view.overlay import NO_PREVIEW, Array, Arrow, Preview
 from minidual.show.view.shapes import BodyMesh, body_meshes, floor_height, moving_bodies
 
-_ARROW_M_PER_N = 0.0025
-"""Arrow length: 10 cm at 40 N."""
+_ARROW_M_PER_N = 0.0025  # 10 cm at 40 N
 _ARROW_MIN_N = 0.5
 _MOVED = 1e-5
 """Least change [m, quaternion] that is sent."""
-_FLAT_M = 0.002
-"""Thinner meshes cast no shadow, which would blur table marks."""
+_FLAT_M = 0.002  # thinner meshes cast no shadow, which would blur table marks
 _GHOSTS_MAX, _GHOST_MOVED = 4, 1e-3
 _GHOST_RGB, _FLOOR_RGB, _FOG_RGB = (70, 160, 255), (214, 220, 228), (255, 255, 255)
 _CAMERA, _TARGET, _FOV_RAD = (1.85, -0.85, 0.95), (0.30, 0.10, 0.17), 0.70
-_FLOOR_HALF_M = 30.0
-"""Hides the floor's edge in fog."""
+_FLOOR_HALF_M = 30.0  # hides the floor's edge in fog
 
 
 class Scene:

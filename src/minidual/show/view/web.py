@@ -87,7 +87,7 @@ class WebView:
             self._scene, self._model = Scene(self._server, model), model
 
     def due(self) -> bool:
-        """Return whether a new frame is due."""
+        """See `View`."""
         return time.monotonic() >= self._frame_due_s and self._scene is not None and self.alive
 
     def update(self, data: mujoco.MjData, overlay: Overlay) -> None:
@@ -113,7 +113,7 @@ class WebView:
         self._panel.offer(sliders)
 
     def slider_values(self) -> Array:
-        """Return the slider values (n,)."""
+        """See `View`."""
         return self._panel.values()
 
     def close(self) -> None:

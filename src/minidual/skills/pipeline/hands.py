@@ -74,7 +74,7 @@ class Close(Stage):
     """Close the hands; from then on they hold the object."""
 
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
-        """Yield the only candidate."""
+        """See `Stage`."""
         held = {**start.held_by, **{arm: start.reached[arm] for arm in self.arms}}
         left = {arm: T for arm, T in start.reached.items() if arm not in self.arms}
         end = replace(start.opened(self.arms, CLOSED), held_by=held, reached=left)
@@ -85,7 +85,7 @@ class Open(Stage):
     """Open hands; the object stays in place or with the other hand."""
 
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
-        """Yield the only candidate."""
+        """See `Stage`."""
         missing = [arm for arm in self.arms if arm not in start.held_by]
         if missing:
             raise Failure("not_held", f"the {missing[0]} hand holds nothing to let go")

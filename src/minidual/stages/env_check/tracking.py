@@ -25,14 +25,11 @@ _SOURCE = "policy"
 _OPEN = np.ones(2)
 _WAIT_STEPS = 240
 """Steps within which a requested source gets the arms."""
-_STEP_MAX_RAD = 0.5
-"""The arbiter's bound on a step here: a step response needs a step, not a ramp."""
+_STEP_MAX_RAD = 0.5  # the arbiter's bound here: a step response needs a step, not a ramp
 _SETTLED_S = 0.2
-_CONTACTS_EVERY = 10
-"""Steps between contact checks, each of which costs more than a step."""
+_CONTACTS_EVERY = 10  # steps between contact checks, each of which costs more than a step
 _NUDGE_RAD = 0.02
-_CHANGED_SHARE = 0.5
-"""Share of the supervisor's torque step (1 Nm) that counts as a response; a nudge asks for twenty times that."""
+_CHANGED_SHARE = 0.5  # of the supervisor's torque step (1 Nm); a nudge asks for twenty times that
 _SETTLE_STEPS = 120
 _STILL_RAD_S, _REST_MAX_S = 0.01, 2.0
 
