@@ -3,7 +3,7 @@
     closing   target' = -sat(k (F - f), speed),  f measured
     opening   target' = +speed
 
-The target stays within half the travel of the fingers, so it cannot run away where a motor cannot reach F.
+The target stays within half the travel of the fingers.
 """
 
 from __future__ import annotations

@@ -4,8 +4,7 @@
     v_want(e) = w e / 2                         for |e| <= d = 4 b / w^2
                 sign(e) sqrt(2 b (|e| - d / 2)) beyond, braking with b < a_max
 
-w is the bandwidth. Without the braking curve a jump of 1 rad would overshoot by 0.2 rad. Recording and deployment must
-use the same numbers.
+w is the bandwidth. Recording and deployment must use the same numbers.
 """
 
 from __future__ import annotations

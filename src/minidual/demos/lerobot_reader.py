@@ -1,7 +1,4 @@
-"""Read LeRobot v3 datasets without LeRobot, to verify them independently.
-
-Decoding once into memory is 30 to 60 times faster than random access to videos.
-"""
+"""Read LeRobot v3 datasets without LeRobot, to verify them independently."""
 
 from __future__ import annotations
 

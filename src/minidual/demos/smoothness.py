@@ -1,6 +1,6 @@
 """RMS jerk for recordings and benchmarks.
 
-Resampling and a zero-phase low-pass make it independent of the rate; plain differences measure noise and sampling.
+Resampling and a zero-phase low-pass make it independent of the rate.
 """
 
 from __future__ import annotations

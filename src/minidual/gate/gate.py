@@ -64,8 +64,7 @@ class Gate:
     """Determines the states of a run's stages under a configuration.
 
     Attributes:
-        options: {stage: command-line options}; default: those of its verdict, so `teleop-record --episodes 10` stays
-            fresh for `train-act`.
+        options: {stage: command-line options}; default: those of its verdict.
     """
 
     table: StageTable

@@ -157,7 +157,7 @@ class ArmIK:
 
 
 class PostureIK:
-    """IK of both hands near a reference posture (n,) [rad]; independent of history, so a policy can learn it."""
+    """IK of both hands near a reference posture (n,) [rad]; independent of history."""
 
     def __init__(self, kinematics: Kinematics, *, posture: Array, weights: Array | None = None) -> None:
         self._arms = tuple(ArmIK(side, kinematics) for side in kinematics.robot.sides)

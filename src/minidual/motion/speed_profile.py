@@ -1,7 +1,7 @@
 """Fastest path speed within velocity and acceleration limits by TOPP-RA (Pham and Pham, 2018).
 
 x = (ds/dt)^2 and u = d2s/dt2 (constant per interval) make all limits linear; accelerations are limited at both interval
-ends. Tests compare with `toppra`.
+ends.
 """
 
 from __future__ import annotations

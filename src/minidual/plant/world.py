@@ -46,8 +46,7 @@ _NOT_FINITE: tuple[tuple[mujoco.mjtWarning, str], ...] = (
 class World:
     """Two arms, a table and named objects; `command`, then `step`.
 
-    Readings are copies. Object name None means the only one. Rendering needs `visuals`; `model` reuses one from
-    `build_model`.
+    Object name None means the only one. Rendering needs `visuals`; `model` reuses one from `build_model`.
     """
 
     def __init__(

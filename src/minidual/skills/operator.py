@@ -71,10 +71,8 @@ class ScriptedOperator:
         self._grasps = grasp_offsets(scene)
 
     def phases(self) -> dict[str, tuple[float, float]]:
-        """Return {name: (start, end) [s]}, the same in every trial.
-
-        They overlap over the rod, where a policy without speed or time could learn to wait for ever.
-        """
+        """Return {name: (start, end) [s]}, the same in every trial."""
+        # they overlap over the rod, where a policy without speed or time could learn to wait for ever
         phases, end = {}, 0.0
         for name in _ORDER:
             start = end - (self.config.overlap_s if name in _OVERLAPPING else 0.0)

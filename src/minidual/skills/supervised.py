@@ -20,7 +20,7 @@ _WITHIN_M = 0.15
 def arm_distance(robot: Robot) -> Callable[[Array], tuple[str, float]]:
     """Return posture (n,) -> nearest parts of different arms ("left part with right part", [m]), cheap at 100 Hz.
 
-    It says ("none", 0.15) beyond 150 mm. Not within one arm: wrist neighbours are always 22 mm apart.
+    It says ("none", 0.15) beyond 150 mm.
     """
     left, right = (f"{side}_" for side in robot.sides)
     ordered = (sorted(pair) for pair in PlanningScene(robot=robot).checked_pairs)

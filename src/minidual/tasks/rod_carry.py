@@ -20,7 +20,7 @@ _PHASES = ("approach", "descend", "close", "squeeze", "lift", "carry", "lower", 
 def carry_config(config: Config) -> Config:
     """Return the configuration with object and motion applied; idempotent.
 
-    Lowers the required internal force to the low end of the object's range: 10 N for the glass.
+    Lowers the required internal force to the low end of the object's range.
 
     Raises:
         UsageError: Unknown object or motion.

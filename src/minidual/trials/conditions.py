@@ -196,15 +196,13 @@ def light(factor: float) -> Change:
 
 
 class Push:
-    """One force on the carried object's centre of mass, after it has risen.
-
-    Ramped: an abrupt 20 N on 0.2 kg throws a rigid object off the pads.
-    """
+    """One ramped force on the carried object's centre of mass, after it has risen."""
 
     def __init__(
         self, force_n: Sequence[float], name: str, delay_s: float, *, duration_s: float = 0.2, ramp_s: float = 0.02
     ) -> None:
         self._force, self._name, self._delay_s = np.array(force_n, dtype=float), name, delay_s
+        # without a ramp 20 N on 0.2 kg throws a rigid object off the pads
         self.length_s, self._ramp_s = duration_s + 2.0 * ramp_s, ramp_s
         self._rest_m: float | None = None
         self._risen_s = np.inf

@@ -92,7 +92,6 @@ class ModesDemo:
 
     Attributes:
         turn: The current turn, None before the first.
-        switches: Every switch so far.
         outcomes: Results of the completed turns.
         rows: Log of every fourth control step.
         ended: Why it ended early, or None.

@@ -1,7 +1,7 @@
 """The policy `spatial_act`: keypoints per camera, then LeRobot's ACT transformer.
 
 Keypoints and predicted keyframes form ACT's environment-state token. A keyframe is the action at a gripper switch;
-the next one is learned from images alone, because early in the approach a chunk hardly depends on where the object is.
+the next one is learned from images alone (docs/train-act.md).
 """
 
 from __future__ import annotations

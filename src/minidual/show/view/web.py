@@ -38,7 +38,7 @@ class _Server(viser.ViserServer):
 class WebView:
     """View in a browser.
 
-    The server's own thread sends, so clients do not delay the simulation. A drawing error is reported once and ends it.
+    A drawing error is reported once and ends it.
 
     Raises:
         UsageError: Unusable interface, or no free port.
