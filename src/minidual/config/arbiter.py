@@ -19,5 +19,5 @@ class ArbiterConfig(StrictModel):
     settle_timeout_s: float = Field(default=0.5, ge=0.001, le=10.0)
     """A switch is refused if the arms do not settle within this time."""
     switch_step_max_rad: float = Field(default=0.1, ge=0.001, le=0.5)
-    """A larger first step of a joint target is ramped at `align_speed_rad_s`."""
+    """A larger step of a joint target is ramped at `align_speed_rad_s`; no trajectory may start farther away."""
     align_speed_rad_s: float = Field(default=1.0, ge=0.01, le=2.0)

@@ -18,7 +18,7 @@ class MotionLimits(StrictModel):
     acceleration_scale: float = Field(default=0.9, ge=0.01, le=1.0)
     torque_scale: float = Field(default=0.95, ge=0.01, le=1.0)
     jerk_scale: float = Field(default=0.95, ge=0.01, le=1.0)
-    """Fraction of libfranka's jerk limits."""
+    """Fraction of the jerk limits."""
     smoothing_s: float = Field(default=0.04, ge=0.0, le=1.0)
     """Averaging window of the path position; makes acceleration continuous."""
 

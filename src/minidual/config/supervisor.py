@@ -18,7 +18,7 @@ class SupervisorConfig(StrictModel):
     velocity_scale: float = Field(default=1.0, ge=0.01, le=1.0)
     torque_scale: float = Field(default=1.0, ge=0.01, le=1.0)
     torque_rate_scale: float = Field(default=1.0, ge=0.01, le=1.0)
-    """Share of 1000 Nm/s."""
+    """Share of the arm's torque rate limit."""
     # targets streamed at 50 Hz jump once in 20 ticks and reach 1.3 between; chatter jumps every tick
     torque_rate_excess: float = Field(default=3.0, ge=1.0, le=5.0)
     """Multiple of the torque rate bound beyond which a requested torque jumps."""

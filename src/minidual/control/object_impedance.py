@@ -2,7 +2,7 @@
 
     e_p   = p_d - p                                                  position error, world axes
     w     = [K e_p + D (v_d - v) + m (a_d - g); I_w alpha_d + omega_d x I_w omega_d],  I_w = R I_o R^T
-    F     = sat_[0, 80](F_d + sat_15(k_int (F_d - F_measured)))      squeeze
+    F     = sat_[0, 80](F_d + sat_c(k_int (F_d - F_measured)))       squeeze, c: force_correction_max_n
     f     = G^+ w + (I - G^+ G) f_int(F) + [0; (K e_i + D (omega_d - omega_i)) / 2]   hand wrenches
     tau_i = M qdd_ff + h + J_i^T f_i + friction,  J qdd_ff = a_hand - Jdot v
 
