@@ -33,7 +33,8 @@ LAW = np.dtype(  # one argument instead of eight saves 0.5 us a call
 Vector = tuple[float, float, float]
 Elements = Any
 """A vector of three, as a tuple or an array."""
-cross, plus, minus, times, inner = map(njit, (vectors.cross, vectors.plus, vectors.minus, vectors.times, vectors.inner))
+_algebra: Any = map(njit, (vectors.cross, vectors.plus, vectors.minus, vectors.times, vectors.inner))
+cross, plus, minus, times, inner = _algebra
 
 
 @njit

@@ -165,7 +165,8 @@ class Rig:
                 durable.set_aside(path, path.name)
             return None
         path = said.path and self.job.folder / said.path
-        attempt = Attempt(trial, **(dict(said) | {"path": path}), adopted=True)
+        values: dict[str, Any] = dict(said) | {"path": path}
+        attempt = Attempt(trial, **values, adopted=True)
         if attempt.path is None:
             return attempt
         if not attempt.path.exists():  # killed before the file got its name

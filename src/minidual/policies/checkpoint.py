@@ -38,7 +38,10 @@ def check_processor(path: Path) -> None:
 def check_sizes(config: PreTrainedConfig) -> None:
     """Raise ValueError if the network would not fit a common memory."""
     sizes = {name: [value] for name, value in vars(config).items() if isinstance(value, int)}
-    sizes |= {name: feature.shape for name, feature in {**config.input_features, **config.output_features}.items()}
+    sizes |= {
+        name: feature.shape
+        for name, feature in {**(config.input_features or {}), **(config.output_features or {})}.items()
+    }
     for name, values in sizes.items():
         limit = LAYERS_MAX if name.endswith("_layers") else SIZE_MAX
         if not all(0 <= value <= limit for value in values):
