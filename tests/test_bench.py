@@ -14,7 +14,7 @@ from minidual.errors import UsageError
 from minidual.registry import Registry
 from minidual.tasks.rod_carry import tilt_rad
 from scripts.bench import __main__ as bench
-from scripts.bench import control, planning
+from scripts.bench import carry, control, planning
 from scripts.bench.control import CASES, COLUMNS, Case, measure_case, trajectory_14
 from scripts.bench.scenes import BenchScene, free_scene, held_scene
 from scripts.bench.step import step_cost
@@ -199,3 +199,14 @@ def test_planning_is_measured_with_its_goals_beside(monkeypatch) -> None:
         assert row.limits == {"median_ms": goal_ms}
         assert row.numbers["solved_pct"] == row.numbers["free_pct"] == 100.0
     assert rows["cold start"].limits == {"median_ms": planning.COLD_START_MAX_MS}
+
+
+def test_a_whole_carry_is_timed_beside_physics() -> None:
+    said: list[str] = []
+    table = carry.measure(BenchInputs(Config(), 20261, 2 * carry.BLOCK, said.append))
+    rows = {row.name: row for row in table.rows}
+    assert "carry: success" in said
+    assert len(rows) == 4
+    assert all(np.isfinite(value) and value > 0.0 for row in table.rows for value in row.numbers.values())
+    assert rows["carry, whole step"].limits == {"ratio": carry.STEP_RATIO_MAX}
+    assert rows["carry, whole step"].numbers["median_us"] > rows["carry, whole step"].numbers["bare_us"]

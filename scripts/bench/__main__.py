@@ -1,4 +1,4 @@
-"""`make bench`, or `python -m scripts.bench [control] [planning] [--repeats N] [--check]`.
+"""`make bench`, or `python -m scripts.bench [control] [carry] [planning] [--repeats N] [--check]`.
 
 A bench measures against a yardstick of the same run: an absolute time says as much about the machine and its other work
 as about the code.
@@ -14,9 +14,9 @@ from minidual.registry import Registry
 from scripts.bench.tables import Bench, BenchInputs
 
 BENCHES: Registry[Bench] = Registry(
-    "bench", {"control": "scripts.bench.control:measure", "planning": "scripts.bench.planning:measure"}
+    "bench", {name: f"scripts.bench.{name}:measure" for name in ("control", "carry", "planning")}
 )
-REPEATS_N = {"control": 2000, "planning": 20}
+REPEATS_N = {"control": 2000, "carry": 4000, "planning": 20}
 
 
 def main(words: list[str]) -> int:
