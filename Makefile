@@ -28,7 +28,7 @@ all: $(READY) egl ## run every stage, PROFILE=standard by default, and say where
 
 test: $(READY) egl ## run the fast tests
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 HF_HUB_OFFLINE=1 \
-		$(BIN)/python -m pytest -n $(TEST_WORKERS) $(ARGS)
+		$(BIN)/python -m pytest -n $(TEST_WORKERS) --dist worksteal $(ARGS)
 
 test-slow: $(READY) egl ## run the tests marked slow
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 HF_HUB_OFFLINE=1 $(BIN)/python -m pytest -m slow --timeout 1800 $(ARGS)

@@ -201,6 +201,7 @@ def test_planning_is_measured_with_its_goals_beside(monkeypatch) -> None:
     assert rows["cold start"].limits == {"median_ms": planning.COLD_START_MAX_MS}
 
 
+@pytest.mark.slow
 def test_a_whole_carry_is_timed_beside_physics() -> None:
     said: list[str] = []
     table = carry.measure(BenchInputs(Config(), 20261, 2 * carry.BLOCK, said.append))

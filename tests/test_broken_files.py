@@ -67,7 +67,7 @@ def cases() -> Iterator[Any]:
             yield pytest.param(kind, name, marks=pytest.mark.slow if slow else ())
 
 
-@pytest.mark.parametrize(("kind", "name"), cases())
+@pytest.mark.parametrize(("kind", "name"), list(cases()))
 def test_a_broken_file_is_refused(sound: dict[str, Path], tmp_path: Path, kind: str, name: str) -> None:
     error = refused(kind, sound[kind], tmp_path, BREAKS[kind][name], (12, len(name)))
     assert sound[kind].name in error.message

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -178,6 +178,11 @@ def test_another_source_that_proposes_moves_nothing(world: World, undisturbed: R
     assert seen.carry.fault is None
     assert set(seen.given) == {SOURCE, None}
     assert np.array_equal(seen.told, undisturbed.told)
+
+
+def _some_slow(names: Iterable[str], fast: Collection[str]) -> list[Any]:
+    """Return the names, those that are not `fast` marked as slow: each is a carry of its own."""
+    return [name if name in fast else pytest.param(name, marks=pytest.mark.slow) for name in names]
 
 
 @pytest.mark.parametrize(
@@ -381,7 +386,7 @@ def test_a_command_that_is_refused_as_it_is_proposed_ends_the_carry_in_that_step
     assert np.abs(world.v).max() < 0.05
 
 
-@pytest.mark.parametrize("phase", PHASES)
+@pytest.mark.parametrize("phase", _some_slow(PHASES, ("close", "squeeze", "carry")))
 def test_an_emergency_stop_stops_every_phase_and_leaves_the_hands(world: World, phase: str) -> None:
     """Of nine stops in the middle of a carry five took the pinch to 0 N, when each joint braked for itself."""
     supervisor = Supervisor(dt_s=world.dt)
@@ -625,7 +630,7 @@ def test_a_program_error_in_a_sensor_stops_the_arms_and_is_then_raised(
     assert np.abs(world.v).max() < 0.05
 
 
-@pytest.mark.parametrize("what", DEAD)
+@pytest.mark.parametrize("what", _some_slow(DEAD, list(DEAD)[:3]))
 def test_a_sensor_that_dies_in_the_air_stops_the_carry_by_name(
     world: World, what: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
