@@ -24,14 +24,17 @@ cli.main()
 """
 
 
+def heed_signals() -> None:
+    """Take signals as a terminal's child does: a background job ignores SIGINT, a child of nohup SIGHUP."""
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_DFL)
+
+
 def start(body: str, *words: str, **options: object) -> subprocess.Popen[str]:
     """Start `main` on `body` in place of the command line; return once signals are handled."""
     pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options}
     process: subprocess.Popen[str] = subprocess.Popen(  # type: ignore[call-overload]
-        [sys.executable, "-c", MAIN.format(body=body), *words],
-        text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a background job ignores it
-        **pipes,
+        [sys.executable, "-c", MAIN.format(body=body), *words], text=True, preexec_fn=heed_signals, **pipes
     )
     if process.stderr is not None:
         assert process.stderr.readline() == "begun\n"

@@ -20,8 +20,9 @@ TOYS = Path(__file__).with_name("pipeline_toys.py")
 
 
 def listen_to_ctrl_c():
-    """A child of a shell's background job would ignore Ctrl-C, as it should; here it is what is tested."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    """Take signals as a terminal's child does: a background job ignores SIGINT, a child of nohup SIGHUP."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
 
 
 @pytest.fixture
