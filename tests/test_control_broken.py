@@ -32,10 +32,8 @@ class FailingPlant(ArmsPlant):
         super().__init__(scene)
 
     def __getattribute__(self, name: str) -> Any:
-        value = super().__getattribute__(name)
-        if name in ("lies", "__dict__"):
-            return value
-        return self.lies[name](value) if name in self.lies else value
+        value, lies = super().__getattribute__(name), super().__getattribute__("lies")
+        return lies[name](value) if name in lies else value
 
     def step(self) -> None:
         kept, self.lies = self.lies, {}  # physics does not read the sensors
