@@ -296,3 +296,24 @@ def test_arms_recover_at_rest_where_they_are_and_without_a_step_of_torque(world:
     assert np.abs(np.diff(told, axis=0)).max() <= 1.0 + 1e-9
     assert (stack.state, stack.source, stack.reflex) == (ArbiterState.HOLDING, None, None)
     hand_over(stack, "teleop")
+
+
+@pytest.mark.parametrize(("weight_n", "kept"), [(-2.0 * 9.81, True), (-0.2 * 9.81, True), (2.0 * 9.81, False)])
+def test_holds_under_a_load_do_not_creep(world: World, weight_n: float, kept: bool) -> None:
+    """2 kg: before, 138 mm down in eight holds, each from the posture that had sagged; now below 0.01 mm.
+
+    What presses a hand up is no load: the hold gives way to it, as before.
+    """
+    stack = stack_on(world)
+    hand_over(stack, "teleop")
+    world.data.xfrc_applied[world.model.body("left_panda_hand").id, 2] = weight_n
+    for _ in range(400):
+        stack.step()
+    heights = []
+    for mode in ("hold", "teleop") * 4:
+        stack.request(mode)
+        for _ in range(400):
+            stack.step()
+        heights.append(float(world.data.body("left_panda_hand_tcp").xpos[2]))
+    crept = abs(heights[-1] - heights[0])
+    assert (crept < 1e-5) == kept, f"{1e3 * crept:.2f} mm"

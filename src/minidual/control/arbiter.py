@@ -117,8 +117,10 @@ class CommandArbiter:
             raise unknown_name("command source", source, SOURCES)
         return self._mailboxes[source]
 
-    def tick(self, now_s: float, q_measured: Array, v_measured: Array) -> ArbiterOutput:
+    def tick(self, now_s: float, q_measured: Array, v_measured: Array, q_held: Array | None = None) -> ArbiterOutput:
         """Return the output at now_s [s] for measured q (n,) [rad] and v (n,) [rad/s].
+
+        A switch holds arms at rest at `q_held` (n,), by default at the measured posture.
 
         Raises:
             UsageError: Time runs backwards, or the first posture is not finite.
@@ -133,10 +135,11 @@ class CommandArbiter:
         ended, cut = False, self.underway.braking
         if self.underway.executions:
             self._target, ended = self.underway.follow(self._held())
-        self._begin_requested(now_s, posture, v_measured)
+        held = posture if q_held is None else self._posture(q_held)
+        self._begin_requested(now_s, held, v_measured)
         switched_to = None
         if self._switch is not None and now_s > self._switch[1]:
-            switched_to = self._settle(*self._switch, now_s, speed, posture)
+            switched_to = self._settle(*self._switch, now_s, speed, held)
         driven: dict[int, Command] = {}
         if self.source is not None:
             if ended and not (cut and self._is_gone(now_s)):

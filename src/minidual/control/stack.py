@@ -41,6 +41,8 @@ OBJECT_CONTROLLERS: tuple[str, ...] = ("object_impedance",)
 """Set for an object in both hands."""
 _STOPPING: tuple[str, ...] = ("soft_stop",)
 _STOP_MAX_S = 2.0
+_SAG_MIN_RAD, _SAG_MAX_RAD = 2e-4, 0.1
+"""Distance from their reference at which arms sag under a load, and beyond which something else has moved them."""
 
 
 class PlantError(MinidualError):
@@ -77,7 +79,7 @@ class ControlStack[P: Plant]:
                 f"rate_hz {rate_hz} does not divide the control rate of {1.0 / plant.dt:g} Hz",
                 remedy="take a divisor of it, such as 50 or 100",
             )
-        self._robot = kinematics.robot
+        self._kinematics, self._robot = kinematics, kinematics.robot
         self.grippers = Grippers(plant, pinch_force_n=pinch_force_n)
         groups = ("both_arms", "left_arm", "right_arm")
         self.impedance = ObjectImpedanceController(kinematics, plant.dt, sensor)
@@ -299,7 +301,8 @@ class ControlStack[P: Plant]:
         plant = self.plant
         if self.supervisor is None:  # nothing could brake the arms
             emergency.check()
-        output = self.arbiter.tick(plant.time, plant.q, plant.v)
+        q, v = plant.q, plant.v
+        output = self.arbiter.tick(plant.time, q, v, self._unsagged(q, v))
         self.output = output
         if self.supervisor is not None:  # so that a silent arbiter triggers stale_command
             self.supervisor.heard(plant.time)
@@ -311,6 +314,20 @@ class ControlStack[P: Plant]:
             self.manager.switch(_STOPPING, plant.q, plant.v, swiftly=True)
         self.manager.follow(output)
         return output
+
+    def _unsagged(self, q: Array, v: Array) -> Array | None:
+        """Return the posture (n,) without the sag of resting arms under a load, or None; at q they would sag again."""
+        reference = self.manager.reference
+        sag, still = np.abs(reference - q).max(), np.abs(v).max() < self._config.still_speed_rad_s
+        if not (still and _SAG_MIN_RAD <= sag <= _SAG_MAX_RAD):
+            return None
+        held = q.copy()
+        wanted = [T[2, 3] for T in self._kinematics.tcp_poses(reference)]
+        for arm, T in enumerate(self._kinematics.tcp_poses(q)):
+            if T[2, 3] < wanted[arm]:  # something else has moved a hand that is not lower
+                joints = self._robot.joints_of(arm)
+                held[joints] = reference[joints]
+        return held
 
     def advance(self) -> None:
         """Run one control and physics step on the arbiter's last output.
