@@ -14,6 +14,7 @@ from minidual.config.control import ImpedanceConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import ArbiterState, JointCommand, ObjectCommand
 from minidual.control.controller_manager import ControllerSwitchError
+from minidual.control.execution import ObjectExecution
 from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.control.reflexes import ReflexError
 from minidual.control.soft_stop import SwitchedOff
@@ -38,7 +39,7 @@ def under_way(plant: Any, *, gripper: Array = CLOSED, **options: Any) -> Control
     stack = stack_on(plant, **options)
     hand_over(stack, "moveit")
     stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.4, 0.8), gripper=gripper))
-    for _ in range(400):
+    for _ in range(300):
         stack.step()
     assert np.abs(plant.v).max() > 0.5
     return stack
@@ -148,7 +149,7 @@ def test_a_switch_that_waits_is_refused_by_a_halt_and_may_be_asked_for_again(pla
     stack.halt("moveit")
     stack.step()
     assert [(r.source, r.name) for r in stack.refusals] == [("teleop", "superseded")]
-    for _ in range(400):
+    for _ in range(300):
         stack.step()
     assert stack.source is None
     # No command gets past: nobody drives, and the controller takes none.
@@ -298,7 +299,7 @@ def test_arms_recover_at_rest_where_they_are_and_without_a_step_of_torque(world:
     hand_over(stack, "teleop")
 
 
-@pytest.mark.parametrize(("weight_n", "kept"), [(-2.0 * 9.81, True), (-0.2 * 9.81, True), (2.0 * 9.81, False)])
+@pytest.mark.parametrize(("weight_n", "kept"), [(-2.0 * 9.81, True), (2.0 * 9.81, False)])
 def test_holds_under_a_load_do_not_creep(world: World, weight_n: float, kept: bool) -> None:
     """2 kg: before, 138 mm down in eight holds, each from the posture that had sagged; now below 0.01 mm.
 
@@ -307,13 +308,31 @@ def test_holds_under_a_load_do_not_creep(world: World, weight_n: float, kept: bo
     stack = stack_on(world)
     hand_over(stack, "teleop")
     world.data.xfrc_applied[world.model.body("left_panda_hand").id, 2] = weight_n
-    for _ in range(400):
+    for _ in range(300):
         stack.step()
     heights = []
-    for mode in ("hold", "teleop") * 4:
+    for mode in ("hold", "teleop") * 2:
         stack.request(mode)
-        for _ in range(400):
+        for _ in range(300):
             stack.step()
         heights.append(float(world.data.body("left_panda_hand_tcp").xpos[2]))
     crept = abs(heights[-1] - heights[0])
     assert (crept < 1e-5) == kept, f"{1e3 * crept:.2f} mm"
+
+
+def test_a_paced_path_is_the_same_path_driven_smoothly() -> None:
+    path = ObjectPath(Waypoint((0.0, 0.0, 0.0), 0.0, 0.0), [Waypoint((0.5, 0.0, 0.0), 0.0, 2.0)])
+    paced = ObjectExecution(ObjectCommand(path, lambda t: 0.0, CLOSED, 0.0, 1), 1e-3)
+    rows = []
+    while not paced.finished:
+        paced.pace = 0.2 if 600 <= len(rows) < 1800 else 1.0
+        paced.step()
+        state = paced.desired
+        rows.append((state.T_world_object[0, 3], state.twist[0], state.acceleration[0]))
+        assert len(rows) < 3500
+    x, v, a = np.array(rows).T
+    assert x[-1] == pytest.approx(0.5)
+    assert np.abs(np.diff(x) / 1e-3 - v[1:]).max() < 1e-3
+    assert np.abs(np.diff(v) / 1e-3 - a[1:]).max() < 1e-2
+    assert np.abs(a).max() < 2.0
+    assert v[1000:1800].max() < 0.3 * v[:600].max()

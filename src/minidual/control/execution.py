@@ -1,8 +1,8 @@
 """Running timed commands, each with its own clock.
 
-Braking slows the clock to rate r, so two hands that carry something keep their distance:
+Braking and slowing down change the clock's rate r, so two hands that carry something keep their distance:
 
-    q(s),  s' = r from 1 to 0,  v = q' r,  a = q'' r^2 + q' dr/dt
+    q(s),  s' = r,  v = q' r,  a = q'' r^2 + q' dr/dt
 
 dr/dt is ramped, so torques do not jump.
 """
@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from minidual.control.command_checks import own_columns
-from minidual.control.commands import ArbiterState, ObjectCommand, Refusal, TrajectoryCommand
+from minidual.control.commands import ArbiterState, ObjectCommand, Reason, Refusal, TrajectoryCommand
+from minidual.control.kernels import within
 from minidual.control.object_impedance import ObjectState
 from minidual.errors import UsageError
 from minidual.robot.pair import Array, Robot
@@ -24,6 +25,8 @@ BRAKE_SHARE = 0.8
 _BRAKE_SLOPE_MIN, _BRAKE_SLOPE_MAX = 2.0, 20.0
 _OBJECT_BRAKE_SLOPE = 4.0
 _BRAKE_RAMP_S = 0.03
+_PACE_SLOPE, _PACE_S = 4.0, 0.1
+"""Largest change of the rate [1/s], and its time constant."""
 _OBJECT_STEP_PER_S = np.array([[8.0] * 3 + [2.0]] * 4)
 """Largest rate of the entries of a pose: rotation [1/s], position [m/s]; twice what is accepted."""
 _STOPPED_RATE = 1e-4
@@ -36,6 +39,11 @@ class _Execution:
         self._steps, self._k = max(1, int(np.ceil(duration_s / dt_s - 1e-6))), -1
         self._t_s, self._rate, self._slope, self._slope_max = 0.0, 1.0, 0.0, 0.0
         self._dt, self._end_s = dt_s, duration_s
+        self.pace = 1.0
+        """Wanted rate, above 0 to 1; reached smoothly."""
+        self._paced = False
+        self.why: Reason | None = None
+        """Why it was stopped, or None."""
 
     @property
     def finished(self) -> bool:
@@ -52,24 +60,36 @@ class _Execution:
         if not (self.braking or self.finished):
             self._slope_max = self._largest_slope()
 
+    def stop(self, why: Reason) -> None:
+        """Brake, and say why."""
+        if not self.braking:
+            self.why = why
+            self.brake()
+
     def _largest_slope(self) -> float:
         """Return the largest decrease of the rate [1/s]."""
         return _OBJECT_BRAKE_SLOPE
 
     def step(self) -> None:
         """Advance one control step; the first goes to time zero."""
+        self._paced = self._paced or self.braking or self.pace < 1.0
+        if not self._paced:
+            if self._k < self._steps:
+                self._k += 1
+                self._t_s = min(self._k * self._dt, self._end_s)
+            return
         if self.braking:
             rise = self._slope + self._slope_max * self._dt / _BRAKE_RAMP_S
             # On this curve slope and rate reach zero together, within the ramp time.
             fall = float(np.sqrt(2.0 * self._rate * self._slope_max / _BRAKE_RAMP_S))
             self._slope = min(rise, self._slope_max, fall)
-            self._rate = max(0.0, self._rate - self._slope * self._dt)
-            self._t_s = min(self._t_s + self._rate * self._dt, self._end_s)
-            if self._rate < _STOPPED_RATE or self._t_s >= self._end_s:
-                self._rate = self._slope = 0.0
-        elif self._k < self._steps:
-            self._k += 1
-            self._t_s = min(self._k * self._dt, self._end_s)
+        else:
+            change, wanted = _PACE_SLOPE * self._dt / _BRAKE_RAMP_S, (self._rate - self.pace) / _PACE_S
+            self._slope += within(within(wanted, -_PACE_SLOPE, _PACE_SLOPE) - self._slope, -change, change)
+        self._rate = within(self._rate - self._slope * self._dt, 0.0, 1.0)
+        self._t_s = min(self._t_s + self._rate * self._dt, self._end_s)
+        if self._rate < _STOPPED_RATE or self._t_s >= self._end_s:
+            self._rate = self._slope = 0.0
 
     def _slowed(self, v: Array, a: Array) -> tuple[Array, Array]:
         """Return velocity and acceleration at the present rate."""
@@ -95,7 +115,7 @@ class TrajectoryExecution(_Execution):
         self.q, self.v, self.a = self._q[0], self._v[0], self._a[0]
 
     def _largest_slope(self) -> float:
-        k = max(self._k, 0)
+        k = round(self._t_s / self._dt)
         ahead = np.abs(self._v[k : k + _LOOK_AHEAD_ROWS]).max(axis=0)
         limit = float((BRAKE_SHARE * self._a_max / np.maximum(ahead, 1e-6)).min())
         return float(np.clip(limit, _BRAKE_SLOPE_MIN, _BRAKE_SLOPE_MAX))
@@ -103,7 +123,7 @@ class TrajectoryExecution(_Execution):
     def step(self) -> None:
         """Advance one control step."""
         super().step()
-        if not self.braking:
+        if not self._paced:
             self.q, self.v, self.a = self._q[self._k], self._v[self._k], self._a[self._k]
             return
         self.q, v, a = (x[self._columns] for x in self.command.motion.sample(self._t_s))
@@ -127,7 +147,7 @@ class ObjectExecution(_Execution):
             raise UsageError(f"the object path jumps at {self._t_s:.3f} s", remedy="check its poses; none may be NaN")
         self.desired = state
         self.squeeze_n = self.command.squeeze_n(self._t_s)
-        if self.braking:
+        if self._paced:
             self.desired = ObjectState(state.T_world_object, *self._slowed(state.twist, state.acceleration))
 
 
