@@ -69,6 +69,12 @@ def test_no_verdict_steers_the_terminal(words: list[str], tmp_path: Path, capsys
     assert not UNSEEN.search(shown)
 
 
+def test_words_that_are_no_text_are_refused_by_name(capsys: pytest.CaptureFixture[str]) -> None:
+    for words in (["status", "--run", "\udcff"], ["carry", "--object", "a\ud800"], ["\udcff"]):
+        assert run_command_line(words, StageTable(())) == ExitCode.USAGE
+        assert capsys.readouterr().err == f"minidual: {printable(words[-1])} is not UTF-8\n"
+
+
 def test_no_error_steers_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     class Broken(Toy):
         def run(self, context: Any) -> StageResult:

@@ -95,7 +95,7 @@ def test_the_command_stop_stops_a_running_command_and_its_workers(
 
 def test_stop_says_when_nothing_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with run_lock(tmp_path / "ended", "minidual carry"):
-        pass
+        (tmp_path / "ended" / "config.yaml").write_text("seed: 1")
     # Another process has the id that the lock of a container names.
     (tmp_path / "ended" / ".lock").write_text(json.dumps({"pid": 1, "command": "minidual carry", "since": "now"}))
     for words in ((), ("ended",), ("never",)):

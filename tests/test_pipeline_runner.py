@@ -109,6 +109,26 @@ def test_waiver_is_written_taints_all_below_and_closes_the_last_stage(bench):
     assert bench.states() == ["fail", "pass", "fail"]
 
 
+def test_a_waiver_does_not_replace_a_result_that_a_stage_works_on(bench):
+    bench.second.behaviour = lambda context: [Check("size", (context.upstream["first"] / "out").stat().st_size, ">", 0)]
+    with pytest.raises(GateClosedError, match="works on the result of first, and there is none") as caught:
+        bench.runner().run("second", waiver="demo tomorrow")
+    assert caught.value.remedy == "minidual first"
+    bench.first.observed = 0.0
+    bench.runner().run("first")
+    assert bench.runner().run("second", waiver="demo tomorrow").exit_code == ExitCode.PASS
+
+
+def test_a_command_that_is_refused_leaves_no_file(bench):
+    with pytest.raises(GateClosedError):
+        bench.runner().run("second")
+    assert not bench.store.folder.exists()
+    bench.runner().run("first")
+    with pytest.raises(GateClosedError):
+        bench.runner().run("third")
+    assert (bench.store.folder / "first" / "verdict.json").is_file()
+
+
 def test_waiver_ends_when_the_waived_stage_changes(bench):
     bench.first.observed = 0.0
     bench.runner().run("first")

@@ -608,7 +608,13 @@ class TestCommand:
         broken = tmp_path / "broken.npz"
         broken.write_bytes(trial[0].read_bytes()[:5000])
         assert run(broken)[0] == 2
-        assert run(tmp_path / "missing.npz")[0] == 2
+        for path, said in (
+            (tmp_path / "missing.npz", "there is no file"),
+            (tmp_path, "is a folder, not a recording"),
+            ("/dev/zero", "/dev/zero is a device, not a recording"),
+        ):
+            code, _, err = run(path)
+            assert (code, said in err) == (2, True), err
         for words in (
             ("--video", "film.avi"),
             ("--picture", tmp_path / "no" / "p.png"),

@@ -444,3 +444,18 @@ def test_a_link_to_files_that_are_no_result_is_refused_and_keeps_them(run, targe
     assert f"{place} is a link to {mine}, {why}" in err
     place.unlink()
     assert run("first")[0] == 0
+
+
+@pytest.mark.parametrize("inner", ["", "inner"])
+def test_two_links_to_one_folder_are_refused_before_work_starts(run, inner):
+    disk = run.folder.parent / "disk"
+    (disk / "inner").mkdir(parents=True)
+    (run.folder / "second").symlink_to(disk / inner)
+    (run.folder / "first").symlink_to(disk)
+    code, _, err = run("first")
+    assert (code, run.bench.first.contexts) == (2, [])
+    assert f"{run.folder / 'first'} is a link to {disk}, where the link second leads, too" in err
+    (run.folder / "first").unlink()
+    (disk / "inner").rmdir() if not inner else None
+    assert run("first")[0] == 0
+    assert run("second")[0] == 0

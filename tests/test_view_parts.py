@@ -62,7 +62,8 @@ def test_addresses_say_who_can_reach_them_and_what_to_type() -> None:
     assert not any(is_loopback(host) for host in ("0.0.0.0", "::", "192.0.2.1", "example.org"))
     assert url("0.0.0.0", 8081) == "http://127.0.0.1:8081"
     assert url("::1", 80) == "http://[::1]:80"
-    assert tunnel_command(8083).startswith("ssh -L 8083:127.0.0.1:8083 ")
+    assert tunnel_command("127.0.0.1", 8083).startswith("ssh -L 8083:127.0.0.1:8083 ")
+    assert tunnel_command("::1", 8083).startswith("ssh -L 8083:[::1]:8083 ")
 
 
 def test_meshes_are_where_the_model_has_its_geoms() -> None:

@@ -37,6 +37,8 @@ def lines() -> list[str]:
 def view(lines: list[str]) -> Iterator[WebView]:
     made = make_view("web", ViewConfig(port=unused_port()), say=lines.append)
     assert isinstance(made, WebView)
+    assert not lines  # the address is said when there is something to see
+    made.open(visual_model(CONFIG.scene))
     yield made
     made.close()
 
@@ -73,6 +75,7 @@ def test_another_interface_must_be_asked_for_and_is_warned_of() -> None:
     view = make_view("web", ViewConfig(host="0.0.0.0", port=unused_port()), say=said.append)
     assert isinstance(view, WebView)
     try:
+        view.open(visual_model(CONFIG.scene))
         assert _connects("127.0.0.2", view.port)  # the test above can fail
         assert any("warning: the view is bound to 0.0.0.0" in line for line in said)
     finally:
@@ -88,7 +91,6 @@ def test_page_and_socket_answer_and_the_port_is_free_afterwards(
     assert "<script" in page
     with pytest.raises(urllib.error.HTTPError):
         urllib.request.urlopen(str(view.url).replace("/?", "/../../etc/passwd?"), timeout=5)
-    view.open(visual_model(CONFIG.scene))
     with connect(_socket(view), subprotocols=[SUBPROTOCOL], max_size=None) as client:  # type: ignore[list-item]
         first = client.recv(timeout=5)
         assert isinstance(first, bytes)
@@ -104,6 +106,7 @@ def test_a_second_view_takes_the_next_port_and_says_so(view: WebView) -> None:
     said: list[str] = []
     other = make_view("web", ViewConfig(port=view.port), say=said.append)
     assert isinstance(other, WebView)
+    other.open(visual_model(CONFIG.scene))
     other.close()
     assert other.port > view.port  # the very next one may belong to another program
     assert said[0] == f"port {view.port} is taken; the view is at port {other.port}"

@@ -25,7 +25,7 @@ from minidual.cli.commands import (
 )
 from minidual.cli.session import Running, Session, Typed
 from minidual.cli.viewing import Watching
-from minidual.errors import ExitCode, unknown_name
+from minidual.errors import ExitCode, printable, unknown_name
 from minidual.gate.table import Option, StageTable, ToolEntry
 
 
@@ -139,6 +139,9 @@ def build_app(table: StageTable, tools: Sequence[ToolEntry] = ()) -> typer.Typer
 
 def run_command_line(arguments: Sequence[str], table: StageTable, tools: Sequence[ToolEntry] = ()) -> int:
     """Run one command and return its exit code."""
+    if strange := [word for word in arguments if word.encode(errors="ignore").decode() != word]:
+        print(printable(f"minidual: {strange[0]} is not UTF-8"), file=sys.stderr)
+        return int(ExitCode.USAGE)
     app = build_app(table, tools)
     commands = {command.name or "" for command in app.registered_commands} | {"config"}
     first = arguments[0].split("=")[0] if arguments else "--help"

@@ -24,13 +24,13 @@ LOCK_FILE = ".lock"
 @contextmanager
 def run_lock(folder: Path, command: str, name: str = LOCK_FILE) -> Generator[None]:
     """Hold the lock `name` of a run folder; UsageError if another process does."""
-    make_folder(folder)
-    with _lock_file(folder, name).open("a+", encoding="utf-8") as stream:
-        if not _acquired(stream):
-            raise UsageError(
-                f"run '{folder.name}' is being written by {lock_holder(folder) or 'another process'}",
-                remedy=f"wait for it to end, or work in another run with --run NAME (this one is {folder})",
-            )
+    stream = _acquired(folder, name)
+    if stream is None:
+        raise UsageError(
+            f"run '{folder.name}' is being written by {lock_holder(folder) or 'another process'}",
+            remedy=f"wait for it to end, or work in another run with --run NAME (this one is {folder})",
+        )
+    with stream:
         try:
             stream.truncate(0)
             json.dump({"pid": os.getpid(), "command": command, "since": now_text()}, stream)
@@ -38,20 +38,23 @@ def run_lock(folder: Path, command: str, name: str = LOCK_FILE) -> Generator[Non
             yield
         finally:
             stream.truncate(0)
-            if name != LOCK_FILE:
+            if name != LOCK_FILE or len([*folder.iterdir()]) == 1:  # a tool's, or of a command that wrote nothing
                 (folder / name).unlink(missing_ok=True)
-                with suppress(OSError):  # of a tool that wrote nothing else
+                with suppress(OSError):
                     folder.rmdir()
 
 
-def _acquired(stream: TextIO) -> bool:
-    """Try for 0.2 s: `lock_holder` takes a shared lock for an instant."""
+def _acquired(folder: Path, name: str) -> TextIO | None:
+    """Return the locked file, or None after 0.2 s: `lock_holder` takes a shared lock for an instant."""
     for _ in range(5):
-        with suppress(BlockingIOError):
+        make_folder(folder)
+        with suppress(BlockingIOError, FileNotFoundError):  # the last holder has just removed the file
+            stream = (path := _lock_file(folder, name)).open("a+", encoding="utf-8")
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return True
+            if os.path.samestat(os.fstat(stream.fileno()), path.stat()):
+                return stream
         time.sleep(0.04)
-    return False
+    return None
 
 
 def lock_holder(folder: Path, name: str = LOCK_FILE) -> str | None:

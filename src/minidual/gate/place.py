@@ -58,10 +58,17 @@ class Place:
     def _unfit_target(self) -> str:
         """Return why the target of the link cannot hold the result, or ""."""
         run = self.name.parent.resolve()
-        if self.folder.is_relative_to(run) or run.is_relative_to(self.folder):
+        others = (path for path in self.name.parent.glob("*") if path.is_symlink() and path != self.name)
+        if same := [path.name for path in others if _overlap(path.resolve(), self.folder)]:
+            return f"where the link {same[0]} leads, too"
+        if _overlap(self.folder, run):
             return "in or above its own run"
         if not self.folder.parent.is_dir():
             return f"but {self.folder.parent} is no folder (is its disk mounted?)"
         if self.folder.is_dir() and any(self.folder.iterdir()) and not (self.folder / VERDICT_FILE).exists():
             return "whose files are no result of minidual"
         return ""
+
+
+def _overlap(one: Path, other: Path) -> bool:
+    return one.is_relative_to(other) or other.is_relative_to(one)

@@ -16,7 +16,7 @@ from minidual.gate.clock import now_text
 from minidual.gate.gate import Gate, StageState
 from minidual.gate.manifest import build_manifest, strays
 from minidual.gate.progress import Progress
-from minidual.gate.stage import StageContext
+from minidual.gate.stage import Folders, StageContext
 from minidual.gate.store import RunStore
 from minidual.gate.table import StageEntry, StageTable
 from minidual.gate.verdict import Verdict, Waiver
@@ -153,7 +153,7 @@ class Runner:
             config=entry.resolved(loaded.config),
             seed=loaded.config.seed,
             profile=loaded.profile,
-            upstream={up: state.folder for up, state in upstream.items() if state.folder and state.verdict},
+            upstream=Folders({up: state.folder for up, state in upstream.items() if state.folder and state.verdict}),
             verdicts={up: state.verdict for up, state in upstream.items() if state.verdict},
             summaries={up: self.table[up].summary for up in upstream},
             code_changes=gate.code_changes(name) if entry.closing else {},

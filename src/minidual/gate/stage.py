@@ -11,12 +11,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from minidual.errors import GateClosedError
 from minidual.gate.check import Check
 from minidual.gate.progress import Progress
 
 if TYPE_CHECKING:
     from minidual.config.root import Config
     from minidual.gate.verdict import Verdict, Waiver
+
+
+class Folders(dict[str, Path]):
+    """{upstream stage: its folder}; GateClosedError for a stage without result, which no waiver replaces."""
+
+    def __missing__(self, stage: str) -> Path:
+        raise GateClosedError(f"it works on the result of {stage}, and there is none", remedy=f"minidual {stage}")
 
 
 @dataclass(frozen=True)

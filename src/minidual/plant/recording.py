@@ -28,7 +28,7 @@ import minidual
 from minidual.config.base import StrictModel
 from minidual.config.robot import RobotConfig
 from minidual.config.scene import SceneConfig
-from minidual.durable import replacing
+from minidual.durable import kind_of, replacing
 from minidual.errors import DataError
 from minidual.robot.arms import robot_from
 from minidual.robot.pair import Array, Robot
@@ -212,8 +212,9 @@ def read_recording(path: Path) -> Recording:
     Raises:
         DataError: Missing, damaged, changed, or of another version.
     """
-    if not path.is_file():
-        raise DataError(f"there is no file {path}", remedy="dumps lie in the folder that the error message named")
+    if (kind := kind_of(path)) != "file":
+        what = f"{path} is a {kind}, not a recording" if kind else f"there is no file {path}"
+        raise DataError(what, remedy="dumps lie in the folder that the error message named")
     remedy = "record it again, or check that the copy is complete"
     arrays = _read_arrays(path, remedy)
     try:

@@ -64,14 +64,16 @@ class WebView:
         self._overlay = Overlay()
         self._period_s = 1.0 / config.rate_hz
         self._frame_due_s = self._panel_due_s = 0.0
-        self._introduce(config)
+        self._config = config
 
     def _introduce(self, config: ViewConfig) -> None:
         if self.port != config.port:
             self._say(f"port {config.port} is taken; the view is at port {self.port}")
         self._say(f"view: {self.url}")
         if is_loopback(config.host):
-            self._say(f"from another machine: {tunnel_command(self.port)}, then open the same address there")
+            self._say(
+                f"from another machine: {tunnel_command(config.host, self.port)}, then open the same address there"
+            )
             return
         others = "moves" if config.remote_drives else "cannot move"
         self._say(
@@ -82,7 +84,9 @@ class WebView:
             self._panel.note("only pages on the machine that runs the command move the sliders")
 
     def open(self, model: mujoco.MjModel) -> None:
-        """Show `model`."""
+        """Show `model`; say at the first where."""
+        if self._model is None:
+            self._introduce(self._config)
         if model is not self._model and self.alive:
             self._scene, self._model = Scene(self._server, model), model
 
@@ -155,17 +159,20 @@ def free_port(host: str, first: int, tries: int = _PORTS_TRIED) -> int:
 
 def url(host: str, port: int) -> str:
     """Return the address to open on this machine."""
-    shown = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(host, f"[{host}]" if ":" in host else host)
-    return f"http://{shown}:{port}"
+    return f"http://{_shown(host)}:{port}"
 
 
-def tunnel_command(port: int) -> str:
-    """Return the ssh command for access from another machine."""
+def _shown(host: str) -> str:
+    return {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(host, f"[{host}]" if ":" in host else host)
+
+
+def tunnel_command(host: str, port: int) -> str:
+    """Return the ssh command for access to a loopback host from another machine."""
     try:
         user = getpass.getuser()
     except (KeyError, OSError):  # a container without a passwd entry for this user
         user = "user"
-    return f"ssh -L {port}:127.0.0.1:{port} {user}@{socket.gethostname()}"
+    return f"ssh -L {port}:{_shown(host)}:{port} {user}@{socket.gethostname()}"
 
 
 @contextlib.contextmanager
