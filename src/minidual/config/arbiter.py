@@ -6,6 +6,8 @@ from pydantic import Field
 
 from minidual.config.base import StrictModel
 
+SPEED_OVERRIDE_MIN = 0.1
+
 
 class ArbiterConfig(StrictModel):
     """When a source may drive, and how far a target may step."""
@@ -21,3 +23,5 @@ class ArbiterConfig(StrictModel):
     switch_step_max_rad: float = Field(default=0.1, ge=0.001, le=0.5)
     """A larger step of a joint target is ramped at `align_speed_rad_s`; no trajectory may start farther away."""
     align_speed_rad_s: float = Field(default=1.0, ge=0.01, le=2.0)
+    speed_override: float = Field(default=1.0, ge=SPEED_OVERRIDE_MIN, le=1.0)
+    """Share of full speed of all motion: trajectories, object paths, alignment and streamed targets."""

@@ -73,6 +73,8 @@ class CommandArbiter:
         self._heard_s = 0.0
         self._affirmed: set[str] = set()
         self._alive_s = 0.0
+        self.speed = self.config.speed_override
+        """Share of full speed, from the next tick on."""
 
     def propose(self, source: str, command: Command) -> Refusal | None:
         """Offer a command; return its refusal, or None.
@@ -146,6 +148,8 @@ class CommandArbiter:
                 self.state, self._heard_s = ArbiterState.WAITING, now_s
             self._begin_timed(self.source, now_s, posture)
             driven = self._drive(self.source, now_s, dt)
+        for execution in self.underway.executions:
+            execution.limit_speed(self.speed)
         refusals, self._refusals = tuple(self._refusals), []
         return ArbiterOutput(
             q_target=self._held().copy(),
@@ -156,6 +160,7 @@ class CommandArbiter:
             refusals=refusals,
             executions=self.underway.executions,
             halted=halted,
+            speed=self.speed,
         )
 
     def _elapsed(self, now_s: float) -> float:
@@ -291,11 +296,10 @@ class CommandArbiter:
         step = wanted - self._held()
         largest = float(np.max(np.abs(step)))
         # A step over the bound starts an alignment, which ends once one tick at its speed reaches the target.
-        aligning = largest > self.config.switch_step_max_rad or (
-            was_aligning and largest > self.config.align_speed_rad_s * dt
-        )
+        align = self.speed * self.config.align_speed_rad_s * dt
+        aligning = largest > self.config.switch_step_max_rad or (was_aligning and largest > align)
         if aligning:
-            bound = min(self.config.align_speed_rad_s * dt, self.config.switch_step_max_rad)
+            bound = min(align, self.config.switch_step_max_rad)
             wanted = self._held() + step * min(1.0, bound / largest)
         else:
             # The hands do not move while aligning, so that they keep what they hold.

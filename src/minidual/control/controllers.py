@@ -80,8 +80,9 @@ class JointTrajectoryController(Controller):
         self.reference, self.acceleration = np.array(q, dtype=float), None
 
     def follow(self, output: ArbiterOutput) -> None:
-        """Take the target and newly begun trajectories."""
+        """Take the target, newly begun trajectories and the speed override."""
         self._target = output.q_target
+        self._filter.limit_speed(output.speed)
         for execution in output.executions:
             if not isinstance(execution, TrajectoryExecution) or execution in self._executions:
                 continue

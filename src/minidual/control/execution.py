@@ -1,6 +1,6 @@
 """Running timed commands, each with its own clock.
 
-Braking and slowing down change the clock's rate r, so two hands that carry something keep their distance:
+Braking, slowing down and the speed override change the clock's rate r, so two hands that carry something keep their distance:
 
     q(s),  s' = r,  v = q' r,  a = q'' r^2 + q' dr/dt
 
@@ -27,6 +27,8 @@ _OBJECT_BRAKE_SLOPE = 4.0
 _BRAKE_RAMP_S = 0.03
 _PACE_SLOPE, _PACE_S = 4.0, 0.1
 """Largest change of the rate [1/s], and its time constant."""
+_OVERRIDE_SLEW = 0.3
+"""Change of the override [1/s]: at 2.2 rad/s it takes less than the tenth of a_max that plans leave."""
 _OBJECT_STEP_PER_S = np.array([[8.0] * 3 + [2.0]] * 4)
 """Largest rate of the entries of a pose: rotation [1/s], position [m/s]; twice what is accepted."""
 _STOPPED_RATE = 1e-4
@@ -42,6 +44,7 @@ class _Execution:
         self.pace = 1.0
         """Wanted rate, above 0 to 1; reached smoothly."""
         self._paced = False
+        self._speed = self._speed_now = 1.0
         self.why: Reason | None = None
         """Why it was stopped, or None."""
 
@@ -66,13 +69,19 @@ class _Execution:
             self.why = why
             self.brake()
 
+    def limit_speed(self, share: float) -> None:
+        """Set the speed override, up to 1; before the first step it holds at once, then it is approached slowly."""
+        self._speed = share
+        if not self._paced and self._k < 0:
+            self._speed_now = self._rate = share
+
     def _largest_slope(self) -> float:
         """Return the largest decrease of the rate [1/s]."""
         return _OBJECT_BRAKE_SLOPE
 
     def step(self) -> None:
         """Advance one control step; the first goes to time zero."""
-        self._paced = self._paced or self.braking or self.pace < 1.0
+        self._paced = self._paced or self.braking or min(self.pace, self._speed) < 1.0
         if not self._paced:
             if self._k < self._steps:
                 self._k += 1
@@ -84,7 +93,10 @@ class _Execution:
             fall = float(np.sqrt(2.0 * self._rate * self._slope_max / _BRAKE_RAMP_S))
             self._slope = min(rise, self._slope_max, fall)
         else:
-            change, wanted = _PACE_SLOPE * self._dt / _BRAKE_RAMP_S, (self._rate - self.pace) / _PACE_S
+            slew = _OVERRIDE_SLEW * self._dt
+            self._speed_now += within(self._speed - self._speed_now, -slew, slew)
+            pace = min(self.pace, self._speed_now)
+            change, wanted = _PACE_SLOPE * self._dt / _BRAKE_RAMP_S, (self._rate - pace) / _PACE_S
             self._slope += within(within(wanted, -_PACE_SLOPE, _PACE_SLOPE) - self._slope, -change, change)
         self._rate = within(self._rate - self._slope * self._dt, 0.0, 1.0)
         self._t_s = min(self._t_s + self._rate * self._dt, self._end_s)
@@ -165,6 +177,7 @@ class ArbiterOutput:
         switched_to: Mode confirmed now.
         executions: Running; their arms ignore `q_target`.
         halted: The arms must stop now.
+        speed: Override of all motion, 0.1 to 1.
     """
 
     q_target: Array
@@ -175,3 +188,4 @@ class ArbiterOutput:
     refusals: tuple[Refusal, ...]
     executions: tuple[Execution, ...] = ()
     halted: bool = False
+    speed: float = 1.0

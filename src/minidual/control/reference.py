@@ -24,8 +24,13 @@ class ReferenceFilter:
         self._w, self._dt = bandwidth_rad_s, dt_s
         a_max = 0.8 * robot.a_max
         near = 4.0 * _BRAKE_SHARE * a_max / bandwidth_rad_s**2
-        self._bounds = np.array([a_max, 0.95 * robot.v_max, near, robot.q_lower, robot.q_upper])
+        self._v_max = self._v_allowed = 0.95 * robot.v_max
+        self._bounds = np.array([a_max, self._v_max, near, robot.q_lower, robot.q_upper])
         self.q, self.v, self.a = np.zeros((3, robot.dof))
+
+    def limit_speed(self, share: float) -> None:
+        """Follow targets at most at this share of full speed."""
+        self._v_allowed = share * self._v_max
 
     def reset(self, q: Array, v: Array | None = None, a: Array | None = None) -> None:
         """Start from posture q (n,) [rad], by default at rest."""
@@ -42,6 +47,10 @@ class ReferenceFilter:
 
         With s = min(1, d/|e|), a = w^2 e sqrt(s (2 - s)) - 2 w v.
         """
+        v_max = self._bounds[1]
+        if v_max[0] != self._v_allowed[0]:  # no faster than the joints can brake
+            brake = _BRAKE_SHARE * self._bounds[0] * self._dt
+            v_max += np.clip(self._v_allowed - v_max, -brake, brake)
         after = np.empty((3, len(target)))
         follow_target(target, self.q, self.v, self._bounds, self._w, self._dt, after)
         self.q, self.v, self.a = after

@@ -19,7 +19,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from minidual import emergency
-from minidual.config.arbiter import ArbiterConfig
+from minidual.config.arbiter import SPEED_OVERRIDE_MIN, ArbiterConfig
 from minidual.control.arbiter import CommandArbiter
 from minidual.control.commands import HOLD, ArbiterState, Command, JointCommand, Refusal
 from minidual.control.controller_manager import ControllerManager, ControllerSwitchError
@@ -72,6 +72,7 @@ class ControlStack[P: Plant]:
         self.plant = plant
         self.supervisor = supervisor
         self._config = ArbiterConfig() if config is None else config
+        self._speed = self._config.speed_override
         steps = 1.0 / (rate_hz * plant.dt)
         self._every = round(steps)
         if self._every < 1 or abs(steps - self._every) > 1e-6:
@@ -120,6 +121,7 @@ class ControlStack[P: Plant]:
             control_dt_s=self.plant.dt,
             admit=lambda command: self.manager.refuses(command),
         )
+        self.arbiter.speed = self._speed
         self.arbiter.on_flush = self._flush_listeners
         self.arbiter.on_confirm = self._confirmed
         self._wanted: dict[str, tuple[str, ...]] = {}
@@ -187,6 +189,22 @@ class ControlStack[P: Plant]:
                 "under_way", "a timed command is under way", remedy='wait for its end, or request("hold")'
             )
         self.manager.switch(names, self.plant.q, self.plant.v)
+        self._due = True
+
+    @property
+    def speed_override(self) -> float:
+        """Share of full speed, 0.1 to 1; may change in motion, stays until changed.
+
+        Raises:
+            UsageError: When set outside its range.
+        """
+        return self._speed
+
+    @speed_override.setter
+    def speed_override(self, share: float) -> None:
+        if not SPEED_OVERRIDE_MIN <= share <= 1.0:
+            raise UsageError(f"a speed override of {share} is refused; it may be {SPEED_OVERRIDE_MIN} to 1.0")
+        self._speed = self.arbiter.speed = float(share)
         self._due = True
 
     def halt(self, source: str, gripper: Array | None = None) -> None:

@@ -13,6 +13,7 @@ LIBRARIES = ("numpy", "scipy", "mujoco", "pin", "coal", "ompl", "torch", "lerobo
 _SCENE = Option("scene", "With --to or --acm: planning scene in YAML.")
 _OBJECT = Option("object", "What is carried: rod, board, box, glass.", str, "carry.object")
 _MOTION = Option("motion", "How it travels: straight, rotate, over.", str, "carry.motion")
+_SPEED = Option("speed", "Share of full speed, 0.1 to 1.", float, "arbiter.speed_override")
 _CARRIES = Option("trials", "Randomised carries to try.", int, "carry.trials_n")
 
 STAGES = StageTable(
@@ -86,7 +87,7 @@ STAGES = StageTable(
             "Carry an object with both arms under object impedance control",
             reads=("robot", "task", "carry", "scene", "arbiter", "supervisor"),
             resolve="minidual.tasks.task:task_config",
-            options=(_CARRIES, _OBJECT, _MOTION),
+            options=(_CARRIES, _OBJECT, _MOTION, _SPEED),
             asides=(
                 ToolEntry(
                     "carry-perturb",
@@ -211,6 +212,7 @@ TOOLS: tuple[ToolEntry, ...] = (
         (
             Option("modes", "Modes in turn, separated by commas (default: moveit,teleop,policy,moveit)."),
             Option("checkpoint", "Folder of the policy (default: the run's train-act)."),
+            _SPEED,
         ),
         watchable=True,
         moves=True,
