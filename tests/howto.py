@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import re
+import sys
 import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+
+import pytest
+
+from minidual.registry import Registry
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 
@@ -40,3 +49,17 @@ def distribution(folder: Path, name: str, modules: dict[str, str], toml: str) ->
     (info / "entry_points.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
     paths = [str(folder), os.environ.get("PYTHONPATH", "")]
     return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in paths if path)}
+
+
+@contextmanager
+def installed(table: Registry[Any], folder: Path, name: str, modules: dict[str, str], toml: str) -> Iterator[None]:
+    """Install a distribution in this process: its row is in the table, found by its entry point, until the end."""
+    distribution(folder, name, modules, toml)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(folder))
+        patch.setattr(table, "_rows", dict(table._rows))
+        patch.setattr(table, "_plugged", False)  # entry points are looked for again
+        yield
+    for module in modules:
+        sys.modules.pop(module, None)
+    importlib.invalidate_caches()

@@ -3,31 +3,32 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
+from pathlib import Path
 
 import howto
+import pytest
+
+from minidual.cli.app import run_command_line
+from minidual.robot.arms import ARM_MODELS
+from minidual.stages.registry import STAGES, TOOLS
 
 
-def test_an_arm_of_another_distribution_passes_env_check(tmp_path):
+def test_an_arm_of_another_distribution_passes_env_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (module,), (toml,) = howto.blocks("howto-arm.md"), howto.blocks("howto-arm.md", "toml")
     site = tmp_path / "site"
     site.mkdir()
-    environment = howto.distribution(site, "ur3", {"ur3": module}, toml)
 
-    def env_check(arm):
-        quick = {"sine_duration_s": 2}
-        command = [sys.executable, "-m", "minidual.cli", "env-check", "--profile", "smoke", "--json"]
-        command += ["--runs-dir", str(tmp_path), "--set", f"robot.arm={arm}"]
-        for name, value in quick.items():
-            command += ["--set", f"env_check.{name}={value}"]
-        return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
+    def env_check(arm: str) -> int:
+        words = ["env-check", "--profile", "smoke", "--json", "--runs-dir", str(tmp_path)]
+        words += ["--set", f"robot.arm={arm}", "--set", "env_check.sine_duration_s=2"]
+        return run_command_line(words, STAGES, TOOLS)
 
-    unknown = env_check("ur4")
-    assert unknown.returncode == 2
-    assert "did you mean" in unknown.stderr
-    done = env_check("ur3")
-    assert done.returncode == 0, done.stderr
-    checks = {check["name"]: check for check in json.loads(done.stdout)["verdict"]["checks"]}
+    with howto.installed(ARM_MODELS, site, "ur3", {"ur3": module}, toml):
+        assert env_check("ur4") == 2
+        assert "did you mean" in capsys.readouterr().err
+        status = env_check("ur3")
+        printed = capsys.readouterr()
+        assert status == 0, printed.err
+    checks = {check["name"]: check for check in json.loads(printed.out)["verdict"]["checks"]}
     assert checks["joints.count"]["observed"] == 12
     assert {check["passed"] for check in checks.values()} <= {True, None}
