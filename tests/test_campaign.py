@@ -6,9 +6,13 @@ import os
 import signal
 import time
 
+import data_samples
+import numpy as np
 import pytest
 
-from scripts.campaign.case import Case, Ran, Result, judge, run_cases
+from minidual.demos.episode import inspect_episode
+from scripts.campaign.broken import broken
+from scripts.campaign.case import Case, Place, Ran, Result, judge, run_cases
 from scripts.campaign.configuration import override_cases
 from scripts.campaign.kinds import KINDS
 from scripts.campaign.processes import orphans
@@ -83,6 +87,23 @@ def test_the_small_campaign_has_its_size(tmp_path):
     assert small["publish-kills"] >= 25
     assert small["tampering"] >= 60
     assert small["configuration"] * 30 >= 500
-    assert sum(small[name] for name in ("recordings", "scenes", "readers", "caches", "verdicts")) >= 50
+    assert sum(small[name] for name in ("recordings", "scenes", "readers", "broken-files", "caches", "verdicts")) >= 50
+    assert small["stage-kills"] >= 3
+    assert small["full-disks"] >= 1
     fields = [case.name for case in override_cases(tmp_path)]
     assert {"plan.queries_n", "carry.limits.tilt_max_rad", "scene"} <= {*fields}
+
+
+def test_a_broken_file_that_is_read_is_noted(tmp_path):
+    source, place = tmp_path / "smoke", tmp_path / "place"
+    episode = data_samples.write(source / "teleop-record/episodes/e.hdf5", data_samples.arrays(12, cameras=("high",)))
+    place.mkdir()
+    name = episode.relative_to(source).as_posix()
+    for change, noted in (
+        (lambda path, rng: path.write_text("broken"), []),
+        (lambda path, rng: None, ["a silent pass"]),
+    ):
+        result = Result()
+        broken("episode", name, change, Place(place, source, np.random.default_rng(1)), result)
+        assert [text.split(":")[0] for text in result.forbidden] == noted
+    assert inspect_episode(episode)[1] == []  # the source stays whole

@@ -314,7 +314,7 @@ def _program(file: str, number: int, place: Place, result: Result) -> None:
     record = json.loads(path.read_bytes())
     record["steps"][0] = json.loads(json.dumps(PROGRAMS[number]).replace("{}", str(made)))
     rewrite(path, json.dumps(record).encode())
-    _look("checkpoint", file, place, result)
+    look("checkpoint", file, place, result)
     if made.exists():
         result.forbidden.append("a checkpoint ran a program")
     if "refused" not in result.outcomes:
@@ -333,7 +333,7 @@ def _pickled(place: Place, result: Result) -> None:
     made = place.folder / "made"
     path = place.runs / "smoke" / "train-act" / "checkpoint" / "model.safetensors"
     rewrite(path, pickle.dumps(_Touch(made)))
-    _look("checkpoint", path.name, place, result)
+    look("checkpoint", path.name, place, result)
     if made.exists() or "refused" not in result.outcomes:
         result.forbidden.append("pickled weights are read")
 
@@ -344,7 +344,7 @@ def _files(source: Path, name: str) -> list[str]:
 
 def _read(kind: str, name: str, change: Callable[..., None], place: Place, result: Result) -> None:
     change(place.runs / "smoke" / name, place.rng)
-    _look(kind, name, place, result)
+    look(kind, name, place, result)
 
 
 def _json_value(kind: str, name: str, where: tuple[Any, ...], strange: Any, place: Place, result: Result) -> None:
@@ -356,10 +356,11 @@ def _json_value(kind: str, name: str, where: tuple[Any, ...], strange: Any, plac
     inner[where[-1]] = strange
     path.unlink()
     path.write_text(json.dumps(record), encoding="utf-8")
-    _look(kind, name, place, result)
+    look(kind, name, place, result)
 
 
-def _look(kind: str, name: str, place: Place, result: Result) -> None:
+def look(kind: str, name: str, place: Place, result: Result) -> None:
+    """Read an episode, a dataset or a checkpoint of the copied run with what reads it."""
     run = place.runs / "smoke"
     try:
         if kind == "episode":
