@@ -65,6 +65,7 @@ def run(
     *,
     onset: Callable[[World], bool] | None = None,
     index: int = 3,
+    carried: list[ImpedanceCarry] | None = None,
 ) -> Run:
     """Carry until `phase` has lasted for `after_s`, disturb, and go on to the end.
 
@@ -74,6 +75,8 @@ def run(
     with untouched(world):
         world.reset(poses=trial.start)
         carry = ImpedanceCarry(world, Kinematics(), CarryConfig(), trial, seed=5)
+        if carried is not None:
+            carried.append(carry)
         found, began, disturbed = Run(carry, np.inf), None, False
         told, run_length = Kinematics().gravity(world.q), np.zeros(DOF)
         while not carry.done and world.time < 14.0:
@@ -275,7 +278,7 @@ def test_every_row_of_the_table_can_be_told(monitor: FaultMonitor) -> None:
     for name, (said, calls) in told.items():
         assert said == name
         assert calls <= 5
-    assert set(told) | {"unreachable", "singular", "reflex", "interrupted"} == {*OPENING, *CLOSED}
+    assert set(told) | {"unreachable", "singular", "joint_limit", "reflex", "interrupted"} == {*OPENING, *CLOSED}
     assert monitor.silent("pose", 0.05, 0.05) is None
     assert _until_told(lambda: monitor.silent("pose", float("nan"), 0.05))[0] == "sensor_lost"
     assert _until_told(lambda: monitor.frozen("the pinch", True, 3)) == ("sensor_lost", 3)
@@ -394,6 +397,18 @@ def test_a_singular_posture_stops_the_arms_softly_with_the_object_held(
     assert np.abs(found.speeds[-1]).max() < 0.05
     assert world.truth().pinch().min() > 20.0
     assert not world.on_table()
+
+
+def test_a_path_that_the_law_stops_ends_the_carry_by_its_name(world: World) -> None:
+    def stop(_world: World) -> None:
+        carried[0].stack.output.executions[0].stop(("joint_limit", "a joint is near its limit"))
+
+    carried: list[ImpedanceCarry] = []
+    found = run(world, "squeeze", 0.1, stop, carried=carried)
+    assert found.carry.fault is not None
+    assert found.carry.fault.name == "joint_limit"
+    assert np.abs(world.v).max() < 0.02
+    assert world.truth().pinch().min() > 50.0
 
 
 def test_a_singular_posture_when_the_law_is_to_take_over_leaves_the_object_where_it_lies(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -39,7 +40,7 @@ def under_way(plant: Any, *, gripper: Array = CLOSED, **options: Any) -> Control
     stack = stack_on(plant, **options)
     hand_over(stack, "moveit")
     stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.4, 0.8), gripper=gripper))
-    for _ in range(300):
+    for _ in range(400):
         stack.step()
     assert np.abs(plant.v).max() > 0.5
     return stack
@@ -149,7 +150,7 @@ def test_a_switch_that_waits_is_refused_by_a_halt_and_may_be_asked_for_again(pla
     stack.halt("moveit")
     stack.step()
     assert [(r.source, r.name) for r in stack.refusals] == [("teleop", "superseded")]
-    for _ in range(300):
+    for _ in range(400):
         stack.step()
     assert stack.source is None
     # No command gets past: nobody drives, and the controller takes none.
@@ -336,3 +337,39 @@ def test_a_paced_path_is_the_same_path_driven_smoothly() -> None:
     assert np.abs(np.diff(v) / 1e-3 - a[1:]).max() < 1e-2
     assert np.abs(a).max() < 2.0
     assert v[1000:1800].max() < 0.3 * v[:600].max()
+
+
+@pytest.mark.parametrize(
+    ("way_m", "duration_s", "name", "detail"),
+    [(0.4, 3.0, "singular", "condition number"), (-0.4, 4.0, "joint_limit", "joint2 is 0.0.. rad from its limit")],
+)
+def test_a_path_out_of_reach_slows_down_and_stops_by_name(
+    plant: ArmsPlant, way_m: float, duration_s: float, name: str, detail: str
+) -> None:
+    """Before, the stretched arms ended in the reflex joint_velocity at condition number 599."""
+    here = HandsObject(plant)
+    stack = stack_on(plant, sensor=here, supervisor=Supervisor(dt_s=plant.dt))
+    stack.impedance.configure(here.held())
+    hand_over(stack, "moveit", OBJECT_CONTROLLERS)
+
+    def drive(way_m: float, duration_s: float) -> None:
+        x, y, z = (float(value) for value in here.pose()[:3, 3])
+        path = ObjectPath(Waypoint((x, y, z), 0.0, 0.0), [Waypoint((x + way_m, y, z), 0.0, duration_s)])
+        assert stack.propose("moveit", ObjectCommand(path, lambda t: 0.0, CLOSED, plant.time, plant.steps)) is None
+        stack.step()
+        while stack.executing:
+            stack.affirm("moveit")
+            stack.step()
+
+    drive(way_m, duration_s)
+    for _ in range(200):
+        stack.step()
+    assert [refusal.name for refusal in stack.refusals] == [name]
+    assert re.search(detail, stack.refusals[0].detail)
+    assert stack.reflex is None
+    assert np.abs(plant.v).max() < 0.05
+    stretched = here.pose()[0, 3]
+    hand_over(stack, "moveit")
+    drive(-0.1 * np.sign(way_m), 1.0)  # the way back is free
+    assert len(stack.refusals) == 1
+    assert abs(here.pose()[0, 3] - stretched) == pytest.approx(0.1, abs=0.01)

@@ -136,6 +136,7 @@ class CommandArbiter:
         halted = self._begin_halt(now_s, posture, v_measured)
         ended, cut = False, self.underway.braking
         if self.underway.executions:
+            self._refusals += [Refusal(self.source or HOLD, *why) for why in self.underway.stopped()]
             self._target, ended = self.underway.follow(self._held())
         held = posture if q_held is None else self._posture(q_held)
         self._begin_requested(now_s, held, v_measured)

@@ -58,6 +58,11 @@ class _Execution:
         """Whether it brakes or has braked."""
         return self._slope_max > 0.0
 
+    @property
+    def rate(self) -> float:
+        """Present rate, 0 to 1."""
+        return self._rate
+
     def brake(self) -> None:
         """Come to rest on the path."""
         if not (self.braking or self.finished):

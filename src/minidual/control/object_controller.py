@@ -14,13 +14,17 @@ from minidual.control.kernels import within
 from minidual.control.object_impedance import SQUEEZE_CEILING_N, HeldObject, ObjectImpedance, ObjectState
 from minidual.errors import UsageError
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array
+from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import rotation_log
 
 SQUEEZE_RATE_N_PER_S = 200.0
 """Largest squeeze rate; the grip limit acts at once."""
 _START_M, _START_RAD = 0.02, 0.1
 """Largest start offset of a path."""
+_SLOW_AT, _STOP_AT = np.array([[35.0, 0.1], [60.0, 0.02]])
+"""Condition number of a hand's Jacobian [m, rad], and distance [rad] of a joint from its limit, where paths towards a
+singularity or a limit slow down and stop. Carries stay below 28 and above 0.19 rad."""
+_PACE_MIN, _NEARER, _SPEED_SHARE = 0.1, 1e-4, 0.9
 
 
 class ObjectSensor(Protocol):
@@ -54,6 +58,7 @@ class ObjectImpedanceController(Controller):
         self._execution: ObjectExecution | None = None
         self.desired: ObjectState | None = None
         self._squeeze = self._squeeze_wanted = 0.0
+        self._near: Array | None = None
         self.reference = np.zeros(self._kinematics.robot.dof)
 
     def configure(self, held: HeldObject, gains: ImpedanceConfig | None = None) -> None:
@@ -88,13 +93,38 @@ class ObjectImpedanceController(Controller):
         self.desired = ObjectState(measured.T_world_object)
         self._squeeze = self._squeeze_wanted = float(np.clip(internal_force, 0.0, SQUEEZE_CEILING_N))
         self._execution = None
-        self.reference = np.array(q, dtype=float)
+        self.reference, self._v = np.array(q, dtype=float), v
 
     def follow(self, output: ArbiterOutput) -> None:
-        """Take a begun object path."""
+        """Take a begun object path, and slow it down towards singularities and joint limits."""
         for execution in output.executions:
             if isinstance(execution, ObjectExecution):
+                if execution is not self._execution:
+                    self._near = None
                 self._execution = execution
+        if self._execution is not None:
+            self._give_room(self._execution)
+
+    def _give_room(self, execution: ObjectExecution) -> None:
+        """Slow down or stop a path that nears what a hand cannot reach."""
+        robot, q = self._kinematics.robot, self.reference
+        hands = [J[:, robot.joints_of(arm)] for arm, J in enumerate(self._kinematics.tcp_jacobians(q))]
+        squares = np.linalg.eigvalsh([J @ J.T for J in hands])
+        condition = np.sqrt(squares[:, -1] / np.maximum(squares[:, 0], 1e-12))
+        margin = np.minimum(q - robot.q_lower, robot.q_upper - q)
+        values, kind = np.r_[condition, margin], np.repeat([0, 1], [len(condition), len(margin)])
+        near = (values - _SLOW_AT[kind]) / (_STOP_AT - _SLOW_AT)[kind]
+        before, self._near = near if self._near is None else self._near, near
+        nearing = np.where(near > before + _NEARER, near, 0.0)
+        worst = int(nearing.argmax())
+        share = float((np.abs(self._v) / robot.v_max).max()) / max(execution.rate, _PACE_MIN)  # at the full rate
+        execution.pace = max(_PACE_MIN, min(1.0 - float(nearing[worst]), _SPEED_SHARE / max(share, _SPEED_SHARE)))
+        if nearing[worst] >= 1.0 and worst < len(condition):
+            what = f"the {SIDES[worst]} hand's Jacobian has condition number {values[worst]:.0f}"
+            execution.stop(("singular", f"{what}; paths towards a singularity stop at {_STOP_AT[0]:.0f}"))
+        elif nearing[worst] >= 1.0:
+            what = f"{robot.joint_names[worst - len(condition)]} is {values[worst]:.3f} rad from its limit"
+            execution.stop(("joint_limit", f"{what}; paths towards it stop at {_STOP_AT[1]} rad"))
 
     def update(self, q: Array, v: Array) -> Array:
         """See `Controller`."""
@@ -107,7 +137,7 @@ class ObjectImpedanceController(Controller):
         # The hands slip above the friction limit: reduce the squeeze at once.
         self._squeeze = min(self._squeeze + step, sensor.grip_limit_n)
         measured, felt_n = sensor.read()
-        self.reference, desired = q, self.desired or measured
+        self.reference, self._v, desired = q, v, self.desired or measured
         return law.torque(q, v, measured, desired, internal_force_n=self._squeeze, measured_internal_force_n=felt_n)
 
     def _ready(self) -> tuple[ObjectImpedance, ObjectSensor]:

@@ -59,6 +59,13 @@ class Underway:
         self.executions = running
         return target, ended
 
+    def stopped(self) -> list[Reason]:
+        """Return, once, why controllers have stopped commands."""
+        reasons = [execution.why for execution in self.executions if execution.why is not None]
+        for execution in self.executions:
+            execution.why = None
+        return reasons
+
     def brake(self) -> None:
         """Brake all along their paths."""
         for execution in self.executions:

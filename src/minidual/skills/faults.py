@@ -14,7 +14,7 @@ from minidual.robot.pair import SIDES, Array
 
 OPENING = ("missed_grasp", "knocked_away", "object_lost", "lost_arm", "unreachable")
 """Faults after which the hands open."""
-CLOSED = ("slip", "tilted", "sensor_lost", "reflex", "interrupted", "singular")
+CLOSED = ("slip", "tilted", "sensor_lost", "reflex", "interrupted", "singular", "joint_limit")
 """Faults after which the hands keep their command."""
 
 

@@ -28,7 +28,7 @@ from minidual.robot.pair import Array
 from minidual.robot.poses import inverse
 from minidual.skills.carry_motions import held_motion, held_object, joint_move, plan_path
 from minidual.skills.carry_watch import CarryWatch
-from minidual.skills.faults import OPENING, Fault
+from minidual.skills.faults import CLOSED, OPENING, Fault
 from minidual.skills.phases import PHASES
 from minidual.skills.pipeline.drive import SOURCE
 from minidual.skills.reach import GraspUnreachableError, grasp_posture
@@ -275,6 +275,8 @@ class ImpedanceCarry:
             return
         if stack.output.halted:  # first: sources see a halt as a hold request
             self._note("interrupted", "the arms were halted")
+        elif refused is not None and refused.name in CLOSED:
+            self._note(refused.name, refused.detail, _BRAKED_S)
         elif refused is not None:
             self._note("interrupted", f"{refused.name}: {refused.detail}", _BRAKED_S)
         elif self._asked_for is not None:
