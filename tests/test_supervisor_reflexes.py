@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import copy
 import pickle
 import re
 import threading
@@ -16,11 +17,13 @@ from guarded_arms import GuardedArms, Senses, accelerate, begin_swing, swing
 from panda import A_MAX, DOF, HOME, JOINT_NAMES, Q_LOWER, Q_UPPER, TAU_MAX, TAU_RATE_MAX, V_MAX
 
 from minidual.config.supervisor import SupervisorConfig
+from minidual.control.contact import Expected
 from minidual.control.limits import Reach
 from minidual.control.loop import JointLoop
 from minidual.control.reflexes import REFLEXES, Reflex, ReflexError
 from minidual.control.supervised_stop import SupervisedStop
 from minidual.control.supervisor import Supervisor
+from minidual.plant.world import World
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
 from minidual.skills.supervised import arm_distance
@@ -65,6 +68,15 @@ LIES = {
 
 def _jump(t: float, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return q + 0.05 * (t > 0.0195) * np.eye(DOF)[1], v
+
+
+def _push(world: World, body: str, force: tuple[float, float, float]) -> Callable[[float], None]:
+    """Push a body from 0.1 s on [N]."""
+
+    def act(t: float) -> None:
+        world.data.xfrc_applied[world.model.body(body).id, :3] = np.array(force) * (t > 0.0995)
+
+    return act
 
 
 @pytest.fixture
@@ -149,6 +161,70 @@ class TestReflexes:
     def test_tcp_speed(self, arms):
         reflex = must_trip(arms(tcp_speed_max_m_per_s=0.3).run(1.0, accelerate(0, 3.0)), "tcp_speed", "left")
         assert 0.3 < reflex.value < 0.35
+
+    def test_joint_contact_where_something_pushes_the_forearm(self, arms):
+        """100 N: 7 ms from onset. Before, no reflex."""
+        for newtons in (10.0, 100.0):
+            set_up = arms()
+            set_up.world.reset()
+            error = set_up.run(0.2, before=_push(set_up.world, "left_panda_link5", (0.0, newtons, 0.0)))
+            assert (error is not None) == (newtons > 50.0)
+        reflex = must_trip(error, "joint_contact", "free motion")
+        assert 0.1 < reflex.time_s <= 0.112
+        assert abs(reflex.value) > reflex.bound == pytest.approx(0.15 * 87.0)
+        set_up.world.data.xfrc_applied[:] = 0.0
+        set_up.go_on(0.5)
+        assert np.abs(set_up.world.v).max() < 0.01
+
+    @pytest.mark.parametrize("joint", [1, 3, 5])
+    def test_joint_stuck_in_motion(self, scene, compiled_model, joint):
+        """Named after 3 ms; in a carry it took 0.68 to 1.24 s until a fault."""
+        world = World(scene, model=copy.copy(compiled_model))
+        set_up = GuardedArms(world, Supervisor())
+        dof = world.joints.qvel[joint]
+
+        def block(t):
+            world.model.dof_damping[dof] = 1e5 if t > 0.0995 else 0.1
+
+        begin_swing(world)
+        reflex = must_trip(set_up.run(0.2, swing, before=block), "joint_stuck", JOINT_NAMES[joint])
+        assert 0.1 < reflex.time_s <= 0.106
+
+    def test_cartesian_contact_where_a_hand_is_pushed(self, arms):
+        for newtons in (15.0, 22.0):
+            set_up = arms()
+            set_up.world.reset()
+            error = set_up.run(0.3, before=_push(set_up.world, "right_panda_hand", (0.0, 0.0, newtons)))
+            assert (error is not None) == (newtons > 20.0)
+        reflex = must_trip(error, "cartesian_contact", "the right hand, free motion")
+        assert reflex.value > reflex.bound == 20.0
+
+    def test_tracking_error_of_a_joint_without_drive(self, arms):
+        set_up, moved = arms(), accelerate(5, 2.0)
+        set_up.supervisor.expected = lambda: Expected(reference=moved(set_up.world.time)[0])
+        gravity = set_up.supervisor._kinematics.gravity(HOME).copy()
+        error = set_up.run(0.5, moved, torque=lambda t, tau: np.where(np.arange(DOF) == 5, gravity, tau))
+        reflex = must_trip(error, "tracking_error", "left_panda_joint6, free motion")
+        assert abs(reflex.value) > reflex.bound == 0.05
+        assert 0.2 < reflex.time_s < 0.3
+
+    def test_gripper_opened(self, arms):
+        set_up = arms()
+        set_up.supervisor.expected = lambda: Expected("closed hands", hand_fault="the left hand: 0 of 60 N")
+        assert must_trip(set_up.run(0.1), "gripper_opened", "the left hand").time_s < 0.005
+
+    def test_contact_expects_more_of_hands_that_hold(self, arms):
+        """25 N on a hand: a reflex in free motion, none with closed hands, and none where the law expects half of it."""
+        torque = Kinematics().tcp_jacobians(HOME)[0][1] * 25.0
+        for expected in (Expected(), Expected("closed hands"), Expected("held object", 0.6 * torque)):
+            set_up = arms()
+            world = set_up.world
+            world.reset()
+            set_up.supervisor.expected = lambda expected=expected: expected
+            world.data.qfrc_applied[world.joints.qvel] = torque
+            error = set_up.run(0.2)
+            assert (error is not None) == (expected.mode == "free motion"), error
+        world.data.qfrc_applied[:] = 0.0
 
     def test_workspace_is_left_by_nobody(self, arms):
         box = ((-0.7, 1.1), (-1.1, 0.4), (-0.005, 1.3))
@@ -496,7 +572,14 @@ class TestBounds:
         assert REACH.safe_time_s(v, -0.01) == 0.0
 
     def test_limits_can_be_tightened_and_not_loosened(self):
-        for name in ("velocity_scale", "torque_scale", "torque_rate_scale", "acceleration_scale"):
+        for name in (
+            "velocity_scale",
+            "torque_scale",
+            "torque_rate_scale",
+            "acceleration_scale",
+            "contact_scale",
+            "deviation_scale",
+        ):
             assert SupervisorConfig(**{name: 0.5})
             with pytest.raises(ValueError, match=name):
                 SupervisorConfig(**{name: 1.01})

@@ -29,6 +29,12 @@ class SupervisorConfig(StrictModel):
     jerk_reflex: bool = False
     """Reflex on the jerk of the commanded reference, as in the real arm; the reference filter does not bound it."""
     tcp_speed_max_m_per_s: float = Field(default=1.7, ge=0.01, le=1.7)
+    contact_scale: float = Field(default=1.0, ge=0.1, le=1.0)
+    """Share of each mode's bounds (control/contact.py)."""
+    deviation_scale: float = Field(default=1.0, ge=0.1, le=1.0)
+    """Same, distance from the reference."""
+    deviation_s: float = Field(default=0.05, ge=0.001, le=0.05)
+    """Longest time beyond that bound."""
     workspace_m: Box = ((-0.9, 1.1), (-1.2, 1.2), (-0.005, 1.6))
     """Ranges of the tool centre points."""
     self_collision_min_m: float = Field(default=0.01, ge=1e-4, le=0.2)

@@ -8,10 +8,12 @@ The target stays within half the travel of the fingers.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from minidual.plant.protocol import Plant
-from minidual.robot.pair import Array
+from minidual.robot.pair import SIDES, Array
 
 CLOSE_BELOW, OPEN_ABOVE = 0.4, 0.6
 """Hysteresis against opening commands wavering about the middle."""
@@ -19,6 +21,10 @@ JOINT_PINCH_N = 60.0
 """Pinch force in joint-space modes: 1.5 times the internal force a stiff pair can demand."""
 _COMPLIANCE_M_PER_NS = 0.01  # k: a 5000 N/m servo settles with a 20 ms time constant
 _NEAR = 0.9
+_LOST, _LOST_S = 0.5, 0.004
+"""Below this share for this long, a grip is lost."""
+_SLIPPED_M = 0.001
+"""Fingers that close further have lost the object."""
 
 
 class Grippers:
@@ -33,12 +39,19 @@ class Grippers:
         self._force_n = min(pinch_force_n, plant.grip_max_n)
         self._step_m = speed_m_per_s * plant.dt
         self._gain = _COMPLIANCE_M_PER_NS * plant.dt
+        self.fault = ""
+        """Which hand lost its grip, or empty."""
         self.reset()
 
     def reset(self) -> None:
         """Start with open hands."""
         self._is_open = [True, True]
+        self.forget_grip()
         self._set([self._travel_m] * 2)
+
+    def forget_grip(self) -> None:
+        """Expect no grip until hands close on something anew."""
+        self._held_m, self._lost, self.fault = [math.nan] * 2, [0, 0], ""
 
     def close(self, targets_m: Array) -> None:
         """Start closed on an object, at finger targets (2,) [m]."""
@@ -64,15 +77,28 @@ class Grippers:
         grip = self._plant.grip.tolist()
         for hand, target in enumerate(targets):
             if is_open[hand]:
+                self._held_m[hand] = math.nan
                 targets[hand] = min(target + step, self._travel_m)
                 continue
             way = self._gain * (grip[hand] - self._force_n)
             target = min(target + min(step, max(-step, way)), self._travel_m)
             if grip[hand] < _NEAR * self._force_n:  # otherwise the target is not far ahead of the fingers
                 target = max(target, float(self._plant.fingers[hand]) - 0.5 * self._travel_m)
+                self._compare(hand, grip[hand])
+            elif math.isnan(self._held_m[hand]):
+                self._held_m[hand] = float(self._plant.fingers[hand])
             targets[hand] = target
         self.targets_m = np.array(targets)
         return self.targets_m
+
+    def _compare(self, hand: int, grip_n: float) -> None:
+        """Compare felt and commanded grip."""
+        moved_m = float(self._plant.fingers[hand]) - self._held_m[hand]
+        lost = grip_n < _LOST * self._force_n and moved_m > -_SLIPPED_M
+        self._lost[hand] = self._lost[hand] + 1 if lost else 0
+        if self._lost[hand] * self._plant.dt > _LOST_S:
+            what = f"{grip_n:.0f} of {self._force_n:.0f} N, fingers {1e3 * moved_m:+.1f} mm"
+            self.fault = f"the {SIDES[hand]} hand: {what}"
 
     def _set(self, targets: list[float]) -> None:
         self._targets = targets

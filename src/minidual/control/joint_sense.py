@@ -9,7 +9,6 @@ slope of q; a joint that lost both follows forward dynamics under the applied to
 from __future__ import annotations
 
 import math
-from collections import deque
 
 import numpy as np
 import numpy.typing as npt
@@ -74,7 +73,6 @@ class JointSense:
         self._data = self._model.createData()
         self._config, self._dt = config, dt_s
         self._tau_moves = _FROZEN_SHARE * self._robot.tau_max
-        self._applied: deque[Array] = deque(maxlen=_KEPT)
         self.reset()
 
     def reset(self) -> None:
@@ -87,7 +85,8 @@ class JointSense:
         self.age_s = 0.0
         """Time without a new measurement."""
         self._kept, self._started, self._any_lost = np.zeros((6, n)), False, False
-        self._applied.clear()
+        self.applied, self.ticks = np.zeros((_KEPT, n)), 0
+        """Ring of applied torques; row of the last: (ticks - 1) % len(applied)."""
 
     def update(self, q: Array, v: Array, tau: Array, applied: Array, new_s: float) -> bool:
         """Take measurements q, v (n,) that are `new_s` newer than the last; return whether all are usable.
@@ -95,7 +94,8 @@ class JointSense:
         tau: requested torque [Nm]. applied: the torque since the last tick. `new_s` 0: nothing new was measured.
         """
         config, kept, usable = self._config, self._kept, True
-        self._applied.append(applied.copy())
+        self.applied[self.ticks % _KEPT] = applied
+        self.ticks += 1
         if not new_s > 0.0:
             q, v = self.q, self.v
             self.age_s += self._dt
@@ -139,22 +139,23 @@ class JointSense:
         seen = ~self.lost.all(axis=0)
         self.lost |= lost
         self._any_lost = True
-        newly, steps = seen & self.lost.all(axis=0), min(round(since_s / self._dt), len(self._applied)) - 1
+        newly, steps = seen & self.lost.all(axis=0), min(round(since_s / self._dt), self.ticks, _KEPT) - 1
         if newly.any() and steps > 0:  # all but the last step, which `_replace` adds
-            q, v = self._moved(list(self._applied)[-1 - steps : -1])
+            q, v = self._moved(range(self.ticks - 1 - steps, self.ticks - 1))
             self.q[newly], self.v[newly] = q[newly], v[newly]
 
     def _replace(self, q: Array, v: Array, step_s: float) -> None:
         q_lost, v_lost = self.lost
-        q_model, v_model = self._moved([self._applied[-1]])
+        q_model, v_model = self._moved(range(self.ticks - 1, self.ticks))
         slope = self.v + min(1.0, step_s / _SLOPE_S) * ((q - self.q) / step_s - self.v)
         self.v = np.where(q_lost & v_lost, v_model, np.where(v_lost, slope, v))
         self.q = np.where(q_lost & v_lost, q_model, np.where(q_lost, self.q + step_s * self.v, q))
 
-    def _moved(self, torques: list[Array]) -> tuple[Array, Array]:
-        """Return (q, v) after steps under these torques."""
+    def _moved(self, steps: range) -> tuple[Array, Array]:
+        """Return (q, v) after steps under the torques applied in them."""
         q, v, arm = self.q, self.v, self._robot.arm
-        for tau in torques:
+        for step in steps:
+            tau = self.applied[step % _KEPT]
             friction = arm.damping * v + arm.friction * np.tanh(v / 0.02)
             v = v + self._dt * np.array(pin.aba(self._model, self._data, q, v, tau - friction))
             q = q + self._dt * v

@@ -94,12 +94,12 @@ def hand_motion(J: Array, p: Elements, v: Array, J_hand: Array) -> tuple[Vector,
 
 
 @njit
-def least_norm(J: Array, b: Array, x: Array) -> bool:
-    """Add J^T (J J^T)^-1 b to x, J (6, n), by Cholesky factors; return False if J lost a rank."""
-    L, y = np.empty((6, 6)), b.copy()
+def solve_gram(J: Array, y: Array, damping: float) -> bool:
+    """Solve (J J^T + damping) x = y in place by Cholesky factors; return False if J (6, n) lost a rank."""
+    L = np.empty((6, 6))
     for i in range(6):
         for j in range(i + 1):
-            s = 0.0
+            s = damping if i == j else 0.0
             for k in range(J.shape[1]):
                 s += J[i, k] * J[j, k]
             for k in range(j):
@@ -114,9 +114,37 @@ def least_norm(J: Array, b: Array, x: Array) -> bool:
         for k in range(i + 1, 6):
             y[i] -= L[k, i] * y[k]
         y[i] /= L[i, i]
+    return True
+
+
+@njit
+def least_norm(J: Array, b: Array, x: Array) -> bool:
+    """Add J^T (J J^T)^-1 b to x, J (6, n); return False if J lost a rank."""
+    y = b.copy()
+    if not solve_gram(J, y, 0.0):
+        return False
+    for i in range(5, -1, -1):
         for k in range(J.shape[1]):
             x[k] += J[i, k] * y[i]
     return True
+
+
+@kernel(types.void(_TURNED, VECTOR, VECTOR, VECTOR, VECTOR, ROWS))
+def hand_look(J: Array, p_left: Array, p_right: Array, v: Array, torque: Array, out: Array) -> None:
+    """Fill `out` (4, 3): the hands' velocities [m/s], then forces (J J^T + 1e-3)^-1 J torque [N]; J, p: see `Hands`."""
+    n = len(v) // 2
+    J_hand, y = np.empty((6, n)), np.empty(6)
+    for i, p in enumerate((three(p_left, 0), three(p_right, 0))):
+        hand_motion(J[:, n * i : n * i + n], p, v[n * i : n * i + n], J_hand)
+        for k in range(6):
+            y[k] = 0.0
+            for j in range(n):
+                y[k] += J_hand[k, j] * torque[n * i + j]
+        solve_gram(J_hand, y, 1e-3)
+        for k in range(3):
+            out[i, k], out[2 + i, k] = 0.0, y[k]
+            for j in range(n):
+                out[i, k] += J_hand[k, j] * v[n * i + j]
 
 
 @kernel(

@@ -95,6 +95,11 @@ class ObjectImpedanceController(Controller):
         self._execution = None
         self.reference, self._v = np.array(q, dtype=float), v
 
+    @property
+    def load(self) -> Array:
+        """External torque (n,) [Nm] of the object, last commanded."""
+        return -self._ready()[0].push
+
     def follow(self, output: ArbiterOutput) -> None:
         """Take a begun object path, and slow it down towards singularities and joint limits."""
         for execution in output.executions:

@@ -72,7 +72,8 @@ class ObjectImpedance:
         self._law = np.array([data], LAW)
         self._posture = kinematics.robot.home
         self._hands = Hands(kinematics)
-        self._motors, self._qdd, self._push = Motors(kinematics), *np.zeros((2, kinematics.robot.dof))
+        self._motors, self._qdd, self.push = Motors(kinematics), *np.zeros((2, kinematics.robot.dof))
+        """push: (n,) [Nm], last J^T f."""
 
     def engage(self, q: Array) -> None:
         """Set damping and null-space posture from q (n,).
@@ -123,7 +124,7 @@ class ObjectImpedance:
         if not impedance(
             *(self._law, measured.T_world_object, measured.twist),
             *(desired.T_world_object, desired.twist, desired.acceleration, squeeze),
-            *(hands.J, *hands.p, *hands.R, self._posture - q, v, self._qdd, self._push),
+            *(hands.J, *hands.p, *hands.R, self._posture - q, v, self._qdd, self.push),
         ):
             raise SingularPostureError("a hand has lost a direction of motion: J J^T is singular", remedy=_BENT)
-        return self._motors.torque(q, v, self._qdd, self._push)
+        return self._motors.torque(q, v, self._qdd, self.push)

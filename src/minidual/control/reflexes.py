@@ -63,6 +63,25 @@ REFLEXES: dict[str, ReflexKind] = {
     "tcp_speed": ReflexKind(
         "a hand is faster than its limit", "slow the motion down, or plan with a limit on the speed of the hand", "m/s"
     ),
+    "joint_contact": ReflexKind(
+        "an arm touches something", "free the arm by hand; see what it met, and what it holds", "Nm"
+    ),
+    "joint_stuck": ReflexKind(
+        "a joint stands still under a torque that should move it",
+        "see what blocks it: its brake, its gear, an obstacle",
+        "Nm",
+    ),
+    "cartesian_contact": ReflexKind(
+        "a hand presses on something", "free the arm by hand; see what it met, and what it holds", "N"
+    ),
+    "tracking_error": ReflexKind(
+        "a joint does not follow its reference",
+        "see what holds it: an obstacle, a load, a stuck or weak joint, an encoder that is off",
+        "rad",
+    ),
+    "gripper_opened": ReflexKind(
+        "a hand has lost its grip though it is told to hold", "look at the hand's drive and supply, then open it", ""
+    ),
     "workspace": ReflexKind(
         "a hand is leaving the workspace",
         "check the target; widen supervisor.workspace_m if the place is truly free",

@@ -22,6 +22,7 @@ from minidual import emergency
 from minidual.config.arbiter import SPEED_OVERRIDE_MIN, ArbiterConfig
 from minidual.control.arbiter import CommandArbiter
 from minidual.control.commands import HOLD, ArbiterState, Command, JointCommand, Refusal
+from minidual.control.contact import Expected
 from minidual.control.controller_manager import ControllerManager, ControllerSwitchError
 from minidual.control.controllers import Controller, JointTrajectoryController
 from minidual.control.execution import ArbiterOutput
@@ -90,6 +91,8 @@ class ControlStack[P: Plant]:
             SoftStopController(kinematics, plant.dt),
         ]
         self._flush_listeners: list[Callable[[str], None]] = []
+        if supervisor is not None:
+            supervisor.expected = self._expected
         self.reset()
 
     def reset(self) -> None:
@@ -127,6 +130,7 @@ class ControlStack[P: Plant]:
         self._wanted: dict[str, tuple[str, ...]] = {}
         self._countdown = 0
         self._due, self._pending = True, False
+        self.grippers.forget_grip()
         self.output = ArbiterOutput(self.plant.q, gripper, ArbiterState.HOLDING, None, None, ())
         """The arbiter's last output."""
         self.reflex: MinidualError | None = None
@@ -403,6 +407,17 @@ class ControlStack[P: Plant]:
         tau = self.manager.update(q, v)
         # Only torques that reach motors are guarded.
         return (tau if self._off is None else self._off.nearest(tau)), self.manager.acceleration
+
+    def _expected(self) -> Expected:
+        """Return what the supervisor may expect."""
+        manager, grippers = self.manager, self.grippers
+        if self._off is not None:
+            return Expected("arm switched off")
+        if manager.active == OBJECT_CONTROLLERS:
+            return Expected("held object", self.impedance.load, manager.reference, grippers.fault)
+        if all(grippers.is_open):
+            return Expected("free motion", None, manager.reference)
+        return Expected("closed hands", None, manager.reference, grippers.fault)
 
     def _check_plant(self) -> None:
         plant, limit_s = self.plant, self._config.stale_s

@@ -12,16 +12,17 @@ from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
-import pinocchio as pin
 
 from minidual import emergency
 from minidual.config.supervisor import SupervisorConfig
 from minidual.control import limits
+from minidual.control.contact import EVERY, ContactSense, Expected
 from minidual.control.joint_sense import JointSense
+from minidual.control.kernels import hand_look
 from minidual.control.reflexes import Reflex, ReflexError
 from minidual.control.supervised_stop import SupervisedStop
 from minidual.plant.world import StepRecorder
-from minidual.robot.kinematics import Kinematics
+from minidual.robot.kinematics import Hands, Kinematics
 from minidual.robot.pair import SIDES, Array
 
 Distance = Callable[[Array], tuple[str, float]]
@@ -37,6 +38,9 @@ def dumping(recorder: StepRecorder) -> OnReflex:
 
 SEEN = ("measured_position_rad", "measured_velocity_rad_per_s", "asked_torque_nm")
 """Per-joint values recorded by a reflex; non-finite ones become text."""
+
+_STILL_RAD_S = 1e-3
+"""Slower joints are stuck."""
 
 
 class Supervisor:
@@ -64,6 +68,11 @@ class Supervisor:
         self._reach = limits.Reach(self._kinematics)
         self._zero = np.zeros(self._robot.dof)
         self._sense = JointSense(self._kinematics, self.config, dt_s)
+        self._contact, self._hands = ContactSense(self._kinematics, self.config, dt_s), Hands(self._kinematics)
+        self._looked = np.zeros((4, 3))
+        self._expected = Expected()
+        self.expected: Callable[[], Expected] = Expected
+        """What controllers expect of this tick."""
         self._stop = SupervisedStop(self._kinematics, self.config, dt_s)
         self._self_distance = self_distance
         self._on_reflex = on_reflex
@@ -102,6 +111,7 @@ class Supervisor:
         self._asked = self._zero
         self._stamp_s, self._usable = math.nan, True
         self._sense.reset()
+        self._contact.reset()
 
     def estop(self, reason: str = "pressed") -> None:
         """Stop the arms in the next tick; thread-safe."""
@@ -160,6 +170,8 @@ class Supervisor:
             applied = rows[2]
         else:
             applied = self._look_closer()
+        if self._tick % EVERY == 0 and self._sense.age_s == 0.0:
+            self._feel(time_s if stamp_s is None else stamp_s)
         if self._tick >= self._next_slow:
             self._look_slowly()
         before[:] = applied
@@ -247,20 +259,45 @@ class Supervisor:
             return tau.copy()
         return tau - step + np.clip(step, -bounds.tau_step, bounds.tau_step)
 
+    def _feel(self, stamp_s: float) -> None:
+        """Compare torques, postures and grip with what is expected."""
+        contact, robot = self._contact, self._robot
+        self._expected = expected = self.expected()
+        if expected.hand_fault:
+            self._trip("gripper_opened", expected.hand_fault, 1.0, None)
+        sense, age = self._sense, round((self._time_s - stamp_s) / self.dt_s)
+        torque, late = contact.update(stamp_s, self._q, self._v, sense.applied, sense.ticks - 1 - age, expected)
+        if torque <= 1.0 and late <= 1.0:
+            return
+        *bounds, away_max, _, _ = contact.bounds[expected.mode].tolist()
+        if not torque <= 1.0:
+            ratio = np.abs(contact.torque) / bounds
+            stuck = (np.abs(self._v) < _STILL_RAD_S) & (ratio > 1.0)
+            joint = int(np.argmax(np.where(stuck, ratio, 0.0) if stuck.any() else ratio))
+            name, value, bound = "joint_stuck" if stuck.any() else "joint_contact", contact.torque[joint], bounds[joint]
+        else:
+            joint = int(np.argmax(contact.late_s))
+            name, value, bound = "tracking_error", contact.away[joint], away_max
+        self._trip(name, f"{robot.joint_names[joint]}, {expected.mode}", float(value), bound)
+
     def _look_slowly(self) -> None:
         self._next_slow = self._tick + self._slow_every
         q, v = self._rows[0], self._rows[1]
         rest = self.bounds.stopping_point(q, v)
         if not np.abs((rest - self.bounds.centre[0]) * self.bounds.scale[0]).max() <= 1.0:
             self._trip_position(rest)
-        model, data = self._kinematics.model, self._kinematics.data
-        pin.forwardKinematics(model, data, q, v)
-        ahead = self._slow_every * self.dt_s
+        self._hands.update(q)
+        hand_look(self._hands.J, *self._hands.p, v, self._contact.torque, self._looked)
+        ahead, force_max = self._slow_every * self.dt_s, float(self._contact.bounds[self._expected.mode][-1])
         (x0, x1), (y0, y1), (z0, z1) = self.config.workspace_m
-        for arm, frame in enumerate(self._kinematics.tcp_ids):
+        for arm, place in enumerate(self._hands.p):
             # plain floats are faster than arrays for six numbers
-            x, y, z = pin.updateFramePlacement(model, data, frame).translation.tolist()
-            vx, vy, vz = pin.getFrameVelocity(model, data, frame, pin.LOCAL_WORLD_ALIGNED).linear.tolist()
+            x, y, z = place.tolist()
+            vx, vy, vz = self._looked[arm].tolist()
+            fx, fy, fz = self._looked[2 + arm].tolist()
+            force = math.sqrt(fx * fx + fy * fy + fz * fz)
+            if not force <= force_max:
+                self._trip("cartesian_contact", f"the {SIDES[arm]} hand, {self._expected.mode}", force, force_max)
             speed = math.sqrt(vx * vx + vy * vy + vz * vz)
             if not speed <= self.config.tcp_speed_max_m_per_s:
                 self._trip("tcp_speed", self._robot.tcp_names[arm], speed, self.config.tcp_speed_max_m_per_s)

@@ -128,6 +128,8 @@ class ImpedanceCarry:
             self.stack.step()
         except ReflexError as error:
             self._halted, cause = True, error.__cause__
+            if self.fault is not None and self.fault.at_s == error.reflex.time_s:
+                self.fault = None  # a consequence, sensed in the same tick
             if error.reflex.name == "controller_failed" and not isinstance(cause, MinidualError):
                 self._broken = cause
             singular = isinstance(cause, SingularPostureError)
