@@ -118,8 +118,7 @@ class ActKind(PolicyKind):
         if record.pop("type") != self.config_class.get_choice_name(self.config_class):
             raise ValueError("config.json describes a policy of another type")
         # Weights to start training from would be downloaded; those of the checkpoint replace them.
-        record |= {"device": device} | ({"pretrained_backbone_weights": None} if self.config_class is ACTConfig else {})
-        config = draccus.decode(self.config_class, record)
+        config = draccus.decode(self.config_class, record | {"device": device, "pretrained_backbone_weights": None})
         check_sizes(config)
         return config
 

@@ -6,13 +6,12 @@ the next one is learned from images alone (docs/train-act.md).
 
 from __future__ import annotations
 
-from collections import deque
 from typing import Any
 
 import torch
 import torch.nn.functional as F
 from lerobot.configs import FeatureType, PolicyFeature
-from lerobot.policies.act.modeling_act import ACT
+from lerobot.policies.act.modeling_act import ACT, ACTPolicy
 from lerobot.policies.pretrained import PreTrainedPolicy
 from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_STATE
 from torch import Tensor, nn
@@ -69,42 +68,18 @@ class SpatialActModel(nn.Module):
         return actions, latent, keyframe
 
 
-class SpatialActPolicy(PreTrainedPolicy):
+class SpatialActPolicy(ACTPolicy):
     """The LeRobot policy `spatial_act`."""
 
     config_class: Any = SpatialActConfig
     name: Any = "spatial_act"
 
     def __init__(self, config: SpatialActConfig, **kwargs: Any) -> None:
-        super().__init__(config)
+        PreTrainedPolicy.__init__(self, config)  # ACTPolicy would build a resnet
         config.validate_features()
         self.config: SpatialActConfig = config
         self.model = SpatialActModel(config)
         self.reset()
-
-    def get_optim_params(self) -> Any:
-        """Return parameter groups for lerobot-train."""
-        image = list(self.model.backbone.parameters())
-        known = {id(p) for p in image}
-        rest = [p for p in self.parameters() if id(p) not in known]
-        return [{"params": rest}, {"params": image, "lr": self.config.optimizer_lr_backbone}]
-
-    def reset(self) -> None:
-        """Drop `select_action`'s queue."""
-        self._queue: deque[Tensor] = deque(maxlen=self.config.n_action_steps)
-
-    @torch.no_grad()
-    def select_action(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
-        """Return the next normalised action (B, A)."""
-        if not self._queue:
-            self._queue.extend(self.predict_action_chunk(batch)[:, : self.config.n_action_steps].transpose(0, 1))
-        return self._queue.popleft()
-
-    @torch.no_grad()
-    def predict_action_chunk(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
-        """Return the normalised chunk (B, chunk_size, A)."""
-        self.eval()
-        return self.model(batch)[0]
 
     @torch.no_grad()
     def predict_keyframes(self, batch: dict[str, Tensor]) -> Tensor:
