@@ -97,8 +97,8 @@ def test_what_is_typed_wrongly_ends_with_2(run, words, says):
     assert says in err
 
 
-def test_files_that_cannot_be_written_end_with_2(run, tmp_path, monkeypatch):
-    """Before anything is planned where that can be seen; a disk that fills up afterwards is told, too."""
+def test_files_that_cannot_be_written_are_refused(run, tmp_path, monkeypatch):
+    """Before anything is planned where that can be seen; a disk that fills up afterwards ends with exit code 4."""
     folder = tmp_path / "folder.json"
     folder.mkdir()
     code, out, err = run("--to", "ready", "--out", folder)
@@ -116,8 +116,8 @@ def test_files_that_cannot_be_written_end_with_2(run, tmp_path, monkeypatch):
 
     monkeypatch.setattr(Trajectory, "write_csv", full)
     code, _, err = run("--to", "ready", "--csv", tmp_path / "t.csv")
-    assert code == 2
-    assert "t.csv cannot be written: No space left on device" in err
+    assert code == 4
+    assert f"no space left on the disk of {tmp_path / 't.csv'}" in err
 
 
 def test_a_plan_far_from_everything_has_at_least_the_largest_clearance():

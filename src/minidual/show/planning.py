@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -22,9 +22,12 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 from minidual.robot.trajectory import Trajectory
 from minidual.show.figures.canvas import sheet
-from minidual.show.view import Overlay, View
+from minidual.show.view import Overlay
 from minidual.show.watch import tcp_preview
 from minidual.trials.planning.evaluate import Outcome
+
+if TYPE_CHECKING:
+    from minidual.show.view import View
 
 _OBSTACLE_RGBA = [0.78, 0.42, 0.25, 1.0]
 _HELD_RGBA = [0.15, 0.6, 0.4, 1.0]

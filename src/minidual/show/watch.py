@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -22,10 +23,13 @@ from minidual.plant.world import World
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot
-from minidual.show.view import NO_PREVIEW, Arrow, Overlay, PathLine, Preview, View
+from minidual.show.view import NO_PREVIEW, Arrow, Overlay, PathLine, Preview
 from minidual.show.view.overlay import ARM_RGB
 from minidual.trials.methods import Method
 from minidual.trials.runner import StepHook, Watch
+
+if TYPE_CHECKING:
+    from minidual.show.view import View
 
 _ASIDE_M = np.array([0.05, 0.0, 0.0])  # from the hands, where the object would hide the arrows
 _BRAKE_EVERY_S, _LOST_S = 0.01, 0.1

@@ -5,14 +5,13 @@ from __future__ import annotations
 import dataclasses
 import os
 import sys
-from collections.abc import Generator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from minidual.collision.errors import ClosedChainError, LinearMoveError, NoPathInTimeError, TimingError
 from minidual.collision.scene import PlanningScene
 from minidual.collision.scene_file import load_scene
+from minidual.durable import disk_errors
 from minidual.errors import ExitCode, UsageError
 from minidual.gate.tool import ToolContext, ToolResult
 from minidual.motion.api import Planner
@@ -89,17 +88,6 @@ def target_file(name: str, text: str | None, ending: str) -> Path | None:
     return path
 
 
-@contextmanager
-def writing(path: Path) -> Generator[Path]:
-    """Turn OSError while writing into UsageError."""
-    try:
-        yield path
-    except OSError as error:
-        raise UsageError(
-            f"{path} cannot be written: {error.strerror or error}", remedy="free some space, or name another file"
-        ) from error
-
-
 def _write(
     targets: dict[str, Path | None], context: ToolContext, scene: PlanningScene, result: PlanResult, title: str
 ) -> list[str]:
@@ -107,15 +95,15 @@ def _write(
     for name, target in targets.items():
         if target is None:
             continue
-        with writing(target) as path:
+        with disk_errors(target):
             if name == "picture":
                 from minidual.show.planning import write_picture
 
-                write_picture(path, context.config.scene, scene, motion, title)
+                write_picture(target, context.config.scene, scene, motion, title)
             elif name == "csv":
-                motion.write_csv(path, names)
+                motion.write_csv(target, names)
             else:
-                motion.write_json(path, names)
+                motion.write_json(target, names)
         notes.append(f"{'picture' if name == 'picture' else 'trajectory'}: {target}")
     return notes
 

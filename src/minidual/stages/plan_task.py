@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import cast
 
 from minidual.config.change import replaced
+from minidual.durable import disk_errors
 from minidual.errors import ExitCode
 from minidual.gate.tool import ToolContext, ToolResult
 from minidual.plant.model import build_model
@@ -13,7 +14,7 @@ from minidual.robot.arms import robot_from
 from minidual.show.figures.film import FILM_FPS, Postures, film_postures
 from minidual.show.watch import watch_trials
 from minidual.skills.planned_carry import PlannedCarry
-from minidual.stages.plan_once import target_file, writing
+from minidual.stages.plan_once import target_file
 from minidual.tasks.task import TASKS
 from minidual.trials.methods import Method, MethodInputs
 from minidual.trials.runner import Bench
@@ -45,7 +46,7 @@ def plan_task(context: ToolContext) -> ToolResult:
         lines.append(f"planned {solution.duration_s:.2f} s of motion; driven in the simulator: {result.text}")
     notes = []
     if video is not None and solution is not None:
-        with writing(video):
+        with disk_errors(video):
             film_postures(build_model(config.scene, robot_from(config.robot), visuals=True), postures.qpos, video)
         notes.append(f"film: {video}")
     return ToolResult(

@@ -36,9 +36,14 @@ class _Server(viser.ViserServer):
 
 
 class WebView:
-    """View in a browser.
+    """Shows a moving model in a browser, without changing the simulation.
 
-    A drawing error is reported once and ends it.
+    Call `open` once, then:
+
+        if view.due():
+            view.update(data, Overlay(data.time, mode="moveit"))
+
+    `update` copies; it never waits for browsers. A drawing error is reported once and ends the view.
 
     Raises:
         UsageError: Unusable interface, or no free port.
@@ -84,18 +89,18 @@ class WebView:
             self._panel.note("only pages on the machine that runs the command move the sliders")
 
     def open(self, model: mujoco.MjModel) -> None:
-        """Show `model`; say at the first where."""
+        """Replace the shown model, which needs visual meshes; say at the first where."""
         if self._model is None:
             self._introduce(self._config)
         if model is not self._model and self.alive:
             self._scene, self._model = Scene(self._server, model), model
 
     def due(self) -> bool:
-        """See `View`."""
+        """Return whether a new frame is due."""
         return time.monotonic() >= self._frame_due_s and self._scene is not None and self.alive
 
     def update(self, data: mujoco.MjData, overlay: Overlay) -> None:
-        """Draw one instant."""
+        """Show body poses, current as after mj_step or mj_kinematics."""
         if self._scene is None or not self.alive:
             return
         try:
@@ -117,7 +122,7 @@ class WebView:
         self._panel.offer(sliders)
 
     def slider_values(self) -> Array:
-        """See `View`."""
+        """Return the values (n,) within bounds."""
         return self._panel.values()
 
     def close(self) -> None:
