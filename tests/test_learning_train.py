@@ -210,7 +210,9 @@ def test_spatial_checkpoint_is_labelled_and_lerobot_reads_it(demos: Demonstratio
     assert record["pretrained_backbone_weights"] is None, "nothing is to be downloaded"
     names = load_file(tmp_path / "a" / "model.safetensors")
     assert any(name.startswith("model.backbone.0.features") for name in names)
-    assert not any("layer" in name.removeprefix("model.backbone.") for name in names if ".backbone." in name), "a resnet"
+    assert not any("layer" in name.removeprefix("model.backbone.") for name in names if ".backbone." in name), (
+        "a resnet"
+    )
     config = PreTrainedConfig.from_pretrained(tmp_path / "a")
     policy = get_policy_class(config.type).from_pretrained(tmp_path / "a", config=config, strict=True)
     pre, post = make_pre_post_processors(config, pretrained_path=str(tmp_path / "a"))

@@ -3,8 +3,6 @@
 Files and folders get a temporary name with the process id, are synced (fsync) and renamed.
 """
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import errno

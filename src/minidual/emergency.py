@@ -3,8 +3,6 @@
 SIGUSR1 (`minidual stop`), the button of the view and a key of the keyboard leader press it.
 """
 
-from __future__ import annotations
-
 import functools
 import signal
 import threading

@@ -1,7 +1,5 @@
 """Errors with an exit code. Messages name thing, bound and alternatives; `remedy` says what to do."""
 
-from __future__ import annotations
-
 import difflib
 import re
 from collections.abc import Iterable

@@ -3,8 +3,6 @@
 A value is the thing or its target "module:attribute", imported at first use. Entry points are read at the first lookup.
 """
 
-from __future__ import annotations
-
 import importlib
 import importlib.metadata
 from collections.abc import Iterator, Mapping, Sequence

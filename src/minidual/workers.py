@@ -3,8 +3,6 @@
 They end with the process that started them, and leave Ctrl-C, SIGTERM and a closed terminal to it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import os

@@ -1,7 +1,5 @@
 """The `minidual` command. Importing it is cheap: signals and output are in order before anything else is imported."""
 
-from __future__ import annotations
-
 import io
 import os
 import signal

@@ -1,7 +1,5 @@
 """The command line: parse, call one stage, print. Heavy imports wait until a command runs."""
 
-from __future__ import annotations
-
 import inspect
 import sys
 from collections.abc import Iterable, Sequence

@@ -1,7 +1,5 @@
 """Progress on stderr: bars on a terminal, plain lines elsewhere."""
 
-from __future__ import annotations
-
 from typing import Self
 
 from rich.console import Console

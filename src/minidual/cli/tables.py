@@ -1,7 +1,5 @@
 """Printed tables and explanations."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 from rich.console import Console

@@ -1,7 +1,5 @@
 """Collision checks by coal through Pinocchio, on convex hulls (about 20 us a state)."""
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Table of collision engines, and what they take and return."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Reasons for refusing to plan."""
 
-from __future__ import annotations
-
 from minidual.errors import MinidualError
 
 

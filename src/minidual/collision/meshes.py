@@ -1,7 +1,5 @@
 """Cover a mesh file with convex hulls."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Collision checks by MuJoCo on convex hulls (about 15 us a state)."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Any
 

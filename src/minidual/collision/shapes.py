@@ -3,8 +3,6 @@
 Sizes are full lengths [m], quaternions wxyz. Cylinders and capsules lie along z; `length_m` excludes a capsule's ends.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Configuration of the command arbiter."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from minidual.config.base import StrictModel

@@ -1,7 +1,5 @@
 """Base of the configuration models, and marks of fields that acceptance depends on."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal, TypeVar
 

@@ -1,7 +1,5 @@
 """Validated changes of a configuration."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, cast
 

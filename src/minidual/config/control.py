@@ -1,7 +1,5 @@
 """Configuration of `env-check` and `carry`."""
 
-from __future__ import annotations
-
 from pydantic import Field, field_validator
 
 from minidual.config.base import AtLeast, AtMost, StrictModel

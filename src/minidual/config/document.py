@@ -3,8 +3,6 @@
 Scalars follow YAML 1.2, unlike PyYAML's: `1e-3` is a number; `on`, `yes`, `010` and `1:30` are text.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Configuration of `benchmark` and `report`."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from minidual.config.base import AtLeast, Rate, StrictModel

@@ -1,7 +1,5 @@
 """Finding profiles."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from minidual.durable import expanded, kind_of

@@ -1,7 +1,5 @@
 """Configuration of the arms and named postures."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from pydantic import Field

@@ -1,7 +1,5 @@
 """Root of the configuration."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from minidual.config.arbiter import ArbiterConfig

@@ -1,7 +1,5 @@
 """Random streams named by purpose, derived from the run's seed. Only this module makes generators."""
 
-from __future__ import annotations
-
 import zlib
 
 import numpy as np

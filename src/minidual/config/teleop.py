@@ -1,7 +1,5 @@
 """Configuration of `teleop-record`."""
 
-from __future__ import annotations
-
 from typing import Literal, Self
 
 from pydantic import Field, field_validator, model_validator

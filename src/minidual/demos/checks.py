@@ -1,7 +1,5 @@
 """Checks of an episode's arrays; they yield every `EpisodeFault` instead of raising."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations

@@ -1,7 +1,5 @@
 """Read and validate a recorded episode; docs/data.md lists the faults."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Lead the arms from a terminal by inverse kinematics."""
 
-from __future__ import annotations
-
 import os
 import select
 import sys

@@ -1,7 +1,5 @@
 """Sources of demonstrated joint angles."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar, Self

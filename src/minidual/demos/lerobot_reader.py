@@ -1,7 +1,5 @@
 """Read LeRobot v3 datasets without LeRobot, to verify them independently."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Map leader joints to follower joints."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from minidual.config.teleop import MirrorConfig

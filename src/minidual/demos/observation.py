@@ -1,7 +1,5 @@
 """Observation of a world."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 

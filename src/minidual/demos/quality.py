@@ -1,7 +1,5 @@
 """Quality measures of a demonstration."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

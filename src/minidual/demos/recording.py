@@ -4,8 +4,6 @@ Results depend neither on workers nor on interruptions: each trial has its own r
 have known size.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Run and write one demonstration."""
 
-from __future__ import annotations
-
 import json
 import os
 import time

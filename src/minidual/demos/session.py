@@ -1,7 +1,5 @@
 """One teleoperated episode; ticks follow simulated time."""
 
-from __future__ import annotations
-
 import contextlib
 import time
 from collections.abc import Callable

@@ -3,8 +3,6 @@
 Resampling and a zero-phase low-pass make it independent of the rate.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -3,8 +3,6 @@
 Images are written tick by tick, compressed with gzip 1, one frame per chunk; numeric arrays at the end, with checksums.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import io

@@ -1,7 +1,5 @@
 """Canonical strict JSON without NaN, and hashes."""
 
-from __future__ import annotations
-
 import enum
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """One observed value and its limit."""
 
-from __future__ import annotations
-
 import math
 import operator
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Wall-clock times as text."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime
 
 

@@ -3,8 +3,6 @@
 The kernel releases the lock when the process dies. Workers start with exec, which closes the file; a fork would keep it.
 """
 
-from __future__ import annotations
-
 import fcntl
 import json
 import os

@@ -1,7 +1,5 @@
 """Hashes of a stage's artefacts."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Where the result of a stage or tool lies while it is made, finished and replaced."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from functools import cached_property

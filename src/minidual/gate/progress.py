@@ -1,7 +1,5 @@
 """Progress of a stage as plain lines; `minidual.cli.progress` draws bars."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import Self

@@ -4,8 +4,6 @@ runs/<run>/signed.json      {stage: sha256 of its verdict.json}
 runs/<run>/signed.json.sig  signature over the bytes of signed.json, written last
 """
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Verdict of a stage, derived from its checks."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field

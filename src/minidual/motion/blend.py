@@ -4,8 +4,6 @@ In a corner of half length d, q' = u1 + (u2 - u1) S(x), x = (s - s0) / 2d, S(x) 
 corner meets both straight pieces, twice continuously differentiable.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

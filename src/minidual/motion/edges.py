@@ -4,8 +4,6 @@ Checks keep `padding_m`, as paths may touch between samples. Near an endpoint wi
 clearance and grows back within `RELAX_RAD` of joint motion.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from functools import cache

@@ -1,7 +1,5 @@
 """Planning for every kind of goal."""
 
-from __future__ import annotations
-
 from time import perf_counter
 from typing import Unpack
 

@@ -1,7 +1,5 @@
 """Checks of configurations and goals; configurations at poses."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping
 

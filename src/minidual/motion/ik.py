@@ -1,7 +1,5 @@
 """Inverse kinematics."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

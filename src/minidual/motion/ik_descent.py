@@ -3,8 +3,6 @@
 Error e = log6(T_tcp_target), derivative -Jlog6(T_target_tcp) J, J in the tcp frame.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Straight tcp motion, until a pose is out of reach, an arm would jump, or something collides."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Result of a successful query."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field

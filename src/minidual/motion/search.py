@@ -4,8 +4,6 @@ Only exact solutions count (`bool(status)` is also true for approximate ones). L
 not depend on the machine.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Shortcutting of polylines."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

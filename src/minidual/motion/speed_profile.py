@@ -4,8 +4,6 @@ x = (ds/dt)^2 and u = d2s/dt2 (constant per interval) make all limits linear; ac
 ends.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 

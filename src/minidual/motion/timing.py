@@ -4,8 +4,6 @@ The speed profile exceeds its limits by 1 to 4 % between grid points, so it is s
 over a window bounds jerk; k times slower means 1/k^3 of it.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Protocol

@@ -1,7 +1,5 @@
 """Acceptance test of a new checkpoint."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

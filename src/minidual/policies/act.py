@@ -1,7 +1,5 @@
 """ACT policies through LeRobot."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path

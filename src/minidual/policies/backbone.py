@@ -4,8 +4,6 @@ Source: Finn et al., Deep Spatial Autoencoders for Visuomotor Learning, 2016. Co
 bfloat16 resolves a quarter pixel.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 

@@ -1,7 +1,5 @@
 """Normalised training batches from demonstrations."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from numpy.typing import NDArray

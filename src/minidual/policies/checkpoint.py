@@ -1,7 +1,5 @@
 """Checks of a checkpoint's files before LeRobot, which imports what a processor file names, reads them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import torch

@@ -1,7 +1,5 @@
 """Demonstrations in memory, and their sampling."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Kinds of policy, named by "type" in config.json."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Normalisation statistics in LeRobot's layout."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """Runs a policy through the command arbiter."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path

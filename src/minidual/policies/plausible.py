@@ -1,7 +1,5 @@
 """Checks of what a policy sees and emits, before anything is clamped: a clamp would hide a broken network."""
 
-from __future__ import annotations
-
 import zlib
 from collections import deque
 from collections.abc import Mapping

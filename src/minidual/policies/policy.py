@@ -3,8 +3,6 @@
 Consecutive chunks differ by up to 0.05 rad.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path

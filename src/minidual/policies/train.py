@@ -3,8 +3,6 @@
 Steps draw from the stream (seed, step), so resuming gives the same weights.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json

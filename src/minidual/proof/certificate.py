@@ -4,8 +4,6 @@ On each stretch every moving pair needs a plane that both ends clear by more tha
 (`minidual.proof.planes`). Unproven stretches are halved, down to two neighbouring samples.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Check a timed trajectory against the robot's limits, midway between samples too; torque at every fourth sample."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

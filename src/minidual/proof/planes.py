@@ -12,8 +12,6 @@ deviations separates the solids throughout. Links of one arm are seen from the i
 NaN counts as not proven: sums propagate it, comparisons drop it.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

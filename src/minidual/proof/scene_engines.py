@@ -4,8 +4,6 @@ The audit tests the certificate by dense sampling with all collision engines, to
 verified trajectory is an error of the certificate.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from typing import Any
 

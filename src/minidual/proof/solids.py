@@ -4,8 +4,6 @@ If a joint turns by e, a point at distance r from its axis moves by at most r |e
 link lengths plus the part's radius.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The table of arms."""
 
-from __future__ import annotations
-
 import functools
 import math
 

@@ -4,8 +4,6 @@ Without fastmath, operations keep their order and NaN propagates. Helpers share 
 no other.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from typing import Any, cast

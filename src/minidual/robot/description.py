@@ -3,8 +3,6 @@
 Links and joints are prefixed `left_` and `right_`; both bases are fixed to `world`.
 """
 
-from __future__ import annotations
-
 import copy
 import functools
 import importlib.metadata

@@ -1,7 +1,5 @@
 """Kinematics and dynamics through Pinocchio."""
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Poses (4, 4) and rotations (3, 3)."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

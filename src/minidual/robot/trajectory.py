@@ -1,7 +1,5 @@
 """Timed joint trajectories."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Vectors of three floats: `np.cross` takes 14 us, `cross` 0.13 us."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 Vector = Sequence[float]

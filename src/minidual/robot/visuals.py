@@ -1,7 +1,5 @@
 """Visual meshes, decimated and split by colour."""
 
-from __future__ import annotations
-
 import functools
 import itertools
 import xml.etree.ElementTree as ET

@@ -1,7 +1,5 @@
 """`minidual benchmark`: all methods on the same task, with and without disturbances."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from minidual.config.evaluation import BenchmarkConfig

@@ -1,7 +1,5 @@
 """`minidual carry`: two arms carry an object under object impedance from random starts."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

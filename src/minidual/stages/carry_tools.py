@@ -1,7 +1,5 @@
 """Tools of `minidual carry`: disturbed trials and tuning."""
 
-from __future__ import annotations
-
 import yaml
 
 from minidual.config.profiles import DEFAULT_PROFILE, shipped_profiles

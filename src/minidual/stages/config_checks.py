@@ -1,7 +1,5 @@
 """Configuration errors that the models cannot detect, checked before a run."""
 
-from __future__ import annotations
-
 from minidual.config.root import Config
 from minidual.demos.leader import LEADERS
 from minidual.errors import ConfigError, unknown_name

@@ -1,7 +1,5 @@
 """`minidual deploy`: the trained policy on held-out starts."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`minidual modes`: planner, leader and policy hand over the arms in one process, filmed."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 from pathlib import Path

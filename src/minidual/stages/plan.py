@@ -1,7 +1,5 @@
 """`minidual plan`: seeded queries for three groups, planned, timed and proven."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

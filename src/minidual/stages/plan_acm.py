@@ -1,7 +1,5 @@
 """`minidual plan --acm`: link pairs not checked for collision, and why."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections import Counter
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Held-object moves of `minidual plan`: planned for two seeds, some driven."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections import Counter
 from collections.abc import Mapping, Sequence

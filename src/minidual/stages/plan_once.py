@@ -1,7 +1,5 @@
 """`minidual plan --to`: plan one goal, without verdict or gate."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import sys

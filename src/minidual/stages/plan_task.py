@@ -1,7 +1,5 @@
 """`minidual plan --task NAME`: plan, simulate and judge one whole task."""
 
-from __future__ import annotations
-
 from typing import cast
 
 from minidual.config.change import replaced

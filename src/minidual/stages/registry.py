@@ -3,8 +3,6 @@
 A stage is a function (see minidual.gate.stage) and a row, here or in another distribution (docs/howto-stage.md).
 """
 
-from __future__ import annotations
-
 from minidual.gate.table import Option, StageEntry, StageTable, ToolEntry
 
 LIBRARIES = ("numpy", "scipy", "mujoco", "pin", "coal", "ompl", "torch", "lerobot", "h5py", "av", "gymnasium")

@@ -1,7 +1,5 @@
 """`minidual replay`: run a dump or recorded trial again and report the first fault."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`minidual report`: an offline page and JSON from the run's verdicts."""
 
-from __future__ import annotations
-
 from minidual.gate.stage import StageContext, StageResult
 from minidual.show.report.page import build_report
 

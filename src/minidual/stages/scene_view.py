@@ -1,7 +1,5 @@
 """`minidual view`: the scene in real time, driven by the view's sliders."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import math

@@ -9,8 +9,6 @@ OMPL needs both ends on the manifold, a box around them, and charts at them. It 
 need another projection.
 """
 
-from __future__ import annotations
-
 import time
 from typing import Any
 

@@ -1,7 +1,5 @@
 """IK of both hands on one object."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 

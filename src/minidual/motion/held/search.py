@@ -7,8 +7,6 @@ Sources: RRT-Connect (Kuffner and LaValle, ICRA 2000); leader-follower after Han
 probabilistic roadmap method for closed chain systems", 2000.
 """
 
-from __future__ import annotations
-
 import itertools
 import time
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Configuration of `spatial_act`, found by file and class name."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 from typing import Any
 

@@ -4,8 +4,6 @@ Keypoints and predicted keyframes form ACT's environment-state token. A keyframe
 the next one is learned from images alone (docs/train-act.md).
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

@@ -1,7 +1,5 @@
 """Shared style of the figures."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

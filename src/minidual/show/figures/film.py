@@ -1,7 +1,5 @@
 """Films of trials and postures."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Film of the mode demonstration."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Figure of planning times."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 

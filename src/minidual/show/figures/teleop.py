@@ -1,7 +1,5 @@
 """Figure of a recording."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

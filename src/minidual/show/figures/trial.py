@@ -1,7 +1,5 @@
 """Figure of one trial."""
 
-from __future__ import annotations
-
 import textwrap
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Figure of a tuning."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Analysis: paired comparisons, held-out starts, thinnest margins."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 `Figure.themed` replaces fixed colours by CSS variables for light and dark pages.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import math

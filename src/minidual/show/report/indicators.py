@@ -1,7 +1,5 @@
 """Indicators that compare methods."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Pictures and films, embedded if small, else copied."""
 
-from __future__ import annotations
-
 import base64
 import shutil
 from collections.abc import Iterable, Mapping

@@ -1,7 +1,5 @@
 """Content of the report: its checks, state and warnings."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal

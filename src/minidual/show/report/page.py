@@ -3,8 +3,6 @@
 Equal verdicts give equal bytes: neither clock nor machine is read.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Table of methods by conditions; missing numbers are listed."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Who may open the browser view, and what a page may send."""
 
-from __future__ import annotations
-
 import ipaddress
 import logging
 import re

@@ -1,7 +1,5 @@
 """State shown with the scene."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

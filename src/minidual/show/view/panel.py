@@ -1,7 +1,5 @@
 """Panel beside the scene: state, forces and sliders."""
 
-from __future__ import annotations
-
 import html
 import math
 import time

@@ -1,7 +1,5 @@
 """Browser scene: built once, then updated."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Visible geoms as coloured triangle meshes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Browser view."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import getpass

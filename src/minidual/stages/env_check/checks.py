@@ -1,7 +1,5 @@
 """Checks of `env-check`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

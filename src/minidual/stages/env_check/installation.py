@@ -1,7 +1,5 @@
 """Libraries and machine, without importing libraries."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import os
 import platform

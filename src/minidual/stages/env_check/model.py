@@ -1,7 +1,5 @@
 """Measurements of motors and engine agreement."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 
 import mujoco

@@ -1,7 +1,5 @@
 """Camera checks and figures of `env-check`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Stage `env-check`: test all joints and cameras."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 
 from minidual.config.seeds import stream

@@ -1,7 +1,5 @@
 """Tracking, latency and emergency stop of arms under the whole control stack."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable
