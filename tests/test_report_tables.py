@@ -19,7 +19,7 @@ from minidual.errors import DataError
 from minidual.gate.check import Check
 from minidual.gate.stage import StageContext
 from minidual.show.report import model
-from minidual.show.report.facts import gather, relative_margin
+from minidual.show.report.facts import gather
 from minidual.show.report.figures import read_trials
 from minidual.show.report.indicators import INDICATORS, three_digits
 from minidual.show.report.model import Report
@@ -237,10 +237,10 @@ def test_without_numbers_there_is_no_analysis() -> None:
 
 
 def test_relative_margins_exist_only_where_they_mean_something() -> None:
-    assert relative_margin(Check("a", 5.0, "<", 10.0)) == pytest.approx(0.5)
-    assert relative_margin(Check("a", 0, "<=", 0)) is None
-    assert relative_margin(Check("a", 3, "==", 3)) is None
-    assert relative_margin(Check("a", math.nan, "<", 1.0)) is None
+    assert Check("a", 5.0, "<", 10.0).relative_margin == pytest.approx(0.5)
+    assert Check("a", 0, "<=", 0).relative_margin is None
+    assert Check("a", 3, "==", 3).relative_margin is None
+    assert Check("a", math.nan, "<", 1.0).relative_margin is None
 
 
 @pytest.mark.parametrize(

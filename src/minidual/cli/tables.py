@@ -29,15 +29,6 @@ def state_text(state: str) -> Text:
     return Text(state, style=_STYLES.get(state, ""))
 
 
-def margin_text(check: Check) -> str:
-    """Return the margin, also as a share of a nonzero limit."""
-    margin = check.margin
-    if margin is None or margin != margin:
-        return ""
-    share = f" ({margin / abs(check.limit):+.0%})" if check.limit and check.op != "==" else ""
-    return f"{margin:+.3g}{share}"
-
-
 def checks_table(checks: Sequence[Check], title: str, *, explained: bool = False) -> Table:
     """Return a table; with why and remedy if `explained`."""
     table = Table(title=title, title_justify="left", show_lines=explained)
@@ -50,7 +41,7 @@ def checks_table(checks: Sequence[Check], title: str, *, explained: bool = False
         unit = f" {check.unit}" if check.unit else ""
         limit = f"{check.op} {format_number(check.limit)}{unit}" if check.op else ""
         why = check.why + (f"\n{check.remedy}" if check.passed is False and check.remedy else "")
-        row = [check.name, f"{format_number(check.observed)}{unit}", limit, margin_text(check), result[check.passed]]
+        row = [check.name, f"{format_number(check.observed)}{unit}", limit, check.margin_text(), result[check.passed]]
         table.add_row(*row, *([why] if explained else []))
     return table
 

@@ -39,11 +39,6 @@ def state_names(robot: Robot) -> tuple[str, ...]:
     return (*robot.joint_names, *(f"{side}_gripper" for side in robot.sides))
 
 
-def state_vector(qpos: NDArray[np.floating], gripper: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Join joints (..., n) and grippers (..., 2) into (..., n + 2) float32."""
-    return np.concatenate([qpos, gripper], axis=-1).astype(np.float32)
-
-
 def convert(
     paths: Sequence[Path], out_dir: Path, robot: Robot, *, progress: Callable[[], None] | None = None
 ) -> LeRobotTables:

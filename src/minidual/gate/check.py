@@ -90,6 +90,19 @@ class Check:
             return gap
         return 0.0 - gap if self.op in ("<", "<=") else 0.0 - abs(gap)  # from 0.0, so that none is -0.0
 
+    @property
+    def relative_margin(self) -> float | None:
+        """Margin over the size of the limit; None where that says nothing."""
+        if self.margin is None or not math.isfinite(self.margin) or not self.limit or self.op == "==":
+            return None
+        return self.margin / abs(self.limit)
+
+    def margin_text(self) -> str:
+        """Return, for example, "+0.05 (+25%)"; "" without a margin."""
+        if self.margin is None or not math.isfinite(self.margin) or self.op == "==":
+            return ""
+        return f"{self.margin:+.3g}" + ("" if self.relative_margin is None else f" ({self.relative_margin:+.0%})")
+
     def sentence(self) -> str:
         """Return, for example, "tilt_max_rad is 0.12 rad, limit <= 0.0873 rad"."""
         unit = f" {self.unit}" if self.unit else ""

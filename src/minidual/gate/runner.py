@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -11,12 +11,11 @@ from minidual import emergency
 from minidual.durable import disk_errors
 from minidual.errors import ExitCode, MinidualError
 from minidual.gate.canonical import canonical
-from minidual.gate.check import Check
 from minidual.gate.clock import now_text
 from minidual.gate.gate import Gate, StageState
 from minidual.gate.manifest import build_manifest, strays
 from minidual.gate.progress import Progress
-from minidual.gate.stage import Folders, StageContext
+from minidual.gate.stage import Folders, StageContext, closing_checks
 from minidual.gate.store import RunStore
 from minidual.gate.table import StageEntry, StageTable
 from minidual.gate.verdict import Verdict, Waiver
@@ -168,11 +167,13 @@ class Runner:
             with disk_errors(self.store.folder):
                 result = run(context)
                 emergency.check()
+                judged = entry.closing and any(check.limited for check in result.checks)
+                closing = closing_checks(waivers, context.code_changes) if judged else ()
                 verdict = Verdict(
                     stage=name,
                     run=self.store.run,
                     fingerprint=fingerprint,
-                    checks=(*result.checks, *_closing_checks(entry, result.checks, context)),
+                    checks=(*result.checks, *closing),
                     artefacts=build_manifest(folder),
                     acceptance_profile=loaded.config.acceptance,
                     started_at=started_at,
@@ -208,25 +209,3 @@ class Runner:
             text += f"; its traceback could not be written ({write_error})"
         self.store.abandon(name, "error", text)
         return StageCrashedError(text, remedy="this is a defect in minidual, please report it with that file")
-
-
-def _closing_checks(entry: StageEntry, checks: Sequence[Check], context: StageContext) -> list[Check]:
-    """Return checks of waivers and code for a closing stage with limits of its own."""
-    if not entry.closing or not any(check.limited for check in checks):
-        return []
-    waived = ", ".join(waiver.stage for waiver in context.waivers)
-    changed = context.code_changes
-    modules = ", ".join(sorted({module for names in changed.values() for module in names})[:3])
-    rows = (
-        ("gate.waivers", len(context.waivers), "evidence behind a waived gate", f"run {waived} without --waive-gate"),
-        (
-            "gate.code_changed",
-            len(changed),
-            "results of other code",
-            f"run {', '.join(changed)} again with --force ({modules} changed)",
-        ),
-    )
-    return [
-        Check(name, found, "==", 0, why=f"{what} is no acceptance", remedy=mend if found else "")
-        for name, found, what, mend in rows
-    ]

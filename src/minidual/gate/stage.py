@@ -68,4 +68,19 @@ class StageResult:
     notes: Sequence[str] = ()
 
 
+def closing_checks(waivers: Sequence[Waiver], code_changes: Mapping[str, Sequence[str]]) -> list[Check]:
+    """Return the checks of a closing stage; `code_changes` is {upstream stage: modules changed since}."""
+    waived, stages = ", ".join(waiver.stage for waiver in waivers), ", ".join(code_changes)
+    modules = ", ".join(sorted({module for names in code_changes.values() for module in names})[:3])
+    rerun = f"run {stages} again with --force ({modules} changed)"
+    rows = (
+        ("gate.waivers", waivers, "evidence behind a waived gate", f"run {waived} without --waive-gate"),
+        ("gate.code_changed", code_changes, "results of other code", rerun),
+    )
+    return [
+        Check(name, len(found), "==", 0, why=f"{what} is no acceptance", remedy=mend if found else "")
+        for name, found, what, mend in rows
+    ]
+
+
 StageFunction = Callable[[StageContext], StageResult]

@@ -63,7 +63,7 @@ def gather(verdicts: Mapping[str, Verdict], tables: Tables) -> Facts:
     disturbed = corrected([row for row in rows if row["condition"] != CLEAN])
     ranked, at_best = list[Margin](), 0
     for stage, check in [(stage, check) for stage, verdict in verdicts.items() for check in verdict.checks]:
-        relative = relative_margin(check)
+        relative = check.relative_margin
         if relative is not None and relative >= 0.0 and _at_its_best(check):
             at_best += 1
         elif relative is not None:
@@ -83,13 +83,6 @@ def _gap(deploy: Verdict | None) -> Gap | None:
     names = ("success_rate", "success_low", "success_high", "training_success_rate")
     found = [number for name in names if (number := finite(known.get(name))) is not None]
     return Gap(*found) if len(found) == len(names) else None
-
-
-def relative_margin(check: Check) -> float | None:
-    """Return margin / limit, None if undefined."""
-    if check.margin is None or not check.limit or check.op == "==":
-        return None
-    return finite(check.margin / abs(check.limit))
 
 
 def _at_its_best(check: Check) -> bool:

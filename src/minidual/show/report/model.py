@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from minidual.gate.check import Check
-from minidual.gate.stage import StageContext
+from minidual.gate.stage import StageContext, closing_checks
 from minidual.gate.verdict import Verdict, Waiver, derive_status
 from minidual.show.report.facts import Facts
 from minidual.show.report.figures import Figure
@@ -65,11 +65,8 @@ class Report:
     @property
     def shown_checks(self) -> list[Check]:
         """The report's own checks, and failed ones for waivers and code changes."""
-        found = [
-            ("gate.waivers", self.waivers, "evidence behind a waived gate does not count as acceptance"),
-            ("gate.code_changed", self.given.code_changes, "results of other code do not accept this code"),
-        ]
-        return [*self.checks, *(Check(name, len(bad), "==", 0, why=why) for name, bad, why in found if bad)]
+        closing = closing_checks(self.waivers, self.given.code_changes)
+        return [*self.checks, *(check for check in closing if not check.passed)]
 
     @property
     def waivers(self) -> list[Waiver]:

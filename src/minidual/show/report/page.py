@@ -65,7 +65,7 @@ def render_page(report: Report) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    for name in ("commit", "duration", "fault", "joined", "margin", "moment", "percent", "points", "quantity"):
+    for name in ("commit", "duration", "fault", "joined", "moment", "percent", "points", "quantity"):
         environment.filters[name] = getattr(wording, name)
     return environment.get_template("report.html.j2").render(
         report=report,

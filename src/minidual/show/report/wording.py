@@ -3,8 +3,7 @@
 import math
 from collections.abc import Sequence
 
-from minidual.gate.check import Check, Number, format_number
-from minidual.show.report.facts import relative_margin
+from minidual.gate.check import Number, format_number
 
 FAULTS: dict[str, str] = {
     "held": "grip lost",
@@ -78,11 +77,3 @@ def quantity(value: Number | None, unit: str) -> str:
     if unit == "rad" and isinstance(value, float) and math.isfinite(value) and abs(math.degrees(value)) >= 0.01:
         text += f" ({math.degrees(value):.3g}°)"
     return text
-
-
-def margin(check: Check) -> str:
-    """Return a check's margin, and as a share of its limit."""
-    if check.margin is None or not math.isfinite(check.margin) or check.op == "==":
-        return ""
-    relative = relative_margin(check)
-    return f"{check.margin:+.3g}" + (f" ({relative:+.0%})" if relative is not None else "")

@@ -2,10 +2,7 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
-
-Array = npt.NDArray[np.float64]
+from minidual.robot.pair import Array
 
 ARM_RGB, OBJECT_RGB = ((32, 108, 214), (150, 62, 190)), (20, 150, 90)
 """Colours of left arm, right arm and object."""
