@@ -503,7 +503,7 @@ def test_who_watches_sees_the_source_the_phase_and_why_it_ended(world: World) ->
 def pose_is_nan(reading: Reading) -> Reading:
     if reading.pose is None:
         return reading
-    return replace(reading, pose=replace(reading.pose, T_world_object=np.full((4, 4), np.nan)))
+    return reading._replace(pose=reading.pose._replace(T_world_object=np.full((4, 4), np.nan)))
 
 
 def force_is_nan(*hands: int) -> Callable[[Reading], Reading]:
@@ -512,7 +512,7 @@ def force_is_nan(*hands: int) -> Callable[[Reading], Reading]:
     def dies(reading: Reading) -> Reading:
         forces = reading.hand_forces.copy()
         forces[list(hands)] = np.nan
-        return replace(reading, hand_forces=forces)
+        return reading._replace(hand_forces=forces)
 
     return dies
 
@@ -521,8 +521,8 @@ DEAD = {
     "a camera that gives no number": pose_is_nan,
     "a left force sensor that gives no number": force_is_nan(0),
     "a right force sensor that gives no number": force_is_nan(1),
-    "force sensors that give nothing": lambda r: replace(r, hand_forces=np.zeros((2, 3))),
-    "fingers that feel nothing": lambda r: replace(r, pinch=np.zeros(2)),
+    "force sensors that give nothing": lambda r: r._replace(hand_forces=np.zeros((2, 3))),
+    "fingers that feel nothing": lambda r: r._replace(pinch=np.zeros(2)),
 }
 
 
@@ -534,7 +534,7 @@ def frozen_pose() -> Callable[[Reading], Reading]:
         if reading.pose is None:
             return reading
         seen.append(reading.pose)
-        return replace(reading, pose=seen[0])
+        return reading._replace(pose=seen[0])
 
     return lies
 
@@ -545,7 +545,7 @@ def silent_force() -> Callable[[Reading], Reading]:
 
     def lies(reading: Reading) -> Reading:
         seen.append(reading)
-        return replace(seen[0], pose=reading.pose)
+        return seen[0]._replace(pose=reading.pose)
 
     return lies
 
@@ -556,13 +556,13 @@ def frozen_left_force() -> Callable[[Reading], Reading]:
 
     def lies(reading: Reading) -> Reading:
         seen.append(reading.hand_forces[0].copy())
-        return replace(reading, hand_forces=np.array([seen[0], reading.hand_forces[1]]))
+        return reading._replace(hand_forces=np.array([seen[0], reading.hand_forces[1]]))
 
     return lies
 
 
 LYING: dict[str, tuple[str, str, Callable[[], Callable[[Reading], Reading]]]] = {
-    "a silent camera": ("approach", "no pose for 5", lambda: lambda r: replace(r, pose=None)),
+    "a silent camera": ("approach", "no pose for 5", lambda: lambda r: r._replace(pose=None)),
     "force sensors that are silent": ("approach", "no usable force for 4", silent_force),
     "a camera that repeats its picture": ("carry", "the pose stays the same", frozen_pose),
     "a force sensor that repeats its value": ("carry", "the left hand's force stays the same", frozen_left_force),
@@ -598,7 +598,7 @@ def test_a_force_glitch_of_one_step_does_not_end_a_carry(world: World, monkeypat
         due[0] += 0.15
         value = next(glitches, None)
         return (
-            reading if value is None else replace(reading, hand_forces=np.full((2, 3), value), pinch=np.full(2, value))
+            reading if value is None else reading._replace(hand_forces=np.full((2, 3), value), pinch=np.full(2, value))
         )
 
     monkeypatch.setattr(Sensors, "sense", lambda self: glitch(sense(self)))

@@ -38,11 +38,8 @@ class Bench:
     def pose(self) -> np.ndarray:
         return self.T.copy()
 
-    def forces(self) -> np.ndarray:
-        return self.felt
-
-    def pinch(self) -> np.ndarray:
-        return np.array(self.pinches)
+    def look(self) -> np.ndarray:
+        return np.r_[np.zeros(6), self.felt.ravel(), self.pinches, 0.0]
 
 
 def sensors(world: Any, rng: int = 0, **changes: float) -> Sensors:

@@ -49,11 +49,10 @@ class Felt(NamedObject):
 
     grips = NONE
 
-    def pinch(self):
-        return np.array(self.grips)
-
-    def forces(self):
-        return np.array([[0.0, grip, 0.0] for grip in self.grips]) * ((0.1,), (-0.1,))
+    def look(self):
+        seen, (left, right) = super().look(), self.grips
+        seen[6:14] = 0.0, 0.1 * left, 0.0, 0.0, -0.1 * right, 0.0, left, right
+        return seen
 
 
 class Puppet(World):

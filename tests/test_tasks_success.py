@@ -46,14 +46,9 @@ class Instant:
     def twist(self):
         return np.array([self.speed, 0.0, 0.0, 0.0, 0.0, 0.0])
 
-    def pinch(self):
-        return np.array(self.pinches)
-
-    def internal_force(self):
-        return self.squeeze
-
-    def forces(self):
-        return np.array([[0.0, 0.0, f] for f in (self.pinches if self.touch is None else self.touch)])
+    def look(self):
+        T, (left, right) = self.pose(), self.pinches if self.touch is None else self.touch
+        return np.r_[T[:3, 3], T[2, :3], 0.0, 0.0, left, 0.0, 0.0, right, self.pinches, self.squeeze]
 
     def on_table(self, name=None):
         return self.height < 1e-3 if self.rests is None else self.rests

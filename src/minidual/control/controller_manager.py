@@ -100,7 +100,10 @@ class ControllerManager:
 
     def update(self, q: Array, v: Array) -> Array:
         """Run one control step; return torques (n,) [Nm]."""
-        tau = self._joined(lambda controller: controller.update(q, v))
+        if len(self._active) == 1:
+            tau = self._active[0].update(q, v)
+        else:
+            tau = self._joined(lambda controller: controller.update(q, v))
         if self._fade_left:
             tau = self._faded(tau)
         self.tau = tau
@@ -114,6 +117,8 @@ class ControllerManager:
     @property
     def acceleration(self) -> Array | None:
         """Last commanded reference acceleration (n,) [rad/s^2], or None."""
+        if len(self._active) == 1:
+            return self._active[0].acceleration
         if any(controller.acceleration is None for controller in self._active):
             return None
         return self._joined(lambda controller: cast("Array", controller.acceleration))

@@ -15,7 +15,7 @@ import numpy as np
 
 from minidual.control.command_checks import own_columns
 from minidual.control.commands import ArbiterState, ObjectCommand, Reason, Refusal, TrajectoryCommand
-from minidual.control.kernels import within
+from minidual.control.kernels import near, within
 from minidual.control.object_impedance import ObjectState
 from minidual.errors import UsageError
 from minidual.robot.pair import Array, Robot
@@ -29,8 +29,8 @@ _PACE_SLOPE, _PACE_S = 4.0, 0.1
 """Largest change of the rate [1/s], and its time constant."""
 _OVERRIDE_SLEW = 0.3
 """Change of the override [1/s]: at 2.2 rad/s it takes less than the tenth of a_max that plans leave."""
-_OBJECT_STEP_PER_S = np.array([[8.0] * 3 + [2.0]] * 4)
-"""Largest rate of the entries of a pose: rotation [1/s], position [m/s]; twice what is accepted."""
+_TURN_PER_S, _SHIFT_M_PER_S = 8.0, 2.0
+"""Largest rates of a pose's entries, of rotation and position; twice what is accepted."""
 _STOPPED_RATE = 1e-4
 _LOOK_AHEAD_ROWS = 500
 
@@ -160,7 +160,7 @@ class ObjectExecution(_Execution):
         """Advance one control step; the squeeze follows path time."""
         super().step()
         state, before = self.command.motion.at(self._t_s), self.desired.T_world_object
-        if not (np.abs(state.T_world_object - before) <= _OBJECT_STEP_PER_S * self._dt).all():
+        if not near(state.T_world_object, before, _TURN_PER_S * self._dt, _SHIFT_M_PER_S * self._dt):
             raise UsageError(f"the object path jumps at {self._t_s:.3f} s", remedy="check its poses; none may be NaN")
         self.desired = state
         self.squeeze_n = self.command.squeeze_n(self._t_s)

@@ -44,6 +44,12 @@ def within(x: float, low: float, high: float) -> float:
 
 
 @njit
+def larger(x: float, y: float) -> float:
+    """Return the larger; NaN stays NaN."""
+    return x if x > y or x != x else y
+
+
+@njit
 def three(a: Elements, i: int) -> Vector:
     """Return a[i : i + 3]."""
     return a[i], a[i + 1], a[i + 2]
@@ -217,6 +223,104 @@ def impedance(
         if not least_norm(J_hand, lacking, qdd[n * i : n * i + n]):
             return False
     return True
+
+
+@njit
+def hand_twist(J: Array, p: Elements, v: Array) -> tuple[Vector, Vector]:
+    """Return the velocity (linear, angular) of a hand at p."""
+    linear = omega = (0.0, 0.0, 0.0)
+    for j in range(len(v)):
+        linear, omega = plus(linear, times(v[j], three(J[:, j], 0))), plus(omega, times(v[j], three(J[:, j], 3)))
+    return plus(linear, cross(omega, p)), omega
+
+
+@kernel(_REAL(_TURNED, VECTOR, VECTOR, _TURNED, _TURNED, _VIEW, ROWS, ROWS, ROWS, VECTOR))
+def follow(
+    J: Array,
+    p_left: Array,
+    p_right: Array,
+    R_left: Array,
+    R_right: Array,
+    v: Array,
+    X: Array,
+    T_hands: Array,
+    T: Array,
+    twist: Array,
+) -> float:
+    """Fill the frame T_hands (4, 4) of both hands, and pose T = T_hands X and twist (6,) of an object that follows them.
+
+    J, p, R: see `Hands`. Return the distance between the hands.
+    """
+    left, right, n = three(p_left, 0), three(p_right, 0), len(v) // 2
+    apart = minus(left, right)
+    distance = math.sqrt(inner(apart, apart))
+    y = times(1.0 / distance, apart)
+    x = plus(three(R_left[:, 1], 0), three(R_right[:, 1], 0))  # mean finger direction
+    x = minus(x, times(inner(x, y), y))
+    x = times(1.0 / math.sqrt(inner(x, x)), x)
+    z, p = cross(x, y), times(0.5, plus(left, right))
+    for i in range(3):
+        T_hands[i, 0], T_hands[i, 1], T_hands[i, 2], T_hands[i, 3] = x[i], y[i], z[i], p[i]
+        for k in range(4):
+            T[i, k] = x[i] * X[0, k] + y[i] * X[1, k] + z[i] * X[2, k]
+        T[i, 3] += p[i]
+    T_hands[3, :], T[3, :] = 0.0, 0.0
+    T_hands[3, 3] = T[3, 3] = 1.0
+    (v_left, w_left), (v_right, w_right) = hand_twist(J[:, :n], left, v[:n]), hand_twist(J[:, n:], right, v[n:])
+    # Rotation about x and z follows from the two points, about y only from the hands' angular velocities.
+    about_y = 0.5 * inner(plus(w_left, w_right), y)
+    omega = plus(times(1.0 / distance, cross(y, minus(v_left, v_right))), times(about_y, y))
+    middle, lever = times(0.5, plus(v_left, v_right)), minus(three(T[:, 3], 0), p)
+    twist[:3], twist[3:] = plus(middle, cross(omega, lever)), omega
+    return distance
+
+
+@kernel(types.intp(ROWS, VECTOR, VECTOR, VECTOR, _REAL, _REAL, types.boolean))
+def smooth(forces: Array, pinch: Array, raw: Array, felt: Array, share: float, glitch_n: float, patient: bool) -> int:
+    """Fill `raw` (8,) with forces (2, 3) and pinch (2,), and move `felt` (8,) towards it by `share`.
+
+    A value further away than `glitch_n` is left out if `patient`, one that is not finite always. Return 0 if all were
+    near, 1 if all were finite, else 2.
+    """
+    odd = 0
+    for i in range(8):
+        raw[i] = forces[i // 3, i % 3] if i < 6 else pinch[i - 6]
+        change = raw[i] - felt[i]
+        near, finite = abs(change) <= glitch_n, math.isfinite(raw[i])
+        odd = max(odd, 0 if near else 1 if finite else 2)
+        if near or (finite and not patient):
+            felt[i] += share * change
+    return odd
+
+
+@kernel(types.boolean(*[types.Array(_REAL, 2, "A", readonly=True)] * 2, _REAL, _REAL))
+def near(T: Array, T_other: Array, turn: float, shift_m: float) -> bool:
+    """Return whether no entry of the rotations differs by more than `turn`, and none of the positions; false for NaN."""
+    for i in range(3):
+        for k in range(4):
+            if not abs(T[i, k] - T_other[i, k]) <= (shift_m if k == 3 else turn):
+                return False
+    return True
+
+
+@kernel(_REAL(_VIEW, _VIEW))
+def farthest(a: Array, b: Array) -> float:
+    """Return the largest |a - b|; NaN stays."""
+    most = 0.0
+    for i in range(len(a)):
+        most = larger(abs(a[i] - b[i]), most)
+    return most
+
+
+@kernel(_REAL(_VIEW, _VIEW, VECTOR, _REAL))
+def strain(tau: Array, tau_max: Array, ticks: Array, saturated: float) -> float:
+    """Return the largest |tau| / tau_max; NaN stays. Count in `ticks` (n,) for how many calls it was saturated."""
+    most = 0.0
+    for j in range(len(tau)):
+        ratio = abs(tau[j]) / tau_max[j]
+        ticks[j] = ticks[j] + 1.0 if ratio >= saturated else 0.0
+        most = larger(ratio, most)
+    return most
 
 
 @kernel(types.void(*[_VIEW] * 5, _REAL, VECTOR))

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from numba.core import types
 
 from minidual.config.supervisor import SupervisorConfig
+from minidual.robot.compiled import ROWS as MATRIX
+from minidual.robot.compiled import VECTOR, kernel
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot
 
@@ -17,6 +20,19 @@ SATURATED = 0.999
 """Share of the torque limit that counts as saturated; controllers clip at 1."""
 _WIDTH_M = 0.1
 """Lateral extent of a link or hand."""
+
+
+@kernel(types.float64(MATRIX, VECTOR, MATRIX, MATRIX))
+def excess(rows: Array, before: Array, centre: Array, scale: Array) -> float:
+    """Return the largest |x - centre| scale of ROWS (6, n); NaN stays. Fills the step of the torque since `before`."""
+    most = 0.0
+    for j in range(len(before)):
+        rows[3, j] = rows[2, j] - before[j]
+    for i in range(rows.shape[0]):
+        for j in range(rows.shape[1]):
+            ratio = abs(rows[i, j] - centre[i, j]) * scale[i, j]
+            most = ratio if ratio > most or ratio != ratio else most
+    return most
 
 
 class TickBounds:

@@ -16,13 +16,11 @@ from collections import deque
 import numpy as np
 import pinocchio as pin
 
+from minidual.control.kernels import follow
 from minidual.control.object_impedance import ObjectState
-from minidual.robot.kinematics import Kinematics
+from minidual.robot.kinematics import Hands, Kinematics
 from minidual.robot.pair import Array
 from minidual.robot.poses import inverse, pose, rotation_log
-from minidual.robot.vectors import Vector, cross, inner, minus, plus, times
-
-_WORLD_ALIGNED = pin.LOCAL_WORLD_ALIGNED
 
 
 class RestingEstimate:
@@ -61,16 +59,13 @@ class HeldEstimate:
     def __init__(
         self, kinematics: Kinematics, q: Array, T_world_object: Array, *, delay_ticks: int, least_gain: float
     ) -> None:
-        self._model, self._data = kinematics.model, kinematics.data
-        self._left, self._right = kinematics.tcp_ids
-        frames = [self._data.oMf[i] for i in kinematics.tcp_ids]
-        self._p = [frame.translation for frame in frames]  # views of Pinocchio's memory
-        self._fingers = [frame.rotation[:, 1] for frame in frames]
+        self._hands = Hands(kinematics)
         self._least_gain, self._samples_n = least_gain, 5
         self._history: deque[Array] = deque(maxlen=delay_ticks + 1)
         self.innovation = (0.0, 0.0)
         self.spread_m = self.moved_m = 0.0
-        T_world_hands, _, _ = self._hands(q, np.zeros_like(q))
+        self._T_hands_object = np.eye(4)
+        T_world_hands = self._follow(q, np.zeros_like(q))[0]
         self._T_hands_object, self._sampled_m = inverse(T_world_hands) @ T_world_object, T_world_hands[:3, 3]
         self.state = ObjectState(T_world_object)
 
@@ -79,7 +74,7 @@ class HeldEstimate:
 
         Samples (4, 4) older than `delay_ticks` are ignored.
         """
-        T_world_hands, velocity, omega = self._hands(q, v)
+        T_world_hands, T, twist = self._follow(q, v)
         self._history.append(T_world_hands)
         if sample is not None and age_ticks < len(self._history):
             self._samples_n += 1
@@ -88,35 +83,17 @@ class HeldEstimate:
             self.moved_m, self._sampled_m = float(np.linalg.norm(T_then[:3, 3] - self._sampled_m)), T_then[:3, 3]
             seen = inverse(T_then) @ sample
             self._T_hands_object, self.innovation = _towards(self._T_hands_object, seen, gain)
-        T = T_world_hands.dot(self._T_hands_object)
-        lever = minus(T[:3, 3].tolist(), T_world_hands[:3, 3].tolist())
-        self.state = ObjectState(T, np.array([*plus(velocity, cross(omega, lever)), *omega]))
+            T, twist = self._follow(q, v)[1:]
+        self.state = ObjectState(T, twist)
         return self.state
 
-    def _hands(self, q: Array, v: Array) -> tuple[Array, Vector, Vector]:
-        """Return T_world_hands (4, 4), velocity, angular velocity; set `spread_m`."""
-        model, data = self._model, self._data
-        pin.forwardKinematics(model, data, q, v)
-        pin.updateFramePlacement(model, data, self._left)
-        pin.updateFramePlacement(model, data, self._right)
-        left, right = self._p[0].tolist(), self._p[1].tolist()
-        apart = minus(left, right)
-        distance = math.sqrt(inner(apart, apart))
-        self.spread_m = distance
-        y = times(1.0 / distance, apart)
-        x = plus(self._fingers[0].tolist(), self._fingers[1].tolist())
-        x = minus(x, times(inner(x, y), y))
-        x = times(1.0 / math.sqrt(inner(x, x)), x)
-        z, p = cross(x, y), times(0.5, plus(left, right))
-        T = np.array(
-            [[x[0], y[0], z[0], p[0]], [x[1], y[1], z[1], p[1]], [x[2], y[2], z[2], p[2]], [0.0, 0.0, 0.0, 1.0]]
-        )
-        v_left = pin.getFrameVelocity(model, data, self._left, _WORLD_ALIGNED).vector.tolist()
-        v_right = pin.getFrameVelocity(model, data, self._right, _WORLD_ALIGNED).vector.tolist()
-        # Rotation about x and z follows from the two points, about y only from the hands' angular velocities.
-        about_y = 0.5 * inner(plus(v_left[3:], v_right[3:]), y)
-        swing = times(1.0 / distance, cross(y, minus(v_left[:3], v_right[:3])))
-        return T, times(0.5, plus(v_left[:3], v_right[:3])), plus(swing, times(about_y, y))
+    def _follow(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
+        """Return T_world_hands (4, 4), and pose (4, 4) and twist (6,) of the object; set `spread_m`."""
+        hands = self._hands
+        hands.update(q)
+        T_hands, T, twist = np.empty((4, 4)), np.empty((4, 4)), np.empty(6)
+        self.spread_m = follow(hands.J, *hands.p, *hands.R, v, self._T_hands_object, T_hands, T, twist)
+        return T_hands, T, twist
 
 
 def _towards(T: Array, sample: Array, gain: float) -> tuple[Array, tuple[float, float]]:

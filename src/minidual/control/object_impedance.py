@@ -13,7 +13,8 @@ Sources: docs/force-control.md; Schneider and Cannon 1992; Caccavale et al. 2008
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,13 +36,16 @@ class SingularPostureError(MinidualError):
     """A stretched arm's hand cannot accelerate in every direction."""
 
 
-@dataclass(frozen=True)
-class ObjectState:
+_STILL: Array = np.zeros(6)
+_STILL.setflags(write=False)
+
+
+class ObjectState(NamedTuple):
     """Object pose (4, 4), twist (6,) and acceleration (6,) at its centre of mass, world axes."""
 
     T_world_object: Array
-    twist: Array = field(default_factory=lambda: np.zeros(6))
-    acceleration: Array = field(default_factory=lambda: np.zeros(6))
+    twist: Array = _STILL
+    acceleration: Array = _STILL
 
 
 @dataclass(frozen=True)

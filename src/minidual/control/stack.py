@@ -357,21 +357,34 @@ class ControlStack[P: Plant]:
         Raises:
             ReflexError: Once, after the step; without a supervisor the controller's or plant's error.
         """
-        plant, attempt = self.plant, self._attempt
+        plant = self.plant
         self._stop_ticks -= 1
-        attempt(self._step_executions, None)
-        nothing = np.full(self._robot.dof, np.nan)
-        time_s, stamp_s = attempt(lambda: plant.time, np.nan), attempt(lambda: plant.stamp_s, None)
-        tau, stopped = self._torque(
-            time_s, stamp_s, attempt(lambda: plant.q, nothing), attempt(lambda: plant.v, nothing)
-        )
+        self._attempt(self._step_executions, None)
+        measured = self._attempt(self._measure, None)
+        tau, stopped = self._torque(*(self._measure_singly() if measured is None else measured))
         if self._off is not None:
             tau = self._off.limit(tau)
         self.applied = tau
-        plant.command(tau, attempt(lambda: self.grippers.step(self.output.gripper), self.grippers.targets_m))
+        try:
+            fingers_m = self.grippers.step(self.output.gripper)
+        except Exception as error:
+            self.fail(error)
+            fingers_m = self.grippers.targets_m
+        plant.command(tau, fingers_m)
         plant.step()
         if stopped is not None:
             raise stopped
+
+    def _measure(self) -> tuple[float, float | None, Array, Array]:
+        """Return time [s], stamp [s], q and v (n,)."""
+        plant = self.plant
+        return plant.time, plant.stamp_s, plant.q, plant.v
+
+    def _measure_singly(self) -> tuple[float, float | None, Array, Array]:
+        """Return what can still be measured, the rest as NaN."""
+        plant, nothing = self.plant, np.full(self._robot.dof, np.nan)
+        time_s, stamp_s = self._attempt(lambda: plant.time, np.nan), self._attempt(lambda: plant.stamp_s, None)
+        return time_s, stamp_s, self._attempt(lambda: plant.q, nothing), self._attempt(lambda: plant.v, nothing)
 
     def _step_executions(self) -> None:
         for execution in self.output.executions:
@@ -388,7 +401,10 @@ class ControlStack[P: Plant]:
                 return self._fall_back(error, q, v), error
         tau, acceleration = self.applied, None
         if self._failed is None:
-            tau, acceleration = self._attempt(lambda: self._asked(q, v), (tau, acceleration))
+            try:
+                tau, acceleration = self._asked(q, v)
+            except Exception as error:
+                self.fail(error)
         failed, self._failed = self._failed, None
         try:
             if failed is None:

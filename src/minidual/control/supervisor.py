@@ -79,7 +79,6 @@ class Supervisor:
         self._slow_every = max(1, round(self.config.slow_period_s / dt_s))
         self._rows = np.zeros((len(limits.ROWS), self._robot.dof))
         self._q, self._v, self._tau = self._rows[:3]  # views, kept: making one costs as much as a sum
-        self._ratio = np.zeros_like(self._rows)
         self.reflex: Reflex | None = None
         """The latched reflex, or None."""
         self._estop = ""
@@ -152,8 +151,7 @@ class Supervisor:
             return self._stopping(q, v, stamp_s)
         before = self._note(time_s, q, v, tau, stamp_s)
         self._tick += 1
-        rows, ratio = self._rows, self._ratio
-        np.subtract(rows[2], before, rows[3])
+        rows = self._rows
         if a_ref is not None:
             rows[4] = a_ref
             np.subtract(rows[4], rows[4] if self._a_before is None else self._a_before, rows[5])
@@ -161,11 +159,7 @@ class Supervisor:
         elif self._a_before is not None:  # the new controller has no reference
             self._a_before = None
             rows[4:] = 0.0
-        np.subtract(rows, self.bounds.centre, ratio)
-        np.multiply(ratio, self.bounds.scale, ratio)
-        np.abs(ratio, ratio)
-        # argmax returns the first NaN, and NaN <= 1 is false: this also catches non-finite values.
-        within = ratio.item(ratio.argmax()) <= 1.0
+        within = limits.excess(rows, before, self.bounds.centre, self.bounds.scale) <= 1.0  # false for NaN
         if within and self._usable and not self._stop_asked and time_s <= self._deadline_s:
             applied = rows[2]
         else:
@@ -226,7 +220,7 @@ class Supervisor:
             if age_s > age_max_s:
                 self._trip("stale_measurement", "joint positions and velocities", age_s, age_max_s)
             self._trip("implausible_measurement", self._sense.why, 1.0, None)
-        if self._ratio[0].max() > 1.0:
+        if (np.abs(q - bounds.centre[0]) * bounds.scale[0]).max() > 1.0:
             self._trip_position(q)
         self._trip_ratio("joint_velocity", v, bounds.v_max)
         self._trip_ratio("torque_range", tau, bounds.tau_max, tolerance=limits.TORQUE_TOLERANCE)

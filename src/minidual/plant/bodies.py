@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
+from numba.core import types
 
+from minidual.robot.compiled import ROWS, VECTOR, kernel
 from minidual.robot.pair import Array, Robot
 
 ObjectPose = Array | tuple[float, float, float]
@@ -19,6 +21,29 @@ def contact_sensor(name: str, side: str, finger_link: str) -> str:
 _IDENTITY = np.eye(4)
 
 
+@kernel(types.void(ROWS, ROWS, VECTOR, *[types.float64[:]] * 2, VECTOR))
+def look(pads: Array, R: Array, p: Array, left: Array, right: Array, seen: Array) -> None:
+    """Fill `seen` (15,); see `NamedObject.look`.
+
+    pads: (4, 3), forces of the fingers, two of each hand [N]. left, right: (3,), finger axes.
+    """
+    for i in range(3):
+        seen[i], seen[3 + i] = p[i], R[2, i]
+    # The left finger (+y) pushes along -y, the right one along +y.
+    for hand, axis in enumerate((left, right)):
+        a, b = pads[2 * hand], pads[2 * hand + 1]
+        along_a = a[0] * axis[0] + a[1] * axis[1] + a[2] * axis[2]
+        along_b = b[0] * axis[0] + b[1] * axis[1] + b[2] * axis[2]
+        seen[12 + hand] = max(0.0, min(-along_a, along_b))
+        for i in range(3):
+            seen[6 + 3 * hand + i] = a[i] + b[i]
+    inward_left = inward_right = 0.0
+    for i in range(3):
+        inward_left -= seen[6 + i] * R[i, 1]
+        inward_right += seen[9 + i] * R[i, 1]
+    seen[14] = min(inward_left, inward_right)
+
+
 class NamedObject:
     """Reads one object through cached views."""
 
@@ -30,13 +55,13 @@ class NamedObject:
         self._omega = self.qvel[3:]
         self._rest_height_m = float(model.qpos0[position + 2])
         self._R, self._p = data.xmat[self.body].reshape(3, 3), data.xpos[self.body]
-        self._axis = self._R[:, 1]
         hand = robot.hand
         first = int(model.sensor(contact_sensor(name, robot.sides[0], hand.finger_links[0])).adr[0])
-        self._readings = data.sensordata[first : first + 12].reshape(4, 3)
-        self._forces = self._readings.reshape(2, 2, 3)  # arm, finger, force
+        pads = data.sensordata[first : first + 12].reshape(4, 3)
         palms = [int(model.body(palm).id) for palm in robot.both(robot.hand.palm_link)]
-        self._hand_axes = [data.xmat[palm].reshape(3, 3)[:, 1] for palm in palms]  # finger axes
+        axes = [data.xmat[palm].reshape(3, 3)[:, 1] for palm in palms]
+        self._seen = np.zeros(15)
+        self._look = pads, self._R, self._p, *axes, self._seen
 
     def pose(self) -> Array:
         """Return the pose (4, 4) in the world."""
@@ -60,20 +85,22 @@ class NamedObject:
             self.qpos[:3] = pose[:3, 3]
             mujoco.mju_mat2Quat(self.qpos[3:], np.ascontiguousarray(pose[:3, :3]).ravel())
 
+    def look(self) -> Array:
+        """Return p (3), the third row of R (3), forces (6), pinches (2) and internal force; overwritten by the next."""
+        look(*self._look)
+        return self._seen
+
     def forces(self) -> Array:
         """Return each hand's net force (2, 3) [N] on the object, world axes."""
-        return self._forces[:, 0] + self._forces[:, 1]
+        return self.look()[6:12].reshape(2, 3).copy()
 
     def pinch(self) -> Array:
         """Return pinches (2,) [N]: normal force of each hand's weaker finger."""
-        # The left finger (+y) pushes along -y, the right one along +y.
-        along = (self._forces[arm].dot(axis).tolist() for arm, axis in enumerate(self._hand_axes))
-        return np.array([max(0.0, min(-left, right)) for left, right in along])
+        return self.look()[12:14].copy()
 
     def internal_force(self) -> float:
         """Return the internal force along y [N]; the left hand is at the +y end.
 
         The smaller of the hands' axial forces towards each other: negative under tension, at most zero with one hand.
         """
-        a, b, c, d = self._readings.dot(self._axis).tolist()
-        return min(-a - b, c + d)
+        return float(self.look()[14])

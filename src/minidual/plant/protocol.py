@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from minidual.robot.pair import Array, Robot
 
@@ -73,16 +72,14 @@ class Plant(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class PoseSample:
+class PoseSample(NamedTuple):
     """A measured pose (4, 4) and its age in control steps."""
 
     T_world_object: Array
     age_ticks: int
 
 
-@dataclass(frozen=True)
-class Reading:
+class Reading(NamedTuple):
     """Measurements of one control step.
 
     Attributes:

@@ -60,9 +60,9 @@ class Sensors:
         row = self._tick % _BLOCK
         if row == 0:
             self._force_noise = self._config.force_noise_n * self._rng.standard_normal((_BLOCK, _FORCES))
-        forces = np.concatenate([self._object.forces().ravel(), self._object.pinch()])
-        forces += self._force_noise[row]
-        np.maximum(forces[6:], 0.0, forces[6:])
+        forces: Array = self._object.look()[6:14] + self._force_noise[row]
+        pinch = forces[6:]
+        np.maximum(pinch, 0.0, pinch)
         return forces
 
     def _sample_pose(self) -> Array:

@@ -84,7 +84,7 @@ class World:
     @property
     def time(self) -> float:
         """Simulated time [s]."""
-        return float(self.data.time)
+        return self.data.time
 
     stamp_s = time
 

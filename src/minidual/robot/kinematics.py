@@ -69,15 +69,19 @@ class Kinematics:
         self.model = _shared_model(robot)
         self.data = self.model.createData()
         self.tcp_ids: tuple[int, int] = tuple(self.model.getFrameId(n) for n in robot.tcp_names)  # type: ignore[assignment]
+        self.placed = b""
+        """Joints, as bytes, of the hands and Jacobians in `data`; empty if unknown."""
 
     def tcp_poses(self, q: Array) -> tuple[Array, Array]:
         """Return left and right T_world_tcp for q."""
+        self.placed = b""
         pin.forwardKinematics(self.model, self.data, q)
         left, right = (updateFramePlacement(self.model, self.data, i).homogeneous for i in self.tcp_ids)
         return left, right
 
     def tcp_jacobians(self, q: Array) -> tuple[Array, Array]:
         """Return Jacobians (6, n), [linear; angular], world-aligned."""
+        self.placed = b""
         computeJointJacobians(self.model, self.data, q)
         pin.updateFramePlacements(self.model, self.data)
         left, right = (getFrameJacobian(self.model, self.data, i, _WORLD_ALIGNED) for i in self.tcp_ids)
@@ -85,6 +89,7 @@ class Kinematics:
 
     def mass_matrix(self, q: Array) -> Array:
         """Return inertia (n, n), including rotors."""
+        self.placed = b""
         M = pin.crba(self.model, self.data, q)
         return np.triu(M) + np.triu(M, 1).T
 
@@ -122,15 +127,18 @@ class Hands:
     """
 
     def __init__(self, kinematics: Kinematics) -> None:
-        self._model, self._data, self._ids = kinematics.model, kinematics.data, kinematics.tcp_ids
-        left, right = (self._data.oMf[i] for i in self._ids)
+        self._kinematics, self._data = kinematics, kinematics.data
+        left, right = (self._data.oMf[i] for i in kinematics.tcp_ids)
         self.p: tuple[Array, Array] = (left.translation, right.translation)
         self.R: tuple[Array, Array] = (left.rotation, right.rotation)
         self.J: Array = self._data.J
 
     def update(self, q: Array) -> None:
-        """Update all arrays."""
-        model, data = self._model, self._data
-        computeJointJacobians(model, data, q)
-        for frame in self._ids:
-            updateFramePlacement(model, data, frame)
+        """Update all arrays, unless they are of these joints: estimate and law ask in the same step."""
+        kinematics, data, placed = self._kinematics, self._data, q.tobytes()
+        if kinematics.placed == placed:
+            return
+        computeJointJacobians(kinematics.model, data, q)
+        for frame in kinematics.tcp_ids:
+            updateFramePlacement(kinematics.model, data, frame)
+        kinematics.placed = placed

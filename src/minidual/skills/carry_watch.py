@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
 from minidual.config.control import CarryConfig
+from minidual.control.kernels import smooth
 from minidual.control.object_estimate import HeldEstimate, RestingEstimate
 from minidual.control.object_impedance import ObjectState
 from minidual.plant.protocol import ObjectSensors, Reading
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
+from minidual.robot.vectors import inner
 from minidual.skills.faults import Fault, FaultMonitor
 from minidual.tasks.rod_carry import tilt_rad
 
@@ -52,7 +53,7 @@ class CarryWatch:
         self._forces, self._pinch = self._felt[:6].reshape(2, 3), self._felt[6:]  # views
         self._odd_n, self._forces_s = 0, world.time
         self._odd_max_n = round(config.faults.persistence_s / world.dt)
-        self._posed, self._compared = self._reading.pose.T_world_object, (self._raw, world.time)
+        self._posed, self._compared = self._reading.pose.T_world_object, (self._raw.copy(), world.time)
         self._filter_share = world.dt / (config.sensing.force_filter_s + world.dt)
         self._resting = RestingEstimate(self._reading.pose.T_world_object)
         self._held: HeldEstimate | None = None
@@ -76,7 +77,7 @@ class CarryWatch:
     @property
     def gripped(self) -> bool:
         """Whether both hands pinch enough."""
-        return float(self._pinch.min()) > _GRIPPED * self._config.impedance.pinch_n
+        return min(self._pinch.tolist()) > _GRIPPED * self._config.impedance.pinch_n
 
     @property
     def squeeze_n(self) -> float:
@@ -104,7 +105,7 @@ class CarryWatch:
             if np.isfinite(reading.pose.T_world_object).all():
                 self._posed_s = world.time - reading.pose.age_ticks * world.dt
             else:
-                self._reading = reading = replace(reading, pose=None)
+                self._reading = reading = reading._replace(pose=None)
         self._feel_forces(reading)
         if self._held is not None:
             pose = reading.pose
@@ -114,17 +115,11 @@ class CarryWatch:
 
     def _feel_forces(self, reading: Reading) -> None:
         """Filter the forces, without readings that are not finite and short glitches."""
-        self._raw = raw = np.concatenate([reading.hand_forces.ravel(), reading.pinch])
-        change = raw - self._felt
-        near = np.abs(change) <= self._config.faults.force_glitch_n
-        if near.all():
-            self._odd_n, self._forces_s = 0, reading.stamp_s
-        else:
-            self._odd_n += 1
-            usable = near if self._odd_n <= self._odd_max_n else np.isfinite(raw)
-            change[~usable] = 0.0
-            self._forces_s = reading.stamp_s if np.isfinite(raw).all() else self._forces_s
-        self._felt += self._filter_share * change
+        glitch_n, patient = self._config.faults.force_glitch_n, self._odd_n < self._odd_max_n
+        odd = smooth(reading.hand_forces, reading.pinch, self._raw, self._felt, self._filter_share, glitch_n, patient)
+        self._odd_n = self._odd_n + 1 if odd else 0
+        if odd < 2:
+            self._forces_s = reading.stamp_s
 
     def take_hold(self) -> None:
         """From now on, estimate an object that follows the hands."""
@@ -161,7 +156,7 @@ class CarryWatch:
                 found = found or monitor.frozen("the pose", same and held.moved_m > _MOVED_M, 2)
         before, compared_s = self._compared
         if now_s - compared_s >= _COMPARE_S:
-            same, self._compared = self._raw == before, (self._raw, now_s)
+            same, self._compared = self._raw == before, (self._raw.copy(), now_s)
             for name, part in zip(_FORCES, (slice(0, 3), slice(3, 6), slice(6, 8)), strict=True):
                 found = found or monitor.frozen(name, moving and bool(same[part].any()), 3)
         return found
@@ -195,13 +190,14 @@ class CarryWatch:
         """Compare commanded torques (n,) [Nm] with the applied ones."""
         return self._monitor.motors(told, self._world.tau)
 
-    def _gaps_m(self) -> Array:
-        return 2.0 * self._world.robot.hand.travel_m * self._world.gripper
+    def _gaps_m(self) -> list[float]:
+        return [2.0 * half for half in self._world.fingers.tolist()]
 
     def _feel(self) -> None:
         """Measure the internal force."""
-        left, right = self._forces.dot(self.T_world_object[:3, 1]).tolist()
-        self._felt_n = float(np.minimum(-left, right))  # Python's min could drop a NaN
+        y, (left, right) = self.T_world_object[:3, 1].tolist(), self._forces.tolist()
+        pressed = -inner(left, y), inner(right, y)
+        self._felt_n = min(pressed) if pressed[1] == pressed[1] else math.nan  # `min` drops a NaN that comes second
 
     def _ease(self, spread_m: float) -> None:
         """Reduce the internal force when the hands begin to slip.

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from minidual.config.control import CarryFaultConfig
+from minidual.control.kernels import farthest
 from minidual.robot.pair import SIDES, Array
 
 OPENING = ("missed_grasp", "knocked_away", "object_lost", "lost_arm", "unreachable")
@@ -81,11 +82,9 @@ class FaultMonitor:
 
     def motors(self, commanded: Array, applied: Array) -> Fault | None:
         """Compare commanded and applied torques (n,); updates `lost`."""
-        difference = commanded - applied
-        np.abs(difference, difference)
-        if difference.max() <= self._config.motor_torque_n_m and not self._motors_missing:
+        if farthest(commanded, applied) <= self._config.motor_torque_n_m and not self._motors_missing:
             return None
-        missing = difference.reshape(2, -1).max(axis=1)
+        missing = np.abs(commanded - applied).reshape(2, -1).max(axis=1)
         self._motors_missing = not bool((missing <= self._config.motor_torque_n_m).all())
         found: list[str] = []
         for arm, name in enumerate(SIDES):  # check both: drives can share a supply
@@ -114,12 +113,12 @@ class FaultMonitor:
             return Fault("knocked_away", f"the object is {1e3 * innovation[0]:.0f} mm from where it lay")
         return None
 
-    def closing(self, gap_m: Array, pinch_n: Array, t_s: float) -> Fault | None:
+    def closing(self, gap_m: Sequence[float], pinch_n: Array, t_s: float) -> Fault | None:
         """Check closing hands by gaps (2,), pinch (2,) and time."""
         for arm, name in enumerate(SIDES):
-            through = not float(gap_m[arm]) >= self._width - self._config.gap_margin_m
+            through = not gap_m[arm] >= self._width - self._config.gap_margin_m
             if self._lasts(f"gap {name}", through, 3):
-                gap, width = 1e3 * float(gap_m[arm]), 1e3 * self._width
+                gap, width = 1e3 * gap_m[arm], 1e3 * self._width
                 return Fault(
                     "missed_grasp", f"the {name} hand has closed to {gap:.0f} mm, the object is {width:.0f} mm wide"
                 )
@@ -128,11 +127,11 @@ class FaultMonitor:
             return Fault("missed_grasp", f"pinch {felt} N after {self._config.grasp_timeout_s} s")
         return None
 
-    def holding(self, pinch_n: Array, gap_m: Array, spread_m: float, tilt_rad: float) -> Fault | None:
+    def holding(self, pinch_n: Array, gap_m: Sequence[float], spread_m: float, tilt_rad: float) -> Fault | None:
         """Check a held object by pinch (2,), gaps (2,), hand distance and tilt."""
         config = self._config
         least_n, least_m = config.lost_pinch_share * self._pinch, self._width - config.gap_margin_m
-        for name, pinch, gap in zip(SIDES, pinch_n.tolist(), gap_m.tolist(), strict=True):
+        for name, pinch, gap in zip(SIDES, pinch_n.tolist(), gap_m, strict=True):
             if self._lasts(f"pinch {name}", not pinch >= least_n):
                 return Fault("object_lost", f"the {name} hand pinches {pinch:.1f} of {self._pinch:.0f} N")
             if self._lasts(f"held gap {name}", not gap >= least_m, 3):

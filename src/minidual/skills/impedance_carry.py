@@ -270,9 +270,10 @@ class ImpedanceCarry:
 
     def _heed_arbiter(self) -> None:
         """Note why the arbiter stopped the carry."""
-        stack = self.stack
-        news, self._refusals_seen = stack.refusals[self._refusals_seen :], len(stack.refusals)
-        refused = next((r for r in news if r.source == SOURCE), None)
+        stack, refused = self.stack, None
+        if len(stack.refusals) > self._refusals_seen:
+            news, self._refusals_seen = stack.refusals[self._refusals_seen :], len(stack.refusals)
+            refused = next((r for r in news if r.source == SOURCE), None)
         if self.done:
             return
         if stack.output.halted:  # first: sources see a halt as a hold request

@@ -74,7 +74,8 @@ class Judge:
         names = [c.name for c in self._conditions]
         if len(set(names)) < len(names):
             raise ValueError(f"task '{task.name}' has two conditions of one name: {', '.join(names)}")
-        self._truth = Truth(task.scene.objects)
+        self.truth = Truth(task.scene.objects)
+        """As it was observed last."""
         self._muted = {c.name for c in self._conditions if c.optional and c.name not in demanding}
         self._observing = [c for c in self._conditions if type(c).observe is not SuccessCondition.observe]
         self._final = [c for c in self._conditions if type(c).holds is not SuccessCondition.holds]
@@ -101,7 +102,7 @@ class Judge:
 
     def observe(self, world: World) -> None:
         """Evaluate the state."""
-        truth, now = self._truth, world.time
+        truth, now = self.truth, world.time
         truth.refresh(world)
         for condition in self._observing:
             detail = condition.observe(truth)
@@ -109,16 +110,18 @@ class Judge:
                 self._failures.setdefault(condition.name, Failure(condition.name, now, detail))
         while self._reached < len(self._stages) and self._stages[self._reached].reached(truth):
             self._reached += 1
-        if not all(c.holds(truth) for c in self._final):
-            self._quiet_since = self._done_at = None
-        elif self._quiet_since is None:
+        for condition in self._final:
+            if not condition.holds(truth):
+                self._quiet_since = self._done_at = None
+                return
+        if self._quiet_since is None:
             self._quiet_since = now
         elif self._done_at is None and now - self._quiet_since >= REST_S:
             self._done_at = now
 
     def outcome(self, world: World) -> Outcome:
         """Return the verdict."""
-        truth, failures = self._truth, dict(self._failures)
+        truth, failures = self.truth, dict(self._failures)
         truth.refresh(world)
         truth.duration_s = truth.time if self._done_at is None else self._done_at
         measured = {"progress": self._reached / max(1, len(self._stages))}

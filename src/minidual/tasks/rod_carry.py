@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from minidual.config.change import preset, replaced
@@ -114,4 +116,4 @@ def grasp_offsets(scene: SceneConfig) -> tuple[Array, Array]:
 
 def tilt_rad(T_world_object: Array) -> float:
     """Return the long axis' angle from the horizontal."""
-    return float(np.arcsin(min(1.0, abs(T_world_object[2, 1]))))
+    return math.asin(min(1.0, abs(T_world_object.item(2, 1))))

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from minidual.config.seeds import stream
+from minidual.control.kernels import strain
 from minidual.control.limits import SATURATED
 from minidual.control.object_impedance import SingularPostureError
 from minidual.errors import MinidualError
@@ -19,7 +20,7 @@ from minidual.plant.recorder import Recorder
 from minidual.plant.recording import write_recording
 from minidual.plant.world import SimulationDivergedError, World
 from minidual.robot.arms import robot_from
-from minidual.robot.kinematics import Kinematics
+from minidual.robot.kinematics import Hands, Kinematics
 from minidual.robot.pair import Array
 from minidual.tasks.judge import Failure, begin
 from minidual.tasks.success import ObjectTruth
@@ -33,7 +34,6 @@ from minidual.workers import in_workers
 LOG_RATE_HZ = 250
 SETTLED_S = 0.5
 """A trial ends this long after it is finished."""
-_STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _BROKEN: dict[type[MinidualError], str] = {SimulationDivergedError: "diverged", SingularPostureError: "singular"}
 """Errors that end a trial, with the failure name."""
 
@@ -93,6 +93,22 @@ class TrialResult:
         return self.metrics.text
 
 
+class _State:
+    """The last complete state of a world."""
+
+    def __init__(self, data: mujoco.MjData) -> None:
+        self._data, self._qpos, self._qvel = data, data.qpos, data.qvel
+        self._kept = self._qpos.copy(), self._qvel.copy()
+        self.keep()
+
+    def keep(self) -> None:
+        self._kept[0][:], self._kept[1][:], self._time = self._qpos, self._qvel, self._data.time
+
+    def restore(self, world: World) -> None:
+        (self._qpos[:], self._qvel[:]), self._data.time = self._kept, self._time
+        mujoco.mj_forward(world.model, world.data)
+
+
 class Bench:
     """A world and a method for many trials; `visuals` compiles visual meshes."""
 
@@ -104,6 +120,7 @@ class Bench:
         model = build_model(self.task.scene, robot, visuals=visuals or self.spec.needs_images)
         self.world = World(self.task.scene, robot, model=model)
         self.kinematics = Kinematics(robot)
+        self.hands = Hands(self.kinematics)
         self.factory = self.spec.factory(inputs)
 
     def run(
@@ -137,26 +154,26 @@ class Bench:
         judge = begin(world, self.task, trial, self.spec.demands)
         method = self.factory(world, self.kinematics, trial)
         every = round(1.0 / (LOG_RATE_HZ * world.dt))
-        seen = ObjectTruth(self.task.carried, self.task.scene.objects[self.task.carried])
+        seen = judge.truth[self.task.carried]
         rows: list[tuple[Any, ...]] = []
-        peak, saturated, longest = 0.0, np.zeros(world.robot.dof, dtype=int), 0
+        peak, longest, saturated, tau_max = 0.0, 0.0, np.zeros(world.robot.dof), world.robot.tau_max
         finished_s, broken = 0.0, None
-        last = np.empty(mujoco.mj_stateSize(world.model, _STATE))
-        mujoco.mj_getState(world.model, world.data, last, _STATE)
+        last = _State(world.data)
         for step in range(round(self.task.time_limit_s / world.dt)):
             try:
                 method.step()
             except tuple(_BROKEN) as error:
-                mujoco.mj_setState(world.model, world.data, last, _STATE)  # a diverged world has been reset
-                mujoco.mj_forward(world.model, world.data)
+                last.restore(world)  # a diverged world has been reset
                 broken = Failure(_BROKEN[type(error)], world.time, error.message)
+                judge.truth.refresh(world)
                 rows = rows or [self._sample(seen, method.phase)]
                 break
-            mujoco.mj_getState(world.model, world.data, last, _STATE)
+            last.keep()
             judge.observe(world)
-            ratio = np.abs(world.tau) / world.robot.tau_max
-            saturated = np.where(ratio >= SATURATED, saturated + 1, 0)
-            peak, longest = float(np.maximum(peak, ratio.max())), max(longest, int(saturated.max()))  # NaN stays
+            ratio = strain(world.tau, tau_max, saturated, SATURATED)
+            peak = peak if ratio <= peak or peak != peak else ratio  # NaN stays
+            if ratio >= SATURATED:
+                longest = max(longest, float(saturated.max()))
             if step % every == 0:
                 rows.append(self._sample(seen, method.phase))
             if disturb is not None:
@@ -185,10 +202,18 @@ class Bench:
 
     def _sample(self, seen: ObjectTruth, phase: str) -> tuple[Any, ...]:
         world, q = self.world, self.world.q
-        left, right = self.kinematics.tcp_poses(q)
-        seen.refresh(world)
-        hands = np.array([left[:3, 3], right[:3, 3]])
-        return world.time, q, world.tau, hands, seen.T[:3, 3], seen.tilt_rad, seen.pinch, seen.squeeze_n, phase
+        self.hands.update(q)
+        return (
+            world.time,
+            q,
+            world.tau,
+            np.array(self.hands.p),
+            seen.xyz,
+            seen.tilt_rad,
+            seen.pinch,
+            seen.squeeze_n,
+            phase,
+        )
 
 
 _BENCHES: dict[str, Bench] = {}
