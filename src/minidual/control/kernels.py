@@ -293,6 +293,26 @@ def smooth(forces: Array, pinch: Array, raw: Array, felt: Array, share: float, g
     return odd
 
 
+@kernel(types.void(ROWS, _REAL, _REAL, _REAL, types.Array(_REAL, 2, "A", readonly=True), ROWS, ROWS))
+def on_line(ends: Array, s: float, ds: float, dds: float, X: Array, T: Array, motion: Array) -> None:
+    """Fill T (4, 4) with the level pose at share s between two poses, times X; `motion` (2, 6) with twist, acceleration.
+
+    ends: (2, 4), x, y, z and yaw each. ds, dds: derivatives of s by time.
+    """
+    yaw = ends[0, 3] + s * (ends[1, 3] - ends[0, 3])
+    cosine, sine = math.cos(yaw), math.sin(yaw)
+    for k in range(4):
+        T[0, k] = cosine * X[0, k] - sine * X[1, k]
+        T[1, k] = sine * X[0, k] + cosine * X[1, k]
+        T[2, k], T[3, k] = X[2, k], X[3, k]
+    for i in range(4):
+        way = ends[1, i] - ends[0, i]
+        if i < 3:
+            T[i, 3] += ends[0, i] + s * way
+        axis = i if i < 3 else 5
+        motion[0, axis], motion[1, axis] = ds * way, dds * way
+
+
 @kernel(types.boolean(*[types.Array(_REAL, 2, "A", readonly=True)] * 2, _REAL, _REAL))
 def near(T: Array, T_other: Array, turn: float, shift_m: float) -> bool:
     """Return whether no entry of the rotations differs by more than `turn`, and none of the positions; false for NaN."""

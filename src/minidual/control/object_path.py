@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import bisect
 import itertools
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from minidual.control.kernels import on_line
 from minidual.control.object_impedance import ObjectState
 from minidual.robot.pair import Array
+
+_LEVEL = np.eye(4)
 
 
 def minimum_jerk(s: float) -> tuple[float, float, float]:
@@ -34,7 +36,7 @@ class ObjectPath:
 
     def __init__(self, start: Waypoint, waypoints: Sequence[Waypoint]) -> None:
         points = [start, *waypoints]
-        self._poses = [(*w.xyz_m, w.yaw_rad) for w in points]
+        self._poses = np.array([(*w.xyz_m, w.yaw_rad) for w in points])
         self._ends = list(itertools.accumulate((w.duration_s for w in waypoints), initial=0.0))
 
     @property
@@ -44,23 +46,13 @@ class ObjectPath:
 
     def at(self, t_s: float) -> ObjectState:
         """See `ObjectMotion`."""
+        return self.tilted(t_s, _LEVEL)
+
+    def tilted(self, t_s: float, T_level_object: Array) -> ObjectState:
+        """Return the state of an object that lies at T_level_object (4, 4) in the level frame."""
         i = min(max(bisect.bisect_right(self._ends, t_s) - 1, 0), len(self._ends) - 2)
         span = self._ends[i + 1] - self._ends[i]
         blend, rate, curvature = minimum_jerk((t_s - self._ends[i]) / span)
-        (x0, y0, z0, yaw0), (x1, y1, z1, yaw1) = self._poses[i], self._poses[i + 1]
-        dx, dy, dz, turn = x1 - x0, y1 - y0, z1 - z0, yaw1 - yaw0
-        yaw = yaw0 + blend * turn
-        c, s, v, a = math.cos(yaw), math.sin(yaw), rate / span, curvature / span**2
-        T: Array = np.array(
-            [
-                [c, -s, 0.0, x0 + blend * dx],
-                [s, c, 0.0, y0 + blend * dy],
-                [0.0, 0.0, 1.0, z0 + blend * dz],
-                [0.0, 0.0, 0.0, 1.0],
-            ]
-        )
-        return ObjectState(
-            T,
-            np.array([v * dx, v * dy, v * dz, 0.0, 0.0, v * turn]),
-            np.array([a * dx, a * dy, a * dz, 0.0, 0.0, a * turn]),
-        )
+        T, motion = np.empty((4, 4)), np.zeros((2, 6))
+        on_line(self._poses[i : i + 2], blend, rate / span, curvature / span**2, T_level_object, T, motion)
+        return ObjectState(T, motion[0], motion[1])

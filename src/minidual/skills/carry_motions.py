@@ -100,8 +100,7 @@ class HeldMotion:
 
     def at(self, t_s: float) -> ObjectState:
         """See `ObjectMotion`."""
-        state = self.path.at(self.start_s + t_s)
-        return ObjectState(state.T_world_object @ self.T_level_object, state.twist, state.acceleration)
+        return self.path.tilted(self.start_s + t_s, self.T_level_object)
 
 
 def held_motion(

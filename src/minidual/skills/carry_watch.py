@@ -178,13 +178,11 @@ class CarryWatch:
         if estimate is None:
             return None
         tilt = tilt_rad(estimate.state.T_world_object)
-        found = [monitor.holding(self._pinch, self._gaps_m(), estimate.spread_m, tilt)]
+        found = monitor.holding(self._pinch.tolist(), self._gaps_m(), estimate.spread_m, tilt)
         self._ease(estimate.spread_m)
-        if self._reading.pose is not None:
-            found.append(monitor.held_pose(estimate.innovation))
-        if steady:
-            found.append(monitor.squeezing(self.squeeze_n, self._felt_n))
-        return next((fault for fault in found if fault is not None), None)
+        odd = None if self._reading.pose is None else monitor.held_pose(estimate.innovation)
+        weak = monitor.squeezing(self.squeeze_n, self._felt_n) if steady else None
+        return found or odd or weak
 
     def motors(self, told: Array) -> Fault | None:
         """Compare commanded torques (n,) [Nm] with the applied ones."""

@@ -75,7 +75,7 @@ class FaultMonitor:
     def _lasts(self, key: str, now: bool, needed: int | None = None) -> bool:
         """Return whether `now` held for the needed calls in a row."""
         if not now:
-            self._counts[key] = 0
+            self._counts.pop(key, None)
             return False
         count = self._counts[key] = self._counts.get(key, 0) + 1
         return count >= (self._needed if needed is None else needed)
@@ -127,18 +127,23 @@ class FaultMonitor:
             return Fault("missed_grasp", f"pinch {felt} N after {self._config.grasp_timeout_s} s")
         return None
 
-    def holding(self, pinch_n: Array, gap_m: Sequence[float], spread_m: float, tilt_rad: float) -> Fault | None:
+    def holding(
+        self, pinch_n: Sequence[float], gap_m: Sequence[float], spread_m: float, tilt_rad: float
+    ) -> Fault | None:
         """Check a held object by pinch (2,), gaps (2,), hand distance and tilt."""
         config = self._config
         least_n, least_m = config.lost_pinch_share * self._pinch, self._width - config.gap_margin_m
-        for name, pinch, gap in zip(SIDES, pinch_n.tolist(), gap_m, strict=True):
+        if self._spread_m is None:
+            self._spread_m = spread_m
+        crept = abs(spread_m - self._spread_m)
+        firm = pinch_n[0] >= least_n <= pinch_n[1] and gap_m[0] >= least_m <= gap_m[1]
+        if firm and crept <= config.displaced_m and tilt_rad <= config.tilt_rad and not self._counts:
+            return None
+        for name, pinch, gap in zip(SIDES, pinch_n, gap_m, strict=True):
             if self._lasts(f"pinch {name}", not pinch >= least_n):
                 return Fault("object_lost", f"the {name} hand pinches {pinch:.1f} of {self._pinch:.0f} N")
             if self._lasts(f"held gap {name}", not gap >= least_m, 3):
                 return Fault("object_lost", f"the {name} hand has closed to {1e3 * gap:.0f} mm")
-        if self._spread_m is None:
-            self._spread_m = spread_m
-        crept = abs(spread_m - self._spread_m)
         if self._lasts("spread", not crept <= config.displaced_m, 1):  # encoders: one reading suffices
             return Fault("slip", f"the hands have moved {1e3 * crept:.1f} mm along the object")
         if self._lasts("tilt", not tilt_rad <= config.tilt_rad):

@@ -84,25 +84,22 @@ class ObjectTruth:
         return self._world is not None and self._world.on_table(self.name)
 
 
-class Truth:
-    """True state of a task's objects.
+class Truth(dict[str, ObjectTruth]):
+    """True state of a task's objects, by name.
 
     duration_s is the time of the finish, else of now; the judge sets it before `end`.
     """
 
     def __init__(self, objects: Mapping[str, ObjectConfig]) -> None:
-        self._objects = {name: ObjectTruth(name, body) for name, body in objects.items()}
+        super().__init__({name: ObjectTruth(name, body) for name, body in objects.items()})
         self._world: World | None = None
         self.time = self.duration_s = 0.0
 
     def refresh(self, world: World) -> None:
         """Read the world."""
         self._world, self.time = world, world.time
-        for item in self._objects.values():
+        for item in self.values():
             item.refresh(world)
-
-    def __getitem__(self, name: str) -> ObjectTruth:
-        return self._objects[name]
 
     def touches(self, geom: str) -> bool:
         """See `World`."""
