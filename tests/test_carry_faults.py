@@ -161,6 +161,43 @@ def test_a_fault_is_told_in_time_by_name_and_stopped_softly(world: World, scenar
         assert np.abs(found.speeds[-1]).max() < 0.05
 
 
+Finger = Callable[[float, list[float]], float]
+GRIPPERS: dict[str, tuple[str, str, float, Finger, float]] = {
+    "does not close": ("gripper_stuck", "close", 0.0, lambda target, told: 0.04, 0.1),
+    "answers 0.1 s late": ("gripper_stuck", "close", 0.0, lambda target, told: told[-100], 0.1),
+    "blocked at 60 mm": ("gripper_stuck", "close", 0.0, lambda target, told: max(target, 0.03), 0.3),
+    "jitters": ("gripper_jitter", "carry", 0.2, lambda target, told: target + 0.004 * (len(told) // 25 % 2), 0.3),
+    "does not open": ("gripper_stuck", "open", 0.0, lambda target, told: -0.004, 0.2),
+}
+
+
+@pytest.mark.parametrize(
+    "what", [pytest.param(name, marks=pytest.mark.slow if "open" in name else ()) for name in GRIPPERS]
+)
+def test_a_gripper_that_does_not_do_what_it_is_told_is_named(world: World, what: str) -> None:
+    """Before: missed_grasp after 1.5 s, slip after 1.7 s, missed_grasp after 1.5 s, nothing, nothing."""
+    name, phase, after_s, finger, latency_s = GRIPPERS[what]
+    told: list[float] = []
+    broken = False
+    command = world.command
+
+    def commands(tau: np.ndarray, fingers: np.ndarray) -> None:
+        told.append(float(fingers[0]))
+        command(tau, np.array([finger(told[-1], told), fingers[1]]) if broken else fingers)
+
+    def breaks(_world: World) -> None:
+        nonlocal broken
+        broken = True
+
+    world.command = commands  # type: ignore[method-assign]
+    found = run(world, phase, after_s, breaks)
+    assert found.carry.fault is not None
+    assert found.carry.fault.name == name
+    assert found.carry.fault.detail.startswith("the left hand")
+    assert 0.0 < found.latency_s <= latency_s
+    assert np.abs(found.speeds[-1]).max() < 0.05
+
+
 def drives_off(*arms: str) -> Callable[[World], None]:
     def disturb(world: World) -> None:
         for arm in arms:
@@ -260,6 +297,37 @@ def _until_told(look: Callable[[], Fault | None], *, calls: int = 50) -> tuple[s
     raise AssertionError("nothing was told")
 
 
+def _hand_tells(monitor: FaultMonitor, told: str, gap_m: Callable[[float], float]) -> Callable[[], Fault | None]:
+    """Return a look every 4 ms at hands of which the right one's gap is `gap_m(t)`."""
+    fine, ticks = (60.0, 60.0), iter(range(1000))
+
+    def look() -> Fault | None:
+        t = 0.004 * next(ticks)
+        return monitor.grippers(t, told, (0.02, gap_m(t)), fine, 0.024 if told != "open" else 0.076)
+
+    return look
+
+
+def test_a_hand_that_moves_as_it_is_told_has_no_fault(monitor: FaultMonitor) -> None:
+    gaps: dict[str, Callable[[float], float]] = {
+        "close": lambda t: max(0.02, 0.08 - 0.16 * t),
+        "open": lambda t: 0.08 if t > 0.4 else max(0.02, 0.02 + 0.16 * (t - 0.1)),
+        "": lambda t: 0.02 + 0.0001 * float(np.sin(100.0 * t)),
+    }
+    for told, gap_m in gaps.items():
+        for k in range(200):
+            gap = gap_m(0.004 * k)
+            fault = monitor.grippers(
+                10.0 + 0.004 * k, told, (gap, gap), (60.0, 60.0), 0.076 if told == "open" else 0.024
+            )
+            assert fault is None
+    nothing = (np.nan, np.nan)
+    assert monitor.grippers(20.0, "close", nothing, nothing, 0.024) is None
+    blind = monitor.grippers(20.2, "close", nothing, nothing, 0.024)
+    assert blind is not None
+    assert blind.name == "gripper_stuck"
+
+
 def test_every_row_of_the_table_can_be_told(monitor: FaultMonitor) -> None:
     fine, gaps = np.full(2, 60.0), np.full(2, 0.02)
     holds = {"pinch_n": fine, "gap_m": gaps, "spread_m": 0.24, "tilt_rad": 0.0}
@@ -274,10 +342,12 @@ def test_every_row_of_the_table_can_be_told(monitor: FaultMonitor) -> None:
         "tilted": _until_told(lambda: monitor.holding(**{**holds, "tilt_rad": 0.5})),
         "sensor_lost": _until_told(lambda: monitor.silent("pose", 0.06, 0.05)),
         "lost_arm": _until_told(lambda: monitor.motors(np.full(DOF, 5.0), np.r_[np.full(7, 5.0), np.zeros(7)])),
+        "gripper_stuck": _until_told(_hand_tells(monitor, "close", lambda t: 0.08), calls=25),
+        "gripper_jitter": _until_told(_hand_tells(monitor, "", lambda t: 0.02 + 0.001 * np.sin(100.0 * t)), calls=50),
     }
     for name, (said, calls) in told.items():
         assert said == name
-        assert calls <= 5
+        assert calls <= 5 or name.startswith("gripper")
     assert set(told) | {"unreachable", "singular", "joint_limit", "reflex", "interrupted"} == {*OPENING, *CLOSED}
     assert monitor.silent("pose", 0.05, 0.05) is None
     assert _until_told(lambda: monitor.silent("pose", float("nan"), 0.05))[0] == "sensor_lost"

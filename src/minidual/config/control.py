@@ -109,6 +109,8 @@ class CarryFaultConfig(StrictModel):
     gap_margin_m: float = Field(default=0.004, gt=0.0, le=0.03)
     """A hand closed further than this below the object's width holds nothing."""
     grasp_timeout_s: float = Field(default=1.5, gt=0.1, le=10.0)
+    gripper_answer_s: float = Field(default=0.08, ge=0.05, le=1.0)
+    """Longest time without motion or change of pinch of a hand that is told to close; twice as long to open."""
     lost_pinch_share: float = Field(default=0.25, gt=0.0, lt=1.0)
     squeeze_share: float = Field(default=0.4, gt=0.0, lt=1.0)
     """Share of the wanted internal force below which the grasp slips."""

@@ -21,7 +21,7 @@ from minidual.tasks.rod_carry import tilt_rad
 _GRIPPED = 0.9
 _MOVED_M = 0.0005
 """Motion of the hands between two poses that the second must show."""
-_COMPARE_S = 0.01
+_COMPARE_S, _GRIPPERS_S = 0.01, 0.004
 _FORCES = ("the left hand's force", "the right hand's force", "the pinch")
 _EASED = 0.75
 """Share of the force felt at slip onset, requested afterwards."""
@@ -51,7 +51,7 @@ class CarryWatch:
         self._raw = np.concatenate([self._reading.hand_forces.ravel(), self._reading.pinch])
         self._felt = self._raw.copy()
         self._forces, self._pinch = self._felt[:6].reshape(2, 3), self._felt[6:]  # views
-        self._odd_n, self._forces_s = 0, world.time
+        self._odd_n, self._forces_s, self._gripped_s = 0, world.time, 0.0
         self._odd_max_n = round(config.faults.persistence_s / world.dt)
         self._posed, self._compared = self._reading.pose.T_world_object, (self._raw.copy(), world.time)
         self._filter_share = world.dt / (config.sensing.force_filter_s + world.dt)
@@ -183,6 +183,16 @@ class CarryWatch:
         odd = None if self._reading.pose is None else monitor.held_pose(estimate.innovation)
         weak = monitor.squeezing(self.squeeze_n, self._felt_n) if steady else None
         return found or odd or weak
+
+    def grippers(self, told: str) -> Fault | None:
+        """Check every 4 ms the motion of hands that are told to "open", to "close", or neither ("")."""
+        now_s, margin_m = self._world.time, self._config.faults.gap_margin_m
+        if now_s - self._gripped_s < _GRIPPERS_S:
+            return None
+        self._gripped_s = now_s
+        open_m, held_m = 2.0 * self._world.robot.hand.travel_m, 2.0 * self._world.scene.object.half_width_m
+        target_m = open_m - margin_m if told == "open" else held_m + margin_m
+        return self._monitor.grippers(now_s, told, self._gaps_m(), self._pinch.tolist(), target_m)
 
     def motors(self, told: Array) -> Fault | None:
         """Compare commanded torques (n,) [Nm] with the applied ones."""

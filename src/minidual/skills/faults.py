@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -13,9 +14,9 @@ from minidual.config.control import CarryFaultConfig
 from minidual.control.kernels import farthest
 from minidual.robot.pair import SIDES, Array
 
-OPENING = ("missed_grasp", "knocked_away", "object_lost", "lost_arm", "unreachable")
+OPENING = ("missed_grasp", "knocked_away", "object_lost", "lost_arm", "unreachable", "gripper_stuck")
 """Faults after which the hands open."""
-CLOSED = ("slip", "tilted", "sensor_lost", "reflex", "interrupted", "singular", "joint_limit")
+CLOSED = ("slip", "tilted", "sensor_lost", "reflex", "interrupted", "singular", "joint_limit", "gripper_jitter")
 """Faults after which the hands keep their command."""
 
 
@@ -35,6 +36,10 @@ class Fault(NamedTuple):
 _SCATTERS = 2.9
 """Threshold in RMS scatters, five standard deviations per coordinate: white noise exceeds it twice in a row once in a
 billion samples."""
+_FINGER_STEP_M, _PINCH_STEP_N, _PINCH_STEP = 0.0003, 10.0, 0.2
+"""Smallest steps that are no noise; of the pinch also as share of the wanted one."""
+_TURNS, _TURNS_S = 4, 0.2
+"""A hand whose opening or pinch turns back this often in this time jitters."""
 _LEARNT = 10
 """Samples before the learnt scatter is used."""
 
@@ -59,6 +64,28 @@ class _Scatter:
         self._count += usual
 
 
+class _Turns:
+    """Last step of a signal that is no noise [s], and its turns."""
+
+    def __init__(self, step: float) -> None:
+        self._step, self._at, self._way = step, math.inf, 0.0
+        self.moved_s = -math.inf
+        self._turns_s: deque[float] = deque(maxlen=_TURNS)
+
+    def update(self, value: float, now_s: float) -> None:
+        """Take a value."""
+        way = value - self._at
+        if not abs(way) >= self._step:
+            return
+        if way * self._way < 0.0:
+            self._turns_s.append(now_s)
+        self._at, self._way, self.moved_s = value, way, now_s
+
+    def jitters(self, now_s: float) -> bool:
+        """Whether it has turned often of late."""
+        return len(self._turns_s) == _TURNS and now_s - self._turns_s[0] < _TURNS_S
+
+
 class FaultMonitor:
     """Detects faults; call each method once a control step in its phases. NaN counts as a fault."""
 
@@ -71,6 +98,9 @@ class FaultMonitor:
         self.lost: npt.NDArray[np.bool_] = np.zeros(len(SIDES), dtype=bool)
         """(2,) arms with lost motors; latched."""
         self._scatter = _Scatter((config.displaced_m, config.displaced_rad))
+        self._told = "", 0.0
+        step_n = max(_PINCH_STEP_N, _PINCH_STEP * pinch_n)
+        self._hands = [(_Turns(_FINGER_STEP_M), _Turns(step_n)) for _ in SIDES]
 
     def _lasts(self, key: str, now: bool, needed: int | None = None) -> bool:
         """Return whether `now` held for the needed calls in a row."""
@@ -125,6 +155,26 @@ class FaultMonitor:
         if t_s > self._config.grasp_timeout_s:
             felt = ", ".join(f"{f:.1f}" for f in pinch_n)
             return Fault("missed_grasp", f"pinch {felt} N after {self._config.grasp_timeout_s} s")
+        return None
+
+    def grippers(
+        self, now_s: float, told: str, gap_m: Sequence[float], pinch_n: Sequence[float], target_m: float
+    ) -> Fault | None:
+        """Check that hands told to "close" or "open" move until their gaps (2,) reach the target, others hold still."""
+        if told != self._told[0]:
+            self._told = told, now_s
+        bound_s = self._config.gripper_answer_s * (2.0 if told == "open" else 1.0)  # its force must fall first
+        hands = zip(SIDES, self._hands, gap_m, pinch_n, strict=True)
+        for name, (gap, pinch), gap_now_m, pinch_now_n in hands:
+            gap.update(gap_now_m, now_s)
+            pinch.update(pinch_now_n, now_s)
+            still_s = now_s - max(gap.moved_s, pinch.moved_s, self._told[1])
+            done = gap_now_m > target_m if told == "open" else gap_now_m < target_m
+            if told and not done and still_s > bound_s:
+                where = f"stays at {1e3 * gap_now_m:.0f} mm for {still_s:.2f} s"
+                return Fault("gripper_stuck", f"the {name} hand, told to {told}, {where}")
+            if not told and (gap.jitters(now_s) or pinch.jitters(now_s)):
+                return Fault("gripper_jitter", f"the {name} hand turned back {_TURNS} times within {_TURNS_S} s")
         return None
 
     def holding(

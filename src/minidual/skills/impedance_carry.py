@@ -36,6 +36,8 @@ from minidual.tasks.rod_carry import level_part, placement
 from minidual.tasks.task import Trial
 
 _OPEN, _CLOSED = np.ones(2), np.zeros(2)
+_TOLD = {"close": "close", "open": "open", "retreat": "open"}
+"""What the hands are told in a phase."""
 _BRAKED_S = 0.6
 """Longest braking along the path."""
 _STOPPED_S = 0.5
@@ -252,6 +254,9 @@ class ImpedanceCarry:
                 return lost
         if phase in ("approach", "descend"):
             return watch.resting()
+        moved = None if phase in ("stop", "done") else watch.grippers(_TOLD.get(phase, ""))
+        if moved is not None:
+            return moved
         if phase == "close":
             return None if watch.gripped else watch.closing(self.world.time - self._began_s)
         if phase in ("squeeze", "carry"):
