@@ -13,21 +13,22 @@ from minidual.control.supervisor import Supervisor
 from minidual.plant.world import World
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array
 from minidual.robot.poses import pose
-from minidual.skills.supervised import SceneClearance, arm_distance
+from minidual.skills.supervised import SceneClearance, arm_distance, trial_supervisor
 
 BOTH = np.eye(DOF)[:7] - np.eye(DOF)[7:]
 APART, HIGH = HOME + 0.3 * BOTH[0], HOME - 0.5 * (np.eye(DOF)[1] + np.eye(DOF)[8])
-ALONE = HOME - 1.2 * np.eye(DOF)[7]
-FOLDED = np.r_[-1.28, -0.57, -1.59, -1.46, 2.53, 0.46, -0.49, ALONE[7:]]
+ALONE = HOME + 1.5 * np.eye(DOF)[0] - 1.2 * np.eye(DOF)[7]
+FOLDED = np.r_[1.5, -0.57, -1.59, -1.46, 2.53, 0.46, -0.49, ALONE[7:]]
 """The left hand is in its own forearm; the right arm is out of its way."""
 
 
-def towards(start: np.ndarray, way: np.ndarray, speed: float) -> Reference:
+def towards(start: Array, way: Array, speed: float) -> Reference:
     """Accelerate to `speed` of the fastest joint along a straight way, and go on."""
     way = way / np.abs(way).max()
 
-    def at(t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def at(t: float) -> tuple[Array, Array, Array]:
         s = min(t, speed / 7.0)
         gone = 3.5 * s * s + speed * (t - s)
         return start + gone * way, 7.0 * s * way, (7.0 * (t < speed / 7.0)) * way
@@ -35,7 +36,7 @@ def towards(start: np.ndarray, way: np.ndarray, speed: float) -> Reference:
     return at
 
 
-def guarded(world: World, start: np.ndarray, clearance: SceneClearance | None) -> GuardedArms:
+def guarded(world: World, start: Array, clearance: SceneClearance | None) -> GuardedArms:
     world.reset(start)
     return GuardedArms(world, Supervisor(self_distance=arm_distance(DUAL_PANDA), clearance=clearance))
 
@@ -50,17 +51,17 @@ def touches(arms: GuardedArms, seconds: float = 1.0) -> set[tuple[str, str]]:
     return found
 
 
-@pytest.mark.parametrize("speed", [0.3, 0.73, 2.0])
+INWARDS = (APART, -BOTH[0], {"left_panda_hand", "right_panda_hand"})
+DOWN = (HIGH, np.eye(DOF)[1] + np.eye(DOF)[8], {"table"})
+FOLD = (ALONE, FOLDED - ALONE, {"left_panda_hand", "left_panda_link5"})
+
+
 @pytest.mark.parametrize(
-    ("start", "way", "parts"),
-    [
-        (APART, -BOTH[0], {"left_panda_hand", "right_panda_hand"}),
-        (HIGH, np.eye(DOF)[1] + np.eye(DOF)[8], {"table"}),
-        (ALONE, FOLDED - ALONE, {"left_panda_hand", "left_panda_link5"}),
-    ],
-    ids=["arms", "table", "own"],
+    ("start", "way", "parts", "speed"),
+    [(*INWARDS, 0.3), (*INWARDS, 0.73), (*INWARDS, 2.0), (*DOWN, 0.73), (*DOWN, 2.0), (*FOLD, 0.73), (*FOLD, 2.0)],
+    ids=["arms-0.3", "arms-0.73", "arms-2", "table-0.73", "table-2", "own-0.73", "own-2"],
 )
-def test_the_arms_rest_before_they_touch(world, start, way, parts, speed):
+def test_the_arms_rest_before_they_touch(world: World, start: Array, way: Array, parts: set[str], speed: float) -> None:
     arms = guarded(world, start, SceneClearance(DUAL_PANDA))
     error = arms.run(7.0, towards(start, way, speed))
     assert error is not None
@@ -69,7 +70,7 @@ def test_the_arms_rest_before_they_touch(world, start, way, parts, speed):
     assert not touches(arms)
 
 
-def test_without_the_look_ahead_they_touch(world):
+def test_without_the_look_ahead_they_touch(world: World) -> None:
     arms = guarded(world, APART, None)
     error = arms.run(2.0, towards(APART, -BOTH[0], 0.73))
     assert error is not None
@@ -77,7 +78,7 @@ def test_without_the_look_ahead_they_touch(world):
     assert touches(arms, 0.6)
 
 
-def test_the_predicted_posture_is_the_one_in_which_the_stop_ends(world):
+def test_the_predicted_posture_is_the_one_in_which_the_stop_ends(world: World) -> None:
     arms = guarded(world, ALONE, None)
     arms.run(0.4, towards(ALONE, FOLDED - ALONE, 1.5))
     predicted = arms.supervisor._stop.rest(world.q, world.v, 0.0)
@@ -88,7 +89,7 @@ def test_the_predicted_posture_is_the_one_in_which_the_stop_ends(world):
     assert np.abs(world.q - predicted).max() < 0.01
 
 
-def test_a_held_object_is_kept_off_the_table_and_the_arms(world):
+def test_a_held_object_is_kept_off_the_table_and_the_arms(world: World) -> None:
     clearance = SceneClearance(DUAL_PANDA, Box("bar", (0.0, 0.0, 0.0), size_m=(0.03, 0.03, 0.6)))
     hanging = pose(np.eye(3), (0.0, 0.0, 0.2))
     assert clearance(HIGH)[0] == "none"
@@ -103,7 +104,7 @@ def test_a_held_object_is_kept_off_the_table_and_the_arms(world):
     assert clearance(lower)[0] == "none"
 
 
-def test_a_fast_descent_with_an_object_stops_above_the_table(world):
+def test_a_fast_descent_with_an_object_stops_above_the_table(world: World) -> None:
     bar = Box("bar", (0.0, 0.0, 0.0), size_m=(0.03, 0.03, 0.6))
     down = towards(HIGH, np.eye(DOF)[1], 1.0)
     bare = guarded(world, HIGH, SceneClearance(DUAL_PANDA, bar)).run(4.0, down)
@@ -123,9 +124,9 @@ def test_a_fast_descent_with_an_object_stops_above_the_table(world):
     assert held.supervisor._clearance(HIGH + 0.6 * np.eye(DOF)[1])[0] == "none", "a reset forgets what was held"
 
 
-def test_a_clearance_that_fails_is_named_and_the_arms_stop(world):
+def test_a_clearance_that_fails_is_named_and_the_arms_stop(world: World) -> None:
     class Broken(SceneClearance):
-        def __call__(self, q):
+        def __call__(self, q: Array) -> tuple[str, float, float]:
             raise ZeroDivisionError("no scene")
 
     error = guarded(world, HOME, Broken(DUAL_PANDA)).run(0.1)
@@ -134,8 +135,6 @@ def test_a_clearance_that_fails_is_named_and_the_arms_stop(world):
     assert "ZeroDivisionError: no scene" in error.message
 
 
-def test_the_default_supervisor_of_a_trial_looks_ahead():
-    from minidual.skills.supervised import trial_supervisor
-
+def test_the_default_supervisor_of_a_trial_looks_ahead() -> None:
     supervisor = trial_supervisor(SupervisorConfig(), 1e-3, DUAL_PANDA)
     assert isinstance(supervisor._clearance, SceneClearance)
