@@ -204,7 +204,7 @@ class Supervisor:
         if self._applied is None:
             self._applied = self._before_control(q)
         before_s, self._time_s = self._time_s, time_s
-        self._usable = self._sense.update(self._q, self._v, self._tau, self._applied, self._newer_s(stamp_s))
+        self._usable = self._sense.update(self._q, self._v, self._applied, self._newer_s(stamp_s))
         if not time_s > before_s:
             self._time_s = before_s
             self._trip("clock", f"{time_s} s after {before_s} s", 1.0, None)
@@ -219,7 +219,7 @@ class Supervisor:
     def _stopping(self, q: Array, v: Array, stamp_s: float | None) -> Array:
         """Return this tick's torque of the latched stop."""
         self._q[:], self._v[:], tau = q, v, self._stop.tau
-        self._sense.update(self._q, self._v, tau, tau, self._newer_s(stamp_s))
+        self._sense.update(self._q, self._v, tau, self._newer_s(stamp_s))
         return self._stop.torque(self._sense.q, self._sense.v)
 
     def _before_control(self, q: Array) -> Array:
