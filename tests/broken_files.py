@@ -16,8 +16,9 @@ import h5py
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-import torch
-from safetensors.torch import load_file, save_file
+from late import late
+
+torch, tensor_files = late("torch"), late("safetensors.torch")
 
 Break = Callable[[Path, np.random.Generator], None]
 STRANGE: tuple[Any, ...] = (None, "text", [], {}, -1, 1e300, True, [["deep"]])
@@ -245,9 +246,9 @@ def _record(name: str, change: Callable[[Any], Any]) -> Break:
 
 def _tensors(name: str, change: Callable[[dict[str, torch.Tensor]], Any]) -> Break:
     def broken(path: Path, rng: np.random.Generator) -> None:
-        tensors = load_file(path)
+        tensors = tensor_files.load_file(path)
         change(tensors)
-        save_file(tensors, path)
+        tensor_files.save_file(tensors, path)
 
     return within(name, broken)
 

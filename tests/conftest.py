@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 
 os.environ["HF_HUB_OFFLINE"] = "1"  # a test that reaches for the network fails at once
 os.environ.setdefault("MUJOCO_GL", "egl")
@@ -20,6 +21,13 @@ if TYPE_CHECKING:
     from minidual.config.scene import SceneConfig
     from minidual.plant.world import World
     from minidual.robot.kinematics import Kinematics
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the tests of PyTorch first: of two processes that share the tests, one imports it and the other does not."""
+    if "torch" in sys.modules:
+        raise pytest.UsageError("a test module imports PyTorch as it is collected: use late.late, mark it `torch`")
+    items.sort(key=lambda item: item.get_closest_marker("torch") is None)
 
 
 @pytest.fixture(scope="session")

@@ -12,16 +12,19 @@ import data_samples
 import numpy as np
 import pytest
 from broken_files import Break
+from late import late
 from test_learning_demonstrations import tiny
 from test_learning_train import SMALL
 
 from minidual.config.learning import TrainConfig
-from minidual.demos import lerobot_adapter
 from minidual.demos.episode import inspect_episode, read_episode
 from minidual.errors import DataError
 from minidual.policies.demonstrations import load_demonstrations
 from minidual.policies.kinds import POLICIES, load_policy
 from minidual.robot.arms import DUAL_PANDA
+
+lerobot_adapter = late("minidual.demos.lerobot_adapter")
+pytestmark = pytest.mark.torch
 
 
 @pytest.fixture(scope="module")

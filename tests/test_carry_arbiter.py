@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Collection, Iterable
+import os
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import pytest
+from branches import Branches
 from carry_trials import sample_trial
 from panda import HOME, TAU_RATE_MAX
 
@@ -19,7 +21,6 @@ from minidual.control.commands import ArbiterState, JointCommand
 from minidual.control.object_impedance import ObjectImpedance, ObjectState
 from minidual.control.object_path import minimum_jerk
 from minidual.control.stack import DEFAULT_CONTROLLERS, OBJECT_CONTROLLERS
-from minidual.control.supervisor import Supervisor
 from minidual.plant.sensing import Reading, Sensors
 from minidual.plant.world import World
 from minidual.robot.arms import DUAL_PANDA
@@ -35,6 +36,16 @@ from minidual.tasks.rod_carry import level_pose, tilt_rad
 PHASES = ("approach", "descend", "close", "squeeze", "carry", "unload", "open", "retreat")
 ONCE_DONE_S = 0.3
 """How long a trial is watched after it is done."""
+POINTS = (
+    *((phase, 0.15) for phase in PHASES if phase != "carry"),
+    ("approach", 0.4),
+    ("approach", 0.6),
+    ("close", 0.05),
+    ("squeeze", 0.2),
+    *(("carry", after_s) for after_s in (0.3, 0.6, 1.0, 1.2, 1.4)),
+    ("retreat", 0.2),
+)
+"""Where tests branch off from the one carry: a phase, and for how long it has lasted [s]."""
 
 
 @dataclass
@@ -47,10 +58,30 @@ class Ride:
     active: list[tuple[str, ...]] = field(default_factory=list)
     given: list[str | None] = field(default_factory=list)
     onset_s: float = np.inf
+    began_s: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def world(self) -> World:
+        return self.carry.world
 
     @property
     def torque_step_nm(self) -> float:
         return float(np.abs(np.diff(np.array(self.told), axis=0)).max())
+
+    def reached(self, point: tuple[str, float]) -> bool:
+        """Return whether a phase has lasted for so long."""
+        began_s = self.began_s.setdefault(self.carry.phase, self.world.time)
+        return self.carry.phase == point[0] and self.world.time >= began_s + point[1] - 1e-9
+
+    def finish(self, each: Callable[[Ride], None] | None = None) -> None:
+        """Carry to the end and a little further, with `each` before every tick."""
+        done_s = np.inf
+        while self.world.time < min(done_s + ONCE_DONE_S, 14.0):
+            if each is not None:
+                each(self)
+            self.step()
+            if self.carry.done and not np.isfinite(done_s):
+                done_s = self.world.time
 
     def step(self) -> None:
         carry = self.carry
@@ -64,33 +95,28 @@ class Ride:
         assert np.array_equal(self.told[-1], carry.stack.applied), "a torque that did not come through the stack"
 
 
-def ride(
-    world: World,
-    *,
-    at: tuple[str, float] = ("never", 0.0),
-    do: Callable[[Ride], None] | None = None,
-    each: Callable[[Ride], None] | None = None,
-    supervisor: Supervisor | None = None,
-) -> Ride:
-    """Carry to the end and a little further; `do` something when a phase has lasted for a while, `each` every tick."""
+type Carry = Branches[Ride, tuple[str, float]]
+
+
+def begun(world: World) -> Ride:
+    """Return a carry that is to begin."""
     trial = sample_trial(world.scene, 5, "arbiter", 0)
     world.reset(poses=trial.start)
-    seen = Ride(ImpedanceCarry(world, Kinematics(), CarryConfig(), trial, seed=5, supervisor=supervisor))
-    began_s: float | None = None
-    done_s = np.inf
-    while world.time < min(done_s + ONCE_DONE_S, 14.0):
-        if began_s is None and seen.carry.phase == at[0]:
-            began_s = world.time
-        if began_s is not None and do is not None and world.time >= began_s + at[1] - 1e-9:
-            seen.onset_s = world.time
-            do(seen)
-            do = None
-        if each is not None:
-            each(seen)
-        seen.step()
-        if seen.carry.done and not np.isfinite(done_s):
-            done_s = world.time
+    return Ride(ImpedanceCarry(world, Kinematics(), CarryConfig(), trial, seed=5))
+
+
+def ride(world: World, each: Callable[[Ride], None] | None = None) -> Ride:
+    """Carry to the end and a little further."""
+    seen = begun(world)
+    seen.finish(each)
     return seen
+
+
+@pytest.fixture(scope="module")
+def carry(scene: SceneConfig) -> Iterator[Carry]:
+    """The carry of `undisturbed`; each test branches off from it and disturbs its own copy."""
+    with Branches(lambda: begun(World(scene)), Ride.step, Ride.reached, POINTS) as made:
+        yield made
 
 
 @pytest.fixture(scope="module")
@@ -173,25 +199,60 @@ def test_another_source_that_proposes_moves_nothing(world: World, undisturbed: R
                 command = JointCommand(HOME + 0.2, np.ones(2), world.time, sent)
                 assert seen.carry.stack.propose(source, command) is None  # kept for its turn, which never comes
 
-    seen = ride(world, each=intrude)
+    seen = ride(world, intrude)
     assert sent > 300
     assert seen.carry.fault is None
     assert set(seen.given) == {SOURCE, None}
     assert np.array_equal(seen.told, undisturbed.told)
 
 
-def _some_slow(names: Iterable[str], fast: Collection[str]) -> list[Any]:
-    """Return the names, those that are not `fast` marked as slow: each is a carry of its own."""
-    return [name if name in fast else pytest.param(name, marks=pytest.mark.slow) for name in names]
+def onset(seen: Ride) -> Ride:
+    """Note that what happens now is the disturbance."""
+    seen.onset_s = seen.world.time
+    return seen
+
+
+def test_a_branch_that_nothing_disturbs_is_the_carry_to_the_bit(carry: Carry, undisturbed: Ride) -> None:
+    carry.run(("carry", 1.4), nothing, [tau.tobytes() for tau in undisturbed.told])
+
+
+def nothing(seen: Ride, told: list[bytes]) -> None:
+    seen.finish()
+    assert [tau.tobytes() for tau in seen.told] == told
+
+
+def test_what_fails_in_a_branch_fails_here_and_nowhere_else(carry: Carry) -> None:
+    with pytest.raises(AssertionError, match="ZeroDivisionError: in the copy"):
+        carry.run(("carry", 1.4), fails)
+    with pytest.raises(AssertionError, match="the copy ended with 3"):
+        carry.run(("carry", 1.4), ends)
+    carry.run(("carry", 1.4), is_whole)
+
+
+def fails(seen: Ride) -> None:
+    seen.carry.phase = "lost"
+    raise ZeroDivisionError("in the copy")
+
+
+def ends(seen: Ride) -> None:
+    os._exit(3)
+
+
+def is_whole(seen: Ride) -> None:
+    assert seen.carry.phase == "carry"
 
 
 @pytest.mark.parametrize(
-    ("phase", "after_s"), [("approach", 0.6), ("close", 0.05), ("squeeze", 0.2), ("carry", 1.4), ("retreat", 0.2)]
+    "point", [("approach", 0.6), ("close", 0.05), ("squeeze", 0.2), ("carry", 1.4), ("retreat", 0.2)]
 )
 def test_a_request_of_another_mode_ends_the_carry_by_name_and_drops_nothing(
-    world: World, phase: str, after_s: float
+    carry: Carry, point: tuple[str, float]
 ) -> None:
-    sent = 0
+    carry.run(point, another_mode)
+
+
+def another_mode(seen: Ride) -> None:
+    carry, world, phase, sent = seen.carry, seen.world, seen.carry.phase, 0
 
     def lead(seen: Ride) -> None:  # the leader stands where the arms are, its hands as theirs
         nonlocal sent
@@ -201,8 +262,8 @@ def test_a_request_of_another_mode_ends_the_carry_by_name_and_drops_nothing(
             opening = stack.output.gripper.copy()
             assert stack.propose("teleop", JointCommand(stack.output.q_target, opening, world.time, sent)) is None
 
-    seen = ride(world, at=(phase, after_s), do=lambda seen: seen.carry.stack.request("teleop"), each=lead)
-    carry = seen.carry
+    onset(seen).carry.stack.request("teleop")
+    seen.finish(lead)
     assert carry.fault is not None
     assert (carry.fault.name, carry.fault.detail) == ("interrupted", "'teleop' was asked for")
     assert carry.fault.at_s - seen.onset_s <= 0.001 + 1e-9
@@ -218,10 +279,15 @@ def test_a_request_of_another_mode_ends_the_carry_by_name_and_drops_nothing(
         assert tilt_rad(world.object_pose()) < 0.02
 
 
-def test_a_request_in_the_middle_of_the_lift_may_have_to_be_made_again(world: World) -> None:
+def test_a_request_in_the_middle_of_the_lift_may_have_to_be_made_again(carry: Carry) -> None:
     """The elbows go on swinging for longer than a switch waits; meanwhile the law holds the object."""
-    seen = ride(world, at=("carry", 0.6), do=lambda seen: seen.carry.stack.request("teleop"))
-    carry, stack = seen.carry, seen.carry.stack
+    carry.run(("carry", 0.6), asked_in_the_lift)
+
+
+def asked_in_the_lift(seen: Ride) -> None:
+    carry, stack, world = seen.carry, seen.carry.stack, seen.world
+    stack.request("teleop")
+    seen.finish()
     assert carry.fault is not None
     assert carry.fault.name == "interrupted"
     assert ("teleop", "not_still") in {(r.source, r.name) for r in stack.refusals}
@@ -237,19 +303,35 @@ def test_a_request_in_the_middle_of_the_lift_may_have_to_be_made_again(world: Wo
     assert world.truth().pinch().min() > 20.0
 
 
-def test_a_hold_in_the_air_keeps_the_object_squeezed(world: World) -> None:
-    seen = ride(world, at=("carry", 1.4), do=lambda seen: seen.carry.stack.request("hold"))
-    assert seen.carry.fault is not None
-    assert seen.carry.fault.detail == "'hold' was asked for"
-    assert seen.carry.stack.state is ArbiterState.HOLDING
-    assert seen.carry.stack.manager.active == OBJECT_CONTROLLERS
-    assert world.truth().internal_force() > 35.0
+def test_a_hold_in_the_air_keeps_the_object_squeezed_for_as_long_as_nobody_asks_for_the_arms(carry: Carry) -> None:
+    """Also the negative control of the two tests of a lost object: the watch has nothing to find."""
+    carry.run(("carry", 1.4), hold)
+
+
+def hold(seen: Ride) -> None:
+    carry, world = seen.carry, seen.world
+    carry.stack.request("hold")
+    seen.finish()
+    assert carry.fault is not None
+    assert carry.fault.detail == "'hold' was asked for"
+    assert carry.stack.state is ArbiterState.HOLDING
     assert np.abs(world.v).max() < 0.01
+    for _ in range(1001):
+        assert carry.stack.manager.active == OBJECT_CONTROLLERS
+        assert world.truth().internal_force() > 35.0
+        seen.step()
+    assert not world.on_table()
 
 
 @pytest.mark.parametrize("phase", ["approach", "carry"])
-def test_a_halt_by_somebody_else_is_named_as_one(world: World, phase: str) -> None:
-    seen = ride(world, at=(phase, 0.6), do=lambda seen: seen.carry.stack.halt("teleop"))
+def test_a_halt_by_somebody_else_is_named_as_one(carry: Carry, phase: str) -> None:
+    carry.run((phase, 0.6), halt)
+
+
+def halt(seen: Ride) -> None:
+    phase, world = seen.carry.phase, seen.world
+    onset(seen).carry.stack.halt("teleop")
+    seen.finish()
     assert seen.carry.fault is not None
     assert (seen.carry.fault.name, seen.carry.fault.detail) == ("interrupted", "the arms were halted")
     assert seen.carry.fault.at_s - seen.onset_s <= 0.001 + 1e-9
@@ -259,27 +341,37 @@ def test_a_halt_by_somebody_else_is_named_as_one(world: World, phase: str) -> No
         assert world.truth().pinch().min() > 20.0, "the hands let go"
 
 
-def test_an_object_lost_while_the_arbiter_brakes_halts_the_arms(world: World) -> None:
-    """Braked along its path the law would push two hands together that have nothing between them any more."""
-
-    def snatch(seen: Ride) -> None:
-        seen.carry.stack.request("teleop")
-        world.truth().qpos[:3] = (0.9, 0.6, 0.2)
-
-    seen = ride(world, at=("carry", 1.4), do=snatch)
-    assert seen.carry.fault is not None
-    assert seen.carry.fault.name == "interrupted"
-    assert ("soft_stop",) in seen.active
-    assert seen.active.index(("soft_stop",)) * world.dt <= seen.onset_s + 0.05
-    assert np.abs(world.v).max() < 0.05
+def hands_stay_apart(world: World) -> None:
     left, right = Kinematics().tcp_poses(world.q)
     apart_m = float(np.linalg.norm(left[:3, 3] - right[:3, 3]))
     assert apart_m > 2.0 * world.scene.object.grasp_offset_m - 0.04
 
 
-def test_an_object_lost_after_a_hold_halts_the_arms(world: World) -> None:
+def test_an_object_lost_while_the_arbiter_brakes_halts_the_arms(carry: Carry) -> None:
+    """Braked along its path the law would push two hands together that have nothing between them any more."""
+    carry.run(("carry", 1.4), snatch_while_braking)
+
+
+def snatch_while_braking(seen: Ride) -> None:
+    world = onset(seen).world
+    seen.carry.stack.request("teleop")
+    world.truth().qpos[:3] = (0.9, 0.6, 0.2)
+    seen.finish()
+    assert seen.carry.fault is not None
+    assert seen.carry.fault.name == "interrupted"
+    assert ("soft_stop",) in seen.active
+    assert seen.active.index(("soft_stop",)) * world.dt <= seen.onset_s + 0.05
+    assert np.abs(world.v).max() < 0.05
+    hands_stay_apart(world)
+
+
+def test_an_object_lost_after_a_hold_halts_the_arms(carry: Carry) -> None:
     """The trial is done, the law goes on squeezing: it is watched for as long as it does."""
-    lost_s = np.inf
+    carry.run(("carry", 1.4), snatch_once_done)
+
+
+def snatch_once_done(seen: Ride) -> None:
+    lost_s, world = np.inf, seen.world
 
     def snatch(seen: Ride) -> None:
         nonlocal lost_s
@@ -289,7 +381,8 @@ def test_an_object_lost_after_a_hold_halts_the_arms(world: World) -> None:
             world.truth().qpos[:3] = (0.9, 0.6, 0.2)
             lost_s = world.time
 
-    seen = ride(world, at=("carry", 1.4), do=lambda seen: seen.carry.stack.request("hold"), each=snatch)
+    seen.carry.stack.request("hold")
+    seen.finish(snatch)
     for _ in range(500):
         seen.step()
     assert seen.carry.fault is not None
@@ -298,29 +391,22 @@ def test_an_object_lost_after_a_hold_halts_the_arms(world: World) -> None:
     assert 0.0 < seen.active.index(("soft_stop",)) * world.dt - lost_s <= 0.05
     assert seen.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
     assert np.abs(world.v).max() < 0.05
-    left, right = Kinematics().tcp_poses(world.q)
-    apart_m = float(np.linalg.norm(left[:3, 3] - right[:3, 3]))
-    assert apart_m > 2.0 * world.scene.object.grasp_offset_m - 0.04
-
-
-def test_an_object_that_stays_is_held_for_as_long_as_nobody_asks_for_the_arms(world: World) -> None:
-    """The negative control: the watch of a carry that is done has nothing to find."""
-    seen = ride(world, at=("carry", 1.4), do=lambda seen: seen.carry.stack.request("hold"))
-    for _ in range(1000):
-        seen.step()
-    assert seen.active[-1] == OBJECT_CONTROLLERS
-    assert world.truth().internal_force() > 35.0
-    assert not world.on_table()
+    hands_stay_apart(world)
 
 
 def falls_silent(seen: Ride) -> None:
     seen.carry.stack.affirm = lambda source: None  # type: ignore[method-assign]
 
 
-@pytest.mark.parametrize(("phase", "after_s"), [("approach", 0.4), ("carry", 1.2)])
-def test_a_carry_that_falls_silent_is_braked_and_keeps_what_it_holds(world: World, phase: str, after_s: float) -> None:
-    seen = ride(world, at=(phase, after_s), do=falls_silent)
-    carry = seen.carry
+@pytest.mark.parametrize("point", [("approach", 0.4), ("carry", 1.2)])
+def test_a_carry_that_falls_silent_is_braked_and_keeps_what_it_holds(carry: Carry, point: tuple[str, float]) -> None:
+    carry.run(point, silence)
+
+
+def silence(seen: Ride) -> None:
+    carry, world, phase = seen.carry, seen.world, seen.carry.phase
+    falls_silent(onset(seen))
+    seen.finish()
     assert carry.fault is not None
     assert carry.fault.name == "interrupted"
     assert "stale" in carry.fault.detail
@@ -335,16 +421,24 @@ def test_a_carry_that_falls_silent_is_braked_and_keeps_what_it_holds(world: Worl
         assert world.truth().internal_force() > 35.0
 
 
-def test_without_the_watchdog_nobody_would_notice(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_watchdog_nobody_would_notice(carry: Carry) -> None:
     """The negative control: it is the arbiter's watchdog, and nothing else, that stops a silent carry."""
-    monkeypatch.setattr(CommandArbiter, "_is_gone", lambda self, now_s: False)
-    assert ride(world, at=("carry", 1.2), do=falls_silent).carry.fault is None
+    carry.run(("carry", 1.2), silence_without_watchdog)
 
 
-def test_an_object_command_that_comes_late_is_refused_and_ends_the_carry(
-    world: World, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    propose = ImpedanceCarry._propose
+def silence_without_watchdog(seen: Ride) -> None:
+    CommandArbiter._is_gone = lambda self, now_s: False  # type: ignore[method-assign]
+    falls_silent(seen)
+    seen.finish()
+    assert seen.carry.fault is None
+
+
+def test_an_object_command_that_comes_late_is_refused_and_ends_the_carry(carry: Carry) -> None:
+    carry.run(("squeeze", 0.2), late_command)
+
+
+def late_command(seen: Ride) -> None:
+    propose, world = ImpedanceCarry._propose, seen.world
 
     def late(self: ImpedanceCarry, phase: str, kind: Any, *what: Any) -> None:
         def old(*what: Any) -> Any:
@@ -352,8 +446,8 @@ def test_an_object_command_that_comes_late_is_refused_and_ends_the_carry(
 
         propose(self, phase, old if phase == "carry" else kind, *what)
 
-    monkeypatch.setattr(ImpedanceCarry, "_propose", late)
-    seen = ride(world)
+    ImpedanceCarry._propose = late  # type: ignore[method-assign]
+    seen.finish()
     assert seen.carry.fault is not None
     assert seen.carry.fault.name == "interrupted"
     assert seen.carry.fault.detail.startswith("stale: ObjectCommand is 0.2")
@@ -386,24 +480,20 @@ def test_a_command_that_is_refused_as_it_is_proposed_ends_the_carry_in_that_step
     assert np.abs(world.v).max() < 0.05
 
 
-@pytest.mark.parametrize("phase", _some_slow(PHASES, ("close", "squeeze", "carry")))
-def test_an_emergency_stop_stops_every_phase_and_leaves_the_hands(world: World, phase: str) -> None:
+@pytest.mark.parametrize("phase", PHASES)
+def test_an_emergency_stop_stops_every_phase_and_leaves_the_hands(carry: Carry, phase: str) -> None:
     """Of nine stops in the middle of a carry five took the pinch to 0 N, when each joint braked for itself."""
-    supervisor = Supervisor(dt_s=world.dt)
-    pinch_n = [np.inf]
+    carry.run((phase, 0.15 if phase != "carry" else 1.4), emergency_stop)
 
-    def hold_fast(seen: Ride) -> None:
-        if world.time >= seen.onset_s:
-            pinch_n[0] = min(pinch_n[0], float(world.truth().pinch().min()))
 
-    seen = ride(
-        world,
-        at=(phase, 0.15 if phase != "carry" else 1.4),
-        do=lambda _seen: supervisor.estop("pressed"),
-        each=hold_fast,
-        supervisor=supervisor,
-    )
-    carry = seen.carry
+def emergency_stop(seen: Ride) -> None:
+    carry, world, phase = seen.carry, seen.world, seen.carry.phase
+    pinch_n: list[float] = []
+    supervisor = carry.stack.supervisor
+    assert supervisor is not None
+    onset(seen)
+    supervisor.estop("pressed")
+    seen.finish(lambda _seen: pinch_n.append(float(world.truth().pinch().min())))
     assert carry.fault is not None
     assert carry.fault.name == "reflex"
     assert "emergency_stop" in carry.fault.detail
@@ -415,7 +505,7 @@ def test_an_emergency_stop_stops_every_phase_and_leaves_the_hands(world: World, 
     assert np.array_equal(openings, np.zeros(2) if closed else np.ones(2)), "the hands changed their mind"
     if phase == "carry":
         assert not world.on_table()
-        assert pinch_n[0] > 55.0, "the object slipped or was torn between the hands"
+        assert min(pinch_n) > 55.0, "the object slipped or was torn between the hands"
 
 
 # What is proposed -------------------------------------------------------------------------------------------
@@ -484,15 +574,24 @@ class Screen:
     def close(self) -> None: ...
 
 
-def test_who_watches_sees_the_source_the_phase_and_why_it_ended(world: World) -> None:
+def test_who_watches_sees_the_source_the_phase_and_why_it_ended(carry: Carry) -> None:
+    carry.run(("approach", 0.6), watched)
+
+
+def watched(seen: Ride) -> None:
     screen: Any = Screen()
+    world = seen.world
     watch = trial_hook(screen, world, Kinematics(), "impedance", "a title")
 
     def look(seen: Ride) -> None:
-        if world.time > 0.0 and round(world.time / world.dt) % 100 == 0:
+        if round(world.time / world.dt) % 100 == 0:
             watch(world, seen.carry)
 
-    seen = ride(world, at=("carry", 1.4), do=lambda seen: seen.carry.stack.request("hold"), each=look)
+    while not seen.reached(("carry", 1.4)):
+        look(seen)
+        seen.step()
+    seen.carry.stack.request("hold")
+    seen.finish(look)
     told = {(overlay.source, overlay.state) for overlay in screen.shown}
     assert {("moveit", "active, approach"), ("moveit", "active, carry")} <= told
     assert screen.shown[-1].state == "holding, done"
@@ -569,80 +668,84 @@ LYING: dict[str, tuple[str, str, Callable[[], Callable[[Reading], Reading]]]] = 
 }
 
 
+def from_now(lies: Callable[[Reading], Reading]) -> None:
+    """Let the sensors of this process lie."""
+    sense = Sensors.sense
+    Sensors.sense = lambda self: lies(sense(self))  # type: ignore[method-assign]
+
+
 @pytest.mark.parametrize("what", LYING)
-def test_a_sensor_that_is_silent_or_frozen_is_named(world: World, what: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sensor_that_is_silent_or_frozen_is_named(carry: Carry, what: str) -> None:
     """Before, a silent camera and a frozen force ended in "success", a frozen camera in "slip"."""
-    phase, named, make = LYING[what]
-    sense, lies = Sensors.sense, make()
+    carry.run((LYING[what][0], 0.6), lied_to, what)
 
-    def begin(_seen: Ride) -> None:
-        monkeypatch.setattr(Sensors, "sense", lambda self: lies(sense(self)))
 
-    seen = ride(world, at=(phase, 0.6), do=begin)
+def lied_to(seen: Ride, what: str) -> None:
+    _, named, make = LYING[what]
+    from_now(make())
+    onset(seen).finish()
     fault = seen.carry.fault
     assert fault is not None
     assert (fault.name, fault.detail.startswith(named)) == ("sensor_lost", True), fault.text
     assert fault.at_s - seen.onset_s <= 0.05
-    assert seen.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
-    assert np.abs(world.v).max() < 0.05
+    assert seen.torque_step_nm <= TAU_RATE_MAX * seen.world.dt + 1e-9
+    assert np.abs(seen.world.v).max() < 0.05
 
 
-def test_a_force_glitch_of_one_step_does_not_end_a_carry(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_force_glitch_of_one_step_does_not_end_a_carry(carry: Carry) -> None:
     """Before, 1 kN for 1 ms ended it as a slip, NaN for 1 ms as a reflex."""
-    sense, glitches = Sensors.sense, iter((1e3, -1e3, np.nan))
-    due: list[float] = []
+    carry.run(("carry", 0.3), glitches)
+
+
+def glitches(seen: Ride) -> None:
+    values, due_s = iter((1e3, -1e3, np.nan)), seen.world.time
 
     def glitch(reading: Reading) -> Reading:
-        if not due or reading.stamp_s < due[0]:
+        nonlocal due_s
+        if reading.stamp_s < due_s:
             return reading
-        due[0] += 0.15
-        value = next(glitches, None)
+        due_s += 0.15
+        value = next(values, None)
         return (
             reading if value is None else reading._replace(hand_forces=np.full((2, 3), value), pinch=np.full(2, value))
         )
 
-    monkeypatch.setattr(Sensors, "sense", lambda self: glitch(sense(self)))
-    seen = ride(world, at=("carry", 0.3), do=lambda seen: due.append(seen.onset_s))
-    assert next(glitches, None) is None, "a glitch was not tried"
+    from_now(glitch)
+    seen.finish()
+    assert next(values, None) is None, "a glitch was not tried"
     assert seen.carry.fault is None, seen.carry.aborted
 
 
-def test_a_program_error_in_a_sensor_stops_the_arms_and_is_then_raised(
-    world: World, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_program_error_in_a_sensor_stops_the_arms_and_is_then_raised(carry: Carry) -> None:
     """Before, it left the tick without torque."""
+    carry.run(("approach", 0.6), program_error)
 
-    def breaks(self: Sensors) -> Reading:
+
+def program_error(seen: Ride) -> None:
+    def breaks(reading: Reading) -> Reading:
         raise ZeroDivisionError("no driver")
 
-    seen: list[Ride] = []
-
-    def begin(ride: Ride) -> None:
-        seen.append(ride)
-        monkeypatch.setattr(Sensors, "sense", breaks)
-
+    from_now(breaks)
     with pytest.raises(ZeroDivisionError, match="no driver"):
-        ride(world, at=("approach", 0.5), do=begin)
-    carry = seen[0].carry
+        seen.finish()
+    carry, world = seen.carry, seen.world
     assert carry.fault is not None
     assert "ZeroDivisionError: no driver" in carry.fault.detail
-    assert seen[0].torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
+    assert seen.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
     assert np.abs(world.v).max() < 0.05
 
 
-@pytest.mark.parametrize("what", _some_slow(DEAD, list(DEAD)[:3]))
-def test_a_sensor_that_dies_in_the_air_stops_the_carry_by_name(
-    world: World, what: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    sense = Sensors.sense
+@pytest.mark.parametrize("what", DEAD)
+def test_a_sensor_that_dies_in_the_air_stops_the_carry_by_name(carry: Carry, what: str) -> None:
+    carry.run(("carry", 1.0), sensor_dies, what)
 
-    def dies(_seen: Ride) -> None:
-        monkeypatch.setattr(Sensors, "sense", lambda self: DEAD[what](sense(self)))
 
-    seen = ride(world, at=("carry", 1.0), do=dies)
+def sensor_dies(seen: Ride, what: str) -> None:
+    from_now(DEAD[what])
+    onset(seen).finish()
     assert seen.carry.fault is not None
     assert seen.carry.fault.name in ("slip", "object_lost", "sensor_lost")
     assert seen.carry.fault.at_s - seen.onset_s <= 0.05
     assert np.isfinite(seen.told).all()
-    assert seen.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
-    assert np.abs(world.v).max() < 0.05
+    assert seen.torque_step_nm <= TAU_RATE_MAX * seen.world.dt + 1e-9
+    assert np.abs(seen.world.v).max() < 0.05

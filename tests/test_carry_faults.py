@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
+from branches import Branches
 from carry_trials import rod_trial, sample_trial
 from panda import A_MAX, DOF, HOME, TAU_MAX, TAU_RATE_MAX
 
@@ -17,6 +17,7 @@ from minidual.control.object_impedance import ObjectImpedance, SingularPostureEr
 from minidual.control.soft_stop import SoftStop, TorqueRate
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
+from minidual.skills import impedance_carry
 from minidual.skills.faults import CLOSED, OPENING, Fault, FaultMonitor
 from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.skills.reach import GraspUnreachableError
@@ -24,20 +25,73 @@ from minidual.skills.reach import GraspUnreachableError
 DETECTED_S = 0.05
 
 
+POINTS = (
+    ("approach", 0.0),
+    ("approach", 0.5),
+    ("approach", 0.8),
+    ("close", 0.0),
+    ("squeeze", 0.1),
+    *(("carry", after_s) for after_s in (0.2, 0.4, 0.8, 1.0, 1.4)),
+    ("open", 0.0),
+    ("done", 0.0),
+)
+"""Where tests branch off from the one carry: a phase, and for how long it has lasted [s]."""
+
+
+Finger = Callable[[float, list[float]], float]
+
+
 @dataclass
 class Run:
-    """What one disturbed trial showed."""
+    """A carry, and what was seen of it."""
 
     carry: ImpedanceCarry
-    onset_s: float
+    onset_s: float = np.inf
     torque_step_nm: float = 0.0
     saturated_s: float = 0.0
     speeds: list[np.ndarray] = field(default_factory=list)
+    began_s: dict[str, float] = field(default_factory=dict)
+    finger: Finger | None = None
+    """Where the left hand's fingers go instead of where they are told to."""
+
+    def __post_init__(self) -> None:
+        self.world = self.carry.world
+        command, told = self.world.command, list[float]()
+
+        def commands(tau: np.ndarray, fingers: np.ndarray) -> None:
+            told.append(float(fingers[0]))
+            command(tau, fingers if self.finger is None else np.array([self.finger(told[-1], told), fingers[1]]))
+
+        self.world.command = commands  # type: ignore[method-assign]
+        self._told, self._run_length = Kinematics().gravity(self.world.q), np.zeros(DOF)
 
     @property
     def latency_s(self) -> float:
         assert self.carry.fault is not None
         return self.carry.fault.at_s - self.onset_s
+
+    def reached(self, point: tuple[str, float]) -> bool:
+        """Return whether a phase has lasted for so long."""
+        began_s = self.began_s.setdefault(self.carry.phase, self.world.time)
+        return self.carry.phase == point[0] and self.world.time >= began_s + point[1]
+
+    def step(self) -> None:
+        world, carry = self.world, self.carry
+        carry.step()
+        commanded = world.data.ctrl[world.joints.ctrl].copy()
+        self.torque_step_nm = max(self.torque_step_nm, float(np.abs(commanded - self._told).max()))
+        self._told = commanded
+        self._run_length = np.where(np.abs(commanded) >= 0.999 * TAU_MAX, self._run_length + world.dt, 0.0)
+        self.saturated_s = max(self.saturated_s, float(self._run_length.max()))
+        if carry.fault is not None:
+            self.speeds.append(world.v.copy())
+
+    def finish(self, onset: Callable[[World], bool] | None = None) -> None:
+        """Go on to the end. `onset` tells from the truth when the fault begins, where that is later than now."""
+        while not self.carry.done and self.world.time < 14.0:
+            if not np.isfinite(self.onset_s) and (onset is None or onset(self.world)):
+                self.onset_s = self.world.time
+            self.step()
 
     def deceleration(self, first: int) -> np.ndarray:
         """Largest deceleration of each joint, over 20 ms, in the first steps after the fault, by its limit."""
@@ -46,56 +100,20 @@ class Run:
         return slower.max(axis=0) / 0.02 / A_MAX
 
 
-@contextmanager
-def untouched(world: World) -> Iterator[None]:
-    """Put back what a disturbance does to the compiled model, which tests share."""
-    model = world.model
-    kept = model.actuator_gainprm.copy(), model.geom_friction.copy()
-    try:
-        yield
-    finally:
-        model.actuator_gainprm[:], model.geom_friction[:] = kept
+type Carry = Branches[Run, tuple[str, float]]
 
 
-def run(
-    world: World,
-    phase: str,
-    after_s: float,
-    disturb: Callable[[World], None],
-    *,
-    onset: Callable[[World], bool] | None = None,
-    index: int = 3,
-    carried: list[ImpedanceCarry] | None = None,
-) -> Run:
-    """Carry until `phase` has lasted for `after_s`, disturb, and go on to the end.
+@pytest.fixture(scope="module")
+def carry(scene: SceneConfig) -> Iterator[Carry]:
+    """One carry; each test branches off from it and disturbs its own copy, the compiled model too."""
 
-    `onset` tells from the truth when the fault begins, where that is later than the disturbance.
-    """
-    trial = sample_trial(world.scene, 5, "faults", index)
-    with untouched(world):
+    def start() -> Run:
+        world, trial = World(scene), sample_trial(scene, 5, "faults", 3)
         world.reset(poses=trial.start)
-        carry = ImpedanceCarry(world, Kinematics(), CarryConfig(), trial, seed=5)
-        if carried is not None:
-            carried.append(carry)
-        found, began, disturbed = Run(carry, np.inf), None, False
-        told, run_length = Kinematics().gravity(world.q), np.zeros(DOF)
-        while not carry.done and world.time < 14.0:
-            if began is None and carry.phase == phase:
-                began = world.time
-            if not disturbed and began is not None and world.time >= began + after_s:
-                disturb(world)
-                disturbed = True
-            if disturbed and not np.isfinite(found.onset_s) and (onset is None or onset(world)):
-                found.onset_s = world.time
-            carry.step()
-            commanded = world.data.ctrl[world.joints.ctrl].copy()
-            found.torque_step_nm = max(found.torque_step_nm, float(np.abs(commanded - told).max()))
-            told = commanded
-            run_length = np.where(np.abs(commanded) >= 0.999 * TAU_MAX, run_length + world.dt, 0.0)
-            found.saturated_s = max(found.saturated_s, float(run_length.max()))
-            if carry.fault is not None:
-                found.speeds.append(world.v.copy())
-    return found
+        return Run(ImpedanceCarry(world, Kinematics(), CarryConfig(), trial, seed=5))
+
+    with Branches(start, Run.step, Run.reached, POINTS) as made:
+        yield made
 
 
 def rod_moves(velocity: tuple[float, float, float]) -> Callable[[World], None]:
@@ -141,9 +159,15 @@ SCENARIOS = {
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
-def test_a_fault_is_told_in_time_by_name_and_stopped_softly(world: World, scenario: str) -> None:
-    name, phase, after_s, disturb, onset = SCENARIOS[scenario]
-    found = run(world, phase, after_s, disturb, onset=onset)
+def test_a_fault_is_told_in_time_by_name_and_stopped_softly(carry: Carry, scenario: str) -> None:
+    carry.run(SCENARIOS[scenario][1:3], is_told_in_time, scenario)
+
+
+def is_told_in_time(found: Run, scenario: str) -> None:
+    name, _, _, disturb, onset = SCENARIOS[scenario]
+    world = found.world
+    disturb(world)
+    found.finish(onset)
     fault = found.carry.fault
     assert fault is not None
     assert fault.name == name
@@ -161,7 +185,6 @@ def test_a_fault_is_told_in_time_by_name_and_stopped_softly(world: World, scenar
         assert np.abs(found.speeds[-1]).max() < 0.05
 
 
-Finger = Callable[[float, list[float]], float]
 GRIPPERS: dict[str, tuple[str, str, float, Finger, float]] = {
     "does not close": ("gripper_stuck", "close", 0.0, lambda target, told: 0.04, 0.1),
     "answers 0.1 s late": ("gripper_stuck", "close", 0.0, lambda target, told: told[-100], 0.1),
@@ -171,26 +194,15 @@ GRIPPERS: dict[str, tuple[str, str, float, Finger, float]] = {
 }
 
 
-@pytest.mark.parametrize(
-    "what", [pytest.param(name, marks=pytest.mark.slow if "open" in name else ()) for name in GRIPPERS]
-)
-def test_a_gripper_that_does_not_do_what_it_is_told_is_named(world: World, what: str) -> None:
+@pytest.mark.parametrize("what", GRIPPERS)
+def test_a_gripper_that_does_not_do_what_it_is_told_is_named(carry: Carry, what: str) -> None:
     """Before: missed_grasp after 1.5 s, slip after 1.7 s, missed_grasp after 1.5 s, nothing, nothing."""
-    name, phase, after_s, finger, latency_s = GRIPPERS[what]
-    told: list[float] = []
-    broken = False
-    command = world.command
+    carry.run(GRIPPERS[what][1:3], gripper_is_named, what)
 
-    def commands(tau: np.ndarray, fingers: np.ndarray) -> None:
-        told.append(float(fingers[0]))
-        command(tau, np.array([finger(told[-1], told), fingers[1]]) if broken else fingers)
 
-    def breaks(_world: World) -> None:
-        nonlocal broken
-        broken = True
-
-    world.command = commands  # type: ignore[method-assign]
-    found = run(world, phase, after_s, breaks)
+def gripper_is_named(found: Run, what: str) -> None:
+    name, _, _, found.finger, latency_s = GRIPPERS[what]
+    found.finish()
     assert found.carry.fault is not None
     assert found.carry.fault.name == name
     assert found.carry.fault.detail.startswith("the left hand")
@@ -198,59 +210,56 @@ def test_a_gripper_that_does_not_do_what_it_is_told_is_named(world: World, what:
     assert np.abs(found.speeds[-1]).max() < 0.05
 
 
-def drives_off(*arms: str) -> Callable[[World], None]:
-    def disturb(world: World) -> None:
-        for arm in arms:
-            motors_off(arm)(world)
-
-    return disturb
+def test_when_both_arms_are_lost_no_torque_waits_for_either(carry: Carry) -> None:
+    carry.run(("carry", 0.8), both_arms_lost)
 
 
-def test_when_both_arms_are_lost_no_torque_waits_for_either(world: World) -> None:
-    found = run(world, "carry", 0.8, drives_off("left", "right"))
+def both_arms_lost(found: Run) -> None:
+    world = found.world
+    for arm in ("left", "right"):
+        motors_off(arm)(world)
+    found.finish()
     assert found.carry.fault is not None
     assert found.carry.fault.name == "lost_arm"
     assert found.latency_s <= DETECTED_S
     assert np.all(world.data.ctrl[world.joints.ctrl] == 0.0)
 
 
-def test_the_other_arm_may_be_lost_while_the_first_one_stops(world: World) -> None:
-    first = None
-
-    def disturb(world: World) -> None:
-        nonlocal first
-        motors_off("right")(world)
-        first = world.time
+def motors_off_after(arm: str, at_s: float) -> Callable[[World], bool]:
+    """Return an onset: the motors of an arm die at a time."""
 
     def later(world: World) -> bool:
-        if first is None or world.time < first + 0.1:
+        if world.time < at_s:
             return False
-        motors_off("left")(world)
+        motors_off(arm)(world)
         return True
 
-    found = run(world, "carry", 0.8, disturb, onset=later)
+    return later
+
+
+def test_the_other_arm_may_be_lost_while_the_first_one_stops(carry: Carry) -> None:
+    carry.run(("carry", 0.8), one_arm_after_the_other)
+
+
+def one_arm_after_the_other(found: Run) -> None:
+    world = found.world
+    motors_off("right")(world)
+    found.finish(motors_off_after("left", world.time + 0.1))
     assert found.carry.fault is not None
     assert found.carry.fault.detail.startswith("right arm")
     assert "left arm" not in found.carry.fault.detail
     assert np.all(world.data.ctrl[world.joints.ctrl] == 0.0)
 
 
-def test_motors_that_die_after_another_fault_are_switched_off_too(world: World) -> None:
+def test_motors_that_die_after_another_fault_are_switched_off_too(carry: Carry) -> None:
     """Drives that come back must not find a torque waiting, whatever stopped the arms before."""
-    first = None
+    carry.run(("approach", 0.8), motors_die_after_a_kick)
 
-    def disturb(world: World) -> None:
-        nonlocal first
-        rod_moves((0.6, 0.0, 0.0))(world)
-        first = world.time
 
-    def later(world: World) -> bool:
-        if first is None or world.time < first + 0.2:
-            return False
-        motors_off("left")(world)
-        return True
-
-    found = run(world, "approach", 0.8, disturb, onset=later)
+def motors_die_after_a_kick(found: Run) -> None:
+    world = found.world
+    rod_moves((0.6, 0.0, 0.0))(world)
+    found.finish(motors_off_after("left", world.time + 0.2))
     assert found.carry.fault is not None
     assert found.carry.fault.name == "knocked_away", "what stopped it stays what stopped it"
     told = world.data.ctrl[world.joints.ctrl]
@@ -262,12 +271,15 @@ def _other(arm: slice) -> slice:
     return slice(0, 7) if arm.start == 7 else slice(7, DOF)
 
 
-def test_an_undisturbed_trial_raises_nothing(world: World) -> None:
+def test_an_undisturbed_trial_raises_nothing(carry: Carry) -> None:
     """The negative control of all of them; the stage runs two hundred more."""
-    found = run(world, "done", 0.0, lambda _world: None)
+    carry.run(("done", 0.0), nothing_is_raised)
+
+
+def nothing_is_raised(found: Run) -> None:
     assert found.carry.fault is None
     assert found.carry.done
-    assert found.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
+    assert found.torque_step_nm <= TAU_RATE_MAX * found.world.dt + 1e-9
 
 
 def test_noise_alone_never_moves_a_resting_object() -> None:
@@ -441,25 +453,32 @@ def test_a_rod_out_of_reach_is_a_fault_before_the_arms_move(world: World) -> Non
 
 
 @pytest.mark.parametrize("phase", ["approach", "open"])
-def test_a_grasp_that_is_lost_on_the_way_is_a_fault(world: World, phase: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_grasp_that_is_lost_on_the_way_is_a_fault(carry: Carry, phase: str) -> None:
+    carry.run((phase, 0.0), grasp_lost)
+
+
+def grasp_lost(found: Run) -> None:
     def none(*_args: object, **_options: object) -> None:
         raise GraspUnreachableError("the left hand misses its grasp")
 
-    def disturb(_world: World) -> None:
-        monkeypatch.setattr("minidual.skills.impedance_carry.grasp_posture", none)
-
-    fault = run(world, phase, 0.0, disturb).carry.fault
+    impedance_carry.grasp_posture = none
+    found.finish()
+    fault = found.carry.fault
     assert fault is not None
     assert (fault.name, fault.detail) == ("unreachable", "the left hand misses its grasp")
 
 
-def test_a_singular_posture_stops_the_arms_softly_with_the_object_held(
-    world: World, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_singular_posture_stops_the_arms_softly_with_the_object_held(carry: Carry) -> None:
+    carry.run(("carry", 1.0), singular_in_the_air)
+
+
+def singular_in_the_air(found: Run) -> None:
     def singular(*_args: object, **_options: object) -> None:
         raise SingularPostureError("a hand has lost a direction of motion")
 
-    found = run(world, "carry", 1.0, lambda _world: monkeypatch.setattr(ObjectImpedance, "torque", singular))
+    ObjectImpedance.torque = singular  # type: ignore[method-assign]
+    world = found.world
+    found.finish()
     assert found.carry.fault is not None
     assert found.carry.fault.name == "singular"
     assert found.latency_s <= 0.001 + 1e-9
@@ -469,25 +488,31 @@ def test_a_singular_posture_stops_the_arms_softly_with_the_object_held(
     assert not world.on_table()
 
 
-def test_a_path_that_the_law_stops_ends_the_carry_by_its_name(world: World) -> None:
-    def stop(_world: World) -> None:
-        carried[0].stack.output.executions[0].stop(("joint_limit", "a joint is near its limit"))
+def test_a_path_that_the_law_stops_ends_the_carry_by_its_name(carry: Carry) -> None:
+    carry.run(("squeeze", 0.1), path_stopped)
 
-    carried: list[ImpedanceCarry] = []
-    found = run(world, "squeeze", 0.1, stop, carried=carried)
+
+def path_stopped(found: Run) -> None:
+    world = found.world
+    found.carry.stack.output.executions[0].stop(("joint_limit", "a joint is near its limit"))
+    found.finish()
     assert found.carry.fault is not None
     assert found.carry.fault.name == "joint_limit"
     assert np.abs(world.v).max() < 0.02
     assert world.truth().pinch().min() > 50.0
 
 
-def test_a_singular_posture_when_the_law_is_to_take_over_leaves_the_object_where_it_lies(
-    world: World, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_singular_posture_when_the_law_is_to_take_over_leaves_the_object_where_it_lies(carry: Carry) -> None:
+    carry.run(("close", 0.0), singular_at_the_start)
+
+
+def singular_at_the_start(found: Run) -> None:
     def singular(*_args: object, **_options: object) -> None:
         raise SingularPostureError("the left hand has lost a direction of motion")
 
-    found = run(world, "close", 0.0, lambda _world: monkeypatch.setattr(ObjectImpedance, "engage", singular))
+    ObjectImpedance.engage = singular  # type: ignore[method-assign]
+    world = found.world
+    found.finish()
     fault = found.carry.fault
     assert fault is not None
     assert (fault.name, fault.detail) == ("singular", "the left hand has lost a direction of motion")

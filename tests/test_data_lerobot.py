@@ -10,13 +10,16 @@ import data_samples
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from late import late
 from PIL.Image import Image
 
-from minidual.demos import lerobot_adapter as adapter
 from minidual.demos.episode import read_episode
 from minidual.demos.lerobot_reader import LeRobotTables, read_dataset
 from minidual.errors import DataError, EnvironmentMissingError, UsageError
 from minidual.robot.arms import DUAL_PANDA
+
+adapter = late("minidual.demos.lerobot_adapter")
+pytestmark = pytest.mark.torch
 
 HIGH = "observation.images.cam_high"
 TICKS = (40, 33)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import pytest
-import torch
+from late import late
 
-from minidual.policies.backbone import KeypointEncoder, SpatialSoftmax
+torch, backbone = late("torch"), late("minidual.policies.backbone")
+pytestmark = pytest.mark.torch
 
 
 @pytest.mark.parametrize(("row", "column"), [(0, 0), (23, 31), (11, 7)])
 def test_a_sharp_peak_gives_its_pixel_centre(row: int, column: int) -> None:
-    pool = SpatialSoftmax(2)
+    pool = backbone.SpatialSoftmax(2)
     logits = torch.full((3, 2, 24, 32), 0.0)
     logits[:, 1, row, column] = 60.0
     x, y, spread = pool(logits)[:, [1, 3, 5]].unbind(1)
@@ -20,7 +21,7 @@ def test_a_sharp_peak_gives_its_pixel_centre(row: int, column: int) -> None:
 
 
 def test_a_flat_map_says_that_it_found_nothing() -> None:
-    flat = SpatialSoftmax(1)(torch.zeros(1, 1, 24, 32))[0].detach()
+    flat = backbone.SpatialSoftmax(1)(torch.zeros(1, 1, 24, 32))[0].detach()
     assert flat[:2].abs().max() < 1e-6
     assert flat[2] == pytest.approx((1 / 3 + 1 / 3) ** 0.5, rel=0.01)  # two uniform variables on [-1, 1]
 
@@ -29,14 +30,14 @@ def test_a_blob_between_pixels_is_found_between_pixels() -> None:
     rows, columns = torch.meshgrid(torch.arange(24.0), torch.arange(32.0), indexing="ij")
     centre = torch.tensor([10.3, 20.7])
     logits = -((rows - centre[0]) ** 2 + (columns - centre[1]) ** 2)
-    x, y, _ = SpatialSoftmax(1)(logits[None, None])[0].detach()
+    x, y, _ = backbone.SpatialSoftmax(1)(logits[None, None])[0].detach()
     assert (x + 1) * 16 - 0.5 == pytest.approx(20.7, abs=0.01)
     assert (y + 1) * 12 - 0.5 == pytest.approx(10.3, abs=0.01)
 
 
 def test_moving_the_picture_moves_the_keypoints() -> None:
     torch.manual_seed(0)
-    encoder = KeypointEncoder(8)
+    encoder = backbone.KeypointEncoder(8)
     for parameter in encoder.features.parameters():
         parameter.data.mul_(3.0)  # sharp maps, as after training
     blob = torch.zeros(1, 3, 96, 128)
@@ -49,7 +50,7 @@ def test_moving_the_picture_moves_the_keypoints() -> None:
 
 def test_bfloat16_convolutions_leave_coordinates_in_float32() -> None:
     torch.manual_seed(0)
-    encoder = KeypointEncoder(8)
+    encoder = backbone.KeypointEncoder(8)
     image = torch.randn(2, 3, 96, 128)
     exact = encoder(image)
     encoder.bf16 = True

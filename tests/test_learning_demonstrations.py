@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import torch
+from late import late
 from learning_world import APPROACH, demonstrations
 
 from minidual.config.learning import TrainConfig
 from minidual.demos.lerobot_reader import camera_key
 from minidual.errors import DataError
-from minidual.policies.batches import BatchMaker
 from minidual.policies.demonstrations import Demonstrations, WeightedRows, gripper_switches, split_episodes
-from minidual.policies.normalisation import dataset_statistics, normalise_images
+
+torch, batches, normalisation = (
+    late("torch"),
+    late("minidual.policies.batches"),
+    late("minidual.policies.normalisation"),
+)
+pytestmark = pytest.mark.torch
 
 
 def tiny(ticks: int = 60, episodes: int = 3, seed: int = 0) -> Demonstrations:
@@ -75,7 +80,7 @@ def test_statistics_are_those_of_the_data_and_floored() -> None:
     demos = tiny()
     demos.state[:, 3] = 0.5  # a joint that never moves
     rows = np.arange(len(demos))
-    stats = dataset_statistics(demos, rows, 0.01)
+    stats = normalisation.dataset_statistics(demos, rows, 0.01)
     assert np.allclose(stats["action"]["mean"], demos.action.mean(axis=0), atol=1e-6)
     assert stats["observation.state"]["std"][3] == pytest.approx(0.01)
     pixels = demos.images["high"].reshape(-1, 3) / 255.0
@@ -84,8 +89,8 @@ def test_statistics_are_those_of_the_data_and_floored() -> None:
 
 def test_batch_holds_the_chunk_after_each_row_and_repeats_the_last_command() -> None:
     demos = tiny()
-    stats = dataset_statistics(demos, np.arange(len(demos)), 0.01)
-    batch = BatchMaker(demos, TrainConfig(chunk_size=10), stats).clean(np.array([5, 55, 100]))
+    stats = normalisation.dataset_statistics(demos, np.arange(len(demos)), 0.01)
+    batch = batches.BatchMaker(demos, TrainConfig(chunk_size=10), stats).clean(np.array([5, 55, 100]))
     actions = batch["action"] * stats["action"]["std"] + stats["action"]["mean"]
     assert np.allclose(actions[0], demos.action[5:15], atol=1e-5)
     expected = np.concatenate([demos.action[55:60], np.repeat(demos.action[59:60], 5, axis=0)])
@@ -98,9 +103,9 @@ def test_batch_holds_the_chunk_after_each_row_and_repeats_the_last_command() -> 
 
 def test_state_noise_is_large_in_the_approach_and_small_after_it() -> None:
     demos = tiny()
-    stats = dataset_statistics(demos, np.arange(len(demos)), 0.01)
+    stats = normalisation.dataset_statistics(demos, np.arange(len(demos)), 0.01)
     config = TrainConfig(chunk_size=5, state_noise_approach_rad=0.06, state_noise_rad=0.01)
-    maker = BatchMaker(demos, config, stats)
+    maker = batches.BatchMaker(demos, config, stats)
 
     def noise(row: int) -> np.ndarray:
         rows = np.full(3000, row)
@@ -117,11 +122,11 @@ def test_images_are_normalised_in_one_pass_as_by_hand() -> None:
     images = torch.randint(0, 256, (4, 6, 8, 3), generator=generator, dtype=torch.uint8)
     stats = {"mean": torch.tensor([0.3, 0.4, 0.5]).view(3, 1, 1), "std": torch.tensor([0.2, 0.1, 0.3]).view(3, 1, 1)}
     by_hand = (images.permute(0, 3, 1, 2) / 255.0 - stats["mean"]) / stats["std"]
-    assert torch.allclose(normalise_images(images, stats), by_hand, atol=1e-5)
+    assert torch.allclose(normalisation.normalise_images(images, stats), by_hand, atol=1e-5)
     contrast, brightness = torch.tensor([1.1, 0.9, 1.0, 1.0]), torch.tensor([0.0, 0.0, 0.05, -0.05])
     c, b = contrast.view(4, 1, 1, 1), brightness.view(4, 1, 1, 1)
     jittered = ((images.permute(0, 3, 1, 2) / 255.0 - 0.5) * c + 0.5 + b - stats["mean"]) / stats["std"]
-    assert torch.allclose(normalise_images(images, stats, contrast, brightness), jittered, atol=1e-5)
+    assert torch.allclose(normalisation.normalise_images(images, stats, contrast, brightness), jittered, atol=1e-5)
 
 
 def test_unusable_datasets_are_refused_with_the_column_and_the_episode() -> None:

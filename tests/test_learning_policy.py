@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
-from safetensors.torch import load_file, save_file
+from late import late
 from test_learning_demonstrations import tiny
 from test_learning_train import SMALL
 
@@ -19,6 +18,9 @@ from minidual.config.learning import TrainConfig
 from minidual.errors import DataError, EnvironmentMissingError, ExitCode, UsageError
 from minidual.policies.kinds import POLICIES, ChunkPolicy, Image
 from minidual.policies.policy import PolicyRuntime
+
+torch, tensor_files = late("torch"), late("safetensors.torch")
+pytestmark = pytest.mark.torch
 
 IMAGE = {"high": np.zeros((12, 16, 3), np.uint8)}
 STATE = np.zeros(16)
@@ -278,10 +280,10 @@ def test_weights_and_statistics_must_be_finite_numbers(
 ) -> None:
     copy = shutil.copytree(checkpoint, tmp_path / "copy")
     path = next(p for p in copy.glob(pattern) if p.suffix == ".safetensors")
-    tensors = load_file(path)
+    tensors = tensor_files.load_file(path)
     name = sorted(tensors)[-1]
     tensors[name] = tensors[name].to(torch.int64) if value == "integers" else tensors[name].fill_(value)
-    save_file(tensors, path)
+    tensor_files.save_file(tensors, path)
     with pytest.raises(DataError, match=f"{path.name}: '{name}'.*finite floating-point numbers"):
         PolicyRuntime.load(copy)
 
@@ -289,8 +291,8 @@ def test_weights_and_statistics_must_be_finite_numbers(
 def test_statistics_of_another_shape_are_refused_before_the_arms_move(checkpoint: Path, tmp_path: Path) -> None:
     copy = shutil.copytree(checkpoint, tmp_path / "copy")
     path = next(copy.glob("policy_preprocessor_*.safetensors"))
-    tensors = load_file(path)
-    save_file({**tensors, "observation.state.mean": torch.zeros(9)}, path)
+    tensors = tensor_files.load_file(path)
+    tensor_files.save_file({**tensors, "observation.state.mean": torch.zeros(9)}, path)
     with pytest.raises(DataError, match=r"cannot be read: .*9"):
         PolicyRuntime.load(copy)
 

@@ -10,17 +10,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
+from late import late
 from pydantic import ValidationError
-from safetensors.torch import load_file
 from test_learning_demonstrations import tiny
 
 from minidual.config.learning import TrainConfig
 from minidual.errors import DataError, EnvironmentMissingError, UsageError
-from minidual.policies.act import ACT_KIND, SPATIAL_ACT, use_bf16
 from minidual.policies.demonstrations import Demonstrations
 from minidual.policies.kinds import POLICIES
 from minidual.policies.records import TrainResult, draw_loss, write_loss_csv
+
+torch, act, tensor_files = late("torch"), late("minidual.policies.act"), late("safetensors.torch")
+pytestmark = pytest.mark.torch
 
 SMALL = {
     "chunk_size": 10,
@@ -47,7 +48,7 @@ def demos() -> Demonstrations:
 
 
 def weights(checkpoint: Path) -> dict[str, torch.Tensor]:
-    return load_file(checkpoint / "model.safetensors")
+    return tensor_files.load_file(checkpoint / "model.safetensors")
 
 
 def same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> bool:
@@ -195,7 +196,7 @@ def test_stock_resnet_act_loads_with_plain_lerobot(demos: Demonstrations, tmp_pa
     assert result.parameters > 11e6
     assert json.loads((tmp_path / "a" / "config.json").read_text())["type"] == "act"
     theirs = ACTPolicy.from_pretrained(tmp_path / "a")
-    ours = ACT_KIND.read(tmp_path / "a").policy
+    ours = act.ACT_KIND.read(tmp_path / "a").policy
     batch = {"observation.state": torch.zeros(1, 16), "observation.images.cam_high": torch.zeros(1, 3, 12, 16)}
     assert torch.equal(theirs.predict_action_chunk(dict(batch)), ours.predict_action_chunk(dict(batch)))
 
@@ -208,7 +209,7 @@ def test_spatial_checkpoint_is_labelled_and_lerobot_reads_it(demos: Demonstratio
     record = json.loads((tmp_path / "a" / "config.json").read_text())
     assert record["type"] == "spatial_act"
     assert record["pretrained_backbone_weights"] is None, "nothing is to be downloaded"
-    names = load_file(tmp_path / "a" / "model.safetensors")
+    names = tensor_files.load_file(tmp_path / "a" / "model.safetensors")
     assert any(name.startswith("model.backbone.0.features") for name in names)
     assert not any("layer" in name.removeprefix("model.backbone.") for name in names if ".backbone." in name), (
         "a resnet"
@@ -229,7 +230,7 @@ def test_processors_of_the_checkpoint_normalise_as_training_does(demos: Demonstr
 
     config = TrainConfig(**SMALL)
     train(demos, config, 0, tmp_path / "a")
-    _, pre, post = SPATIAL_ACT.read(tmp_path / "a")
+    _, pre, post = act.SPATIAL_ACT.read(tmp_path / "a")
     episodes, _ = split_episodes([0, 1, 2], config.validation_fraction, stream(0, "train.split"))
     stats = dataset_statistics(demos, demos.rows_of(episodes), config.std_floor)
     trained_on = BatchMaker(demos, config, stats).clean(np.array([33]))
@@ -246,9 +247,9 @@ def test_precision_follows_what_the_processor_computes_natively() -> None:
     if capabilities["architecture"] == "x86_64":
         assert {"avx512_bf16", "amx_tile"} <= capabilities.keys()
     native = bool(capabilities.get("avx512_bf16") or capabilities.get("amx_tile"))
-    assert use_bf16(TrainConfig(precision="auto")) is native
-    assert use_bf16(TrainConfig(precision="bf16"))
-    assert not use_bf16(TrainConfig(precision="fp32"))
+    assert act.use_bf16(TrainConfig(precision="auto")) is native
+    assert act.use_bf16(TrainConfig(precision="bf16"))
+    assert not act.use_bf16(TrainConfig(precision="fp32"))
 
 
 def test_cuda_without_a_device_is_an_environment_error(demos: Demonstrations, tmp_path: Path) -> None:

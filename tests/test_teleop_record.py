@@ -17,13 +17,13 @@ import h5py
 import mujoco
 import numpy as np
 import pytest
+from late import late
 from recording_toys import TICKS, ToyRig, hang_in_conversion, job
 
 from minidual.cli.app import run_command_line
 from minidual.config.root import Config
 from minidual.config.scene import SceneConfig
 from minidual.config.teleop import TeleopConfig
-from minidual.demos import lerobot_adapter
 from minidual.demos import recording as teleop_recording
 from minidual.demos import rig as teleop_rig
 from minidual.demos.episode import inspect_episode, read_episode
@@ -40,6 +40,9 @@ from minidual.robot.pair import Robot
 from minidual.stages.registry import STAGES, TOOLS
 from minidual.stages.teleop_record import READS, record_checks, recording_inputs, run
 from minidual.tasks.task import make_task
+
+lerobot_adapter = late("minidual.demos.lerobot_adapter")
+pytestmark = pytest.mark.torch
 
 CONFIG = Config()
 GOOD: dict[str, float] = {
