@@ -480,6 +480,8 @@ def _edited(values: Array, row: int, column: int, value: float) -> Array:
         ("out_of_limits", "left_panda_joint4 = 0.5000 rad in sample 9"),
         ("too_fast", "right_panda_joint7"),
         ("not_at_rest", "ends with left_panda_joint1"),
+        ("too_sharp", "left_panda_joint2"),
+        ("too_sharp", "left_panda_joint5"),
         ("wrong_shape", r"trajectory \(501, 13\)"),
         ("gripper_out_of_range", "1.2"),
         ("unknown_group", "no group 'arms'"),
@@ -494,6 +496,8 @@ def test_a_bad_trajectory_is_refused_when_it_is_proposed(plant: ArmsPlant, name:
         "left_panda_joint4 = 0.5000 rad in sample 9": {"q": _edited(good.q, 9, 3, 0.5)},
         "right_panda_joint7": {"q": _edited(good.q, 100, 13, good.q[100, 13] + 0.05)},
         "ends with left_panda_joint1": {"v": _edited(good.v, -1, 0, 0.4)},
+        "left_panda_joint2": {"a": _edited(good.a, 7, 1, -9.0)},
+        "left_panda_joint5": {"v": _edited(good.v, 100, 4, good.v[100, 4] + 0.1)},
         r"trajectory \(501, 13\)": {"q": good.q[:, :13]},
     }
     stack = stack_on(plant)
@@ -742,21 +746,22 @@ def _run_out(stack: ControlStack) -> None:
 
 
 def test_the_supervisor_hears_the_arbiter_and_sees_the_commanded_acceleration(scene: SceneConfig, world: World) -> None:
+    from minidual.config.supervisor import SupervisorConfig
     from minidual.control.reflexes import ReflexError
     from minidual.control.supervisor import Supervisor
 
     world.reset()
-    stack = stack_on(world, supervisor=Supervisor(dt_s=world.dt))
+    stack = stack_on(world, supervisor=Supervisor(SupervisorConfig(acceleration_scale=0.5), dt_s=world.dt))
     hand_over(stack, "moveit")
     legal = move(HOME, HOME + 0.3, 0.9)
     stack.propose("moveit", trajectory(stack, legal))
     while stack.executing:
         stack.step()
-    # Fast enough is not enough: this one is within the joints' velocities, and beyond their accelerations.
-    hard = move(stack.manager.reference, stack.manager.reference - 0.12, 0.2)
+    # Within the joints' limits, and beyond the half of their accelerations that this supervisor allows.
+    hard = move(stack.manager.reference, stack.manager.reference - 0.08, 0.25)
     assert np.abs(hard.v).max() < V_MAX.min()
-    assert (np.abs(hard.a).max(axis=0) > A_MAX).any()
-    stack.propose("moveit", trajectory(stack, hard, 2))
+    assert (np.abs(hard.a).max(axis=0) > 0.5 * A_MAX).any()
+    assert stack.propose("moveit", trajectory(stack, hard, 2)) is None
     with pytest.raises(ReflexError, match="reference_acceleration"):
         _run_out(stack)
 

@@ -51,6 +51,17 @@ class Arms(FailingPlant):
         super().__init__(scene)
         model = self._kinematics.model = self._kinematics.model.copy()  # all workspaces share the original
         model.armature = model.armature + self.dt * JOINT_DAMPING
+        self.pushed, self.stuck = np.zeros(DOF), np.zeros(DOF, dtype=bool)
+
+    def step(self) -> None:
+        told, q = self.tau, self.__dict__["q"]
+        self.tau = told + self.pushed
+        super().step()
+        self.tau = told
+        self.q, self.v = np.where(self.stuck, q, self.__dict__["q"]), np.where(self.stuck, 0.0, self.__dict__["v"])
+
+    def touch_nothing(self) -> None:
+        self.pushed, self.stuck = np.zeros(DOF), np.zeros(DOF, dtype=bool)
 
 
 class Driver:
@@ -73,6 +84,7 @@ class Driver:
     def _play(self, seed: int) -> None:
         self.rng, self.sequence, self.offered = np.random.default_rng(seed), 0, []
         self.plant.lies.clear()
+        self.plant.grip = np.zeros(2)
         self.plant.reset()
         self.distance, self.broken_listener = (lambda q: ("a with b", 1.0)), False
         self.stack.reset()
@@ -217,6 +229,27 @@ class Driver:
             return
         self.plant.lies[row] = lambda x: np.where(np.isin(np.arange(DOF), joints), np.nan, x)
 
+    def push(self) -> None:
+        """Something pushes one joint for 30 ms, or blocks it."""
+        joint = int(self.rng.integers(DOF))
+        if self.rng.random() < 0.5:
+            self.plant.pushed[joint] = (0.3 if joint % 7 < 4 else 0.5) * TAU_MAX[joint] * self.rng.choice([-1.0, 1.0])
+        else:
+            self.plant.stuck[joint] = True
+        for _ in range(30):
+            self.tick()
+        self.plant.touch_nothing()
+
+    def grip(self) -> None:
+        """Both hands feel something between their fingers; if they do already, it is gone."""
+        self.plant.grip = np.full(2, 0.0 if self.plant.grip.any() else 60.0)
+
+    def bias(self) -> None:
+        """An encoder jumps."""
+        if not self.plant.lies:
+            off = 0.05 * np.eye(DOF)[self.rng.integers(DOF)]
+            self.plant.lies["q"] = lambda x: x + off
+
     def freeze(self) -> None:
         """Freeze all positions, or all velocities: an arm that has lost both can only be held by its model."""
         row = "qv"[self.rng.integers(2)]
@@ -251,6 +284,7 @@ class Driver:
 RARE: dict[str, Any] = {
     **{name: getattr(Driver, name) for name in ("request", "switch", "halt", "estop", "recover")},
     **{name: getattr(Driver, name) for name in ("blind", "freeze", "clock", "fail", "silence", "listener")},
+    **{name: getattr(Driver, name) for name in ("push", "grip", "bias")},
     "ask": Driver.request,
     "ask again": Driver.request,
     "recover again": Driver.recover,
@@ -273,6 +307,7 @@ def test_random_episodes_keep_every_rule(driver: Driver) -> None:
 def test_five_thousand_random_episodes_keep_every_rule(driver: Driver, block: int) -> None:
     driver.play(*range(1000 + 500 * block, 1500 + 500 * block))
     reflexes = {"controller_failed", "emergency_stop", "clock", "not_finite", "implausible_measurement"}
+    reflexes |= {"joint_contact", "joint_stuck", "gripper_opened"}
     assert {*reflexes, *SOURCES, "recovered", "object"} <= {name for name, count in driver.seen.items() if count}
 
 

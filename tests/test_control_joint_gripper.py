@@ -128,3 +128,21 @@ def test_fingers_that_meet_nothing_press_on_each_other_without_a_slam(scene, com
         forces.append(world.grip)
     assert np.array(forces)[-200:] == pytest.approx(40.0, abs=1.0)
     assert np.max(forces) < 48.0
+
+
+@pytest.mark.parametrize(("grip_n", "moved_m", "lost"), [(20.0, 0.0, True), (20.0, -0.002, False), (30.0, 0.0, False)])
+def test_a_grip_is_lost_when_its_force_falls_and_the_object_is_still_there(
+    hands, grippers, monkeypatch, grip_n, moved_m, lost
+):
+    run(hands, grippers, [0.0, 0.0])
+    assert grippers.fault == ""
+    fingers = hands.fingers
+    monkeypatch.setattr(Hands, "grip", np.array([grip_n, 50.0]))
+    monkeypatch.setattr(Hands, "fingers", fingers + np.array([moved_m, 0.0]))
+    grippers.step(np.zeros(2))
+    assert grippers.fault == "", "one reading"
+    run(hands, grippers, [0.0, 0.0], 5)
+    assert grippers.fault.startswith("the left hand: 20 of 50 N") == lost
+    grippers.forget_grip()
+    run(hands, grippers, [0.0, 0.0], 10)
+    assert grippers.fault == ""

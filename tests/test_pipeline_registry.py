@@ -42,7 +42,7 @@ def test_parameters_follow_options_and_leave_workers_out(name):
     before = digest(entry.parameters(loaded.config))
     assert digest(entry.parameters(load_config("smoke", ["workers=1"]).config)) == before
     for option in entry.options:
-        value = ["moveit"] if option.kind is tuple else "another" if option.kind is str else 7
+        value = ["moveit"] if option.kind is tuple else {str: "another", float: 0.7}.get(option.kind, 7)
         changed = load_config("smoke", [f"{option.path}={json.dumps(value)}"])
         assert digest(entry.parameters(changed.config)) != before, option
 

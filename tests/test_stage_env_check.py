@@ -241,7 +241,20 @@ def test_measurements_in_which_all_is_well_pass():
 
 class TestMapping:
     def test_all_motors_move_their_own_joint(self, world, kinematics):
-        assert measure.torque_pulse_mapping(world, kinematics, tolerance=1e-3) == tuple(range(DOF))
+        assert measure.torque_pulse_mapping(world, Supervisor(), kinematics, tolerance=1e-3) == tuple(range(DOF))
+
+    def test_every_pulse_passes_the_supervisor(self, world, kinematics, monkeypatch):
+        applied, command = [], world.command
+        monkeypatch.setattr(world, "command", lambda tau, fingers: (applied.append(tau), command(tau, fingers)))
+        supervisor = Supervisor()
+        measure.torque_pulse_mapping(world, supervisor, kinematics)
+        pulses = np.array(applied) - kinematics.gravity(HOME)
+        assert len(pulses) == DOF + 1
+        assert np.abs(pulses).max() == pytest.approx(supervisor.bounds.tau_step, abs=1e-9)
+
+        # A supervisor that stops the arms leaves no joint mapped, instead of being passed by.
+        supervisor = Supervisor(SupervisorConfig(torque_scale=0.01))
+        assert -1 in measure.torque_pulse_mapping(world, supervisor, kinematics)
 
     @pytest.mark.parametrize(("a", "b"), [(0, 1), (4, 6), (2, 9), (0, 7)])
     def test_two_swapped_commands_are_found(self, world, kinematics, a, b):
@@ -250,7 +263,7 @@ class TestMapping:
         world.joints = dataclasses.replace(world.joints, ctrl=ctrl)
         expected = list(range(DOF))
         expected[a], expected[b] = b, a
-        assert measure.torque_pulse_mapping(world, kinematics) == tuple(expected)
+        assert measure.torque_pulse_mapping(world, Supervisor(), kinematics) == tuple(expected)
 
     def test_a_dead_motor_moves_nothing(self, scene, kinematics):
         spec = build_spec(scene, visuals=False)
@@ -258,7 +271,7 @@ class TestMapping:
         model = spec.compile()
         world = World(scene, model=model)
         model.actuator_forcerange[world.joints.ctrl[8]] = 0.0
-        moved = measure.torque_pulse_mapping(world, kinematics)
+        moved = measure.torque_pulse_mapping(world, Supervisor(), kinematics)
         assert moved == (*range(8), -1, *range(9, DOF))
 
     def test_a_reversed_motor_is_found(self, scene, kinematics, compiled_model):
@@ -267,7 +280,7 @@ class TestMapping:
         sign[3] = -1.0
         command = world.command
         world.command = lambda tau, fingers: command(sign * tau, fingers)
-        assert measure.torque_pulse_mapping(world, kinematics)[3] == -1
+        assert measure.torque_pulse_mapping(world, Supervisor(), kinematics)[3] == -1
 
     def test_motors_are_counted_through_the_transmission(self, scene, compiled_model):
         assert len(measure.drivable_joints(compiled_model, DUAL_PANDA)) == DOF

@@ -26,7 +26,7 @@ from minidual.control.supervisor import Supervisor
 from minidual.plant.world import World
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
-from minidual.skills.supervised import arm_distance
+from minidual.skills.supervised import SceneClearance, arm_distance
 from minidual.stages.env_check.tracking import sine_reference
 
 REACH = Reach(Kinematics())
@@ -83,9 +83,9 @@ def _push(world: World, body: str, force: tuple[float, float, float]) -> Callabl
 def arms(world):
     """Return a maker of guarded arms: `arms(field=value, ...)` changes the supervisor's configuration."""
 
-    def make(self_distance=None, on_reflex=None, **changes):
-        config = SupervisorConfig(**changes)
-        return GuardedArms(world, Supervisor(config, self_distance=self_distance, on_reflex=on_reflex))
+    def make(self_distance=None, on_reflex=None, clearance=None, **changes):
+        config, watched = SupervisorConfig(**changes), {"self_distance": self_distance, "clearance": clearance}
+        return GuardedArms(world, Supervisor(config, on_reflex=on_reflex, **watched))
 
     return make
 
@@ -253,6 +253,13 @@ class TestReflexes:
         for _ in range(100):
             set_up.go_on(0.01)
             assert not any(a.startswith(("left", "right")) for a, _, _ in set_up.world.contact_pairs())
+
+    def test_stopping_distance_to_the_table(self, arms):
+        set_up = arms(clearance=SceneClearance(DUAL_PANDA))
+        reflex = must_trip(set_up.run(2.0, accelerate(1, 3.0, until_s=0.3)), "stopping_distance", "with table")
+        assert reflex.value < reflex.bound < 0.0
+        set_up.go_on(1.0)
+        assert not any("table" in pair for *pair, _ in set_up.world.contact_pairs() if pair[0].startswith("left"))
 
     def test_emergency_stop_from_another_thread_takes_effect_in_the_next_tick(self, arms):
         set_up = arms()

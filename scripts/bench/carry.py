@@ -8,10 +8,10 @@ import mujoco
 import numpy as np
 
 from minidual.control.joint_control import ComputedTorque
-from minidual.control.supervisor import Distance, Supervisor
+from minidual.control.supervisor import Supervisor
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.skills.supervised import arm_distance
+from minidual.skills.supervised import trial_supervisor
 from minidual.stages.env_check.tracking import sine_reference
 from minidual.trials.methods import Method, MethodInputs
 from minidual.trials.runner import Bench
@@ -21,7 +21,7 @@ BLOCK = 50
 STEP_RATIO_MAX = 3.0
 """A whole step of a carry over bare physics."""
 TICK_RATIO_MAX, MEAN_RATIO_MAX, WATCHED_RATIO_MAX = 0.5, 0.75, 1.0
-"""A tick of the supervisor over bare physics: its median, its mean with the slow looks, and with self-collision."""
+"""A tick of the supervisor over bare physics: its median, its mean with the slow looks, and with all distances."""
 _FINGERS_M = np.full(2, 0.04)
 
 
@@ -29,11 +29,12 @@ def measure(inputs: BenchInputs) -> BenchTable:
     """Time ticks of the supervisor, and all steps of one carry."""
     rows: list[BenchRow] = []
     world = World(inputs.config.scene)
-    for name, distance, mean_max in (
-        ("supervisor: joints and hands", None, MEAN_RATIO_MAX),
-        ("supervisor: and self-collision", arm_distance(world.robot), WATCHED_RATIO_MAX),
+    watched = trial_supervisor(inputs.config.supervisor, world.dt, world.robot)
+    for name, supervisor, limits in (
+        ("supervisor: joints and hands", Supervisor(), {"ratio": TICK_RATIO_MAX, "mean_ratio": MEAN_RATIO_MAX}),
+        ("supervisor: and stopping distances", watched, {"mean_ratio": WATCHED_RATIO_MAX}),
     ):
-        rows.append(tick(name, world, distance, mean_max, inputs.repeats_n))
+        rows.append(tick(name, world, supervisor, limits, inputs.repeats_n))
         inputs.advance(name)
     rows += carry(inputs)
     return BenchTable(
@@ -46,9 +47,9 @@ def measure(inputs: BenchInputs) -> BenchTable:
     )
 
 
-def tick(name: str, world: World, distance: Distance | None, mean_max: float, steps_n: int) -> BenchRow:
+def tick(name: str, world: World, supervisor: Supervisor, limits: dict[str, float], steps_n: int) -> BenchRow:
     """Time `guard` on arms that swing."""
-    supervisor, controller = Supervisor(self_distance=distance), ComputedTorque(Kinematics(world.robot))
+    controller = ComputedTorque(Kinematics(world.robot))
     bare = _Bare(world)
     world.reset(sine_reference(world.robot, 0.3, 0.5, 0.0)[0])
     guard_ns, bare_ns = [], []
@@ -62,7 +63,6 @@ def tick(name: str, world: World, distance: Distance | None, mean_max: float, st
         world.step()
         if k % BLOCK == BLOCK - 1:
             bare_ns += bare.block()
-    limits = {"ratio": TICK_RATIO_MAX, "mean_ratio": mean_max} if distance is None else {"mean_ratio": mean_max}
     return _row(name, guard_ns, bare_ns, limits)
 
 

@@ -58,6 +58,12 @@ class MujocoEngine:
         mujoco.mj_collision(self.model, self.data)
         return self.data.ncon
 
+    def place(self, name: str, T_parent_shape: Array) -> None:
+        """Move an obstacle, or what is attached, to a pose (4, 4) in its parent."""
+        body = self.model.body(name).id
+        self.model.body_pos[body] = T_parent_shape[:3, 3]
+        mujoco.mju_mat2Quat(self.model.body_quat[body], T_parent_shape[:3, :3].ravel())
+
     def in_collision(self, q: Array) -> bool:
         """Return whether parts touch at q (n,)."""
         self._set_margin(0.0)
@@ -71,6 +77,8 @@ class MujocoEngine:
         """Return pairs nearer than `within_m`, nearest first."""
         self._set_margin(within_m)
         count = self.contact_count(q)
+        if not count:
+            return []
         bodies = self.model.geom_bodyid[self.data.contact.geom[:count]]
         nearest: dict[tuple[str, str], float] = {}
         for (a, b), distance in zip(bodies, self.data.contact.dist[:count], strict=True):

@@ -19,6 +19,7 @@ class EnvCheckConfig(StrictModel):
     sine_duration_s: AtLeast[float] = Field(default=10.0, ge=1.0, le=60.0)
     sine_rms_max_rad: AtMost[float] = Field(default=0.02, gt=0.0, le=0.05)
     pulse_share: float = Field(default=0.1, ge=0.01, le=0.5)
+    """Of the motor's torque; the supervisor's torque rate cuts it."""
     rise_max_s: AtMost[float] = Field(default=0.25, gt=0.0, le=1.0)
     """From 10 % to 90 %."""
     overshoot_max_rad: AtMost[float] = Field(default=0.005, gt=0.0, le=0.02)

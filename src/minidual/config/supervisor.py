@@ -45,7 +45,7 @@ class SupervisorConfig(StrictModel):
     position_mismatch_rad: float = Field(default=0.005, gt=0.0, le=0.05)
     """Difference between the change of a position and the integral of its velocity, over 0.1 s."""
     frozen_s: float = Field(default=0.02, gt=0.0, le=0.2)
-    """Readings unchanged to the bit for this long, while the requested torque changes, are frozen."""
+    """Readings unchanged to the bit for this long, while the applied torque changes, are frozen."""
     slow_period_s: float = Field(default=0.01, ge=0.001, le=0.02)
     """Period of checks that need kinematics; see docs/supervisor.md."""
     stop_deceleration_scale: float = Field(default=0.9, ge=0.01, le=1.0)

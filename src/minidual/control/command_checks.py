@@ -14,7 +14,7 @@ from minidual.robot.poses import rotation_log
 OBJECT_SPEED_MAX_M_PER_S = 1.0  # just below the arms' own limits
 
 _LIMIT_TOLERANCE_RAD = 1e-6
-_SPEED_TOLERANCE = 1.02
+_RATE_TOLERANCE = 1.02
 _ZERO_RAD = 1e-12
 _REST_RAD_PER_S = 0.01
 _REST_OBJECT = 0.005
@@ -94,15 +94,17 @@ def _trajectory(command: TrajectoryCommand, robot: Robot) -> Reason | None:
         return reason
     if not (np.isfinite(v).all() and np.isfinite(a).all()):
         return "not_finite", "a velocity or an acceleration of the trajectory"
-    speed = np.maximum(np.abs(np.diff(q, axis=0)).max(axis=0) / motion.dt_s, np.abs(v).max(axis=0))
-    if (speed > _SPEED_TOLERANCE * v_max).any():
-        index = int(np.argmax(speed / v_max))
-        return "too_fast", f"{names[index]} at {speed[index]:.3f} rad/s; limit {v_max[index]:.3f}"
     for place, row in (("starts", 0), ("ends", -1)):
         index = int(np.argmax(np.abs(v[row])))
         if abs(v[row, index]) > _REST_RAD_PER_S:
             moves = f"{names[index]} at {v[row, index]:.3f} rad/s"
             return "not_at_rest", f"the trajectory {place} with {moves}; it must rest there"
+    rates = ((q, v, v_max, "too_fast", "rad/s"), (v, a, robot.a_max[joints], "too_sharp", "rad/s^2"))
+    for x, rate, limit, name, unit in rates:  # as stated, and between samples
+        largest = np.maximum(np.abs(np.diff(x, axis=0)).max(axis=0) / motion.dt_s, np.abs(rate).max(axis=0))
+        index = int(np.argmax(largest / limit))
+        if largest[index] > _RATE_TOLERANCE * limit[index]:
+            return name, f"{names[index]} at {largest[index]:.3f} {unit}; limit {limit[index]:.3f}"
     return None
 
 

@@ -88,13 +88,13 @@ class JointSense:
         self.applied, self.ticks = np.zeros((_KEPT, n)), 0
         """Ring of applied torques; row of the last: (ticks - 1) % len(applied)."""
 
-    def update(self, q: Array, v: Array, tau: Array, applied: Array, new_s: float) -> bool:
+    def update(self, q: Array, v: Array, tau: Array, new_s: float) -> bool:
         """Take measurements q, v (n,) that are `new_s` newer than the last; return whether all are usable.
 
-        tau: requested torque [Nm]. applied: the torque since the last tick. `new_s` 0: nothing new was measured.
+        tau: applied since the last tick [Nm]. `new_s` 0: nothing new was measured.
         """
         config, kept, usable = self._config, self._kept, True
-        self.applied[self.ticks % _KEPT] = applied
+        self.applied[self.ticks % _KEPT] = tau
         self.ticks += 1
         if not new_s > 0.0:
             q, v = self.q, self.v

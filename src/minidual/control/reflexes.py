@@ -92,6 +92,11 @@ REFLEXES: dict[str, ReflexKind] = {
         "plan around it (minidual plan checks collisions), or part the arms by hand before the reset",
         "m",
     ),
+    "stopping_distance": ReflexKind(
+        "a stop would end in a collision",
+        "slow down near the table, the other arm and what is held, or plan around them (minidual plan)",
+        "m",
+    ),
     "emergency_stop": ReflexKind(
         "the emergency stop was pressed", "make the scene safe, then reset the supervisor", ""
     ),

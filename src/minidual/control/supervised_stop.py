@@ -6,11 +6,15 @@ position limit on the way brakes on its own.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
+from numba.core import types
 
 from minidual.config.supervisor import SupervisorConfig
 from minidual.control.joint_control import ComputedTorque
 from minidual.control.soft_stop import TorqueRate
+from minidual.robot.compiled import VECTOR, floats, kernel
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 
@@ -23,13 +27,46 @@ _SLOWER = (1.0, 0.75, 0.5)
 """Shares of the largest deceleration, tried in turn until the torques suffice."""
 
 
+@kernel(types.void(*[VECTOR] * 6))
+def slopes(q: Array, v: Array, brake: Array, q_lower: Array, q_upper: Array, slope: Array) -> None:
+    """Fill the decrease of r (n,) [1/s] at full braking: the slowest joint's, or their own near position limits."""
+    common = math.inf
+    for j in range(len(q)):
+        slope[j] = brake[j] / max(abs(v[j]), brake[j] * _LEAST_S)
+        common = min(common, slope[j])
+    for j in range(len(q)):
+        room = q_upper[j] - q[j] if v[j] > 0.0 else q[j] - q_lower[j]
+        if abs(v[j]) * (0.5 / common + _RAMP_S) <= room:
+            slope[j] = common
+
+
+@kernel(types.void(*[VECTOR] * 3, types.float64, *[VECTOR] * 3))
+def stopped_at(q: Array, v: Array, slope: Array, ahead_s: float, q_lower: Array, q_upper: Array, q_rest: Array) -> None:
+    """Fill the posture of rest (n,); r falls symmetrically, so its integral is half its duration."""
+    for j in range(len(q)):
+        way = v[j] * (ahead_s + 0.5 / slope[j] + 0.5 * _RAMP_S)
+        q_rest[j] = min(max(q[j] + way, q_lower[j]), q_upper[j])
+
+
+@kernel(types.boolean(VECTOR, VECTOR))
+def fit(tau: Array, bounds: Array) -> bool:
+    """Return whether all torques (n,) are within their bounds."""
+    within = True
+    for j in range(len(tau)):
+        within = within and abs(tau[j]) <= bounds[j]
+    return within
+
+
 class SupervisedStop:
     """Torques of the stop; `kinematics` must not be the controllers'."""
 
     def __init__(self, kinematics: Kinematics, config: SupervisorConfig, dt_s: float) -> None:
         self._robot = kinematics.robot
         self._servo = ComputedTorque(kinematics, natural_frequency_rad_s=config.stop_frequency_rad_s)
-        self._brake = config.stop_deceleration_scale * self._robot.a_max
+        robot = self._robot
+        self._brake = config.stop_deceleration_scale * robot.a_max
+        self._v_max, self._tau_max = robot.v_max, _TORQUE_SHARE * robot.tau_max
+        self._range = floats(robot.q_lower), floats(robot.q_upper)
         self._dt = dt_s
 
     def begin(self, q: Array, v: Array, tau: Array) -> None:
@@ -37,20 +74,25 @@ class SupervisedStop:
         robot = self._robot
         self._q_ref, self._v_0 = q.copy(), np.clip(v, -robot.v_max, robot.v_max)
         self._r, self._slope = np.ones(robot.dof), np.zeros(robot.dof)
-        self._slope_max = self._largest_slope(q)
+        self._slope_max = self._largest_slope(self._q_ref, self._v_0)
         self._rate = TorqueRate(np.clip(tau, -robot.tau_max, robot.tau_max), self._dt, robot.arm.tau_rate_max)
 
-    def _largest_slope(self, q: Array) -> Array:
+    def rest(self, q: Array, v: Array, ahead_s: float) -> Array:
+        """Return the posture (n,) of rest of a stop that begins `ahead_s` later."""
+        v_0, q_rest = np.empty_like(q), np.empty_like(q)
+        np.minimum(np.maximum(v, -self._v_max, v_0), self._v_max, v_0)
+        stopped_at(q, v_0, self._largest_slope(q, v_0), ahead_s, *self._range, q_rest)
+        return q_rest
+
+    def _largest_slope(self, q: Array, v: Array) -> Array:
         """Return the largest decrease of r (n,) [1/s]."""
-        robot, v = self._robot, self._v_0
-        speed, own = np.abs(v), self._brake / np.maximum(np.abs(v), self._brake * _LEAST_S)
-        room = np.where(v > 0.0, robot.q_upper - q, q - robot.q_lower)
-        slope = np.where(speed * (0.5 / own.min() + _RAMP_S) > room, own, own.min())
+        slope = np.empty_like(q)
+        slopes(q, v, self._brake, *self._range, slope)
         for share in _SLOWER:
-            tau = self._servo.torque(q, v, q, v, -share * slope * v)
-            if (np.abs(tau) <= _TORQUE_SHARE * robot.tau_max).all():
+            shared = share * slope
+            if fit(self._servo.torque(q, v, q, v, -shared * v), self._tau_max):
                 break
-        return share * slope
+        return shared
 
     @property
     def tau(self) -> Array:

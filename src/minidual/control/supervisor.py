@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import NoReturn
+from typing import NoReturn, Protocol
 
 import numpy as np
 
@@ -27,6 +27,20 @@ from minidual.robot.pair import SIDES, Array
 
 Distance = Callable[[Array], tuple[str, float]]
 """Maps q (n,) [rad] to the nearest collidable pair ("a with b") and its distance [m]."""
+
+
+class Clearance(Protocol):
+    """Distances between all that may collide: the arms' links, what surrounds them, and a held object."""
+
+    def __call__(self, q: Array) -> tuple[str, float, float]:
+        """Return the pair nearest to its bound at q (n,), its distance and that bound [m]."""
+        ...
+
+    def hold(self, arm: int | None, T_tcp_shape: Array | None = None) -> None:
+        """Attach the object to a hand at this pose (4, 4) of its shape; None: it is not held."""
+        ...
+
+
 OnReflex = Callable[[Reflex], Path | None]
 """Called once per reflex; may return the dump file it wrote."""
 
@@ -36,6 +50,8 @@ def dumping(recorder: StepRecorder) -> OnReflex:
     return lambda reflex: recorder.dump(reflex.name, reflex.text, details=reflex.details)
 
 
+_FAR_M = 0.3
+"""Way of a stop from which its half is checked too."""
 SEEN = ("measured_position_rad", "measured_velocity_rad_per_s", "asked_torque_nm")
 """Per-joint values recorded by a reflex; non-finite ones become text."""
 
@@ -48,7 +64,8 @@ class Supervisor:
 
     Args:
         kinematics: Not the controllers'; created by default.
-        self_distance: Without it self-collision is not checked.
+        self_distance: Distance between the arms, checked where they are.
+        clearance: Checked where a stop would end, and half-way there.
     """
 
     def __init__(
@@ -58,6 +75,7 @@ class Supervisor:
         dt_s: float = 1e-3,
         kinematics: Kinematics | None = None,
         self_distance: Distance | None = None,
+        clearance: Clearance | None = None,
         on_reflex: OnReflex | None = None,
     ) -> None:
         self.config = SupervisorConfig() if config is None else config
@@ -74,7 +92,7 @@ class Supervisor:
         self.expected: Callable[[], Expected] = Expected
         """What controllers expect of this tick."""
         self._stop = SupervisedStop(self._kinematics, self.config, dt_s)
-        self._self_distance = self_distance
+        self._self_distance, self._clearance = self_distance, clearance
         self._on_reflex = on_reflex
         self._slow_every = max(1, round(self.config.slow_period_s / dt_s))
         self._rows = np.zeros((len(limits.ROWS), self._robot.dof))
@@ -98,10 +116,12 @@ class Supervisor:
         if self.reflex is not None and self.reflex.name == "emergency_stop":
             self._estop = ""
         self.reflex = None
+        if tau is None:
+            self.hold(None)
         self._deadline_s = math.inf
         self._time_s = -math.inf
         self._tick = 0
-        self._next_slow = 0
+        self._next_slow = self._next_ahead = 0
         self._applied = None if tau is None else tau.copy()
         self._a_before: Array | None = None
         self._rows[:] = 0.0
@@ -131,6 +151,11 @@ class Supervisor:
             self._note(time_s, q, v, self._tau, stamp_s)
             self._trip("controller_failed", why, 1.0, None)
         return self._stopping(q, v, stamp_s)
+
+    def hold(self, arm: int | None, T_tcp_shape: Array | None = None) -> None:
+        """Say what is held, until `reset` without torques; see `Clearance`."""
+        if self._clearance is not None:
+            self._clearance.hold(arm, T_tcp_shape)
 
     def heard(self, time_s: float) -> None:
         """Report an arbiter tick; silence over `stale_s` is a reflex."""
@@ -179,7 +204,7 @@ class Supervisor:
         if self._applied is None:
             self._applied = self._before_control(q)
         before_s, self._time_s = self._time_s, time_s
-        self._usable = self._sense.update(self._q, self._v, self._tau, self._applied, self._newer_s(stamp_s))
+        self._usable = self._sense.update(self._q, self._v, self._applied, self._newer_s(stamp_s))
         if not time_s > before_s:
             self._time_s = before_s
             self._trip("clock", f"{time_s} s after {before_s} s", 1.0, None)
@@ -194,7 +219,7 @@ class Supervisor:
     def _stopping(self, q: Array, v: Array, stamp_s: float | None) -> Array:
         """Return this tick's torque of the latched stop."""
         self._q[:], self._v[:], tau = q, v, self._stop.tau
-        self._sense.update(self._q, self._v, tau, tau, self._newer_s(stamp_s))
+        self._sense.update(self._q, self._v, tau, self._newer_s(stamp_s))
         return self._stop.torque(self._sense.q, self._sense.v)
 
     def _before_control(self, q: Array) -> Array:
@@ -299,16 +324,29 @@ class Supervisor:
             x, y, z = x + 2.0 * ahead * vx, y + 2.0 * ahead * vy, z + 2.0 * ahead * vz
             if not (x0 <= x <= x1 and y0 <= y <= y1 and z0 <= z <= z1):
                 self._trip_workspace(arm, (x, y, z))
+        if self._clearance is not None and self._tick >= self._next_ahead:
+            self._next_ahead = self._next_slow
+            # Two periods ahead, as for the hands.
+            rest = self._stop.rest(q, v, 2.0 * ahead)
+            far = float(self._reach.m @ np.abs(rest - q)) > _FAR_M
+            for posture in (0.5 * (q + rest), rest) if far else (rest,):
+                pair, distance, bound = self._monitored(self._clearance, posture)
+                if not distance >= bound:
+                    self._trip("stopping_distance", pair, distance, bound)
         if self._self_distance is not None:
-            try:
-                pair, distance = self._self_distance(q)
-            except Exception as error:  # a monitor must not take this tick's torque away
-                self._trip("controller_failed", f"self_distance: {type(error).__name__}: {error}", 1.0, None)
+            pair, distance = self._monitored(self._self_distance, q)
             if not distance >= self.config.self_collision_min_m:
                 self._trip("self_collision", pair, distance, self.config.self_collision_min_m)
             # Check again before the gap can close to the bound at full acceleration.
             safe_s = self._reach.safe_time_s(v, distance - self.config.self_collision_min_m)
             self._next_slow = self._tick + min(self._slow_every, max(1, int(safe_s / self.dt_s)))
+
+    def _monitored[T](self, monitor: Callable[[Array], T], q: Array) -> T:
+        """Call a monitor, which must not take this tick's torque away."""
+        try:
+            return monitor(q)
+        except Exception as error:
+            self._trip("controller_failed", f"a distance: {type(error).__name__}: {error}", 1.0, None)
 
     # Reflexes ------------------------------------------------------------------------------------------------
 

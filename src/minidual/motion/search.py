@@ -22,18 +22,6 @@ PLANNERS: Registry[Callable[[Any], Any]] = Registry("planner", {"rrtconnect": og
 """OMPL planners. PRM hangs: it evaluates the termination condition in its own threads."""
 
 
-class Validity(ob.StateValidityChecker):
-    """Calls a Python function."""
-
-    def __init__(self, si: Any, free: Callable[[Any], bool]) -> None:
-        super().__init__(si)
-        self._free = free
-
-    def isValid(self, state: Any) -> bool:
-        """Return whether a state is free."""
-        return self._free(state)
-
-
 class _Motion(ob.MotionValidator):
     def __init__(self, si: Any, edge_free: Callable[[Any, Any], bool]) -> None:
         super().__init__(si)
@@ -96,9 +84,8 @@ def search(
         q[joints] = [state[i] for i in indices]
         return q
 
-    validity = Validity(si, lambda state: checker.free(full(state)))
     motion = _Motion(si, lambda s1, s2: checker.edge_free(full(s1), full(s2)))
-    si.setStateValidityChecker(validity)
+    si.setStateValidityChecker(lambda state: checker.free(full(state)))
     si.setMotionValidator(motion)
     si.setup()
     ends: list[Any] = [si.allocState(), si.allocState()]

@@ -28,6 +28,7 @@ from minidual.robot.pair import Array
 from minidual.robot.poses import inverse
 from minidual.skills.carry_motions import held_motion, held_object, joint_move, plan_path
 from minidual.skills.carry_watch import CarryWatch
+from minidual.skills.cycle import thing_of
 from minidual.skills.faults import CLOSED, OPENING, Fault
 from minidual.skills.phases import PHASES
 from minidual.skills.pipeline.drive import SOURCE
@@ -79,13 +80,14 @@ class ImpedanceCarry:
         if sensors is None:
             sensors = Sensors(world, config.sensing, stream(seed, f"sensing/{trial.purpose}", trial.index))
         self.watch = CarryWatch(world, kinematics, config, sensors)
+        self._supervisor = supervisor or Supervisor(dt_s=world.dt, kinematics=Kinematics(world.robot))
         self.stack = ControlStack(
             world,
             kinematics,
             arbiter,
             pinch_force_n=config.impedance.pinch_n,
             sensor=self.watch,
-            supervisor=supervisor or Supervisor(dt_s=world.dt, kinematics=Kinematics(world.robot)),
+            supervisor=self._supervisor,
         )
         self.stack.on_flush(self._flushed)
         self.phase, self._began_s, self._sequence = "approach", world.time, 0
@@ -191,11 +193,13 @@ class ImpedanceCarry:
         held = held_object(scene, T_object, self._kinematics.tcp_poses(world.q))
         stack.impedance.configure(held, self._config.impedance)
         watch.take_hold()
+        self._supervisor.hold(0, inverse(held.T_object_tcps[0]) @ thing_of(scene.object).shape.T_parent_shape)
         stack.switch_controllers(OBJECT_CONTROLLERS)
         for phase in ("squeeze", "carry", "unload"):
             self._propose(phase, ObjectCommand, *held_motion(phase, path, T_level_object, watch.squeeze_n), _CLOSED)
             yield from self._executing()
         watch.let_go()
+        self._supervisor.hold(None)
         stack.switch_controllers(DEFAULT_CONTROLLERS)
 
         q = world.q

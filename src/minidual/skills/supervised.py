@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import deepcopy
+from dataclasses import replace
 from functools import cache
 
-from minidual.collision.engine import Pairs
+import numpy as np
+
+from minidual.collision.engine import PairDistance, Pairs
 from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import PlanningScene
+from minidual.collision.shapes import Attached, Shape
 from minidual.config.supervisor import SupervisorConfig
 from minidual.control.supervisor import OnReflex, Supervisor
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot
 
-_WITHIN_M = 0.15
+_WITHIN_M, _NEAR_M = 0.15, 0.02
+_APART_M, _TO_TABLE_M, _HELD_TO_TABLE_M = 0.005, -0.003, -0.008
+"""Least distances where a stop ends. Fingers grasp 1 mm above the table and objects are put down on it."""
 
 
 @cache
@@ -34,9 +41,52 @@ def arm_distance(robot: Robot) -> Callable[[Array], tuple[str, float]]:
     return nearest
 
 
+@cache
+def _engine(robot: Robot, shape: Shape | None) -> MujocoEngine:
+    """Return an engine of arms and table, with a copy of the object in each hand. Cached: copy it."""
+    hands = tuple(link for side in robot.sides for link in robot.hand_links(side))
+    held = () if shape is None else tuple(replace(shape, name=_in_hand(shape, side)) for side in robot.sides)
+    attached = [Attached(copy, tcp, hands) for copy, tcp in zip(held, robot.tcp_names, strict=False)]
+    return MujocoEngine(PlanningScene(robot=robot, attached=tuple(attached)))
+
+
+def _in_hand(shape: Shape, side: str) -> str:
+    return f"{shape.name} in the {side} hand"
+
+
+class SceneClearance:
+    """See `Clearance`: both arms, the table, and an object of this shape while it is held."""
+
+    def __init__(self, robot: Robot, shape: Shape | None = None) -> None:
+        self._engine = deepcopy(_engine(robot, shape))
+        self._held = () if shape is None else tuple(_in_hand(shape, side) for side in robot.sides)
+        self.hold(None)
+
+    def hold(self, arm: int | None, T_tcp_shape: Array | None = None) -> None:
+        """See `Clearance`."""
+        for index, name in enumerate(self._held):
+            away = np.eye(4)
+            away[2, 3] = 100.0 * (1 + index)
+            self._engine.place(name, T_tcp_shape if index == arm and T_tcp_shape is not None else away)
+
+    def __call__(self, q: Array) -> tuple[str, float, float]:
+        """See `Clearance`; "none" beyond 20 mm."""
+        found = [(pair, self._least_m(pair)) for pair in self._engine.closest(q, _NEAR_M)]
+        if not found:
+            return "none", _NEAR_M, 0.0
+        pair, least_m = min(found, key=lambda row: row[0].distance_m - row[1])
+        return f"{pair.first} with {pair.second}", pair.distance_m, least_m
+
+    def _least_m(self, pair: PairDistance) -> float:
+        held = pair.first in self._held or pair.second in self._held
+        if "table" in (pair.first, pair.second):
+            return _HELD_TO_TABLE_M if held else _TO_TABLE_M
+        return 0.0 if held else _APART_M
+
+
 def trial_supervisor(
-    config: SupervisorConfig, dt_s: float, robot: Robot, on_reflex: OnReflex | None = None
+    config: SupervisorConfig, dt_s: float, robot: Robot, on_reflex: OnReflex | None = None, shape: Shape | None = None
 ) -> Supervisor:
-    """Return a supervisor that also watches the arm distance."""
-    distance = arm_distance(robot)
-    return Supervisor(config, dt_s=dt_s, kinematics=Kinematics(robot), self_distance=distance, on_reflex=on_reflex)
+    """Return a supervisor that also watches distances, those of an object of this shape while it is held included."""
+    distances = {"self_distance": arm_distance(robot), "clearance": SceneClearance(robot, shape)}
+    return Supervisor(config, dt_s=dt_s, kinematics=Kinematics(robot), on_reflex=on_reflex, **distances)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from minidual.config.seeds import stream, subseed
 from minidual.control.stack import ControlStack
+from minidual.control.supervisor import Supervisor
 from minidual.motion.api import Planner
 from minidual.plant.sensing import Sensors
 from minidual.plant.world import World
 from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
+from minidual.skills.cycle import thing_of
 from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.skills.planned_carry import PlannedCarry
 from minidual.skills.supervised import trial_supervisor
@@ -16,10 +18,16 @@ from minidual.tasks.task import Trial, make_task
 from minidual.trials.methods import Factory, MethodInputs
 
 
+def _supervisor(inputs: MethodInputs) -> Supervisor:
+    """Return a supervisor that knows the carried object's shape."""
+    config, task = inputs.config, make_task(inputs.config)
+    shape = thing_of(task.objects[task.carried].body).shape
+    return trial_supervisor(config.supervisor, task.scene.physics.timestep_s, robot_from(config.robot), shape=shape)
+
+
 def impedance(inputs: MethodInputs) -> Factory:
     """Object impedance."""
-    config = inputs.config
-    supervisor = trial_supervisor(config.supervisor, config.scene.physics.timestep_s, robot_from(config.robot))
+    config, supervisor = inputs.config, _supervisor(inputs)
     return lambda world, kinematics, trial: ImpedanceCarry(
         world, kinematics, config.carry, trial, seed=inputs.seed, supervisor=supervisor, arbiter=config.arbiter
     )
@@ -28,9 +36,8 @@ def impedance(inputs: MethodInputs) -> Factory:
 def planned(inputs: MethodInputs) -> Factory:
     """Plan from one pose reading, then control joint trajectories."""
     config = inputs.config
-    robot = robot_from(config.robot)
-    supervisor = trial_supervisor(config.supervisor, config.scene.physics.timestep_s, robot)
-    planner, task = Planner(config=config.plan.planner, robot=robot), make_task(config)
+    supervisor = _supervisor(inputs)
+    planner, task = Planner(config=config.plan.planner, robot=robot_from(config.robot)), make_task(config)
 
     def make(world: World, kinematics: Kinematics, trial: Trial) -> PlannedCarry:
         # Same sensor, noise and stream as object impedance: both start from the same reading.

@@ -20,7 +20,7 @@ import pinocchio as pin
 from minidual.errors import unknown_name
 from minidual.motion.edges import EdgeChecker
 from minidual.motion.ik import check_pose
-from minidual.motion.search import Validity, bounded_space, exact_path, seeded
+from minidual.motion.search import bounded_space, exact_path, seeded
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 
@@ -93,8 +93,7 @@ def search_manifold(
     def joints(state: Any) -> Array:
         return np.array([state[i] for i in range(robot.dof)])
 
-    validity = Validity(si, lambda state: checker.free(joints(state)))
-    si.setStateValidityChecker(validity)
+    si.setStateValidityChecker(lambda state: checker.free(joints(state)))
     si.setup()
     ends: list[Any] = [si.allocState(), si.allocState()]
     for state, q in zip(ends, (q_start, q_goal), strict=True):

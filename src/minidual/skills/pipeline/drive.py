@@ -75,10 +75,20 @@ class Drive:
             self._proposed += 1
             self._began_s = self.stack.plant.time
             segment = self._left[0]
+            self._tell_held(segment)
             command = TrajectoryCommand(segment.trajectory, np.array(segment.openings), self._began_s, self._proposed)
             refused = self.stack.propose(SOURCE, command)
         if refused is not None:
             self._abort(f"{refused.name}: {refused.detail}")
+
+    def _tell_held(self, segment: Segment) -> None:
+        """Tell the supervisor what the segment's proof holds; waiting changes nothing."""
+        supervisor = self.stack.supervisor
+        if supervisor is None or segment.scene is None:
+            return
+        supervisor.hold(None)
+        for held in segment.scene.attached:
+            supervisor.hold(segment.scene.robot.tcp_names.index(held.link), held.shape.T_parent_shape)
 
     def _abort(self, reason: str) -> None:
         self.aborted = f"the arbiter stopped phase '{self.phase}' ({reason})"

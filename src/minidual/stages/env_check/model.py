@@ -5,6 +5,8 @@ from contextlib import suppress
 import mujoco
 import numpy as np
 
+from minidual.control.reflexes import ReflexError
+from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
 from minidual.plant.addresses import map_joints
 from minidual.plant.world import World
@@ -24,11 +26,12 @@ def drivable_joints(model: mujoco.MjModel, robot: Robot) -> list[str]:
 
 
 def torque_pulse_mapping(
-    world: World, kinematics: Kinematics, *, pulse_share: float = 0.1, tolerance: float = 0.01
+    world: World, supervisor: Supervisor, kinematics: Kinematics, *, pulse_share: float = 0.1, tolerance: float = 0.01
 ) -> tuple[int, ...]:
     """Return the joint that a one-step torque pulse on each command moves, -1 if none as predicted.
 
-    One step from rest: (M + dt D) dv = dt tau. Coupling can move a neighbour more than the joint itself.
+    One step from rest: (M + dt D) dv = dt tau. Coupling can move a neighbour more than the joint itself. The supervisor
+    limits the pulses to the torque rate.
     """
     robot, n = world.robot, world.robot.dof
     world.reset()
@@ -36,18 +39,25 @@ def torque_pulse_mapping(
     gravity = kinematics.gravity(robot.home)
     fingers = world.finger_targets
 
-    def velocity_after(tau: Array) -> Array:
+    def after(tau: Array) -> tuple[Array, Array]:
         world.reset()
-        world.command(gravity + tau, fingers)
+        supervisor.reset()
+        try:
+            applied = supervisor.guard(world.time, world.q, world.v, gravity + tau)
+        except ReflexError as error:  # its joint does not move as predicted
+            applied = error.tau
+        world.command(applied, fingers)
         world.step()
-        return world.v
+        return world.v, applied
 
-    rest = velocity_after(np.zeros(n))
+    rest, _ = after(np.zeros(n))
     response = np.empty((n, n))  # acceleration of joint i for 1 Nm on command j
     for j in range(n):
         # Gravity already uses part of the motor; push away from the limit.
         size = pulse_share * float(robot.tau_max[j]) * (-1.0 if gravity[j] > 0.0 else 1.0)
-        response[:, j] = (velocity_after(size * np.eye(n)[j]) - rest) / (size * world.dt)
+        v, applied = after(size * np.eye(n)[j])
+        with np.errstate(invalid="ignore"):  # NaN: no pulse was let through
+            response[:, j] = (v - rest) / ((applied[j] - gravity[j]) * world.dt)
     scale = np.abs(predicted).max(axis=0)
     distance = np.abs(response[:, :, None] - predicted[:, None, :]).max(axis=0) / scale  # (command, joint)
     nearest = distance.argmin(axis=1)

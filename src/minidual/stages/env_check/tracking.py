@@ -13,11 +13,11 @@ from minidual.config.root import Config
 from minidual.control.commands import JointCommand, TrajectoryCommand
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
-from minidual.control.supervisor import Supervisor
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot
 from minidual.robot.trajectory import Trajectory
+from minidual.skills.supervised import trial_supervisor
 
 _SOURCE = "policy"
 _OPEN = np.ones(2)
@@ -43,7 +43,7 @@ class Rig:
 
     def __init__(self, world: World, kinematics: Kinematics, config: Config) -> None:
         self.world, rate_hz = world, config.teleop.rate_hz
-        self.supervisor = Supervisor(config.supervisor, dt_s=world.dt, kinematics=Kinematics(world.robot))
+        self.supervisor = trial_supervisor(config.supervisor, world.dt, world.robot)
         arbiter = config.arbiter.model_copy(update={"switch_step_max_rad": _STEP_MAX_RAD})
         self.stack = ControlStack(world, kinematics, arbiter, rate_hz=rate_hz, supervisor=self.supervisor)
         self.period = round(1.0 / (rate_hz * world.dt))
