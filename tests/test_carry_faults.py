@@ -355,7 +355,7 @@ def test_every_row_of_the_table_can_be_told(monitor: FaultMonitor) -> None:
         "sensor_lost": _until_told(lambda: monitor.silent("pose", 0.06, 0.05)),
         "lost_arm": _until_told(lambda: monitor.motors(np.full(DOF, 5.0), np.r_[np.full(7, 5.0), np.zeros(7)])),
         "gripper_stuck": _until_told(_hand_tells(monitor, "close", lambda t: 0.08), calls=25),
-        "gripper_jitter": _until_told(_hand_tells(monitor, "", lambda t: 0.02 + 0.001 * np.sin(100.0 * t)), calls=50),
+        "gripper_jitter": _until_told(_hand_tells(monitor, "", lambda t: 0.02 + 0.002 * np.sin(50.0 * t)), calls=50),
     }
     for name, (said, calls) in told.items():
         assert said == name

@@ -36,7 +36,7 @@ class Fault(NamedTuple):
 _SCATTERS = 2.9
 """Threshold in RMS scatters, five standard deviations per coordinate: white noise exceeds it twice in a row once in a
 billion samples."""
-_FINGER_STEP_M, _PINCH_STEP_N, _PINCH_STEP = 0.0003, 10.0, 0.2
+_FINGER_STEP_M, _PINCH_STEP_N, _PINCH_STEP = 0.001, 10.0, 0.2
 """Smallest steps that are no noise; of the pinch also as share of the wanted one."""
 _TURNS, _TURNS_S = 4, 0.2
 """A hand whose opening or pinch turns back this often in this time jitters."""
