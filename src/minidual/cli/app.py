@@ -49,7 +49,6 @@ class _Explained:
 
 
 def _parameters(*groups: type[Any]) -> list[inspect.Parameter]:
-    """Return fields of option dataclasses as parameters."""
     return [
         inspect.Parameter(f.name, inspect.Parameter.KEYWORD_ONLY, default=f.default, annotation=hints[f.name])
         for group in groups

@@ -91,7 +91,6 @@ def _was_typed(value: Any) -> bool:
 
 
 def _refuse_loose_options(entry: StageEntry, aside: ToolEntry | None, values: Mapping[str, Any]) -> None:
-    """Refuse options that the chosen stage or aside does not take."""
     chosen = aside or entry
     takers: dict[str, list[StageEntry | ToolEntry]] = {}
     for command in (entry, *entry.asides):

@@ -8,8 +8,8 @@ Only the left arm is sampled. Reasons:
 - `always`: contact at home and in at least 95 % of the samples;
 - `never`: no contact in any sample.
 
-Samples are uniform within the joint limits. Their number n doubles from 20 000 until no pair changes class over two
-doublings in a row. A `never` pair touches in less than 3/n of all postures (rule of three, 95 % confidence).
+The number n of uniform samples doubles from 20 000 until no pair changes class over two doublings in a row. A `never`
+pair touches in less than 3/n of all postures (rule of three, 95 % confidence).
 """
 
 from __future__ import annotations
@@ -85,7 +85,6 @@ class BuiltAcm:
     """The matrix and its history.
 
     Attributes:
-        pairs: Rows (link, link, reason).
         rounds: `samples_n` so far, pairs that `changed` class.
         converged: False if the sample limit was reached.
         rarest, rarest_n: Touching pair with fewest contacts; their number.

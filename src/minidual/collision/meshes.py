@@ -24,8 +24,7 @@ def load_mesh(
     The cover is one hull, or one per connected piece if `separate`. `scale` is metres per unit of the file.
 
     Raises:
-        UsageError: Missing file, unknown extension, bad scale, size or number of pieces.
-        DataError: Unreadable, or a piece without volume.
+        UsageError, DataError: The file, its scale, size or number of pieces is unfit.
     """
     if not (np.isfinite(scale) and scale > 0.0):
         raise UsageError(f"mesh '{name}': scale {scale}; it must be a finite number > 0")

@@ -19,8 +19,6 @@ IDENTITY: Quat = (1.0, 0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class _Shape:
-    """Fields shared by all shapes."""
-
     name: str
     position_m: Vec3
     quat_wxyz: Quat = IDENTITY

@@ -162,7 +162,6 @@ def validate_document[Model: BaseModel](document: Document, model: type[Model]) 
 
 
 def _sentence(problem: Any, document: Document, model: type[BaseModel]) -> tuple[str, str | None]:
-    """Return (message, remedy or None) for a pydantic error."""
     kind, value = problem["type"], problem.get("input")
     location = _typed_location([str(part) for part in problem["loc"]], document.tree, missing=kind == "missing")
     dotted, where = ".".join(location), _origin(location, document)

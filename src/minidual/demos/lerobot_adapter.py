@@ -44,15 +44,11 @@ def convert(
 ) -> LeRobotTables:
     """Make, verify and return a dataset; a failed conversion leaves none.
 
-    Args:
-        paths: Validated HDF5 episodes of equal format.
-        out_dir: New folder.
-        robot: Recorded arms.
-        progress: Called after each episode.
+    `paths` are validated episodes of equal format; `progress` is called after each.
 
     Raises:
         UsageError: No episodes, or `out_dir` exists.
-        DataError: Inconsistent episodes, disk error, or failed verification.
+        DataError: Inconsistent episodes, or failed verification.
     """
     if not paths:
         raise UsageError("no episodes to convert", remedy="record some: minidual teleop-record")

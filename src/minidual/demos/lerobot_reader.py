@@ -45,11 +45,9 @@ class LeRobotTables:
     Attributes:
         names: Entries of states and actions.
         cameras: (H, W) by camera.
-        state: (N, names).
-        action: (N, names).
+        state, action: (N, names).
         frame_index: (N,) from 0 per episode.
-        starts: (E,) first rows.
-        stops: (E,) one past the last.
+        starts, stops: (E,) first rows, and one past the last.
     """
 
     root: Path
@@ -202,7 +200,6 @@ def _read_parquet(root: Path, folder: str) -> Any:
 
 
 def _decode(path: Path, expected: int, size: tuple[int, int]) -> Iterator[Image]:
-    """Yield images; DataError for another size, and at the end for a wrong count."""
     count = 0
     with _reading(path), av.open(str(regular_file(path, BYTES_MAX)), format="mp4") as container:
         for count, frame in enumerate(container.decode(video=0), start=1):

@@ -13,10 +13,8 @@ class Observation:
     """One instant.
 
     Attributes:
-        time_s: Time of the joint measurement.
-        image_time_s: Time of the images, same clock.
-        q: (n,) joint positions [rad].
-        v: (n,) velocities [rad/s].
+        time_s, image_time_s: Of joints and images, one clock.
+        q, v: (n,) [rad], [rad/s].
         gripper: (2,) openings, 0 closed to 1 open.
         images: (H, W, 3) by camera.
     """

@@ -61,10 +61,7 @@ def path_efficiency(positions: NDArray[np.floating], action_gripper: NDArray[np.
     """Return straight over travelled length, 0 to 1, mean of both hands.
 
     The straight path goes through the places of grip changes. Hands moving under 1 cm are left out; 1 if both are.
-
-    Args:
-        positions: (T, 2, 3) TCPs [m].
-        action_gripper: (T, 2), any unit.
+    `positions` are TCPs (T, 2, 3) [m], `action_gripper` is (T, 2).
     """
     shares: list[float] = []
     for hand in range(2):

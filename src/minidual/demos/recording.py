@@ -161,10 +161,8 @@ def record(
     Attempts that an interrupted recording left in `job.folder` count (see `claim`).
 
     Raises:
-        UsageError: Unknown or displaced leader.
-        HandoverError: The arbiter refused the leader.
+        UsageError, HandoverError: The leader is unknown, displaced or refused.
         EnvironmentMissingError: Missing device or renderer.
-        DataError: Disk error.
     """
     wanted, used = job.teleop.episodes_n, usable_workers(job, workers)
     allowed = int(np.ceil(wanted * job.teleop.attempts_max_ratio))

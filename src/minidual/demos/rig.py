@@ -86,8 +86,6 @@ class Attempt:
 
     Attributes:
         reason: Why it is no demonstration, or "".
-        path: File, if written.
-        measures: Numbers of the outcome.
         latencies_s: Wall time per tick, see `SessionResult`.
         wall_s: Wall time to plan, run, write and read back.
         adopted: Whether an interrupted recording ran it.

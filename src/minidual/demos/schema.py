@@ -2,9 +2,7 @@
 
 One HDF5 file is one episode in ALOHA's layout. T ticks, n joints, left arm first:
 
-====================================  ============  ==================================================
 key                                   shape         meaning
-====================================  ============  ==================================================
 ``observations/qpos``                 (T, n)        positions [rad]
 ``observations/qvel`` (optional)      (T, n)        velocities [rad/s]
 ``observations/gripper``              (T, 2)        openings
@@ -13,7 +11,6 @@ key                                   shape         meaning
 ``action_gripper``                    (T, 2)        opening targets
 ``timestamps``                        (T,)          joint time, increasing [s]
 ``image_timestamps`` (optional)       (T,)          image time [s]
-====================================  ============  ==================================================
 
 ``action[t]`` leads to the state at t + 1.
 """

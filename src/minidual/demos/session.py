@@ -47,7 +47,6 @@ class SessionResult:
         q: (T, n) measured joints [rad]; images go to `on_tick` only.
         latencies_s: Wall time per tick from reading the leader to the end of the first physics step.
         ended_by: "leader", "time_limit", "stopped" (no readings) or "reflex".
-        reflex: Message, or "".
     """
 
     q: Array
@@ -160,7 +159,6 @@ class TeleopSession:
                 raise HandoverError(f"the arbiter did not hand over: {reason}")
 
     def _move(self, judge: Judge, steps: int) -> None:
-        """Run control steps; none after a reflex."""
         for _ in range(steps):
             if self.stack.reflex is None:
                 with contextlib.suppress(ReflexError):

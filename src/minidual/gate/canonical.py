@@ -13,10 +13,8 @@ from typing import Any, cast
 def canonical(value: Any, where: str = "value") -> Any:
     """Return `value` as JSON types; non-finite floats become "nan", "inf" or "-inf".
 
-    Takes pydantic models, mappings with string keys, sequences, sets (sorted), paths, enums and numpy values.
-
-    Raises:
-        TypeError: Anything else, with its dotted place.
+    Takes pydantic models, mappings with string keys, sequences, sets (sorted), paths, enums and numpy values; TypeError
+    names the place of anything else.
     """
     if isinstance(value, enum.Enum):
         value = value.value

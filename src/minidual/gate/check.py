@@ -37,9 +37,8 @@ class Check:
     Without `op` it is only reported. A non-finite `observed` fails every limit.
 
     Attributes:
-        unit: Such as "rad"; "" for ratios and counts.
+        unit: "" for ratios and counts.
         why: What the limit protects.
-        remedy: What to do on failure.
     """
 
     name: str

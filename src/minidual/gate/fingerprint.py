@@ -29,7 +29,6 @@ class Fingerprint:
     A difference in the last five fields, the circumstances, only warns.
 
     Attributes:
-        options: Those outside the configuration.
         inputs: sha256 of input artefacts by "stage/path".
         upstream: sha256 of every upstream verdict; None if missing.
     """
@@ -129,7 +128,6 @@ def _library_version(name: str) -> str:
 
 
 def _commit() -> str | None:
-    """Return the commit of the checkout ("+changes" if edited), or None."""
     package = Path(minidual.__file__).parent
 
     def git(*words: str) -> str:

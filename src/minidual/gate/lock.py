@@ -102,6 +102,5 @@ def _record(path: Path) -> dict[str, Any] | None:
 
 
 def _lock_file(folder: Path, name: str) -> Path:
-    """Return the path of the lock; DataError if something else than a file is there."""
     require(folder / name, "file")
     return folder / name

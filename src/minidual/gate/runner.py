@@ -74,8 +74,7 @@ class Runner:
         """Run one stage unless it passes and is fresh; `force` runs it anyway. `waiver`: reason to open a closed gate.
 
         Raises:
-            GateClosedError: An upstream stage does not pass.
-            UsageError: Another process writes in this run.
+            GateClosedError, UsageError: An upstream stage does not pass; another process writes here.
             StageCrashedError: Unforeseen exception.
         """
         with disk_errors(self.store.folder), self.store.writing(self.command(name), [name]):
@@ -121,7 +120,6 @@ class Runner:
         return Outcome(self._gate(gate.options).state(name), ran=True)
 
     def _waivers(self, gate: Gate, name: str, closed: list[StageState], reason: str | None) -> tuple[Waiver, ...]:
-        """Return inherited waivers and its own."""
         waivers: list[Waiver] = []
         for upstream in self.table.upstream(name):
             verdict = gate.state(upstream).verdict
@@ -133,7 +131,6 @@ class Runner:
         return tuple(waivers)
 
     def _weakened(self, gate: Gate, entry: StageEntry, loaded: LoadedConfig) -> tuple[str, ...]:
-        """Return values weaker than the shipped profile's, here and upstream."""
         if not loaded.config.acceptance:
             return ()
         own = [f"{entry.name}: {line}" for line in entry.weaker(loaded.config, loaded.reference())]

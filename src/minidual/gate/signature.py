@@ -39,8 +39,7 @@ def signature(key: Path, content: bytes) -> str:
     """Return the signature over `content` by a private key, or by the agent's key if `key` is a public one.
 
     Raises:
-        UsageError: The key cannot be used.
-        EnvironmentMissingError: There is no ssh-keygen.
+        UsageError, EnvironmentMissingError: The key cannot be used; there is no ssh-keygen.
     """
     done = _keygen("sign", "-f", regular_file(key, _KEY_BYTES), content=content)
     if done.returncode:

@@ -32,11 +32,10 @@ class StageContext:
     """Input of a stage; `workers` and `view` must not affect results.
 
     Attributes:
-        folder: Temporary artefact folder.
-        config: Resolved, with options.
+        folder: Temporary.
         upstream: {upstream stage: its folder}.
         code_changes: {upstream stage: modules changed since}; closing stages only.
-        waivers: Own and inherited waivers.
+        waivers: Own and inherited.
     """
 
     folder: Path

@@ -92,10 +92,9 @@ class StageEntry:
     Attributes:
         target: "module:function", see `minidual.gate.stage`.
         reads: Configuration paths that the result depends on.
-        resolve: "module:function" from Config to Config; resolves names; must import quickly.
+        resolve: "module:function" from Config to Config; must import quickly.
         check: "module:function" that raises UsageError before a run.
         asides: Tools that run instead when triggered.
-        watchable: Takes --view.
         keeps: Names in its folder that an attempt takes over from an interrupted one. If any, a replaced result is set
             aside.
         closing: Also checks waivers and code changes.

@@ -24,7 +24,7 @@ class ToolContext:
     """Input of a tool.
 
     Attributes:
-        run_folder: Folder of the run; need not exist.
+        run_folder: Need not exist.
         command: Turns "plan" into the full command.
     """
 
@@ -74,9 +74,7 @@ class ToolResult:
     """Result of a tool.
 
     Attributes:
-        lines: Printed to stdout without --json.
-        notes: Printed to stderr.
-        data: Printed by --json.
+        lines: Printed to stdout, or `data` with --json; `notes` to stderr.
         exit_code: ACCEPTANCE_FAILED if a limit is exceeded.
     """
 

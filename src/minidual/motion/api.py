@@ -144,8 +144,7 @@ class Planner:
         """Plan to all joints or the group's [rad]; the other arm stands still.
 
         Raises:
-            OutOfLimitsError, StartInCollisionError, GoalInCollisionError: Bad start or goal.
-            NoPathInTimeError: Nothing proven within `budget_s`.
+            PlanningError: Bad start or goal, or nothing proven within `budget_s` (NoPathInTimeError).
             UsageError: Bad group or budget, or a goal that moves the other arm.
         """
         work = _Work(self, group, q_start, **options)
@@ -230,7 +229,6 @@ class _Work:
         )
 
     def _search(self, goal: Array, checker: EdgeChecker, effort: Effort, attempt: int) -> Array | None:
-        """Return a free polyline (k, n) or None."""
         if checker.edge_free(self.q_start, goal):
             return np.array([self.q_start, goal])
         return search(
@@ -246,7 +244,6 @@ class _Work:
         )
 
     def _finish(self, path: Array, checker: EdgeChecker, attempt: int) -> tuple[Trajectory, Array]:
-        """Return the trajectory and the shortened polyline, or raise TimingError."""
         if np.abs(path[-1] - path[0]).max() < _SAME_RAD and len(path) == 2:
             return resting(path[0], DT_S, self.group), path
         config = self.config

@@ -89,8 +89,7 @@ class GoalPlanner:
         """Return a goal as joints (n,) or tcp poses {arm: T_world_tcp (4, 4)}.
 
         Raises:
-            UsageError: Unknown name, or an arm outside the group.
-            OutOfLimitsError: Joints outside limits.
+            UsageError, OutOfLimitsError: Unknown name, arm outside the group, or joints outside limits.
         """
         arms = group_arms(group)
         q_start = check_joints(q_start, "start", self.robot)
@@ -126,7 +125,6 @@ class GoalPlanner:
         return {arm: tips[arm] for arm in arms}
 
     def _frame(self, name: str, q_start: Array, scene: PlanningScene) -> Array:
-        """Return T_world_frame, or raise UsageError."""
         if name == "world":
             return np.eye(4)
         for shape in scene.obstacles:

@@ -122,9 +122,8 @@ class PoseGoals:
         """Return free configurations (n,), nearest to the start first.
 
         Raises:
+            IKUnreachableError, GoalInCollisionError: None exists.
             UsageError: Wrong arms or invalid pose.
-            IKUnreachableError: A pose is out of reach.
-            GoalInCollisionError: All solutions collide.
         """
         restarts_n = restarts_scale * self._restarts_n
         solutions = {

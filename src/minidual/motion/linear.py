@@ -108,8 +108,7 @@ class LinearPlanner:
         """Return the straight move from q_start (n,) to {arm: T_world_tcp (4, 4)}; tcps end together.
 
         Raises:
-            LinearMoveError: It covers less than `fraction_min`, deviates, or is not proven.
-            TimingError: The limits cannot be kept.
+            LinearMoveError, TimingError: It covers less than `fraction_min`, deviates, or is not proven.
             UsageError, OutOfLimitsError, StartInCollisionError: Bad query.
         """
         checked = check_targets(group, targets)
@@ -181,7 +180,6 @@ class LinearPlanner:
         engines: SceneEngines,
         limits: PathLimits,
     ) -> LinearMove:
-        """Return the proven move, shortened after failed proofs."""
         length = float(marks[-1])
         for back_off in range(_BACK_OFFS):
             keep = len(Q) - 2**back_off + 1
@@ -197,7 +195,6 @@ class LinearPlanner:
         raise _cut_short(group, 0.0, reason or "there is no room to begin")
 
     def _deviation(self, trajectory: Trajectory, way: Array, lines: Mapping[str, Line]) -> tuple[float, float]:
-        """Return the largest deviation ([m], [rad])."""
         rows = np.unique(np.append(np.arange(0, len(way), 5), len(way) - 1))
         off = [
             lines[arm].off(self._ik[arm].tcp_pose(trajectory.q[k, self._ik[arm].joints]), float(way[k]))

@@ -39,10 +39,8 @@ class PlanResult:
     """A proven plan.
 
     Attributes:
-        path: Polyline (n, dof) after shortcutting.
+        path: Polyline (n, dof) after shortcutting; `direct` if one segment.
         q_goal: Goal reached (dof,).
-        attempts_n: Includes the successful one.
-        direct: Whether `path` is one segment.
         notes: Why earlier attempts failed, or a straight move ends early.
     """
 

@@ -30,7 +30,6 @@ def shortcut(path: Array, checker: EdgeChecker, rng: np.random.Generator, rounds
 
 
 def _drop_vertices(path: Array, checker: EdgeChecker) -> Array:
-    """Connect each kept vertex to the farthest reachable one."""
     kept = [0]
     last = len(path) - 1
     while kept[-1] < last:

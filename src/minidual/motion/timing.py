@@ -93,7 +93,7 @@ def drive(
     """Return the 1 kHz trajectory of profile sd (n,) on s (n,), slowed to the limits, and s at its samples.
 
     Raises:
-        TimingError: Slowing down does not suffice.
+        TimingError: That does not suffice.
     """
     robot, factor = kinematics.robot, 1.0
     v_max, a_max = limits.velocity_scale * robot.v_max, limits.acceleration_scale * robot.a_max

@@ -21,7 +21,7 @@ class Demonstrations:
         images: (N, H, W, 3) uint8 by camera.
         state, action: (N, dim): joints [rad], left then right, gripper openings.
         episode_index: (N,) ascending.
-        keyframes_n: Gripper switches per episode used as keyframes (K).
+        keyframes_n: Gripper switches used per episode (K).
         phase: (N,) gripper switches before the tick.
         keyframe_ticks: (N, K) rows of the episode's first K switches, or -1.
         last_tick: (N,) the episode's last row.

@@ -63,8 +63,7 @@ class PolicyKind(ABC):
         On a CPU, equal inputs give equal checkpoints. `resume_dir` keeps interrupted training.
 
         Raises:
-            DataError: Unusable dataset, or existing `folder`.
-            UsageError: Training diverges.
+            DataError, UsageError: Unusable dataset, existing `folder`, or the training diverges.
             EnvironmentMissingError: Missing device.
         """
 

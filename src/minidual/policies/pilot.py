@@ -28,8 +28,7 @@ def load_runtime(checkpoint: Path, config: DeployConfig, robot: Robot) -> Policy
     """Load a checkpoint, clamped to the joint limits.
 
     Raises:
-        DataError: Missing or corrupt checkpoint.
-        UsageError: Checkpoint for other arms.
+        DataError, UsageError: Corrupt checkpoint, or one for other arms.
     """
     return PolicyRuntime.load(
         checkpoint,
@@ -49,8 +48,7 @@ def next_command(runtime: PolicyRuntime, world: World, picture: Picture, sequenc
     """Return the policy's command for the current images and state.
 
     Raises:
-        DataError: An image or state does not fit the policy.
-        PolicyStoppedError: A camera fails or is late, or what the policy sees or emits is broken.
+        DataError: An input does not fit; PolicyStoppedError: a camera fails, or see `PolicyRuntime.act`.
     """
     images = {name: partial(_taken, picture, name, world) for name in runtime.cameras}
     action, n = runtime.act(images, np.concatenate([world.q, world.gripper])), runtime.joints_n

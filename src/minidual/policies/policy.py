@@ -23,8 +23,7 @@ class PolicyRuntime:
     """Maps images and state to actions.
 
     Args:
-        n_action_steps: Ticks per inference.
-        blend_ticks: Ticks over which a chunk replaces the last one.
+        n_action_steps, blend_ticks: See DeployConfig.
         limits: Joint limits (lower, upper) [rad] for clamping.
 
     Raises:
@@ -90,8 +89,7 @@ class PolicyRuntime:
         `images` are (H, W, 3) uint8, or functions that render them when needed; `state` is (dim,).
 
         Raises:
-            DataError: Missing or wrong image, or non-finite value.
-            PolicyStoppedError: A frozen picture, or actions that no clamp may hide.
+            DataError: Missing or wrong input; PolicyStoppedError: what no clamp may hide.
         """
         n = self.joints_n
         if self._chunk is None or self._cursor >= self._steps:

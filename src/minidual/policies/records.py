@@ -98,7 +98,6 @@ def draw_loss(result: TrainResult, path: Path) -> None:
 
 
 def _smooth(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Moving mean over a twentieth of the points."""
     from scipy.ndimage import uniform_filter1d
 
     return uniform_filter1d(values, 2 * max(1, len(values) // 40) + 1, mode="nearest")

@@ -45,8 +45,6 @@ class Trained(NamedTuple):
 
 @dataclass
 class _State:
-    """Saved besides weights and optimiser."""
-
     step: int = 0
     spent_s: float = 0.0
     first_l1: list[float] = field(default_factory=list)

@@ -118,7 +118,6 @@ class Solids:
 
 @functools.cache
 def _joints(robot: Robot) -> np.ndarray:
-    """Return rows of `planes.JOINT`."""
     parents = Kinematics(robot).model.parents
     rows = [(parents[k], T.rotation, T.translation) for k, T in enumerate(hinges(robot)[0], start=1)]
     return np.array(rows, dtype=planes.JOINT)

@@ -121,8 +121,7 @@ class Hands:
     """Placement of both hands, in Pinocchio's own memory: reading costs nothing, copy what you keep.
 
     Attributes:
-        p: Left and right tcp positions (3,) [m].
-        R: Orientations (3, 3) in the world.
+        p, R: Left and right tcp positions (3,) [m] and orientations (3, 3).
         J: (6, n), [linear; angular], of the moving bodies' points at the world's origin.
     """
 

@@ -62,11 +62,8 @@ class ArmModel:
         flange_link: Carries the hand.
         mount_rpy_rad: Palm in the flange's frame.
         base_xy_m: Left base; the right one mirrors y. Both face +x.
-        v_max: [rad/s].
-        a_max: [rad/s^2].
-        jerk_max: [rad/s^3].
-        tau_max: [Nm].
-        tau_rate_max: [Nm/s].
+        v_max, a_max, jerk_max: [rad/s] and its derivatives.
+        tau_max, tau_rate_max: [Nm], [Nm/s].
         armature: Reflected rotor inertia [kg m^2].
         damping: [Nm s/rad].
         friction: Dry friction [Nm].

@@ -71,7 +71,6 @@ def arm_visuals(arm: ArmModel) -> tuple[VisualMesh, ...]:
 
 
 def _coloured(path: Path, colour: _Colour | None) -> list[tuple[_Colour, Array, npt.NDArray[np.int64]]]:
-    """Return (colour, vertices, faces) by colour."""
     import trimesh
 
     by_colour: dict[_Colour, list[trimesh.Trimesh]] = {}

@@ -186,7 +186,6 @@ class StackNarrator:
         )
 
     def _planned(self) -> Preview:
-        """Return TCP paths of the executing trajectories, cached."""
         found = (execution.command for execution in self._stack.arbiter.underway.executions)
         commands = tuple(command for command in found if isinstance(command, TrajectoryCommand))
         if [id(command) for command in commands] != [id(command) for command in self._drawn]:

@@ -121,7 +121,6 @@ def _record(
     results: Sequence[TrialResult],
     shown: Mapping[str, int],
 ) -> dict[str, TrialLog]:
-    """Record median, worst and first failed trials for `minidual replay`; return their logs."""
     logs: dict[str, TrialLog] = {}
     failed = [i for i, result in enumerate(results) if not result.success]
     named = [(i, f"trial{i:03d}") for i in failed[:RECORDED_FAILURES_MAX] if i not in shown.values()]

@@ -135,7 +135,6 @@ def common_checks(agreement: float, repeatable: bool, carries_failed_n: int, con
 
 
 def _counts(outcomes: Outcomes) -> dict[str, Any]:
-    """Return counts by group, beyond checks and queries.csv."""
     counts: dict[str, Any] = {}
     for group, done in outcomes.items():
         solved = [o.result for o in done if o.result is not None]

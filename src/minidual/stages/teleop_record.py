@@ -111,6 +111,5 @@ def run(context: StageContext) -> StageResult:
 
 
 def _commonest(attempts: Sequence[Attempt]) -> str:
-    """Return the most common reason with its count."""
     (reason, count) = Counter(a.reason for a in attempts).most_common(1)[0]
     return f"{count} x {reason}"

@@ -5,8 +5,7 @@ Jacobians (Sola, "A micro Lie theory for state estimation in robotics", 2018):
 
     dF/dq = Jlog6(E) [ -Ad(E^-1) J_left,  Ad(T_left_right) J_right ]
 
-OMPL needs both ends on the manifold, a box around them, and charts at them. It keeps F only to 1e-4, so its states
-need another projection.
+OMPL keeps F only to 1e-4, so its states need another projection.
 """
 
 import time

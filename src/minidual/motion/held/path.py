@@ -163,7 +163,7 @@ def fine_curve(hands: HandsIK, path: ObjectPath, solve: Callable[[Array, Array],
     `solve` maps marks (k,) and object poses to joints (k, n).
 
     Raises:
-        ClosedChainError: `solve` failed, or refining did.
+        ClosedChainError: It fails.
     """
     count = max(_POINTS_MIN, int(np.ceil(path.length / _STEP_M)))
     strays = before = (np.inf, np.inf)

@@ -113,11 +113,8 @@ class HeldPlanner:
         """Return a proven trajectory to the goal. Equal queries give equal trajectories.
 
         Raises:
-            ClosedChainError: Hands off their grasps, or goal postures at joint limits.
-            StartInCollisionError, GoalInCollisionError: Start or goal postures collide.
-            IKUnreachableError: The goal is out of reach.
-            NoPathInTimeError: Nothing proven within `budget_s`.
-            OutOfLimitsError, UsageError: Bad query.
+            PlanningError: Bad start or goal, or nothing proven within `budget_s` (NoPathInTimeError).
+            UsageError: Bad query.
         """
         return HeldWork(self, query, budget_s).run()
 
@@ -145,8 +142,7 @@ class HeldPlanner:
 
         Raises:
             NotFreeError: No proof.
-            ClosedChainError: Bad start, hand out of reach, jump, or error over 0.05 mm or 0.025 degrees.
-            TimingError: The limits cannot be kept.
+            ClosedChainError, TimingError: The hands or the limits cannot follow.
             OutOfLimitsError, UsageError: Bad arguments.
         """
         q_start = check_joints(q_start, "start", self.planner.robot)
@@ -159,7 +155,6 @@ class HeldPlanner:
 
 
 def _proven(motion: CarriedTrajectory, engines: SceneEngines) -> CarriedTrajectory:
-    """Return the trajectory with its proof, or raise NotFreeError."""
     proof = engines.verify(motion)
     if not proof.ok:
         raise NotFreeError(f"the carried path is not free: {proof.reason}")
@@ -167,8 +162,6 @@ def _proven(motion: CarriedTrajectory, engines: SceneEngines) -> CarriedTrajecto
 
 
 def _continued(hands: HandsIK, path: ObjectPath, q_start: Array) -> HeldCurve:
-    """Follow an object path from q_start (n,), or raise ClosedChainError."""
-
     def solve(_marks: Array, Ts_world_object: Array) -> Array:
         joints, ended = hands.follow(Ts_world_object, q_start)
         if ended is not None:
@@ -266,7 +259,6 @@ class HeldWork:
         return EdgeChecker(self._engines, padding_m, (self._q_start, q_goal), self._config.edge_step_rad)
 
     def _touching(self, joints: Array) -> str:
-        """Describe the nearest parts along joints (m, n)."""
         near = [
             (pair.distance_m, str(pair)) for q in joints for pair in self._engines.closest(q, self._config.padding_m)
         ]

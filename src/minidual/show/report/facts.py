@@ -43,7 +43,6 @@ class Facts:
         pairs: Undisturbed pairs of methods.
         partings: Disturbed pairs with a significant difference.
         losses: Significant effects of a disturbance.
-        margins: The thinnest ones, thinnest first.
         at_best_n: Passed checks at their best value, without margin.
     """
 

@@ -131,7 +131,6 @@ def read_trials(path: Path) -> list[Trial]:
 
 
 def _value(trial: Trial, indicator: Indicator) -> float | None:
-    """Return a trial's indicator as displayed; None if missing."""
     try:
         return float(trial[indicator.column]) * indicator.scale
     except ValueError:

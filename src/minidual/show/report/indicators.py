@@ -12,11 +12,9 @@ class Indicator:
 
     Attributes:
         key: Key in the benchmark's data.
-        column: Column of benchmark.csv.
         scale: Displayed value / SI value.
         excellent: Limit, SI.
         spread: Keys of middle and 95 % interval.
-        meaning: Legend.
         needs_success: Undefined without a success.
     """
 

@@ -38,7 +38,6 @@ class Cell:
     Attributes:
         state: "spared": does not apply; "missing": no success rate.
         measures: By indicator key; None if missing or undefined.
-        loss: Comparison with the undisturbed starts.
         failures: (reason, trials), most frequent first.
         stopped: Failed trials that the method itself stopped.
     """

@@ -122,7 +122,6 @@ class Guard:
         return response
 
     def _refusal(self, request: Request, cookie: str) -> str:
-        """Return why a request is refused; empty if it is not."""
         hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
         if len(hosts) != 1 or not self._is_here(hosts[0]):
             return f"it asks for host {', '.join(hosts)[:80] or 'none'}, not for this machine"

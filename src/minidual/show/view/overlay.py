@@ -46,10 +46,8 @@ class Overlay:
     """State at one instant. Empty text and None are not shown.
 
     Attributes:
-        mode: Source that may drive, or method.
-        source: Source that reaches the motors.
-        state: Arbiter state and method phase.
-        pinch_n: Per hand (left, right).
+        mode, source: What may drive, and what reaches the motors.
+        state: Of the arbiter, and the phase.
         internal_n: Squeeze along the object.
     """
 

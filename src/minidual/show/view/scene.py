@@ -143,5 +143,4 @@ class Scene:
 
 
 def _name(model: mujoco.MjModel, body: int) -> str:
-    """Return a unique name without slashes."""
     return f"{body}_{model.body(body).name.replace('/', '_')}"

@@ -60,7 +60,6 @@ def _visible(model: mujoco.MjModel) -> Iterator[tuple[int, trimesh.Trimesh]]:
 
 
 def _mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
-    """Return a mesh in geom frame, None for a plane."""
     size, kind = model.geom_size[geom], mujoco.mjtGeom(int(model.geom_type[geom]))
     if kind == mujoco.mjtGeom.mjGEOM_MESH:
         mesh = model.mesh(int(model.geom_dataid[geom]))

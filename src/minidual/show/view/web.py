@@ -26,8 +26,6 @@ _FAREWELL_S = 0.3
 
 
 class _Server(viser.ViserServer):
-    """Viser server without public tunnels."""
-
     def request_share_url(self, verbose: bool = True) -> None:
         """Do nothing."""
         del verbose
@@ -44,8 +42,7 @@ class WebView:
     `update` copies; it never waits for browsers. A drawing error is reported once and ends the view.
 
     Raises:
-        UsageError: Unusable interface, or no free port.
-        EnvironmentMissingError: Another viser, which cannot be guarded.
+        UsageError, EnvironmentMissingError: Unusable interface, no free port, or a viser that cannot be guarded.
     """
 
     name = "web"

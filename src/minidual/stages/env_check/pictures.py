@@ -68,7 +68,6 @@ def renderer_name() -> str:
 
 
 def _gl_renderer() -> str:
-    """Return the renderer of the current OpenGL context."""
     name = GL.glGetString(GL.GL_RENDERER)
     return name.decode() if isinstance(name, bytes) else "unknown"
 
