@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from carry_trials import sample_trial
 from panda import TAU_MAX, TAU_RATE_MAX
-from test_carry_faults import untouched
 
 from minidual.config.control import CarryConfig, SensingConfig
 from minidual.config.seeds import stream
@@ -121,14 +120,14 @@ class Disturbed:
 
 
 def play(world: World, seed: int) -> str:
-    kept = world.model.body_mass.copy(), world.model.body_inertia.copy()
+    model = world.model
+    kept = model.body_mass.copy(), model.body_inertia.copy(), model.geom_friction.copy()
     try:
-        with untouched(world):
-            return Disturbed(world, seed).play()
+        return Disturbed(world, seed).play()
     finally:
         world.data.xfrc_applied[:] = 0.0
-        world.model.body_mass[:], world.model.body_inertia[:] = kept
-        mujoco.mj_setConst(world.model, mujoco.MjData(world.model))
+        model.body_mass[:], model.body_inertia[:], model.geom_friction[:] = kept
+        mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
 @pytest.mark.parametrize("seed", [5, 7, 101])
