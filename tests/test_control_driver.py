@@ -35,8 +35,10 @@ from minidual.control.soft_stop import TorqueRate
 from minidual.control.stack import OBJECT_CONTROLLERS, ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
+from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
+from minidual.skills.supervised import SceneClearance
 
 CONFIG = ArbiterConfig()
 EVENTS, TICKS, REST_TICKS, STILL_TICKS = 40, 20, 800, 100
@@ -69,11 +71,15 @@ class Driver:
 
     def __init__(self, scene: SceneConfig) -> None:
         self.plant = Arms(scene)
-        self.supervisor = Supervisor(dt_s=self.plant.dt, self_distance=lambda q: self.distance(q))
+        self.clearance = SceneClearance(DUAL_PANDA)
+        self.supervisor = Supervisor(
+            dt_s=self.plant.dt, self_distance=lambda q: self.distance(q), clearance=self.clearance
+        )
         self.distance: Callable[[Array], tuple[str, float]] = lambda q: ("a with b", 1.0)
         self.held = HandsObject(self.plant)
         self.stack = ControlStack(self.plant, Kinematics(), CONFIG, supervisor=self.supervisor, sensor=self.held)
         self.seen: Counter[str] = Counter()
+        self.rare = RARE
         self.broken_listener = False
         self.stack.on_flush(self.flushed)
 
@@ -88,15 +94,16 @@ class Driver:
         self.plant.reset()
         self.distance, self.broken_listener = (lambda q: ("a with b", 1.0)), False
         self.stack.reset()
+        self.stack.speed_override = 1.0
         self.told, self.target = self.supervisor._before_control(self.plant.q), HOME
         self.allowed: str | None = None
-        names = list(RARE)
+        names = list(self.rare)
         self.stack.impedance.configure(self.held.held())
         first = SETS[self.rng.integers(len(SETS))]
         self._try(lambda: self.stack.request(SOURCES[self.rng.integers(3)], first))
         for _ in range(EVENTS):
             event = "speak" if self.rng.random() < 0.8 else names[self.rng.integers(len(names))]
-            (self.speak if event == "speak" else RARE[event].__get__(self))()
+            (self.speak if event == "speak" else self.rare[event].__get__(self))()
             for _ in range(int(self.rng.integers(1, TICKS))):
                 self.tick()
         if self.stack.reflex is not None:
@@ -248,6 +255,27 @@ class Driver:
             self.tick()
         self.plant.touch_nothing()
 
+    def override(self) -> None:
+        self.stack.speed_override = float(self.rng.choice([0.1, 0.3, 1.0]))
+
+    def dive(self) -> None:
+        """The source drives the arms fast at the table or at one another; they never get there."""
+        stack, ways = self.stack, (np.eye(DOF)[1] + np.eye(DOF)[8], np.eye(DOF)[7] - np.eye(DOF)[0])
+        if stack.source is None or stack.reflex is not None or self.plant.lies:
+            return
+        here = np.clip(stack.output.q_target, Q_LOWER, Q_UPPER)
+        motion = move(here, np.clip(here + 0.9 * ways[self.rng.integers(2)], Q_LOWER, Q_UPPER), 0.9)
+        self.sequence += 1
+        stack.propose(stack.source, TrajectoryCommand(motion, np.ones(2), self.plant.time, self.sequence))
+        for k in range(1000):
+            if not stack.executing or stack.source is None:
+                break
+            stack.affirm(stack.source)
+            self.tick()
+            if k % 20 == 0:
+                pair, distance, bound = self.clearance(self.plant.__dict__["q"])
+                assert distance > bound - 0.004, f"{pair}: {distance:.4f} m"
+
     def grip(self) -> None:
         """Both hands feel something between their fingers; if they do already, it is gone."""
         self.plant.grip = np.full(2, 0.0 if self.plant.grip.any() else 60.0)
@@ -297,6 +325,7 @@ RARE: dict[str, Any] = {
     "ask again": Driver.request,
     "recover again": Driver.recover,
 }
+FAST: dict[str, Any] = {name: getattr(Driver, name) for name in ("dive", "override", "request", "halt", "recover")}
 
 
 @pytest.fixture
@@ -308,6 +337,16 @@ def test_random_episodes_keep_every_rule(driver: Driver) -> None:
     driver.play(*range(5))
     assert driver.seen["recovered"] > 0
     assert {"teleop", "policy", "controller_failed"} & set(driver.seen)
+
+
+def test_arms_driven_at_the_table_and_at_one_another_never_get_there(driver: Driver) -> None:
+    driver.rare = FAST
+    driver.play(4, 11, 12)
+    assert driver.seen["stopping_distance"] == 3
+
+    driver.supervisor._clearance = None  # negative control
+    with pytest.raises(AssertionError, match="with"):
+        driver.play(4, 11, 12)
 
 
 @pytest.mark.slow
