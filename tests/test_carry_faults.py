@@ -33,6 +33,7 @@ POINTS = (
     ("squeeze", 0.1),
     *(("carry", after_s) for after_s in (0.2, 0.4, 0.8, 1.0, 1.4)),
     ("open", 0.0),
+    ("retreat", 0.1),
     ("done", 0.0),
 )
 """Where tests branch off from the one carry: a phase, and for how long it has lasted [s]."""
@@ -149,6 +150,7 @@ def a_hand_has_closed_past(world: World) -> bool:
 
 SCENARIOS = {
     "kicked before the grasp": ("knocked_away", "approach", 0.8, rod_moves((0.6, 0.0, 0.0)), None),
+    "kicked after the release": ("knocked_away", "retreat", 0.1, rod_moves((0.6, 0.0, 0.0)), None),
     "gone when the hands close": ("missed_grasp", "close", 0.0, rod_vanishes, a_hand_has_closed_past),
     "torn from the hands": ("object_lost", "carry", 1.4, rod_vanishes, None),
     "pads grow smooth": ("slip", "carry", 1.4, grows_smooth(0.1), None),

@@ -256,11 +256,10 @@ class ImpedanceCarry:
             lost = watch.sensors(moving=phase in ("squeeze", "carry"))
             if lost is not None:
                 return lost
-        if phase in ("approach", "descend"):
-            return watch.resting()
-        moved = None if phase in ("stop", "done") else watch.grippers(_TOLD.get(phase, ""))
-        if moved is not None:
-            return moved
+        untouched = phase in ("approach", "descend", "retreat")
+        hands = None if phase in ("approach", "descend", "stop", "done") else watch.grippers(_TOLD.get(phase, ""))
+        if hands is not None or untouched:
+            return hands or watch.resting()
         if phase == "close":
             return None if watch.gripped else watch.closing(self.world.time - self._began_s)
         if phase in ("squeeze", "carry"):
