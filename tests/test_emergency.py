@@ -88,7 +88,7 @@ def test_the_command_stop_stops_a_running_command_and_its_workers(
         _until(lambda: len(list(folder.glob("moving-*"))) == 2)
         assert _stop(tmp_path, "--json") == ExitCode.PASS
         assert json.loads(capsys.readouterr().out)["stopped"] == [process.pid]
-        _, said = process.communicate(timeout=10)
+        _, said = process.communicate(timeout=60)
     assert "EmergencyStop: emergency stop (signal SIGUSR1)" in said
     assert [path.read_text() for path in folder.glob("moving-*")] == ["signal SIGUSR1"] * 2
 

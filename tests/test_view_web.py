@@ -85,14 +85,14 @@ def test_another_interface_must_be_asked_for_and_is_warned_of() -> None:
 def test_page_and_socket_answer_and_the_port_is_free_afterwards(
     view: WebView, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    with urllib.request.urlopen(str(view.url), timeout=5) as answer:
+    with urllib.request.urlopen(str(view.url), timeout=30) as answer:
         page = answer.read().decode()
     assert answer.status == 200
     assert "<script" in page
     with pytest.raises(urllib.error.HTTPError):
-        urllib.request.urlopen(str(view.url).replace("/?", "/../../etc/passwd?"), timeout=5)
+        urllib.request.urlopen(str(view.url).replace("/?", "/../../etc/passwd?"), timeout=30)
     with connect(_socket(view), subprotocols=[SUBPROTOCOL], max_size=None) as client:  # type: ignore[list-item]
-        first = client.recv(timeout=5)
+        first = client.recv(timeout=30)
         assert isinstance(first, bytes)
         assert len(first) > 100
     view.close()
