@@ -5,8 +5,6 @@
 * `ObjectCommand`      timed object path with squeeze
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum

@@ -5,8 +5,6 @@
 M gives every joint the same natural frequency wn. h: Coriolis, centrifugal and gravity torques.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 

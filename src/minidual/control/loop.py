@@ -1,7 +1,5 @@
 """Joint control without arbiter and supervisor, for measurements and the Gymnasium environment."""
 
-from __future__ import annotations
-
 from minidual.control.gripper import Grippers
 from minidual.control.joint_control import ComputedTorque
 from minidual.control.reference import ReferenceFilter

@@ -1,7 +1,5 @@
 """Latest valid command of one source, per arm."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import replace
 

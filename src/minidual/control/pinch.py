@@ -7,8 +7,6 @@ Each hand also carries half the weight:
 Torsional friction is neglected; the hands' torsional springs hold that rotation.
 """
 
-from __future__ import annotations
-
 import math
 
 from minidual.errors import UsageError

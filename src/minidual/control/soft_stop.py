@@ -1,7 +1,5 @@
 """Smooth stops with bounded torque rate."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

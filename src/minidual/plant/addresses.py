@@ -1,7 +1,5 @@
 """Indices of joints in `qpos`, `qvel` and `ctrl`, mapped through `actuator_trnid`: ids and names are unreliable."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """A plant with delayed measurements."""
 
-from __future__ import annotations
-
 from collections import deque
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Compile the MuJoCo model."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 

@@ -1,7 +1,5 @@
 """Record the last second or a whole trial for replay."""
 
-from __future__ import annotations
-
 import itertools
 import re
 from collections import deque

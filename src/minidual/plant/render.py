@@ -1,7 +1,5 @@
 """Off-screen rendering and video."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable
 from fractions import Fraction

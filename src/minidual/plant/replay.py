@@ -1,7 +1,5 @@
 """Replay a recording: does it repeat to the bit, and what left its bounds first."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

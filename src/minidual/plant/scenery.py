@@ -1,7 +1,5 @@
 """Table, marks, obstacle and objects in the MuJoCo model."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mujoco

@@ -1,7 +1,5 @@
 """Convert a task to the planner's object, scene and stages."""
 
-from __future__ import annotations
-
 import itertools
 
 from minidual.collision.scene import PlanningScene

@@ -3,8 +3,6 @@
 The hands close, then follow the plan by position. Only the score uses the true pose.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

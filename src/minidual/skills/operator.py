@@ -3,8 +3,6 @@
 It knows the rod's start and goal; fixed timing makes its motion a smooth, learnable function of them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

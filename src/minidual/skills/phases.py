@@ -3,8 +3,6 @@
 Position-driven phases are planned and timed; force-driven phases use object impedance and felt contact.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from minidual.motion.timing import PathLimits

@@ -1,7 +1,5 @@
 """Plan the whole task, then execute it by position: the internal force results from stiff joints."""
 
-from __future__ import annotations
-
 from minidual.control.stack import ControlStack
 from minidual.motion.api import Planner
 from minidual.plant.world import World

@@ -1,7 +1,5 @@
 """Postures that grasp the object at its ends."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Handover: the left hand fetches a bottle, the right takes it in the air."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from minidual.config.change import preset

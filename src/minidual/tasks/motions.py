@@ -1,7 +1,5 @@
 """Table of carry motions: goal and obstacle."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

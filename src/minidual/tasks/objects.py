@@ -3,8 +3,6 @@
 Parallel grippers hold them from above: 80 mm opening, pads 3 mm over the axis.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any

@@ -1,7 +1,5 @@
 """Benchmark: every method under every condition, from the same starts."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

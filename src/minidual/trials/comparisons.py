@@ -4,8 +4,6 @@ Success: McNemar's exact test, Newcombe's interval. Completion time, over starts
 median difference.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from itertools import combinations

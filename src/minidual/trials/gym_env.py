@@ -3,8 +3,6 @@
 env = gymnasium.make("minidual.trials.gym_env:minidual/RodCarry-v0", images=("high",), render_mode="rgb_array")
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, ClassVar
 

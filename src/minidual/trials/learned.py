@@ -1,7 +1,5 @@
 """Learned methods: a trained policy drives through the command arbiter."""
 
-from __future__ import annotations
-
 from minidual.errors import UsageError
 from minidual.plant.render import Camera
 from minidual.plant.world import World

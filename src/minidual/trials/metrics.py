@@ -1,7 +1,5 @@
 """Metrics of trials, and their summary. Missing values are NaN, and words in CSV and JSON."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence

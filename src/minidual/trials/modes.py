@@ -1,7 +1,5 @@
 """Demonstration: planner, leader and policy drive one plant in turn, measured at every control step."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Turns of the mode demonstration: planned motion, a scripted leader, the trained policy."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Success lost by one method under each promised condition."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

@@ -8,8 +8,6 @@
 Each step is five carries; the worst counts.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Stage of the held object: lift, carry, lower."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Stages of the hands: reach, descend, close, open, retreat, home."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Best-first search over a task's stages; deepest first at equal cost."""
 
-from __future__ import annotations
-
 import heapq
 import itertools
 import time

@@ -1,7 +1,5 @@
 """Stages, their offers, and the planners of a search."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Plan query sets and record the results."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from time import perf_counter, process_time

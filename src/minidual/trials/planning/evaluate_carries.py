@@ -1,7 +1,5 @@
 """Plan held-object moves and the task's carries."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ Goals are up to 0.5 m and 90 degrees away; in every second move obstacles block 
 witness, which proves that it is feasible: a timed, proven path of a long search. Other draws are counted and left out.
 """
 
-from __future__ import annotations
-
 import time
 from contextlib import suppress
 from dataclasses import dataclass

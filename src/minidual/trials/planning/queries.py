@@ -4,8 +4,6 @@ IK solves poses over the table. Except for kind "any", the straight line in join
 `query_set` proves feasibility.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property

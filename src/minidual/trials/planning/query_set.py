@@ -4,8 +4,6 @@ Each query has a witness, which proves that it is feasible: corners of a polylin
 0.002 rad. `python scripts/make_query_set.py SEED` makes a set.
 """
 
-from __future__ import annotations
-
 import functools
 from importlib.resources import files
 from itertools import pairwise
