@@ -13,7 +13,7 @@ from minidual.errors import UsageError
 from minidual.motion.api import Planner
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.skills.cycle import pipeline_of
+from minidual.skills.cycle import pipeline_of, thing_of
 from minidual.skills.pipeline.drive import Drive
 from minidual.skills.planned_carry import PlannedCarry
 from minidual.skills.supervised import trial_supervisor
@@ -36,7 +36,8 @@ def bench() -> World:
 def run(world: World, planner: Planner, seed: int) -> tuple[Outcome, PlannedCarry]:
     trial = TASK.trial(seed, "plan", 0)
     judge = begin(world, TASK, trial)
-    supervisor = trial_supervisor(TASK.config.supervisor, world.dt, world.robot)
+    shape = thing_of(TASK.objects[TASK.carried].body).shape
+    supervisor = trial_supervisor(TASK.config.supervisor, world.dt, world.robot, shape=shape)
     carry = PlannedCarry(ControlStack(world, Kinematics(), supervisor=supervisor), planner, TASK, trial, seed)
     return drive(world, judge, carry), carry
 

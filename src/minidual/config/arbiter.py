@@ -22,4 +22,4 @@ class ArbiterConfig(StrictModel):
     """A larger step of a joint target is ramped at `align_speed_rad_s`; no trajectory may start farther away."""
     align_speed_rad_s: float = Field(default=1.0, ge=0.01, le=2.0)
     speed_override: float = Field(default=1.0, ge=SPEED_OVERRIDE_MIN, le=1.0)
-    """Share of full speed of all motion: trajectories, object paths, alignment and streamed targets."""
+    """Share of full speed of all motion."""

@@ -28,7 +28,7 @@ _BRAKE_RAMP_S = 0.03
 _PACE_SLOPE, _PACE_S = 4.0, 0.1
 """Largest change of the rate [1/s], and its time constant."""
 _OVERRIDE_SLEW = 0.3
-"""Change of the override [1/s]: at 2.2 rad/s it takes less than the tenth of a_max that plans leave."""
+"""Change of the override [1/s]: plans leave a tenth of a_max."""
 _TURN_PER_S, _SHIFT_M_PER_S = 8.0, 2.0
 """Largest rates of a pose's entries, of rotation and position; twice what is accepted."""
 _STOPPED_RATE = 1e-4
@@ -75,7 +75,7 @@ class _Execution:
             self.brake()
 
     def limit_speed(self, share: float) -> None:
-        """Set the speed override, up to 1; before the first step it holds at once, then it is approached slowly."""
+        """Set the speed override, up to 1; reached slowly after the first step."""
         self._speed = share
         if not self._paced and self._k < 0:
             self._speed_now = self._rate = share

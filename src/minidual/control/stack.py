@@ -197,7 +197,7 @@ class ControlStack[P: Plant]:
 
     @property
     def speed_override(self) -> float:
-        """Share of full speed, 0.1 to 1; may change in motion, stays until changed.
+        """Share of full speed, 0.1 to 1, also in motion.
 
         Raises:
             UsageError: When set outside its range.

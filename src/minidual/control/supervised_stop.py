@@ -29,7 +29,7 @@ _SLOWER = (1.0, 0.75, 0.5)
 
 @kernel(types.void(*[VECTOR] * 6))
 def slopes(q: Array, v: Array, brake: Array, q_lower: Array, q_upper: Array, slope: Array) -> None:
-    """Fill the decrease of r (n,) [1/s] at full braking: the slowest joint's, or their own near position limits."""
+    """Fill the decrease of r (n,) [1/s] at full braking, common but near position limits."""
     common = math.inf
     for j in range(len(q)):
         slope[j] = brake[j] / max(abs(v[j]), brake[j] * _LEAST_S)
@@ -42,7 +42,7 @@ def slopes(q: Array, v: Array, brake: Array, q_lower: Array, q_upper: Array, slo
 
 @kernel(types.void(*[VECTOR] * 3, types.float64, *[VECTOR] * 3))
 def stopped_at(q: Array, v: Array, slope: Array, ahead_s: float, q_lower: Array, q_upper: Array, q_rest: Array) -> None:
-    """Fill the posture of rest (n,); r falls symmetrically, so its integral is half its duration."""
+    """Fill the posture of rest (n,); r falls symmetrically."""
     for j in range(len(q)):
         way = v[j] * (ahead_s + 0.5 / slope[j] + 0.5 * _RAMP_S)
         q_rest[j] = min(max(q[j] + way, q_lower[j]), q_upper[j])
@@ -50,7 +50,7 @@ def stopped_at(q: Array, v: Array, slope: Array, ahead_s: float, q_lower: Array,
 
 @kernel(types.boolean(VECTOR, VECTOR))
 def fit(tau: Array, bounds: Array) -> bool:
-    """Return whether all torques (n,) are within their bounds."""
+    """Return whether all torques are within their bounds."""
     within = True
     for j in range(len(tau)):
         within = within and abs(tau[j]) <= bounds[j]
@@ -78,7 +78,7 @@ class SupervisedStop:
         self._rate = TorqueRate(np.clip(tau, -robot.tau_max, robot.tau_max), self._dt, robot.arm.tau_rate_max)
 
     def rest(self, q: Array, v: Array, ahead_s: float) -> Array:
-        """Return the posture (n,) of rest of a stop that begins `ahead_s` later."""
+        """Return the posture of rest (n,) of a stop `ahead_s` later."""
         v_0, q_rest = np.empty_like(q), np.empty_like(q)
         np.minimum(np.maximum(v, -self._v_max, v_0), self._v_max, v_0)
         stopped_at(q, v_0, self._largest_slope(q, v_0), ahead_s, *self._range, q_rest)

@@ -30,14 +30,14 @@ Distance = Callable[[Array], tuple[str, float]]
 
 
 class Clearance(Protocol):
-    """Distances between all that may collide: the arms' links, what surrounds them, and a held object."""
+    """Distances between all that may collide."""
 
     def __call__(self, q: Array) -> tuple[str, float, float]:
-        """Return the pair nearest to its bound at q (n,), its distance and that bound [m]."""
+        """Return the pair nearest to its bound at q (n,), its distance and bound [m]."""
         ...
 
     def hold(self, arm: int | None, T_tcp_shape: Array | None = None) -> None:
-        """Attach the object to a hand at this pose (4, 4) of its shape; None: it is not held."""
+        """Attach the object's shape to a hand at a pose (4, 4), or to none."""
         ...
 
 
@@ -153,7 +153,7 @@ class Supervisor:
         return self._stopping(q, v, stamp_s)
 
     def hold(self, arm: int | None, T_tcp_shape: Array | None = None) -> None:
-        """Say what is held, until `reset` without torques; see `Clearance`."""
+        """See `Clearance`; a `reset` without torques forgets it."""
         if self._clearance is not None:
             self._clearance.hold(arm, T_tcp_shape)
 
@@ -342,7 +342,7 @@ class Supervisor:
             self._next_slow = self._tick + min(self._slow_every, max(1, int(safe_s / self.dt_s)))
 
     def _monitored[T](self, monitor: Callable[[Array], T], q: Array) -> T:
-        """Call a monitor, which must not take this tick's torque away."""
+        """Call a monitor; an error is a reflex."""
         try:
             return monitor(q)
         except Exception as error:

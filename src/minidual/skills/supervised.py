@@ -20,7 +20,7 @@ from minidual.robot.pair import Array, Robot
 
 _WITHIN_M, _NEAR_M = 0.15, 0.02
 _APART_M, _TO_TABLE_M, _HELD_TO_TABLE_M = 0.005, -0.003, -0.008
-"""Least distances where a stop ends. Fingers grasp 1 mm above the table and objects are put down on it."""
+"""Least distances where a stop ends: fingers grasp 1 mm above the table."""
 
 
 @cache
@@ -43,7 +43,7 @@ def arm_distance(robot: Robot) -> Callable[[Array], tuple[str, float]]:
 
 @cache
 def _engine(robot: Robot, shape: Shape | None) -> MujocoEngine:
-    """Return an engine of arms and table, with a copy of the object in each hand. Cached: copy it."""
+    """Return arms, table, and the object in each hand. Cached: copy it."""
     hands = tuple(link for side in robot.sides for link in robot.hand_links(side))
     held = () if shape is None else tuple(replace(shape, name=_in_hand(shape, side)) for side in robot.sides)
     attached = [Attached(copy, tcp, hands) for copy, tcp in zip(held, robot.tcp_names, strict=False)]
@@ -55,7 +55,7 @@ def _in_hand(shape: Shape, side: str) -> str:
 
 
 class SceneClearance:
-    """See `Clearance`: both arms, the table, and an object of this shape while it is held."""
+    """See `Clearance`: arms, table, and an object of this shape while held."""
 
     def __init__(self, robot: Robot, shape: Shape | None = None) -> None:
         self._engine = deepcopy(_engine(robot, shape))
@@ -87,6 +87,6 @@ class SceneClearance:
 def trial_supervisor(
     config: SupervisorConfig, dt_s: float, robot: Robot, on_reflex: OnReflex | None = None, shape: Shape | None = None
 ) -> Supervisor:
-    """Return a supervisor that also watches distances, those of an object of this shape while it is held included."""
+    """Return a supervisor that also watches distances, with an object of this shape while held."""
     distances = {"self_distance": arm_distance(robot), "clearance": SceneClearance(robot, shape)}
     return Supervisor(config, dt_s=dt_s, kinematics=Kinematics(robot), on_reflex=on_reflex, **distances)

@@ -31,7 +31,7 @@ def torque_pulse_mapping(
     """Return the joint that a one-step torque pulse on each command moves, -1 if none as predicted.
 
     One step from rest: (M + dt D) dv = dt tau. Coupling can move a neighbour more than the joint itself. The supervisor
-    limits the pulses to the torque rate.
+    limits the torque rate.
     """
     robot, n = world.robot, world.robot.dof
     world.reset()
