@@ -60,7 +60,9 @@ class Arms(FailingPlant):
         self.tau = told + self.pushed
         super().step()
         self.tau = told
-        self.q, self.v = np.where(self.stuck, q, self.__dict__["q"]), np.where(self.stuck, 0.0, self.__dict__["v"])
+        crawl = 1e-6 * (-1.0) ** self.steps  # readings that stay the same to the bit are frozen, not stuck
+        self.v = np.where(self.stuck, crawl, self.__dict__["v"])
+        self.q = np.where(self.stuck, q + self.dt * crawl, self.__dict__["q"])
 
     def touch_nothing(self) -> None:
         self.pushed, self.stuck = np.zeros(DOF), np.zeros(DOF, dtype=bool)
@@ -282,7 +284,7 @@ class Driver:
 
     def bias(self) -> None:
         """An encoder jumps."""
-        if not self.plant.lies:
+        if not self.plant.lies and self.plant.steps > 0:
             off = 0.05 * np.eye(DOF)[self.rng.integers(DOF)]
             self.plant.lies["q"] = lambda x: x + off
 
