@@ -119,6 +119,11 @@ class CommandArbiter:
             raise unknown_name("command source", source, SOURCES)
         return self._mailboxes[source]
 
+    @property
+    def switching(self) -> bool:
+        """Whether a switch is requested or waits."""
+        return self._requested is not None or self._switch is not None
+
     def tick(self, now_s: float, q_measured: Array, v_measured: Array, q_held: Array | None = None) -> ArbiterOutput:
         """Return the output at now_s [s] for measured q (n,) [rad] and v (n,) [rad/s].
 

@@ -324,7 +324,7 @@ class ControlStack[P: Plant]:
         if self.supervisor is None:  # nothing could brake the arms
             emergency.check()
         q, v = plant.q, plant.v
-        output = self.arbiter.tick(plant.time, q, v, self._unsagged(q, v))
+        output = self.arbiter.tick(plant.time, q, v, self._unsagged(q, v) if self.arbiter.switching else None)
         self.output = output
         if self.supervisor is not None:  # so that a silent arbiter triggers stale_command
             self.supervisor.heard(plant.time)
