@@ -50,8 +50,6 @@ def dumping(recorder: StepRecorder) -> OnReflex:
     return lambda reflex: recorder.dump(reflex.name, reflex.text, details=reflex.details)
 
 
-_FAR_M = 0.3
-"""Way of a stop from which its half is checked too."""
 SEEN = ("measured_position_rad", "measured_velocity_rad_per_s", "asked_torque_nm")
 """Per-joint values recorded by a reflex; non-finite ones become text."""
 
@@ -65,7 +63,7 @@ class Supervisor:
     Args:
         kinematics: Not the controllers'; created by default.
         self_distance: Distance between the arms, checked where they are.
-        clearance: Checked where a stop would end, and half-way there.
+        clearance: Checked where a stop would end.
     """
 
     def __init__(
@@ -326,13 +324,10 @@ class Supervisor:
                 self._trip_workspace(arm, (x, y, z))
         if self._clearance is not None and self._tick >= self._next_ahead:
             self._next_ahead = self._next_slow
-            # Two periods ahead, as for the hands.
-            rest = self._stop.rest(q, v, 2.0 * ahead)
-            far = float(self._reach.m @ np.abs(rest - q)) > _FAR_M
-            for posture in (0.5 * (q + rest), rest) if far else (rest,):
-                pair, distance, bound = self._monitored(self._clearance, posture)
-                if not distance >= bound:
-                    self._trip("stopping_distance", pair, distance, bound)
+            # Two periods ahead, as for the hands. From one look to the next it moves by less than a link is wide.
+            pair, distance, bound = self._monitored(self._clearance, self._stop.rest(q, v, 2.0 * ahead))
+            if not distance >= bound:
+                self._trip("stopping_distance", pair, distance, bound)
         if self._self_distance is not None:
             pair, distance = self._monitored(self._self_distance, q)
             if not distance >= self.config.self_collision_min_m:
