@@ -234,12 +234,12 @@ def turn(mode: str, controllers: Any = None) -> list[Event]:
 
 scripts = st.sampled_from(
     [
-        [*turn("moveit"), ("trajectory", "moveit", "both_arms", 0.0, 0.2, 0.3, 0.0), ("run", 90)],
+        [*turn("moveit"), ("trajectory", "moveit", "both_arms", 0.0, 0.1, 0.3, 0.0), ("run", 90)],
         [
             *turn("moveit", B),
-            ("trajectory", "moveit", "left_arm", 0.0, 0.2, 0.3, 0.0),
+            ("trajectory", "moveit", "left_arm", 0.0, 0.1, 0.3, 0.0),
             ("run", 20),
-            ("trajectory", "moveit", "right_arm", 0.0, -0.2, 0.3, 0.0),
+            ("trajectory", "moveit", "right_arm", 0.0, -0.1, 0.3, 0.0),
             ("run", 90),
         ],
         [*turn("moveit"), ("trajectory", "moveit", "both_arms", 0.0, 0.2, 0.6, 0.0), ("silence", 160), ("run", 30)],
@@ -251,7 +251,7 @@ scripts = st.sampled_from(
         [*turn("policy"), ("stream", "policy", "right_arm", 0.3, 0.0, "", 6), ("run", 150)],
         [
             *turn("moveit"),
-            ("trajectory", "moveit", "both_arms", 0.0, 0.2, 0.3, 0.0),
+            ("trajectory", "moveit", "both_arms", 0.0, 0.1, 0.3, 0.0),
             ("run", 90),
             ("halt", "moveit", False),
             ("run", 90),
@@ -398,6 +398,8 @@ def test_the_witness_sees_a_reference_without_its_filter(monkeypatch: pytest.Mon
             self.zero = np.zeros(14)
 
         def reset(self, q: Array, v: Array | None = None) -> None: ...
+
+        def limit_speed(self, share: float) -> None: ...
 
         def step(self, target: Array) -> tuple[Array, Array, Array]:
             return target, self.zero, self.zero
