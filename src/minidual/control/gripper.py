@@ -23,8 +23,8 @@ _COMPLIANCE_M_PER_NS = 0.01  # k: a 5000 N/m servo settles with a 20 ms time con
 _NEAR = 0.9
 _LOST, _LOST_S = 0.5, 0.004
 """Below this share for this long, a grip is lost."""
-_SLIPPED_M = 0.001
-"""Fingers that close further have lost the object."""
+_SLIPPED_M = 0.0003
+"""Fingers that close further have lost the object, or were shaken."""
 
 
 class Grippers:
