@@ -81,7 +81,7 @@ def test_without_the_look_ahead_they_touch(world: World) -> None:
 def test_the_predicted_posture_is_the_one_in_which_the_stop_ends(world: World) -> None:
     arms = guarded(world, ALONE, None)
     arms.run(0.4, towards(ALONE, FOLDED - ALONE, 1.5))
-    predicted = arms.supervisor._stop.rest(world.q, world.v, 0.0)
+    predicted = arms.supervisor._stop.rest(world.q, world.v)
     arms.supervisor.estop()
     arms.run(0.001)
     arms.go_on(1.5)

@@ -40,11 +40,11 @@ def slopes(q: Array, v: Array, brake: Array, q_lower: Array, q_upper: Array, slo
             slope[j] = common
 
 
-@kernel(types.void(*[VECTOR] * 3, types.float64, *[VECTOR] * 3))
-def stopped_at(q: Array, v: Array, slope: Array, ahead_s: float, q_lower: Array, q_upper: Array, q_rest: Array) -> None:
+@kernel(types.void(*[VECTOR] * 6))
+def stopped_at(q: Array, v: Array, slope: Array, q_lower: Array, q_upper: Array, q_rest: Array) -> None:
     """Fill the posture of rest (n,); r falls symmetrically."""
     for j in range(len(q)):
-        way = v[j] * (ahead_s + 0.5 / slope[j] + 0.5 * _RAMP_S)
+        way = v[j] * (0.5 / slope[j] + 0.5 * _RAMP_S)
         q_rest[j] = min(max(q[j] + way, q_lower[j]), q_upper[j])
 
 
@@ -77,11 +77,11 @@ class SupervisedStop:
         self._slope_max = self._largest_slope(self._q_ref, self._v_0)
         self._rate = TorqueRate(np.clip(tau, -robot.tau_max, robot.tau_max), self._dt, robot.arm.tau_rate_max)
 
-    def rest(self, q: Array, v: Array, ahead_s: float) -> Array:
-        """Return the posture of rest (n,) of a stop `ahead_s` later."""
+    def rest(self, q: Array, v: Array) -> Array:
+        """Return the posture (n,) in which a stop from q, v ends."""
         v_0, q_rest = np.empty_like(q), np.empty_like(q)
         np.minimum(np.maximum(v, -self._v_max, v_0), self._v_max, v_0)
-        stopped_at(q, v_0, self._largest_slope(q, v_0), ahead_s, *self._range, q_rest)
+        stopped_at(q, v_0, self._largest_slope(q, v_0), *self._range, q_rest)
         return q_rest
 
     def _largest_slope(self, q: Array, v: Array) -> Array:

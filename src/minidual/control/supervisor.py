@@ -325,7 +325,9 @@ class Supervisor:
         if self._clearance is not None and self._tick >= self._next_ahead:
             self._next_ahead = self._next_slow
             # Two periods ahead, as for the hands. From one look to the next it moves by less than a link is wide.
-            pair, distance, bound = self._monitored(self._clearance, self._stop.rest(q, v, 2.0 * ahead))
+            later, a_ref = 2.0 * ahead, self._rows[4]
+            rest = self._stop.rest(q + later * (v + 0.5 * later * a_ref), v + later * a_ref)
+            pair, distance, bound = self._monitored(self._clearance, rest)
             if not distance >= bound:
                 self._trip("stopping_distance", pair, distance, bound)
         if self._self_distance is not None:

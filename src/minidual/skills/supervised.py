@@ -19,7 +19,7 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot
 
 _WITHIN_M, _NEAR_M = 0.15, 0.02
-_APART_M, _TO_TABLE_M, _HELD_TO_TABLE_M = 0.005, -0.003, -0.008
+_APART_M, _FINGERS_TO_TABLE_M, _HELD_TO_TABLE_M = 0.005, -0.006, -0.008
 """Least distances where a stop ends: fingers grasp 1 mm above the table."""
 
 
@@ -59,6 +59,7 @@ class SceneClearance:
 
     def __init__(self, robot: Robot, shape: Shape | None = None) -> None:
         self._engine = deepcopy(_engine(robot, shape))
+        self._fingers = tuple(link for side in robot.sides for link in robot.hand_links(side)[1:])
         self._held = () if shape is None else tuple(_in_hand(shape, side) for side in robot.sides)
         self.hold(None)
 
@@ -78,10 +79,10 @@ class SceneClearance:
         return f"{pair.first} with {pair.second}", pair.distance_m, least_m
 
     def _least_m(self, pair: PairDistance) -> float:
-        held = pair.first in self._held or pair.second in self._held
-        if "table" in (pair.first, pair.second):
-            return _HELD_TO_TABLE_M if held else _TO_TABLE_M
-        return 0.0 if held else _APART_M
+        parts = {pair.first, pair.second}
+        if parts.intersection(self._held):
+            return _HELD_TO_TABLE_M if "table" in parts else 0.0
+        return _FINGERS_TO_TABLE_M if "table" in parts and parts.intersection(self._fingers) else _APART_M
 
 
 def trial_supervisor(
