@@ -10,7 +10,7 @@ from carry_trials import carry_task, sample_trial
 
 from minidual.control.object_impedance import SingularPostureError
 from minidual.plant.world import World
-from minidual.robot.kinematics import Kinematics
+from minidual.robot.kinematics import Hands, Kinematics
 from minidual.robot.poses import pose, rot_z
 from minidual.tasks.judge import Judge, begin
 from minidual.tasks.task import Trial
@@ -55,6 +55,7 @@ def _run(world: World, trial: Trial, method: str = "impedance", **how: object):
     bench = Bench.__new__(Bench)  # on the world of the other tests: none is compiled
     bench.method, bench.seed, bench.spec, bench.task = method, 5, METHODS[method], carry_task(world.scene)
     bench.world, bench.kinematics = world, Kinematics()
+    bench.hands = Hands(bench.kinematics)
     bench.factory = lambda w, k, _trial: Stands(w, k, **how)
     return bench.run(trial)
 
