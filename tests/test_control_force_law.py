@@ -132,7 +132,7 @@ class TestOracle:
         assert (np.abs(before) < TAU_MAX).all()
         heavier = dataclasses.replace(case.held, mass_kg=case.held.mass_kg + 0.1)
         rounder = dataclasses.replace(case.held, inertia_kg_m2=2.0 * case.held.inertia_kg_m2)
-        still = dataclasses.replace(case.desired, acceleration=np.zeros(6))
+        still = case.desired._replace(acceleration=np.zeros(6))
         for changed in (
             torque(dataclasses.replace(case, held=heavier)),
             torque(dataclasses.replace(case, held=rounder)),

@@ -205,20 +205,20 @@ def test_a_file_that_reads_back_with_a_fault_is_no_demonstration(
 
 
 def test_failed_attempts_are_set_aside_with_their_reason(tmp_path: Path, shared_model: None) -> None:
-    # Hands that close 6 cm beside the rod: nothing is lifted.
+    # Hands that close 12 cm beside the rod: nothing is lifted.
     rig = Rig(_job(tmp_path), ("high",))
     real = rig.world.reset
 
     def aside(q=None, *, poses):
         ((name, (x, y, yaw)),) = poses.items()
-        real(q, poses={name: (x + 0.06, y, yaw)})
+        real(q, poses={name: (x + 0.12, y, yaw)})
 
     rig.world.reset = aside  # type: ignore[method-assign]
     attempt = rig.record(0)
     rig.close()
     assert not attempt.success
     assert not attempt.kept
-    assert "on the table 60 mm from its start" in attempt.reason
+    assert "on the table 120 mm from its start" in attempt.reason
     assert attempt.path == tmp_path / "rejected" / "episode_000000.hdf5"
     meta = read_episode(attempt.path, cameras=()).meta
     assert not meta.success
