@@ -28,14 +28,14 @@ _FROZEN_SHARE = 0.025
 _KEPT = 64
 """Applied torques kept, in steps: the longest time from a loss to its detection."""
 
-_Q, _V, _R, _Q_SAME, _V_SAME, _TAU = range(6)
+_Q, _V, _R, _Q_SAME, _V_SAME, _TAU, _STEP = range(7)
 
 
 @kernel(types.float64(VECTOR, VECTOR, VECTOR, types.float64, types.float64, types.float64, VECTOR, ROWS))
 def compare(
     q: Array, v: Array, tau: Array, dt: float, mismatch: float, frozen_s: float, tau_moves: Array, kept: Array
 ) -> float:
-    """Update `kept` (6, n): q, v, r, seconds unchanged of q and of v, torque when both last changed.
+    """Update `kept` (7, n): q, v, r, seconds unchanged of q and of v, torque when both last changed, last change of r.
 
     Returns the largest ratio to a bound; infinite for values that are not finite.
     """
@@ -47,7 +47,8 @@ def compare(
         moved = q[j] - kept[_Q, j]
         kept[_Q_SAME, j] = kept[_Q_SAME, j] + dt if moved == 0.0 else 0.0
         kept[_V_SAME, j] = kept[_V_SAME, j] + dt if v[j] == kept[_V, j] else 0.0
-        kept[_R, j] = keep * kept[_R, j] + moved - dt * v[j]
+        kept[_STEP, j] = moved - dt * v[j]
+        kept[_R, j] = keep * kept[_R, j] + kept[_STEP, j]
         kept[_Q, j], kept[_V, j] = q[j], v[j]
         worst = max(worst, abs(kept[_R, j]) / mismatch)
         if kept[_Q_SAME, j] == 0.0 or kept[_V_SAME, j] == 0.0:
@@ -84,7 +85,7 @@ class JointSense:
         """Which values of which joint disagreed first, and by how much."""
         self.age_s = 0.0
         """Time without a new measurement."""
-        self._kept, self._started, self._any_lost = np.zeros((6, n)), False, False
+        self._kept, self._started, self._any_lost = np.zeros((7, n)), False, False
         self.applied, self.ticks = np.zeros((_KEPT, n)), 0
         """Ring of applied torques; row of the last: (ticks - 1) % len(applied)."""
 
@@ -122,6 +123,9 @@ class JointSense:
         apart = finite & (np.abs(kept[_R]) > self._config.position_mismatch_rad)
         still = finite & (same.min(axis=0) >= self._config.frozen_s) & (np.abs(tau - kept[_TAU]) > self._tau_moves)
         frozen = apart & (same > 0.0)
+        # A position that jumps within one period, while the velocity is one that the joint can have.
+        leapt = np.abs(kept[_STEP]) > 0.5 * self._config.position_mismatch_rad
+        frozen[0] |= apart & leapt & (np.abs(v) <= self._robot.v_max)
         which_unknown = apart & (frozen[0] == frozen[1])
         if (apart | still).any() and not self.why:
             joint = int(np.argmax(apart | still))
