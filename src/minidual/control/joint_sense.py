@@ -28,14 +28,14 @@ _FROZEN_SHARE = 0.025
 _KEPT = 64
 """Applied torques kept, in steps: the longest time from a loss to its detection."""
 
-_Q, _V, _R, _Q_SAME, _V_SAME, _TAU, _STEP = range(7)
+_Q, _V, _R, _Q_SAME, _V_SAME, _TAU, _MOVED = range(7)
 
 
 @kernel(types.float64(VECTOR, VECTOR, VECTOR, types.float64, types.float64, types.float64, VECTOR, ROWS))
 def compare(
     q: Array, v: Array, tau: Array, dt: float, mismatch: float, frozen_s: float, tau_moves: Array, kept: Array
 ) -> float:
-    """Update `kept` (7, n): q, v, r, seconds unchanged of q and of v, torque when both last changed, last change of r.
+    """Update `kept` (7, n): q, v, r, seconds unchanged of q and of v, torque when both last changed, last change of q.
 
     Returns the largest ratio to a bound; infinite for values that are not finite.
     """
@@ -47,8 +47,7 @@ def compare(
         moved = q[j] - kept[_Q, j]
         kept[_Q_SAME, j] = kept[_Q_SAME, j] + dt if moved == 0.0 else 0.0
         kept[_V_SAME, j] = kept[_V_SAME, j] + dt if v[j] == kept[_V, j] else 0.0
-        kept[_STEP, j] = moved - dt * v[j]
-        kept[_R, j] = keep * kept[_R, j] + kept[_STEP, j]
+        kept[_MOVED, j], kept[_R, j] = moved, keep * kept[_R, j] + moved - dt * v[j]
         kept[_Q, j], kept[_V, j] = q[j], v[j]
         worst = max(worst, abs(kept[_R, j]) / mismatch)
         if kept[_Q_SAME, j] == 0.0 or kept[_V_SAME, j] == 0.0:
@@ -109,23 +108,23 @@ class JointSense:
             self.age_s, bounds = 0.0, (config.position_mismatch_rad, config.frozen_s, self._tau_moves)
             usable = bool(compare(q, v, tau, new_s, *bounds, kept) <= 1.0)
             if not usable:
-                self._judge(q, v, tau)
+                self._judge(q, v, tau, new_s)
         if self._any_lost:
             self._replace(q, v, new_s if new_s > 0.0 else self._dt)  # the stamp may be NaN
         else:
             self.q[:], self.v[:] = q, v
         return usable
 
-    def _judge(self, q: Array, v: Array, tau: Array) -> None:
+    def _judge(self, q: Array, v: Array, tau: Array, new_s: float) -> None:
         """Find which values are lost, and since when."""
         kept, bad = self._kept, ~np.isfinite(np.stack([q, v]))
         finite, same = ~bad.any(axis=0), kept[[_Q_SAME, _V_SAME]]
         apart = finite & (np.abs(kept[_R]) > self._config.position_mismatch_rad)
         still = finite & (same.min(axis=0) >= self._config.frozen_s) & (np.abs(tau - kept[_TAU]) > self._tau_moves)
-        frozen = apart & (same > 0.0)
-        # A position that jumps within one period, while the velocity is one that the joint can have.
-        leapt = np.abs(kept[_STEP]) > 0.5 * self._config.position_mismatch_rad
-        frozen[0] |= apart & leapt & (np.abs(v) <= self._robot.v_max)
+        # No joint moves that far in one period, and the velocity is one that it can have.
+        leapt = apart & (np.abs(kept[_MOVED]) > 2.0 * new_s * self._robot.v_max) & (np.abs(v) <= self._robot.v_max)
+        frozen = apart & (same > 0.0) & ~leapt
+        frozen[0] |= leapt
         which_unknown = apart & (frozen[0] == frozen[1])
         if (apart | still).any() and not self.why:
             joint = int(np.argmax(apart | still))

@@ -211,13 +211,15 @@ class Supervisor:
     def _newer_s(self, stamp_s: float | None) -> float:
         """Return how much newer [s] the measurement is than the last; one period where stamps tell nothing."""
         before_s, self._stamp_s = self._stamp_s, math.nan if stamp_s is None else stamp_s
-        failed = self.reflex is not None and self.reflex.name == "clock"
-        return self.dt_s if stamp_s is None or math.isnan(before_s) or failed else stamp_s - before_s
+        return self.dt_s if stamp_s is None or math.isnan(before_s) else stamp_s - before_s
 
     def _stopping(self, q: Array, v: Array, stamp_s: float | None) -> Array:
         """Return this tick's torque of the latched stop."""
-        self._q[:], self._v[:], tau = q, v, self._stop.tau
-        self._sense.update(self._q, self._v, tau, self._newer_s(stamp_s))
+        newer_s = self._newer_s(stamp_s)
+        if not newer_s > 0.0 and not (np.array_equal(q, self._q) and np.array_equal(v, self._v)):
+            newer_s = self.dt_s  # the clock has failed, not the sensors
+        self._q[:], self._v[:] = q, v
+        self._sense.update(self._q, self._v, self._stop.tau, newer_s)
         return self._stop.torque(self._sense.q, self._sense.v)
 
     def _before_control(self, q: Array) -> Array:
