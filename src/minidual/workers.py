@@ -59,7 +59,7 @@ def _call[Item, Result](starter: int, function: Callable[[Item], Result], item: 
 
 @functools.cache
 def _end_with(starter: int) -> None:
-    """End this worker when its starter is gone: a killed starter cannot stop it."""
+    """End this worker when its starter is gone."""
 
     def watch() -> None:
         while os.getppid() == starter:

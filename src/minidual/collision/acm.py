@@ -1,15 +1,8 @@
-"""The allowed-collision matrix: unchecked pairs of links of one arm.
+"""The allowed-collision matrix: unchecked pairs of links of one arm, by reason (docs/planning-scenes.md).
 
-Only the left arm is sampled. Reasons:
-
-- `rigid`: no joint in between (fingers are locked);
-- `adjacent`: one joint connects them directly;
-- `model`: in the arm model's `never_touch`;
-- `always`: contact at home and in at least 95 % of the samples;
-- `never`: no contact in any sample.
-
-The number n of uniform samples doubles from 20 000 until no pair changes class over two doublings in a row. A `never`
-pair touches in less than 3/n of all postures (rule of three, 95 % confidence).
+Only the left arm is sampled, fingers locked. The number n of uniform samples doubles from 20 000 until no pair changes
+class over two doublings in a row. A `never` pair touches in less than 3/n of all postures (rule of three, 95 %
+confidence).
 """
 
 from __future__ import annotations

@@ -97,7 +97,6 @@ class TaskConfig(StrictModel):
     start_xy_m: tuple[Coordinate, Coordinate] = (0.5, 0.25)
     goal_xy_m: tuple[Coordinate, Coordinate] = (0.5, -0.25)
     goal_yaw_rad: float = Field(default=0.0, ge=-3.2, le=3.2)
-    """Yaw of the object at the goal."""
     goal_range_m: float = Field(default=0.0, ge=0.0, le=0.1)
     """Half width of the uniform range, drawn after the start."""
     goal_range_rad: float = Field(default=0.0, ge=0.0, le=0.6)

@@ -1,15 +1,6 @@
 """The command arbiter: the only writer of joint commands, with at most one driving source.
 
-                 request           still            first command
-    holding -----------> settling ------> waiting ----------------> active <----> aligning
-       ^                    |                |                         |     a step over the bound
-       | request "hold"     | not still      | never heard             | silent for stale_s
-    any state               v                v                         v
-                         stopped <-------------------------------- stale --> active when heard again
-                            ^           silent for stop_after_s
-                            | halt, from any state
-
-A switch or a silent source brakes timed commands along their paths; a halt drops them. See docs/control.md.
+A switch or a silent source brakes timed commands along their paths; a halt drops them. States: docs/control.md.
 """
 
 from __future__ import annotations
@@ -57,7 +48,7 @@ class CommandArbiter:
         self.on_confirm: Callable[[str], None] = lambda mode: None
         """Called with the mode at confirmation, before the source's first command."""
         self.on_flush: list[Callable[[str], None]] = []
-        """Called with the mode at a switch, "hold" at a halt; sources must drop queued chunks."""
+        """Called with the mode at a switch, "hold" at a halt."""
         self._mailboxes = {source: Mailbox(source, robot) for source in SOURCES}
         self._requested: str | None = None
         self._halt: tuple[str, Array | None] | None = None
@@ -340,7 +331,6 @@ class CommandArbiter:
             self.state = ArbiterState.STALE
 
     def _where_they_stop(self, posture: Array, v_measured: Array) -> Array:
-        """Return where moving joints (n,) can stop."""
         robot = self._robot
         v = np.clip(v_measured, -robot.v_max, robot.v_max)
         if not np.isfinite(v).all():

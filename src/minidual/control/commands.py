@@ -1,9 +1,4 @@
-"""Data passing through the arbiter.
-
-* `JointCommand`       joint target, streamed at 50 to 100 Hz
-* `TrajectoryCommand`  timed joint trajectory
-* `ObjectCommand`      timed object path with squeeze
-"""
+"""Data passing through the arbiter."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -37,7 +32,7 @@ class _OfGroup:
 
 @dataclass(frozen=True)
 class JointCommand(_OfGroup):
-    """A proposed joint target.
+    """A joint target, streamed at 50 to 100 Hz.
 
     Attributes:
         q: [rad], (n,) left then right, or one arm's.

@@ -1,6 +1,6 @@
 """Strict, atomic controller switching: exactly one controller drives each joint.
 
-After a switch the torque difference fades; after a halt it falls at the drives' rate limit, which is sooner.
+After a switch the torque difference fades; after a halt it falls at the drives' rate limit.
 """
 
 from __future__ import annotations

@@ -46,7 +46,6 @@ class _Execution:
         self._paced = False
         self._speed = self._speed_now = 1.0
         self.why: Reason | None = None
-        """Why it was stopped, or None."""
 
     @property
     def finished(self) -> bool:

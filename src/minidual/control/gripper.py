@@ -92,7 +92,6 @@ class Grippers:
         return self.targets_m
 
     def _compare(self, hand: int, grip_n: float) -> None:
-        """Compare felt and commanded grip."""
         moved_m = float(self._plant.fingers[hand]) - self._held_m[hand]
         lost = grip_n < _LOST * self._force_n and moved_m > -_SLIPPED_M
         self._lost[hand] = self._lost[hand] + 1 if lost else 0

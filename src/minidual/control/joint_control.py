@@ -2,7 +2,7 @@
 
     tau = M(q) [a_ref + 2 wn (v_ref - v) + wn^2 (q_ref - q)] + h(q, v) + d v + c tanh(v / v_s)
 
-M gives every joint the same natural frequency wn. h: Coriolis, centrifugal and gravity torques.
+h: Coriolis, centrifugal and gravity torques.
 """
 
 import numpy as np

@@ -11,10 +11,7 @@ from minidual.robot.pair import Robot
 
 
 class Mailbox:
-    """Keeps the newest command per arm.
-
-    After a `flush` commands with earlier stamps are refused: a late action chunk never runs.
-    """
+    """Keeps the newest command per arm."""
 
     def __init__(self, source: str, robot: Robot) -> None:
         self.source, self._robot = source, robot
@@ -46,7 +43,7 @@ class Mailbox:
         return None
 
     def flush(self, now_s: float) -> None:
-        """Forget all commands and refuse earlier stamps."""
+        """Forget all commands and refuse earlier stamps: a late action chunk never runs."""
         self._latest.clear()
         self._timed.clear()
         self._sequence = None

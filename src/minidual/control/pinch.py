@@ -1,6 +1,4 @@
-"""Pinch force with which two pads carry the squeeze F by friction.
-
-Each hand also carries half the weight:
+"""Pinch force with which two pads carry squeeze F and half the weight by friction.
 
     N >= safety sqrt(F^2 + (m g / 2)^2) / (2 mu)
 

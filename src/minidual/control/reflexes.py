@@ -131,7 +131,6 @@ REFLEXES: dict[str, ReflexKind] = {
         "s",
     ),
 }
-"""Reflexes by name."""
 
 
 @dataclass(frozen=True)

@@ -35,11 +35,7 @@ class TorqueRate:
 
 
 class SwitchedOff(TorqueRate):
-    """Ramps the torque of some arms to zero, and back if they return, at the drives' rate.
-
-    Attributes:
-        arms: Switched off at present.
-    """
+    """Ramps the torque of some arms to zero, and back if they return, at the drives' rate."""
 
     def __init__(self, arms: Sequence[int], tau: Array, dt_s: float, robot: Robot) -> None:
         super().__init__(tau, dt_s, robot.arm.tau_rate_max)

@@ -1,15 +1,6 @@
 """Control loop: arbiter, controllers, supervisor, plant.
 
-    stack = ControlStack(plant, kinematics)
-    stack.request("moveit")
-    while stack.source != "moveit":
-        stack.step()
-    stack.propose("moveit", TrajectoryCommand(trajectory, np.ones(2), plant.time, 1))
-    while stack.executing:
-        stack.affirm("moveit")
-        stack.step()
-
-The arbiter runs at its own rate, and at once for requests, halts and timed commands. See docs/control.md.
+The arbiter runs at its own rate, and at once for requests, halts and timed commands. Example: docs/control.md.
 """
 
 from __future__ import annotations
@@ -132,9 +123,8 @@ class ControlStack[P: Plant]:
         self._due, self._pending = True, False
         self.grippers.forget_grip()
         self.output = ArbiterOutput(self.plant.q, gripper, ArbiterState.HOLDING, None, None, ())
-        """The arbiter's last output."""
         self.reflex: MinidualError | None = None
-        """Error of the latched reflex, or None."""
+        """Of the latched reflex."""
         self._failed: Exception | None = None
         self._stop_ticks = 0
 
@@ -214,7 +204,7 @@ class ControlStack[P: Plant]:
     def halt(self, source: str, gripper: Array | None = None) -> None:
         """Stop the arms in the next step; no source drives afterwards.
 
-        `soft_stop` drives until the next mode. Openings `gripper` (2,) are accepted only from the driving source.
+        `soft_stop` drives until the next mode. `gripper`: see `CommandArbiter.halt`.
         """
         self.arbiter.halt(source, gripper)
         self._due, self._stop_ticks = True, round(_STOP_MAX_S / self.plant.dt)
@@ -425,7 +415,6 @@ class ControlStack[P: Plant]:
         return (tau if self._off is None else self._off.nearest(tau)), self.manager.acceleration
 
     def _expected(self) -> Expected:
-        """Return what the supervisor may expect."""
         manager, grippers = self.manager, self.grippers
         if self._off is not None:
             return Expected("arm switched off")

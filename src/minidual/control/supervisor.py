@@ -1,7 +1,6 @@
 """The supervisor checks measurements and torques, and stops the arms when a bound does not hold.
 
-Joint bounds are checked every tick, kinematic ones at least every `slow_period_s`, with look-ahead. A reflex raises
-`ReflexError` once; then `guard` returns soft-stop torques until `reset`. See docs/supervisor.md.
+A reflex raises `ReflexError` once; then `guard` returns soft-stop torques until `reset`. See docs/supervisor.md.
 """
 
 from __future__ import annotations
@@ -96,7 +95,7 @@ class Supervisor:
         self._rows = np.zeros((len(limits.ROWS), self._robot.dof))
         self._q, self._v, self._tau = self._rows[:3]  # views, kept: making one costs as much as a sum
         self.reflex: Reflex | None = None
-        """The latched reflex, or None."""
+        """Latched."""
         self._estop = ""
         self.reset()
 

@@ -1,6 +1,6 @@
-"""Schema of an episode file.
+"""Schema of an episode: one HDF5 file in ALOHA's layout.
 
-One HDF5 file is one episode in ALOHA's layout. T ticks, n joints, left arm first:
+T ticks, n joints, left arm first:
 
 key                                   shape         meaning
 ``observations/qpos``                 (T, n)        positions [rad]
@@ -71,7 +71,6 @@ class EpisodeMeta:
         task: Instruction text.
         cameras: In fixed order.
         sim: False for hardware.
-        success: Whether the task was achieved.
         extra: JSON facts (trial, reason, start).
     """
 

@@ -14,7 +14,6 @@ INTERNAL_RATE_HZ = 1000.0
 TRIM_S = 2.0 / CUTOFF_HZ
 """Time left out at each end."""
 MIN_DURATION_S = 2.5 * TRIM_S
-"""Shortest accepted motion."""
 
 JERK_FILTER = (
     "Butterworth low-pass, order 4, 10 Hz, run forward and backward (zero phase, -6 dB at 10 Hz) on the measured "

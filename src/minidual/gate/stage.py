@@ -1,7 +1,6 @@
-"""Input and output of a stage.
+"""A stage: a function from `StageContext` to `StageResult`.
 
-A stage is a function from `StageContext` to `StageResult` and a row in `minidual/stages/registry.py`. It writes only
-in `context.folder`, derives randomness from `context.seed` and returns at least one check with a limit.
+It writes only in `context.folder`, derives randomness from `context.seed` and returns at least one check with a limit.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Tools: commands without verdict or gate.
 
-A tool is a function from `ToolContext` to `ToolResult` and a row in `minidual/stages/registry.py`.
+A tool is a function from `ToolContext` to `ToolResult`.
 """
 
 from __future__ import annotations

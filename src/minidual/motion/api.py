@@ -85,11 +85,6 @@ class Planner:
     """Plans for left_arm, right_arm and both_arms. One instance per process.
 
     `scene` is the default one. Equal queries with equal seeds give equal trajectories.
-
-    Example:
-        planner = Planner()
-        result = planner.plan_to_joints("left_arm", HOME, goal, seed=1)
-        q, v, a = result.trajectory.sample(0.5)
     """
 
     _kernels_loaded = False

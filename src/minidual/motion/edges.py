@@ -37,7 +37,7 @@ def bisection_order(count: int) -> Array:
 class EdgeChecker:
     """Deterministic checks by separating planes; undecided counts as blocked.
 
-    The padding shrinks near the free `endpoints` (dof,). Only pairs with a part of `arms` are checked.
+    `endpoints` (dof,) are free. Only pairs with a part of `arms` are checked.
     """
 
     def __init__(

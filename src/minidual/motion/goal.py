@@ -60,7 +60,6 @@ class Goal(StrictModel):
     """What to plan to: exactly one of the first five fields."""
 
     state: str | None = None
-    """A named state."""
     joints_rad: tuple[float, ...] | None = None
     """Joints of the group or of the robot."""
     joints_by_name_rad: dict[str, float] | None = None

@@ -1,7 +1,7 @@
 """Certificate: proves from few samples that a trajectory touches nothing.
 
-On each stretch every moving pair needs a plane that both ends clear by more than the parts can deviate in between
-(`minidual.proof.planes`). Unproven stretches are halved, down to two neighbouring samples.
+On each stretch every moving pair needs a separating plane (`minidual.proof.planes`). Unproven
+stretches are halved, down to two neighbouring samples.
 """
 
 import math

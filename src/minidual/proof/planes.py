@@ -4,10 +4,8 @@ A part is a union of convex solids: vertex hulls, thickened by a ball or (cylind
 along some direction all of one lies d beyond the other. Checking a direction does not depend on its search (Gilbert,
 Johnson, Keerthi).
 
-A stretch is compared with the straight joint-space line between its ends. Along it a vertex's second derivative is at
-most a sum over joint pairs: both steps times the distance from the outer axis. An eighth of this bounds its distance
-from its chord. Leaving the line by e_j adds at most r_j e_j (r_j: reach). A plane clearing both ends by more than both
-deviations separates the solids throughout. Links of one arm are seen from the inner one.
+A plane clearing both ends of a stretch by more than both parts deviate separates them throughout. Bounds on the
+deviations: docs/plan.md. Links of one arm are seen from the inner one.
 
 NaN counts as not proven: sums propagate it, comparisons drop it.
 """
@@ -397,7 +395,7 @@ def prove(
     Args:
         geometry: From `Solids`.
         q: Samples (n, dof) [rad], n >= 2, joined by cubics.
-        v: Velocities [rad/s].
+        v: [rad/s].
         dt: Step [s].
         stretches: First and last samples (s, 2), covering the motion.
         chosen: (c,) rows of `pairs`.

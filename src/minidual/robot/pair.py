@@ -59,7 +59,6 @@ class ArmModel:
         srdf: Pairs of links that never collide.
         never_touch: More such pairs.
         joints: Names, base first.
-        flange_link: Carries the hand.
         mount_rpy_rad: Palm in the flange's frame.
         base_xy_m: Left base; the right one mirrors y. Both face +x.
         v_max, a_max, jerk_max: [rad/s] and its derivatives.

@@ -32,7 +32,6 @@ class Trajectory:
         q: (n, dof) [rad].
         v: [rad/s].
         a: [rad/s^2].
-        group: What moves.
     """
 
     times: Array

@@ -90,7 +90,7 @@ class CarryWatch:
         return tuple(int(arm) for arm in np.flatnonzero(self._monitor.lost))
 
     def read(self) -> tuple[ObjectState, float]:
-        """Return the object's state and measured internal force [N]."""
+        """See `ObjectSensor`."""
         return self.estimate, self._felt_n
 
     # Updates -----------------------------------------------------------------------------------------------
@@ -195,7 +195,7 @@ class CarryWatch:
         return self._monitor.grippers(now_s, told, self._gaps_m(), self._pinch.tolist(), target_m)
 
     def motors(self, told: Array) -> Fault | None:
-        """Compare commanded torques (n,) [Nm] with the applied ones."""
+        """Compare commanded torques (n,) [Nm] with applied ones."""
         return self._monitor.motors(told, self._world.tau)
 
     def _gaps_m(self) -> list[float]:

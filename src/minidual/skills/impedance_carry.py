@@ -58,8 +58,6 @@ class ImpedanceCarry:
 
     Attributes:
         phase: Present phase; `stop` after a fault, then `done`.
-        fault: The fault that stopped it, or None.
-        watch: Object sensing.
     """
 
     name = "impedance"

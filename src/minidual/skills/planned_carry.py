@@ -21,9 +21,6 @@ class PlannedCarry(Drive):
 
     `T_world_object` is the object's sensed pose, by default the true one. The plan keeps the supervisor's minimum arm
     distance plus a margin.
-
-    Attributes:
-        solution: The plan, or None.
     """
 
     def __init__(

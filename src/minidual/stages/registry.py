@@ -217,4 +217,3 @@ TOOLS: tuple[ToolEntry, ...] = (
         examples=("modes", "modes --modes moveit,teleop,moveit --view web"),
     ),
 )
-"""Commands without verdict or gate."""

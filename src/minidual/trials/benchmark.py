@@ -21,7 +21,6 @@ class BenchmarkCell:
     """One method under one condition.
 
     Attributes:
-        asked_n: Trials requested.
         summary: None where the condition does not apply.
         undisturbed: Trials that succeeded without their push or move having taken place.
     """

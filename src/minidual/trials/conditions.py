@@ -65,8 +65,8 @@ class Condition:
     Attributes:
         act: Makes the disturbance of a trial.
         instead_of: What `change` sets, {dotted path: value}.
-        settings: Configuration that it sets, {dotted path: value}.
-        factors: Configuration that it scales, {dotted path: factor}.
+        settings: Sets {dotted path: value}.
+        factors: Scales {dotted path: factor}.
         sense: Row of SENSES that it changes; empty for the plant.
         promised: Whether a carry must pass it.
     """

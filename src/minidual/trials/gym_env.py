@@ -1,7 +1,4 @@
-"""Tasks as Gymnasium environments at 50 Hz; importing this module registers them.
-
-env = gymnasium.make("minidual.trials.gym_env:minidual/RodCarry-v0", images=("high",), render_mode="rgb_array")
-"""
+"""Tasks as Gymnasium environments at 50 Hz; importing this module registers them (docs/simulation.md)."""
 
 from collections.abc import Sequence
 from typing import Any, ClassVar
@@ -52,8 +49,8 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     Reward: gain of the potential -(mean distance of the hands from their grasps + distance of the object from its goal)
     [m], plus 1 on success. Source: Ng, Harada, Russell 1999 (keeps the optimal policy for a discount of 1).
 
-    An episode is `terminated` when the trial is finished, the object has left the table or the simulation diverged, and
-    `truncated` at the time limit. `info` has `success`, and at the end `failures` (violated conditions) and `stages`.
+    `terminated`: trial finished, object has left the table, or simulation diverged. `truncated`: time limit.
+    `info` has `success`, and at the end `failures` (violated conditions) and `stages`.
 
     Args:
         scene: Replaces the task's default.

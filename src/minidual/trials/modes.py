@@ -89,8 +89,8 @@ class ModesDemo:
     """Runs the turns of one stack; iterate `steps`, then read the measurements.
 
     Attributes:
-        turn: The current turn, None before the first.
-        outcomes: Results of the completed turns.
+        turn: None before the first.
+        outcomes: Of the completed turns.
         rows: Log of every fourth control step.
         ended: Why it ended early, or None.
     """

@@ -75,7 +75,6 @@ class TrialResult:
 
     Attributes:
         saturated_max_s: Longest time of one motor at its limit.
-        measured: Numbers of the conditions.
     """
 
     metrics: TrialMetrics

@@ -61,7 +61,7 @@ def mcnemar_p_value(only_first: int, only_second: int) -> float:
 def paired_rate_interval(both: int, only_first: int, only_second: int, neither: int) -> tuple[float, float]:
     """Return the 95 % interval (low, high) of the difference of two paired success rates.
 
-    Source: R. G. Newcombe, Statistics in Medicine 17 (1998) 2635, method 10 (not empty without discordant pairs).
+    Source: R. G. Newcombe, Statistics in Medicine 17 (1998) 2635, method 10.
 
     Raises:
         NothingEvaluatedError: No pairs.

@@ -1,11 +1,6 @@
 """Tune internal force and stiffness of the object impedance by carrying.
 
-    1  safe       softest stiffness, least force: the object is carried, torques stay below 95 % of the limits
-    2  force      least force that holds, to 0.5 N; the result is 1.5 times that
-    3  stiffness  largest stiffness that holds without oscillation, to 10 N/m; the result is 80 % of it (100 % if the
-                  stiffest does not oscillate) and must track within 1 cm
-
-Each step is five carries; the worst counts.
+The steps are safe, force, stiffness (docs/carry.md). Each is five carries; the worst counts.
 """
 
 import math
@@ -34,7 +29,6 @@ FORCES_N = (10.0, 20.0, 30.0, 40.0)
 STIFFNESSES_N_PER_M = (150.0, 300.0, 450.0, 600.0)  # the last is the largest recommended
 FORCE_FACTOR, STIFFNESS_FACTOR = 1.5, 0.8
 OSCILLATION_MAX_M = 0.0003
-"""Limit of `oscillation_m`."""
 TRACKING_MAX_M = 0.01
 COMPARED_N = (20.0, 40.0, 80.0)
 _HIGH_PASS_HZ = 5.0

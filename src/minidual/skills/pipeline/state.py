@@ -46,8 +46,7 @@ class Segment:
     """Motion between two states.
 
     Attributes:
-        scene: Scene of the proof; None without motion.
-        verification: The proof; None without motion.
+        scene, verification: Of the proof; None without motion.
     """
 
     phase: str

@@ -87,7 +87,6 @@ _REMEDY = {
     "cameras.fingers_min": "check the pose of the cameras 'left' and 'right'",
     "video.frames": "see the messages of the encoder (PyAV)",
 }
-"""Remedies of the checks."""
 _UNITS = ("rad", "us", "s")
 
 

@@ -1,7 +1,7 @@
 """Seeded moves of an object held in both hands.
 
 Goals are up to 0.5 m and 90 degrees away; in every second move obstacles block the straight path. Each move has a
-witness, which proves that it is feasible: a timed, proven path of a long search. Other draws are counted and left out.
+witness: a timed, proven path of a long search. Other draws are counted and left out.
 """
 
 import time
@@ -56,8 +56,7 @@ class HeldMove:
     Attributes:
         blocked: Whether the straight path collides or cannot be followed.
         witness: Points (m, 6 + n) of a proven path.
-        undecided_n: Draws left out before it, without a witness.
-        unreachable_n: Draws left out before it, without a free posture.
+        undecided_n, unreachable_n: Draws left out before it: no witness, no free posture.
     """
 
     index: int

@@ -1,7 +1,6 @@
 """Seeded planning queries around a table with obstacles.
 
-IK solves poses over the table. Except for kind "any", the straight line in joint space is blocked. No planner is used;
-`query_set` proves feasibility.
+IK solves poses over the table. No planner is used; `query_set` proves feasibility.
 """
 
 from collections.abc import Callable
@@ -36,7 +35,6 @@ class Query:
     """What to plan.
 
     Attributes:
-        seed: Planner seed.
         q_start: Free (n,) [rad].
         q_goal: Free (n,) [rad]. For a goal of poses the plan may end in another IK solution of `targets`.
         kind: Why it is hard: the straight line runs into an obstacle ("past_obstacle") or the other arm ("past_arm"),
@@ -180,7 +178,7 @@ def _touched_between(engine: MujocoEngine, start: Array, goal: Array) -> set[fro
 
 
 def _is_kind(kind: str, arms: tuple[str, ...], touched: set[frozenset[str]]) -> bool:
-    """Return whether the contacts of the straight line are those of this kind."""
+    """`touched`: contacts along the straight line."""
     mine = tuple(f"{arm}_" for arm in arms)
     theirs = tuple(f"{arm}_" for arm in SIDES if arm not in arms)
     fixed = ("left_", "right_", "table")

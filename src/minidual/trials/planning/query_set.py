@@ -1,7 +1,7 @@
 """Stored query sets: one hundred hard queries per group for two seeds, default robot.
 
-Each query has a witness, which proves that it is feasible: corners of a polyline that both engines find free every
-0.002 rad. `python scripts/make_query_set.py SEED` makes a set.
+Each query has a witness: corners of a polyline that both engines find free every 0.002 rad.
+`python scripts/make_query_set.py SEED` makes a set.
 """
 
 import functools
