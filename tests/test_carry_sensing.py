@@ -19,6 +19,7 @@ from minidual.plant.sensing import Sensors
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse, pose, rot_x, rot_z, rotation_log
+from minidual.skills.carry_watch import CarryWatch
 from minidual.skills.impedance_carry import ImpedanceCarry
 
 
@@ -212,6 +213,23 @@ def _errors(world: World, carry: ImpedanceCarry) -> tuple[float, float]:
         float(np.linalg.norm(T[:3, 3] - estimate[:3, 3])),
         float(np.linalg.norm(rotation_log(T[:3, :3].T @ estimate[:3, :3]))),
     )
+
+
+def test_a_first_force_that_is_no_number_is_forgotten(world: World) -> None:
+    """Before, the filter kept its NaN, and the hands closed without feeling anything."""
+    world.reset()
+    senses = Sensors(world, SensingConfig(), stream(1, "sensing/first", 0))
+    listen, blind = senses.sense, iter([True])
+    senses.sense = lambda: (  # type: ignore[method-assign]
+        listen()._replace(hand_forces=np.full((2, 3), np.nan)) if next(blind, False) else listen()
+    )
+    watch = CarryWatch(world, Kinematics(), CarryConfig(), senses)
+    for _ in range(20):
+        world.step()
+        watch.sense()
+    watch.take_hold()
+    watch.sense()
+    assert np.isfinite(watch.read()[1])
 
 
 def test_a_whole_carry_never_reads_the_truth_and_its_estimate_beats_the_raw_reading(

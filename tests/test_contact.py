@@ -192,3 +192,20 @@ def test_a_carry_without_faults_meets_none_of_them(faulty: FaultyWorld) -> None:
     carry, _ = _carried(faulty, None)
     assert carry.fault is None
     assert carry.stack.reflex is None
+
+
+def _steps(stack: ControlStack, n: int) -> None:
+    for _ in range(n):
+        stack.step()
+
+
+def test_when_one_arm_is_off_the_other_is_watched(faulty: FaultyWorld) -> None:
+    """Before, neither was: 100 N on the other forearm went unnoticed."""
+    stack = ControlStack(faulty, Kinematics(), supervisor=Supervisor(dt_s=faulty.dt))
+    stack.arbitrate()
+    _steps(stack, 50)
+    stack.switch_off((0,))
+    _steps(stack, 40)  # the left arm falls
+    faulty.data.xfrc_applied[faulty.model.body("right_panda_link4").id, 0] = 100.0
+    with pytest.raises(ReflexError, match=r"joint_contact.*right_panda"):
+        _steps(stack, 30)

@@ -174,8 +174,55 @@ def test_a_clock_that_fails_after_the_encoders_leaves_a_stop_that_sees(plant: Fa
 def test_a_clock_that_jumps_ahead_is_a_soft_stop(plant: FailingPlant) -> None:
     stack = under_way(plant)
     began = plant.time
-    plant.lies["time"] = plant.lies["stamp_s"] = lambda t: t + 0.5 * (t > began + 0.05)
+    plant.lies["time"] = lambda t: t + 0.5 * (t > began + 0.05)
     assert stopped(plant, stack).reflex.name == "stale_command"
+
+
+@pytest.mark.parametrize("stamp", [np.inf, 100.0])
+def test_a_stamp_of_the_future_is_a_soft_stop(plant: FailingPlant, stamp: float) -> None:
+    """Before, an infinite one left a tick without torque, and one second ahead was not noticed."""
+    stack = under_way(plant)
+    plant.lies["stamp_s"] = lambda t: stamp
+    error = stopped(plant, stack)
+    assert error.reflex.name == "controller_failed"
+    assert "the measurements are" in error.message
+
+
+@pytest.mark.parametrize("bias", [0.3, 1.0])
+def test_a_velocity_that_lies_does_not_drive_the_arm(plant: FailingPlant, bias: float) -> None:
+    """Before, the model took over from the wrong velocity: 3.8 rad/s and 1 rad (4.2 rad/s)."""
+    stack = stack_on(plant, supervisor=Supervisor(dt_s=plant.dt))
+    for _ in range(100):
+        stack.step()
+    plant.lies["v"] = lambda v: v + bias * np.eye(14)[1]
+    fastest, way, names = 0.0, 0.0, []
+    for _ in range(1500):
+        try:
+            stack.step()
+        except ReflexError as error:
+            names.append(error.reflex.name)
+        fastest = max(fastest, float(np.abs(plant.__dict__["v"]).max()))
+        way = max(way, float(np.abs(plant.__dict__["q"] - HOME).max()))
+    assert len(names) == 1
+    assert fastest < 0.6
+    assert way < 0.12
+
+
+@pytest.mark.parametrize(("period", "phase"), [(1, 0), (2, 1), (4, 3), (20, 2)])
+def test_contact_is_felt_whatever_the_phase_of_the_measurements(period: int, phase: int) -> None:
+    """Before, states of every second tick or rarer were never compared unless they came in the right one."""
+    supervisor, rng, name, stamp_s = Supervisor(), np.random.default_rng(0), "", 0.0
+    gravity = np.array(supervisor._kinematics.gravity(HOME))
+    q, v = HOME, np.zeros(14)
+    for tick in range(1, 400):
+        if tick == 1 or tick % period == phase:
+            stamp_s, (q, v) = 1e-3 * tick, (HOME, np.zeros(14)) + 1e-6 * rng.standard_normal((2, 14))
+        try:
+            supervisor.guard(1e-3 * tick, q, v, gravity + min(40.0, 0.5 * tick) * np.eye(14)[1], None, stamp_s)
+        except ReflexError as error:
+            name = error.reflex.name
+            break
+    assert name in ("joint_contact", "joint_stuck", "cartesian_contact")
 
 
 class Path:

@@ -53,6 +53,18 @@ def grippers(hands):
     return Grippers(hands, pinch_force_n=50.0, speed_m_per_s=0.08)
 
 
+def test_a_grip_that_is_no_number_moves_no_finger_and_is_a_fault(hands, grippers):
+    run(hands, grippers, [0.0, 0.0])
+    held = hands.targets.copy()
+    hands.motor_n = np.nan
+    moved = run(hands, grippers, [0.0, 0.0], steps=100)
+    assert (moved == held).all()
+    assert "left hand: nan of 50 N" in grippers.fault or "right hand: nan of 50 N" in grippers.fault
+    hands.motor_n = 70.0
+    run(hands, grippers, [1.0, 1.0])
+    assert grippers.fault == "", "an opened hand has nothing to lose"
+
+
 def test_targets_ramp_and_never_jump(hands, grippers):
     targets = np.vstack([run(hands, grippers, [0.0, 1.0]), run(hands, grippers, [1.0, 0.0])])
     assert np.abs(np.diff(targets, axis=0)).max() <= 0.08 * DT + 1e-12

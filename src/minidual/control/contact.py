@@ -41,18 +41,18 @@ MODES: dict[str, Mode] = {
     "free motion": Mode(0.15, 20.0, 0.05),
     "closed hands": Mode(0.5, 60.0, 0.1),
     "held object": Mode(0.15, 40.0, 0.1),
-    "arm switched off": Mode(math.inf, math.inf, math.inf),
 }
 """Closed hands may squeeze by position; object impedance tells its load."""
 
 
 class Expected(NamedTuple):
-    """What controllers expect: key of MODES, external torque (n,) [Nm], joints (n,) [rad]; fault of a hand."""
+    """What controllers expect: key of MODES, external torque (n,) [Nm], joints (n,) [rad]; fault of a hand; arms off."""
 
     mode: str = "free motion"
     torque: Array | None = None
     reference: Array | None = None
     hand_fault: str = ""
+    off: tuple[int, ...] = ()
 
 
 @kernel(types.void(VECTOR, VECTOR, types.float64, ROWS, ROWS))
@@ -112,6 +112,7 @@ class ContactSense:
         torque: (n,) [Nm], unexplained.
         late_s: (n,), time too far from the reference.
         away: (n,) [rad] from it.
+        limits: (n + 3,), the bounds in force.
     """
 
     def __init__(self, kinematics: Kinematics, config: SupervisorConfig, dt_s: float) -> None:
@@ -124,7 +125,7 @@ class ContactSense:
             late = config.deviation_scale * deviation_rad, config.deviation_s
             self.bounds[name] = np.r_[torques, late, config.contact_scale * force_n]
         self._before, self._mean = np.zeros((2, robot.dof)), np.zeros((3, robot.dof))
-        self._nothing = np.zeros(robot.dof)
+        self._nothing, self.limits = np.zeros(robot.dof), self.bounds["free motion"]
         self.reset()
 
     def reset(self) -> None:
@@ -145,10 +146,16 @@ class ContactSense:
             return 0.0, 0.0
         halfway(q, v, step_s, self._before, self._mean)
         torque, reference = expected.torque, expected.reference
+        self.limits = self.bounds[expected.mode]
+        if expected.off:  # their motors do not give what is applied
+            self.limits, reference = self.limits.copy(), self._mean[0] if reference is None else reference.copy()
+            for arm in expected.off:
+                joints = self._kinematics.robot.joints_of(arm)
+                self.limits[joints], reference[joints] = math.inf, self._mean[0, joints]
         return observe(
             pin.rnea(self._kinematics.model, self._kinematics.data, *self._mean),
             *(self._mean, applied, newest, round(step_s / self._dt)),
             self._nothing if torque is None else torque,
             self._mean[0] if reference is None else reference,
-            *(self.bounds[expected.mode], *self._friction, -math.expm1(-step_s / _FILTER_S), step_s, self._kept),
+            *(self.limits, *self._friction, -math.expm1(-step_s / _FILTER_S), step_s, self._kept),
         )

@@ -68,6 +68,8 @@ class Grippers:
         is_open = self._is_open
         for hand, wanted in enumerate(command.tolist()):
             if wanted > OPEN_ABOVE:
+                if not is_open[hand]:
+                    self._lost[hand], self.fault = 0, ""
                 is_open[hand] = True
             elif wanted < CLOSE_BELOW:
                 is_open[hand] = False
@@ -79,6 +81,9 @@ class Grippers:
             if is_open[hand]:
                 self._held_m[hand] = math.nan
                 targets[hand] = min(target + step, self._travel_m)
+                continue
+            if math.isnan(grip[hand]):  # the target stays
+                self._compare(hand, grip[hand])
                 continue
             way = self._gain * (grip[hand] - self._force_n)
             target = min(target + min(step, max(-step, way)), self._travel_m)
@@ -93,7 +98,7 @@ class Grippers:
 
     def _compare(self, hand: int, grip_n: float) -> None:
         moved_m = float(self._plant.fingers[hand]) - self._held_m[hand]
-        lost = grip_n < _LOST * self._force_n and moved_m > -_SLIPPED_M
+        lost = not grip_n >= _LOST * self._force_n and moved_m > -_SLIPPED_M
         self._lost[hand] = self._lost[hand] + 1 if lost else 0
         if self._lost[hand] * self._plant.dt > _LOST_S:
             what = f"{grip_n:.0f} of {self._force_n:.0f} N, fingers {1e3 * moved_m:+.1f} mm"

@@ -28,14 +28,14 @@ _FROZEN_SHARE = 0.025
 _KEPT = 64
 """Applied torques kept, in steps: the longest time from a loss to its detection."""
 
-_Q, _V, _R, _Q_SAME, _V_SAME, _TAU, _MOVED = range(7)
+_Q, _V, _R, _Q_SAME, _V_SAME, _TAU, _DQ, _DV = range(8)
 
 
 @kernel(types.float64(VECTOR, VECTOR, VECTOR, types.float64, types.float64, types.float64, VECTOR, ROWS))
 def compare(
     q: Array, v: Array, tau: Array, dt: float, mismatch: float, frozen_s: float, tau_moves: Array, kept: Array
 ) -> float:
-    """Update `kept` (7, n): q, v, r, seconds unchanged of q and of v, torque when both last changed, last change of q.
+    """Update `kept` (8, n): q, v, r, seconds unchanged of q, v, torque when both last changed, last change of q, v.
 
     Returns the largest ratio to a bound; infinite for values that are not finite.
     """
@@ -45,9 +45,10 @@ def compare(
             worst = math.inf
             continue
         moved = q[j] - kept[_Q, j]
+        kept[_DQ, j], kept[_DV, j] = moved, v[j] - kept[_V, j]
         kept[_Q_SAME, j] = kept[_Q_SAME, j] + dt if moved == 0.0 else 0.0
         kept[_V_SAME, j] = kept[_V_SAME, j] + dt if v[j] == kept[_V, j] else 0.0
-        kept[_MOVED, j], kept[_R, j] = moved, keep * kept[_R, j] + moved - dt * v[j]
+        kept[_R, j] = keep * kept[_R, j] + moved - dt * v[j]
         kept[_Q, j], kept[_V, j] = q[j], v[j]
         worst = max(worst, abs(kept[_R, j]) / mismatch)
         if kept[_Q_SAME, j] == 0.0 or kept[_V_SAME, j] == 0.0:
@@ -84,7 +85,7 @@ class JointSense:
         """Which values of which joint disagreed first, and by how much."""
         self.age_s = 0.0
         """Time without a new measurement."""
-        self._kept, self._started, self._any_lost = np.zeros((7, n)), False, False
+        self._kept, self._started, self._any_lost = np.zeros((8, n)), False, False
         self.applied, self.ticks = np.zeros((_KEPT, n)), 0
         """Ring of applied torques; row of the last: (ticks - 1) % len(applied)."""
 
@@ -121,20 +122,21 @@ class JointSense:
         finite, same = ~bad.any(axis=0), kept[[_Q_SAME, _V_SAME]]
         apart = finite & (np.abs(kept[_R]) > self._config.position_mismatch_rad)
         still = finite & (same.min(axis=0) >= self._config.frozen_s) & (np.abs(tau - kept[_TAU]) > self._tau_moves)
-        # No joint moves that far in one period, and the velocity is one that it can have.
-        leapt = apart & (np.abs(kept[_MOVED]) > 2.0 * new_s * self._robot.v_max) & (np.abs(v) <= self._robot.v_max)
-        frozen = apart & (same > 0.0) & ~leapt
-        frozen[0] |= leapt
-        which_unknown = apart & (frozen[0] == frozen[1])
+        # No joint moves that far, or gains so much speed, in one period.
+        leapt = apart & (np.abs(kept[_DQ]) > 2.0 * new_s * self._robot.v_max) & (np.abs(v) <= self._robot.v_max)
+        sped = apart & ~leapt & (np.abs(kept[_DV]) > 2.0 * new_s * self._robot.a_max)
+        lost = apart & (same > 0.0) & ~leapt & ~sped
+        lost[0] |= leapt
+        lost[1] |= sped | (apart & ~lost.any(axis=0))  # unknown which: positions err less than a model that falls
+        lost |= bad | still
         if (apart | still).any() and not self.why:
             joint = int(np.argmax(apart | still))
-            both = still[joint] or which_unknown[joint]
-            what = "position and velocity" if both else "position" if frozen[0, joint] else "velocity"
+            what = " and ".join(np.array(["position", "velocity"])[lost[:, joint]])
             far = f"they differ by {abs(kept[_R, joint]):.4f} rad"
             same_s = float(same[:, joint].max())
             held = f"unchanged for {1e3 * same_s:.0f} ms, " if same_s else ""
             self.why = f"{what} of {self._robot.joint_names[joint]}: {held}{far}"
-        self._lose(bad | frozen | which_unknown | still, float(same.min(axis=0)[apart | still].max(initial=0.0)))
+        self._lose(lost, float(same.min(axis=0)[apart | still].max(initial=0.0)))
         kept[_R, self.lost.any(axis=0)] = 0.0
 
     def _lose(self, lost: npt.NDArray[np.bool_], since_s: float) -> None:

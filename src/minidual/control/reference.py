@@ -27,10 +27,11 @@ class ReferenceFilter:
         self._v_max = self._v_allowed = 0.95 * robot.v_max
         self._bounds = np.array([a_max, self._v_max, near, robot.q_lower, robot.q_upper])
         self.q, self.v, self.a = np.zeros((3, robot.dof))
+        self._slewing = False
 
     def limit_speed(self, share: float) -> None:
         """Follow targets at most at this share of full speed."""
-        self._v_allowed = share * self._v_max
+        self._v_allowed, self._slewing = share * self._v_max, True
 
     def reset(self, q: Array, v: Array | None = None, a: Array | None = None) -> None:
         """Start from posture q (n,) [rad], by default at rest."""
@@ -47,10 +48,10 @@ class ReferenceFilter:
 
         With s = min(1, d/|e|), a = w^2 e sqrt(s (2 - s)) - 2 w v.
         """
-        v_max = self._bounds[1]
-        if v_max[0] != self._v_allowed[0]:  # no faster than the joints can brake
-            brake = _BRAKE_SHARE * self._bounds[0] * self._dt
+        if self._slewing:  # no faster than the joints can brake
+            v_max, brake = self._bounds[1], _BRAKE_SHARE * self._bounds[0] * self._dt
             v_max += np.clip(self._v_allowed - v_max, -brake, brake)
+            self._slewing = bool((v_max != self._v_allowed).any())
         after = np.empty((3, len(target)))
         follow_target(target, self.q, self.v, self._bounds, self._w, self._dt, after)
         self.q, self.v, self.a = after

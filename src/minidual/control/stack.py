@@ -416,20 +416,19 @@ class ControlStack[P: Plant]:
 
     def _expected(self) -> Expected:
         manager, grippers = self.manager, self.grippers
-        if self._off is not None:
-            return Expected("arm switched off")
+        off = () if self._off is None else self._off.arms
         if manager.active == OBJECT_CONTROLLERS:
-            return Expected("held object", self.impedance.load, manager.reference, grippers.fault)
+            return Expected("held object", self.impedance.load, manager.reference, grippers.fault, off)
         if all(grippers.is_open):
-            return Expected("free motion", None, manager.reference)
-        return Expected("closed hands", None, manager.reference, grippers.fault)
+            return Expected("free motion", None, manager.reference, off=off)
+        return Expected("closed hands", None, manager.reference, grippers.fault, off)
 
     def _check_plant(self) -> None:
         plant, limit_s = self.plant, self._config.stale_s
         if plant.health:
             raise PlantError(f"the plant cannot be driven: {plant.health}")
         age_s = plant.time - plant.stamp_s
-        if not age_s <= limit_s:
+        if not abs(age_s) <= limit_s:
             raise PlantError(
                 f"the measurements are {age_s:.3f} s old; limit {limit_s} s",
                 remedy="see that the plant delivers its state; arbiter.stale_s is how old it may be",

@@ -119,6 +119,7 @@ class Supervisor:
         self._time_s = -math.inf
         self._tick = 0
         self._next_slow = self._next_ahead = 0
+        self._next_feel = EVERY
         self._applied = None if tau is None else tau.copy()
         self._a_before: Array | None = None
         self._rows[:] = 0.0
@@ -186,7 +187,8 @@ class Supervisor:
             applied = rows[2]
         else:
             applied = self._look_closer()
-        if self._tick % EVERY == 0 and self._sense.age_s == 0.0:
+        if self._tick >= self._next_feel and self._sense.age_s == 0.0:
+            self._next_feel = self._tick + EVERY
             self._feel(time_s if stamp_s is None else stamp_s)
         if self._tick >= self._next_slow:
             self._look_slowly()
@@ -283,11 +285,12 @@ class Supervisor:
         self._expected = expected = self.expected()
         if expected.hand_fault:
             self._trip("gripper_opened", expected.hand_fault, 1.0, None)
-        sense, age = self._sense, round((self._time_s - stamp_s) / self.dt_s)
+        sense, age = self._sense, (self._time_s - stamp_s) / self.dt_s
+        age = round(age) if abs(age) < len(sense.applied) else 0  # the stack refuses such stamps
         torque, late = contact.update(stamp_s, self._q, self._v, sense.applied, sense.ticks - 1 - age, expected)
         if torque <= 1.0 and late <= 1.0:
             return
-        *bounds, away_max, _, _ = contact.bounds[expected.mode].tolist()
+        *bounds, away_max, _, _ = contact.limits.tolist()
         if not torque <= 1.0:
             ratio = np.abs(contact.torque) / bounds
             stuck = (np.abs(self._v) < _STILL_RAD_S) & (ratio > 1.0)
@@ -314,7 +317,7 @@ class Supervisor:
             vx, vy, vz = self._looked[arm].tolist()
             fx, fy, fz = self._looked[2 + arm].tolist()
             force = math.sqrt(fx * fx + fy * fy + fz * fz)
-            if not force <= force_max:
+            if not (force <= force_max or arm in self._expected.off):
                 self._trip("cartesian_contact", f"the {SIDES[arm]} hand, {self._expected.mode}", force, force_max)
             speed = math.sqrt(vx * vx + vy * vy + vz * vz)
             if not speed <= self.config.tcp_speed_max_m_per_s:

@@ -49,7 +49,7 @@ class CarryWatch:
             raise RuntimeError("the first reading of the sensors holds a pose")
         self._sensed_s = self._posed_s = world.time
         self._raw = np.concatenate([self._reading.hand_forces.ravel(), self._reading.pinch])
-        self._felt = self._raw.copy()
+        self._felt = np.nan_to_num(self._raw)
         self._forces, self._pinch = self._felt[:6].reshape(2, 3), self._felt[6:]  # views
         self._odd_n, self._forces_s, self._gripped_s = 0, world.time, 0.0
         self._odd_max_n = round(config.faults.persistence_s / world.dt)
