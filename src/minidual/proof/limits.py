@@ -3,7 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numba.core import types
 
+from minidual.robot.compiled import ROWS, floats, inlined, kernel
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 from minidual.robot.trajectory import Trajectory, largest
@@ -11,7 +13,6 @@ from minidual.robot.trajectory import Trajectory, largest
 _ROUNDING = 1e-9
 _REST_RAD_S = 1e-6
 _TORQUE_EVERY = 4
-_BLOCK = 500  # samples at a time; longer blocks leave the processor's cache
 _MISFIT = 0.05  # share of the acceleration limit; plans of 300 stored queries reach 0.016
 
 
@@ -29,7 +30,8 @@ class LimitUse:
 def limit_use(trajectory: Trajectory, kinematics: Kinematics) -> tuple[LimitUse, str]:
     """Return the use, and the first broken limit ("" if none)."""
     robot, h, n = kinematics.robot, trajectory.dt_s, len(trajectory.q)
-    found = np.max([_extremes(trajectory, slice(k, k + _BLOCK + 1)) for k in range(0, n - 1, _BLOCK)], axis=0)
+    found = np.empty((8, robot.dof))
+    _extremes(*(floats(x) for x in (trajectory.q, trajectory.v, trajectory.a)), h, found)
     below, above, speed, acceleration, change, jump, off_velocity, off_acceleration = found
     rows = np.append(np.arange(0, n, _TORQUE_EVERY), n - 1)
     torques = kinematics.torques(*(x[rows] for x in (trajectory.q, trajectory.v, trajectory.a)))
@@ -63,27 +65,30 @@ def limit_use(trajectory: Trajectory, kinematics: Kinematics) -> tuple[LimitUse,
     return use, ""
 
 
-def _extremes(trajectory: Trajectory, rows: slice) -> Array:
-    """Return (8, dof): maxima of -q, q, |v|, |a|, change of a, step of q, mismatch of v, mismatch of a [rad/s^2].
+@inlined
+def _larger(x: float, y: float) -> float:
+    return x if x > y or x != x else y  # NaN stays
+
+
+@kernel(types.void(ROWS, ROWS, ROWS, types.float64, ROWS))
+def _extremes(q: Array, v: Array, a: Array, h: float, most: Array) -> None:
+    """Fill (8, dof): maxima of -q, q, |v|, |a|, change of a, step of q, mismatch of v, mismatch of a [rad/s^2].
 
     A cubic whose mean speed differs from the mean end speed accelerates by six times the difference over the step. The
     acceleration's change (for a, half of it) is subtracted. NaN propagates.
     """
-    h = trajectory.dt_s
-    # (dof, n): row maxima are ten times faster than column maxima.
-    q, v, a = (np.ascontiguousarray(x[rows].T) for x in (trajectory.q, trajectory.v, trajectory.a))
-    rise, change = np.diff(q), np.abs(np.diff(a))
-    mean_v, mean_a = 0.5 * (v[:, 1:] + v[:, :-1]), 0.5 * (a[:, 1:] + a[:, :-1])
-    q_middle = 0.5 * (q[:, 1:] + q[:, :-1]) - 0.125 * h * np.diff(v)
-    v_middle = 1.5 * rise / h - 0.5 * mean_v
-    groups = (
-        (-q, -q_middle),
-        (q, q_middle),
-        (np.abs(v), np.abs(v_middle)),
-        (np.abs(a), np.abs(mean_a)),
-        (change,),
-        (np.abs(rise),),
-        (np.abs(6.0 * (rise / h - mean_v) / h) - change,),
-        (np.abs(np.diff(v) / h - mean_a) - 0.5 * change,),
-    )
-    return np.array([np.max([x.max(axis=1) for x in group], axis=0) for group in groups])
+    most[:] = -np.inf
+    for i in range(len(q)):
+        for j in range(q.shape[1]):
+            most[0, j], most[1, j] = _larger(-q[i, j], most[0, j]), _larger(q[i, j], most[1, j])
+            most[2, j], most[3, j] = _larger(abs(v[i, j]), most[2, j]), _larger(abs(a[i, j]), most[3, j])
+        for j in range(q.shape[1] if i else 0):
+            rise, change = q[i, j] - q[i - 1, j], abs(a[i, j] - a[i - 1, j])
+            gain, mean_v = v[i, j] - v[i - 1, j], 0.5 * (v[i, j] + v[i - 1, j])
+            mean_a = 0.5 * (a[i, j] + a[i - 1, j])
+            q_middle, v_middle = 0.5 * (q[i, j] + q[i - 1, j]) - 0.125 * h * gain, 1.5 * rise / h - 0.5 * mean_v
+            most[0, j], most[1, j] = _larger(-q_middle, most[0, j]), _larger(q_middle, most[1, j])
+            most[2, j], most[3, j] = _larger(abs(v_middle), most[2, j]), _larger(abs(mean_a), most[3, j])
+            most[4, j], most[5, j] = _larger(change, most[4, j]), _larger(abs(rise), most[5, j])
+            most[6, j] = _larger(abs(6.0 * (rise / h - mean_v) / h) - change, most[6, j])
+            most[7, j] = _larger(abs(gain / h - mean_a) - 0.5 * change, most[7, j])
