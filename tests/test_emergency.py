@@ -231,3 +231,16 @@ def _until(condition: Any, limit_s: float = 30.0) -> None:
     while not condition():
         assert time.monotonic() < end, f"not within {limit_s} s"
         time.sleep(0.02)
+
+
+def test_a_command_that_is_paused_and_goes_on_is_not_stopped() -> None:
+    """Ctrl-Z and fg: before, CPython's sigtimedwait returned another signal then, and the arms stopped."""
+    script = "import sys, time; from minidual import emergency as e; e.listen(); print('on', flush=True); "
+    script += "time.sleep(1.2); print(repr(e.pressed()))"
+    with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "on\n"
+        process.send_signal(signal.SIGSTOP)
+        time.sleep(0.5)
+        process.send_signal(signal.SIGCONT)
+        assert process.stdout.read() == "''\n"

@@ -55,7 +55,8 @@ def listen() -> None:
 
 def _wait() -> None:
     while True:
-        if signal.sigtimedwait({SIGNAL}, _AGAIN_S) is not None:
+        seen = signal.sigtimedwait({SIGNAL}, _AGAIN_S)
+        if seen is not None and seen.si_signo == SIGNAL:  # CPython returns another after Ctrl-Z and fg
             press("signal SIGUSR1")
         elif _reason:  # a worker may have started since
             _tell_children()
