@@ -172,3 +172,21 @@ def test_only_the_way_over_has_an_obstacle() -> None:
         model = World(configured(motion=name).scene).model
         names = {model.geom(i).name for i in range(model.ngeom)}
         assert (OBSTACLE in names) == (name == "over")
+
+
+def test_no_start_or_goal_touches_the_obstacle() -> None:
+    """Before, boards began on the block and had failed at once."""
+    config = configured(object="board", motion="over")
+    world, task = World(config.scene), make_task(config)
+    for index in range(40):
+        trial = task.trial(7, "objects", index)
+        for poses in (trial.start, trial.goal):
+            world.reset(poses=poses)
+            assert not world.touches(OBSTACLE), (index, poses)
+
+
+def test_an_obstacle_that_leaves_no_room_is_refused() -> None:
+    wide = ObstacleConfig(size_m=(0.6, 1.0, 0.1)).model_dump()
+    config = Config.model_validate({"carry": {"motion": "over"}, "scene": {"task": {"obstacle": wide}}})
+    with pytest.raises(UsageError, match="no room beside the obstacle"):
+        make_task(config).trial(7, "objects", 0)

@@ -8,7 +8,8 @@ import numpy as np
 
 from minidual.config.change import preset, replaced
 from minidual.config.root import Config
-from minidual.config.scene import OBSTACLE, SceneConfig
+from minidual.config.scene import OBSTACLE, ObjectConfig, ObstacleConfig, SceneConfig
+from minidual.errors import UsageError
 from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import pose, rot_x, rot_z
 from minidual.tasks import success
@@ -16,6 +17,7 @@ from minidual.tasks.motions import MOTIONS
 from minidual.tasks.objects import OBJECTS
 from minidual.tasks.task import ObjectPose, Step, Task, TaskObject, Trial
 
+_DRAWS_MAX, _ROOM_M = 1000, 0.02
 _PHASES = ("approach", "descend", "close", "squeeze", "lift", "carry", "lower", "open", "retreat")
 
 
@@ -55,14 +57,30 @@ def rod_carry(config: Config) -> Task:
 def draw_on_table(
     task: Task, rng: np.random.Generator, widen: float = 1.0
 ) -> tuple[dict[str, ObjectPose], dict[str, ObjectPose]]:
-    """Draw start and goal uniformly."""
+    """Draw start and goal uniformly, beside the obstacle.
+
+    Raises:
+        UsageError: There is no room beside it.
+    """
     asked, name = task.scene.task, task.carried
-    dx, dy = widen * asked.start_range_m * rng.uniform(-1.0, 1.0, size=2)
-    yaw = widen * asked.start_range_rad * rng.uniform(-1.0, 1.0)
-    start = (asked.start_xy_m[0] + float(dx), asked.start_xy_m[1] + float(dy), float(yaw))
-    gx, gy, turn = (asked.goal_range_m, asked.goal_range_m, asked.goal_range_rad) * rng.uniform(-1.0, 1.0, size=3)
-    x, y = asked.goal_xy_m
-    return {name: start}, {name: (x + float(gx), y + float(gy), asked.goal_yaw_rad + float(turn))}
+    for _ in range(_DRAWS_MAX):
+        dx, dy = widen * asked.start_range_m * rng.uniform(-1.0, 1.0, size=2)
+        yaw = widen * asked.start_range_rad * rng.uniform(-1.0, 1.0)
+        start = (asked.start_xy_m[0] + float(dx), asked.start_xy_m[1] + float(dy), float(yaw))
+        gx, gy, turn = (asked.goal_range_m, asked.goal_range_m, asked.goal_range_rad) * rng.uniform(-1.0, 1.0, size=3)
+        x, y = asked.goal_xy_m
+        goal = (x + float(gx), y + float(gy), asked.goal_yaw_rad + float(turn))
+        if asked.obstacle is None or all(_beside(task.scene.object, asked.obstacle, place) for place in (start, goal)):
+            return {name: start}, {name: goal}
+    raise UsageError(f"'{name}' has no room beside the obstacle", remedy="move scene.task.start_xy_m or goal_xy_m away")
+
+
+def _beside(body: ObjectConfig, block: ObstacleConfig, place: tuple[float, float, float]) -> bool:
+    """Return whether the bounding rectangles keep `_ROOM_M`."""
+    (x, y, yaw), (a, b, _) = place, body.half_sizes_m
+    c, s = abs(math.cos(yaw)), abs(math.sin(yaw))
+    away = abs(x - block.xy_m[0]) - c * a - s * b, abs(y - block.xy_m[1]) - s * a - c * b
+    return any(gap > size / 2 + _ROOM_M for gap, size in zip(away, block.size_m, strict=False))
 
 
 def carried_by_both(task: Task, trial: Trial) -> tuple[success.SuccessCondition, ...]:
