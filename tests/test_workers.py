@@ -99,3 +99,28 @@ def _until(condition, limit_s: float) -> None:
     while not condition():
         assert time.monotonic() < end, f"not within {limit_s} s"
         time.sleep(0.05)
+
+
+SLOW_TO_BEGIN = """
+import pathlib, sys, time
+from minidual.workers import in_workers
+folder = pathlib.Path(sys.argv[1])
+
+class Heavy:
+    def __reduce__(self):  # a worker imports for half a minute before its first item
+        return time.sleep, (30.0,)
+
+(folder / "begun").touch()
+list(in_workers(print, [Heavy(), Heavy()], 2))
+"""
+
+
+def test_workers_that_still_import_end_with_their_starter_too(tmp_path: Path) -> None:
+    """Before, they looked for their starter from their first item on."""
+    with subprocess.Popen([sys.executable, "-c", SLOW_TO_BEGIN, str(tmp_path)]) as starter:
+        _until((tmp_path / "begun").exists, 30.0)
+        _until(lambda: len(psutil.Process(starter.pid).children(recursive=True)) >= 3, 30.0)
+        time.sleep(3.0)
+        children = [child.pid for child in psutil.Process(starter.pid).children(recursive=True)]
+        starter.kill()
+    _until(lambda: not any(map(_running, children)), 10.0)

@@ -4,7 +4,6 @@ They end with the process that started them, and leave Ctrl-C, SIGTERM and a clo
 """
 
 import contextlib
-import functools
 import os
 import signal
 import threading
@@ -28,9 +27,11 @@ def in_workers[Item, Result](
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"
     processes = min(workers, max(1, len(items)))
-    parallel = joblib.Parallel(n_jobs=processes, return_as="generator", batch_size=1)
+    # Before the first item, which may take seconds to import what it needs.
+    begin = {"initializer": _begin, "initargs": (os.getpid(),)} if processes > 1 else {}
+    parallel = joblib.Parallel(n_jobs=processes, return_as="generator", batch_size=1, **begin)
     with _unsignalled_children():
-        results = parallel(joblib.delayed(_call)(os.getpid(), function, item) for item in items)
+        results = parallel(joblib.delayed(function)(item) for item in items)
     for result in results:
         emergency.check()
         yield result
@@ -50,16 +51,9 @@ def _unsignalled_children() -> Generator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _call[Item, Result](starter: int, function: Callable[[Item], Result], item: Item) -> Result:
-    if os.getpid() != starter:
-        emergency.listen()
-        _end_with(starter)
-    return function(item)
-
-
-@functools.cache
-def _end_with(starter: int) -> None:
-    """End this worker when its starter is gone."""
+def _begin(starter: int) -> None:
+    """Listen to the emergency stop, and end this worker when its starter is gone."""
+    emergency.listen()
 
     def watch() -> None:
         while os.getppid() == starter:
