@@ -91,4 +91,4 @@ def _extremes(q: Array, v: Array, a: Array, h: float, most: Array) -> None:
             most[2, j], most[3, j] = _larger(abs(v_middle), most[2, j]), _larger(abs(mean_a), most[3, j])
             most[4, j], most[5, j] = _larger(change, most[4, j]), _larger(abs(rise), most[5, j])
             most[6, j] = _larger(abs(6.0 * (rise / h - mean_v) / h) - change, most[6, j])
-            most[7, j] = _larger(abs(gain / h - mean_a) - 0.5 * change, most[7, j])
+            most[-1, j] = _larger(abs(gain / h - mean_a) - 0.5 * change, most[-1, j])
