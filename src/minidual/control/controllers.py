@@ -12,10 +12,11 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from minidual.control.commands import Command, JointCommand, Reason, TrajectoryCommand, arms_of
+from minidual.control.commands import ArbiterState, Command, JointCommand, Reason, TrajectoryCommand, arms_of
 from minidual.control.execution import ArbiterOutput, TrajectoryExecution
 from minidual.control.joint_control import ComputedTorque
 from minidual.control.object_path import minimum_jerk
+from minidual.control.payload import Payload
 from minidual.control.reference import ReferenceFilter
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
@@ -60,12 +61,12 @@ class Controller(ABC):
 
 
 class JointTrajectoryController(Controller):
-    """Follows streamed targets through the reference filter, timed trajectories directly."""
+    """Follows streamed targets through the reference filter, timed trajectories directly; holds learn the payload."""
 
     takes = (JointCommand, TrajectoryCommand)
 
-    def __init__(self, group: str, kinematics: Kinematics, dt_s: float) -> None:
-        self.name, self.arms, self._dt = group, arms_of(group), dt_s
+    def __init__(self, group: str, kinematics: Kinematics, dt_s: float, payload: Payload) -> None:
+        self.name, self.arms, self._dt, self._payload, self._holds = group, arms_of(group), dt_s, payload, False
         self._servo, self._filter = ComputedTorque(kinematics), ReferenceFilter(dt_s, kinematics.robot)
         self._executions: dict[TrajectoryExecution, tuple[Array, int]] = {}
         """Running, with the offset of the start and the steps of its fade, or -1."""
@@ -81,7 +82,8 @@ class JointTrajectoryController(Controller):
 
     def follow(self, output: ArbiterOutput) -> None:
         """Take the target, newly begun trajectories and the speed override."""
-        self._target = output.q_target
+        self._target, self._holds = output.q_target, output.state is ArbiterState.HOLDING
+        self._payload.follow(output.gripper)
         self._filter.limit_speed(output.speed)
         for execution in output.executions:
             if not isinstance(execution, TrajectoryExecution) or execution in self._executions:
@@ -100,7 +102,8 @@ class JointTrajectoryController(Controller):
             q_ref, v_ref, a_ref = self._filter.step(self._target)
             self.acceleration = a_ref
         self.reference = q_ref
-        return self._servo.torque(q, v, q_ref, v_ref, a_ref)
+        load = self._payload.torque(q, q_ref, self.arms, learn=self._holds)
+        return self._servo.torque(q, v, q_ref, v_ref, a_ref, load)
 
     def _trajectory_reference(self) -> tuple[Array, Array, Array]:
         driven = {arm for execution in self._executions for arm in execution.arms}

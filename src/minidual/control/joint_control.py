@@ -37,7 +37,7 @@ class ComputedTorque:
         self._motors, self._w = Motors(kinematics), natural_frequency_rad_s
         self._a = np.zeros(kinematics.robot.dof)
 
-    def torque(self, q: Array, v: Array, q_ref: Array, v_ref: Array, a_ref: Array) -> Array:
-        """Return motor torques (n,) [Nm], clipped to the limits."""
+    def torque(self, q: Array, v: Array, q_ref: Array, v_ref: Array, a_ref: Array, load: Array | None = None) -> Array:
+        """Return motor torques (n,) [Nm], clipped to the limits; load (n,) as in `Motors`."""
         servo(q, v, q_ref, v_ref, a_ref, self._w, self._a)
-        return self._motors.torque(q, v, self._a)
+        return self._motors.torque(q, v, self._a, load)

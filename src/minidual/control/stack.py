@@ -19,6 +19,7 @@ from minidual.control.controllers import Controller, JointTrajectoryController
 from minidual.control.execution import ArbiterOutput
 from minidual.control.gripper import JOINT_PINCH_N, Grippers
 from minidual.control.object_controller import ObjectImpedanceController, ObjectSensor
+from minidual.control.payload import Payload
 from minidual.control.reflexes import ReflexError
 from minidual.control.soft_stop import SoftStopController, SwitchedOff
 from minidual.control.supervisor import Supervisor
@@ -76,8 +77,9 @@ class ControlStack[P: Plant]:
         self.grippers = Grippers(plant, pinch_force_n=pinch_force_n)
         groups = ("both_arms", "left_arm", "right_arm")
         self.impedance = ObjectImpedanceController(kinematics, plant.dt, sensor)
+        self._payload = Payload(kinematics, plant.dt)
         self._controllers: list[Controller] = [
-            *(JointTrajectoryController(group, kinematics, plant.dt) for group in groups),
+            *(JointTrajectoryController(group, kinematics, plant.dt, self._payload) for group in groups),
             self.impedance,
             SoftStopController(kinematics, plant.dt),
         ]
@@ -98,6 +100,7 @@ class ControlStack[P: Plant]:
         self._stand(np.ones(2))
         self.manager = ControllerManager(self._controllers, plant.dt, self._robot)
         self.impedance.forget()
+        self._payload.reset()
         self.grippers.reset()
         self.manager.switch(DEFAULT_CONTROLLERS, q, np.zeros_like(q))
         self.refusals: list[Refusal] = []
