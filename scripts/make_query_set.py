@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from minidual.collision.engine import ENGINES
 from minidual.config.seeds import stream, subseed
 from minidual.motion.edges import EdgeChecker
 from minidual.motion.search import search
@@ -22,12 +23,28 @@ from minidual.proof.scene_engines import SceneEngines
 from minidual.robot.pair import Array
 from minidual.trials.planning import query_set
 from minidual.trials.planning.queries import Query, QueryGenerator
-from minidual.trials.planning.query_set import OBSTACLES_N, ROBOT, is_free, stored
+from minidual.trials.planning.query_set import OBSTACLES_N, ROBOT, polyline_states, stored, stored_query
 
 _CHECKS_N = 250_000
 _ROUNDS = ((0.004, 0.03), (0.002, 0.03), (0.001, 0.02), (0.001, 0.02))
 """Padding [m] and step [rad] of the searches, one after the other: 1,000,000 state checks in all."""
 _DEADLINE_S = 3600.0
+FOLDER = Path(query_set.__file__).with_name("query_sets")
+
+
+def is_free(path: Array, engines: SceneEngines) -> bool:
+    """Return whether both engines find a polyline (k, n) free."""
+    Q = polyline_states(path)
+    return not any(engines.engine(name).collisions(Q).any() for name in ENGINES)
+
+
+def witness(seed: int, group: str, index: int) -> Array:
+    """Return the polyline (k, n) from start to goal of a stored query."""
+    query = stored_query(seed, group, index)
+    assert query is not None
+    with np.load(FOLDER / f"seed-{seed}.npz") as arrays:
+        corners = np.split(arrays[f"{group}.corners"].astype(float), np.cumsum(arrays[f"{group}.corners_n"])[:-1])
+    return np.vstack([query.q_start, corners[index], query.q_goal])
 
 
 def find_way(query: Query) -> Array | None:
@@ -68,7 +85,11 @@ def _solve(job: tuple[int, str, int]) -> tuple[Query, Array, int]:
 
 
 def make(seed: int, queries_n: int, workers_n: int) -> dict[str, Array]:
-    """Return the arrays of a new set, as `QuerySet` reads them."""
+    """Return the arrays of a new set.
+
+    They are `seed`, and by group G of k queries `G.attempts`, `G.seeds` (k,), `G.ends` (k, 2, n) start and goal,
+    `G.corners`, `G.corners_n` witnesses, `G.left_out`.
+    """
     jobs = [(seed, group, index) for group in ROBOT.groups for index in range(queries_n)]
     found: dict[str, list[tuple[Query, Array, int]]] = {group: [] for group in ROBOT.groups}
     with ProcessPoolExecutor(workers_n) as pool:
@@ -92,7 +113,7 @@ def make(seed: int, queries_n: int, workers_n: int) -> dict[str, Array]:
 def main(seed: int, queries_n: int = 100, workers_n: int = 2) -> None:
     """Make the set of a seed and write it beside the others."""
     arrays = make(seed, queries_n, workers_n)
-    file = Path(query_set.__file__).with_name("query_sets") / f"seed-{seed}.npz"
+    file = FOLDER / f"seed-{seed}.npz"
     np.savez_compressed(file, **arrays)
     print(f"{file}: {file.stat().st_size} bytes", file=sys.stderr)
 

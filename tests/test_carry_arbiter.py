@@ -6,6 +6,7 @@ import itertools
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -581,7 +582,8 @@ def test_who_watches_sees_the_source_the_phase_and_why_it_ended(carry: Carry) ->
 def watched(seen: Ride) -> None:
     screen: Any = Screen()
     world = seen.world
-    watch = trial_hook(screen, world, Kinematics(), "impedance", "a title")
+    bench: Any = SimpleNamespace(world=world, kinematics=Kinematics(), method="impedance")
+    watch = trial_hook(screen, bench, "a title")
 
     def look(seen: Ride) -> None:
         if round(world.time / world.dt) % 100 == 0:

@@ -27,7 +27,8 @@ from minidual.stages.registry import STAGES
 from minidual.trials.planning import queries, query_set
 from minidual.trials.planning.evaluate import engine_agreement, plan_query, query_source, repeats, run_queries
 from minidual.trials.planning.queries import QueryGenerator
-from minidual.trials.planning.query_set import is_free, polyline_states, stored_set
+from minidual.trials.planning.query_set import polyline_states, stored_query, stored_set
+from scripts.make_query_set import is_free, witness
 
 _PLANNED_STRAIGHT = 38
 """A stored query of poses whose planned posture is reached by the straight line."""
@@ -201,8 +202,7 @@ def test_whether_the_line_is_blocked_is_measured(outcomes):
     free = plan_query(planner, bare)
     assert not free.line_blocked
     assert free.result.direct
-    known = stored_set(20260)
-    freed = plan_query(planner, known.query("left_arm", _PLANNED_STRAIGHT))
+    freed = plan_query(planner, stored_query(20260, "left_arm", _PLANNED_STRAIGHT))
     assert freed.query.as_poses
     assert freed.result.direct
     assert not freed.line_blocked
@@ -291,7 +291,7 @@ def test_stored_queries_are_those_of_the_generator():
     known = stored_set(20260)
     generator = QueryGenerator(20260)
     for group, index in (("left_arm", 3), ("both_arms", 1)):
-        query, again = (known.query(group, index), generator.attempt(group, index, known.attempts[group][index]))
+        query, again = stored_query(20260, group, index), generator.attempt(group, index, known[group][0][index])
         assert query.scene == again.scene
         assert (query.seed, query.kind, query.as_poses) == (again.seed, again.kind, again.as_poses)
         assert np.abs(query.q_start - again.q_start).max() < 1e-6
@@ -304,9 +304,9 @@ def test_stored_queries_are_those_of_the_generator():
 def test_stored_witnesses_prove_their_queries_feasible(seed):
     """A way exists: every 0.002 rad along the witness both engines see nothing. A spoiled witness does not pass."""
     known = stored_set(seed)
-    assert all(known.size(group) == 100 for group in GROUPS)
+    assert all(len(known[group][0]) == 100 for group in GROUPS)
     for group, index in (("left_arm", 1), ("right_arm", 50), ("both_arms", 99)):
-        query, path = known.query(group, index), known.witness(group, index)
+        query, path = stored_query(seed, group, index), witness(seed, group, index)
         engines = Planner(query.scene).engines()
         assert np.array_equal(path[[0, -1]], [query.q_start, query.q_goal])
         assert np.abs(np.diff(polyline_states(path), axis=0)).max() <= 0.002 + 1e-12
@@ -324,8 +324,8 @@ def test_a_seed_without_a_set_and_a_damaged_set(monkeypatch, tmp_path):
 
 
 def test_the_stored_set_is_used_where_it_fits():
-    known = stored_set(20260)
-    assert np.array_equal(query_source(20260, 5, 1.0)("left_arm", 0).q_goal, known.query("left_arm", 0).q_goal)
+    known = stored_query(20260, "left_arm", 0)
+    assert np.array_equal(query_source(20260, 5, 1.0)("left_arm", 0).q_goal, known.q_goal)
     assert len(query_source(20260, 3, 1.0)("left_arm", 0).scene.obstacles) == 4
     assert query_source(20260, 5, 1.0)("both_arms", 100).index == 100  # beyond the set: generated
 

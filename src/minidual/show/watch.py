@@ -26,7 +26,7 @@ from minidual.robot.pair import Array, Robot
 from minidual.show.view import NO_PREVIEW, Arrow, Overlay, PathLine, Preview
 from minidual.show.view.overlay import ARM_RGB
 from minidual.trials.methods import Method
-from minidual.trials.runner import StepHook, Watch
+from minidual.trials.runner import Bench, StepHook, Watch
 
 if TYPE_CHECKING:
     from minidual.show.view import View
@@ -112,27 +112,22 @@ def watched(view: View | None, world: World, narrate: Narrator) -> Iterator[None
 
 def watch_trials(view: View | None) -> Watch | None:
     """Return the `watch` argument of `run_trials`; None without a view."""
-    if view is None:
-        return None
-
-    return lambda bench, title: trial_hook(view, bench.world, bench.kinematics, bench.method, title)
+    return None if view is None else functools.partial(trial_hook, view)
 
 
-def trial_hook(view: View, world: World, kinematics: Kinematics, name: str, title: str) -> StepHook:
+def trial_hook(view: View, bench: Bench, title: str) -> StepHook:
     """Return a step hook that shows a trial."""
-    narrator: Narrator = Overlay
-    watcher = Watcher(view, world, lambda: narrator())
-    driver: Method | None = None
+    narrate: Narrator | None = None
+    watcher = Watcher(view, bench.world, lambda: narrate() if narrate else Overlay())
 
     def hook(world: World, method: Method) -> None:
-        nonlocal driver, narrator
-        if method is not driver:
-            driver, stack = method, getattr(method, "stack", None)
+        nonlocal narrate
+        if narrate is None:
+            stack, words = getattr(method, "stack", None), Overlay(title=title, mode=bench.method, source=bench.method)
             if isinstance(stack, ControlStack):
-                narrator = StackNarrator(stack, kinematics, title, lambda: (method.phase, method.aborted))
+                narrate = StackNarrator(stack, bench.kinematics, title, lambda: (method.phase, method.aborted))
             else:  # the method computes torques itself
-                told = functools.partial(Overlay, title=title, mode=name, source=name)
-                narrator = lambda: told(state=method.phase, status=method.aborted or "")  # noqa: E731
+                narrate = lambda: replace(words, state=method.phase, status=method.aborted or "")  # noqa: E731
         watcher(world)
 
     return hook

@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -44,10 +46,8 @@ _MOVED_AT_S = 0.5  # the hands have left home and are not yet near
 class Disturbance(Protocol):
     """Acts on the world after every step."""
 
-    @property
-    def took_place(self) -> bool:
-        """Whether it has acted completely."""
-        ...
+    took_place: bool
+    """Whether it has acted completely."""
 
     def __call__(self, world: World) -> None:
         """Act or wait."""
@@ -86,13 +86,13 @@ class Condition:
         if self.sense and self.sense not in METHODS[method].senses:
             return f"{method} reads no {SENSES[self.sense]}"
         values = {**self.instead_of, **self.settings_under(config)}
-        if values and all(value == _configured(config, path) for path, value in values.items()):
+        if values and all(value == attrgetter(path)(config) for path, value in values.items()):
             return "without it too, " + ", ".join(f"{path} is {value:g}" for path, value in values.items())
         return ""
 
     def settings_under(self, config: Config) -> dict[str, float]:
         """Return its changes of `config`."""
-        return {**self.settings, **{path: k * _configured(config, path) for path, k in self.factors.items()}}
+        return {**self.settings, **{path: k * attrgetter(path)(config) for path, k in self.factors.items()}}
 
     def config_under(self, config: Config) -> Config:
         """Return the configuration of its trials.
@@ -133,13 +133,6 @@ def _arrays(place: Any) -> list[Array]:
     return [values for values in found if isinstance(values, np.ndarray)]
 
 
-def _configured(config: Config, path: str) -> float:
-    found: Any = config
-    for step in path.split("."):
-        found = getattr(found, step)
-    return float(found)
-
-
 def _derive(model: mujoco.MjModel) -> None:
     """Recompute subtree masses and constraint weights."""
     import mujoco
@@ -147,52 +140,36 @@ def _derive(model: mujoco.MjModel) -> None:
     mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
-def mass(factor: float) -> Change:
+def mass(model: mujoco.MjModel, task: Task, index: int, *, factor: float) -> None:
     """Scale the carried object's mass and inertia."""
-
-    def change(model: mujoco.MjModel, task: Task, index: int) -> None:
-        body = model.body(task.carried).id
-        model.body_mass[body] *= factor
-        model.body_inertia[body] *= factor
-
-    return change
+    body = model.body(task.carried).id
+    model.body_mass[body] *= factor
+    model.body_inertia[body] *= factor
 
 
-def friction(value: float) -> Change:
+def friction(model: mujoco.MjModel, task: Task, index: int, *, value: float) -> None:
     """Set friction of objects, pads and table."""
-
-    def change(model: mujoco.MjModel, task: Task, index: int) -> None:
-        # MuJoCo takes the larger friction of the two geoms in contact, so all of them change.
-        objects = {int(model.body(name).id) for name in task.scene.objects}
-        for i in range(model.ngeom):
-            name = model.geom(i).name
-            if int(model.geom_bodyid[i]) in objects or name.endswith("_pad") or name == "table_top":
-                model.geom_friction[i, 0] = value
-
-    return change
+    # MuJoCo takes the larger friction of the two geoms in contact, so all of them change.
+    objects = {int(model.body(name).id) for name in task.scene.objects}
+    for i in range(model.ngeom):
+        name = model.geom(i).name
+        if int(model.geom_bodyid[i]) in objects or name.endswith("_pad") or name == "table_top":
+            model.geom_friction[i, 0] = value
 
 
-def joint_friction(factor: float) -> Change:
+def joint_friction(model: mujoco.MjModel, task: Task, index: int, *, factor: float) -> None:
     """Scale the friction of one joint, another each trial; no dry friction counts as `DRY_NM`."""
-
-    def change(model: mujoco.MjModel, task: Task, index: int) -> None:
-        hinges = np.flatnonzero(model.jnt_type == _HINGE)
-        joint = model.joint(int(hinges[index % len(hinges)]))
-        joint.damping[0] *= factor
-        joint.frictionloss[0] = factor * (joint.frictionloss[0] or DRY_NM)
-
-    return change
+    hinges = np.flatnonzero(model.jnt_type == _HINGE)
+    joint = model.joint(int(hinges[index % len(hinges)]))
+    joint.damping[0] *= factor
+    joint.frictionloss[0] = factor * (joint.frictionloss[0] or DRY_NM)
 
 
-def light(factor: float) -> Change:
+def light(model: mujoco.MjModel, task: Task, index: int, *, factor: float) -> None:
     """Scale every light."""
-
-    def change(model: mujoco.MjModel, task: Task, index: int) -> None:
-        lamp = model.vis.headlight
-        for values in (model.light_diffuse, model.light_specular, lamp.ambient, lamp.diffuse, lamp.specular):
-            values *= factor
-
-    return change
+    lamp = model.vis.headlight
+    for values in (model.light_diffuse, model.light_specular, lamp.ambient, lamp.diffuse, lamp.specular):
+        values *= factor
 
 
 class Push:
@@ -243,19 +220,15 @@ class Move:
             self.took_place = True
 
 
-def push(force_n: Sequence[float]) -> Callable[[Task, np.random.Generator], Disturbance]:
-    """Return a maker of pushes at random times in the air."""
-    return lambda task, rng: Push(force_n, task.carried, float(rng.uniform(*_DELAY_S)))
+def push(task: Task, rng: np.random.Generator, *, force_n: Sequence[float]) -> Disturbance:
+    """Return a push at a random time in the air."""
+    return Push(force_n, task.carried, float(rng.uniform(*_DELAY_S)))
 
 
-def move(distance_m: float) -> Callable[[Task, np.random.Generator], Disturbance]:
-    """Return a maker of moves in random directions."""
-
-    def make(task: Task, rng: np.random.Generator) -> Disturbance:
-        direction = float(rng.uniform(0.0, 2.0 * np.pi))
-        return Move(distance_m * np.array([np.cos(direction), np.sin(direction)]), task.carried)
-
-    return make
+def move(task: Task, rng: np.random.Generator, *, distance_m: float) -> Disturbance:
+    """Return a move in a random direction."""
+    direction = float(rng.uniform(0.0, 2.0 * np.pi))
+    return Move(distance_m * np.array([np.cos(direction), np.sin(direction)]), task.carried)
 
 
 _PUSH_N = 20.0
@@ -269,23 +242,25 @@ for _row in (
         Condition(
             f"push {axis}",
             f"{_PUSH_N:.0f} N along {axis} for 0.2 s while the object is in the air",
-            act=push([_PUSH_N * u for u in unit]),
+            act=partial(push, force_n=[_PUSH_N * u for u in unit]),
         )
         for axis, unit in _AXES.items()
     ),
     Condition(
         "moved 20 mm",
         "somebody moves the object 20 mm along the table while the hands approach",
-        act=move(0.020),
+        act=partial(move, distance_m=0.020),
         promised=False,
     ),
-    Condition("mass -50 %", "an object of half the mass that is expected", change=mass(0.5)),
-    Condition("mass +50 %", "an object of one and a half times the mass that is expected", change=mass(1.5)),
+    Condition("mass -50 %", "an object of half the mass that is expected", change=partial(mass, factor=0.5)),
+    Condition(
+        "mass +50 %", "an object of one and a half times the mass that is expected", change=partial(mass, factor=1.5)
+    ),
     *(
         Condition(
             f"friction {mu}",
             f"pads, object and table have friction {mu}, which nobody is told",
-            change=friction(mu),
+            change=partial(friction, value=mu),
             instead_of={_FRICTION: mu},
         )
         for mu in (0.3, 0.7)
@@ -299,11 +274,11 @@ for _row in (
     Condition(
         "delay 20 ms", "pose and forces arrive 20 ms late", settings={"carry.sensing.delay_s": 0.020}, sense="feedback"
     ),
-    Condition("light -30 %", "the cameras look at a darker room", change=light(0.7), sense="picture"),
+    Condition("light -30 %", "the cameras look at a darker room", change=partial(light, factor=0.7), sense="picture"),
     Condition(
         "joint friction x2",
         f"one joint, another each trial, with twice a real joint's dry friction ({2.0 * DRY_NM:.2f} Nm)",
-        change=joint_friction(2.0),
+        change=partial(joint_friction, factor=2.0),
     ),
 ):
     CONDITIONS.add(_row.name, _row)

@@ -1,5 +1,7 @@
 """Learned methods: a trained policy drives through the command arbiter."""
 
+import functools
+
 from minidual.errors import UsageError
 from minidual.plant.render import Camera
 from minidual.plant.world import World
@@ -19,20 +21,12 @@ def policy(inputs: MethodInputs) -> Factory:
     robot = robot_from(config.robot)
     runtime = load_runtime(inputs.checkpoint, config.deploy, robot)
     supervisor = trial_supervisor(config.supervisor, config.scene.physics.timestep_s, robot)
-    cameras: dict[int, Camera] = {}  # one per model: an OpenGL context is slow to create
+    # One per model: an OpenGL context is slow to create.
+    camera = functools.cache(lambda model: Camera.recorded(model, config.scene.camera))
 
     def make(world: World, kinematics: Kinematics, trial: Trial) -> PolicyPilot:
-        camera = cameras.get(id(world.model))
-        if camera is None:
-            camera = cameras[id(world.model)] = Camera.recorded(world.model, config.scene.camera)
-        return PolicyPilot(
-            world,
-            kinematics,
-            runtime,
-            lambda name: (camera.picture(world.data, name), world.time),
-            config.arbiter,
-            config.teleop.rate_hz,
-            supervisor=supervisor,
-        )
+        picture = lambda name: (camera(world.model).picture(world.data, name), world.time)  # noqa: E731
+        rate_hz = config.teleop.rate_hz
+        return PolicyPilot(world, kinematics, runtime, picture, config.arbiter, rate_hz, supervisor=supervisor)
 
     return make

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from minidual.gate.check import Check
 from minidual.gate.verdict import Verdict
@@ -12,30 +13,6 @@ _THINNEST = 5
 
 
 @dataclass(frozen=True)
-class Gap:
-    """Success of the policy on held-out starts with 95 % interval, and on training starts."""
-
-    held_out: float
-    low: float
-    high: float
-    training: float
-
-    @property
-    def within(self) -> bool:
-        """Whether the training rate lies inside the held-out interval."""
-        return self.low <= self.training <= self.high
-
-
-@dataclass(frozen=True)
-class Margin:
-    """A check's margin as a share of its limit."""
-
-    stage: str
-    check: Check
-    relative: float
-
-
-@dataclass(frozen=True)
 class Facts:
     """The analysis.
 
@@ -43,14 +20,16 @@ class Facts:
         pairs: Undisturbed pairs of methods.
         partings: Disturbed pairs with a significant difference.
         losses: Significant effects of a disturbance.
+        gap: Success of the policy on held-out starts with 95 % interval, and on training starts.
+        margins: Stage, check and margin as a share of its limit, thinnest first.
         at_best_n: Passed checks at their best value, without margin.
     """
 
     pairs: list[Pair]
     partings: list[Pair]
     losses: list[Pair]
-    gap: Gap | None
-    margins: list[Margin]
+    gap: dict[str, float] | None
+    margins: list[dict[str, Any]]
     at_best_n: int
 
 
@@ -60,28 +39,33 @@ def gather(verdicts: Mapping[str, Verdict], tables: Tables) -> Facts:
     # Undisturbed pairs are their own Holm family: their result must not depend on which disturbances are run.
     clean = corrected([row for row in rows if row["condition"] == CLEAN])
     disturbed = corrected([row for row in rows if row["condition"] != CLEAN])
-    ranked, at_best = list[Margin](), 0
+    ranked, at_best = list[dict[str, Any]](), 0
     for stage, check in [(stage, check) for stage, verdict in verdicts.items() for check in verdict.checks]:
         relative = check.relative_margin
         if relative is not None and relative >= 0.0 and _at_its_best(check):
             at_best += 1
         elif relative is not None:
-            ranked.append(Margin(stage, check, relative))
+            ranked.append({"stage": stage, "check": check, "share_of_limit": relative})
     return Facts(
         pairs=clean,
         partings=[pair for pair in disturbed if pair["shown"]],
         losses=[cell.loss for cell in tables.cells if cell.loss and cell.loss["shown"]],
         gap=_gap(verdicts.get("deploy")),
-        margins=sorted(ranked, key=lambda margin: margin.relative)[:_THINNEST],
+        margins=sorted(ranked, key=lambda margin: margin["share_of_limit"])[:_THINNEST],
         at_best_n=at_best,
     )
 
 
-def _gap(deploy: Verdict | None) -> Gap | None:
+def _gap(deploy: Verdict | None) -> dict[str, float] | None:
     known = {} if deploy is None else {**deploy.data, **{check.name: check.observed for check in deploy.checks}}
-    names = ("success_rate", "success_low", "success_high", "training_success_rate")
-    found = [number for name in names if (number := finite(known.get(name))) is not None]
-    return Gap(*found) if len(found) == len(names) else None
+    names = {
+        "held_out": "success_rate",
+        "low": "success_low",
+        "high": "success_high",
+        "training": "training_success_rate",
+    }
+    found = {key: number for key, name in names.items() if (number := finite(known.get(name))) is not None}
+    return found if len(found) == len(names) else None
 
 
 def _at_its_best(check: Check) -> bool:

@@ -8,7 +8,7 @@ import io
 import math
 import re
 import statistics
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -69,24 +69,18 @@ class Figure:
 
 
 @contextmanager
-def _rows(names: Sequence[str], name: str, height: float) -> Iterator[tuple[Any, Any, Callable[[], str]]]:
-    """Yield (figure, axes, svg) with a row per name; svg() renders."""
-    style: Any = {**_STYLE, "svg.hashsalt": name}
-    with mpl.rc_context(style):
+def _rows(names: Sequence[str], name: str, height: float) -> Iterator[tuple[Any, Any, io.StringIO]]:
+    """Yield (figure, axes, svg) with a row per name; svg has its text after the block."""
+    with mpl.rc_context({**_STYLE, "svg.hashsalt": name}):
         figure = Canvas(figsize=(_WIDTH_IN, 0.95 + 0.47 * height), layout="constrained")
         figure.patch.set_alpha(0.0)
-        axes = figure.subplots()
+        axes, svg = figure.subplots(), io.StringIO()
         axes.patch.set_alpha(0.0)
         axes.grid(axis="x", linewidth=0.8)
         axes.set_yticks(range(len(names)), names)
         axes.set_ylim(len(names) - 0.45, -0.55)
-
-        def svg() -> str:
-            text = io.StringIO()
-            figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
-            return text.getvalue()
-
         yield figure, axes, svg
+        figure.savefig(svg, format="svg", metadata={"Date": None, "Creator": None})
 
 
 def _limit_line(axes: Any, at: float, label: str) -> None:
@@ -117,8 +111,8 @@ def success_figure(rows: Sequence[Row]) -> Figure | None:
         figure.legend(loc="outside upper center", ncols=count, frameon=False, fontsize=9)
         axes.set_xlim(-2, 102)
         axes.set_xlabel("success, %")
-        title = "Success" if len(rows) == 1 else "Success under each condition"
-        return Figure("success", title, "Dots: share of trials that passed. Lines: 95 % Wilson interval.", svg())
+    title = "Success" if len(rows) == 1 else "Success under each condition"
+    return Figure("success", title, "Dots: share of trials that passed. Lines: 95 % Wilson interval.", svg.getvalue())
 
 
 def read_trials(path: Path) -> list[Trial]:
@@ -163,7 +157,7 @@ def strip_figure(indicator: Indicator, methods: Sequence[str], trials: Sequence[
         axes.set_xlim(0, largest * 1.08 or 1.0)
         axes.locator_params(axis="x", nbins=6)
         axes.set_xlabel(f"{indicator.title}, {indicator.unit}")
-        return Figure(indicator.key, indicator.title, indicator.meaning, svg())
+    return Figure(indicator.key, indicator.title, indicator.meaning, svg.getvalue())
 
 
 def _spread(k: int) -> float:

@@ -13,8 +13,6 @@ from minidual.show.report.media import Medium
 from minidual.show.report.tables import Tables
 from minidual.show.report.wording import commit, joined, moment, shortened
 
-OverallState = Literal["pass", "fail", "weakened", "smoke", "tainted"]
-
 
 @dataclass(frozen=True)
 class Banner:
@@ -95,7 +93,7 @@ class Report:
         return sum(verdict.duration_s for verdict in self.given.verdicts.values())
 
     @property
-    def state(self) -> OverallState:
+    def state(self) -> Literal["pass", "fail", "weakened", "smoke", "tainted"]:
         """The gravest state that applies."""
         if self.waivers:
             return "tainted"

@@ -85,7 +85,7 @@ def document(report: Report) -> dict[str, Any]:
     given, facts = report.given, report.facts
     made = report.newest.fingerprint if report.newest else None
     clean, *disturbed = report.tables.rows
-    margins = [{"stage": m.stage, "check": m.check.name, "share_of_limit": m.relative} for m in facts.margins]
+    margins = [{**margin, "check": margin["check"].name} for margin in facts.margins]
     return {
         "schema": 3,
         "title": given.config.report.title,
@@ -103,7 +103,7 @@ def document(report: Report) -> dict[str, Any]:
             row.condition: {"summary": row.summary, "methods": {c.method: _cell(c) for c in row.cells}}
             for row in disturbed
         },
-        "analysis": {**asdict(facts), "margins": margins},
+        "analysis": {**vars(facts), "margins": margins},
     }
 
 

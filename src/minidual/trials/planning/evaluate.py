@@ -18,7 +18,7 @@ from minidual.proof.scene_engines import Audit
 from minidual.robot.arms import DUAL_PANDA, robot_from
 from minidual.robot.pair import Robot
 from minidual.trials.planning.queries import Query, QueryGenerator
-from minidual.trials.planning.query_set import OBSTACLES_N, ROBOT, polyline_states, stored_set
+from minidual.trials.planning.query_set import OBSTACLES_N, ROBOT, polyline_states, stored_query
 
 _LINE_STEP_RAD = 0.01
 
@@ -117,16 +117,9 @@ def query_source(
 ) -> Callable[[str, int], Query]:
     """Return (group, index) -> query, from the stored set of the seed if there is one."""
     generator = QueryGenerator(seed, obstacles_n, blocked_fraction, robot)
-    fits = (obstacles_n, blocked_fraction, robot) == (OBSTACLES_N, 1.0, ROBOT)
-    stored = stored_set(seed) if fits else None
-    if stored is None:
+    if (obstacles_n, blocked_fraction, robot) != (OBSTACLES_N, 1.0, ROBOT):
         return generator.query
-
-    def query(group: str, index: int) -> Query:
-        known = index < stored.size(group)
-        return stored.query(group, index) if known else generator.query(group, index)
-
-    return query
+    return lambda group, index: stored_query(seed, group, index) or generator.query(group, index)
 
 
 def run_queries(

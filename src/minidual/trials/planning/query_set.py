@@ -7,13 +7,11 @@ Each query has a witness: corners of a polyline that both engines find free ever
 import functools
 from importlib.resources import files
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
-from minidual.collision.engine import ENGINES
 from minidual.errors import DataError
-from minidual.proof.scene_engines import STEP_RAD, SceneEngines
+from minidual.proof.scene_engines import STEP_RAD
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.pair import Array
 from minidual.trials.planning.queries import Query, QueryGenerator, scene_of
@@ -22,47 +20,9 @@ OBSTACLES_N = 5
 ROBOT = DUAL_PANDA
 
 
-class QuerySet:
-    """One stored set.
-
-    Args:
-        arrays: `seed`, and by group G of k queries `G.attempts`, `G.seeds` (k,), `G.ends` (k, 2, n) start and goal,
-            `G.corners`, `G.corners_n` witnesses, `G.left_out`.
-
-    Raises:
-        KeyError, ValueError: Missing or misshapen array.
-    """
-
-    def __init__(self, arrays: dict[str, Any]) -> None:
-        self.seed = int(arrays["seed"])
-        self.attempts: dict[str, Array] = {g: arrays[f"{g}.attempts"] for g in ROBOT.groups}
-        self._seeds = {g: arrays[f"{g}.seeds"] for g in ROBOT.groups}
-        self._ends = {g: stored(arrays[f"{g}.ends"]) for g in ROBOT.groups}
-        self._corners = {
-            g: np.split(arrays[f"{g}.corners"].astype(float), np.cumsum(arrays[f"{g}.corners_n"])[:-1])
-            for g in ROBOT.groups
-        }
-
-    def size(self, group: str) -> int:
-        """Return the number of queries of a group."""
-        return len(self.attempts[group])
-
-    def query(self, group: str, index: int) -> Query:
-        """Return a stored query."""
-        attempt, seed = int(self.attempts[group][index]), int(self._seeds[group][index])
-        start, goal = (np.array(q) for q in self._ends[group][index])
-        scene = scene_of(self.seed, group, index, attempt, OBSTACLES_N)
-        return Query(group, index, seed, scene, start, goal, QueryGenerator.kind_of(group, index), attempt)
-
-    def witness(self, group: str, index: int) -> Array:
-        """Return the polyline (k, n) from start to goal."""
-        start, goal = self._ends[group][index]
-        return np.vstack([start, self._corners[group][index], goal])
-
-
 @functools.cache
-def stored_set(seed: int) -> QuerySet | None:
-    """Return the set of a seed, or None.
+def stored_set(seed: int) -> dict[str, tuple[Array, Array, Array]] | None:
+    """Return {group: (attempts (k,), seeds (k,), starts and goals (k, 2, n))} of a seed, or None.
 
     Raises:
         DataError: The file is damaged.
@@ -71,13 +31,25 @@ def stored_set(seed: int) -> QuerySet | None:
     if not file.is_file():
         return None
     try:
-        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
-            found = QuerySet(dict(arrays))
+        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as opened:
+            arrays = dict(opened)
+        of = int(arrays["seed"])
+        found = {g: (arrays[f"{g}.attempts"], arrays[f"{g}.seeds"], stored(arrays[f"{g}.ends"])) for g in ROBOT.groups}
     except (OSError, ValueError, KeyError) as error:
         raise DataError(f"the stored query set of seed {seed} cannot be read: {error}") from error
-    if found.seed != seed:
-        raise DataError(f"the stored query set of seed {seed} says it is of seed {found.seed}")
+    if of != seed:
+        raise DataError(f"the stored query set of seed {seed} says it is of seed {of}")
     return found
+
+
+def stored_query(seed: int, group: str, index: int) -> Query | None:
+    """Return a stored query, or None beyond the sets."""
+    known = stored_set(seed)
+    if known is None or index >= len(known[group][0]):
+        return None
+    attempt, own_seed, ends = (column[index] for column in known[group])
+    scene = scene_of(seed, group, index, int(attempt), OBSTACLES_N)
+    return Query(group, index, int(own_seed), scene, *ends, QueryGenerator.kind_of(group, index), int(attempt))
 
 
 def stored(q: Array) -> Array:
@@ -92,9 +64,3 @@ def polyline_states(path: Array, step_rad: float = STEP_RAD) -> Array:
         count = max(1, int(np.ceil(np.abs(b - a).max() / step_rad)))
         parts.append(a + np.linspace(0.0, 1.0, count + 1)[1:, None] * (b - a))
     return np.concatenate(parts)
-
-
-def is_free(path: Array, engines: SceneEngines) -> bool:
-    """Return whether both engines find a polyline (k, n) free."""
-    Q = polyline_states(path)
-    return not any(engines.engine(name).collisions(Q).any() for name in ENGINES)
