@@ -13,7 +13,7 @@ from minidual.trials import benchmark
 from minidual.trials.conditions import CONDITIONS
 from minidual.trials.methods import MethodInputs
 from minidual.trials.metrics import TrialMetrics
-from minidual.trials.perturbation import Robustness, run_perturbations
+from minidual.trials.perturbation import PURPOSE, Robustness, promised, robustness
 from minidual.trials.runner import TrialResult
 
 
@@ -57,7 +57,9 @@ def outcomes(monkeypatch):
 
 
 def found(failures=(), trials_n=20):
-    rows, _ = run_perturbations("impedance", MethodInputs(Config(), 5), trials_n, workers=1)
+    inputs = MethodInputs(Config(), 5)
+    cells, trials = benchmark.run_benchmark(["impedance"], promised(trials_n), inputs, workers=1, purpose=PURPOSE)
+    rows = robustness(cells, trials, inputs.config.carry.limits.success_rate_min)
     return {row.cell.condition: row for row in rows}
 
 

@@ -36,8 +36,6 @@ def test_gymnasiums_own_checker_passes_with_images_and_rendering():
         images=("high", "left"),
         render_mode="rgb_array",
         object_pose=True,
-        render_width_px=160,
-        render_height_px=120,
     )
     try:
         with warnings.catch_warnings():
@@ -48,7 +46,7 @@ def test_gymnasiums_own_checker_passes_with_images_and_rendering():
             check_env(made.unwrapped)
         observation, _ = made.reset(seed=1)
         assert observation["images"]["left"].shape == (48, 64, 3)
-        assert made.render().shape == (120, 160, 3)
+        assert made.render().shape == (480, 640, 3)
         assert made.render().std() > 5.0
     finally:
         made.close()

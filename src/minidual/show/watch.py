@@ -7,7 +7,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -153,26 +153,23 @@ def tcp_preview(kinematics: Kinematics, qs: Array) -> Preview:
     return Preview(tuple(PathLine(*side) for side in sides if np.ptp(side[1], axis=0).max() > _STATIC_M))
 
 
+@dataclass
 class StackNarrator:
     """Describes a control stack; `tell` returns the method's phase and why it stopped itself."""
 
-    def __init__(
-        self,
-        stack: ControlStack,
-        kinematics: Kinematics,
-        title: str,
-        tell: Callable[[], tuple[str, str | None]] = lambda: ("", None),
-    ) -> None:
-        self._stack, self._kinematics, self._title, self._tell = stack, kinematics, title, tell
-        self._drawn: tuple[TrajectoryCommand, ...] = ()
-        self._preview = NO_PREVIEW
+    stack: ControlStack
+    kinematics: Kinematics
+    title: str
+    tell: Callable[[], tuple[str, str | None]] = lambda: ("", None)
+    _drawn: tuple[TrajectoryCommand, ...] = ()
+    _preview: Preview = NO_PREVIEW
 
     def __call__(self) -> Overlay:
         """Return the current overlay."""
-        stack, state = self._stack, str(self._stack.state)
-        phase, aborted = self._tell()
+        stack, state = self.stack, str(self.stack.state)
+        phase, aborted = self.tell()
         return Overlay(
-            title=self._title,
+            title=self.title,
             mode=stack.source or "hold",
             source=stack.output.active_source or "none, posture held",
             state=f"{state}, {phase}" if phase and phase != state else state,
@@ -181,7 +178,7 @@ class StackNarrator:
         )
 
     def _planned(self) -> Preview:
-        found = (execution.command for execution in self._stack.arbiter.underway.executions)
+        found = (execution.command for execution in self.stack.arbiter.underway.executions)
         commands = tuple(command for command in found if isinstance(command, TrajectoryCommand))
         if [id(command) for command in commands] != [id(command) for command in self._drawn]:
             self._drawn = commands
@@ -190,8 +187,8 @@ class StackNarrator:
 
     def _paths(self, command: TrajectoryCommand) -> tuple[PathLine, ...]:
         times: Array = np.linspace(0.0, command.motion.duration_s, _PATH_POINTS, dtype=np.float64)
-        qs = np.tile(self._stack.plant.q, (len(times), 1))
-        group = self._kinematics.robot.groups[command.group]
+        qs = np.tile(self.stack.plant.q, (len(times), 1))
+        group = self.kinematics.robot.groups[command.group]
         found = command.motion.sample_many(times)[0]
         qs[:, group] = found if found.shape[1] == qs[:, group].shape[1] else found[:, group]
-        return tcp_preview(self._kinematics, qs).paths
+        return tcp_preview(self.kinematics, qs).paths

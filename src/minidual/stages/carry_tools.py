@@ -10,9 +10,9 @@ from minidual.show.figures.tuning import draw_tuning
 from minidual.show.markdown import markdown
 from minidual.show.watch import watch_trials
 from minidual.tasks.task import task_config
-from minidual.trials.benchmark import count_trials
+from minidual.trials.benchmark import count_trials, run_benchmark
 from minidual.trials.methods import MethodInputs
-from minidual.trials.perturbation import DROP_MAX, promised, run_perturbations
+from minidual.trials.perturbation import DROP_MAX, PURPOSE, promised, robustness
 from minidual.trials.tuning import CARRIES_N, Tuner, TuningError, gains
 
 PERTURB_TRIALS_N = 20
@@ -24,14 +24,16 @@ def perturb(context: ToolContext) -> ToolResult:
     inputs = MethodInputs(task_config(context.config), context.seed)
     count = count_trials(["impedance"], promised(trials_n), inputs.config)
     with context.progress.task("disturbed carries", count) as task:
-        found, trials = run_perturbations(
-            "impedance",
+        cells, trials = run_benchmark(
+            ["impedance"],
+            promised(trials_n),
             inputs,
-            trials_n,
             workers=context.workers,
+            purpose=PURPOSE,
             on_trial=lambda result: task.advance(note=result.metrics.condition),
             watch=watch_trials(context.view),
         )
+    found = robustness(cells, trials, inputs.config.carry.limits.success_rate_min)
     rows = [r.row() for r in found]
     write_csv(context.output / "conditions.csv", rows)
     write_csv(context.output / "trials.csv", [t.to_row() for t in trials])
@@ -80,7 +82,7 @@ def tune(context: ToolContext) -> ToolResult:
     steps = [s.row() for s in tuning.steps]
     write_csv(context.output / "tuning.csv", steps)
     draw_tuning(tuning, config.scene.task.internal_force_min_n, context.output / "tuning.png")
-    rows = [s.row() for s in (tuning.final, *tuning.compared)]
+    rows = [row for row in steps if row["phase"] in ("final", "compared")]
     return ToolResult(
         lines=markdown(rows),
         notes=[

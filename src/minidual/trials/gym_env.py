@@ -29,6 +29,7 @@ _OVERTRAVEL_RAD = 0.1
 """Observed joints may exceed their limits by this, after a collision."""
 _FAR = np.array([10.0, 10.0, 10.0, 1.0, 1.0, 1.0, 1.0], dtype=np.float32)
 """Bounds of an object's position [m] and quaternion."""
+_RENDERED_PX = 640, 480
 _FALLEN_M = -0.1
 """An object below this height has left the table."""
 
@@ -73,8 +74,6 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         render_mode: str | None = None,
         images: Sequence[str] = (),
         object_pose: bool = False,
-        render_width_px: int = 640,
-        render_height_px: int = 480,
     ) -> None:
         for name in images:
             if name not in CAMERAS:
@@ -84,7 +83,6 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self._task = make_task(Config(task=task) if scene is None else Config(task=task, scene=scene))
         self.scene, self.render_mode = self._task.scene, render_mode
         self._images, self._object_pose = tuple(images), object_pose
-        self._render_size = (render_width_px, render_height_px)
         robot = robot_from(self._task.config.robot)
         self._world = World(self.scene, robot, visuals=bool(images) or render_mode is not None)
         self._kinematics = Kinematics(robot)
@@ -166,10 +164,9 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         name = self._task.carried
         T = self._world.object_pose(name)
         level, grasps = level_part(T), self._task.objects[name].grasps
-        tcps: dict[str, Any] = dict(
-            zip(self._world.robot.sides, self._kinematics.tcp_poses(self._world.q), strict=True)
-        )
-        hands = [float(np.linalg.norm((level @ grasps[side])[:3, 3] - tcps[side][:3, 3])) for side in grasps]
+        tcps = zip(self._world.robot.sides, self._kinematics.tcp_poses(self._world.q), strict=True)
+        away = [(level @ grasps[side])[:3, 3] - tcp[:3, 3] for side, tcp in tcps if side in grasps]
+        hands = [float(np.linalg.norm(offset)) for offset in away]
         x, y, _ = placement(trial.goal[name])
         goal = float(np.linalg.norm(T[:3, 3] - (x, y, self.scene.objects[name].rest_height_m)))
         return -(sum(hands) / len(hands) + goal)
@@ -191,7 +188,7 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         """Return the overview image, or None without a render mode."""
         if self.render_mode is None:
             return None
-        camera = self._render_camera = self._render_camera or Camera(self._world.model, *self._render_size)
+        camera = self._render_camera = self._render_camera or Camera(self._world.model, *_RENDERED_PX)
         return camera.picture(self._world.data, "overview")
 
     def close(self) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from minidual.demos.quality import path_length_m
 from minidual.demos.smoothness import MIN_DURATION_S, rms_jerk
 from minidual.errors import NothingEvaluatedError, UsageError
-from minidual.tasks.judge import Outcome
+from minidual.tasks.judge import Failure, Outcome
 from minidual.trials.statistics import bootstrap_median_interval, wilson_interval
 
 #: Words for missing values in tables.
@@ -146,29 +146,24 @@ def trial_metrics(
     tcp_positions: NDArray[np.floating],
     rate_hz: float,
     torque_ratio_max: float,
-    condition: str = "clean",
     aborted: str = "",
 ) -> TrialMetrics:
-    """Return the metrics of one trial; `q` is (T, n) [rad], `tcp_positions` (T, 2, 3) [m], both measured.
+    """Return the metrics of one undisturbed trial; `q` is (T, n) [rad], `tcp_positions` (T, 2, 3) [m], both measured.
 
     Raises:
         DataError: `q` is not finite.
     """
-    first = min(outcome.failures, key=lambda failure: failure.at_s, default=None)
-    if outcome.success:
-        failure, detail, failed_at = "", "", math.nan
-    elif first is None:
-        failure, detail, failed_at = "unfinished", "the object was never released at rest", outcome.duration_s
-    else:
-        failure, detail, failed_at = first.name, first.detail, first.at_s
+    unfinished = Failure("unfinished", outcome.duration_s, "the object was never released at rest")
+    first = min(outcome.failures, key=lambda failure: failure.at_s, default=unfinished)
+    cause = Failure("", math.nan, "") if outcome.success else first
     return TrialMetrics(
         method=method,
         index=index,
-        condition=condition,
+        condition="clean",
         success=outcome.success,
-        failure=failure,
-        reason=detail,
-        failed_at_s=failed_at,
+        failure=cause.name,
+        reason=cause.detail,
+        failed_at_s=cause.at_s,
         duration_s=outcome.duration_s if outcome.success else math.nan,
         torque_ratio_max=torque_ratio_max,
         jerk_rms=math.nan if (len(q) - 1) / rate_hz < MIN_DURATION_S else rms_jerk(q, rate_hz),

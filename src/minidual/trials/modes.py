@@ -147,10 +147,10 @@ class ModesDemo:
 
     def record(self, arbiter: ArbiterConfig) -> dict[str, Any]:
         """Return the measurements as plain data."""
-        bounds = [{n: {"value": v, "bound": b} for n, (v, b) in s.bounds(arbiter).items()} for s in self.switches]
+        named = [(s.mode, s.bounds(arbiter).items()) for s in self.switches]
         return {
             "switches": [asdict(s) for s in self.switches],
-            "bounds": [{"mode": s.mode, **b} for s, b in zip(self.switches, bounds, strict=True)],
+            "bounds": [{"mode": mode, **{n: {"value": v, "bound": b} for n, (v, b) in of}} for mode, of in named],
             "outcomes": self.outcomes,
             "exceeded": self.exceeded(arbiter),
             "refusals": [asdict(r) for r in self.stack.refusals],

@@ -1,16 +1,14 @@
 """Success lost by one method under each promised condition."""
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from minidual.trials.benchmark import BenchmarkCell, run_benchmark
+from minidual.trials.benchmark import BenchmarkCell
 from minidual.trials.conditions import CLEAN, CONDITIONS
-from minidual.trials.methods import MethodInputs
 from minidual.trials.metrics import TrialMetrics
-from minidual.trials.runner import TrialResult, Watch
 
 DROP_MAX = 0.15
 """Limit of the loss of success rate."""
@@ -75,19 +73,8 @@ def promised(trials_n: int) -> dict[str, int]:
     return {name: trials_n for name, row in CONDITIONS.items() if row.promised}
 
 
-def run_perturbations(
-    method: str,
-    inputs: MethodInputs,
-    trials_n: int,
-    *,
-    workers: int,
-    on_trial: Callable[[TrialResult], None] = lambda result: None,
-    watch: Watch | None = None,
-) -> tuple[list[Robustness], list[TrialMetrics]]:
-    """Run the same trials under every promised condition."""
-    cells, trials = run_benchmark(
-        [method], promised(trials_n), inputs, workers=workers, purpose=PURPOSE, on_trial=on_trial, watch=watch
-    )
+def robustness(cells: Sequence[BenchmarkCell], trials: Sequence[TrialMetrics], rate_min: float) -> list[Robustness]:
+    """Return what each condition costs one method, whose undisturbed rate must reach `rate_min`."""
     rates = {c.condition: c.summary["success_rate"] for c in cells if c.summary is not None}
     rows: list[Robustness] = []
     for cell in cells:
@@ -95,9 +82,9 @@ def run_perturbations(
         example = next(failed, "")
         if cell.undisturbed:
             example = f"trial {cell.undisturbed[0]}: success, but its push or move never took place"
-        rate_min = inputs.config.carry.limits.success_rate_min if cell.condition == CLEAN else 0.0
-        rows.append(Robustness(cell, rates[CLEAN] - rates.get(cell.condition, float("nan")), example, rate_min))
-    return rows, trials
+        drop = rates[CLEAN] - rates.get(cell.condition, float("nan"))
+        rows.append(Robustness(cell, drop, example, rate_min if cell.condition == CLEAN else 0.0))
+    return rows
 
 
 def _number(value: float, digits: int) -> str:

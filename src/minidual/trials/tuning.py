@@ -108,9 +108,6 @@ class Tuning:
     force_n: float
     stiffness_n_per_m: float
     least_force_n: float
-    last_stiffness_n_per_m: float
-    final: TuningStep
-    compared: Sequence[TuningStep]
     steps: Sequence[TuningStep]
 
 
@@ -170,8 +167,9 @@ class Tuner:
                 f"{row['tracking_max_mm']} mm (limit {1e3 * TRACKING_MAX_M:.0f}) {row['first_failure']}",
                 remedy="see tuning.csv; carry more slowly or pinch harder (carry.impedance.pinch_n)",
             )
-        compared = [self._step("compared", f, stiffness) for f in COMPARED_N]
-        return Tuning(force, stiffness, least, last, final, compared, self.steps)
+        for compared in COMPARED_N:
+            self._step("compared", compared, stiffness)
+        return Tuning(force, stiffness, least, self.steps)
 
     def _safe(self, force_n: float, stiffness_n_per_m: float) -> None:
         """Raise if the softest step overloads a motor, or fails for another reason than too little squeeze."""

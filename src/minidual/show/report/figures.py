@@ -29,7 +29,7 @@ _LIMIT = "#c8452f"
 _WIDTH_IN = 5.2
 _BAND = 0.72
 """Share of the row height used."""
-_STYLE: dict[str, Any] = {
+_STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "font.family": "sans-serif",
     "font.size": 10,

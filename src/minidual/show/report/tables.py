@@ -73,11 +73,8 @@ class Cell:
         if self.state == "spared":
             return []
         holes = [i.key for i in INDICATORS if self.measures[i.key] is None and not self.undefined(i)]
-        return [
-            *holes,
-            *["trials"] * (self.trials is None),
-            *["loss"] * (self.loss is None and self.condition != CLEAN),
-        ]
+        holes += ["trials"] * (self.trials is None)
+        return holes + ["loss"] * (self.loss is None and self.condition != CLEAN)
 
     def undefined(self, indicator: Indicator) -> bool:
         """Return whether `indicator` needs a success and there is none; not a hole."""

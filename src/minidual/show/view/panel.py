@@ -72,15 +72,12 @@ class Panel:
         """Add sliders, a folder per group."""
         self._offered += sliders
         self._values += [slider.value for slider in sliders]
-        folders: dict[str, Any] = {}
-        for slider in sliders:
-            if slider.group not in folders:
-                folders[slider.group] = self._gui.add_folder(slider.group, expand_by_default=False)
-            step = round((slider.upper - slider.lower) / 500, 4)
-            with folders[slider.group]:
-                self._sliders.append(
-                    self._gui.add_slider(slider.label, slider.lower, slider.upper, step, initial_value=slider.value)
-                )
+        groups = dict.fromkeys(slider.group for slider in sliders)
+        folders = {group: self._gui.add_folder(group, expand_by_default=False) for group in groups}
+        for s in sliders:
+            step = round((s.upper - s.lower) / 500, 4)
+            with folders[s.group]:
+                self._sliders.append(self._gui.add_slider(s.label, s.lower, s.upper, step, initial_value=s.value))
 
     def values(self) -> Array:
         """Return the values (n,), clipped; NaN and infinities are ignored."""

@@ -8,6 +8,8 @@ import numpy as np
 import numpy.typing as npt
 import trimesh
 
+from minidual.robot.poses import pose, rotation_from_quat
+
 HIDDEN_GROUP = 3
 """Collision geoms from here on, also hidden by MuJoCo's viewer."""
 _SHARP_RAD = np.deg2rad(35.0)
@@ -51,11 +53,7 @@ def _visible(model: mujoco.MjModel) -> Iterator[tuple[int, trimesh.Trimesh]]:
         mesh = _mesh(model, geom)
         if mesh is None:
             continue
-        T = np.eye(4)
-        R = np.empty(9)
-        mujoco.mju_quat2Mat(R, model.geom_quat[geom])
-        T[:3, :3], T[:3, 3] = R.reshape(3, 3), model.geom_pos[geom]
-        mesh.apply_transform(T)
+        mesh.apply_transform(pose(rotation_from_quat(model.geom_quat[geom]), model.geom_pos[geom]))
         yield geom, mesh
 
 
@@ -81,7 +79,5 @@ def _mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
 
 def floor_height(model: mujoco.MjModel) -> float | None:
     """Return the first plane's height [m]."""
-    for geom in range(model.ngeom):
-        if int(model.geom_type[geom]) == int(mujoco.mjtGeom.mjGEOM_PLANE):
-            return float(model.geom_pos[geom, 2])
-    return None
+    planes = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
+    return float(model.geom_pos[planes[0], 2]) if len(planes) else None

@@ -47,9 +47,9 @@ def stored_query(seed: int, group: str, index: int) -> Query | None:
     known = stored_set(seed)
     if known is None or index >= len(known[group][0]):
         return None
-    attempt, own_seed, ends = (column[index] for column in known[group])
+    attempt, own_seed, (start, goal) = (column[index] for column in known[group])
     scene = scene_of(seed, group, index, int(attempt), OBSTACLES_N)
-    return Query(group, index, int(own_seed), scene, *ends, QueryGenerator.kind_of(group, index), int(attempt))
+    return Query(group, index, int(own_seed), scene, start, goal, QueryGenerator.kind_of(group, index), int(attempt))
 
 
 def stored(q: Array) -> Array:
