@@ -11,7 +11,7 @@ from minidual.collision.shapes import Box, Capsule
 from minidual.errors import UsageError
 from minidual.motion.api import Planner
 from minidual.motion.held.path import ObjectPath
-from minidual.motion.held.planner import HeldPlanner, grasp_of, scene_holding
+from minidual.motion.held.planner import HeldPlanner, scene_holding
 from minidual.motion.timing import PathLimits
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse, pose, rot_x, rot_z
@@ -127,7 +127,8 @@ def test_start_off_the_grasp_is_refused(q_start, waypoints):
     off[0][0, 3] += 0.01
     with pytest.raises(ClosedChainError, match=r"left hand is 10.00 mm and 0.0000 rad off its grasp"):
         HeldPlanner().follow(q_start, off, GRASPS)
-    assert HeldPlanner().follow(q_start, off, grasp_of(q_start, off[0])).residual_m < 1e-4
+    left, right = (inverse(off[0]) @ T for T in Kinematics().tcp_poses(q_start))
+    assert HeldPlanner().follow(q_start, off, (left, right)).residual_m < 1e-4
 
 
 def test_out_of_reach_names_the_hand_and_the_place(q_start, waypoints):

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
+import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypedDict, Unpack
 
 import numpy as np
 
-from minidual.collision.errors import NoPathInTimeError, TimingError
+from minidual.collision.errors import NoPathInTimeError, PlanningError, TimingError
 from minidual.collision.scene import PlanningScene
 from minidual.config.planning import PlannerConfig
 from minidual.config.seeds import stream, subseed
@@ -22,7 +22,7 @@ from minidual.motion.search import search
 from minidual.motion.shortcut import shortcut
 from minidual.motion.timing import DT_S, resting, time_path
 from minidual.proof.certificate import certify
-from minidual.proof.scene_engines import SceneEngines
+from minidual.proof.scene_engines import SceneEngines, Verification
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot
@@ -97,7 +97,7 @@ class Planner:
         self.robot = self.scene.robot
         self.kinematics = Kinematics(self.robot)
         self.goals = PoseGoals(self.kinematics, self.config.ik_restarts_n)
-        self._engines: OrderedDict[PlanningScene, SceneEngines] = OrderedDict()
+        self._engines = functools.lru_cache(_SCENES_KEPT)(self._built)
 
     def engines(self, scene: PlanningScene | None = None) -> SceneEngines:
         """Return a scene's engines; the last eight scenes are cached.
@@ -108,21 +108,16 @@ class Planner:
         scene = scene or self.scene
         if scene.robot != self.robot:
             raise UsageError(f"the planner is for two {self.robot.arm.name}, the scene for two {scene.robot.arm.name}")
-        if scene not in self._engines:
-            engines = self._engines[scene] = SceneEngines(scene, self.config.verify_step_rad, self.kinematics)
-            if not Planner._kernels_loaded:
-                self._load_kernels(engines)
-            while len(self._engines) > _SCENES_KEPT:
-                self._engines.popitem(last=False)
-        self._engines.move_to_end(scene)
-        return self._engines[scene]
+        return self._engines(scene)
 
-    def _load_kernels(self, engines: SceneEngines) -> None:
-        """Load the planes' machine code (0.3 s; 30 s if compiled) outside planning budgets."""
-        home = self.robot.home
-        EdgeChecker(engines, 0.0, [home], 0.1).edge_free(home, home + 0.1)
-        certify(engines.solids, resting(home, DT_S, "both_arms"))
-        Planner._kernels_loaded = True
+    def _built(self, scene: PlanningScene) -> SceneEngines:
+        engines, home = SceneEngines(scene, self.config.verify_step_rad, self.kinematics), self.robot.home
+        if not Planner._kernels_loaded:
+            # Load the planes' machine code (0.3 s; 30 s if compiled) outside planning budgets.
+            EdgeChecker(engines, 0.0, [home], 0.1).edge_free(home, home + 0.1)
+            certify(engines.solids, resting(home, DT_S, "both_arms"))
+            Planner._kernels_loaded = True
+        return engines
 
     def budget(self, budget_s: float | None) -> float:
         """Return a time budget [s], by default the configuration's.
@@ -164,21 +159,13 @@ class Planner:
 
 
 class _Work:
-    def __init__(
-        self,
-        planner: Planner,
-        group: str,
-        q_start: Array,
-        scene: PlanningScene | None = None,
-        seed: int = 0,
-        budget_s: float | None = None,
-    ) -> None:
+    def __init__(self, planner: Planner, group: str, q_start: Array, **options: Unpack[QueryOptions]) -> None:
+        scene, self.seed = options.get("scene"), options.get("seed", 0)
         if not Planner._kernels_loaded:
             planner.engines(scene)  # before the clock starts: no budget pays for loading machine code
-        self.times = PhaseTimes()
-        self.arms = group_arms(group)
-        self.planner, self.config, self.group, self.seed = planner, planner.config, group, seed
-        self.budget_s = planner.budget(budget_s)
+        self.times, self.arms = PhaseTimes(), group_arms(group)
+        self.planner, self.config, self.group = planner, planner.config, group
+        self.budget_s = planner.budget(options.get("budget_s"))
         self.q_start = check_joints(q_start, "start", planner.robot)
         with self.times.phase("scene"):
             self.engines = planner.engines(scene)
@@ -203,20 +190,13 @@ class _Work:
                 effort = effort.after_no_path()
                 continue
             try:
-                trajectory, path = self._finish(path, checker, attempt)
-            except TimingError as error:
+                trajectory, path, proof = self._finish(path, checker, attempt)
+            except PlanningError as error:
                 notes.append(error.message)
                 effort = effort.after_no_proof()
-                continue
-            with times.phase("verify"):
-                proof = self.engines.verify(trajectory)
-            if proof.ok:
-                direct, seconds = len(path) == 2, dict(times.seconds)
-                return PlanResult(
-                    trajectory, path, goal, proof, seconds, times.elapsed_s, attempt, direct=direct, notes=tuple(notes)
-                )
-            notes.append(f"proof failed: {proof.reason}")
-            effort = effort.after_no_proof()
+            else:
+                seconds = dict(times.seconds)
+                return PlanResult(trajectory, path, goal, proof, seconds, times.elapsed_s, attempt, tuple(notes))
         last = notes[-1] if notes else "the budget ended before the first attempt"
         raise NoPathInTimeError(
             f"no proven path for {self.group} in {self.budget_s:.2f} s: {attempt} attempts, the last one: {last}",
@@ -238,7 +218,15 @@ class _Work:
             deadline=self.times.started + self.budget_s,
         )
 
-    def _finish(self, path: Array, checker: EdgeChecker, attempt: int) -> tuple[Trajectory, Array]:
+    def _finish(self, path: Array, checker: EdgeChecker, attempt: int) -> tuple[Trajectory, Array, Verification]:
+        trajectory, path = self._timed(path, checker, attempt)
+        with self.times.phase("verify"):
+            proof = self.engines.verify(trajectory)
+        if not proof.ok:
+            raise PlanningError(f"proof failed: {proof.reason}")
+        return trajectory, path, proof
+
+    def _timed(self, path: Array, checker: EdgeChecker, attempt: int) -> tuple[Trajectory, Array]:
         if np.abs(path[-1] - path[0]).max() < _SAME_RAD and len(path) == 2:
             return resting(path[0], DT_S, self.group), path
         config = self.config

@@ -60,10 +60,7 @@ def blended_path(path: Array, checker: EdgeChecker, radius_rad: float, step_rad:
 
     Vertices must not repeat. `radius_rad` is the largest half length of a corner.
     """
-    steps = np.diff(path, axis=0)
-    lengths = np.linalg.norm(steps, axis=1)
-    directions = steps / lengths[:, None]
-    halves = np.minimum(radius_rad, _OF_SEGMENT * np.minimum(lengths[:-1], lengths[1:]))
+    lengths, directions, halves = _corners(path, radius_rad)
     for i in range(len(halves)):
         while not _corner_free(path[i + 1], directions[i], directions[i + 1], halves[i], checker, step_rad):
             halves[i] *= _SHRINK
@@ -74,10 +71,14 @@ def blended_path(path: Array, checker: EdgeChecker, radius_rad: float, step_rad:
 
 def rounded(path: Array, radius: float) -> SmoothPath:
     """Return the polyline (n, d) with rounded corners, unchecked."""
+    return _assemble(path, *_corners(path, radius))
+
+
+def _corners(path: Array, radius: float) -> tuple[Array, Array, Array]:
+    """Return lengths and directions of the segments, and half lengths of the corners."""
     steps = np.diff(path, axis=0)
     lengths = np.linalg.norm(steps, axis=1)
-    halves = np.minimum(radius, _OF_SEGMENT * np.minimum(lengths[:-1], lengths[1:]))
-    return _assemble(path, lengths, steps / lengths[:, None], halves)
+    return lengths, steps / lengths[:, None], np.minimum(radius, _OF_SEGMENT * np.minimum(lengths[:-1], lengths[1:]))
 
 
 def _corner_free(vertex: Array, u1: Array, u2: Array, d: float, checker: EdgeChecker, step_rad: float) -> bool:

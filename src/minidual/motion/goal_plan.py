@@ -168,4 +168,4 @@ class GoalPlanner:
         took, path = perf_counter() - began, move.trajectory.q[[0, -1]]
         note = () if move.fraction == 1.0 else (f"the line covers {move.fraction:.1%}: {move.reason}",)
         times = {**dict.fromkeys(PHASES, 0.0), "search": took}
-        return PlanResult(move.trajectory, path, path[-1], move.verification, times, took, 1, direct=True, notes=note)
+        return PlanResult(move.trajectory, path, path[-1], move.verification, times, took, 1, note)

@@ -34,6 +34,11 @@ class IKSolution:
     residual_rad: float
     reached: bool
 
+    @property
+    def off(self) -> str:
+        """The error for messages."""
+        return f"{self.residual_m * 1e3:.1f} mm and {self.residual_rad:.3f} rad"
+
 
 def check_pose(T: Array, what: str) -> Array:
     """Return T (4, 4).
@@ -149,7 +154,7 @@ class ArmIK:
             x, y, z = T_world_tcp[:3, 3]
             raise IKUnreachableError(
                 f"the {self.arm} hand cannot reach ({x:.3f}, {y:.3f}, {z:.3f}) m as asked: the best of {restarts_n} "
-                f"starts stays {best.residual_m * 1e3:.1f} mm and {best.residual_rad:.3f} rad away",
+                f"starts stays {best.off} away",
                 remedy="move the goal nearer to the base or change its orientation",
             )
 
@@ -173,8 +178,7 @@ class PostureIK:
             found = arm.resting(T, q[arm.joints], self._posture[arm.joints], self._mobility)
             if not found.reached:
                 raise UsageError(
-                    f"the {arm.arm} hand cannot reach position {np.round(T[:3, 3], 3).tolist()} m: "
-                    f"{found.residual_m * 1e3:.1f} mm and {found.residual_rad:.3f} rad remain",
+                    f"the {arm.arm} hand cannot reach position {np.round(T[:3, 3], 3).tolist()} m: {found.off} remain",
                     remedy="keep the object within reach: a smaller start range, or a start nearer to the arms",
                 )
             q[arm.joints] = found.q

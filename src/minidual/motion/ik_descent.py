@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit
 from numba.core import types
 
+from minidual.robot import vectors
 from minidual.robot.compiled import BLOCKS, ROWS, VECTOR, kernel
 from minidual.robot.pair import Array
 
@@ -18,6 +19,10 @@ _NEAR_HALF_TURN = math.pi - 1e-3  # above this angle [rad] a rotation's antisymm
 _DAMPING_FIRST, _DAMPING_LEAST, _DAMPING_MOST = 1e-3, 1e-10, 1e4
 _DAMPING_DOWN, _DAMPING_UP = 0.2, 5.0
 _DAMPING_PROJECT = 1e-9
+
+Vector = tuple[float, float, float]
+_algebra: Any = map(njit, (vectors.cross, vectors.inner))
+_cross, _dot = _algebra
 
 
 @njit
@@ -35,8 +40,8 @@ def _logarithm(R: Array, w: Array) -> float:
                 i = k
         for k in range(3):
             w[k] = 0.5 * (R[i, k] + R[k, i]) - (cosine if i == k else 0.0)
-        size = math.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
-        along = angle if w[0] * x + w[1] * y + w[2] * z >= 0.0 else -angle
+        size = math.sqrt(_dot(w, w))
+        along = angle if _dot(w, (x, y, z)) >= 0.0 else -angle
         for k in range(3):
             w[k] *= along / size
         return angle
@@ -58,6 +63,22 @@ def _quotients(t: float) -> tuple[float, float]:
 
 
 @njit
+def _turned_back(R: Array, a: Any) -> Vector:
+    return _dot(R[:, 0], a), _dot(R[:, 1], a), _dot(R[:, 2], a)
+
+
+@njit
+def _inverse_left(diagonal: float, beta: float, w: Vector, x: Vector) -> Vector:
+    """Return diagonal x + beta w (w . x) + w / 2 x x."""
+    along, (a, b, c) = beta * _dot(w, x), _cross(w, x)
+    return (
+        diagonal * x[0] + along * w[0] + 0.5 * a,
+        diagonal * x[1] + along * w[1] + 0.5 * b,
+        diagonal * x[2] + along * w[2] + 0.5 * c,
+    )
+
+
+@njit
 def _reach(frames: Array, q: Array, T: Array, axes: Array) -> None:
     """Fill the tcp pose T (3, 4), joint axes and centres (n, 6), in world."""
     for r in range(3):
@@ -66,11 +87,9 @@ def _reach(frames: Array, q: Array, T: Array, axes: Array) -> None:
     for i in range(len(frames)):
         F = frames[i]
         for r in range(3):
-            x, y, z = T[r, 0], T[r, 1], T[r, 2]
-            T[r, 3] += x * F[0, 3] + y * F[1, 3] + z * F[2, 3]
-            a = x * F[0, 0] + y * F[1, 0] + z * F[2, 0]
-            b = x * F[0, 1] + y * F[1, 1] + z * F[2, 1]
-            T[r, 2] = x * F[0, 2] + y * F[1, 2] + z * F[2, 2]
+            row = T[r, 0], T[r, 1], T[r, 2]
+            T[r, 3] += _dot(row, F[:, 3])
+            a, b, T[r, 2] = _dot(row, F[:, 0]), _dot(row, F[:, 1]), _dot(row, F[:, 2])
             if i < len(q):
                 cosine, sine = math.cos(q[i]), math.sin(q[i])
                 T[r, 0], T[r, 1] = cosine * a + sine * b, cosine * b - sine * a
@@ -82,21 +101,16 @@ def _reach(frames: Array, q: Array, T: Array, axes: Array) -> None:
 @njit
 def _measured(frames: Array, target: Array, q: Array) -> Any:
     """Return tcp pose (3, 4), joint axes and centres (n, 6), R, p and logarithm (6,) of T_tcp_target, and its angle."""
-    T, axes, R, p, e = np.empty((3, 4)), np.empty((len(q), 6)), np.empty((3, 3)), np.zeros(3), np.empty(6)
+    T, axes, R, e = np.empty((3, 4)), np.empty((len(q), 6)), np.empty((3, 3)), np.empty(6)
     _reach(frames, q, T, axes)
-    for r in range(3):
-        for k in range(3):
-            p[r] += T[k, r] * (target[k, 3] - T[k, 3])
-        for c in range(3):
-            R[r, c] = T[0, r] * target[0, c] + T[1, r] * target[1, c] + T[2, r] * target[2, c]
-    w = e[3:]
-    t = _logarithm(R, w)
-    beta, _ = _quotients(t)
-    alpha = 1.0 - beta * t * t
-    along = beta * (w[0] * p[0] + w[1] * p[1] + w[2] * p[2])
-    e[0] = alpha * p[0] - 0.5 * (w[1] * p[2] - w[2] * p[1]) + along * w[0]
-    e[1] = alpha * p[1] - 0.5 * (w[2] * p[0] - w[0] * p[2]) + along * w[1]
-    e[2] = alpha * p[2] - 0.5 * (w[0] * p[1] - w[1] * p[0]) + along * w[2]
+    for c in range(3):
+        R[0, c], R[1, c], R[2, c] = _turned_back(T, target[:, c])
+    p = _turned_back(T, (target[0, 3] - T[0, 3], target[1, 3] - T[1, 3], target[2, 3] - T[2, 3]))
+    t = _logarithm(R, e[3:])
+    w, (beta, _) = (e[3], e[4], e[5]), _quotients(t)
+    alpha, along, across = 1.0 - beta * t * t, beta * _dot(w, p), _cross(w, p)
+    for k in range(3):
+        e[k] = alpha * p[k] - 0.5 * across[k] + along * w[k]
     return T, axes, R, p, e, t
 
 
@@ -104,42 +118,21 @@ def _measured(frames: Array, target: Array, q: Array) -> Any:
 def _jacobian(measured: Any, J: Array) -> None:
     """Fill J (6, n) = -[A, C A; 0, A] J_tcp, A and C of the inverse pose."""
     T, axes, R, p, e, t = measured
-    wx, wy, wz = -e[3], -e[4], -e[5]
-    px = -(R[0, 0] * p[0] + R[1, 0] * p[1] + R[2, 0] * p[2])
-    py = -(R[0, 1] * p[0] + R[1, 1] * p[1] + R[2, 1] * p[2])
-    pz = -(R[0, 2] * p[0] + R[1, 2] * p[1] + R[2, 2] * p[2])
+    w, (x, y, z) = (-e[3], -e[4], -e[5]), _turned_back(R, p)
+    shift = -x, -y, -z
     beta, slope = _quotients(t)
-    diagonal = 1.0 - beta * t * t
-    wp = wx * px + wy * py + wz * pz
-    turn, shift = slope * wp, -(t * t * slope + 2.0 * beta)
-    ux, uy, uz = turn * wx + shift * px, turn * wy + shift * py, turn * wz + shift * pz
-    straight = beta * wp
+    diagonal, wp = 1.0 - beta * t * t, _dot(w, shift)
     for i in range(J.shape[1]):
-        # Joint twist in the tcp frame: v = R^T (z x (p_tcp - p_joint)), o = R^T z.
-        zx, zy, zz = axes[i, 0], axes[i, 1], axes[i, 2]
-        dx, dy, dz = T[0, 3] - axes[i, 3], T[1, 3] - axes[i, 4], T[2, 3] - axes[i, 5]
-        mx, my, mz = zy * dz - zz * dy, zz * dx - zx * dz, zx * dy - zy * dx
-        vx = T[0, 0] * mx + T[1, 0] * my + T[2, 0] * mz
-        vy = T[0, 1] * mx + T[1, 1] * my + T[2, 1] * mz
-        vz = T[0, 2] * mx + T[1, 2] * my + T[2, 2] * mz
-        ox = T[0, 0] * zx + T[1, 0] * zy + T[2, 0] * zz
-        oy = T[0, 1] * zx + T[1, 1] * zy + T[2, 1] * zz
-        oz = T[0, 2] * zx + T[1, 2] * zy + T[2, 2] * zz
-        # A x = diagonal x + beta w (w . x) + w / 2 x x
-        along = beta * (wx * ox + wy * oy + wz * oz)
-        ax = diagonal * ox + along * wx + 0.5 * (wy * oz - wz * oy)
-        ay = diagonal * oy + along * wy + 0.5 * (wz * ox - wx * oz)
-        az = diagonal * oz + along * wz + 0.5 * (wx * oy - wy * ox)
-        along = beta * (wx * vx + wy * vy + wz * vz)
-        bx = diagonal * vx + along * wx + 0.5 * (wy * vz - wz * vy)
-        by = diagonal * vy + along * wy + 0.5 * (wz * vx - wx * vz)
-        bz = diagonal * vz + along * wz + 0.5 * (wx * vy - wy * vx)
+        axis = axes[i, 0], axes[i, 1], axes[i, 2]
+        lever = T[0, 3] - axes[i, 3], T[1, 3] - axes[i, 4], T[2, 3] - axes[i, 5]
+        a = _inverse_left(diagonal, beta, w, _turned_back(T, axis))
+        b = _inverse_left(diagonal, beta, w, _turned_back(T, _cross(axis, lever)))
         # C x = u (w . x) + beta w (p . x) + beta (w . p) x + p / 2 x x
-        inner, outer = wx * ax + wy * ay + wz * az, beta * (px * ax + py * ay + pz * az)
-        J[0, i] = -(bx + ux * inner + wx * outer + straight * ax + 0.5 * (py * az - pz * ay))
-        J[1, i] = -(by + uy * inner + wy * outer + straight * ay + 0.5 * (pz * ax - px * az))
-        J[2, i] = -(bz + uz * inner + wz * outer + straight * az + 0.5 * (px * ay - py * ax))
-        J[3, i], J[4, i], J[5, i] = -ax, -ay, -az
+        inner, outer, across = _dot(w, a), beta * _dot(shift, a), _cross(shift, a)
+        for k in range(3):
+            u = slope * wp * w[k] - (t * t * slope + 2.0 * beta) * shift[k]
+            J[k, i] = -(b[k] + u * inner + w[k] * outer + beta * wp * a[k] + 0.5 * across[k])
+            J[3 + k, i] = -a[k]
 
 
 @njit
@@ -223,7 +216,7 @@ def descend(
         else:
             damping *= _DAMPING_UP
     p = now[3]
-    return math.sqrt(cost), math.sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2]), now[5]
+    return math.sqrt(cost), math.sqrt(_dot(p, p)), now[5]
 
 
 @kernel(types.boolean(BLOCKS, ROWS, VECTOR, VECTOR, types.int64, types.float64, types.float64))

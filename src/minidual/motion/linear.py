@@ -21,14 +21,12 @@ from minidual.robot.trajectory import Trajectory
 
 DEVIATION_MAX_M = 2e-4
 DEVIATION_MAX_RAD = 1e-3
+TIP_LIMITS = PathLimits(speed_m_per_s=0.25, acceleration_m_per_s2=0.8)
 _STEP_M = 0.005
 _JUMP_MAX_RAD = 0.15
 _REFINEMENTS = 3
 _BACK_OFFS = 6
 _STILL_M = 1e-9
-
-
-TIP_LIMITS = PathLimits(speed_m_per_s=0.25, acceleration_m_per_s2=0.8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,15 +36,12 @@ class LinearMove:
     Attributes:
         fraction: Part covered, 0 to 1.
         reason: Why it ends early, or "".
-        deviation_m, deviation_rad: Largest tcp deviations.
     """
 
     trajectory: Trajectory
     verification: Verification
     fraction: float = 1.0
     reason: str = ""
-    deviation_m: float = 0.0
-    deviation_rad: float = 0.0
 
 
 class Line:
@@ -77,13 +72,10 @@ class _Curve:
 
     def __init__(self, marks: Array, Q: Array) -> None:
         self._spline = CubicSpline(marks, Q, bc_type="natural")
-        self.length = float(marks[-1])
-        self.knots = marks[[0, -1]]
+        self.length, self.knots = float(marks[-1]), marks[[0, -1]]
 
     def at(self, s: Array, order: int = 0) -> Array:
-        s = np.asarray(s, dtype=float)
-        own = s if order == 0 else np.full_like(s, 1.0 if order == 1 else 0.0)
-        return np.column_stack([self._spline(s, order), own])
+        return np.column_stack([self._spline(s, order), (s, np.ones_like(s), np.zeros_like(s))[order]])
 
 
 class LinearPlanner:
@@ -121,24 +113,21 @@ class LinearPlanner:
             still = resting(q_start, DT_S, group)
             proof = engines.verify(still)
             if not proof.ok:
-                raise LinearMoveError(
-                    f"the hands are where the straight move of {group} ends, but staying there is not proven: "
-                    f"{proof.reason}",
-                    remedy="start from another posture",
-                )
+                raise _cut_short(group, 1.0, f"staying there is not proven: {proof.reason}")
             return LinearMove(still, proof)
         for refinement in range(_REFINEMENTS):
             count = max(8, int(np.ceil(length / (_STEP_M * 0.5**refinement))))
             marks = np.linspace(0.0, length, count + 1, dtype=np.float64)
             Q, reason = self._follow(q_start, lines, engines, marks)
-            move = self._timed(group, marks, Q, reason, lines, engines, limits or TIP_LIMITS)
-            if move.deviation_m < DEVIATION_MAX_M and move.deviation_rad < DEVIATION_MAX_RAD:
+            move, way = self._timed(group, marks, Q, reason, engines, limits or TIP_LIMITS)
+            off_m, off_rad = self._deviation(move.trajectory, way / length, lines)
+            if off_m < DEVIATION_MAX_M and off_rad < DEVIATION_MAX_RAD:
                 if move.fraction < fraction_min:
                     raise _cut_short(group, move.fraction, move.reason)
                 return move
         raise LinearMoveError(
-            f"between its points the straight move strays {move.deviation_m * 1e3:.3f} mm and "
-            f"{move.deviation_rad:.5f} rad; allowed are {DEVIATION_MAX_M * 1e3} mm and {DEVIATION_MAX_RAD} rad",
+            f"between its points the straight move strays {off_m * 1e3:.3f} mm and {off_rad:.5f} rad; allowed are "
+            f"{DEVIATION_MAX_M * 1e3} mm and {DEVIATION_MAX_RAD} rad",
             remedy="start from a posture farther from a singularity",
         )
 
@@ -154,15 +143,10 @@ class LinearPlanner:
                 solution = ik.solve(line.at(float(mark / marks[-1])), q[ik.joints])
                 jump = float(np.abs(solution.q - q[ik.joints]).max())
                 if not solution.reached:
-                    return np.array(Q), (
-                        f"the {arm} hand cannot go on: it stays {solution.residual_m * 1e3:.1f} mm and "
-                        f"{solution.residual_rad:.3f} rad away"
-                    )
+                    return np.array(Q), f"the {arm} hand cannot go on: it stays {solution.off} away"
                 if jump > _JUMP_MAX_RAD:
-                    return np.array(Q), (
-                        f"the {arm} arm would jump by {jump:.2f} rad within {marks[1] * 1e3:.1f} mm (a joint limit or "
-                        "a singular posture)"
-                    )
+                    why = f"would jump by {jump:.2f} rad within {marks[1] * 1e3:.1f} mm"
+                    return np.array(Q), f"the {arm} arm {why} (a joint limit or a singular posture)"
                 q[ik.joints] = solution.q
             near = engines.closest(q, 0.001)
             if near and near[0].distance_m <= 0.0:
@@ -171,16 +155,9 @@ class LinearPlanner:
         return np.array(Q), ""
 
     def _timed(
-        self,
-        group: str,
-        marks: Array,
-        Q: Array,
-        reason: str,
-        lines: Mapping[str, Line],
-        engines: SceneEngines,
-        limits: PathLimits,
-    ) -> LinearMove:
-        length = float(marks[-1])
+        self, group: str, marks: Array, Q: Array, reason: str, engines: SceneEngines, limits: PathLimits
+    ) -> tuple[LinearMove, Array]:
+        """Return the proven part of the move, and the way along the line at its samples."""
         for back_off in range(_BACK_OFFS):
             keep = len(Q) - 2**back_off + 1
             if keep < 4:
@@ -189,18 +166,14 @@ class LinearPlanner:
             trajectory, way = time_path(curve, group, self._limits, self._kinematics, limits)
             proof = engines.verify(trajectory)
             if proof.ok:
-                deviation = self._deviation(trajectory, way / length, lines)
-                return LinearMove(trajectory, proof, float(marks[keep - 1] / length), reason, *deviation)
+                return LinearMove(trajectory, proof, float(marks[keep - 1] / marks[-1]), reason), way
             reason = reason or f"the proof refuses the rest: {proof.reason}"
         raise _cut_short(group, 0.0, reason or "there is no room to begin")
 
     def _deviation(self, trajectory: Trajectory, way: Array, lines: Mapping[str, Line]) -> tuple[float, float]:
         rows = np.unique(np.append(np.arange(0, len(way), 5), len(way) - 1))
-        off = [
-            lines[arm].off(self._ik[arm].tcp_pose(trajectory.q[k, self._ik[arm].joints]), float(way[k]))
-            for k in rows
-            for arm in lines
-        ]
+        hands = [(line, self._ik[arm]) for arm, line in lines.items()]
+        off = [line.off(ik.tcp_pose(trajectory.q[k, ik.joints]), float(way[k])) for k in rows for line, ik in hands]
         worst_m, worst_rad = np.max(off, axis=0).tolist()
         return worst_m, worst_rad
 

@@ -39,7 +39,7 @@ class PlanResult:
     """A proven plan.
 
     Attributes:
-        path: Polyline (n, dof) after shortcutting; `direct` if one segment.
+        path: Polyline (n, dof) after shortcutting.
         q_goal: Goal reached (dof,).
         notes: Why earlier attempts failed, or a straight move ends early.
     """
@@ -51,5 +51,9 @@ class PlanResult:
     times_s: dict[str, float]
     total_s: float
     attempts_n: int
-    direct: bool
     notes: tuple[str, ...] = ()
+
+    @property
+    def direct(self) -> bool:
+        """Whether the path is one segment."""
+        return len(self.path) == 2

@@ -47,14 +47,18 @@ def seeded(seed: int) -> None:
     ou.RNG.setSeed(max(1, subseed(seed, "ompl")))
 
 
-def exact_path(worker: Any, range_rad: float, ends: Sequence[Any], enough: Callable[[], bool]) -> Any:
-    """Return the exact solution between two states, or None if `enough` came first."""
+def exact_path(worker: Any, range_rad: float, ends: Sequence[Any], enough: Callable[[], bool], deadline: float) -> Any:
+    """Return the exact solution between two states, or None if `enough` or the deadline came first."""
     definition = ob.ProblemDefinition(worker.getSpaceInformation())
     definition.setStartAndGoalStates(*ends)
     worker.setRange(range_rad)
     worker.setProblemDefinition(definition)
     worker.setup()
-    status = worker.solve(ob.PlannerTerminationCondition(lambda: definition.hasExactSolution() or enough()))
+
+    def ended() -> bool:
+        return definition.hasExactSolution() or enough() or time.perf_counter() > deadline
+
+    status = worker.solve(ob.PlannerTerminationCondition(ended))
     return definition.getSolutionPath() if status.getStatus() == ob.PlannerStatus.EXACT_SOLUTION else None
 
 
@@ -93,9 +97,5 @@ def search(
         for i, value in enumerate(q[joints]):
             state[i] = float(value)
     checks_end = checker.checks_n + checks_max
-
-    def enough() -> bool:
-        return checker.checks_n >= checks_end or time.perf_counter() > deadline
-
-    path = exact_path(PLANNERS[planner](si), range_rad, ends, enough)
+    path = exact_path(PLANNERS[planner](si), range_rad, ends, lambda: checker.checks_n >= checks_end, deadline)
     return None if path is None else np.array([full(path.getState(i)) for i in range(path.getStateCount())])

@@ -1,5 +1,6 @@
 """Shortcutting of polylines."""
 
+from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
@@ -18,7 +19,7 @@ def shortcut(path: Array, checker: EdgeChecker, rng: np.random.Generator, rounds
 
     Every other round moves one arm alone, as detours may differ in time.
     """
-    path = _drop_vertices(path, checker)
+    path = path[kept_vertices(path, checker.edge_free)]
     whole, *arms = (checker.robot.groups[name] for name in ("both_arms", *(f"{side}_arm" for side in SIDES)))
     both_move = all(np.ptp(path[:, arm], axis=0).max() > 0.0 for arm in arms)
     parts = [whole, arms[0], whole, arms[1]] if both_move else [whole]
@@ -26,19 +27,18 @@ def shortcut(path: Array, checker: EdgeChecker, rng: np.random.Generator, rounds
         if len(path) < 3:
             break
         path = _cut_stretch(path, checker, rng, parts[k % len(parts)])
-    return _drop_vertices(path, checker)
+    return path[kept_vertices(path, checker.edge_free)]
 
 
-def _drop_vertices(path: Array, checker: EdgeChecker) -> Array:
-    kept = [0]
-    last = len(path) - 1
+def kept_vertices(path: Array, edge_free: Callable[[Array, Array], bool]) -> list[int]:
+    """Return the rows of a path that remain when each vertex is joined to the farthest one it reaches."""
+    kept, last = [0], len(path) - 1
     while kept[-1] < last:
-        here = kept[-1]
-        ahead = last
-        while ahead > here + 1 and not checker.edge_free(path[here], path[ahead]):
+        here, ahead = kept[-1], last
+        while ahead > here + 1 and not edge_free(path[here], path[ahead]):
             ahead -= 1
         kept.append(ahead)
-    return path[kept]
+    return kept
 
 
 def _cut_stretch(path: Array, checker: EdgeChecker, rng: np.random.Generator, joints: slice) -> Array:

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from minidual.robot import vectors
 from minidual.robot.compiled import inlined, kernel
 from minidual.robot.pair import Array
 
@@ -38,6 +39,8 @@ Keep = tuple[float, Array, Array, float]
 padding."""
 Vector = tuple[float, float, float]
 
+_algebra: Any = map(inlined, (vectors.cross, vectors.inner, vectors.plus, vectors.minus, vectors.times))
+_cross, _dot, _plus, _minus, _times = _algebra
 _TRIES = 40
 """Most directions per plane."""
 _EXACT_M = 1e-4
@@ -51,26 +54,6 @@ def _vector(a: Array) -> Vector:
 @inlined
 def _store(a: Array, x: Vector) -> None:
     a[0], a[1], a[2] = x
-
-
-@inlined
-def _dot(a: Any, b: Any) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@inlined
-def _plus(a: Any, b: Any) -> Vector:
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
-
-
-@inlined
-def _minus(a: Any, b: Any) -> Vector:
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
-
-
-@inlined
-def _times(s: float, a: Any) -> Vector:
-    return s * a[0], s * a[1], s * a[2]
 
 
 @inlined
@@ -191,9 +174,7 @@ def _on_triangle(a: Vector, b: Vector, c: Vector) -> Vector:
 @inlined
 def _outside(a: Vector, b: Vector, c: Vector, inner: Vector) -> bool:
     """Return whether the origin is not strictly on the triangle's inner side."""
-    ux, uy, uz = _minus(b, a)
-    vx, vy, vz = _minus(c, a)
-    normal = (uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx)
+    normal = _cross(_minus(b, a), _minus(c, a))
     return not -_dot(normal, a) * _dot(normal, _minus(inner, a)) > 0.0
 
 

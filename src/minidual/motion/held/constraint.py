@@ -8,7 +8,6 @@ Jacobians (Sola, "A micro Lie theory for state estimation in robotics", 2018):
 OMPL keeps F only to 1e-4, so its states need another projection.
 """
 
-import time
 from typing import Any
 
 import numpy as np
@@ -103,10 +102,9 @@ def search_manifold(
 
     def enough() -> bool:
         # Most states may fail before the collision check, so constraint calls are limited too.
-        spent = checker.checks_n >= checks_end or constraint.calls_n >= calls_end
-        return spent or time.perf_counter() > deadline
+        return checker.checks_n >= checks_end or constraint.calls_n >= calls_end
 
-    path = exact_path(og.RRTConnect(si), 1.0, ends, enough)
+    path = exact_path(og.RRTConnect(si), 1.0, ends, enough, deadline)
     if path is None:
         return None
     path.interpolate()

@@ -112,11 +112,8 @@ class HandsIK:
             if not np.isfinite(q[arm.joints]).all():
                 away = arm.solve(T_world_object @ grasp, before[arm.joints])
                 if not away.reached:
-                    return ClosedChainError(
-                        f"the {arm.arm} hand cannot follow the object to {where}: it stays {away.residual_m * 1e3:.1f} "
-                        f"mm and {away.residual_rad:.3f} rad away",
-                        remedy=remedy,
-                    )
+                    why = f"the {arm.arm} hand cannot follow the object to {where}: it stays {away.off} away"
+                    return ClosedChainError(why, remedy=remedy)
                 q[arm.joints] = away.q
         steps, outside = np.abs(q - before), np.maximum(robot.q_lower - q, q - robot.q_upper)
         jumps = float(steps.max()) > JUMP_MAX_RAD
@@ -142,7 +139,7 @@ class HandsIK:
             if not (distance <= RESIDUAL_MAX_M and angle <= RESIDUAL_MAX_RAD):
                 raise ClosedChainError(
                     f"at the start the {arm.arm} hand is {distance * 1e3:.2f} mm and {angle:.4f} rad off its grasp",
-                    remedy="take the grasps from the hands as they are (grasp_of), or solve the start first",
+                    remedy="take the grasps from the hands as they are, or solve the start first",
                 )
 
     def strays(self, Q: Array, Ts_world_object: Array) -> tuple[float, float]:

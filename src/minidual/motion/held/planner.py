@@ -26,7 +26,6 @@ from minidual.motion.held.search import JOINT_WEIGHT_M, HeldSpace, Q, search_obj
 from minidual.motion.ik import check_pose
 from minidual.motion.timing import PathLimits
 from minidual.proof.scene_engines import SceneEngines
-from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import inverse
 
@@ -43,13 +42,6 @@ _MORE_GOALS = {1: 1, 2: 10}
 _CANDIDATES_N = 400
 _SAME_RAD = 0.5
 """Postures closer than this are duplicates."""
-
-
-def grasp_of(q: Array, T_world_object: Array, kinematics: Kinematics | None = None) -> tuple[Array, Array]:
-    """Return both grasps T_object_tcp at q (n,)."""
-    left, right = (kinematics or Kinematics()).tcp_poses(np.asarray(q, dtype=float))
-    T_object_world = inverse(T_world_object)
-    return T_object_world @ left, T_object_world @ right
 
 
 def placed(shape: Shape, T: Array) -> Shape:

@@ -16,6 +16,7 @@ import numpy as np
 from minidual.motion.edges import EdgeChecker, bisection_order
 from minidual.motion.held.hands import HandsIK
 from minidual.motion.held.path import ObjectChart
+from minidual.motion.shortcut import kept_vertices
 from minidual.robot.pair import Array
 
 X, Q = slice(0, 6), slice(6, None)
@@ -220,14 +221,7 @@ def _connect(space: HeldSpace, tree: _Tree, z: Array) -> int | None:
 
 def shorten(space: HeldSpace, path: Array, rng: np.random.Generator, rounds_n: int) -> Array:
     """Return a shorter path (m, 6 + n)."""
-    points = list(path)
-    i = 0
-    while i < len(points) - 2:  # connect to the farthest reachable vertex
-        for j in range(len(points) - 1, i + 1, -1):
-            if space.edge_free(points[i], points[j]):
-                del points[i + 1 : j]
-                break
-        i += 1
+    points = list(path[kept_vertices(path, space.edge_free)])
     for _ in range(rounds_n):
         if len(points) < 3:
             break
