@@ -154,7 +154,6 @@ def test_it_goes_back_until_a_candidate_passes_every_stage():
     record = {s.name: s for s in solution.record.stages}
     assert record["first"].failures == {"wrong": ["0 is not 3", "1 is not 3", "2 is not 3"]}
     assert record["make"].chosen == "3"
-    assert solution.cost == 3.0
 
 
 def test_preferred_candidates_are_followed_first_over_all_stages():
@@ -294,7 +293,7 @@ def test_grips_out_of_reach_stop_it_at_the_approach(planner):
     with pytest.raises(TaskFailedError, match="'approach' stops it") as caught:
         carry([GOAL]).solve(far, tools(planner))
     assert list(caught.value.record.stages[0].failures) == ["ik_unreachable"]
-    assert caught.value.record.stages[0].tried_n == 1
+    assert caught.value.record.stages[0].to_json()["tried_n"] == 1
 
 
 def test_a_grip_that_cannot_be_reached_gives_way_to_the_next(planner):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from minidual.collision import acm as acm_module
-from minidual.collision.acm import AllowedCollisions, acm_report, build_acm
+from minidual.collision.acm import acm_report, build_acm
 from minidual.collision.engine import Pairs
 from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import TABLE, Attached, PlanningScene
@@ -78,13 +78,13 @@ def test_cross_arm_pairs_are_always_checked():
 
 
 def test_every_allowed_pair_has_a_reason_and_stays_within_one_arm():
-    for first, second, reason in acm_report(DUAL_PANDA).acm.table():
+    for first, second, reason in sorted(acm_report(DUAL_PANDA).acm):
         assert side_of(first) == side_of(second)
         assert reason.split(" ")[0] in ("rigid", "adjacent", "always", "never")
 
 
 def test_both_arms_have_the_same_matrix():
-    table = acm_report(DUAL_PANDA).acm.table()
+    table = sorted(acm_report(DUAL_PANDA).acm)
     left = {(a[5:], b[5:], r) for a, b, r in table if a.startswith("left_")}
     right = {(a[6:], b[6:], r) for a, b, r in table if a.startswith("right_")}
     assert left == right
@@ -95,7 +95,7 @@ def test_the_pairs_of_the_published_srdf_that_may_touch_cover_ours_that_always_d
     published = {frozenset(p) for p in never_touching(PANDA)}
     ours = {
         frozenset((a[5:], b[5:]))
-        for a, b, r in acm_report(DUAL_PANDA).acm.table()
+        for a, b, r in sorted(acm_report(DUAL_PANDA).acm)
         if a.startswith("left_") and r in ("adjacent", "rigid")
     }
     fingers = frozenset(("panda_leftfinger", "panda_rightfinger"))
@@ -106,15 +106,15 @@ def test_the_pairs_of_the_published_srdf_that_may_touch_cover_ours_that_always_d
 def test_few_samples_would_drop_pairs_that_collide():
     """Why the default takes tens of thousands: a thousand samples call pairs `never` that do touch."""
     few = build_acm(DUAL_PANDA, samples_min=500, samples_max=1000).acm
-    never_few = {(a, b) for a, b, r in few.table() if r.startswith("never")}
-    never = {(a, b) for a, b, r in acm_report(DUAL_PANDA).acm.table() if r.startswith("never")}
+    never_few = {(a, b) for a, b, r in few if r.startswith("never")}
+    never = {(a, b) for a, b, r in sorted(acm_report(DUAL_PANDA).acm) if r.startswith("never")}
     assert never <= never_few
     assert len(never_few) > len(never)
 
 
 def test_what_is_called_never_does_not_touch_in_fresh_samples():
     matrix = acm_report(DUAL_PANDA).acm
-    never = [(a, b) for a, b, r in matrix.table() if r.startswith("never") and a.startswith("left_")]
+    never = [(a, b) for a, b, r in sorted(matrix) if r.startswith("never") and a.startswith("left_")]
     engine = MujocoEngine(Pairs(DUAL_PANDA, tuple(never)))
     rng = np.random.default_rng(99)
     Q = np.tile(HOME, (20_000, 1))
@@ -147,15 +147,15 @@ def test_cache_is_used_refreshed_and_never_needed(tmp_path, monkeypatch):
 
 
 def test_adding_and_removing_a_pair():
-    matrix = AllowedCollisions()
-    more = matrix.with_pair("b", "a", "because")
-    assert more.reason("a", "b") == more.reason("b", "a") == "because"
-    assert more.with_pair("a", "b", "again").table() == [("a", "b", "again")]
-    assert more.without_pair("b", "a") == matrix
+    scene, (b, a) = PlanningScene(allowed=frozenset()), ("table", "left_panda_hand")
+    more = scene.allowing(b, a, "because")
+    assert more.why_unchecked(a, b) == more.why_unchecked(b, a) == "because"
+    assert sorted(more.allowing(a, b, "again").allowed) == [(a, b, "again")]
+    assert more.forbidding(b, a) == scene
     with pytest.raises(UsageError, match="checked already"):
-        matrix.without_pair("a", "b")
+        scene.forbidding(a, b)
     with pytest.raises(UsageError, match="itself"):
-        matrix.with_pair("a", "a")
+        scene.allowing(a, a)
 
 
 def test_attached_object_moves_with_its_hand_and_may_touch_its_fingers():

@@ -90,7 +90,11 @@ class PlanningScene:
                     return "rigid"
                 if other in held.touch_links:
                     return f"held by {held.link}"
-        return self.allowed.reason(a, b)
+        return self._reasons.get((a, b) if a < b else (b, a))
+
+    @cached_property
+    def _reasons(self) -> dict[tuple[str, str], str]:
+        return {(a, b): reason for a, b, reason in self.allowed}
 
     @cached_property
     def _attached_by_name(self) -> dict[str, Attached]:
@@ -116,9 +120,18 @@ class PlanningScene:
     def allowing(self, a: str, b: str, reason: str = "user") -> PlanningScene:
         """Return a copy allowing the pair."""
         self.why_unchecked(a, b)  # check the names
-        return dataclasses.replace(self, allowed=self.allowed.with_pair(a, b, reason))
+        if a == b:
+            raise UsageError(f"a link cannot be paired with itself: '{a}'")
+        first, second = sorted((a, b))
+        return dataclasses.replace(self, allowed=self._others(a, b) | {(first, second, reason)})
 
     def forbidding(self, a: str, b: str) -> PlanningScene:
         """Return a copy checking the pair."""
         self.why_unchecked(a, b)
-        return dataclasses.replace(self, allowed=self.allowed.without_pair(a, b))
+        others = self._others(a, b)
+        if others == self.allowed:
+            raise UsageError(f"the pair {a} and {b} is checked already; it has no entry to remove")
+        return dataclasses.replace(self, allowed=others)
+
+    def _others(self, a: str, b: str) -> AllowedCollisions:
+        return frozenset(row for row in self.allowed if {a, b} != {*row[:2]})

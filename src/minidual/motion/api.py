@@ -16,7 +16,7 @@ from minidual.config.seeds import stream, subseed
 from minidual.errors import UsageError
 from minidual.motion.blend import blended_path
 from minidual.motion.edges import EdgeChecker
-from minidual.motion.goals import PoseGoals, check_joints, goal_joints, group_arms, require_free
+from minidual.motion.goals import GROUP_ARMS, PoseGoals, check_joints, goal_joints, require_free
 from minidual.motion.result import PhaseTimes, PlanResult
 from minidual.motion.search import search
 from minidual.motion.shortcut import shortcut
@@ -163,7 +163,7 @@ class _Work:
         scene, self.seed = options.get("scene"), options.get("seed", 0)
         if not Planner._kernels_loaded:
             planner.engines(scene)  # before the clock starts: no budget pays for loading machine code
-        self.times, self.arms = PhaseTimes(), group_arms(group)
+        self.times, self.arms = PhaseTimes(), GROUP_ARMS[group]
         self.planner, self.config, self.group = planner, planner.config, group
         self.budget_s = planner.budget(options.get("budget_s"))
         self.q_start = check_joints(q_start, "start", planner.robot)

@@ -13,7 +13,7 @@ from minidual.config.seeds import stream
 from minidual.errors import ConfigError, UsageError, unknown_name
 from minidual.motion.api import Planner, QueryOptions
 from minidual.motion.goal import Goal, TipPose
-from minidual.motion.goals import check_joints, goal_joints, group_arms
+from minidual.motion.goals import GROUP_ARMS, check_joints, goal_joints
 from minidual.motion.linear import LinearPlanner
 from minidual.motion.result import PHASES, PlanResult
 from minidual.robot.arms import DUAL_PANDA
@@ -64,7 +64,7 @@ class NamedStates(dict[str, dict[str, Array]]):
         if name not in self:
             raise unknown_name("named state", name, self)
         q = np.array(q_others, dtype=float)
-        for arm in group_arms(group):
+        for arm in GROUP_ARMS[group]:
             if arm not in self[name]:
                 raise UsageError(
                     f"the state '{name}' says nothing about the {arm} arm, which {group} moves",
@@ -91,7 +91,7 @@ class GoalPlanner:
         Raises:
             UsageError, OutOfLimitsError: Unknown name, arm outside the group, or joints outside limits.
         """
-        arms = group_arms(group)
+        arms = GROUP_ARMS[group]
         q_start = check_joints(q_start, "start", self.robot)
         if goal.state is not None:
             return self.states.joints(goal.state, group, q_start)

@@ -6,26 +6,18 @@ from collections.abc import Mapping
 import numpy as np
 
 from minidual.collision.errors import GoalInCollisionError, OutOfLimitsError, StartInCollisionError
-from minidual.errors import UsageError, unknown_name
+from minidual.errors import UsageError
 from minidual.motion.ik import ArmIK, check_pose
 from minidual.proof.scene_engines import SceneEngines
+from minidual.registry import Registry
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array, Robot
 
+GROUP_ARMS: Registry[tuple[str, ...]] = Registry(
+    "group", {"left_arm": ("left",), "right_arm": ("right",), "both_arms": SIDES}
+)
 _ROUNDING = 1e-9
-
-
-def group_arms(group: str) -> tuple[str, ...]:
-    """Return the arms of a group.
-
-    Raises:
-        UsageError: Unknown group.
-    """
-    groups = {**{f"{side}_arm": (side,) for side in SIDES}, "both_arms": SIDES}
-    if group not in groups:
-        raise unknown_name("group", group, groups)
-    return groups[group]
 
 
 def check_joints(q: Array, what: str, robot: Robot = DUAL_PANDA) -> Array:
@@ -96,7 +88,7 @@ def check_targets(group: str, targets: Mapping[str, Array]) -> dict[str, Array]:
     Raises:
         UsageError: Wrong arms or an invalid pose.
     """
-    arms = group_arms(group)
+    arms = GROUP_ARMS[group]
     if set(targets) != set(arms):
         raise UsageError(f"the targets name {', '.join(sorted(targets)) or 'no arm'}; {group} needs {', '.join(arms)}")
     return {arm: check_pose(targets[arm], f"the target of the {arm} hand") for arm in arms}

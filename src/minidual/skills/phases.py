@@ -20,7 +20,6 @@ class Phase:
         limits: Of the object or hands; None: the planner's.
     """
 
-    name: str
     open: bool
     rise_m: float = 0.0
     hold_s: float = 0.0
@@ -31,19 +30,16 @@ class Phase:
 _SLOW = PathLimits(speed_m_per_s=0.15, acceleration_m_per_s2=0.6)
 
 PHASES: dict[str, Phase] = {
-    phase.name: phase
-    for phase in (
-        Phase("approach", open=True, rise_m=0.08),
-        Phase("descend", open=True, limits=_SLOW),
-        Phase("close", open=False, hold_s=0.7),
-        Phase("squeeze", open=False, force_s=0.3),
-        Phase("lift", open=False, limits=_SLOW),
-        Phase("carry", open=False, limits=PathLimits(speed_m_per_s=0.35, acceleration_m_per_s2=1.0)),
-        Phase("lower", open=False, limits=_SLOW),
-        Phase("settle", open=False, hold_s=0.2, force_s=0.1),
-        Phase("unload", open=False, force_s=0.2),
-        Phase("open", open=True, hold_s=0.5, force_s=0.3),
-        Phase("retreat", open=True, rise_m=0.10, limits=_SLOW),
-        Phase("home", open=True),
-    )
+    "approach": Phase(open=True, rise_m=0.08),
+    "descend": Phase(open=True, limits=_SLOW),
+    "close": Phase(open=False, hold_s=0.7),
+    "squeeze": Phase(open=False, force_s=0.3),
+    "lift": Phase(open=False, limits=_SLOW),
+    "carry": Phase(open=False, limits=PathLimits(speed_m_per_s=0.35, acceleration_m_per_s2=1.0)),
+    "lower": Phase(open=False, limits=_SLOW),
+    "settle": Phase(open=False, hold_s=0.2, force_s=0.1),
+    "unload": Phase(open=False, force_s=0.2),
+    "open": Phase(open=True, hold_s=0.5, force_s=0.3),
+    "retreat": Phase(open=True, rise_m=0.10, limits=_SLOW),
+    "home": Phase(open=True),
 }

@@ -46,7 +46,7 @@ def run(context: StageContext) -> StageResult:
     write_csv(folder / "queries.csv", [o.row() for o in every])
     if again:
         write_csv(folder / "queries_second_seed.csv", [o.row() for o in again])
-    pairs = [{"first": a, "second": b, "reason": reason} for a, b, reason in acm_report(robot).acm.table()]
+    pairs = [{"first": a, "second": b, "reason": reason} for a, b, reason in acm_report(robot).pairs]
     write_csv(folder / "allowed_collisions.csv", pairs)
     for group, done in outcomes.items():
         trajectory = next((o.result.trajectory for o in done if o.result is not None), None)

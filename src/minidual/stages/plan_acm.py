@@ -27,7 +27,7 @@ def plan_acm(context: ToolContext) -> ToolResult:
     notes: list[str] = []
     if "scene" in context.options:
         scene, notes = load_scene(Path(context.options["scene"]), robot)
-    table = scene.allowed.table()
+    table = sorted(scene.allowed)
     lines = [f"{first:26s} {second:26s} {reason}" for first, second, reason in table]
     kinds = Counter(_kind(reason) for _, _, reason in table)
     notes += [

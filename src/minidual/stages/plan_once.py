@@ -15,7 +15,7 @@ from minidual.gate.tool import ToolContext, ToolResult
 from minidual.motion.api import Planner
 from minidual.motion.goal import goal_of
 from minidual.motion.goal_plan import GoalPlanner
-from minidual.motion.goals import group_arms
+from minidual.motion.goals import GROUP_ARMS
 from minidual.motion.result import PlanResult
 from minidual.proof.scene_engines import CLEARANCE_MAX_M
 from minidual.robot.arms import robot_from
@@ -54,7 +54,7 @@ def plan_once(context: ToolContext) -> ToolResult:
 
 def _prepare(context: ToolContext, group: str) -> tuple[GoalPlanner, PlanningScene, Array, list[str]]:
     """Return planner, scene, start (n,) and notes; validates the input first."""
-    group_arms(group)  # refuses an unknown name
+    GROUP_ARMS[group]  # refuses an unknown name
     config, notes = context.config, list[str]()
     robot = robot_from(config.robot)
     scene = PlanningScene(robot=robot)

@@ -15,14 +15,16 @@ import ompl.base as ob
 import ompl.geometric as og
 import pinocchio as pin
 
-from minidual.errors import unknown_name
 from minidual.motion.edges import EdgeChecker
 from minidual.motion.ik import check_pose
 from minidual.motion.search import bounded_space, exact_path, seeded
+from minidual.registry import Registry
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 
-SPACES = {"atlas": ob.AtlasStateSpace, "projected": ob.ProjectedStateSpace}
+SPACES: Registry[Any] = Registry(
+    "constrained space", {"atlas": ob.AtlasStateSpace, "projected": ob.ProjectedStateSpace}
+)
 _DELTA_RAD = 0.15
 _BOX_RAD = 0.7
 _OMPL_TOLERANCE = 1e-4
@@ -78,8 +80,6 @@ def search_manifold(
     Raises:
         UsageError: Unknown `space`.
     """
-    if space not in SPACES:
-        raise unknown_name("constrained space", space, SPACES)
     seeded(seed)
     robot = constraint.robot
     low = np.maximum(np.minimum(q_start, q_goal) - _BOX_RAD, robot.q_lower)

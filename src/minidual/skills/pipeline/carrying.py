@@ -48,7 +48,7 @@ class Carry(Stage):
         if not start.held_by:
             raise Failure("not_held", "no hand holds the object")
         both = len(start.held_by) == len(SIDES)
-        ways = [(0.2, self._freely)] if both else [(0.0, self._straight_across), (1.0, self._freely)]
+        ways = [(0.2, self._freely)] if both else [(0.0, self._line), (1.0, self._freely)]
         for index, place in enumerate(self._places):
             try:
                 self._check(place, index, start, tools)
@@ -82,46 +82,35 @@ class Carry(Stage):
         place: Place,
         height: float,
         cost: float,
-        across: Callable[[Array, State, Tools], Segment],
+        across: Callable[[str, Array, State, Tools], Segment],
         start: State,
         tools: Tools,
     ) -> Offer:
-        label = f"{place.label}, {100 * height:.0f} cm up, {'straight' if across == self._straight_across else 'round'}"
-        state, segments, part = start, [], "lift"
-        try:
-            if start.rests:
-                state = self._straight("lift", raised(start.T_world_object, height), state, tools, segments)
-            part = "carry"
-            above = raised(place.T_world_object, height) if place.rests else place.T_world_object
-            segments.append(across(above, state, tools))
-            state = replace(state, q=segments[-1].trajectory.q[-1], T_world_object=above, rests=False)
-            part = "lower"
-            if place.rests:
-                state = self._straight("lower", place.T_world_object, state, tools, segments)
-        except PlanningError as error:
-            return failure(error, f"{label}, {part}")
+        label = f"{place.label}, {100 * height:.0f} cm up, {'straight' if across == self._line else 'round'}"
+        above = raised(place.T_world_object, height) if place.rests else place.T_world_object
+        legs = [("lift", raised(start.T_world_object, height), self._line)] if start.rests else []
+        legs += [("carry", above, across), *([("lower", place.T_world_object, self._line)] if place.rests else [])]
+        state, segments = start, list[Segment]()
+        for phase, T_world_goal, way in legs:
+            try:
+                segments.append(way(phase, T_world_goal, state, tools))
+            except PlanningError as error:
+                return failure(error, f"{label}, {phase}")
+            state = replace(state, q=segments[-1].trajectory.q[-1], T_world_object=T_world_goal)
         return Candidate(label, place.cost + cost, _at(place, state, segments[-1]), tuple(segments))
 
-    def _straight(self, phase: str, T_world_goal: Array, state: State, tools: Tools, segments: list[Segment]) -> State:
-        """Append a straight lift or lowering; return its end state."""
-        segment = self._line(phase, T_world_goal, state, tools, resting=True)
-        segments.append(segment)
-        return replace(state, q=segment.trajectory.q[-1], T_world_object=T_world_goal)
-
-    def _straight_across(self, T_world_goal: Array, state: State, tools: Tools) -> Segment:
-        return self._line("carry", T_world_goal, state, tools, resting=False)
-
-    def _line(self, phase: str, T_world_goal: Array, state: State, tools: Tools, *, resting: bool) -> Segment:
+    def _line(self, phase: str, T_world_goal: Array, state: State, tools: Tools) -> Segment:
         if len(state.held_by) == len(SIDES):
             return self._in_both_hands([state.T_world_object, T_world_goal], state, tools, phase)
-        return straight(tools, phase, state, _hands_at(T_world_goal, state), tools.scene(state, resting=resting))
+        scene = tools.scene(state, resting=phase != "carry")
+        return straight(tools, phase, state, _hands_at(T_world_goal, state), scene)
 
     def _in_both_hands(self, way: list[Array], state: State, tools: Tools, phase: str = "carry") -> Segment:
         scene = tools.scene(state, resting=True)
         motion = tools.holder.follow(state.q, way, _grasps(state), along=PHASES[phase].limits, scene=scene)
         return Segment(phase, motion, state.openings, scene, motion.verification)
 
-    def _freely(self, T_world_goal: Array, state: State, tools: Tools) -> Segment:
+    def _freely(self, phase: str, T_world_goal: Array, state: State, tools: Tools) -> Segment:
         """Return a collision-free motion to a pose in the air that keeps the object level."""
         scene, budget_s = tools.scene(state), _BUDGET_S
         if len(state.held_by) == len(SIDES):
@@ -137,7 +126,7 @@ class Carry(Stage):
         tilt = tools.thing.tilt_rad(Ts_world_object)
         if tilt > self._tilt_max_rad:
             raise Failure("tilted", f"the object tilts by {tilt:.2f} rad on the way; at most {self._tilt_max_rad:.2f}")
-        return Segment("carry", motion, state.openings, scene, proof)
+        return Segment(phase, motion, state.openings, scene, proof)
 
 
 def _grasps(state: State) -> tuple[Array, Array]:

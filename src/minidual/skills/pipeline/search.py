@@ -29,15 +29,12 @@ class StageRecord:
         """Number of failed candidates."""
         return sum(map(len, self.failures.values()))
 
-    @property
-    def tried_n(self) -> int:
-        """Number of candidates."""
-        return self.solved_n + self.failed_n
-
-    def reasons(self) -> list[dict[str, Any]]:
-        """Return reasons with count and first message, most frequent first."""
-        found = [{"reason": reason, "count": len(m), "first": m[0]} for reason, m in self.failures.items()]
-        return sorted(found, key=lambda entry: -entry["count"])
+    def to_json(self) -> dict[str, Any]:
+        """Return JSON data; reasons with count and first message, most frequent first."""
+        reasons = [{"reason": reason, "count": len(m), "first": m[0]} for reason, m in self.failures.items()]
+        reasons.sort(key=lambda entry: -entry["count"])
+        counts = {"tried_n": self.solved_n + self.failed_n, "solved_n": self.solved_n}
+        return {"stage": self.name, **counts, "chosen": self.chosen, "failures": reasons}
 
 
 @dataclass
@@ -57,21 +54,17 @@ class Record:
         lines = [f"{title}: {self.ended or 'solved'} ({self.took_s:.2f} s)"]
         for stage in self.stages:
             branch, below = ("└─", "   ") if stage is self.stages[-1] else ("├─", "│  ")
-            chosen = f"  -> {stage.chosen}" if stage.chosen else ""
-            counts = f"{stage.solved_n} of {stage.tried_n}" if stage.tried_n else "not reached"
+            chosen, row = f"  -> {stage.chosen}" if stage.chosen else "", stage.to_json()
+            counts = f"{stage.solved_n} of {row['tried_n']}" if row["tried_n"] else "not reached"
             lines.append(f"{branch} {stage.name:14s} {counts}{chosen}")
-            for entry in stage.reasons():
+            for entry in row["failures"]:
                 text = f"{entry['count']} x {entry['reason']}: {entry['first']}"
                 lines.append(f"{below}    {text if len(text) <= _WIDTH else text[: _WIDTH - 3] + '...'}")
         return "\n".join(lines)
 
     def to_json(self) -> dict[str, Any]:
         """Return JSON data."""
-        stages = [
-            {"stage": s.name, "tried_n": s.tried_n, "solved_n": s.solved_n, "chosen": s.chosen, "failures": s.reasons()}
-            for s in self.stages
-        ]
-        return {"took_s": self.took_s, "ended": self.ended, "stages": stages}
+        return {"took_s": self.took_s, "ended": self.ended, "stages": [stage.to_json() for stage in self.stages]}
 
 
 class TaskFailedError(PlanningError, reason="task_failed"):
@@ -97,13 +90,11 @@ class Solution:
     Attributes:
         segments: In time order.
         states: Start, then each stage's end.
-        cost: Sum over the candidates.
     """
 
     segments: tuple[Segment, ...]
     states: tuple[State, ...]
     record: Record
-    cost: float
 
     @property
     def duration_s(self) -> float:
@@ -177,15 +168,11 @@ class Pipeline:
             push(node)
             if len(done) == len(self.stages):
                 record.took_s = time.perf_counter() - began
-                return _solution(start, done, record, total)
+                for found, candidate in zip(record.stages, done, strict=True):
+                    found.chosen = candidate.label
+                segments = tuple(segment for candidate in done for segment in candidate.segments)
+                return Solution(segments, (start, *(candidate.end for candidate in done)), record)
             push(_Node(done, total, self.stages[len(done)].offers(offer.end, tools)))
         record.took_s = time.perf_counter() - began
         record.ended = record.ended or "no way through"
         raise TaskFailedError(self.name, record)
-
-
-def _solution(start: State, done: Sequence[Candidate], record: Record, cost: float) -> Solution:
-    for stage, candidate in zip(record.stages, done, strict=True):
-        stage.chosen = candidate.label
-    segments = tuple(segment for candidate in done for segment in candidate.segments)
-    return Solution(segments, (start, *(candidate.end for candidate in done)), record, cost)

@@ -14,7 +14,7 @@ from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import TABLE, PlanningScene
 from minidual.collision.shapes import Box, Cylinder, Shape
 from minidual.config.seeds import stored_stream
-from minidual.motion.goals import group_arms
+from minidual.motion.goals import GROUP_ARMS
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.pair import SIDES, Array, Robot
 from minidual.robot.poses import pose, rot_x, rot_z
@@ -76,7 +76,7 @@ class QueryGenerator:
 
     def kind(self, group: str, index: int) -> str:
         """Return the required kind of a query."""
-        group_arms(group)
+        GROUP_ARMS[group]
         if int((index + 1) * self._blocked_fraction) == int(index * self._blocked_fraction):
             return "any"
         return self.kind_of(group, index)
@@ -106,7 +106,7 @@ class QueryGenerator:
 
     def attempt(self, group: str, index: int, attempt: int) -> Query | None:
         """Return the query of one scene, or None."""
-        arms = group_arms(group)
+        arms = GROUP_ARMS[group]
         kind = self.kind(group, index)
         scene = scene_of(self._seed, group, index, attempt, self._obstacles_n, self._robot)
         rng = stored_stream(self._seed, list(DUAL_PANDA.groups).index(group), index, attempt, 1)
@@ -159,7 +159,7 @@ class QueryGenerator:
 
 def goal_targets(group: str, q: Array, robot: Robot) -> dict[str, Array]:
     """Return T_world_tcp (4, 4) of the group's arms."""
-    return {arm: solvers(robot)[arm].tcp_pose(q[robot.groups[f"{arm}_arm"]]) for arm in group_arms(group)}
+    return {arm: solvers(robot)[arm].tcp_pose(q[robot.groups[f"{arm}_arm"]]) for arm in GROUP_ARMS[group]}
 
 
 def _swapped(before: dict[str, Array], after: dict[str, Array]) -> bool:
