@@ -25,7 +25,7 @@ from minidual.show.report.indicators import INDICATORS, three_digits
 from minidual.show.report.model import Report
 from minidual.show.report.page import build_report
 from minidual.show.report.tables import Tables, tabulate
-from minidual.show.report.wording import FAULTS, duration, joined, percent, points
+from minidual.show.report.wording import WORDS, duration, joined, percent, points
 from minidual.tasks.success import OfObject, SuccessCondition
 
 KEYS = [indicator.key for indicator in INDICATORS]
@@ -116,7 +116,7 @@ def test_every_condition_of_the_success_test_has_words() -> None:
     kinds = (*SuccessCondition.__subclasses__(), *OfObject.__subclasses__())
     names = {kind.name for kind in kinds if hasattr(kind, "name")}
     assert len(names) > 5
-    assert names <= set(FAULTS)
+    assert names <= set(WORDS["faults"])
 
 
 def test_a_value_on_the_excellent_limit_is_not_excellent() -> None:

@@ -11,6 +11,7 @@ import statistics
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -22,27 +23,18 @@ from minidual.show.report.indicators import INDICATORS, Indicator
 from minidual.show.report.tables import Row, Tables
 from minidual.trials.conditions import CLEAN
 
-INK, GRID, FAINT = "#1a2027", "#d9dee4", "#66717e"
+_STYLE: dict[Any, Any] = {
+    **mpl.rc_params_from_file(
+        str(files("minidual.show.report") / "templates/figure.mplstyle"), use_default_template=False
+    )
+}
+INK, GRID, FAINT = (_STYLE[name] for name in ("text.color", "grid.color", "xtick.color"))
 _CSS = {INK: "var(--ink)", GRID: "var(--line)", FAINT: "var(--muted)"}
 COLOURS = ("#2f7fd1", "#e0782f", "#2f9e6e", "#9b6bd3", "#c94f7c", "#7a8694")
 _LIMIT = "#c8452f"
 _WIDTH_IN = 5.2
 _BAND = 0.72
 """Share of the row height used."""
-_STYLE: dict[Any, Any] = {
-    "svg.fonttype": "none",
-    "font.family": "sans-serif",
-    "font.size": 10,
-    **dict.fromkeys(("text.color", "ytick.color", "ytick.labelcolor"), INK),
-    **dict.fromkeys(("axes.labelcolor", "xtick.color", "xtick.labelcolor"), FAINT),
-    **dict.fromkeys(("axes.edgecolor", "grid.color"), GRID),
-    **{f"axes.spines.{side}": False for side in ("top", "right", "left")},
-    "xtick.major.size": 0,
-    "ytick.major.size": 0,
-    "axes.axisbelow": True,
-}
-
-
 Trial = dict[str, str]
 """A row of benchmark.csv."""
 

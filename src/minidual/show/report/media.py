@@ -7,23 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from minidual.errors import DataError
+from minidual.show.report.wording import WORDS
 
-_CAPTIONS: dict[tuple[str, str], str] = {
-    ("env-check", "sine.mp4"): "All joints follow a sine",
-    ("env-check", "cameras.png"): "What each camera sees at home",
-    ("env-check", "tracking.png"): "Step, sine and single joints: target against measurement",
-    ("plan", "paths.png"): "One query a group: paths of the hands among the obstacles",
-    ("plan", "times.png"): "Planning times and their phases",
-    ("carry", "carry.mp4"): "The median carry under object impedance control",
-    ("carry", "worst.mp4"): "The worst carry: the first failure, or the largest tilt",
-    ("carry", "median.png"): "The median trial",
-    ("carry", "worst.png"): "The worst trial: the first failure, or the largest tilt",
-    ("teleop-record", "demonstration.mp4"): "A recorded demonstration",
-    ("teleop-record", "quality.png"): "Quality of every episode",
-    ("train-act", "loss.png"): "Training and validation loss",
-    ("deploy", "success.mp4"): "The policy succeeds on a start held out from training",
-    ("deploy", "failure.mp4"): "The policy fails on a start held out from training",
-}
 _KINDS = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".mp4": "video/mp4"}
 EMBED_BYTES = 1_500_000
 
@@ -63,6 +48,8 @@ def collect_media(
             source = f"media/{stage}-{name}"
             (page_folder / "media").mkdir(exist_ok=True)
             shutil.copyfile(path, page_folder / source)
-        words = captions.get(name) or _CAPTIONS.get((stage, name)) or path.stem.replace("_", " ").capitalize()
+        words = (
+            captions.get(name) or WORDS["captions"].get(stage, {}).get(name) or path.stem.replace("_", " ").capitalize()
+        )
         media.append(Medium(stage, name, words, source, path.suffix == ".mp4"))
     return media

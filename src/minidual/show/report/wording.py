@@ -2,30 +2,20 @@
 
 import math
 from collections.abc import Sequence
+from importlib.resources import files
+from typing import Any
+
+import yaml
 
 from minidual.gate.check import Number, format_number
 
-FAULTS: dict[str, str] = {
-    "held": "grip lost",
-    "rose": "never lifted clear",
-    "level": "tilted too far",
-    "arrived": "missed the goal",
-    "released": "not released",
-    "at_rest": "not at rest",
-    "on_time": "too late",
-    "squeezed": "internal force lost",
-    "whole": "the object broke",
-    "clear": "touched the obstacle",
-    "turned": "wrong orientation at the goal",
-    "exchanged": "not handed over",
-    "carried": "slid on the table",
-}
-"""Words by violated condition of success."""
+WORDS: dict[str, Any] = yaml.safe_load((files("minidual.show.report") / "templates/words.yaml").read_text("utf-8"))
+"""Captions by stage and file, and faults by violated condition of success."""
 
 
 def fault(name: str) -> str:
     """Return a violated condition in words."""
-    return FAULTS.get(name, name.replace("_", " ") or "unnamed")
+    return WORDS["faults"].get(name, name.replace("_", " ") or "unnamed")
 
 
 def joined(items: Sequence[str]) -> str:
