@@ -122,9 +122,9 @@ class JointSense:
         finite, same = ~bad.any(axis=0), kept[[_Q_SAME, _V_SAME]]
         apart = finite & (np.abs(kept[_R]) > self._config.position_mismatch_rad)
         still = finite & (same.min(axis=0) >= self._config.frozen_s) & (np.abs(tau - kept[_TAU]) > self._tau_moves)
-        # No joint moves that far, or gains so much speed, in one period.
+        # No joint moves that far in one period; a jump of the velocity that alone explains the mismatch is no push.
         leapt = apart & (np.abs(kept[_DQ]) > 2.0 * new_s * self._robot.v_max) & (np.abs(v) <= self._robot.v_max)
-        sped = apart & ~leapt & (np.abs(kept[_DV]) > 2.0 * new_s * self._robot.a_max)
+        sped = apart & ~leapt & (new_s * np.abs(kept[_DV]) > 0.5 * self._config.position_mismatch_rad)
         lost = apart & (same > 0.0) & ~leapt & ~sped
         lost[0] |= leapt
         lost[1] |= sped | (apart & ~lost.any(axis=0))  # unknown which: positions err less than a model that falls
