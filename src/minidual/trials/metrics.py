@@ -107,15 +107,9 @@ class MethodSummary:
             name: _said(value, missing if name.startswith(_OVER_SUCCESSES) else NOT_MEASURED)
             for name, value in self.numbers.items()
         }
-        return {
-            "method": self.method,
-            "condition": self.condition,
-            "trials_n": self.trials_n,
-            "successes_n": self.successes_n,
-            **numbers,
-            "failures": "; ".join(f"{name} {count}" for name, count in self.failures.items()) or "none",
-            "stopped_n": self.stopped_n,
-        }
+        labels = {name: getattr(self, name) for name in ("method", "condition", "trials_n", "successes_n")}
+        failures = "; ".join(f"{name} {count}" for name, count in self.failures.items()) or "none"
+        return {**labels, **numbers, "failures": failures, "stopped_n": self.stopped_n}
 
     def record(self) -> dict[str, Any]:
         """Return the summary for a verdict; NaN becomes "nan"."""

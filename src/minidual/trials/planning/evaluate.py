@@ -67,10 +67,8 @@ class Outcome(Attempt[PlanResult]):
     def row(self) -> dict[str, object]:
         """Return the queries.csv row; values not found or audited are missing."""
         query, result, audit = self.query, self.result, self.audit
-        row: dict[str, object] = {
-            "group": query.group,
-            "index": query.index,
-            "seed": query.seed,
+        row: dict[str, object] = {name: getattr(query, name) for name in ("group", "index", "seed")}
+        row |= {
             "ok": self.ok,
             "reason": self.reason,
             "kind": query.kind,
