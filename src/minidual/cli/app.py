@@ -3,7 +3,7 @@
 import inspect
 import sys
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
@@ -11,67 +11,48 @@ from typing import Annotated, Any, get_type_hints
 import typer
 
 import minidual
-from minidual.cli.commands import (
-    Body,
-    config_body,
-    explain_body,
-    run_body,
-    run_tool,
-    stage_body,
-    status_body,
-    stop_body,
-)
-from minidual.cli.session import Running, Session, Typed
-from minidual.cli.viewing import Watching
+from minidual.cli.commands import Body, config_body, explain_body, run_body, run_stage, run_tool, status_body, stop_body
+from minidual.cli.session import Session, Typed
+from minidual.cli.viewing import WATCHING
 from minidual.errors import ExitCode, printable, unknown_name
 from minidual.gate.table import Option, StageTable, ToolEntry
 
-
-@dataclass(frozen=True)
-class _Until:
-    until: Annotated[str | None, typer.Option(metavar="STAGE", help="Last stage to run.")] = None
-    sign: Annotated[Path | None, typer.Option(metavar="KEY", help="Sign the verdicts with this OpenSSH key.")] = None
-
-
-@dataclass(frozen=True)
-class _Verified:
-    verify: Annotated[Path | None, typer.Option(metavar="KEY", help="Verify the signature with this .pub file.")] = None
-
-
-@dataclass(frozen=True)
-class _Stopped:
-    name: Annotated[str | None, typer.Argument(metavar="RUN", help="Name of a run; none stops all.")] = None
-
-
-@dataclass(frozen=True)
-class _Explained:
-    stage: Annotated[str | None, typer.Argument(help="Name of a stage; none shows what to look at first.")] = None
+_RUNNING = (
+    Option("force", "Run even if fresh. Never opens a gate.", bool),
+    Option(
+        "waive-gate",
+        "Open a closed gate; the reason is recorded, and nothing built on it counts as acceptance.",
+        metavar="REASON",
+    ),
+    Option("yes", "Replace finished stages that were run with other options.", bool),
+)
+_UNTIL = Option("until", "Last stage to run.", metavar="STAGE")
+_SIGN = Option("sign", "Sign the verdicts with this OpenSSH key.", Path, metavar="KEY")
+_VERIFY = Option("verify", "Verify the signature with this .pub file.", Path, metavar="KEY")
+_NAME = Option("name", "Name of a run; none stops all.", argument=True, optional=True, metavar="RUN")
+_STAGE = Option(
+    "stage", "Name of a stage; none shows what to look at first.", argument=True, optional=True, metavar="stage"
+)
 
 
-def _parameters(*groups: type[Any]) -> list[inspect.Parameter]:
-    return [
-        inspect.Parameter(f.name, inspect.Parameter.KEYWORD_ONLY, default=f.default, annotation=hints[f.name])
-        for group in groups
-        for hints in [get_type_hints(group, include_extras=True)]
-        for f in fields(group)
-    ]
-
-
-def _option_parameters(options: Iterable[Option]) -> list[inspect.Parameter]:
-    """Return options as parameters; the last of a name counts."""
-    found: dict[str, inspect.Parameter] = {}
+def _parameters(options: Iterable[Option] = ()) -> list[inspect.Parameter]:
+    """Return `options`, of which the last of a name counts, and those of every command as parameters."""
+    found: dict[str, tuple[Any, Any]] = {}
     for option in options:
         kind: Any = str if option.kind is tuple else option.kind
-        default: Any = inspect.Parameter.empty if option.argument else False if option.kind is bool else None
+        default: Any = False if option.kind is bool else None
         if option.argument:
-            declared: Any = typer.Argument(metavar=option.name.upper(), help=option.help)
+            default = None if option.optional else inspect.Parameter.empty
+            declared: Any = typer.Argument(metavar=option.metavar or option.name.upper(), help=option.help)
         else:
-            declared = typer.Option(f"--{option.name}", help=option.help)
-        annotation = Annotated[kind if default is not None else kind | None, declared]
-        found[option.key] = inspect.Parameter(
-            option.key, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation
-        )
-    return list(found.values())
+            declared = typer.Option(f"--{option.name}", metavar=option.metavar, help=option.help)
+        found[option.key] = default, Annotated[kind if default is not None else kind | None, declared]
+    hints = get_type_hints(Typed, include_extras=True)
+    found |= {field.name: (field.default, hints[field.name]) for field in fields(Typed)}
+    return [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+        for name, (default, annotation) in found.items()
+    ]
 
 
 def _show_version(wanted: bool) -> None:
@@ -92,9 +73,9 @@ def build_app(table: StageTable, tools: Sequence[ToolEntry] = ()) -> typer.Typer
     config = typer.Typer(help="The resolved configuration.", no_args_is_help=True)
 
     def add(
-        name: str, summary: str, examples: Sequence[str], body: Body, own: list[inspect.Parameter], panel: str
+        name: str, summary: str, examples: Sequence[str], body: Body, options: Iterable[Option], panel: str
     ) -> None:
-        parameters = [*own, *_parameters(Typed)]
+        parameters = _parameters(options)
 
         def command(**values: Any) -> None:
             session = Session(Typed(**{f.name: values.pop(f.name) for f in fields(Typed)}), table)
@@ -113,23 +94,22 @@ def build_app(table: StageTable, tools: Sequence[ToolEntry] = ()) -> typer.Typer
         del version
 
     for entry in table:
-        own = _option_parameters(option for command in (*entry.asides, entry) for option in command.options)
-        if any(command.watchable for command in (entry, *entry.asides)):
-            own += _parameters(Watching)
-        own += _parameters(Running)
-        add(entry.name, entry.summary, entry.examples, stage_body(entry), own, "Stages, in order")
-    for name, body, groups in (
-        ("run", run_body, (_Until, Watching, Running)),
-        ("status", status_body, (_Verified,)),
-        ("explain", explain_body, (_Explained,)),
-        ("stop", stop_body, (_Stopped,)),
+        commands = (*entry.asides, entry)
+        own = [option for command in commands for option in command.options]
+        own += [*(WATCHING if any(command.watchable for command in commands) else ()), *_RUNNING]
+        add(entry.name, entry.summary, entry.examples, partial(run_stage, entry), own, "Stages, in order")
+    for name, body, own in (
+        ("run", run_body, (_UNTIL, _SIGN, *WATCHING, *_RUNNING)),
+        ("status", status_body, (_VERIFY,)),
+        ("explain", explain_body, (_STAGE,)),
+        ("stop", stop_body, (_NAME,)),
         ("show", config_body, ()),
     ):
         summary, _, *examples = inspect.cleandoc(body.__doc__ or "").splitlines()
-        add(name, summary.rstrip("."), examples, body, _parameters(*groups), "The run")
+        add(name, summary.rstrip("."), examples, body, own, "The run")
     app.add_typer(config, name="config", rich_help_panel="The run")
     for tool in tools:
-        own = _option_parameters(tool.options) + (_parameters(Watching) if tool.watchable else [])
+        own = (*tool.options, *(WATCHING if tool.watchable else ()))
         add(tool.name, tool.summary, tool.examples, partial(run_tool, tool), own, "Tools, without gate and verdict")
     return app
 

@@ -23,29 +23,25 @@ Body = Callable[[Session, Mapping[str, Any]], ExitCode]
 """Runs a command with its own options. Its docstring is the help: a summary, then examples."""
 
 
-def stage_body(entry: StageEntry) -> Body:
-    """Return the body of a stage's command."""
+def run_stage(entry: StageEntry, session: Session, values: Mapping[str, Any]) -> ExitCode:
+    """Run a stage, or its aside that was typed, and print the result."""
+    from minidual.cli.tables import print_outcome
 
-    def body(session: Session, values: Mapping[str, Any]) -> ExitCode:
-        from minidual.cli.tables import print_outcome
-
-        aside = next((aside for aside in entry.asides if _was_typed(values[aside.trigger])), None)
-        _refuse_loose_options(entry, aside, values)
-        if aside is not None:
-            return run_tool(aside, session, values)
-        options = {o.name: values[o.key] for o in entry.options if values[o.key] is not None}
-        if not values["yes"]:
-            session.spare_finished([entry.name], {entry.name: options}, values["force"])
-        with live_view(session, values) as view:
-            outcome = session.runner(view).run(entry.name, options, force=values["force"], waiver=values["waive_gate"])
-        if view is not None and not outcome.ran:
-            session.say(f"nothing to watch: {entry.name} is passing and fresh; --force runs it again")
-        following = session.following()
-        print_outcome(session.people, outcome, following)
-        session.finish({**_outcome_json(outcome), "next": following}, [session.store.verdict_path(entry.name)])
-        return outcome.exit_code
-
-    return body
+    aside = next((aside for aside in entry.asides if _was_typed(values[aside.trigger])), None)
+    _refuse_loose_options(entry, aside, values)
+    if aside is not None:
+        return run_tool(aside, session, values)
+    options = {o.name: values[o.key] for o in entry.options if values[o.key] is not None}
+    if not values["yes"]:
+        session.spare_finished([entry.name], {entry.name: options}, values["force"])
+    with live_view(session, values) as view:
+        outcome = session.runner(view).run(entry.name, options, force=values["force"], waiver=values["waive_gate"])
+    if view is not None and not outcome.ran:
+        session.say(f"nothing to watch: {entry.name} is passing and fresh; --force runs it again")
+    following = session.following()
+    print_outcome(session.people, outcome, following)
+    session.finish({**_outcome_json(outcome), "next": following}, [session.store.verdict_path(entry.name)])
+    return outcome.exit_code
 
 
 def run_tool(tool: ToolEntry, session: Session, values: Mapping[str, Any]) -> ExitCode:

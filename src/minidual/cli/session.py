@@ -57,23 +57,6 @@ class Typed:
         return f"minidual {words} {flags}".rstrip()
 
 
-@dataclass(frozen=True)
-class Running:
-    """Options of the commands that run stages."""
-
-    force: Annotated[bool, typer.Option("--force", help="Run even if fresh. Never opens a gate.")] = False
-    waive_gate: Annotated[
-        str | None,
-        typer.Option(
-            metavar="REASON",
-            help="Open a closed gate; the reason is recorded, and nothing built on it counts as acceptance.",
-        ),
-    ] = None
-    yes: Annotated[bool, typer.Option("--yes", help="Replace finished stages that were run with other options.")] = (
-        False
-    )
-
-
 class Session:
     """Lazily made objects of a command."""
 

@@ -4,28 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from minidual.errors import UsageError
+from minidual.gate.table import Option
 
 if TYPE_CHECKING:
     from minidual.cli.session import Session
     from minidual.show.view import View
 
 
-@dataclass(frozen=True)
-class Watching:
-    """Options of watchable commands; they never change a verdict."""
-
-    view: Annotated[str | None, typer.Option(metavar="none|web", help="Watch the arms in a browser.")] = None
-    view_host: Annotated[
-        str | None,
-        typer.Option(help="Interface for --view web (default 127.0.0.1: this machine and ssh tunnels only)."),
-    ] = None
-    view_port: Annotated[int | None, typer.Option(help="First port to try for --view web (default 8080).")] = None
+WATCHING = (
+    Option("view", "Watch the arms in a browser.", metavar="none|web"),
+    Option("view-host", "Interface for --view web (default 127.0.0.1: this machine and ssh tunnels only)."),
+    Option("view-port", "First port to try for --view web (default 8080).", int),
+)
+"""Options of watchable commands; they never change a verdict."""
 
 
 @contextmanager

@@ -8,6 +8,7 @@ import keyword
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from minidual.config.base import limits
@@ -32,14 +33,16 @@ class Option:
     Attributes:
         kind: Type; `bool` is a flag, `tuple` is typed "a,b".
         path: Configuration path that it overrides, or None.
-        argument: Positional and required (`minidual replay FILE`).
+        argument: Positional (`minidual replay FILE`); required unless `optional`.
     """
 
     name: str
     help: str
-    kind: type[int | float | str | bool | tuple[str, ...]] = str
+    kind: type[int | float | str | bool | Path | tuple[str, ...]] = str
     path: str | None = None
     argument: bool = False
+    optional: bool = False
+    metavar: str | None = None
 
     @property
     def key(self) -> str:

@@ -8,20 +8,14 @@ from minidual.durable import write_csv
 from minidual.gate.check import Check
 from minidual.gate.stage import StageContext, StageResult
 from minidual.show.watch import watch_trials
+from minidual.stages.words import Rows, worded
 from minidual.trials.benchmark import BenchmarkCell, conditions_data, count_trials, run_benchmark
 from minidual.trials.comparisons import compare_all, compare_with_clean
 from minidual.trials.conditions import CLEAN, parse_conditions
 from minidual.trials.methods import METHODS, MethodInputs
 from minidual.trials.metrics import MethodSummary
 
-_REMEDY = "benchmark.csv names what failed first in each trial"
-_UNITS = {
-    "duration_median_s": ("s", "median over successful trials, start to released at rest"),
-    "torque_ratio_max": ("", "largest motor torque over its limit, all trials"),
-    "jerk_rms_median": ("rad/s^3", JERK_FILTER),
-    "tilt_max_rad": ("rad", "largest tilt of the object, all trials, failed ones too"),
-    "path_length_m": ("m", "median path of a hand, mean of the two, over successful trials"),
-}
+_REPORTED = ("duration_median_s", "torque_ratio_max", "jerk_rms_median", "tilt_max_rad", "path_length_m")
 
 
 def benchmark_checks(summaries: Sequence[MethodSummary], config: BenchmarkConfig) -> list[Check]:
@@ -31,13 +25,11 @@ def benchmark_checks(summaries: Sequence[MethodSummary], config: BenchmarkConfig
     """
     checks: list[Check] = []
     for s in summaries:
-        limit = config.success_rate_min.get(s.method)
-        op = None if limit is None else ">"
-        checks.append(Check(f"{s.method}.success_rate", s["success_rate"], op, limit, "", s.interval, _REMEDY))
-        checks += [Check(f"{s.method}.{name}", s[name], unit=unit, why=why) for name, (unit, why) in _UNITS.items()]
+        rows: Rows = {"success_rate": (s["success_rate"], ">", config.success_rate_min.get(s.method))}
+        rows = {**rows, **{name: s[name] for name in _REPORTED}}
+        checks += worded("benchmark", rows, f"{s.method}.", interval=s.interval, jerk_filter=JERK_FILTER)
     evaluated = min((s.trials_n for s in summaries), default=0)
-    why = "every method must have run every trial, or the rows cannot be compared"
-    return [*checks, Check("trials_per_method", evaluated, ">=", config.trials_n, "", why)]
+    return checks + worded("benchmark", {"trials_per_method": (evaluated, ">=", config.trials_n)})
 
 
 def condition_checks(cells: Sequence[BenchmarkCell], methods: Sequence[str], conditions: Sequence[str]) -> list[Check]:
@@ -54,16 +46,11 @@ def condition_checks(cells: Sequence[BenchmarkCell], methods: Sequence[str], con
             missed = f" (trial {cell.undisturbed[0]} succeeded undisturbed)" if cell and cell.undisturbed else ""
             holes.append(f"{m} under {c}{missed}")
     missing = [f"{c.method} under {c.condition}: {name}" for c in cells if c.summary for name in c.summary.not_finite()]
-    whole = (
-        "every method has all its trials under every condition, each push and move took place in those that succeeded, "
-        f"or there is a reason why it does not apply{_first(holes)}"
-    )
-    finite = f"numbers that the trials should have given, and that do not exist{_first(missing)}"
-    settled_n = len(asked) - len(holes)
-    checks = [
-        Check("cells_settled", settled_n, "==", len(asked), "", whole, "minidual benchmark --force"),
-        Check("cells_not_finite", len(missing), "==", 0, "", finite, _REMEDY),
-    ]
+    rows: Rows = {
+        "cells_settled": (len(asked) - len(holes), "==", len(asked)),
+        "cells_not_finite": (len(missing), "==", 0),
+    }
+    checks = worded("benchmark", rows, holes=_first(holes), missing=_first(missing))
     for cell in cells:
         if cell.summary is not None and cell.condition != CLEAN:
             name = f"{cell.method}.{cell.condition.replace(' ', '_')}.success_rate"

@@ -1,7 +1,6 @@
 """`minidual carry`: two arms carry an object under object impedance from random starts."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -11,12 +10,13 @@ from minidual.config.seeds import stream
 from minidual.demos.smoothness import JERK_FILTER
 from minidual.durable import write_csv
 from minidual.errors import DataError
-from minidual.gate.check import Check, Op
+from minidual.gate.check import Check
 from minidual.gate.stage import StageContext, StageResult
 from minidual.robot.arms import robot_from
 from minidual.show.figures.film import film_trial
 from minidual.show.figures.trial import draw_trial
 from minidual.show.watch import watch_trials
+from minidual.stages.words import Rows, worded
 from minidual.tasks.task import Trial, make_task
 from minidual.trials.methods import MethodInputs
 from minidual.trials.metrics import summarise
@@ -27,49 +27,23 @@ RECORDED_FAILURES_MAX = 20
 """Failures recorded at most; trials.csv has all."""
 
 
-_WORDS = {
-    "success_rate": (
-        "share of trials in which both arms carried the object to its goal and let go",
-        "trials.csv names what failed first; minidual carry --set carry.impedance.internal_force_n=...",
-    ),
-    "tilt_max_rad": (
-        "a tilted object slips or spills",
-        "raise carry.impedance.stiffness_n_per_m or lower carry.pace.object_acceleration_m_per_s2",
-    ),
-    "internal_force_min_n": (
-        "squeeze between the hands while the object is off the table; below it the object may slip",
-        "raise carry.impedance.internal_force_n (at most 80)",
-    ),
-    "duration_max_s": (
-        "from the start to the object released at its goal; a failed trial counts as the time limit",
-        "raise the limits of carry.pace",
-    ),
-    "torque_ratio_max": (
-        "largest motor torque over its limit; at 1 the drive saturates and control is lost",
-        "lower carry.impedance.internal_force_n or the limits of carry.pace",
-    ),
-    "saturated_max_s": (
-        "longest time that a motor stands at its limit, failed trials included: a fault must stop softly",
-        "lower the speeds of carry.pace: a slower carry stops with less torque",
-    ),
-}
-"""What each limit protects, and what to do."""
-
-
 def carry_checks(results: Sequence[TrialResult], limits: CarryLimits, task: TaskConfig) -> list[Check]:
     """Return the stage's checks of at least one trial; extremes include failed trials, NaN propagates."""
     trials = [r.metrics for r in results]
     durations = [t.duration_s if t.success else task.time_limit_s for t in trials]
-    internal = np.min([t.internal_force_min_n for t in trials])
-    rows: tuple[tuple[str, Any, Op, float, str], ...] = (
-        ("success_rate", np.mean([t.success for t in trials]), ">=", limits.success_rate_min, ""),
-        ("tilt_max_rad", np.max([t.tilt_max_rad for t in trials]), "<", limits.tilt_max_rad, "rad"),
-        ("internal_force_min_n", internal, ">", task.internal_force_min_n, "N"),
-        ("duration_max_s", np.max(durations), "<", limits.duration_max_s, "s"),
-        ("torque_ratio_max", np.max([t.torque_ratio_max for t in trials]), "<", 1.0, ""),
-        ("saturated_max_s", np.max([r.saturated_max_s for r in results]), "<=", limits.saturation_max_s, "s"),
-    )
-    return [Check(name, float(value), op, limit, unit, *_WORDS[name]) for name, value, op, limit, unit in rows]
+    rows: Rows = {
+        "success_rate": (float(np.mean([t.success for t in trials])), ">=", limits.success_rate_min),
+        "tilt_max_rad": (float(np.max([t.tilt_max_rad for t in trials])), "<", limits.tilt_max_rad),
+        "internal_force_min_n": (
+            float(np.min([t.internal_force_min_n for t in trials])),
+            ">",
+            task.internal_force_min_n,
+        ),
+        "duration_max_s": (float(np.max(durations)), "<", limits.duration_max_s),
+        "torque_ratio_max": (float(np.max([t.torque_ratio_max for t in trials])), "<", 1.0),
+        "saturated_max_s": (float(np.max([r.saturated_max_s for r in results])), "<=", limits.saturation_max_s),
+    }
+    return worded("carry", rows)
 
 
 def run(context: StageContext) -> StageResult:
@@ -96,14 +70,15 @@ def run(context: StageContext) -> StageResult:
             film_trial(METHOD, inputs, trials[i], context.folder / film)
             bar.advance()
 
-    worst_goal, least_pinch = np.max([m.goal_error_m for m in metrics]), np.min([m.pinch_force_min_n for m in metrics])
-    reported = [
-        Check("success_low", summary["success_low"], why="lower end of the 95 % Wilson interval"),
-        Check("goal_error_max_m", float(worst_goal), unit="m", why="largest distance from the goal"),
-        Check("pinch_force_min_n", float(least_pinch), unit="N", why="least grip in the air"),
-        Check("duration_median_s", summary["duration_median_s"], unit="s", why="median of the successful trials"),
-        Check("jerk_rms_median", summary["jerk_rms_median"], unit="rad/s^3", why=JERK_FILTER),
-    ]
+    reported: Rows = {
+        "success_low": summary["success_low"],
+        "goal_error_max_m": float(np.max([m.goal_error_m for m in metrics])),
+        "pinch_force_min_n": float(np.min([m.pinch_force_min_n for m in metrics])),
+        "duration_median_s": summary["duration_median_s"],
+        "jerk_rms_median": summary["jerk_rms_median"],
+    }
+    checks = carry_checks(results, config.carry.limits, task.scene.task)
+    checks += worded("carry", reported, jerk_filter=JERK_FILTER)
     data = {
         "object": config.carry.object,
         "motion": config.carry.motion,
@@ -111,7 +86,7 @@ def run(context: StageContext) -> StageResult:
         "stopped": {str(m.index): m.aborted for m in metrics if m.aborted},
         "shown": shown,
     }
-    return StageResult(checks=carry_checks(results, config.carry.limits, task.scene.task) + reported, data=data)
+    return StageResult(checks=checks, data=data)
 
 
 def _record(

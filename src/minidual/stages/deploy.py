@@ -18,6 +18,7 @@ from minidual.policies.pilot import load_runtime
 from minidual.robot.arms import robot_from
 from minidual.show.figures.film import film_trial
 from minidual.show.watch import watch_trials
+from minidual.stages.words import Rows, worded
 from minidual.tasks.task import Trial, make_task
 from minidual.trials.methods import MethodInputs
 from minidual.trials.metrics import MethodSummary, summarise
@@ -50,19 +51,15 @@ def _poses(trial: Trial) -> list[object]:
 
 def deploy_checks(held_out: MethodSummary, seen_n: int, inference_hz: float, settings: DeployConfig) -> list[Check]:
     """Return the checks; without `settings.judge_success` the rate is only reported (smoke)."""
-    limit = settings.success_rate_min if settings.judge_success else None
-    why = f"closed-loop success on {held_out.trials_n} starts held out from training"
-    more = "record more demonstrations (teleop-record --episodes 200) or train longer (--set train.steps=...)"
-    fast = "whole inference with pre- and post-processing must keep up with the arms"
-    hz_min, lighter = settings.inference_hz_min, "use the policy spatial_act, or a smaller image"
-    return [
-        Check("success_rate", held_out["success_rate"], None if limit is None else ">", limit, "", why, more),
-        Check("success_low", held_out["success_low"], why="lower end of its 95 % Wilson interval"),
-        Check("success_high", held_out["success_high"], why="upper end of its 95 % Wilson interval"),
-        Check("trials", held_out.trials_n, ">=", settings.trials, why="every held-out trial was run"),
-        Check("held_out_starts_seen", seen_n, "==", 0, why="held-out trials whose start and goal were demonstrated"),
-        Check("inference_hz", inference_hz, ">", hz_min, "Hz", fast, lighter),
-    ]
+    rows: Rows = {
+        "success_rate": (held_out["success_rate"], ">", settings.success_rate_min if settings.judge_success else None),
+        "success_low": held_out["success_low"],
+        "success_high": held_out["success_high"],
+        "trials": (held_out.trials_n, ">=", settings.trials),
+        "held_out_starts_seen": (seen_n, "==", 0),
+        "inference_hz": (inference_hz, ">", settings.inference_hz_min),
+    }
+    return worded("deploy", rows, trials_n=held_out.trials_n)
 
 
 def run(context: StageContext) -> StageResult:
@@ -88,14 +85,12 @@ def run(context: StageContext) -> StageResult:
     checks = deploy_checks(summaries["held_out"], seen_n, measure_inference(checkpoint, context), config.deploy)
     data = summaries["held_out"].record()
     if "training" in summaries:
-        rate = summaries["training"]["success_rate"]
-        checks.append(Check("training_success_rate", rate, why="the same on starts it was trained on"))
+        checks += worded("deploy", {"training_success_rate": summaries["training"]["success_rate"]})
         data["training"] = summaries["training"].record()
     clear_m = make_task(config).scene.task.clear_height_m
     errors = [r.metrics.goal_error_m for r in everything if r.measured.get("rise_m", 0.0) > clear_m]
     if errors:
-        why = "of trials that lifted the object"
-        checks.append(Check("goal_error_median_m", float(np.median(errors)), unit="m", why=why))
+        checks += worded("deploy", {"goal_error_median_m": float(np.median(errors))})
     return StageResult(checks=checks, data=data)
 
 

@@ -14,6 +14,7 @@ from minidual.robot.arms import robot_from
 from minidual.show.figures.planning import write_times
 from minidual.show.planning import play_queries, write_paths
 from minidual.stages.plan_held import held_checks, run_held
+from minidual.stages.words import Rows, worded
 from minidual.trials.planning.evaluate import Outcome, engine_agreement, repeats, run_queries
 from minidual.trials.planning.evaluate_carries import failed_carries
 
@@ -69,69 +70,52 @@ def run(context: StageContext) -> StageResult:
 
 def group_checks(group: str, outcomes: Sequence[Outcome], config: PlanConfig, name: str | None = None) -> list[Check]:
     """Return the checks of one planning group, prefixed by `name` (default: group)."""
-    name = name or group
     times = np.array([o.total_s for o in outcomes])
-    median, median_max, p99_max = np.median(times), getattr(config.time_median_max_s, group), config.time_p99_max_s
-    core_share = sum(o.cpu_s for o in outcomes) / max(1e-9, sum(o.total_s for o in outcomes))
-    busy = f"the process had {core_share:.0%} of a core: if the machine was busy, run again; see queries.csv for phases"
-    reached = "reached" if median < _GOAL_S[group] else "missed"
-
-    def time_check(what: str, observed: float, limit: float | None, why: str) -> Check:
-        return Check(f"{name}.{what}", observed, None if limit is None else "<", limit, "s", why, busy)
-
-    why_solved = "a query counts only if the timed trajectory is proven free and inside every limit"
-    why_median = f"in a scene that stands: excellent < {_EXCELLENT_S[group]} s, goal < {_GOAL_S[group]} s ({reached})"
-    why_max = "wall time from the goal going in to the proven trajectory coming out, in a scene that stands"
-    first, why_first = (
-        float(np.median([o.scene_s + o.total_s for o in outcomes])),
-        "a new scene: built, then planned in",
-    )
-    why_share = "share of a core that the process had; well below 1 others ran, and the times say less"
+    median, limits = float(np.median(times)), config.time_median_max_s
     blocked_n = sum(o.line_blocked for o in outcomes)
-    why_blocked = f"the straight line to the posture that was planned to collides in {blocked_n} of {len(outcomes)}"
-    solved, see = float(np.mean([o.ok for o in outcomes])), "see the reasons in queries.csv"
-    return [
-        Check(f"{name}.success_rate", solved, ">=", config.success_rate_min, why=why_solved, remedy=see),
-        Check(f"{name}.first_plan_median_s", first, unit="s", why=why_first),
-        time_check("replan_median_s", float(median), median_max, why_median),
-        time_check(
-            "replan_p99_s", float(np.percentile(times, 99)), p99_max, "99 of 100 queries are answered within it"
-        ),
-        time_check("replan_max_s", float(times.max()), config.time_max_s, why_max),
-        Check(f"{name}.core_share", core_share, why=why_share),
-        Check(f"{name}.line_blocked_rate", blocked_n / len(outcomes), why=why_blocked),
-    ]
+    core_share = sum(o.cpu_s for o in outcomes) / max(1e-9, sum(o.total_s for o in outcomes))
+    rows: Rows = {
+        "success_rate": (float(np.mean([o.ok for o in outcomes])), ">=", config.success_rate_min),
+        "first_plan_median_s": float(np.median([o.scene_s + o.total_s for o in outcomes])),
+        "replan_median_s": (median, "<", getattr(limits, group)),
+        "replan_p99_s": (float(np.percentile(times, 99)), "<", config.time_p99_max_s),
+        "replan_max_s": (float(times.max()), "<", config.time_max_s),
+        "core_share": core_share,
+        "line_blocked_rate": blocked_n / len(outcomes),
+    }
+    return worded(
+        "plan",
+        rows,
+        f"{name or group}.",
+        core_share=core_share,
+        excellent_s=_EXCELLENT_S[group],
+        goal_s=_GOAL_S[group],
+        reached="reached" if median < _GOAL_S[group] else "missed",
+        blocked_n=blocked_n,
+        queries_n=len(outcomes),
+    )
 
 
 def audit_checks(outcomes: Sequence[Outcome]) -> list[Check]:
     """Return the audit's checks: dense samples of solved queries must be free."""
     audits = [o.audit for o in outcomes if o.audit is not None]
-    solved_n, states_n = sum(o.ok for o in outcomes), sum(a.samples_n for a in audits)
-    collisions_n, disagreements_n = sum(a.collisions_n for a in audits), sum(a.disagreements_n for a in audits)
-    why_n = "every query that was solved is audited; held-object moves and carries are proven but not audited"
-    why_states = "states at most 0.002 rad apart along every solved query, asked of both engines afterwards"
-    why_free = "a state that either engine sees colliding would show the continuous proof wrong"
-    why_agree = "the two engines must agree along every accepted path"
-    return [
-        Check("proof.audited_n", len(audits), "==", solved_n, why=why_n),
-        Check("proof.audit_states", states_n, ">", 0, why=why_states),
-        Check("proof.audit_collisions", collisions_n, "==", 0, why=why_free),
-        Check("proof.audit_disagreements", disagreements_n, "==", 0, why=why_agree),
-    ]
+    rows: Rows = {
+        "proof.audited_n": (len(audits), "==", sum(o.ok for o in outcomes)),
+        "proof.audit_states": (sum(a.samples_n for a in audits), ">", 0),
+        "proof.audit_collisions": (sum(a.collisions_n for a in audits), "==", 0),
+        "proof.audit_disagreements": (sum(a.disagreements_n for a in audits), "==", 0),
+    }
+    return worded("plan", rows)
 
 
 def common_checks(agreement: float, repeatable: bool, carries_failed_n: int, config: PlanConfig) -> list[Check]:
     """Return the checks common to all groups."""
-    why_agree = "two independent collision engines must see the same world"
-    differ = "the geometry or the pairs of one engine differ; run the engine tests"
-    why_same = "the same query and seed must give the same trajectory, bit for bit"
-    why_carry = "the task's carry from random starts, as moveit plans it: both hands keep their grasps, proven free"
-    rate, least, see = 1.0 - carries_failed_n / _CARRIES_N, config.success_rate_min, "see the notes of this stage"
-    return [
-        Check("engines.agreement", agreement, ">=", config.agreement_min, why=why_agree, remedy=differ),
-        Check("repeatable", repeatable, "==", True, why=why_same),
-        Check("closed_chain.carries_rate", rate, ">=", least, why=why_carry, remedy=see),
-    ]
+    rows: Rows = {
+        "engines.agreement": (agreement, ">=", config.agreement_min),
+        "repeatable": (repeatable, "==", True),
+        "closed_chain.carries_rate": (1.0 - carries_failed_n / _CARRIES_N, ">=", config.success_rate_min),
+    }
+    return worded("plan", rows)
 
 
 def _counts(outcomes: Outcomes) -> dict[str, Any]:

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 from minidual.demos.schema import MAX_SYNC_S
 from minidual.durable import write_csv
 from minidual.errors import NothingEvaluatedError
-from minidual.gate.check import Check, Op
+from minidual.gate.check import Check
 from minidual.gate.code import code_of
 from minidual.gate.stage import StageContext, StageResult
+from minidual.stages.words import Rows, worded
 
 if TYPE_CHECKING:
     from minidual.config.root import Config
@@ -23,36 +24,20 @@ READS = ("robot", "task", "teleop", "scene", "arbiter", "supervisor")
 """Sections that the recording depends on."""
 
 
-_WORDS = {
-    "episodes": ("", "demonstrations kept", "see `reason` in quality.csv; raise teleop.attempts_max_ratio"),
-    "schema_ok": ("", "every file, opened again, is sound and inside the limits", "read `faults` in the verdict"),
-    "jerk_rms_max": ("rad/s^3", "roughest demonstration kept", "lengthen the phases under teleop.operator"),
-    "latency_p99_s": ("s", "wall time from reading the leader to its torque, 99th percentile", "use fewer workers"),
-    "episodes_per_min": ("1/min", "demonstrations kept, conversion included", "use more workers, or fewer cameras"),
-    "sync_error_max_s": ("s", "images against joints of a tick, each stamped when read", "read both in one tick"),
-    "dataset_rows": ("", "every recorded tick is a row and a frame of each video", "check the disk; add --force"),
-    "dataset_episodes": ("", "every demonstration kept is an episode of the dataset", "record again with --force"),
-    "success_rate": ("", "share of attempts that achieved the task; others are left out"),
-    "attempts": ("", "trials that were led"),
-    "latency_p50_s": ("s", "median of the same"),
-    "recorded_per_min": ("1/min", "the rate of recording alone"),
-}
-"""Unit, reason and remedy of each check."""
-
-
 def record_checks(numbers: Mapping[str, float], config: TeleopConfig) -> list[Check]:
     """Return the stage's checks from `Recording.numbers` and the sizes of the dataset."""
-    limits: dict[str, tuple[Op, float]] = {
-        "episodes": (">=", config.episodes_n),
-        "schema_ok": ("==", True),
-        "jerk_rms_max": ("<", config.jerk_max_rad_s3),
-        "latency_p99_s": ("<", config.latency_max_s),
-        "episodes_per_min": (">", config.episodes_per_min),
-        "sync_error_max_s": ("<=", MAX_SYNC_S),
-        "dataset_rows": ("==", numbers["recorded_ticks"]),
-        "dataset_episodes": ("==", numbers["episodes"]),
+    rows: Rows = {
+        "episodes": (numbers["episodes"], ">=", config.episodes_n),
+        "schema_ok": (numbers["schema_ok"], "==", True),
+        "jerk_rms_max": (numbers["jerk_rms_max"], "<", config.jerk_max_rad_s3),
+        "latency_p99_s": (numbers["latency_p99_s"], "<", config.latency_max_s),
+        "episodes_per_min": (numbers["episodes_per_min"], ">", config.episodes_per_min),
+        "sync_error_max_s": (numbers["sync_error_max_s"], "<=", MAX_SYNC_S),
+        "dataset_rows": (numbers["dataset_rows"], "==", numbers["recorded_ticks"]),
+        "dataset_episodes": (numbers["dataset_episodes"], "==", numbers["episodes"]),
+        **{name: numbers[name] for name in ("success_rate", "attempts", "latency_p50_s", "recorded_per_min")},
     }
-    return [Check(name, numbers[name], *limits.get(name, (None, None)), *words) for name, words in _WORDS.items()]
+    return worded("teleop-record", rows)
 
 
 def recording_inputs(config: Config) -> dict[str, Any]:

@@ -6,8 +6,9 @@ import shutil
 from typing import TYPE_CHECKING
 
 from minidual.demos.schema import GRIPPERS_N
-from minidual.gate.check import Check, Number, Op
+from minidual.gate.check import Check
 from minidual.gate.stage import StageContext, StageResult
+from minidual.stages.words import Rows, worded
 
 if TYPE_CHECKING:
     from minidual.config.learning import TrainConfig
@@ -15,47 +16,22 @@ if TYPE_CHECKING:
     from minidual.policies.records import TrainResult
     from minidual.robot.pair import Robot
 
-_WORDS = {
-    "loss_ratio": (
-        "",
-        "training L1 at the end over that of the first steps; it must have learned something",
-        "raise train.steps, or look at loss.png for a learning rate that is too high",
-    ),
-    "actions_in_limits": (
-        "",
-        "share of joint targets inside the limits as the network gives them, before any clamping",
-        "train longer; check that recording and normalisation use the same joint order",
-    ),
-    "targets_n": ("", "joint and gripper targets in one action of the reloaded policy", "record with these arms"),
-    "train_s": ("s", "time spent in training steps", "lower train.steps, or train on a faster machine"),
-    "steps_done": ("", "training must not have been cut by its time limit", "raise train.time_limit_s"),
-}
-"""Unit, reason and remedy of each limited check."""
-
 
 def train_checks(result: TrainResult, emitted: EmittedActions, config: TrainConfig, robot: Robot) -> list[Check]:
     """Return the stage's checks."""
-    limits: tuple[tuple[str, Number, Op, Number], ...] = (
-        ("loss_ratio", result.loss_ratio, "<", config.loss_ratio_max),
-        ("actions_in_limits", emitted.in_limits, ">=", config.actions_in_limits_min),
-        ("targets_n", emitted.targets_n, "==", robot.dof + GRIPPERS_N),
-        ("train_s", result.train_s, "<=", config.train_s_max),
-        ("steps_done", result.steps, "==", result.steps_asked),
-    )
-    checks = [
-        *(Check(name, observed, op, limit, *_WORDS[name]) for name, observed, op, limit in limits),
-        Check("samples_per_s", result.samples_per_s, unit="1/s", why="training rate"),
-        Check("parameters", result.parameters, why="trainable parameters"),
-        Check("overshoot_max_rad", emitted.overshoot_max_rad, unit="rad", why="worst raw target outside its limit"),
-        Check("inference_hz", emitted.inference_hz, unit="Hz", why="whole inferences a second, one thread"),
-    ]
-    if result.validation_l1 is not None:
-        why = "held-out episodes, in std of the actions; L1 does not tell how a policy does in closed loop"
-        checks.append(Check("validation_l1", result.validation_l1, why=why))
-    if result.validation_keyframe_rad is not None:
-        why = "mean joint error of the grasp and release postures predicted from images of held-out episodes"
-        checks.append(Check("validation_keyframe_rad", result.validation_keyframe_rad, unit="rad", why=why))
-    return checks
+    rows: Rows = {
+        "loss_ratio": (result.loss_ratio, "<", config.loss_ratio_max),
+        "actions_in_limits": (emitted.in_limits, ">=", config.actions_in_limits_min),
+        "targets_n": (emitted.targets_n, "==", robot.dof + GRIPPERS_N),
+        "train_s": (result.train_s, "<=", config.train_s_max),
+        "steps_done": (result.steps, "==", result.steps_asked),
+        "samples_per_s": result.samples_per_s,
+        "parameters": result.parameters,
+        "overshoot_max_rad": emitted.overshoot_max_rad,
+        "inference_hz": emitted.inference_hz,
+    }
+    held_out = {name: getattr(result, name) for name in ("validation_l1", "validation_keyframe_rad")}
+    return worded("train-act", {**rows, **{name: value for name, value in held_out.items() if value is not None}})
 
 
 def run(context: StageContext) -> StageResult:
