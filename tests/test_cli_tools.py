@@ -36,9 +36,8 @@ ASIDE = ToolEntry(
     "number-tune",
     f"{__name__}:measure",
     options=(Option("tune", "Tune.", bool), Option("how-fast", "Speed.", float), QUERIES),
-    trigger="tune",
 )
-OTHER = ToolEntry("number-other", f"{__name__}:measure", options=(Option("other", "Other.", bool),), trigger="other")
+OTHER = ToolEntry("number-other", f"{__name__}:measure", options=(Option("other", "Other.", bool),))
 
 
 @pytest.fixture

@@ -22,14 +22,7 @@ from minidual.errors import DataError, EnvironmentMissingError, MinidualError, N
 JSON_BYTES_MAX = 2**24
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _FORBIDDEN = (errno.EROFS, errno.EACCES, errno.EPERM)
-_KINDS = {
-    stat.S_IFDIR: "folder",
-    stat.S_IFREG: "file",
-    stat.S_IFIFO: "FIFO",
-    stat.S_IFSOCK: "socket",
-    stat.S_IFCHR: "device",
-    stat.S_IFBLK: "device",
-}
+_KINDS = {"d": "folder", "-": "file", "p": "FIFO", "s": "socket", "c": "device", "b": "device"}
 _PARTIAL = re.compile(r"^\..+\.(?P<pid>\d+)\.partial$")
 
 
@@ -152,10 +145,8 @@ def disk_error(error: BaseException, path: Path) -> EnvironmentMissingError | No
     # Errors of HDF5, Arrow and safetensors carry the system's text but not always its number.
     code = next((full for full in _FULL if os.strerror(full) in str(error)), code)
     if code in _FULL:
-        message, remedy = (
-            f"no space left on the disk of {path} (writing {what}: {os.strerror(code)})",
-            "free some space",
-        )
+        message = f"no space left on the disk of {path} (writing {what}: {os.strerror(code)})"
+        remedy = "free some space"
     elif code in _FORBIDDEN:
         message, remedy = f"no permission for {what}: {os.strerror(code)}", "change its permissions"
     else:
@@ -187,7 +178,7 @@ def kind_of(path: Path) -> str:
         DataError: No permission, a loop of links, or a name that is too long.
     """
     try:
-        return _KINDS[stat.S_IFMT(path.stat().st_mode)]
+        return _KINDS[stat.filemode(path.stat().st_mode)[0]]
     except (FileNotFoundError, NotADirectoryError):
         return "broken link" if path.is_symlink() else ""
     except OSError as error:

@@ -116,17 +116,18 @@ def build_app(table: StageTable, tools: Sequence[ToolEntry] = ()) -> typer.Typer
 
 def run_command_line(arguments: Sequence[str], table: StageTable, tools: Sequence[ToolEntry] = ()) -> int:
     """Run one command and return its exit code."""
-    if strange := [word for word in arguments if word.encode(errors="ignore").decode() != word]:
-        print(printable(f"minidual: {strange[0]} is not UTF-8"), file=sys.stderr)
-        return int(ExitCode.USAGE)
     app = build_app(table, tools)
     commands = {command.name or "" for command in app.registered_commands} | {"config"}
     first = arguments[0].split("=")[0] if arguments else "--help"
-    if first in {"--set", *(f"--{f.name.replace('_', '-')}" for f in fields(Typed))}:
-        print(f"minidual: {first} stands after the command: minidual COMMAND {first} ...", file=sys.stderr)
-        return int(ExitCode.USAGE)
-    if not first.startswith("-") and first not in commands:
-        print(f"minidual: {unknown_name('command', first, commands)}", file=sys.stderr)
+    refusal: object = None
+    if strange := [word for word in arguments if word.encode(errors="ignore").decode() != word]:
+        refusal = f"{strange[0]} is not UTF-8"
+    elif first in {"--set", *(f"--{f.name.replace('_', '-')}" for f in fields(Typed))}:
+        refusal = f"{first} stands after the command: minidual COMMAND {first} ..."
+    elif not first.startswith("-") and first not in commands:
+        refusal = unknown_name("command", first, commands)
+    if refusal is not None:
+        print(printable(f"minidual: {refusal}"), file=sys.stderr)
         return int(ExitCode.USAGE)
     try:
         app(list(arguments), prog_name="minidual")

@@ -65,23 +65,26 @@ def overrides(options: Sequence[Option], values: Mapping[str, Any]) -> list[Over
 
 @dataclass(frozen=True)
 class ToolEntry:
-    """A command without verdict. With a `trigger` it is an aside: it runs instead of its stage.
+    """A command without verdict. As an aside of a stage it runs instead when its first option, `trigger`, is typed.
 
     Attributes:
         name: Command, or an aside's output folder.
         target: "module:function", see `minidual.gate.tool`.
-        trigger: Option that selects the aside, one word.
     """
 
     name: str
     target: str | ToolFunction
     summary: str = ""
     options: tuple[Option, ...] = ()
-    trigger: str = ""
     watchable: bool = False
     moves: bool = False
     view_default: str = "none"
     examples: tuple[str, ...] = ()
+
+    @property
+    def trigger(self) -> str:
+        """Option that selects an aside, one word."""
+        return self.options[0].name
 
     def load(self) -> ToolFunction:
         """Return the function."""

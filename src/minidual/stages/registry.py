@@ -14,6 +14,52 @@ _MOTION = Option("motion", "How it travels: straight, rotate, over.", str, "carr
 _SPEED = Option("speed", "Share of full speed, 0.1 to 1.", float, "arbiter.speed_override")
 _CARRIES = Option("trials", "Randomised carries to try.", int, "carry.trials_n")
 
+_BILL = ToolEntry(
+    "env-check-bill",
+    "minidual.stages.env_check.installation:print_bill",
+    options=(Option("markdown", "Print a bill of versions for a bug report instead.", bool),),
+)
+_ACM = ToolEntry(
+    "plan-acm",
+    "minidual.stages.plan_acm:plan_acm",
+    options=(Option("acm", "Print the pairs that are not checked, and why, instead.", bool), _SCENE),
+)
+_ONCE = ToolEntry(
+    "plan-once",
+    "minidual.stages.plan_once:plan_once",
+    options=(
+        Option("to", "Plan once to this state (home, ready, carry ...) or goal file instead."),
+        Option("from", "With --to: start at this state or file (default: home)."),
+        Option("group", "With --to: left_arm, right_arm or both_arms (default)."),
+        _SCENE,
+        Option("out", "With --to: write the trajectory here (.json)."),
+        Option("csv", "With --to: write the trajectory here (.csv)."),
+        Option("picture", "With --to: draw the path here (.png)."),
+        Option("budget-s", "With --to: give up after this wall time.", float),
+    ),
+    watchable=True,
+)
+_TASK = ToolEntry(
+    "plan-task",
+    "minidual.stages.plan_task:plan_task",
+    options=(
+        Option("task", "Plan this task (rod_carry, handover ...) as a whole and drive it instead."),
+        Option("video", "With --task: film it (.mp4)."),
+    ),
+    watchable=True,
+)
+_CARRIED = (
+    Option("perturb", "Carry under every disturbance (20 trials each) instead.", bool),
+    _CARRIES,
+    _OBJECT,
+    _MOTION,
+)
+_PERTURB = ToolEntry(
+    "carry-perturb", "minidual.stages.carry_tools:perturb", options=_CARRIED, moves=True, watchable=True
+)
+_TUNED = Option("tune", "Search squeeze and stiffness by carrying, and write a profile.", bool), _OBJECT, _MOTION
+_TUNE = ToolEntry("carry-tune", "minidual.stages.carry_tools:tune", options=_TUNED, moves=True)
+
 STAGES = StageTable(
     (
         StageEntry(
@@ -22,14 +68,7 @@ STAGES = StageTable(
             (),
             "Simulation and joints: every joint read, mapped and driven, tracking, contacts, libraries",
             reads=("robot", "env_check", "scene", "arbiter", "supervisor", "teleop.rate_hz"),
-            asides=(
-                ToolEntry(
-                    "env-check-bill",
-                    "minidual.stages.env_check.installation:print_bill",
-                    options=(Option("markdown", "Print a bill of versions for a bug report instead.", bool),),
-                    trigger="markdown",
-                ),
-            ),
+            asides=(_BILL,),
             watchable=True,
             examples=("env-check", "env-check --markdown"),
         ),
@@ -41,40 +80,7 @@ STAGES = StageTable(
             reads=("robot", "plan", "scene.object", "scene.task"),
             check="minidual.stages.config_checks:check_plan",
             options=(Option("queries", "Queries per planning group.", int, "plan.queries_n"),),
-            asides=(
-                ToolEntry(
-                    "plan-acm",
-                    "minidual.stages.plan_acm:plan_acm",
-                    options=(Option("acm", "Print the pairs that are not checked, and why, instead.", bool), _SCENE),
-                    trigger="acm",
-                ),
-                ToolEntry(
-                    "plan-once",
-                    "minidual.stages.plan_once:plan_once",
-                    options=(
-                        Option("to", "Plan once to this state (home, ready, carry ...) or goal file instead."),
-                        Option("from", "With --to: start at this state or file (default: home)."),
-                        Option("group", "With --to: left_arm, right_arm or both_arms (default)."),
-                        _SCENE,
-                        Option("out", "With --to: write the trajectory here (.json)."),
-                        Option("csv", "With --to: write the trajectory here (.csv)."),
-                        Option("picture", "With --to: draw the path here (.png)."),
-                        Option("budget-s", "With --to: give up after this wall time.", float),
-                    ),
-                    trigger="to",
-                    watchable=True,
-                ),
-                ToolEntry(
-                    "plan-task",
-                    "minidual.stages.plan_task:plan_task",
-                    options=(
-                        Option("task", "Plan this task (rod_carry, handover ...) as a whole and drive it instead."),
-                        Option("video", "With --task: film it (.mp4)."),
-                    ),
-                    trigger="task",
-                    watchable=True,
-                ),
-            ),
+            asides=(_ACM, _ONCE, _TASK),
             watchable=True,
             examples=("plan", "plan --to ready --scene examples/bench-scene.yaml --view web"),
         ),
@@ -86,29 +92,7 @@ STAGES = StageTable(
             reads=("robot", "task", "carry", "scene", "arbiter", "supervisor"),
             resolve="minidual.tasks.task:task_config",
             options=(_CARRIES, _OBJECT, _MOTION, _SPEED),
-            asides=(
-                ToolEntry(
-                    "carry-perturb",
-                    "minidual.stages.carry_tools:perturb",
-                    options=(
-                        Option("perturb", "Carry under every disturbance (20 trials each) instead.", bool),
-                        *(_CARRIES, _OBJECT, _MOTION),
-                    ),
-                    trigger="perturb",
-                    moves=True,
-                    watchable=True,
-                ),
-                ToolEntry(
-                    "carry-tune",
-                    "minidual.stages.carry_tools:tune",
-                    options=(
-                        Option("tune", "Search squeeze and stiffness by carrying, and write a profile.", bool),
-                        *(_OBJECT, _MOTION),
-                    ),
-                    trigger="tune",
-                    moves=True,
-                ),
-            ),
+            asides=(_PERTURB, _TUNE),
             watchable=True,
             examples=("carry --trials 20", "carry --object glass --motion over"),
         ),
