@@ -19,7 +19,7 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.trajectory import Trajectory
 from minidual.show.planning import Poser, play
 from minidual.show.watch import tcp_preview
-from minidual.stages.plan_once import _clearance
+from minidual.stages.plan_tools import _clearance
 from minidual.stages.registry import STAGES
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

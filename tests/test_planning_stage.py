@@ -72,7 +72,6 @@ def test_stage_passes_and_writes_what_it_says(stage_run):
         assert phases <= float(row["total_s"]) + 1e-5
         assert float(row["velocity_ratio"]) <= 0.951
     assert {"second_seed.both_arms.success_rate", "proof.audit_collisions", "left_arm.replan_p99_s"} <= names
-    assert result.data["second_seed"]["left_arm"]["queries_n"] == 1
     assert len((folder / "queries_second_seed.csv").read_text().splitlines()) == 4
     for row in rows:
         assert int(row["audited_n"]) > 100

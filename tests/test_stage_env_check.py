@@ -29,9 +29,9 @@ from minidual.plant.world import World
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
 from minidual.show.figures.film import FILM_FPS
-from minidual.stages.env_check import checks as judge
 from minidual.stages.env_check import installation, tracking
 from minidual.stages.env_check import model as measure
+from minidual.stages.env_check import stage as judge
 from minidual.stages.env_check.installation import Library, required_libraries
 from minidual.stages.env_check.pictures import CameraCheck
 from minidual.stages.env_check.stage import run

@@ -1,22 +1,28 @@
-"""`minidual plan`: seeded queries for three groups, planned, timed and proven."""
+"""`minidual plan`: seeded queries for three groups, planned, timed and proven, and moves of a held object."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
 from minidual.collision.acm import acm_report
 from minidual.config.planning import PlanConfig
+from minidual.config.seeds import subseed
 from minidual.durable import write_csv
 from minidual.gate.check import Check
 from minidual.gate.stage import StageContext, StageResult
+from minidual.motion.held.hands import RESIDUAL_MAX_M, RESIDUAL_MAX_RAD
+from minidual.plant.world import World
 from minidual.robot.arms import robot_from
 from minidual.show.figures.planning import write_times
 from minidual.show.planning import play_queries, write_paths
-from minidual.stages.plan_held import held_checks, run_held
+from minidual.show.view import Overlay
+from minidual.show.watch import watched
+from minidual.skills.held_execution import Execution, execute
 from minidual.stages.words import Rows, worded
 from minidual.trials.planning.evaluate import Outcome, engine_agreement, repeats, run_queries
-from minidual.trials.planning.evaluate_carries import failed_carries
+from minidual.trials.planning.evaluate_carries import MoveOutcome, failed_carries, run_moves, table_plans
 
 _EXCELLENT_S = {"left_arm": 0.2, "right_arm": 0.2, "both_arms": 2.0}
 _GOAL_S = {"left_arm": 0.01, "right_arm": 0.01, "both_arms": 0.015}
@@ -24,6 +30,15 @@ _CARRIES_N = 5
 _JSON_EVERY = 10
 
 Outcomes = Mapping[str, Sequence[Outcome]]
+
+
+@dataclass(frozen=True)
+class HeldResults:
+    """Moves of a held object: outcomes of both sets, drives, and a line per failed or undriven move."""
+
+    outcomes: Mapping[str, Sequence[MoveOutcome]]
+    executions: Sequence[Execution]
+    notes: Sequence[str] = ()
 
 
 def run(context: StageContext) -> StageResult:
@@ -63,9 +78,8 @@ def run(context: StageContext) -> StageResult:
     checks += audit_checks([*every, *again])
     checks += common_checks(agreement, repeatable, len(carries), config)
     checks += held_checks(held, config)
-    data = {"groups": _counts(outcomes), "second_seed": _counts(second), "held_moves": held.data()}
-    lines = [*notes(first=outcomes, second=second), *carries, *held.notes()]
-    return StageResult(checks=checks, data=data, notes=lines)
+    data = {"held_moves": {"executions": [dataclasses.asdict(e) for e in held.executions]}}
+    return StageResult(checks=checks, data=data, notes=[*notes(first=outcomes, second=second), *carries, *held.notes])
 
 
 def group_checks(group: str, outcomes: Sequence[Outcome], config: PlanConfig, name: str | None = None) -> list[Check]:
@@ -118,20 +132,6 @@ def common_checks(agreement: float, repeatable: bool, carries_failed_n: int, con
     return worded("plan", rows)
 
 
-def _counts(outcomes: Outcomes) -> dict[str, Any]:
-    counts: dict[str, Any] = {}
-    for group, done in outcomes.items():
-        solved = [o.result for o in done if o.result is not None]
-        counts[group] = {
-            "queries_n": len(done),
-            "solved_n": len(solved),
-            "direct_n": sum(r.direct for r in solved),
-            "line_blocked_n": sum(o.line_blocked for o in done),
-            "retried_n": sum(r.attempts_n > 1 for r in solved),
-        }
-    return counts
-
-
 def notes(**sets: Outcomes) -> list[str]:
     """Return one line per failed query and missed goal."""
     lines = []
@@ -143,3 +143,52 @@ def notes(**sets: Outcomes) -> list[str]:
                 found, goal = f"{median * 1e3:.0f} ms", f"{_GOAL_S[group] * 1e3:.0f} ms"
                 lines.append(f"goal missed: the median of {group} ({name} seed) is {found}, goal {goal}")
     return lines
+
+
+def run_held(context: StageContext) -> HeldResults:
+    """Plan the moves of both seeds, drive some, and write held_moves.csv."""
+    config, seed, outcomes, executions = context.config, context.seed, {}, []
+    held = config.plan.held
+    with context.progress.task("held moves", 2 * held.moves_n + held.executed_n) as task:
+        for name, own in {"first": seed, "second": subseed(seed, "held-move/second")}.items():
+            outcomes[name] = run_moves(config, own, lambda _, name=name: task.advance(note=name))
+        world = World(config.scene, robot=robot_from(config.robot))
+        driven, undriven = table_plans(config, seed)
+        words = Overlay(title="plan, held-object move", mode="joint", source="plan")
+        for trajectory in driven:
+            with watched(context.view, world, lambda: words):
+                executions.append(execute(trajectory, config.scene, world=world))
+            task.advance(note="driven")
+    write_csv(context.folder / "held_moves.csv", [o.row(name) for name, done in outcomes.items() for o in done])
+    failed = [
+        f"held move {o.move.index} of the {name} seed failed: {o.message}"
+        for name, done in outcomes.items()
+        for o in done
+        if not o.ok
+    ]
+    return HeldResults(outcomes, executions, [*failed, *undriven])
+
+
+def held_checks(results: HeldResults, config: PlanConfig) -> list[Check]:
+    """Return the checks of the held-object moves."""
+    held, first, second = config.held, results.outcomes["first"], results.outcomes["second"]
+    every, driven = [*first, *second], results.executions
+    nothing = [(np.nan, np.nan)]
+    strays = np.max([(o.residual_m, o.residual_rad) for o in every if o.ok] or nothing, axis=0).tolist()
+    errors = np.max([(e.error_max_m, e.error_max_rad) for e in driven] or nothing, axis=0).tolist()
+    undecided, unreachable = (sum(getattr(o.move, n) for o in every) for n in ("undecided_n", "unreachable_n"))
+    rates = [sum(o.ok for o in done) / len(done) for done in (first, second)]
+    rows: Rows = {
+        "success_rate": (rates[0], ">=", config.success_rate_min),
+        "second_seed_success_rate": (rates[1], ">=", config.success_rate_min),
+        "cpu_time_median_s": (float(np.median([o.cpu_s for o in first])), "<", held.cpu_time_median_max_s),
+        "time_median_s": float(np.median([o.total_s for o in first])),
+        "residual_max_m": (strays[0], "<", RESIDUAL_MAX_M),
+        "residual_max_rad": (strays[1], "<", RESIDUAL_MAX_RAD),
+        "draws_left_out_n": undecided,
+        "driven_n": (len(driven), "==", held.executed_n),
+        "executed_error_max_m": (errors[0], "<", held.executed_error_max_m),
+        "executed_error_max_rad": (errors[1], "<", held.executed_error_max_rad),
+    }
+    named = {f"closed_chain.{name}": row for name, row in rows.items()}
+    return worded("plan", named, undecided=undecided, unreachable=unreachable)

@@ -12,7 +12,7 @@ from minidual.robot.arms import robot_from
 from minidual.show.figures.film import FILM_FPS, Postures, film_postures
 from minidual.show.watch import watch_trials
 from minidual.skills.planned_carry import PlannedCarry
-from minidual.stages.plan_once import target_file
+from minidual.stages.plan_tools import target_file
 from minidual.tasks.task import TASKS
 from minidual.trials.methods import Method, MethodInputs
 from minidual.trials.runner import Bench

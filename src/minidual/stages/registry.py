@@ -21,12 +21,12 @@ _BILL = ToolEntry(
 )
 _ACM = ToolEntry(
     "plan-acm",
-    "minidual.stages.plan_acm:plan_acm",
+    "minidual.stages.plan_tools:plan_acm",
     options=(Option("acm", "Print the pairs that are not checked, and why, instead.", bool), _SCENE),
 )
 _ONCE = ToolEntry(
     "plan-once",
-    "minidual.stages.plan_once:plan_once",
+    "minidual.stages.plan_tools:plan_once",
     options=(
         Option("to", "Plan once to this state (home, ready, carry ...) or goal file instead."),
         Option("from", "With --to: start at this state or file (default: home)."),

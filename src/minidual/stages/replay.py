@@ -9,7 +9,7 @@ from minidual.plant.model import build_model
 from minidual.plant.recording import Recording, read_recording
 from minidual.plant.replay import Replayed, replay
 from minidual.show.figures.film import CAMERAS, FILM_FPS, Postures, film_postures, sheet_of_postures
-from minidual.stages.plan_once import target_file
+from minidual.stages.plan_tools import target_file
 
 
 def replay_tool(context: ToolContext) -> ToolResult:

@@ -1,11 +1,13 @@
-"""`minidual plan --to`: plan one goal, without verdict or gate."""
+"""`minidual plan --to` and `--acm`: one goal, and the link pairs not checked for collision; no verdict, no gate."""
 
 import dataclasses
 import os
 import sys
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
+from minidual.collision.acm import acm_report
 from minidual.collision.errors import ClosedChainError, LinearMoveError, NoPathInTimeError, TimingError
 from minidual.collision.scene import PlanningScene
 from minidual.collision.scene_file import load_scene
@@ -19,10 +21,17 @@ from minidual.motion.goals import GROUP_ARMS
 from minidual.motion.result import PlanResult
 from minidual.proof.scene_engines import CLEARANCE_MAX_M
 from minidual.robot.arms import robot_from
-from minidual.robot.pair import Array
+from minidual.robot.pair import Array, Robot
 
 _ENDINGS = {"out": ".json", "csv": ".csv", "picture": ".png"}
 _BUDGET_MAX_S = 600.0
+_MEANINGS = {
+    "rigid": "carried by one joint: they cannot move against each other",
+    "adjacent": "neighbours along the chain: their hulls overlap at the joint",
+    "model": "ruled out by the model of the arm or its hand",
+    "always": "touch at home and in at least 95 % of the samples",
+    "never": "touched in none of the samples",
+}
 
 
 def plan_once(context: ToolContext) -> ToolResult:
@@ -52,14 +61,19 @@ def plan_once(context: ToolContext) -> ToolResult:
     return ToolResult(_lines(title, result, clearance), notes, _document(group, result, targets))
 
 
+def _scene(context: ToolContext, robot: Robot) -> tuple[PlanningScene, list[str]]:
+    """Return the --scene, by default the bare table, and notes."""
+    if "scene" in context.options:
+        return load_scene(Path(context.options["scene"]), robot)
+    return PlanningScene(robot=robot), []
+
+
 def _prepare(context: ToolContext, group: str) -> tuple[GoalPlanner, PlanningScene, Array, list[str]]:
     """Return planner, scene, start (n,) and notes; validates the input first."""
     GROUP_ARMS[group]  # refuses an unknown name
-    config, notes = context.config, list[str]()
+    config = context.config
     robot = robot_from(config.robot)
-    scene = PlanningScene(robot=robot)
-    if "scene" in context.options:
-        scene, notes = load_scene(Path(context.options["scene"]), robot)
+    scene, notes = _scene(context, robot)
     planner = GoalPlanner(Planner(scene, config.plan.planner), config.semantics)
     q_home = planner.states.joints("home", "both_arms", planner.robot.home)
     start = goal_of(context.options.get("from", "home"), planner.states)
@@ -160,3 +174,35 @@ def _document(group: str, result: PlanResult, targets: dict[str, Path | None]) -
         "digest": result.trajectory.digest(),
         "files": {name: str(path) for name, path in targets.items() if path is not None},
     }
+
+
+def plan_acm(context: ToolContext) -> ToolResult:
+    """Return the robot's matrix, modified by --scene."""
+    robot = robot_from(context.config.robot)
+    report = acm_report(robot)
+    scene, notes = _scene(context, robot)
+    table = sorted(scene.allowed)
+    lines = [f"{first:26s} {second:26s} {reason}" for first, second, reason in table]
+    kinds = Counter(_kind(reason) for _, _, reason in table)
+    notes += [
+        f"{count:4d} {kind:9s} {_MEANINGS.get(kind, 'allowed by the scene file')}"
+        for kind, count in sorted(kinds.items())
+    ]
+    notes += [
+        (
+            f"{len(table)} pairs may touch, {len(scene.checked_pairs)} of this scene are checked; pairs of different arms "
+            "always are"
+        ),
+        *report.lines(),
+    ]
+    data = {
+        "allowed": [{"first": a, "second": b, "reason": r} for a, b, r in table],
+        "checked": [list(pair) for pair in scene.checked_pairs],
+        "built": dataclasses.asdict(report),
+    }
+    return ToolResult(lines, notes, data)
+
+
+def _kind(reason: str) -> str:
+    word = reason.split(" ")[0]
+    return word if word in _MEANINGS else "user"
