@@ -12,21 +12,13 @@ from minidual.gate.runner import Outcome
 from minidual.gate.table import StageEntry
 from minidual.gate.verdict import Verdict
 
-_STYLES = {
-    "pass": "bold green",
-    "fail": "bold red",
-    "error": "bold red",
-    "stale": "yellow",
-    "incomplete": "yellow",
-    "blocked": "dim",
-    "missing": "dim",
-}
+_STYLES = {"pass": "bold green", "fail": "bold red", "error": "bold red", "stale": "yellow", "incomplete": "yellow"}
 _SHOWN_ARTEFACTS = 8
 
 
 def state_text(state: str) -> Text:
     """Return a coloured state."""
-    return Text(state, style=_STYLES.get(state, ""))
+    return Text(state, style=_STYLES.get(state, "dim"))
 
 
 def checks_table(checks: Sequence[Check], title: str, *, explained: bool = False) -> Table:

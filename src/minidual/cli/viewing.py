@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from minidual.errors import UsageError
-from minidual.gate.table import Option
+from minidual.gate.table import Option, overrides
 
 if TYPE_CHECKING:
     from minidual.cli.session import Session
@@ -16,8 +16,13 @@ if TYPE_CHECKING:
 
 WATCHING = (
     Option("view", "Watch the arms in a browser.", metavar="none|web"),
-    Option("view-host", "Interface for --view web (default 127.0.0.1: this machine and ssh tunnels only)."),
-    Option("view-port", "First port to try for --view web (default 8080).", int),
+    Option(
+        "view-host",
+        "Interface for --view web (default 127.0.0.1: this machine and ssh tunnels only).",
+        str,
+        "view.host",
+    ),
+    Option("view-port", "First port to try for --view web (default 8080).", int, "view.port"),
 )
 """Options of watchable commands; they never change a verdict."""
 
@@ -29,15 +34,13 @@ def live_view(session: Session, values: Mapping[str, Any], default: str = "none"
     Raises:
         UsageError: Host or port without a web view, or raised by make_view.
     """
-    from minidual.config.loader import Override
     from minidual.show.view import make_view
 
     name = values.get("view") or default
-    typed = {field: values.get(f"view_{field}") for field in ("host", "port")}
-    overrides = [Override(f"view.{f}", v, f"--view-{f} {v}") for f, v in typed.items() if v is not None]
-    if overrides and name != "web":
-        raise UsageError(f"{overrides[0].text.split()[0]} goes with --view web, not with --view {name}")
-    view = make_view(name, session.loaded.with_overrides(overrides).config.view, say=session.say)
+    typed = overrides(WATCHING, {option.name: values.get(option.key) for option in WATCHING})
+    if typed and name != "web":
+        raise UsageError(f"{typed[0].text.split()[0]} goes with --view web, not with --view {name}")
+    view = make_view(name, session.loaded.with_overrides(typed).config.view, say=session.say)
     try:
         yield view
     finally:

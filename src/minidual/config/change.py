@@ -1,37 +1,15 @@
 """Validated changes of a configuration."""
 
 from collections.abc import Mapping
-from typing import Any, cast
+from typing import Any
 
 from pydantic import BaseModel
 
-from minidual.config.root import Config
 from minidual.errors import unknown_name
 
 
-def changed(config: Config, settings: Mapping[str, Any]) -> Config:
-    """Return the configuration with {dotted path: value} applied, such as {"carry.sensing.delay_s": 0.02}.
-
-    Raises:
-        UsageError: There is no such path.
-        pydantic.ValidationError: A value is invalid.
-    """
-    document = config.model_dump()
-    for path, value in settings.items():
-        *sections, name = path.split(".")
-        section: dict[str, Any] = document
-        for step in sections:
-            if not isinstance(section.get(step), dict):
-                raise unknown_name("configuration section", step, section)
-            section = cast(dict[str, Any], section[step])
-        if name not in section:
-            raise unknown_name("configuration value", path, section)
-        section[name] = value
-    return Config.model_validate(document)
-
-
-def preset[M: BaseModel](section: M, values: Mapping[str, Any]) -> M:
-    """Return a section with {dotted path: value} applied where the user set nothing.
+def changed[M: BaseModel](section: M, values: Mapping[str, Any], *, unset_only: bool = False) -> M:
+    """Return a section with {dotted path: value} applied; with `unset_only` where the user set nothing.
 
     Raises:
         UsageError: There is no such path.
@@ -46,12 +24,18 @@ def preset[M: BaseModel](section: M, values: Mapping[str, Any]) -> M:
         now = getattr(section, name)
         if rest:
             inner.setdefault(name, {})[rest] = value
-        elif name not in section.model_fields_set:
+        elif not unset_only or name not in section.model_fields_set:
             wanted[name] = value
         elif isinstance(now, BaseModel) and isinstance(value, BaseModel):
             inner.setdefault(name, {}).update({k: getattr(value, k) for k in value.model_fields_set})
-    wanted |= {name: preset(getattr(section, name), part) for name, part in inner.items()}
+    for name, part in inner.items():
+        wanted[name] = changed(getattr(section, name), part, unset_only=unset_only)
     return replaced(section, **wanted)
+
+
+def preset[M: BaseModel](section: M, values: Mapping[str, Any]) -> M:
+    """Return a section with {dotted path: value} applied where the user set nothing; errors as `changed`."""
+    return changed(section, values, unset_only=True)
 
 
 def replaced[M: BaseModel](section: M, **values: Any) -> M:

@@ -1,6 +1,6 @@
 """`minidual carry`: two arms carry an object under object impedance from random starts."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -90,11 +90,7 @@ def run(context: StageContext) -> StageResult:
 
 
 def _record(
-    context: StageContext,
-    bench: Bench,
-    trials: Sequence[Trial],
-    results: Sequence[TrialResult],
-    shown: Mapping[str, int],
+    context: StageContext, bench: Bench, trials: list[Trial], results: list[TrialResult], shown: dict[str, int]
 ) -> dict[str, TrialLog]:
     logs: dict[str, TrialLog] = {}
     failed = [i for i, result in enumerate(results) if not result.success]

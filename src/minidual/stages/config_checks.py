@@ -2,7 +2,7 @@
 
 from minidual.config.root import Config
 from minidual.demos.leader import LEADERS
-from minidual.errors import ConfigError, unknown_name
+from minidual.errors import ConfigError
 from minidual.policies.kinds import POLICIES
 from minidual.trials.conditions import condition, parse_conditions
 from minidual.trials.methods import METHODS
@@ -25,8 +25,7 @@ def check_leader(config: Config) -> None:
 
 def check_policy(config: Config) -> None:
     """Raise UsageError for an unknown policy; loads no policy library."""
-    if config.train.policy not in POLICIES:
-        raise unknown_name("policy", config.train.policy, POLICIES)
+    POLICIES.names([config.train.policy])
 
 
 def check_benchmark(config: Config) -> None:

@@ -4,6 +4,7 @@ import dataclasses
 import os
 import sys
 from collections import Counter
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -56,7 +57,11 @@ def plan_once(context: ToolContext) -> ToolResult:
     title = f"{group} to {options['to']}"
     notes += _write(targets, context, scene, result, title)
     if context.view is not None:
-        _play(context, scene, result, title)
+        from minidual.show.planning import play
+
+        once = sys.stdin is None or not sys.stdin.isatty()  # else until closed or Ctrl-C
+        with suppress(KeyboardInterrupt):
+            play(context.view, context.config.scene, scene, result.trajectory, title, rounds_n=1 if once else None)
     clearance = _clearance(planner.planner.engines(scene).clearance(result.trajectory), scene.min_distance_m)
     return ToolResult(_lines(title, result, clearance), notes, _document(group, result, targets))
 
@@ -120,34 +125,20 @@ def _write(
     return notes
 
 
-def _play(context: ToolContext, scene: PlanningScene, result: PlanResult, title: str) -> None:
-    """Show the plan until closed or Ctrl-C; once without a terminal."""
-    from minidual.show.planning import play
-
-    rounds = None if sys.stdin is not None and sys.stdin.isatty() else 1
-    try:
-        play(context.view, context.config.scene, scene, result.trajectory, title, rounds_n=rounds)
-    except KeyboardInterrupt:
-        return
-
-
 def _lines(title: str, result: PlanResult, clearance: str) -> list[str]:
     proof = result.verification
     planned_s = result.total_s - result.times_s.get("scene", 0.0)
     spent = ", ".join(f"{name} {1e3 * s:.1f}" for name, s in result.times_s.items() if s > 0.0)
+    way = "straight line" if result.direct else f"{len(result.path)} vertices"
+    tried = f"{result.attempts_n} attempt{'s' if result.attempts_n != 1 else ''}"
+    limits = ("velocity", "acceleration", "jerk", "torque")
     return [
         f"{title}: {result.trajectory.duration_s:.3f} s of motion, planned and proven in {planned_s * 1e3:.1f} ms",
         "  (the first plan of a process loads compiled code; a planner that stays needs milliseconds)",
         f"  phases [ms]   {spent}",
-        (
-            f"  way           {'straight line' if result.direct else f'{len(result.path)} vertices'}, "
-            f"{result.attempts_n} attempt{'s' if result.attempts_n != 1 else ''}"
-        ),
+        f"  way           {way}, {tried}",
         f"  clearance     {clearance}",
-        (
-            f"  of limits     velocity {proof.velocity_ratio:.0%}, acceleration {proof.acceleration_ratio:.0%}, "
-            f"jerk {proof.jerk_ratio:.0%}, torque {proof.torque_ratio:.0%}"
-        ),
+        f"  of limits     {', '.join(f'{name} {getattr(proof, f"{name}_ratio"):.0%}' for name in limits)}",
         f"  joint margin  {proof.limit_margin_rad:.3f} rad",
     ]
 
@@ -164,11 +155,7 @@ def _document(group: str, result: PlanResult, targets: dict[str, Path | None]) -
         "solved": True,
         "group": group,
         "duration_s": result.trajectory.duration_s,
-        "total_s": result.total_s,
-        "times_s": result.times_s,
-        "attempts_n": result.attempts_n,
-        "direct": result.direct,
-        "notes": list(result.notes),
+        **{name: getattr(result, name) for name in ("total_s", "times_s", "attempts_n", "direct", "notes")},
         "q_goal_rad": result.q_goal.tolist(),
         "proof": dataclasses.asdict(result.verification),
         "digest": result.trajectory.digest(),

@@ -1,24 +1,24 @@
 """`minidual teleop-record`: record demonstrations and convert them to a dataset."""
 
-from __future__ import annotations
-
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from minidual.config.root import Config
+from minidual.config.teleop import TeleopConfig
+from minidual.demos import recording, rig
+from minidual.demos.leader import LEADERS
 from minidual.demos.schema import MAX_SYNC_S
 from minidual.durable import write_csv
 from minidual.errors import NothingEvaluatedError
 from minidual.gate.check import Check
 from minidual.gate.code import code_of
 from minidual.gate.stage import StageContext, StageResult
+from minidual.show.figures.teleop import draw_quality
+from minidual.show.watch import watch_recording
 from minidual.stages.words import Rows, worded
-
-if TYPE_CHECKING:
-    from minidual.config.root import Config
-    from minidual.config.teleop import TeleopConfig
-    from minidual.demos.rig import Attempt
+from minidual.tasks.task import make_task
 
 READS = ("robot", "task", "teleop", "scene", "arbiter", "supervisor")
 """Sections that the recording depends on."""
@@ -48,12 +48,6 @@ def recording_inputs(config: Config) -> dict[str, Any]:
 
 def run(context: StageContext) -> StageResult:
     """Record, convert and film; write quality.csv and quality.png."""
-    from minidual.demos import recording, rig
-    from minidual.demos.leader import LEADERS
-    from minidual.show.figures.teleop import draw_quality
-    from minidual.show.watch import watch_recording
-    from minidual.tasks.task import make_task
-
     config, folder = context.config, context.folder
     teleop, leader = config.teleop, LEADERS[config.teleop.leader]
     job = rig.Job(folder, make_task(config), teleop, config.arbiter, context.seed, config.supervisor)
@@ -63,7 +57,7 @@ def run(context: StageContext) -> StageResult:
         context.progress.note(leader.usage)
     with context.progress.task("demonstrations", teleop.episodes_n) as task:
 
-        def tell(attempt: Attempt) -> None:
+        def tell(attempt: rig.Attempt) -> None:
             task.advance(int(attempt.kept), "" if attempt.kept else f"trial {attempt.trial.index}: {attempt.reason}")
 
         watch = watch_recording(context.view)
@@ -95,6 +89,6 @@ def run(context: StageContext) -> StageResult:
     return StageResult(checks=record_checks(numbers, teleop), data=recorded.facts(), notes=notes)
 
 
-def _commonest(attempts: Sequence[Attempt]) -> str:
+def _commonest(attempts: Sequence[rig.Attempt]) -> str:
     (reason, count) = Counter(a.reason for a in attempts).most_common(1)[0]
     return f"{count} x {reason}"

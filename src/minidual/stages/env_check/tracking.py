@@ -19,6 +19,7 @@ from minidual.robot.pair import Array, Robot
 from minidual.robot.trajectory import Trajectory
 from minidual.skills.supervised import trial_supervisor
 
+OnStep = Callable[[World], None] | None
 _SOURCE = "policy"
 _OPEN = np.ones(2)
 _WAIT_STEPS = 240
@@ -146,7 +147,7 @@ def arm_contacts(world: World) -> list[tuple[str, str, float]]:
     return [pair for pair in world.contact_pairs() if pair[0].startswith(prefixes) or pair[1].startswith(prefixes)]
 
 
-def track(rig: Rig, reference: Array, on_step: Callable[[World], None] | None = None) -> Tracking:
+def track(rig: Rig, reference: Array, on_step: OnStep = None) -> Tracking:
     """Run one control step per row of `reference` (T, n), the posture wanted after it."""
     world, start = rig.world, rig.world.q
     measured, cost = np.empty_like(reference), np.empty(len(reference))
@@ -220,11 +221,7 @@ def start_swing(rig: Rig, amplitude_rad: float, frequency_hz: float, duration_s:
 
 
 def sine_response(
-    rig: Rig,
-    amplitude_rad: float,
-    frequency_hz: float,
-    duration_s: float,
-    on_step: Callable[[World], None] | None = None,
+    rig: Rig, amplitude_rad: float, frequency_hz: float, duration_s: float, on_step: OnStep = None
 ) -> Tracking:
     """Swing all joints about home."""
     motion = start_swing(rig, amplitude_rad, frequency_hz, duration_s)
