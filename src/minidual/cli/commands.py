@@ -1,23 +1,24 @@
 """Bodies of the commands."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext, suppress
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from minidual import emergency
+from minidual.cli.progress import progress_for
 from minidual.cli.session import Session
+from minidual.cli.tables import print_explanation, print_lowest, print_outcome, print_status
 from minidual.cli.viewing import live_view
+from minidual.durable import disk_errors
 from minidual.errors import ExitCode, UsageError
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from minidual.gate.gate import StageState
-    from minidual.gate.runner import Outcome
-    from minidual.gate.table import StageEntry, ToolEntry
+from minidual.gate.gate import StageState
+from minidual.gate.lock import lock_holder, lock_holders, run_lock
+from minidual.gate.runner import Outcome
+from minidual.gate.signature import sign, signature, unverified
+from minidual.gate.table import StageEntry, ToolEntry, overrides
+from minidual.gate.tool import ToolContext
 
 Body = Callable[[Session, Mapping[str, Any]], ExitCode]
 """Runs a command with its own options. Its docstring is the help: a summary, then examples."""
@@ -25,8 +26,6 @@ Body = Callable[[Session, Mapping[str, Any]], ExitCode]
 
 def run_stage(entry: StageEntry, session: Session, values: Mapping[str, Any]) -> ExitCode:
     """Run a stage, or its aside that was typed, and print the result."""
-    from minidual.cli.tables import print_outcome
-
     aside = next((aside for aside in entry.asides if _was_typed(values[aside.trigger])), None)
     _refuse_loose_options(entry, aside, values)
     if aside is not None:
@@ -46,12 +45,6 @@ def run_stage(entry: StageEntry, session: Session, values: Mapping[str, Any]) ->
 
 def run_tool(tool: ToolEntry, session: Session, values: Mapping[str, Any]) -> ExitCode:
     """Run a tool and print its result."""
-    from minidual.cli.progress import progress_for
-    from minidual.durable import disk_errors
-    from minidual.gate.lock import run_lock
-    from minidual.gate.table import overrides
-    from minidual.gate.tool import ToolContext
-
     typed = {option.name: values[option.key] for option in tool.options if _was_typed(values[option.key])}
     config = session.loaded.with_overrides(overrides(tool.options, typed)).config
     folder = session.store.folder
@@ -116,9 +109,6 @@ def run_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
     run --until carry --profile smoke
     run --sign ~/.ssh/id_ed25519
     """
-    from minidual.cli.tables import print_outcome, print_status
-    from minidual.gate.signature import sign, signature
-
     until, force, key = values["until"], values["force"], values["sign"]
     if key is not None:
         signature(key, b"")  # a key that cannot sign is told before the work
@@ -158,9 +148,6 @@ def status_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
 
 
 def _show_status(session: Session, *, explained: bool, key: Path | None = None) -> ExitCode:
-    from minidual.cli.tables import print_lowest, print_status
-    from minidual.gate.lock import lock_holder
-    from minidual.gate.signature import unverified
 
     gate, store = session.gate(), session.store
     changed = None if key is None else unverified(gate, key)
@@ -211,8 +198,6 @@ def explain_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
     explain
     explain deploy
     """
-    from minidual.cli.tables import print_explanation, print_lowest
-
     if values["stage"] is None:
         return _show_status(session, explained=True)
     entry = session.table[values["stage"]]
@@ -243,8 +228,6 @@ def stop_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
     stop
     stop standard
     """
-    from minidual.gate.lock import lock_holders
-
     root, named = session.root, values["name"] or session.typed.run
     folders = [root / named] if named else sorted(root.glob("*/"))
     holders = {pid: text for folder in folders for pid, text in lock_holders(folder).items()}

@@ -14,18 +14,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.console import Console
 
+from minidual.cli.console import console
+from minidual.cli.progress import progress_for
+from minidual.config.loader import LoadedConfig, Override, load_config
 from minidual.durable import expanded
 from minidual.errors import EnvironmentMissingError, ExitCode, MinidualError, printable
+from minidual.gate.canonical import digest, dumps
+from minidual.gate.gate import Gate
+from minidual.gate.runner import Runner
+from minidual.gate.store import RunStore
+from minidual.gate.table import StageTable
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
-    from minidual.config.loader import LoadedConfig
-    from minidual.gate.gate import Gate
-    from minidual.gate.runner import Runner
-    from minidual.gate.store import RunStore
-    from minidual.gate.table import StageTable
     from minidual.show.view import View
 
 
@@ -67,23 +69,16 @@ class Session:
     @cached_property
     def people(self) -> Console:
         """Console on stderr."""
-        return self._console(stderr=True)
+        return console(stderr=True)
 
     @cached_property
     def data(self) -> Console:
         """Console on stdout, for `status` and `explain`."""
-        return self._console(stderr=False)
-
-    def _console(self, *, stderr: bool) -> Console:
-        from minidual.cli.console import console
-
-        return console(stderr=stderr)
+        return console(stderr=False)
 
     @cached_property
     def loaded(self) -> LoadedConfig:
         """Resolved configuration."""
-        from minidual.config.loader import Override, load_config
-
         overrides: list[Override | str] = list(self.typed.settings or ())
         for name, value in (("seed", self.typed.seed), ("workers", self.typed.workers)):
             if value is not None:
@@ -98,21 +93,14 @@ class Session:
     @property
     def store(self) -> RunStore:
         """The run's folder."""
-        from minidual.gate.store import RunStore
-
         return RunStore(self.root, self.loaded.profile if self.typed.run is None else self.typed.run)
 
     def gate(self, options: Mapping[str, Mapping[str, Any]] | None = None) -> Gate:
         """Return a gate of this run."""
-        from minidual.gate.gate import Gate
-
         return Gate(self.table, self.store, self.loaded, options or {})
 
     def runner(self, view: View | None = None) -> Runner:
         """Return a runner with progress and `view`."""
-        from minidual.cli.progress import progress_for
-        from minidual.gate.runner import Runner
-
         progress = progress_for(self.people)
         if view is not None and self.loaded.config.workers > 1:
             progress.note("what is watched runs in this process: one worker for this run")
@@ -138,8 +126,6 @@ class Session:
 
     def _own_run(self, run: str, *options: Mapping[str, Any]) -> str:
         """Return a run name from what was typed, such as "standard-glass-over"."""
-        from minidual.gate.canonical import digest
-
         typed = self.typed
         words = [] if typed.profile == "standard" or typed.run is None else [Path(typed.profile).stem]
         for name, value in (pair for given in options for pair in given.items()):
@@ -163,8 +149,6 @@ class Session:
 
     def finish(self, document: Mapping[str, Any], lines: Iterable[object]) -> None:
         """Print the document (--json) or the lines to stdout."""
-        from minidual.gate.canonical import dumps
-
         for line in [dumps(document).rstrip("\n")] if self.typed.json else lines:
             print(printable(str(line)))
 
