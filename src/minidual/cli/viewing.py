@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, nullcontext
 from typing import TYPE_CHECKING, Any
 
 from minidual.errors import UsageError
@@ -41,8 +41,5 @@ def live_view(session: Session, values: Mapping[str, Any], default: str = "none"
     if typed and name != "web":
         raise UsageError(f"{typed[0].text.split()[0]} goes with --view web, not with --view {name}")
     view = make_view(name, session.loaded.with_overrides(typed).config.view, say=session.say)
-    try:
+    with nullcontext() if view is None else closing(view):
         yield view
-    finally:
-        if view is not None:
-            view.close()

@@ -53,12 +53,8 @@ def modes(context: ToolContext) -> ToolResult:
             pictures = filmed(_counted(demo, bar), demo.stack, camera)
             write_video(context.output / "modes.mp4", pictures, fps=FILM_FPS)
     passed = demo.ended is None and not demo.exceeded(config.arbiter)
-    record = {
-        "modes": list(wanted),
-        "checkpoint": str(checkpoint) if checkpoint else None,
-        "seed": context.seed,
-        **demo.record(config.arbiter),
-    }
+    record = {"modes": list(wanted), "checkpoint": str(checkpoint) if checkpoint else None, "seed": context.seed}
+    record |= demo.record(config.arbiter)
     write_csv(context.output / "modes.csv", demo.rows)
     write_text(context.output / "modes.json", dumps(canonical(record)))
     notes = _notes(demo, context)

@@ -81,11 +81,11 @@ def _row(values: object) -> str:
 
 
 def _repeats(found: Replayed) -> str:
-    if found.deviates is None and found.compared == 0:
-        return "nothing compared: no check point lies in this stretch"
-    if found.deviates is None:
-        return f"to the bit, at {found.compared} of {found.compared} check points"
-    off = found.deviates
+    off, n = found.deviates, found.compared
+    if off is None:
+        return (
+            f"to the bit, at {n} of {n} check points" if n else "nothing compared: no check point lies in this stretch"
+        )
     why = (
         "another version may round differently" if found.versions_differ else "the state was changed between two steps"
     )

@@ -71,12 +71,8 @@ def print_bill(context: ToolContext) -> ToolResult:
         "gl_renderer": renderer,
     }
     libraries, verdict = required_libraries(), None
-    lines = [
-        "### minidual environment",
-        "",
-        *markdown([{"what": k.replace("_", " "), "value": v} for k, v in about.items()]),
-        "",
-    ]
+    lines = ["### minidual environment", ""]
+    lines += [*markdown([{"what": k.replace("_", " "), "value": v} for k, v in about.items()]), ""]
     lines += markdown([{**asdict(library), "state": "fits" if library.fits else "**unfit**"} for library in libraries])
     try:
         verdict, _ = read_verdict(context.run_folder / "env-check" / "verdict.json")
