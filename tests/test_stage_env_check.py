@@ -34,7 +34,7 @@ from minidual.stages.env_check import model as measure
 from minidual.stages.env_check import stage as judge
 from minidual.stages.env_check.installation import Library, required_libraries
 from minidual.stages.env_check.pictures import CameraCheck
-from minidual.stages.env_check.stage import run
+from minidual.stages.env_check.stage import measured_checks, run
 from minidual.stages.env_check.tracking import (
     CommandLatency,
     StopResponse,
@@ -67,7 +67,7 @@ def passed(tmp_path_factory):
 
     def judged(*arguments):
         given.extend(arguments)
-        return judge.measured_checks(*arguments)
+        return measured_checks(*arguments)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("minidual.stages.env_check.stage.measured_checks", judged)
