@@ -34,7 +34,8 @@ def perturb(context: ToolContext) -> ToolResult:
             watch=watch_trials(context.view),
         )
     found = robustness(cells, trials, inputs.config.carry.limits.success_rate_min)
-    rows = [r.row() for r in found]
+    measured = [r.row() for r in found]
+    rows = [{**dict.fromkeys(measured[0], "-"), **row} for row in measured]  # the first, undisturbed, has all columns
     write_csv(context.output / "conditions.csv", rows)
     write_csv(context.output / "trials.csv", [t.to_row() for t in trials])
     failed = [r for r in found if not r.holds]

@@ -41,31 +41,21 @@ class Robustness:
         return not self.cell.undisturbed and s["success_rate"] >= self.rate_min and self.drop < DROP_MAX - _ROUNDING
 
     def row(self) -> dict[str, Any]:
-        """Return the table row."""
+        """Return the table row, only condition and reason where it does not apply."""
         s, name = self.cell.summary, self.cell.condition
         if s is None:
-            return {"condition": name, **dict.fromkeys(_COLUMNS, "-"), "holds": f"does not apply: {self.cell.why_not}"}
-        values = (
-            f"{s.successes_n} of {s.trials_n}",
-            f"{100 * s['success_low']:.0f} to {100 * s['success_high']:.0f} %",
-            f"{100 * self.drop:+.0f} points",
-            _number(s["internal_force_min_n"], 1),
-            _number(np.degrees(s["tilt_max_rad"]), 2),
-            _number(100.0 * s["torque_ratio_max"], 0),
-            self.example,
-        )
-        return {"condition": name, **dict(zip(_COLUMNS, values, strict=True)), "holds": "yes" if self.holds else "NO"}
-
-
-_COLUMNS = (
-    "successes",
-    "interval",
-    "drop",
-    "least_squeeze_n",
-    "largest_tilt_deg",
-    "peak_torque_percent",
-    "first_failure",
-)
+            return {"condition": name, "holds": f"does not apply: {self.cell.why_not}"}
+        return {
+            "condition": name,
+            "successes": f"{s.successes_n} of {s.trials_n}",
+            "interval": f"{100 * s['success_low']:.0f} to {100 * s['success_high']:.0f} %",
+            "drop": f"{100 * self.drop:+.0f} points",
+            "least_squeeze_n": _number(s["internal_force_min_n"], 1),
+            "largest_tilt_deg": _number(np.degrees(s["tilt_max_rad"]), 2),
+            "peak_torque_percent": _number(100.0 * s["torque_ratio_max"], 0),
+            "first_failure": self.example,
+            "holds": "yes" if self.holds else "NO",
+        }
 
 
 def promised(trials_n: int) -> dict[str, int]:

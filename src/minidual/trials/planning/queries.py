@@ -171,10 +171,8 @@ def _swapped(before: dict[str, Array], after: dict[str, Array]) -> bool:
 def _touched_between(engine: MujocoEngine, start: Array, goal: Array) -> set[frozenset[str]]:
     """Return the contacts along the straight line."""
     count = int(np.ceil(np.abs(goal - start).max() / _STEP_RAD))
-    touched: set[frozenset[str]] = set()
-    for x in np.linspace(0.0, 1.0, count + 1)[1:-1]:
-        touched |= engine.touching_pairs(start + x * (goal - start))
-    return touched
+    between = (start + x * (goal - start) for x in np.linspace(0.0, 1.0, count + 1)[1:-1])
+    return set[frozenset[str]]().union(*map(engine.touching_pairs, between))
 
 
 def _is_kind(kind: str, arms: tuple[str, ...], touched: set[frozenset[str]]) -> bool:
