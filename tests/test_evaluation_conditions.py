@@ -13,7 +13,7 @@ from minidual.tasks.task import make_task
 from minidual.trials import conditions
 from minidual.trials.conditions import CLEAN, CONDITIONS, DRY_NM, SENSES, Push, condition, parse_conditions
 
-TASK = make_task(Config())
+TASK, RNG = make_task(Config()), np.random.default_rng(0)
 FIELDS = (
     "body_mass",
     "body_subtreemass",
@@ -28,7 +28,14 @@ FIELDS = (
     "actuator_acc0",
     "light_diffuse",
     "light_specular",
+    "cam_pos",
+    "cam_quat",
+    "geom_rgba",
+    "geom_pos",
+    "geom_quat",
 )
+SEEN = {"cam_pos", "cam_quat", "geom_rgba", "geom_pos", "geom_quat", "ambient", "diffuse", "specular"}
+"""With the lights, what only pictures show."""
 
 
 def fields(model):
@@ -45,11 +52,11 @@ def model():
 @pytest.mark.parametrize("name", CONDITIONS)
 def test_the_model_is_as_before_afterwards(model, name):
     before = fields(model)
-    with condition(name).applied(model, TASK, 3):
+    with condition(name).applied(model, TASK, 3, RNG):
         changed = {f for f, value in fields(model).items() if not np.array_equal(before[f], value)}
-        lights = {f for f in changed if "light" in f or f in ("ambient", "diffuse", "specular")}
+        seen = {f for f in changed if "light" in f or f in SEEN}
         assert bool(changed) == (condition(name).change is not None)
-        assert bool(changed - lights) == (condition(name).change is not None and not condition(name).sense)
+        assert bool(changed - seen) == (condition(name).change is not None and not condition(name).sense)
     for f, value in fields(model).items():
         np.testing.assert_array_equal(before[f], value, err_msg=f)
 
@@ -57,13 +64,13 @@ def test_the_model_is_as_before_afterwards(model, name):
 def test_mass_and_inertia_scale_together(model):
     rod = model.body("rod").id
     mass, inertia = model.body_mass[rod], np.array(model.body_inertia[rod])
-    with condition("mass +50 %").applied(model, TASK, 0):
+    with condition("mass +50 %").applied(model, TASK, 0, RNG):
         assert model.body_mass[rod] == pytest.approx(1.5 * mass)
         np.testing.assert_allclose(model.body_inertia[rod], 1.5 * inertia)
 
 
 def test_friction_holds_for_every_surface_that_the_object_meets(model):
-    with condition("friction 0.3").applied(model, TASK, 0):
+    with condition("friction 0.3").applied(model, TASK, 0, RNG):
         for name in ("rod", "table_top", "left_panda_leftfinger_pad", "right_panda_rightfinger_pad"):
             assert model.geom(name).friction[0] == pytest.approx(0.3)
 
@@ -71,7 +78,7 @@ def test_friction_holds_for_every_surface_that_the_object_meets(model):
 def test_another_joint_each_trial(model):
     for index, joint in ((0, "left_panda_joint1"), (13, "right_panda_joint7"), (14, "left_panda_joint1")):
         plain, before = float(model.joint(joint).damping[0]), np.array(model.dof_damping)
-        with condition("joint friction x2").applied(model, TASK, index):
+        with condition("joint friction x2").applied(model, TASK, index, RNG):
             assert model.joint(joint).damping[0] == pytest.approx(2.0 * plain)
             assert model.joint(joint).frictionloss[0] == 2.0 * DRY_NM
             assert np.sum(model.dof_damping != before) == np.count_nonzero(model.dof_frictionloss) == 1
@@ -93,7 +100,7 @@ def test_an_arm_feels_the_dry_friction_of_its_joint(model, torque_nm, moves):
         return float(world.q[joint] - home[joint])
 
     assert turned() > 0.01
-    with condition("joint friction x2").applied(model, TASK, joint):
+    with condition("joint friction x2").applied(model, TASK, joint, RNG):
         assert pytest.approx(0.72) == 2.0 * DRY_NM
         assert (turned() > 1e-3) == moves
     assert turned() > 0.01
@@ -158,7 +165,7 @@ def test_a_change_that_breaks_half_way_is_taken_back(model, monkeypatch):
     before, derive = fields(model), conditions._derive
     calls = iter((broken, derive))
     monkeypatch.setattr(conditions, "_derive", lambda model: next(calls)(model))
-    with pytest.raises(ValueError, match="no constants"), condition("mass +50 %").applied(model, TASK, 0):
+    with pytest.raises(ValueError, match="no constants"), condition("mass +50 %").applied(model, TASK, 0, RNG):
         pass
     for f, value in fields(model).items():
         np.testing.assert_array_equal(before[f], value, err_msg=f)
@@ -218,13 +225,65 @@ def test_what_changes_a_sense_alone_does_not_touch_who_lacks_it():
         assert not (c.sense and c.act), "what happens in a trial touches every method"
 
 
+VISUAL = [name for name, row in CONDITIONS.items() if row.sense == "picture"]
+
+
+@pytest.mark.parametrize("name", VISUAL)
+def test_a_changed_room_changes_pictures_and_no_contact(visual_model, name):
+    from minidual.plant.render import Camera
+
+    world = World(Config().scene, model=visual_model)
+    camera = Camera.recorded(visual_model, Config().scene.camera)
+
+    def look(seed: int) -> tuple[np.ndarray, np.ndarray]:
+        with condition(name).applied(visual_model, TASK, 0, np.random.default_rng(seed)):
+            world.reset()
+            picture = camera.picture(world.data, "high").astype(float)
+            for _ in range(50):
+                world.step()
+            return picture, world.data.qpos.copy()
+
+    world.reset()
+    plain = camera.picture(world.data, "high").astype(float)
+    for _ in range(50):
+        world.step()
+    undisturbed = world.data.qpos.copy()
+    pictures = [look(seed) for seed in range(4)]
+    for picture, qpos in pictures:
+        assert np.abs(picture - plain).max() > 30.0
+        np.testing.assert_array_equal(qpos, undisturbed)
+    differ = any(np.any(picture != pictures[0][0]) for picture, _ in pictures)
+    assert differ == ("light" not in name), "every trial draws its own room"
+
+
+def test_distractors_never_hide_the_object(visual_model):
+    from minidual.plant.render import Camera
+
+    world = World(Config().scene, model=visual_model)
+    camera = Camera.recorded(visual_model, Config().scene.camera)
+    for index in range(20):
+        world.reset(poses=TASK.trial(0, "distractors", index).start)
+        alone = camera.bodies_seen(world.data, "high")["rod"]
+        with condition("distractors").applied(visual_model, TASK, index, np.random.default_rng(index)):
+            mujoco.mj_forward(visual_model, world.data)
+            assert camera.bodies_seen(world.data, "high")["rod"] == pytest.approx(alone)
+
+
+def test_a_wider_start_range_is_drawn_wider():
+    wide, narrow = (
+        [TASK.trial(0, "range", i, widen=widen).start["rod"][:2] for i in range(200)]
+        for widen in (condition("start range x1.5").widen, 1.0)
+    )
+    assert np.ptp(wide, axis=0) == pytest.approx(1.5 * np.ptp(narrow, axis=0))
+
+
 def test_a_darker_room_gives_darker_pictures(visual_model):
     from minidual.plant.render import Camera
 
     world = World(Config().scene, model=visual_model)
     camera = Camera.recorded(visual_model, Config().scene.camera)
     bright = camera.picture(world.data, "high")
-    with condition("light -30 %").applied(visual_model, TASK, 0):
+    with condition("light -30 %").applied(visual_model, TASK, 0, RNG):
         dark = camera.picture(world.data, "high")
     assert 0.6 < dark.mean() / bright.mean() < 0.9
     np.testing.assert_array_equal(camera.picture(world.data, "high"), bright)

@@ -7,6 +7,34 @@ from pydantic import Field, model_validator
 from minidual.config.base import AtLeast, AtMost, StrictModel
 
 
+class AugmentConfig(StrictModel):
+    """Random changes of training pictures; half-widths of uniform distributions unless named otherwise."""
+
+    photometric: bool = True
+    geometric: bool = True
+    light_log: tuple[float, float] = (-0.6, 0.5)
+    """Range of the logarithm of the light."""
+    channel_gain_log: float = Field(default=0.25, ge=0.0, le=2.0)
+    channel_mixing: float = Field(default=0.3, ge=0.0, le=1.0)
+    offset: float = Field(default=0.08, ge=0.0, le=1.0)
+    """Of full scale."""
+    permuted_share: float = Field(default=0.25, ge=0.0, le=1.0)
+    """Pictures with permuted colour channels."""
+    turn_deg: float = Field(default=4.0, ge=0.0, le=180.0)
+    scale: float = Field(default=0.07, ge=0.0, lt=1.0)
+    shift: float = Field(default=0.06, ge=0.0, lt=1.0)
+    """Of width and height."""
+    straight_share: float = Field(default=0.3, ge=0.0, le=1.0)
+    """Pictures that keep their place."""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        low, high = self.light_log
+        if not -5.0 <= low <= high <= 5.0:
+            raise ValueError(f"light_log is {low} to {high}; it may be -5 to 5, low first")
+        return self
+
+
 class TrainConfig(StrictModel):
     """Policy and training; defaults for the CPU."""
 
@@ -54,10 +82,7 @@ class TrainConfig(StrictModel):
     state_noise_approach_rad: float = Field(default=0.06, ge=0.0, le=0.5)
     state_noise_rad: float = Field(default=0.01, ge=0.0, le=0.5)
     """After the grasp."""
-    brightness_jitter: float = Field(default=0.08, ge=0.0, le=1.0)
-    """Additive, in units of full scale."""
-    contrast_jitter: float = Field(default=0.15, ge=0.0, lt=1.0)
-    """Multiplicative: 0.15 is 0.85 to 1.15."""
+    augment: AugmentConfig = AugmentConfig()
     std_floor: float = Field(default=1e-2, ge=1e-6, le=10.0)
     """Least standard deviation for normalisation; some joints hardly move."""
 

@@ -10,6 +10,8 @@ from pydantic import Field, model_validator
 from minidual.config.base import AtLeast, AtMost, Coordinate, Rate, Size, StrictModel
 
 OBSTACLE = "obstacle"
+DISTRACTORS, DISTRACTOR_HALF_M = ("distractor_box", "distractor_cylinder"), 0.03
+"""Geoms without contacts, invisible until a condition of trials shows them."""
 
 
 class PhysicsConfig(StrictModel):

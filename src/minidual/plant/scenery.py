@@ -5,7 +5,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from minidual.config.scene import OBSTACLE, SceneConfig
+from minidual.config.scene import DISTRACTOR_HALF_M, DISTRACTORS, OBSTACLE, SceneConfig
 from minidual.robot.pair import Robot
 
 GROUP_VISUAL, GROUP_MARKER = 1, 2
@@ -63,6 +63,9 @@ def add_surroundings(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> N
     ):
         mark = world.add_geom(name=name, type=_BOX, pos=[x, y, 0.0003], rgba=rgba, group=GROUP_MARKER, **INTANGIBLE)
         mark.size, mark.quat = [1.6 * half_x, half_y + 0.01, 0.0003], [np.cos(yaw / 2.0), 0.0, 0.0, np.sin(yaw / 2.0)]
+    for name, kind in zip(DISTRACTORS, (_BOX, _CYLINDER), strict=True):
+        size = [DISTRACTOR_HALF_M] * 3
+        world.add_geom(name=name, type=kind, size=size, pos=[_TABLE_CENTRE_X_M, 0, -0.3], rgba=[0] * 4, **INTANGIBLE)
     if asked.obstacle is not None:
         size, xy = np.array(asked.obstacle.size_m) / 2, asked.obstacle.xy_m
         world.add_geom(name=OBSTACLE, type=_BOX, size=size, rgba=[0.75, 0.22, 0.2, 1.0], pos=[*xy, size[2]])

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from minidual.config.learning import TrainConfig
 from minidual.demos.lerobot_reader import ACTION, STATE, camera_key
+from minidual.policies.augment import augment
 from minidual.policies.demonstrations import Demonstrations
 from minidual.policies.normalisation import Stats, normalise, normalise_images
 
@@ -29,22 +30,16 @@ class BatchMaker:
         sigma = np.where(self._demos.phase[rows] == 0, config.state_noise_approach_rad, config.state_noise_rad)
         n = self._demos.joints_n
         state[:, :n] += (rng.standard_normal((len(rows), n)) * sigma[:, None]).astype(np.float32)
-        contrast = 1.0 + rng.uniform(-1.0, 1.0, len(rows)) * config.contrast_jitter
-        brightness = rng.uniform(-1.0, 1.0, len(rows)) * config.brightness_jitter
-        return self._assemble(
-            rows, state, *(torch.from_numpy(v.astype(np.float32)).to(config.device) for v in (contrast, brightness))
-        )
+        pictures = {c: augment(self._demos.images[c][rows], config.augment, rng) for c in self._demos.cameras}
+        return self._assemble(rows, state, pictures)
 
     def clean(self, rows: NDArray[np.int64]) -> dict[str, Tensor]:
         """Return an unaugmented batch."""
-        return self._assemble(rows, self._demos.state[rows])
+        demos = self._demos
+        return self._assemble(rows, demos.state[rows], {c: demos.images[c][rows] for c in demos.cameras})
 
     def _assemble(
-        self,
-        rows: NDArray[np.int64],
-        state: NDArray[np.float32],
-        contrast: Tensor | None = None,
-        brightness: Tensor | None = None,
+        self, rows: NDArray[np.int64], state: NDArray[np.float32], pictures: dict[str, NDArray[np.uint8]]
     ) -> dict[str, Tensor]:
         demos, device = self._demos, self._config.device
         ahead = rows[:, None] + np.arange(self._config.chunk_size)
@@ -59,7 +54,6 @@ class BatchMaker:
             "keyframe_is_valid": torch.from_numpy(is_next).to(device),
         }
         for camera in demos.cameras:
-            pixels = torch.from_numpy(demos.images[camera][rows]).to(device)
             key = camera_key(camera)
-            batch[key] = normalise_images(pixels, self._stats[key], contrast, brightness)
+            batch[key] = normalise_images(torch.from_numpy(pictures[camera]).to(device), self._stats[key])
         return batch

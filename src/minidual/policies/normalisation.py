@@ -45,20 +45,8 @@ def normalise(values: Tensor, stats: dict[str, Tensor]) -> Tensor:
     return (values - stats["mean"]) / (stats["std"] + LEROBOT_EPS)
 
 
-def normalise_images(
-    images: Tensor, stats: dict[str, Tensor], contrast: Tensor | None = None, brightness: Tensor | None = None
-) -> Tensor:
-    """Normalise uint8 (B, H, W, 3) to channels-last float (B, 3, H, W).
-
-    `contrast` (B,) scales about mid-grey; `brightness` (B,) is in full scales.
-    """
+def normalise_images(images: Tensor, stats: dict[str, Tensor]) -> Tensor:
+    """Normalise uint8 (B, H, W, 3) to channels-last float (B, 3, H, W)."""
     inverse = 1.0 / (stats["std"].view(1, 1, 1, 3) + LEROBOT_EPS)
-    mean = stats["mean"].view(1, 1, 1, 3)
-    pixels = images.float()
-    if contrast is None or brightness is None:
-        normalised = torch.addcmul(-mean * inverse, pixels, inverse / 255.0)
-    else:
-        gain = contrast.view(-1, 1, 1, 1)
-        offset = 0.5 * (1.0 - gain) + brightness.view(-1, 1, 1, 1)
-        normalised = torch.addcmul((offset - mean) * inverse, pixels, gain * inverse / 255.0)
+    normalised = torch.addcmul(-stats["mean"].view(1, 1, 1, 3) * inverse, images.float(), inverse / 255.0)
     return normalised.permute(0, 3, 1, 2)

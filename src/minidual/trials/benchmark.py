@@ -86,7 +86,7 @@ def run_benchmark(
                 continue
             rows: list[TrialMetrics] = []
             given, task = replace(inputs, config=configs[name]), make_task(configs[name])
-            trials = [task.trial(inputs.seed, purpose, i) for i in range(n)]
+            trials = [task.trial(inputs.seed, purpose, i, widen=under.widen) for i in range(n)]
             for result in run_trials(method, given, trials, workers=workers, condition=name, watch=watch):
                 rows.append(result.metrics)
                 on_trial(result)

@@ -17,6 +17,7 @@ from pydantic import ValidationError
 
 from minidual.config.change import changed
 from minidual.config.root import Config
+from minidual.config.scene import DISTRACTOR_HALF_M, DISTRACTORS
 from minidual.errors import UsageError, unknown_name
 from minidual.registry import Registry
 from minidual.robot.pair import Array
@@ -40,6 +41,11 @@ _ALOFT_M = 0.01
 DRY_NM = 0.36
 """Coulomb friction of a Panda's joint, mean of seven: half of phi_1 (0.30 to 1.28 Nm) in Gaz et al., IEEE RA-L 4(4),
 2019."""
+OBJECT_COLOURS = ((0.78, 0.12, 0.12), (0.15, 0.55, 0.20), (0.50, 0.18, 0.60), (0.10, 0.65, 0.70), (0.88, 0.88, 0.86))
+TABLE_COLOURS = ((0.60, 0.45, 0.30), (0.85, 0.85, 0.83), (0.18, 0.18, 0.20), (0.35, 0.50, 0.38), (0.28, 0.38, 0.56))
+"""Red, green, violet, cyan, white; wood, white, black, green, blue. Discrete, unlike the trainer's augmentation."""
+_BESIDE_M = (0.64, -0.35), (0.80, 0.35)
+"""Range of the distractors' places (x, y): nearer to the camera than the object ever is."""
 _MOVED_AT_S = 0.5  # the hands have left home and are not yet near
 
 
@@ -54,8 +60,8 @@ class Disturbance(Protocol):
         ...
 
 
-Change = Callable[["mujoco.MjModel", Task, int], None]
-"""Changes the compiled model for a trial."""
+Change = Callable[["mujoco.MjModel", Task, int, np.random.Generator], None]
+"""Changes the compiled model for a trial, by its index and random numbers."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +74,7 @@ class Condition:
         settings: Sets {dotted path: value}.
         factors: Scales {dotted path: factor}.
         sense: Row of SENSES that it changes; empty for the plant.
+        widen: Scales the range of the start.
         promised: Whether a carry must pass it.
     """
 
@@ -79,6 +86,7 @@ class Condition:
     settings: Mapping[str, float] = field(default_factory=dict)
     factors: Mapping[str, float] = field(default_factory=dict)
     sense: str = ""
+    widen: float = 1.0
     promised: bool = True
 
     def why_not(self, method: str, config: Config) -> str:
@@ -111,14 +119,14 @@ class Condition:
             ) from error
 
     @contextmanager
-    def applied(self, model: mujoco.MjModel, task: Task, index: int) -> Generator[None]:
+    def applied(self, model: mujoco.MjModel, task: Task, index: int, rng: np.random.Generator) -> Generator[None]:
         """Change a compiled model, then restore it."""
         if self.change is None:
             yield
             return
         kept = [(values, values.copy()) for place in (model, model.vis.headlight) for values in _arrays(place)]
         try:
-            self.change(model, task, index)  # inside try: a partial change must be undone too
+            self.change(model, task, index, rng)  # inside try: a partial change must be undone too
             _derive(model)
             yield
         finally:
@@ -140,14 +148,14 @@ def _derive(model: mujoco.MjModel) -> None:
     mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
-def mass(model: mujoco.MjModel, task: Task, index: int, *, factor: float) -> None:
+def mass(model: mujoco.MjModel, task: Task, index: int, rng: np.random.Generator, *, factor: float) -> None:
     """Scale the carried object's mass and inertia."""
     body = model.body(task.carried).id
     model.body_mass[body] *= factor
     model.body_inertia[body] *= factor
 
 
-def friction(model: mujoco.MjModel, task: Task, index: int, *, value: float) -> None:
+def friction(model: mujoco.MjModel, task: Task, index: int, rng: np.random.Generator, *, value: float) -> None:
     """Set friction of objects, pads and table."""
     # MuJoCo takes the larger friction of the two geoms in contact, so all of them change.
     objects = {int(model.body(name).id) for name in task.scene.objects}
@@ -157,7 +165,7 @@ def friction(model: mujoco.MjModel, task: Task, index: int, *, value: float) -> 
             model.geom_friction[i, 0] = value
 
 
-def joint_friction(model: mujoco.MjModel, task: Task, index: int, *, factor: float) -> None:
+def joint_friction(model: mujoco.MjModel, task: Task, index: int, rng: np.random.Generator, *, factor: float) -> None:
     """Scale the friction of one joint, another each trial; no dry friction counts as `DRY_NM`."""
     hinges = np.flatnonzero(model.jnt_type == _HINGE)
     joint = model.joint(int(hinges[index % len(hinges)]))
@@ -165,11 +173,51 @@ def joint_friction(model: mujoco.MjModel, task: Task, index: int, *, factor: flo
     joint.frictionloss[0] = factor * (joint.frictionloss[0] or DRY_NM)
 
 
-def light(model: mujoco.MjModel, task: Task, index: int, *, factor: float) -> None:
+def light(model: mujoco.MjModel, task: Task, index: int, rng: np.random.Generator, *, factor: float) -> None:
     """Scale every light."""
     lamp = model.vis.headlight
     for values in (model.light_diffuse, model.light_specular, lamp.ambient, lamp.diffuse, lamp.specular):
         values *= factor
+
+
+def camera_moved(
+    model: mujoco.MjModel, task: Task, index: int, rng: np.random.Generator, *, distance_m: float, angle_rad: float
+) -> None:
+    """Shift and turn every camera of the room in a random direction."""
+    import mujoco
+
+    for camera in np.flatnonzero(model.cam_bodyid == 0):
+        way, axis = (v / np.linalg.norm(v) for v in rng.standard_normal((2, 3)))
+        model.cam_pos[camera] += distance_m * way
+        turn = np.r_[np.cos(angle_rad / 2.0), np.sin(angle_rad / 2.0) * axis]
+        mujoco.mju_mulQuat(model.cam_quat[camera], turn, model.cam_quat[camera].copy())
+
+
+def object_colour(model: mujoco.MjModel, task: Task, index: int, rng: np.random.Generator) -> None:
+    """Paint the carried object, but not the bands at its grasps."""
+    model.geom(task.carried).rgba[:3] = OBJECT_COLOURS[rng.integers(len(OBJECT_COLOURS))]
+
+
+def table_colour(model: mujoco.MjModel, task: Task, index: int, rng: np.random.Generator) -> None:
+    """Paint the table."""
+    model.geom("table_top").rgba[:3] = TABLE_COLOURS[rng.integers(len(TABLE_COLOURS))]
+
+
+def distractors(model: mujoco.MjModel, task: Task, index: int, rng: np.random.Generator) -> None:
+    """Put the scene's two distractors on the table, between the camera and the object."""
+    for name in DISTRACTORS:
+        thing, yaw = model.geom(name), rng.uniform(-np.pi, np.pi)
+        x, y = rng.uniform(*_BESIDE_M)
+        thing.pos[:] = x, y, DISTRACTOR_HALF_M
+        thing.quat[:] = np.cos(yaw / 2.0), 0.0, 0.0, np.sin(yaw / 2.0)
+        thing.rgba[:] = *OBJECT_COLOURS[rng.integers(len(OBJECT_COLOURS))], 1.0
+
+
+def room(model: mujoco.MjModel, task: Task, index: int, rng: np.random.Generator) -> None:
+    """Change light, camera and colours, and show distractors."""
+    light(model, task, index, rng, factor=float(rng.uniform(*_LIGHT)))
+    for change in (_CAMERA_MOVED, object_colour, table_colour, distractors):
+        change(model, task, index, rng)
 
 
 class Push:
@@ -231,6 +279,8 @@ def move(task: Task, rng: np.random.Generator, *, distance_m: float) -> Disturba
     return Move(distance_m * np.array([np.cos(direction), np.sin(direction)]), task.carried)
 
 
+_LIGHT = (0.7, 1.4)
+_CAMERA_MOVED = partial(camera_moved, distance_m=0.02, angle_rad=np.radians(3.0))
 _PUSH_N = 20.0
 _AXES = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
 _FRICTION = "scene.object.friction"
@@ -274,7 +324,21 @@ for _row in (
     Condition(
         "delay 20 ms", "pose and forces arrive 20 ms late", settings={"carry.sensing.delay_s": 0.020}, sense="feedback"
     ),
-    Condition("light -30 %", "the cameras look at a darker room", change=partial(light, factor=0.7), sense="picture"),
+    Condition(
+        "light -30 %", "the cameras look at a darker room", change=partial(light, factor=_LIGHT[0]), sense="picture"
+    ),
+    *(
+        Condition(name, summary, change=change, sense="picture", promised=False)
+        for name, summary, change in (
+            ("light +40 %", "the cameras look at a brighter room", partial(light, factor=_LIGHT[1])),
+            ("camera moved", "the camera stands 20 mm and 3 degrees off", _CAMERA_MOVED),
+            ("object colour", "an object of another colour", object_colour),
+            ("table colour", "a table of another colour", table_colour),
+            ("distractors", "two more things on the table", distractors),
+            ("room", "light of 0.7 to 1.4, camera, colours and distractors at once", room),
+        )
+    ),
+    Condition("start range x1.5", "an object that starts anywhere in a larger area", widen=1.5, promised=False),
     Condition(
         "joint friction x2",
         f"one joint, another each trial, with twice a real joint's dry friction ({2.0 * DRY_NM:.2f} Nm)",

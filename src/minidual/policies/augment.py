@@ -1,0 +1,62 @@
+"""Change training pictures as other rooms and other camera poses would.
+
+Colours: c' = e^l diag(e^g) M P c + o with light l, channel gains g, mixing M (grey stays grey), permutation P.
+Places: turn, scale and shift about the middle; the border is repeated.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from minidual.config.learning import AugmentConfig
+
+FULL = 255.0
+_UNMOVED = np.eye(2, 3)
+
+
+def colour_maps(n: int, config: AugmentConfig, rng: np.random.Generator) -> NDArray[np.float32]:
+    """Draw maps (n, 3, 4) of colours in 0..255."""
+    light = rng.uniform(*config.light_log, n)
+    gains = rng.uniform(-1.0, 1.0, (n, 3)) * config.channel_gain_log
+    mixing = rng.uniform(-1.0, 1.0, (n, 3, 3)) * config.channel_mixing
+    offset = FULL * config.offset * rng.uniform(-1.0, 1.0, (n, 3))
+    order = np.argsort(rng.random((n, 3)), axis=1)
+    order[rng.random(n) >= config.permuted_share] = np.arange(3)
+    diagonal = np.arange(3)
+    mixing[:, diagonal, diagonal] = 0.0
+    mixing[:, diagonal, diagonal] = 1.0 - mixing.sum(axis=2)
+    mixed = np.take_along_axis(mixing, np.repeat(order[:, None, :], 3, axis=1), axis=2)
+    turned = np.exp(light[:, None] + gains)[:, :, None] * mixed
+    return np.concatenate([turned, offset[:, :, None]], axis=2).astype(np.float32)
+
+
+def warps(n: int, height: int, width: int, config: AugmentConfig, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Draw maps (n, 2, 3) of picture places [pixels]."""
+    turn = np.radians(config.turn_deg) * rng.uniform(-1.0, 1.0, n)
+    scale = 1.0 + config.scale * rng.uniform(-1.0, 1.0, n)
+    shift = config.shift * rng.uniform(-1.0, 1.0, (n, 2)) * (width, height)
+    straight = rng.random(n) < config.straight_share
+    turn[straight], scale[straight], shift[straight] = 0.0, 1.0, 0.0
+    maps = np.empty((n, 2, 3))
+    maps[:, 0, 0] = maps[:, 1, 1] = scale * np.cos(turn)
+    maps[:, 1, 0] = scale * np.sin(turn)
+    maps[:, 0, 1] = -maps[:, 1, 0]
+    middle = np.array([0.5 * (width - 1), 0.5 * (height - 1)])
+    maps[:, :, 2] = middle + shift - maps[:, :, :2] @ middle
+    return maps
+
+
+def augment(pictures: NDArray[np.uint8], config: AugmentConfig, rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Return changed copies of pictures (n, H, W, 3)."""
+    n, height, width, _ = pictures.shape
+    colours = colour_maps(n, config, rng) if config.photometric else [None] * n
+    places = warps(n, height, width, config, rng) if config.geometric else [None] * n
+    changed = pictures.copy()
+    for picture, colour, place in zip(changed, colours, places, strict=True):
+        if colour is not None:
+            cv2.transform(picture, colour, dst=picture)
+        if place is not None and (place != _UNMOVED).any():
+            picture[:] = cv2.warpAffine(picture, place, (width, height), borderMode=cv2.BORDER_REPLICATE)
+    return changed
