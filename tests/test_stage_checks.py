@@ -14,10 +14,12 @@ from minidual.config.learning import DeployConfig
 from minidual.config.loader import load_config
 from minidual.config.root import Config
 from minidual.demos.rig import PURPOSE
+from minidual.errors import ConfigError, UsageError
 from minidual.gate.check import Check
 from minidual.stages import deploy as deploy_stage
 from minidual.stages.benchmark import benchmark_checks
 from minidual.stages.carry import carry_checks
+from minidual.stages.config_checks import check_deploy
 from minidual.stages.deploy import deploy_checks, deploy_starts
 from minidual.tasks.task import make_task
 from minidual.trials.metrics import TrialMetrics, summarise
@@ -168,3 +170,11 @@ def test_benchmark_reports_every_indicator_of_every_method() -> None:
         "path_length_m",
     ):
         assert f"impedance.{indicator}" in names
+
+
+def test_deploy_refuses_conditions_that_the_policy_does_not_feel() -> None:
+    check_deploy(Config(deploy=DeployConfig(conditions=("room", "camera moved", "start range x1.5"))))
+    with pytest.raises(ConfigError, match="'pose noise x3' does not apply: act reads no sensed pose"):
+        check_deploy(Config(deploy=DeployConfig(conditions=("pose noise x3",))))
+    with pytest.raises(UsageError, match="did you mean 'room'"):
+        check_deploy(Config(deploy=DeployConfig(conditions=("rooom",))))

@@ -118,6 +118,8 @@ class DeployConfig(StrictModel):
     trials: AtLeast[int] = Field(default=50, ge=1, le=10_000)
     """Trials from starts held out from training."""
     training_trials: AtLeast[int] = Field(default=20, ge=0, le=10_000)
+    conditions: tuple[str, ...] = ("room",)
+    """Conditions under which the held-out trials run again; reported without a limit."""
     success_rate_min: AtLeast[float] = Field(default=0.5, ge=0.0, le=1.0)
     judge_success: AtLeast[bool] = True
     """Whether the success rate has a limit."""

@@ -4,7 +4,7 @@ from minidual.config.root import Config
 from minidual.demos.leader import LEADERS
 from minidual.errors import ConfigError
 from minidual.policies.kinds import POLICIES
-from minidual.trials.conditions import condition, parse_conditions
+from minidual.trials.conditions import CONDITIONS, condition, parse_conditions
 from minidual.trials.methods import METHODS
 
 
@@ -26,6 +26,13 @@ def check_leader(config: Config) -> None:
 def check_policy(config: Config) -> None:
     """Raise UsageError for an unknown policy; loads no policy library."""
     POLICIES.names([config.train.policy])
+
+
+def check_deploy(config: Config) -> None:
+    """Raise UsageError for conditions that are unknown or cannot affect the policy."""
+    for name in config.deploy.conditions:
+        if reason := CONDITIONS[name].why_not("act", config):
+            raise ConfigError(f"deploy.conditions: '{name}' does not apply: {reason}", remedy="leave it out")
 
 
 def check_benchmark(config: Config) -> None:

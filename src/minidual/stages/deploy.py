@@ -20,6 +20,7 @@ from minidual.show.figures.film import film_trial
 from minidual.show.watch import watch_trials
 from minidual.stages.words import Rows, worded
 from minidual.tasks.task import Trial, make_task
+from minidual.trials.conditions import CLEAN, CONDITIONS
 from minidual.trials.methods import MethodInputs
 from minidual.trials.metrics import MethodSummary, summarise
 from minidual.trials.runner import TrialResult, run_trials
@@ -69,11 +70,19 @@ def run(context: StageContext) -> StageResult:
     inputs, watch = MethodInputs(config, context.seed, checkpoint), watch_trials(context.view)
     episodes = episode_paths(context.upstream["teleop-record"] / "episodes")
     starts, seen_n = deploy_starts(config, context.seed, [read_meta(path).trial for path in episodes])
-    results: dict[str, list[TrialResult]] = {name: [] for name in starts}
-    with context.progress.task("policy trials", sum(map(len, starts.values()))) as bar:
-        for name, trials in starts.items():
-            for result in run_trials(METHOD, inputs, trials, workers=context.workers, watch=watch):
-                # Neither set is disturbed; the tables list them as conditions.
+    conditions = config.deploy.conditions
+    sets = {name: (CLEAN, trials) for name, trials in starts.items()}
+    for name in conditions:
+        widen = CONDITIONS[name].widen
+        sets[name] = (
+            name,
+            [make_task(config).trial(context.seed, HELD_OUT, t.index, widen=widen) for t in starts["held_out"]],
+        )
+    results: dict[str, list[TrialResult]] = {name: [] for name in sets}
+    with context.progress.task("policy trials", sum(len(trials) for _, trials in sets.values())) as bar:
+        for name, (condition, trials) in sets.items():
+            for result in run_trials(METHOD, inputs, trials, workers=context.workers, condition=condition, watch=watch):
+                # The tables list the undisturbed sets as conditions, too.
                 results[name].append(replace(result, metrics=replace(result.metrics, condition=name)))
                 bar.advance(note=f"{name} {sum(r.success for r in results[name])}/{len(results[name])}")
     everything = [r for rows in results.values() for r in rows]
@@ -87,8 +96,15 @@ def run(context: StageContext) -> StageResult:
     if "training" in summaries:
         checks += worded("deploy", {"training_success_rate": summaries["training"]["success_rate"]})
         data["training"] = summaries["training"].record()
+    for name in conditions:
+        summary = summaries[name]
+        checks.append(
+            Check(f"{name}_success_rate", summary["success_rate"], why=f"held-out starts: {summary.interval}")
+        )
+        data[name] = summary.record()
     clear_m = make_task(config).scene.task.clear_height_m
-    errors = [r.metrics.goal_error_m for r in everything if r.measured.get("rise_m", 0.0) > clear_m]
+    undisturbed = [r for name in starts for r in results[name]]
+    errors = [r.metrics.goal_error_m for r in undisturbed if r.measured.get("rise_m", 0.0) > clear_m]
     if errors:
         checks += worded("deploy", {"goal_error_median_m": float(np.median(errors))})
     return StageResult(checks=checks, data=data)

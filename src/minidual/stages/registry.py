@@ -125,6 +125,7 @@ STAGES = StageTable(
             "Let the policy drive the arms on seeds it never saw",
             reads=("robot", "task", "deploy", "scene", "arbiter", "supervisor", "teleop.rate_hz"),
             resolve="minidual.tasks.task:task_config",
+            check="minidual.stages.config_checks:check_deploy",
             options=(Option("trials", "Held-out trials.", int, "deploy.trials"),),
             watchable=True,
             examples=("deploy", "deploy --trials 20 --view web"),
